@@ -1,0 +1,35 @@
+"""Biped walking control with quadratic programming and vector-field inequalities, for ROS 2.
+
+The names below are loaded on first use, so that importing the package costs next to nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Config": "config",
+    "load": "config",
+    "DQ": "dq",
+    "Foot": "model",
+    "RobotModel": "model",
+    "load_model": "model",
+    "Kinematics": "kinematics",
+    "Phase": "phases",
+    "VelocityController": "controllers.velocity",
+    "make_controller": "controllers",
+    "KinematicPlant": "plants.kinematic",
+    "simulate": "simulation",
+    "Trace": "trace",
+}
+
+__all__ = ["__version__", *_HOME]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)

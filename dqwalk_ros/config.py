@@ -1,0 +1,402 @@
+"""Every tunable of the package: its default, unit, meaning and bounds.
+
+One schema serves plain Python (`load`), the command line and the parameters of the ROS nodes; a
+configuration file is a ROS parameter file::
+
+    /**:
+      ros__parameters:
+        dt: 0.005
+        ssp: {com_radius: 0.05}
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import os
+import pathlib
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import yaml
+
+from dqwalk_ros.exceptions import ConfigError
+
+__all__ = [
+    "Config",
+    "DspConfig",
+    "GaitConfig",
+    "JointsConfig",
+    "MonitorConfig",
+    "PelvisConfig",
+    "PlantConfig",
+    "QpConfig",
+    "RobotConfig",
+    "Spec",
+    "SspConfig",
+    "TaskConfig",
+    "find_share",
+    "from_yaml",
+    "load",
+    "to_yaml",
+]
+
+Value = bool | int | float | str | tuple[str, ...] | tuple[float, ...]
+
+
+def _par(
+    default: Value,
+    meaning: str,
+    unit: str = "",
+    low: float | None = None,
+    high: float | None = None,
+    choices: tuple[str, ...] = (),
+    structural: bool = False,
+) -> Any:
+    """Declare one parameter as a dataclass field that carries its own documentation."""
+    meta = dict(meaning=meaning, unit=unit, low=low, high=high, choices=choices, structural=structural)
+    return dataclasses.field(default=default, metadata=meta)
+
+
+@dataclass(frozen=True)
+class Spec:
+    """One parameter as the nodes, the command line and the documentation see it.
+
+    Attributes
+    ----------
+    name : str
+        Dotted name, such as ``"ssp.com_radius"``.
+    type : type
+        ``bool``, ``int``, ``float``, ``str`` or ``tuple`` (of strings, or of floats).
+    default : bool, int, float, str or tuple
+    unit, meaning : str
+    low, high : float or None
+        Closed bounds.
+    choices : tuple of str
+        The only values allowed, where there are any.
+    structural : bool
+        Fixed once a node runs (it shapes the model or the process).
+    """
+
+    name: str
+    type: type
+    default: Value
+    unit: str
+    meaning: str
+    low: float | None
+    high: float | None
+    choices: tuple[str, ...]
+    structural: bool
+
+
+@dataclass(frozen=True)
+class RobotConfig:
+    """Which robot, and which part of it."""
+
+    urdf: str = _par("poppy.urdf", "URDF file: a path, or the name of one shipped in urdf/", structural=True)
+    pelvis: str = _par("pelvis", "link whose height (11) watches", structural=True)
+    left_sole: str = _par("l_sole", "link at the centre of the left sole, x forward, z up", structural=True)
+    right_sole: str = _par("r_sole", "link at the centre of the right sole, x forward, z up", structural=True)
+    drop: tuple[str, ...] = _par((), "joints cut off together with all they carry", structural=True)
+    lock: tuple[str, ...] = _par((), "joints held at zero; '*' at either end matches any text", structural=True)
+    sole_center: str = _par(
+        "link",
+        "where the sole's centre is: 'link' (the sole link's origin) or 'foot_com' (below the foot's centre of mass)",
+        choices=("link", "foot_com"),
+        structural=True,
+    )
+    sole_length: float = _par(0.0, "length of the sole; 0 takes the sole link's box", "m", 0.0, 1.0, structural=True)
+    sole_width: float = _par(0.0, "width of the sole; 0 takes the sole link's box", "m", 0.0, 1.0, structural=True)
+
+
+@dataclass(frozen=True)
+class GaitConfig:
+    """Where the feet go."""
+
+    first_support: str = _par("left", "the foot that carries the weight first", choices=("left", "right"))
+    cycles: int = _par(1, "walking cycles, of four phases each (Fig. 1)", "", 1, 100000)
+    step_length: float = _par(0.05, "landing place of the swing foot ahead of the support foot", "m", -0.5, 0.5)
+    step_width: float = _par(0.0, "lateral distance of the soles' centres; 0 keeps that of the zero posture", "m", 0.0, 1.0)
+    phase_timeout: float = _par(900.0, "a phase that takes longer has failed", "s", 0.1, 1e5)
+
+
+@dataclass(frozen=True)
+class TaskConfig:
+    """The objective of (6)."""
+
+    eta: float = _par(0.05, "convergence rate of the task error in (6)", "1/s", 1e-6, 1e3)
+    damping: float = _par(0.1, "lambda, the damping of the joint velocities in (6)", "", 1e-6, 1e3)
+    posture_weight: float = _par(0.0, "weight of a task back to the zero posture (0: none, as in the paper)", "", 0.0, 1e3)
+
+
+@dataclass(frozen=True)
+class DspConfig:
+    """Double support, section 4.1."""
+
+    eta_sliding: float = _par(5.0, "rate of (7)", "1/s", 1e-3, 1e4)
+    sliding_radius: float = _par(0.04, "the end foot's tip may slide this far", "m", 1e-4, 1.0)
+    eta_ground: float = _par(5.0, "rate of (8) and of the flat-foot rows", "1/s", 1e-3, 1e4)
+    flat_feet: bool = _par(True, "keep the end sole parallel to the ground; false: the literal (8), its tip only")
+    eta_tip: float = _par(10.0, "rate of (9)", "1/s", 1e-3, 1e4)
+    eta_back: float = _par(20.0, "rate of (10)", "1/s", 1e-3, 1e4)
+    stall_rate: float = _par(1e-4, "the phase is over when the error falls by less than this in a stall_window", "m", 1e-9, 1.0)
+    stall_window: float = _par(1.0, "time over which the fall of the error is judged", "s", 0.01, 1e3)
+
+
+@dataclass(frozen=True)
+class SspConfig:
+    """Single support, section 4.2."""
+
+    eta_com: float = _par(5.0, "rate of (14)", "1/s", 1e-3, 1e4)
+    com_radius: float = _par(0.05, "radius of the cylinder that holds the CoM in (14)", "m", 1e-4, 1.0)
+    threshold: float = _par(1e-3, "the phase is over when ||vec8(x - x_d)|| is below this", "", 1e-9, 1.0)
+
+
+@dataclass(frozen=True)
+class PelvisConfig:
+    """The pelvis plane (11)."""
+
+    eta: float = _par(500.0, "rate of (11); 1/dt is used where it is larger", "1/s", 1e-3, 1e4)
+    height: float = _par(0.2, "height of the plane above the support sole", "m", 0.0, 10.0)
+
+
+@dataclass(frozen=True)
+class JointsConfig:
+    """Joint limits (12)-(13)."""
+
+    eta: float = _par(10.0, "rate of (12) and (13)", "1/s", 1e-3, 1e4)
+    margin: float = _par(0.0, "moves both limits inwards", "rad", 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class QpConfig:
+    """How (6) is solved."""
+
+    solver: str = _par("clarabel", "solver of the QP", choices=("clarabel",), structural=True)
+
+
+@dataclass(frozen=True)
+class PlantConfig:
+    """The other side of the command."""
+
+    lockstep: bool = _par(False, "each state waits for its command: exact, and as fast as the machine", structural=True)
+    command_timeout: float = _par(0.1, "without a new command for this long the plant holds", "s", 0.0, 10.0)
+
+
+@dataclass(frozen=True)
+class MonitorConfig:
+    """What is reported while walking."""
+
+    rate: float = _par(10.0, "diagnostics per second of walking", "Hz", 0.1, 1e3)
+    warn_margin: float = _par(0.002, "a distance closer than this to its bound is a warning", "m", 0.0, 1.0)
+    tolerance: float = _par(1e-5, "a distance beyond its bound by more than this is an error", "m", 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Config:
+    """All parameters of a walk."""
+
+    dt: float = _par(0.005, "control period, and the step of Euler's integration", "s", 1e-4, 0.1, structural=True)
+    robot: RobotConfig = dataclasses.field(default_factory=RobotConfig)
+    gait: GaitConfig = dataclasses.field(default_factory=GaitConfig)
+    task: TaskConfig = dataclasses.field(default_factory=TaskConfig)
+    dsp: DspConfig = dataclasses.field(default_factory=DspConfig)
+    ssp: SspConfig = dataclasses.field(default_factory=SspConfig)
+    pelvis: PelvisConfig = dataclasses.field(default_factory=PelvisConfig)
+    joints: JointsConfig = dataclasses.field(default_factory=JointsConfig)
+    qp: QpConfig = dataclasses.field(default_factory=QpConfig)
+    plant: PlantConfig = dataclasses.field(default_factory=PlantConfig)
+    monitor: MonitorConfig = dataclasses.field(default_factory=MonitorConfig)
+
+    @classmethod
+    def specs(cls) -> tuple[Spec, ...]:
+        """Return every parameter, in the order of the schema."""
+        return tuple(_specs(cls(), ""))
+
+    def flat(self) -> dict[str, Value]:
+        """Return ``{dotted name: value}``."""
+        return {spec.name: _get(self, spec.name) for spec in self.specs()}
+
+    @classmethod
+    def from_flat(cls, values: Mapping[str, Any], *, source: str = "") -> Config:
+        """Build a configuration from ``{dotted name: value}``; what is not named keeps its default.
+
+        Raises
+        ------
+        ConfigError
+            For an unknown name, a wrong type or a value out of bounds.
+        """
+        return cls().updated(values, source=source)
+
+    def updated(self, values: Mapping[str, Any], *, source: str = "") -> Config:
+        """Return a copy with some values replaced, checked as in `from_flat`."""
+        specs = {spec.name: spec for spec in self.specs()}
+        tree: dict[str, dict[str, Value]] = {}
+        for name, value in values.items():
+            if name not in specs:
+                raise ConfigError(f"{_where(source)}unknown parameter '{name}'{_hint(name, specs)}")
+            section, _, key = name.rpartition(".")
+            tree.setdefault(section, {})[key] = _checked(specs[name], value, source)
+        top: dict[str, Any] = dict(tree.pop("", {}))
+        for section, entries in tree.items():
+            top[section] = dataclasses.replace(getattr(self, section), **entries)
+        return dataclasses.replace(self, **top)
+
+
+def _specs(node: Any, prefix: str) -> list[Spec]:
+    out: list[Spec] = []
+    for field in dataclasses.fields(node):
+        value = getattr(node, field.name)
+        if dataclasses.is_dataclass(value):
+            out += _specs(value, f"{prefix}{field.name}.")
+            continue
+        out.append(Spec(name=prefix + field.name, type=type(value), default=value, **field.metadata))
+    return out
+
+
+def _get(config: Config, name: str) -> Value:
+    node: Any = config
+    for part in name.split("."):
+        node = getattr(node, part)
+    value: Value = node
+    return value
+
+
+def _where(source: str) -> str:
+    return f"{source}: " if source else ""
+
+
+def _hint(name: str, known: Mapping[str, Any]) -> str:
+    close = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
+    if not close:
+        key = name.rpartition(".")[2]
+        close = [k for k in known if k.rpartition(".")[2] == key][:3]
+    return f"; did you mean {' or '.join(repr(c) for c in close)}?" if close else "; `dqwalk config` lists them all"
+
+
+def _checked(spec: Spec, value: Any, source: str) -> Value:
+    """Return `value` in the type of `spec`, or say why it cannot be."""
+
+    def wrong(what: str) -> ConfigError:
+        unit = f" [{spec.unit}]" if spec.unit else ""
+        return ConfigError(f"{_where(source)}'{spec.name}' {what}, got {value!r} ({spec.meaning}{unit})")
+
+    if spec.type is bool:
+        if not isinstance(value, bool):
+            raise wrong("must be true or false")
+        return value
+    if spec.type is int:
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise wrong("must be a whole number")
+    elif spec.type is float:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise wrong("must be a number")
+        value = float(value)
+        if not math.isfinite(value):
+            raise wrong("must be finite")
+    elif spec.type is str:
+        if not isinstance(value, str):
+            raise wrong("must be a text")
+        if spec.choices and value not in spec.choices:
+            raise wrong(f"must be one of {', '.join(spec.choices)}")
+        return value
+    else:
+        if isinstance(value, str) or not isinstance(value, list | tuple):
+            raise wrong("must be a list")
+        if not all(isinstance(item, str) for item in value):
+            raise wrong("must be a list of texts")
+        return tuple(item for item in value if item)
+    if spec.low is not None and value < spec.low or spec.high is not None and value > spec.high:
+        raise wrong(f"must lie in [{spec.low:g}, {spec.high:g}]")
+    number: Value = value
+    return number
+
+
+def find_share(folder: str, name: str) -> pathlib.Path:
+    """Return the path of a data file of this package (``config/``, ``urdf/``, ``launch/``).
+
+    It is looked for beside the sources, then in the ament index, then below ``sys.prefix``.
+
+    Raises
+    ------
+    ConfigError
+        Where none of these has it; the message lists the places.
+    """
+    roots = [pathlib.Path(__file__).resolve().parent.parent]
+    prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    roots += [pathlib.Path(p) / "share" / "dqwalk_ros" for p in [*prefixes, sys.prefix]]
+    for root in roots:
+        path = root / folder / name
+        if path.is_file():
+            return path
+    raise ConfigError(f"no file '{name}' in {folder}/ of this package; looked in {', '.join(map(str, roots))}")
+
+
+def load(source: str | os.PathLike[str]) -> Config:
+    """Read a configuration: a path, or the name of one of ours (``"paper"``).
+
+    Raises
+    ------
+    ConfigError
+        If the file is missing, is not YAML, or has a key or a value that does not fit.
+    """
+    path = pathlib.Path(source)
+    if not path.is_file():
+        if path.suffix or len(path.parts) > 1:
+            raise ConfigError(f"no configuration file '{path}'")
+        path = find_share("config", f"{path}.yaml")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"cannot read '{path}': {error}") from error
+    return from_yaml(text, source=str(path))
+
+
+def from_yaml(text: str, *, source: str = "") -> Config:
+    """Read a configuration from the text of a ROS parameter file.
+
+    Raises
+    ------
+    ConfigError
+        As `load`.
+    """
+    try:
+        tree = yaml.safe_load(text)
+    except (yaml.YAMLError, RecursionError) as error:
+        raise ConfigError(f"{_where(source)}not YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(tree, dict) or not all(isinstance(node, dict) for node in tree.values()):
+        raise ConfigError(f"{_where(source)}expected '/**: {{ros__parameters: {{...}}}}'")
+    values: dict[str, Any] = {}
+    for node, body in tree.items():
+        if set(body) != {"ros__parameters"} or not isinstance(body["ros__parameters"], dict):
+            raise ConfigError(f"{_where(source)}node '{node}' must hold 'ros__parameters' and nothing else")
+        values.update(_flattened(body["ros__parameters"], "", source))
+    return Config.from_flat(values, source=source)
+
+
+def _flattened(tree: Mapping[Any, Any], prefix: str, source: str) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for key, value in tree.items():
+        if not isinstance(key, str):
+            raise ConfigError(f"{_where(source)}the key {prefix}{key!r} is not a text")
+        if isinstance(value, dict):
+            out.update(_flattened(value, f"{prefix}{key}.", source))
+        else:
+            out[prefix + key] = value
+    return out
+
+
+def to_yaml(config: Config) -> str:
+    """Return the configuration as the text of a ROS parameter file; `from_yaml` reads it back exactly.
+
+    An empty list has no type in a ROS parameter file and is written as a list with one empty text.
+    """
+    tree: dict[str, Any] = {}
+    for name, value in config.flat().items():
+        section, _, key = name.rpartition(".")
+        target = tree.setdefault(section, {}) if section else tree
+        target[key] = (list(value) or [""]) if isinstance(value, tuple) else value
+    return str(yaml.safe_dump({"/**": {"ros__parameters": tree}}, sort_keys=False))

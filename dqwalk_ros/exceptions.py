@@ -1,0 +1,77 @@
+"""What can go wrong, each error carrying its evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+__all__ = [
+    "BagError",
+    "ConfigError",
+    "DqwalkError",
+    "ModelError",
+    "PhaseError",
+    "PlantError",
+    "QPError",
+    "StateError",
+]
+
+
+class DqwalkError(Exception):
+    """The parent of every error this package raises on purpose."""
+
+
+class ConfigError(DqwalkError):
+    """A configuration that cannot be used; the message names the key and what it should be."""
+
+
+class ModelError(DqwalkError):
+    """A robot description that cannot be used; the message names the element."""
+
+
+class StateError(DqwalkError):
+    """A measured state that must not reach the controller; the message names the joints."""
+
+
+class PlantError(DqwalkError):
+    """The other side of the command (simulator, driver) failed."""
+
+
+class BagError(DqwalkError):
+    """A bag that cannot be read as a walk; the message says what is missing."""
+
+
+class QPError(DqwalkError):
+    """A quadratic program without an acceptable answer.
+
+    Attributes
+    ----------
+    status : str
+        What the solver said.
+    rows : tuple of str
+        Names of the rows that stand in the way, most violated first; may be empty.
+    """
+
+    def __init__(self, message: str, *, status: str, rows: Sequence[str] = ()) -> None:
+        super().__init__(message)
+        self.status = status
+        self.rows = tuple(rows)
+
+
+class PhaseError(DqwalkError):
+    """A phase that cannot end by its rule.
+
+    Attributes
+    ----------
+    phase : str
+        Name of the phase, such as ``"single_support/left"``.
+    error : float
+        Norm of the task error at which it stopped.
+    active : tuple of str
+        Names of the rows that hold it there.
+    """
+
+    def __init__(self, message: str, *, phase: str, error: float, active: Sequence[str] = ()) -> None:
+        super().__init__(message)
+        self.phase = phase
+        self.error = error
+        self.active = tuple(active)
