@@ -31,6 +31,7 @@ __all__ = [
     "GaitConfig",
     "JointsConfig",
     "MonitorConfig",
+    "NodeConfig",
     "PelvisConfig",
     "PlantConfig",
     "QpConfig",
@@ -196,6 +197,17 @@ class MonitorConfig:
 
 
 @dataclass(frozen=True)
+class NodeConfig:
+    """How the ROS nodes start and end."""
+
+    autostart: bool = _par(True, "walk as soon as the first state arrives; false: wait for ~/start", structural=True)
+    exit_when_done: bool = _par(
+        False, "the controller exits when the walk is over: 0 if it finished, 1 if it failed", structural=True
+    )
+    wait_for_recorder: bool = _par(False, "in lockstep, the first tick waits until a recorder listens", structural=True)
+
+
+@dataclass(frozen=True)
 class Config:
     """All parameters of a walk."""
 
@@ -210,6 +222,7 @@ class Config:
     qp: QpConfig = dataclasses.field(default_factory=QpConfig)
     plant: PlantConfig = dataclasses.field(default_factory=PlantConfig)
     monitor: MonitorConfig = dataclasses.field(default_factory=MonitorConfig)
+    node: NodeConfig = dataclasses.field(default_factory=NodeConfig)
 
     @classmethod
     def specs(cls) -> tuple[Spec, ...]:
