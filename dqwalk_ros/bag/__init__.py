@@ -1,0 +1,27 @@
+"""A walk as a rosbag2: what `write` puts on disk and what the nodes' recorder does are interchangeable.
+
+`topics` is the table both share, `messages` packs and unpacks whole columns of messages at once, `storage`
+opens MCAP and SQLite files, whole, split, compressed or cut off by a crash. The names below are loaded on first
+use, so that a node which only needs the table does not load the readers.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from dqwalk_ros.bag.topics import FINISHED, ODOM, TOPICS, Topic
+
+if TYPE_CHECKING:
+    from dqwalk_ros.bag.reader import read
+    from dqwalk_ros.bag.writer import write
+
+__all__ = ["FINISHED", "ODOM", "TOPICS", "Topic", "read", "write"]
+
+_HOME = {"read": "reader", "write": "writer"}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)

@@ -1,0 +1,266 @@
+"""Columns of messages of one topic, packed and unpacked together.
+
+A walk has some hundred thousand joint states which differ in their stamp and their numbers only. So one message is
+serialised by `rosbags`, the rest are copies of its bytes with stamp and numbers put in; the other way round, the
+numbers are cut out of all messages at once wherever nothing else differs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.typesys import Stores, get_typestore
+
+from dqwalk_ros.dq import DQ
+from dqwalk_ros.exceptions import BagError
+
+__all__ = [
+    "JointColumn",
+    "diagnostics",
+    "joint_states",
+    "point",
+    "pose_of",
+    "poses",
+    "text",
+    "typestore",
+    "unpack",
+    "unpack_joint_states",
+]
+
+Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+_NS = 1_000_000_000
+_STAMP = slice(4, 12)  # bytes of sec and nanosec, behind the four bytes of the CDR encapsulation
+
+
+@cache
+def typestore() -> Any:
+    """Return the message definitions of ROS 2 Jazzy."""
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def _pack(type_name: str, **fields: Any) -> bytes:
+    store = typestore()
+    return bytes(store.serialize_cdr(store.types[type_name](**fields), type_name))
+
+
+def _header(stamp: int, frame: str) -> Any:
+    types = typestore().types
+    time = types["builtin_interfaces/msg/Time"](sec=stamp // _NS, nanosec=stamp % _NS)
+    return types["std_msgs/msg/Header"](stamp=time, frame_id=frame)
+
+
+def unpack(raw: bytes, type_name: str) -> Any:
+    """Return one message.
+
+    Raises
+    ------
+    BagError
+        If the bytes are no such message.
+    """
+    try:
+        return typestore().deserialize_cdr(raw, type_name)
+    except Exception as error:  # whatever damaged bytes make the parser raise
+        raise BagError(f"a damaged {type_name}: {error}") from error
+
+
+# ---------------------------------------------------------------------- packing
+
+
+def text(value: str) -> bytes:
+    """Return a std_msgs/String."""
+    return _pack("std_msgs/msg/String", data=value)
+
+
+def point(stamp: int, frame: str, p: Array) -> bytes:
+    """Return a PointStamped of the point `p` (3,) [m]."""
+    x, y, z = map(float, p)
+    value = typestore().types["geometry_msgs/msg/Point"](x=x, y=y, z=z)
+    return _pack("geometry_msgs/msg/PointStamped", header=_header(stamp, frame), point=value)
+
+
+def joint_states(
+    stamps: Stamps, names: Sequence[str], position: Array | None, velocity: Array | None, frame: str = ""
+) -> list[bytes]:
+    """Return JointState messages.
+
+    Parameters
+    ----------
+    stamps : ndarray of int64, shape (N,) [ns]
+    names : sequence of str, n of them
+    position, velocity : ndarray, shape (N, n) [rad, rad/s], or None
+    """
+    count, n = len(stamps), len(names)
+    none = np.zeros(0)
+    example = _pack(
+        "sensor_msgs/msg/JointState",
+        header=_header(int(stamps[0]), frame),
+        name=list(names),
+        position=none if position is None else position[0],
+        velocity=none if velocity is None else velocity[0],
+        effort=none,
+    )
+    at_position, at_velocity, _ = _number_bytes(example)
+    block = _copies(example, stamps)
+    if position is not None:
+        block[:, at_position] = _as_bytes(position, count)
+    if velocity is not None:
+        block[:, at_velocity] = _as_bytes(velocity, count)
+    return [row.tobytes() for row in block]
+
+
+def poses(stamps: Stamps, frame: str, x: Array) -> list[bytes]:
+    """Return PoseStamped messages of unit dual quaternions `x` (N, 8); position is 2 D(x) P(x)*, (1)."""
+    types = typestore().types
+    zero = types["geometry_msgs/msg/Pose"](
+        position=types["geometry_msgs/msg/Point"](x=0.0, y=0.0, z=0.0),
+        orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
+    )
+    example = _pack("geometry_msgs/msg/PoseStamped", header=_header(int(stamps[0]), frame), pose=zero)
+    numbers = np.concatenate([DQ(x).translation(), x[:, 1:4], x[:, :1]], axis=1)  # (N, 7) p, then i j k, then the real part
+    block = _copies(example, stamps)
+    block[:, -56:] = _as_bytes(numbers, len(stamps))
+    return [row.tobytes() for row in block]
+
+
+def pose_of(message: Any) -> Array:
+    """Return the unit dual quaternion (8,) of a PoseStamped."""
+    p, r = message.pose.position, message.pose.orientation
+    return DQ.from_pose([p.x, p.y, p.z], [r.w, r.x, r.y, r.z]).vec8()
+
+
+def diagnostics(stamp: int, name: str, hardware: str, level: int, message: str, values: dict[str, float]) -> bytes:
+    """Return a DiagnosticArray of one status [REP-107]."""
+    types = typestore().types
+    pairs = [types["diagnostic_msgs/msg/KeyValue"](key=key, value=repr(float(v))) for key, v in values.items()]
+    status = types["diagnostic_msgs/msg/DiagnosticStatus"](
+        level=level, name=name, message=message, hardware_id=hardware, values=pairs
+    )
+    return _pack("diagnostic_msgs/msg/DiagnosticArray", header=_header(stamp, ""), status=[status])
+
+
+def _copies(example: bytes, stamps: Stamps) -> NDArray[np.uint8]:
+    block = np.tile(np.frombuffer(example, np.uint8), (len(stamps), 1))
+    parts = np.stack([stamps // _NS, stamps % _NS], axis=1).astype("<u4")
+    block[:, _STAMP] = parts.view(np.uint8).reshape(len(stamps), 8)
+    return block
+
+
+def _as_bytes(numbers: Array, count: int) -> NDArray[np.uint8]:
+    return np.ascontiguousarray(numbers, dtype="<f8").view(np.uint8).reshape(count, -1)
+
+
+# ---------------------------------------------------------------------- unpacking
+
+
+@dataclass(frozen=True)
+class JointColumn:
+    """The JointState messages of one topic.
+
+    Attributes
+    ----------
+    stamps : ndarray of int64, shape (N,) [ns]
+    frames : tuple of str, N
+    names : tuple of str, m
+        Every joint that any message names.
+    position, velocity : ndarray, shape (N, m)
+        nan where a message does not say.
+    """
+
+    stamps: Stamps
+    frames: tuple[str, ...]
+    names: tuple[str, ...]
+    position: Array
+    velocity: Array
+
+    def columns(self, names: Sequence[str]) -> list[int]:
+        """Return the columns of the joints `names`."""
+        return [self.names.index(name) for name in names]
+
+
+def unpack_joint_states(raws: Sequence[bytes]) -> JointColumn:
+    """Return all JointState messages, in any order of their joints.
+
+    Raises
+    ------
+    BagError
+        If a message is damaged.
+    """
+    if not raws:
+        return JointColumn(np.zeros(0, np.int64), (), (), np.zeros((0, 0)), np.zeros((0, 0)))
+    return _unpack_alike(raws) or _unpack_each(raws)
+
+
+def _unpack_alike(raws: Sequence[bytes]) -> JointColumn | None:
+    """Cut the numbers out of messages that differ in stamp and numbers only; None where they differ in more."""
+    first = unpack(raws[0], "sensor_msgs/msg/JointState")
+    size, n = len(raws[0]), len(first.name)
+    n_position, n_velocity = len(first.position), len(first.velocity)
+    if raws[0][1] != 1 or not {n_position, n_velocity} <= {0, n} or any(len(raw) != size for raw in raws):
+        return None
+    at_position, at_velocity, at_effort = _number_bytes(raws[0])
+    block = np.frombuffer(b"".join(raws), np.uint8).reshape(len(raws), size)
+    same = np.ones(size, bool)
+    same[_STAMP] = same[at_position] = same[at_velocity] = same[at_effort] = False
+    if not (block[:, same] == block[0, same]).all():
+        return None
+
+    def numbers(where: slice, count: int) -> Array:
+        if not count:
+            return np.full((len(raws), n), np.nan)
+        return np.ascontiguousarray(block[:, where]).view("<f8").reshape(len(raws), n).astype(np.float64)
+
+    parts = np.ascontiguousarray(block[:, _STAMP]).view("<u4").astype(np.int64).reshape(len(raws), 2)
+    return JointColumn(
+        stamps=parts[:, 0] * _NS + parts[:, 1],
+        frames=(first.header.frame_id,) * len(raws),
+        names=tuple(first.name),
+        position=numbers(at_position, n_position),
+        velocity=numbers(at_velocity, n_velocity),
+    )
+
+
+def _number_bytes(raw: bytes) -> tuple[slice, slice, slice]:
+    """Return where positions, velocities and efforts stand in a little-endian JointState."""
+    at = 12  # behind encapsulation (4) and stamp (8)
+
+    def count() -> int:
+        nonlocal at
+        at += -at % 4
+        at += 4
+        return int.from_bytes(raw[at - 4 : at], "little")
+
+    at += count()  # frame_id and its zero
+    for _ in range(count()):
+        at += count()
+
+    def block() -> slice:
+        nonlocal at
+        n = count()
+        if n:
+            at += -(at - 4) % 8  # eight bytes align to the body, which begins at 4
+        at += 8 * n
+        return slice(at - 8 * n, at)
+
+    return block(), block(), block()
+
+
+def _unpack_each(raws: Sequence[bytes]) -> JointColumn:
+    messages = [unpack(raw, "sensor_msgs/msg/JointState") for raw in raws]
+    names = tuple(dict.fromkeys(name for message in messages for name in message.name))
+    column = {name: i for i, name in enumerate(names)}
+    position, velocity = np.full((2, len(messages), len(names)), np.nan)
+    for row, message in enumerate(messages):
+        at = [column[name] for name in message.name]
+        if len(message.position) == len(at):
+            position[row, at] = message.position
+        if len(message.velocity) == len(at):
+            velocity[row, at] = message.velocity
+    stamps = [m.header.stamp.sec * _NS + m.header.stamp.nanosec for m in messages]
+    frames = tuple(m.header.frame_id for m in messages)
+    return JointColumn(np.array(stamps, np.int64), frames, names, position, velocity)

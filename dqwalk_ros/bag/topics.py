@@ -1,0 +1,75 @@
+"""The topics of a walk: one table for the nodes, the bags and the documentation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["FINISHED", "ODOM", "REQUIRED", "TOPICS", "Topic"]
+
+ODOM = "odom"
+"""Frame of the base sole at the very start of the walk [REP-105]."""
+
+FINISHED = "finished"
+"""What `phase` says once the walk is over."""
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One topic as its publisher offers it.
+
+    Attributes
+    ----------
+    name : str
+        Name in the namespace of the robot; a leading ``/`` keeps it out of any namespace.
+    type : str
+        Message type.
+    latched : bool
+        Transient local: a subscriber that comes late gets the last message.
+    depth : int
+        History kept by the publisher.
+    meaning : str
+    """
+
+    name: str
+    type: str
+    latched: bool
+    depth: int
+    meaning: str
+
+
+_ALL = (
+    Topic("joint_states", "sensor_msgs/msg/JointState", False, 10, "positions [rad] and velocities [rad/s], by name"),
+    Topic(
+        "joint_velocity_commands",
+        "sensor_msgs/msg/JointState",
+        False,
+        1,
+        "velocities [rad/s]; the stamp is that of the state they answer",
+    ),
+    Topic("phase", "std_msgs/msg/String", True, 1, "such as double_support/left, at the start of each phase"),
+    Topic(
+        "phase_start",
+        "sensor_msgs/msg/JointState",
+        True,
+        1,
+        "positions at the start of the phase, frame_id the base sole",
+    ),
+    Topic(
+        "com_target",
+        "geometry_msgs/msg/PointStamped",
+        True,
+        1,
+        "double support: where the CoM goes, as seen at the start, in the base sole",
+    ),
+    Topic("swing_target", "geometry_msgs/msg/PoseStamped", True, 1, "single support: the landing place, in the base sole"),
+    Topic("support_foot", "std_msgs/msg/String", True, 1, "left or right: the foot the phase name gives"),
+    Topic("base_pose", "geometry_msgs/msg/PoseStamped", False, 10, "pelvis in odom"),
+    Topic("walk_config", "std_msgs/msg/String", True, 1, "every parameter, as the text of a parameter file"),
+    Topic("robot_description", "std_msgs/msg/String", True, 1, "URDF"),
+    Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", False, 10, "every distance, error and margin"),
+)
+
+TOPICS: dict[str, Topic] = {topic.name.lstrip("/"): topic for topic in _ALL}
+
+REQUIRED = ("joint_states", "joint_velocity_commands", "phase", "phase_start", "walk_config")
+"""Without these a bag is not a walk."""
