@@ -204,7 +204,7 @@ class NodeConfig:
     exit_when_done: bool = _par(
         False, "the controller exits when the walk is over: 0 if it finished, 1 if it failed", structural=True
     )
-    wait_for_recorder: bool = _par(False, "in lockstep, the first tick waits until a recorder listens", structural=True)
+    wait_for_recorder: bool = _par(False, "the first tick waits until a recorder listens", structural=True)
 
 
 @dataclass(frozen=True)

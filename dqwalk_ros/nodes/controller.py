@@ -1,0 +1,327 @@
+"""The walk as a node: a state comes in, a command goes out.
+
+The node knows nothing of time: in lockstep and in real time alike it answers the state it gets. What it adds to the
+core's `Controller` is what a robot needs around it: start, pause and reset, zeros when anything is wrong, and the
+topics that say what is going on.
+"""
+
+from __future__ import annotations
+
+import enum
+import sys
+import time
+import traceback
+from typing import Any
+
+import numpy as np
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from dqwalk_ros.bag.topics import FINISHED, ODOM
+from dqwalk_ros.config import to_yaml
+from dqwalk_ros.controllers import State, make_controller
+from dqwalk_ros.exceptions import DqwalkError, StateError
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.model import load_model
+from dqwalk_ros.nodes import entry
+from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.parameters import Parameters
+from dqwalk_ros.nodes.runtime import STEADY, Life, Throttle, run, say
+
+__all__ = ["ControllerNode", "main"]
+
+
+class Mode(enum.Enum):
+    """What the controller does with a state; the value is shown on `phase` where no phase is under way."""
+
+    IDLE = "idle"
+    WALKING = "walking"
+    PAUSED = "paused"
+    DONE = FINISHED
+    FAILED = "failed"
+
+
+class ControllerNode:
+    """joint_states -> joint_velocity_commands.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    life : Life
+    options : argparse.Namespace
+        From `entry.parse`.
+    """
+
+    rest, handled = 0.0, 0
+
+    def __init__(self, node: Node, life: Life, options: Any) -> None:
+        self.node, self.life = node, life
+        self._parameters = Parameters(node, options.argv)
+        config = self._parameters.config
+        self._model = load_model(config.robot)
+        self._controller = make_controller(config, self._model)
+        self._lockstep, self._dt = config.plant.lockstep, config.dt
+        self._mode = Mode.WALKING if config.node.autostart else Mode.IDLE
+        self._problem = ""
+        self._report = options.child
+
+        self._reader = ros.JointReader(self._model.joint_names)
+        self._command_msg = ros.JointWriter(self._model.joint_names)
+        self._zero = np.zeros(self._model.n)
+        self._stamp = -1  # of the last state answered [ns]
+        self._velocity = self._zero
+        self._received = time.monotonic()
+        self._stale = False
+        self._ticks = self._rejected = self._ignored = 0
+        self._phase_index = -1
+
+        names = ("phase", "phase_start", "com_target", "swing_target", "support_foot", "walk_config")
+        names += ("robot_description", "joint_velocity_commands", "base_pose", "diagnostics")
+        self._pub = {name: ros.publisher(node, name) for name in names}
+        self._tf = self._make_tf()
+        self._pub["walk_config"].publish(String(data=to_yaml(config)))
+        self._pub["robot_description"].publish(String(data=self._model.urdf))
+        self._say_phase()
+
+        # Only the newest state counts, and a late one is worthless, except in lockstep, where each counts.
+        node.create_subscription(JointState, "joint_states", self._on_state, ros.stream(1, reliable=self._lockstep))
+        for name in ("start", "pause", "reset"):
+            node.create_service(Trigger, f"~/{name}", getattr(self, f"_{name}"))
+        node.create_timer(0.02, self._watch, clock=STEADY)
+        self._diagnose_now = Throttle(1.0 / config.monitor.rate)
+        self._warn_now = Throttle(2.0)
+        self._report_now = Throttle(0.5)
+        node.get_logger().info(
+            f"{self._model.name}: {self._model.n} joints, {config.gait.cycles} cycle(s), "
+            f"{'lockstep' if self._lockstep else f'real time, dt {config.dt} s'}, {self._mode.value}"
+        )
+
+    # ------------------------------------------------------------------ the loop
+
+    def _on_state(self, msg: JointState) -> None:
+        try:
+            state = self._reader.state(msg)
+        except StateError as error:
+            self._rejected += 1
+            if self._warn_now():
+                self.node.get_logger().error(f"joint_states rejected ({self._rejected} so far): {error}")
+            self._diagnose("ERROR", f"joint_states rejected: {error}")
+            return
+        stamp = ros.nanoseconds(msg.header.stamp)
+        if not self._is_new(stamp):
+            return
+        self._received, self._stale = time.monotonic(), False
+        if not self._may_answer():
+            return
+        velocity = self._zero
+        if self._mode is Mode.WALKING:
+            velocity = self._step(state, stamp)
+        elif self._lockstep:
+            return  # no answer: simulated time stands still
+        self._stamp, self._velocity = stamp, velocity
+        self._publish_command()
+        self._ticks += 1
+        if self._phase_index >= 0:
+            self._publish_pose(stamp)
+        if self._mode in (Mode.DONE, Mode.FAILED):
+            self._done()
+        elif self._diagnose_now():
+            self._diagnose()
+        self._report_progress()
+
+    def _is_new(self, stamp: int) -> bool:
+        if stamp > self._stamp:
+            return True
+        if self._lockstep:
+            if stamp == self._stamp:  # the plant asks again: our answer was lost
+                self._publish_command()
+            elif self._warn_now():
+                self.node.get_logger().error(
+                    f"the plant began again at {stamp * 1e-9:.3f} s, this walk is at {self._stamp * 1e-9:.3f} s: "
+                    "call ~/reset"
+                )
+            return False
+        # An older state has been overtaken, unless nothing newer comes: then the plant's clock was set back.
+        if time.monotonic() - self._received <= self._parameters.config.plant.command_timeout:
+            self._ignored += 1
+            return False
+        self.node.get_logger().warning(f"the stamps went back by {(self._stamp - stamp) * 1e-9:.3f} s")
+        return True
+
+    def _may_answer(self) -> bool:
+        """Hold the first answer of a recorded walk until nothing of it can be lost."""
+        if self._ticks or not self._parameters.config.node.wait_for_recorder:
+            return True
+        streams = ("joint_velocity_commands", "base_pose")
+        return all(ros.is_heard_by(self.node, self._pub[name], "recorder") for name in streams)
+
+    def _step(self, state: State, stamp: int) -> Any:
+        """Return the velocities; whatever goes wrong, zeros."""
+        try:
+            command = self._controller.step(state, self._dt)
+        except DqwalkError as error:
+            return self._fail(str(error))
+        except Exception as error:  # a fault of ours must stop the robot like any other
+            traceback.print_exc()
+            return self._fail(f"internal error: {type(error).__name__}: {error}")
+        if not np.isfinite(command.velocity).all():
+            return self._fail("internal error: the controller's answer is not finite")
+        if self._controller.phase_index != self._phase_index:
+            self._phase_index = self._controller.phase_index
+            self._publish_phase()
+        if self._controller.finished:
+            self._mode = Mode.DONE
+            return self._zero
+        return command.velocity
+
+    def _fail(self, reason: str) -> Any:
+        self._mode, self._problem = Mode.FAILED, reason
+        return self._zero
+
+    def _done(self) -> None:
+        """Say once how the walk ended."""
+        self._say_phase()
+        if self._mode is Mode.DONE:
+            self.node.get_logger().info(f"the walk is over after {self._ticks} ticks")
+        else:
+            self.node.get_logger().error(f"the walk failed; holding still: {self._problem}")
+        self._diagnose()
+        self._report_progress(final=True)
+        if self._parameters.config.node.exit_when_done:
+            self.life.end(0 if self._mode is Mode.DONE else 1)
+
+    def _watch(self) -> None:
+        """Answer a plant that fell silent with zeros, once (real time only: in lockstep it may take its time)."""
+        if self._lockstep or self._stale or self._stamp < 0:
+            return
+        if time.monotonic() - self._received > self._parameters.config.plant.command_timeout:
+            self._stale, self._velocity = True, self._zero
+            self._publish_command()
+            if self._warn_now():
+                self.node.get_logger().warning("joint_states fell silent: commanding zero velocity")
+            self._diagnose("STALE", "joint_states fell silent")
+
+    # ------------------------------------------------------------------ services
+
+    def _start(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._mode in (Mode.IDLE, Mode.PAUSED):
+            self._mode = Mode.WALKING
+            self._say_phase()
+            return self._answer(response, True, "walking")
+        if self._mode is Mode.WALKING:
+            return self._answer(response, True, "already walking")
+        why = f"it failed: {self._problem}" if self._mode is Mode.FAILED else "it is over"
+        return self._answer(response, False, f"this walk cannot go on, {why}; call ~/reset first")
+
+    def _pause(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._mode is not Mode.WALKING:
+            return self._answer(response, self._mode is Mode.PAUSED, f"not walking: {self._mode.value}")
+        self._mode = Mode.PAUSED
+        self._say_phase()
+        return self._answer(response, True, "paused: holding still; ~/start goes on")
+
+    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._controller.reset()
+        self._mode, self._problem, self._phase_index, self._stamp = Mode.IDLE, "", -1, -1
+        self._velocity = self._zero
+        self._say_phase()
+        return self._answer(response, True, "the walk begins anew from where the robot stands; ~/start starts it")
+
+    def _answer(self, response: Trigger.Response, success: bool, message: str) -> Trigger.Response:
+        self.node.get_logger().info(message)
+        response.success, response.message = success, message
+        return response
+
+    # ------------------------------------------------------------------ topics
+
+    def _publish_command(self) -> None:
+        self._pub["joint_velocity_commands"].publish(self._command_msg(self._stamp, velocity=self._velocity))
+
+    def _say_phase(self) -> None:
+        walking = self._mode is Mode.WALKING and self._phase_index >= 0
+        name = self._controller.phase.name if walking else self._mode.value
+        if name != Mode.WALKING.value:  # nothing to tell before the first state
+            self._pub["phase"].publish(String(data=name))
+
+    def _publish_phase(self) -> None:
+        phase, model = self._controller.phase, self._model
+        stamp = round(self._controller.phase_time0 * 1e9)
+        base, end = model.soles[phase.base], model.soles[phase.base.other]
+        start = ros.JointWriter(model.joint_names, base.frame)(stamp, position=phase.q_start)
+        self._pub["phase_start"].publish(start)
+        self._say_phase()
+        self._pub["support_foot"].publish(String(data=phase.support.value))
+        if phase.swing_target is not None:
+            self._pub["swing_target"].publish(ros.pose(stamp, base.frame, phase.swing_target))
+        else:
+            target = Kinematics(model, phase.q_start, phase.base).point(end.frame, end.center)
+            self._pub["com_target"].publish(ros.point(stamp, base.frame, target * [1.0, 1.0, 0.0]))
+        self.node.get_logger().info(f"{stamp * 1e-9:8.3f} s  phase {self._phase_index}: {phase.name}")
+
+    def _publish_pose(self, stamp: int) -> None:
+        msg = ros.pose(stamp, ODOM, self._controller.odometry())
+        self._pub["base_pose"].publish(msg)
+        if self._tf is not None:
+            self._tf(msg, self._model.pelvis)
+
+    def _make_tf(self) -> Any:
+        """Return what sends odom -> pelvis, where tf2_msgs is installed."""
+        try:
+            from dqwalk_ros.nodes.transform import TransformSender
+        except ImportError:  # the PyPI wheels of ROS have no tf2_msgs
+            return None
+        return TransformSender(self.node)
+
+    def _diagnose(self, level: str = "", message: str = "") -> None:
+        last = self._controller.last if self._phase_index >= 0 else None
+        values: dict[str, object] = {
+            "ticks": self._ticks,
+            "states rejected": self._rejected,
+            "states overtaken": self._ignored,
+        }
+        if last is not None:
+            values |= {"error": last.error, "solve time": last.solve_time, "iterations": last.iterations}
+            values["active rows"] = ", ".join(last.active)
+        if not level:
+            level = "ERROR" if self._mode is Mode.FAILED else "OK"
+            walking = self._mode is Mode.WALKING and self._phase_index >= 0
+            message = self._problem or (self._controller.phase.name if walking else self._mode.value)
+        entry_ = ros.status(f"{self.node.get_name()}: walk", self._model.name, level, message, values)
+        self._pub["diagnostics"].publish(ros.diagnostics(max(self._stamp, 0), entry_))
+
+    def _report_progress(self, final: bool = False) -> None:
+        if not self._report or not (final or self._report_now()):
+            return
+        walking = self._phase_index >= 0
+        say(
+            "walk",
+            mode=self._mode.value,
+            phase=self._controller.phase.name if walking else "",
+            phase_index=self._phase_index,
+            time=max(self._stamp, 0) * 1e-9,
+            ticks=self._ticks,
+            error=float(self._controller.last.error) if walking and self._controller.last else None,
+            reason=self._problem,
+        )
+
+    def drained(self) -> bool:
+        """Nothing to wait for."""
+        return True
+
+    def close(self) -> None:
+        """Command zero velocity; in lockstep the plant stands still without an answer."""
+        if self._stamp >= 0 and not self._lockstep:
+            self._velocity = self._zero
+            self._publish_command()
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the node; return the exit code."""
+    options = entry.parse("controller", sys.argv[1:] if argv is None else argv)
+    return run("controller", lambda node, life: ControllerNode(node, life, options), options)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,179 @@
+"""Command line of the nodes: what ``--help`` teaches, and the console scripts.
+
+Nothing here needs ROS, so that help and clear errors are there without it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from dqwalk_ros.config import Config
+
+__all__ = ["controller", "integrator", "parse", "phase_monitor", "recorder"]
+
+
+@dataclass(frozen=True)
+class Help:
+    """What a person who meets a node for the first time wants to know."""
+
+    what: str
+    gets: tuple[str, ...]
+    gives: tuple[str, ...]
+    sections: tuple[str, ...]
+    example: str
+
+
+_HELP = {
+    "controller": Help(
+        what="Walk: answer each measured state with joint velocities, from one quadratic program per tick.",
+        gets=("joint_states        sensor_msgs/JointState [rad, rad/s], joints matched by name",),
+        gives=(
+            "joint_velocity_commands  sensor_msgs/JointState [rad/s]; stamp: that of the state it answers",
+            "phase, support_foot      std_msgs/String, latched; at the end 'finished' or 'failed'",
+            "phase_start              sensor_msgs/JointState, latched: the posture in which the phase began",
+            "com_target, swing_target geometry_msgs/PointStamped, PoseStamped, latched, in the support sole's frame",
+            "base_pose                geometry_msgs/PoseStamped: the pelvis in odom (and /tf where tf2_msgs exists)",
+            "walk_config              std_msgs/String, latched: all parameters in force",
+            "robot_description        std_msgs/String, latched: URDF",
+            "/diagnostics             diagnostic_msgs/DiagnosticArray",
+            "~/start ~/pause ~/reset  std_srvs/Trigger services",
+        ),
+        sections=("dt", "robot", "gait", "task", "dsp", "ssp", "pelvis", "joints", "qp", "plant", "monitor", "node"),
+        example="-p gait.step_length:=0.04",
+    ),
+    "integrator": Help(
+        what="Stand in for the robot: integrate the commanded joint velocities (Euler), at 1/dt or in lockstep.",
+        gets=("joint_velocity_commands  sensor_msgs/JointState [rad/s]",),
+        gives=(
+            "joint_states             sensor_msgs/JointState [rad, rad/s]",
+            "/diagnostics             diagnostic_msgs/DiagnosticArray",
+        ),
+        sections=("dt", "robot", "plant", "node"),
+        example="-p plant.lockstep:=true",
+    ),
+    "phase_monitor": Help(
+        what="Watch a walk from outside: every distance, error and margin, recomputed from the topics alone.",
+        gets=(
+            "joint_states, phase, phase_start, swing_target, walk_config   as the controller publishes them;",
+            "                         the parameters of the walk come from walk_config, not from this node's own",
+        ),
+        gives=(
+            "/diagnostics             diagnostic_msgs/DiagnosticArray: OK, WARN or ERROR by the smallest distance",
+            "com                      geometry_msgs/PointStamped, in the phase's base sole",
+            "support_polygon          geometry_msgs/PolygonStamped",
+            "walk_markers             visualization_msgs/MarkerArray: planes, cylinder, CoM, soles (for RViz, Foxglove)",
+        ),
+        sections=("monitor",),
+        example="-p monitor.rate:=20.0",
+    ),
+    "recorder": Help(
+        what="Record a walk as a rosbag2 (MCAP), byte for byte; report how much came and whether anything is missing.",
+        gets=(
+            "every topic of the walk: joint_states, joint_velocity_commands, phase, phase_start, com_target,",
+            "swing_target, support_foot, base_pose, walk_config, robot_description, /diagnostics",
+        ),
+        gives=("the folder --bag: an .mcap file and metadata.yaml, for ros2 bag, Foxglove and `dqwalk report`",),
+        sections=("plant",),
+        example="--bag my_walk",
+    ),
+}
+
+
+def parse(name: str, argv: Sequence[str]) -> argparse.Namespace:
+    """Read the command line of a node; ``.argv`` is all of it, for rclpy.
+
+    Parameters
+    ----------
+    name : str
+        Which of the four nodes.
+    argv : sequence of str
+        Without the program's name.
+    """
+    parser = argparse.ArgumentParser(
+        prog=name,
+        usage=f"{name} {'--bag DIR ' if name == 'recorder' else ''}[--ros-args --params-file FILE -p NAME:=VALUE ...]",
+        description=_HELP[name].what,
+        epilog=_epilog(name),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "--child", action="store_true", help="for programs: print progress as lines of JSON, end with the parent"
+    )
+    if name == "recorder":
+        parser.add_argument("--bag", metavar="DIR", required=True, help="the folder to make; it must not be there yet")
+    own = list(argv)
+    if "--ros-args" in own:
+        start = own.index("--ros-args")
+        stop = own.index("--", start) + 1 if "--" in own[start:] else len(own)
+        del own[start:stop]
+    options = parser.parse_args(own)
+    options.argv = [name, *argv]
+    return options
+
+
+def _epilog(name: str) -> str:
+    about = _HELP[name]
+    lines = ["subscribes to:", *(f"  {line}" for line in about.gets), "", "publishes:" if name != "recorder" else "writes:"]
+    lines += [f"  {line}" for line in about.gives]
+    lines += ["", "parameters (name = default [unit]):"]
+    for spec in Config.specs():
+        if spec.name.split(".")[0] in about.sections:
+            unit = f" [{spec.unit}]" if spec.unit else ""
+            value = str(spec.default).lower() if spec.type is bool else spec.default
+            head = f"  {spec.name} = {value if value not in ('', ()) else '(none)'}{unit}"
+            lines += textwrap.wrap(spec.meaning, 118, initial_indent=f"{head:42s}  ", subsequent_indent=" " * 44)
+    lines += [
+        "",
+        "  Every node takes every parameter of the package, so that one file serves all (`/**:`); a name that does not",
+        "  exist is an error. Exit code: 0 stopped or finished, 1 the walk failed, 2 arguments that cannot be used.",
+        "",
+        "example:",
+        f"  dqwalk_{name} {about.example if about.example.startswith('--') else ''}".rstrip()
+        + " --ros-args --params-file config/paper.yaml"
+        + (f" {about.example}" if not about.example.startswith("--") else ""),
+        f"  ros2 run dqwalk_ros {name} --help",
+    ]
+    return "\n".join(lines)
+
+
+def _run(name: str) -> int:
+    """Run a node as a console script."""
+    parse(name, sys.argv[1:])  # help and wrong options need no ROS
+    try:
+        module = importlib.import_module(f"dqwalk_ros.nodes.{name}")
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] == "dqwalk_ros":
+            raise
+        print(
+            f"{name}: ROS 2 is not there (no Python module '{error.name}'): source a ROS 2 Jazzy setup file, or "
+            "install the wheels with: pip install 'dqwalk_ros[ros]'",
+            file=sys.stderr,
+        )
+        return 2
+    code: int = module.main()
+    return code
+
+
+def controller() -> int:
+    """Console script ``dqwalk_controller``."""
+    return _run("controller")
+
+
+def integrator() -> int:
+    """Console script ``dqwalk_integrator``."""
+    return _run("integrator")
+
+
+def phase_monitor() -> int:
+    """Console script ``dqwalk_phase_monitor``."""
+    return _run("phase_monitor")
+
+
+def recorder() -> int:
+    """Console script ``dqwalk_recorder``."""
+    return _run("recorder")

@@ -1,0 +1,235 @@
+"""Topics and messages of the nodes: how they are offered, checked on arrival, and made."""
+
+from __future__ import annotations
+
+import array
+import importlib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped
+from numpy.typing import NDArray
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+
+from dqwalk_ros.bag.topics import TOPICS
+from dqwalk_ros.controllers import Command, State
+from dqwalk_ros.dq import DQ
+from dqwalk_ros.exceptions import StateError
+
+__all__ = [
+    "JointReader",
+    "JointWriter",
+    "diagnostics",
+    "is_heard_by",
+    "latched",
+    "nanoseconds",
+    "point",
+    "pose",
+    "publisher",
+    "status",
+    "stream",
+    "time_msg",
+]
+
+Array = NDArray[np.float64]
+
+LEVELS = {"OK": DiagnosticStatus.OK, "WARN": DiagnosticStatus.WARN, "ERROR": DiagnosticStatus.ERROR}
+LEVELS["STALE"] = DiagnosticStatus.STALE
+
+_HISTORY = 1000
+"""Samples a publisher keeps for a reliable subscriber that fell behind, such as a recorder on a busy machine.
+
+This delays nobody: what a subscriber takes first is decided by its own depth."""
+
+
+def stream(depth: int = 1, *, reliable: bool = True) -> QoSProfile:
+    """Return the profile for a stream of values."""
+    reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+    return QoSProfile(depth=depth, reliability=reliability)
+
+
+def latched() -> QoSProfile:
+    """Return the profile for what a subscriber that comes late must still get."""
+    return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def message_type(name: str) -> Any:
+    """Return the Python class of a message type such as ``std_msgs/msg/String``."""
+    package, _, kind = name.partition("/msg/")
+    return getattr(importlib.import_module(f"{package}.msg"), kind)
+
+
+def publisher(node: Node, name: str) -> Publisher:
+    """Create the publisher of one of our topics, as the table in `dqwalk_ros.bag.topics` says."""
+    topic = TOPICS[name]
+    return node.create_publisher(message_type(topic.type), topic.name, latched() if topic.latched else stream(_HISTORY))
+
+
+def is_heard_by(node: Node, offered: Publisher, name: str) -> bool:
+    """Tell whether a node of this name, and everyone else who asked, is connected to a publisher."""
+    asked = node.get_subscriptions_info_by_topic(offered.topic_name)
+    return any(end.node_name == name for end in asked) and offered.get_subscription_count() >= len(asked)
+
+
+# ---------------------------------------------------------------------- time
+
+
+def nanoseconds(stamp: Time) -> int:
+    """Return a stamp [ns]."""
+    return int(stamp.sec * 1_000_000_000 + stamp.nanosec)
+
+
+def time_msg(stamp: int) -> Time:
+    """Return the message of a stamp [ns]."""
+    sec, nanosec = divmod(stamp, 1_000_000_000)
+    return Time(sec=sec, nanosec=nanosec)
+
+
+# ---------------------------------------------------------------------- joints
+
+
+class JointReader:
+    """Check JointState messages and put their joints into the order of the model.
+
+    Joints the model does not have are ignored. Anything else that does not fit rejects the whole message.
+
+    Parameters
+    ----------
+    joint_names : sequence of str
+    """
+
+    def __init__(self, joint_names: Sequence[str]) -> None:
+        self._joints = tuple(joint_names)
+        self._names: list[str] = []
+        self._index: NDArray[np.intp] | None = None
+
+    def state(self, msg: JointState) -> State:
+        """Return the measured state; the velocities may be missing.
+
+        Raises
+        ------
+        StateError
+            If joints are missing or doubled, a length is wrong or a number is not finite; the message names the joints.
+        """
+        q = self._read(msg, msg.position, "position")
+        dq = self._read(msg, msg.velocity, "velocity") if len(msg.velocity) else None
+        return State(time=nanoseconds(msg.header.stamp) * 1e-9, q=q, dq=dq)
+
+    def command(self, msg: JointState) -> Command:
+        """Return the commanded velocities.
+
+        Raises
+        ------
+        StateError
+            As `state`.
+        """
+        return Command(
+            time=nanoseconds(msg.header.stamp) * 1e-9, velocity=self._read(msg, msg.velocity, "velocity")
+        )
+
+    def _read(self, msg: JointState, values: Any, what: str) -> Array:
+        if self._index is None or msg.name != self._names:
+            self._index = self._order(msg.name)
+            self._names = list(msg.name)
+        if len(values) != len(self._names):
+            raise StateError(f"{len(self._names)} names with {len(values)} numbers in '{what}'")
+        out = np.frombuffer(values, np.float64)[self._index]
+        if not np.isfinite(out).all():
+            bad = ", ".join(f"{self._joints[i]} = {out[i]}" for i in np.flatnonzero(~np.isfinite(out)))
+            raise StateError(f"not a finite {what}: {bad}")
+        return out
+
+    def _order(self, names: Sequence[str]) -> NDArray[np.intp]:
+        place = {name: i for i, name in enumerate(names)}
+        if missing := [joint for joint in self._joints if joint not in place]:
+            extra = [name for name in names if name not in self._joints]
+            also = f"; it has {', '.join(extra)}, which the model has not" if extra else ""
+            raise StateError(f"joints missing: {', '.join(missing)}{also}")
+        if doubled := sorted({name for name in names if list(names).count(name) > 1}):
+            raise StateError(f"joints named twice: {', '.join(doubled)}")
+        return np.array([place[joint] for joint in self._joints], np.intp)
+
+
+class JointWriter:
+    """Make JointState messages of one set of joints; the message is reused, so publish it before the next.
+
+    Parameters
+    ----------
+    joint_names : sequence of str
+    frame : str
+        Its header's frame_id.
+    """
+
+    def __init__(self, joint_names: Sequence[str], frame: str = "") -> None:
+        self._msg = JointState(name=list(joint_names))
+        self._msg.header.frame_id = frame
+
+    def __call__(self, stamp: int, *, position: Array | None = None, velocity: Array | None = None) -> JointState:
+        """Return the message of a stamp [ns], positions [rad] and velocities [rad/s]."""
+        msg = self._msg
+        msg.header.stamp.sec, msg.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
+        # an array of doubles is the one type which rclpy takes without looking at each number
+        msg.position = array.array("d", b"" if position is None else position.tobytes())
+        msg.velocity = array.array("d", b"" if velocity is None else velocity.tobytes())
+        return msg
+
+
+# ---------------------------------------------------------------------- places
+
+
+def pose_fields(x: Array) -> Pose:
+    """Return the Pose of a unit dual quaternion (8,): its translation is 2 D(x) P(x)*, (1)."""
+    w, i, j, k, dw, di, dj, dk = x.tolist()  # scalars: this is done every tick
+    out = Pose()
+    out.position.x = 2.0 * (-dw * i + di * w - dj * k + dk * j)
+    out.position.y = 2.0 * (-dw * j + di * k + dj * w - dk * i)
+    out.position.z = 2.0 * (-dw * k - di * j + dj * i + dk * w)
+    out.orientation.w, out.orientation.x, out.orientation.y, out.orientation.z = w, i, j, k
+    return out
+
+
+def pose(stamp: int, frame: str, x: Array) -> PoseStamped:
+    """Return a PoseStamped of the unit dual quaternion `x` (8,)."""
+    msg = PoseStamped(pose=pose_fields(x))
+    msg.header.stamp, msg.header.frame_id = time_msg(stamp), frame
+    return msg
+
+
+def pose_dq(msg: PoseStamped) -> Array:
+    """Return the unit dual quaternion (8,) of a PoseStamped."""
+    p, r = msg.pose.position, msg.pose.orientation
+    return DQ.from_pose([p.x, p.y, p.z], [r.w, r.x, r.y, r.z]).vec8()
+
+
+def xyz(p: Array) -> Point:
+    """Return the Point of a vector (3,) [m]."""
+    return Point(x=float(p[0]), y=float(p[1]), z=float(p[2]))
+
+
+def point(stamp: int, frame: str, p: Array) -> PointStamped:
+    """Return a PointStamped of a vector (3,) [m]."""
+    msg = PointStamped(point=xyz(p))
+    msg.header.stamp, msg.header.frame_id = time_msg(stamp), frame
+    return msg
+
+
+# ---------------------------------------------------------------------- diagnostics
+
+
+def status(name: str, hardware: str, level: str, message: str, values: Mapping[str, object]) -> DiagnosticStatus:
+    """Return one status [REP-107]; numbers are written in full, so that plotting tools read them."""
+    pairs = [KeyValue(key=key, value=repr(float(v)) if isinstance(v, float) else str(v)) for key, v in values.items()]
+    return DiagnosticStatus(level=LEVELS[level], name=name, hardware_id=hardware, message=message, values=pairs)
+
+
+def diagnostics(stamp: int, *entries: DiagnosticStatus) -> DiagnosticArray:
+    """Return a DiagnosticArray with the stamp [ns]."""
+    msg = DiagnosticArray(status=list(entries))
+    msg.header.stamp = time_msg(stamp)
+    return msg

@@ -1,0 +1,163 @@
+"""Record a walk as a rosbag2, byte for byte as it went over the wire.
+
+The bag's time is the walk's: a message is filed under its own stamp, one without a stamp under the newest stamp so
+far. In lockstep that is simulated time, so that a bag plays back, plots and compares alike however fast the machine
+was; in real time the two differ by the transport's delay. A state that was published again because its answer was
+late is recorded once.
+"""
+
+from __future__ import annotations
+
+import struct
+import sys
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
+
+from dqwalk_ros.bag.messages import typestore
+from dqwalk_ros.bag.topics import TOPICS, Topic
+from dqwalk_ros.bag.writer import qos
+from dqwalk_ros.exceptions import BagError
+from dqwalk_ros.nodes import entry
+from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.parameters import Parameters
+from dqwalk_ros.nodes.runtime import Life, run, say
+
+__all__ = ["RecorderNode", "main"]
+
+_DEPTH = 50_000
+"""Messages that may wait here: minutes of real time, most of a minute of lockstep at full speed."""
+_LINGER = 1.0
+"""Longest time for what is still under way when the end is asked for [s]."""
+_EACH_TICK = ("joint_states", "joint_velocity_commands", "base_pose")
+_STAMPED = ("sensor_msgs/", "geometry_msgs/", "diagnostic_msgs/")
+
+
+class RecorderNode:
+    """All topics of a walk -> rosbag2.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    life : Life
+    options : argparse.Namespace
+        From `entry.parse`.
+
+    Raises
+    ------
+    BagError
+        If the folder is there already or cannot be made.
+    """
+
+    rest = 0.05
+
+    def __init__(self, node: Node, life: Life, options: Any) -> None:
+        self.node, self.life, self._report = node, life, options.child
+        config = Parameters(node, options.argv).config
+        self._period = round(config.dt * 1e9)
+        self._path = Path(options.bag)
+        self._open()
+        self._counts = dict.fromkeys(TOPICS, 0)
+        self._last = dict.fromkeys(_EACH_TICK, -1)
+        self._missing = dict.fromkeys(_EACH_TICK, 0)
+        self._newest = -1  # stamp [ns]
+        self._early: list[tuple[str, bytes]] = []  # what came before the first stamp
+        self.handled = 0
+        self._seen = -1
+        self._stop_at = float("inf")
+        for name, topic in TOPICS.items():
+            profile = ros.stream(_DEPTH)
+            if topic.latched:
+                profile = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+            kind = ros.message_type(topic.type)
+            node.create_subscription(kind, topic.name, partial(self._on_message, name, topic), profile, raw=True)
+        node.get_logger().info(f"recording to {self._path}")
+
+    def _open(self) -> None:
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            self._writer = Writer(self._path, version=9, storage_plugin=StoragePlugin.MCAP)
+            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+            self._writer.open()
+        except (OSError, WriterError) as error:
+            raise BagError(f"cannot record to '{self._path}': {error}") from error
+        self._connections = {
+            name: self._writer.add_connection(
+                self.node.resolve_topic_name(topic.name),
+                topic.type,
+                typestore=typestore(),
+                offered_qos_profiles=[qos(name)],
+            )
+            for name, topic in TOPICS.items()
+        }
+
+    def _on_message(self, name: str, topic: Topic, raw: bytes) -> None:
+        self.handled += 1
+        stamp = self._newest
+        if topic.type.startswith(_STAMPED):
+            # the header comes first: four bytes of encapsulation, of which the second tells the byte order
+            sec, nanosec = struct.unpack_from("<iI" if raw[1] & 1 else ">iI", raw, 4)
+            own = sec * 1_000_000_000 + nanosec
+            if name in self._last:
+                if own == self._last[name]:
+                    return
+                self._note_gap(name, own)
+            # what is latched may be far older than the recording
+            stamp = max(own, self._newest) if topic.latched else own
+            if name == "joint_states":
+                self._newest = max(self._newest, own)
+        if self._newest < 0:
+            self._early.append((name, bytes(raw)))
+            return
+        try:
+            for early, data in self._early:
+                self._write(early, self._newest, data)
+            self._early.clear()
+            self._write(name, stamp, raw)
+        except (OSError, WriterError) as error:
+            self.node.get_logger().error(f"cannot write '{self._path}': {error}")
+            self.life.end(1)
+
+    def _write(self, name: str, stamp: int, raw: bytes) -> None:
+        self._writer.write(self._connections[name], stamp, raw)
+        self._counts[name] += 1
+
+    def _note_gap(self, name: str, own: int) -> None:
+        last, self._last[name] = self._last[name], own
+        if last >= 0 and own - last > 1.5 * self._period:
+            self._missing[name] += round((own - last) / self._period) - 1
+
+    def drained(self) -> bool:
+        """Tell whether nothing more is on its way, or it has taken too long."""
+        now = time.monotonic()
+        self._stop_at = min(self._stop_at, now + _LINGER)
+        seen, self._seen = self._seen, self.handled
+        return seen == self._seen or now > self._stop_at
+
+    def close(self) -> None:
+        """Finish the bag and say what is in it."""
+        for name, data in self._early:  # no state ever came: the walk's own messages are still worth keeping
+            self._write(name, 0, data)
+        self._writer.close()
+        log = self.node.get_logger()
+        log.info(f"{self._path}: " + ", ".join(f"{n} {count}" for n, count in self._counts.items() if count))
+        missing = {name: count for name, count in self._missing.items() if count}
+        if missing:
+            log.warning("periods without a message: " + ", ".join(f"{n} {count}" for n, count in missing.items()))
+        if self._report:
+            say("recorded", bag=str(self._path), counts=self._counts, missing=missing)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the node; return the exit code."""
+    options = entry.parse("recorder", sys.argv[1:] if argv is None else argv)
+    return run("recorder", lambda node, life: RecorderNode(node, life, options), options)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,129 @@
+"""A whole walk through ROS 2: start the nodes as processes, watch them, end them, say how it went.
+
+Where ROS was installed from wheels there is no `ros2 launch`; this does its work, and returns an exit code that means
+something. It needs no ROS itself: the controller reports its progress as lines of JSON on its standard output.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from dqwalk_ros.config import Config, to_yaml
+from dqwalk_ros.runner.processes import Processes, private_domain
+from dqwalk_ros.runner.watch import Progress, Watch
+
+__all__ = ["Outcome", "Processes", "private_domain", "run_walk"]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a walk went.
+
+    Attributes
+    ----------
+    finished : bool
+        Every phase ended by its rule, and everything was recorded.
+    reason : str
+        Why not, where it did not.
+    ticks : int
+    walked : float
+        Time of the walk [s].
+    took : float
+        Time of the clock, from the first tick to the last [s].
+    bag, logs : Path
+    """
+
+    finished: bool
+    reason: str
+    ticks: int
+    walked: float
+    took: float
+    bag: Path
+    logs: Path
+
+    def __str__(self) -> str:
+        pace = f"{self.ticks} ticks, {self.walked:.1f} s of walking in {self.took:.1f} s"
+        if self.took > 0.0:
+            pace += f" ({self.ticks / self.took:.0f} ticks/s)"
+        return f"finished: {pace}" if self.finished else f"{self.reason} (after {pace}; logs in {self.logs})"
+
+
+def run_walk(
+    config: Config,
+    bag: str | os.PathLike[str],
+    *,
+    lockstep: bool = True,
+    progress: Progress | None = None,
+    logs: str | os.PathLike[str] | None = None,
+    domain: int | None = None,
+) -> Outcome:
+    """Walk with controller, integrator, phase_monitor and recorder as processes of their own.
+
+    Parameters
+    ----------
+    config : Config
+    bag : path-like
+        The folder that the recorder makes; it must not be there yet.
+    lockstep : bool
+        Each state waits for its command; otherwise the walk goes by the clock.
+    progress : callable, optional
+        Called with the fraction done and some text, several times a second.
+    logs : path-like, optional
+        Where parameters and logs of the nodes go; `log` beside the bag by default.
+    domain : int, optional
+        ROS domain; by default ``ROS_DOMAIN_ID`` where it is set, else one that nobody else on this machine uses.
+
+    Returns
+    -------
+    Outcome
+    """
+    bag = Path(bag)
+    folder = Path(logs) if logs is not None else bag.parent / "log"
+    folder.mkdir(parents=True, exist_ok=True)
+    config = config.updated(
+        {
+            "plant.lockstep": lockstep,
+            "node.autostart": True,
+            "node.exit_when_done": True,
+            "node.wait_for_recorder": True,
+        }
+    )
+    params = folder / "params.yaml"
+    params.write_text(to_yaml(config), encoding="utf-8")
+    ros = ["--ros-args", "--params-file", str(params)]
+    with contextlib.ExitStack() as stack:
+        if domain is None and "ROS_DOMAIN_ID" not in os.environ:
+            domain = stack.enter_context(private_domain())
+        processes = stack.enter_context(Processes(folder, domain))
+        processes.start("recorder", ["--bag", str(bag), *ros])
+        processes.start("phase_monitor", ros)
+        processes.start("integrator", ros)
+        processes.start("controller", ros)
+        watch = Watch(config, progress)
+        reason = watch.until_the_end(processes)
+        processes.stop()
+        reason = reason or _incomplete(processes, lockstep)
+    last = watch.last
+    return Outcome(
+        finished=not reason,
+        reason=reason,
+        ticks=int(last.get("ticks", 0)),
+        walked=float(last.get("time", 0.0)),
+        took=watch.took,
+        bag=bag,
+        logs=folder,
+    )
+
+
+def _incomplete(processes: Processes, lockstep: bool) -> str:
+    """Return what is wrong with a recording that has ended; gaps are the clock's in real time, a loss in lockstep."""
+    recorded = [line for line in processes.said("recorder") if line.get("event") == "recorded"]
+    if not recorded:
+        return f"the recorder did not finish the bag: {processes.last_words('recorder')}"
+    missing = recorded[-1]["missing"]
+    if lockstep and missing:
+        return "the bag is incomplete: " + ", ".join(f"{count} of {name} are missing" for name, count in missing.items())
+    return ""

@@ -1,0 +1,144 @@
+"""Follow a walk from its first tick to its end."""
+
+from __future__ import annotations
+
+import math
+import signal
+import threading
+import time
+from collections.abc import Callable
+from types import FrameType
+from typing import Any, Self
+
+from dqwalk_ros.config import Config
+from dqwalk_ros.runner.processes import Processes
+
+__all__ = ["Progress", "Signals", "Watch"]
+
+_STARTUP = 180.0
+"""Longest wait for the first tick [s]; on a fresh machine the kinematics is compiled first."""
+_STALL = 60.0
+"""Longest wait for the next sign of progress [s]."""
+
+Progress = Callable[[float, str], None]
+
+
+class Watch:
+    """Follows a walk by what the controller says.
+
+    Parameters
+    ----------
+    config : Config
+    progress : callable or None
+
+    Attributes
+    ----------
+    last : dict
+        What the controller said last.
+    took : float
+        Time from its first word to its last [s].
+    """
+
+    def __init__(self, config: Config, progress: Progress | None) -> None:
+        self.last: dict[str, Any] = {}
+        self.took = 0.0
+        self._phases = 4 * config.gait.cycles
+        self._threshold = config.ssp.threshold
+        self._progress = progress
+        self._first: tuple[float, int] | None = None
+        self._error0 = (-1, 0.0)
+        self._pace = 0.0
+
+    def until_the_end(self, processes: Processes) -> str:
+        """Return why the walk failed; an empty text where it did not."""
+        began = heard = time.monotonic()
+        with Signals() as signals:
+            while True:
+                processes.wait_for_news(0.2)
+                if self._listen(processes):
+                    heard = time.monotonic()
+                if signals.seen:
+                    return f"interrupted by {signal.Signals(signals.seen).name}"
+                if (reason := self._ended(processes)) is not None:
+                    return reason
+                now = time.monotonic()
+                self._show(now - began)
+                if now - heard > (_STALL if self._first else _STARTUP):
+                    return f"no progress for {now - heard:.0f} s: {processes.last_words('controller')}"
+
+    def _ended(self, processes: Processes) -> str | None:
+        """Return None while the walk goes on, "" when it is over, else what went wrong."""
+        code = processes.exit_code("controller")
+        if code is not None:
+            self._listen(processes)
+            if code == 0 and self.last.get("mode") == "finished":
+                return ""
+            return self.last.get("reason") or f"controller ended ({code}): {processes.last_words('controller')}"
+        for name in ("integrator", "recorder"):
+            if (code := processes.exit_code(name)) is not None:
+                return f"{name} ended ({code}): {processes.last_words(name)}"
+        return None
+
+    def _listen(self, processes: Processes) -> bool:
+        """Take in what the controller said; tell whether the walk went on."""
+        ticks = self.last.get("ticks", -1)
+        for line in processes.said("controller"):
+            if line.get("event") == "walk":
+                self._note(line)
+        return bool(self.last.get("ticks", -1) > ticks)
+
+    def _note(self, line: dict[str, Any]) -> None:
+        now, ticks = time.monotonic(), int(line["ticks"])
+        if self._first is None:
+            self._first = (now, ticks)
+        self.took = now - self._first[0]
+        if self.took > 0.0:
+            self._pace = (ticks - self._first[1]) / self.took
+        if line["phase_index"] != self._error0[0] and line["error"]:
+            self._error0 = (line["phase_index"], line["error"])
+        self.last = line
+
+    def _show(self, waited: float) -> None:
+        if self._progress is None:
+            return
+        if not self.last:
+            self._progress(0.0, f"starting the nodes, {waited:.0f} s")
+            return
+        line = self.last
+        error = "" if line["error"] is None else f"error {line['error']:.4f}"
+        text = f"phase {line['phase_index'] + 1}/{self._phases} {line['phase']}  {line['time']:7.2f} s  {error}"
+        self._progress(self._fraction(), f"{text}  {self._pace:.0f} ticks/s")
+
+    def _fraction(self) -> float:
+        """Return how much is done; within single support by the decay of its error, which is exponential."""
+        index, error = self.last["phase_index"], self.last["error"]
+        within = 0.0
+        first = self._error0[1]
+        if index % 2 and error and first > self._threshold:
+            within = 1.0 - max(0.0, _log_ratio(error, self._threshold)) / _log_ratio(first, self._threshold)
+        return min(1.0, max(0.0, (index + min(1.0, max(0.0, within))) / self._phases))
+
+
+def _log_ratio(value: float, threshold: float) -> float:
+    return float(math.log(value / threshold))
+
+
+class Signals:
+    """Notes SIGINT and SIGTERM instead of dying of them."""
+
+    def __init__(self) -> None:
+        self.seen = 0
+        self._before: dict[int, Any] = {}
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self.seen = number
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._before[number] = signal.signal(number, self._note)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
