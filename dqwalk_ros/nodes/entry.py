@@ -66,7 +66,7 @@ _HELP = {
             "/diagnostics             diagnostic_msgs/DiagnosticArray: OK, WARN or ERROR by the smallest distance",
             "com                      geometry_msgs/PointStamped, in the phase's base sole",
             "support_polygon          geometry_msgs/PolygonStamped",
-            "walk_markers             visualization_msgs/MarkerArray: planes, cylinder, CoM, soles (for RViz, Foxglove)",
+            "walk_markers             visualization_msgs/MarkerArray: planes, cylinder, CoM, soles (RViz, Foxglove)",
         ),
         sections=("monitor",),
         example="-p monitor.rate:=20.0",
@@ -118,7 +118,12 @@ def parse(name: str, argv: Sequence[str]) -> argparse.Namespace:
 
 def _epilog(name: str) -> str:
     about = _HELP[name]
-    lines = ["subscribes to:", *(f"  {line}" for line in about.gets), "", "publishes:" if name != "recorder" else "writes:"]
+    lines = [
+        "subscribes to:",
+        *(f"  {line}" for line in about.gets),
+        "",
+        "publishes:" if name != "recorder" else "writes:",
+    ]
     lines += [f"  {line}" for line in about.gives]
     lines += ["", "parameters (name = default [unit]):"]
     for spec in Config.specs():

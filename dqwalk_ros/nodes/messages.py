@@ -129,9 +129,7 @@ class JointReader:
         StateError
             As `state`.
         """
-        return Command(
-            time=nanoseconds(msg.header.stamp) * 1e-9, velocity=self._read(msg, msg.velocity, "velocity")
-        )
+        return Command(time=nanoseconds(msg.header.stamp) * 1e-9, velocity=self._read(msg, msg.velocity, "velocity"))
 
     def _read(self, msg: JointState, values: Any, what: str) -> Array:
         if self._index is None or msg.name != self._names:

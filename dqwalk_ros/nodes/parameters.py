@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import fnmatch
+import itertools
 import math
 import pathlib
 from collections.abc import Iterable, Iterator, Sequence
@@ -97,7 +98,7 @@ def descriptor(spec: Spec) -> ParameterDescriptor:
 
 def parameter_files(argv: Sequence[str]) -> Iterator[pathlib.Path]:
     """Yield the parameter files of a command line."""
-    for key, value in zip(argv, argv[1:], strict=False):
+    for key, value in itertools.pairwise(argv):
         if key == "--params-file":
             yield pathlib.Path(value)
 

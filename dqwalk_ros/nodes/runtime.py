@@ -94,6 +94,7 @@ class Throttle:
         self._next = -float("inf")
 
     def __call__(self) -> bool:
+        """Tell whether it may pass now."""
         now = time.monotonic()
         if now < self._next:
             return False

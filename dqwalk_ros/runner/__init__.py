@@ -125,5 +125,7 @@ def _incomplete(processes: Processes, lockstep: bool) -> str:
         return f"the recorder did not finish the bag: {processes.last_words('recorder')}"
     missing = recorded[-1]["missing"]
     if lockstep and missing:
-        return "the bag is incomplete: " + ", ".join(f"{count} of {name} are missing" for name, count in missing.items())
+        return "the bag is incomplete: " + ", ".join(
+            f"{count} of {name} are missing" for name, count in missing.items()
+        )
     return ""

@@ -26,7 +26,6 @@ _GRACE = (8.0, 3.0, 2.0)
 """How long a process may take to end after SIGINT, SIGTERM and SIGKILL [s]."""
 
 
-
 @dataclass
 class _Process:
     popen: subprocess.Popen[str]

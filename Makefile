@@ -1,0 +1,73 @@
+# From nothing to a walk: `make walk`. Everything is installed into .venv; nothing else on the machine is touched.
+#
+# With a ROS 2 sourced, that ROS is used. Without one, its wheels are installed from PyPI (Linux, x86_64).
+
+PYTHON ?= python3
+VENV   ?= .venv
+OUT    ?= results/walk
+CYCLES ?= 1
+CONFIG ?= paper
+JOBS   ?= 2
+
+BIN    := $(VENV)/bin
+NATIVE := $(shell $(PYTHON) -c 'from importlib.util import find_spec as f; print("yes" if f("rclpy") and not f("ros_wheels_bootstrapper") else "")')
+ifeq ($(NATIVE),yes)
+VENV_OPTIONS := --system-site-packages
+ROS_EXTRA    :=
+else
+VENV_OPTIONS :=
+ROS_EXTRA    := ros,
+endif
+
+.DEFAULT_GOAL := help
+.PHONY: help venv walk simulate test lint colcon clean
+
+help:  ## show this
+	@echo "usage: make TARGET [CYCLES=$(CYCLES)] [CONFIG=$(CONFIG)] [OUT=$(OUT)]"
+	@sed -n 's/^\([a-z]*\):.*##/  \1\t/p' $(MAKEFILE_LIST) | expand -t 14
+
+venv: $(VENV)/.installed  ## install the package and ROS 2 into .venv (after that: . .venv/bin/activate)
+
+walk: $(VENV)/.installed  ## walk one cycle through ROS 2: bag, figures and report in results/walk
+	$(BIN)/dqwalk walk --config $(CONFIG) --cycles $(CYCLES) --out $(OUT) --force
+
+simulate: $(VENV)/.installed  ## the same walk in one process, without ROS
+	$(BIN)/dqwalk simulate --config $(CONFIG) --cycles $(CYCLES) --out $(OUT) --force
+
+test: $(VENV)/.installed-test  ## run all tests (JOBS=2 at a time)
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -m 'not colcon' $(ARGS)
+
+lint: $(VENV)/.installed-dev  ## ruff and mypy
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+colcon: $(VENV)/.installed-test  ## build the package with colcon and run what it built
+	$(BIN)/python -m pytest -m colcon $(ARGS)
+
+clean:  ## remove .venv and everything that was built or recorded
+	rm -rf $(VENV) build install log results dqwalk_ros.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -prune -exec rm -rf {} +
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(None if v >= (3, 11) else \
+	    "Python 3.11 or newer is needed, $(PYTHON) is %d.%d: make PYTHON=python3.12 ..." % v)'
+	@[ '$(NATIVE)' = yes ] || $(PYTHON) -c 'import platform, sys; sys.exit(None if \
+	    (platform.system(), platform.machine()) == ("Linux", "x86_64") and sys.version_info[:2] <= (3, 13) else \
+	    "no ROS 2 is sourced, and its wheels exist for Linux on x86_64 with Python 3.11 to 3.13 only: " \
+	    "install ROS 2 Jazzy and source it first")'
+	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || \
+	    { echo "Python's venv module is missing: sudo apt install python3-venv" >&2; exit 1; }
+	@echo "==> $(VENV): $(if $(ROS_EXTRA),ROS 2 Jazzy from PyPI (about 250 MB),the ROS 2 of this machine ($(ROS_DISTRO)))"
+	$(PYTHON) -m venv $(VENV_OPTIONS) $(VENV)
+
+$(VENV)/.installed: setup.py | $(BIN)/python
+	$(BIN)/python -m pip install --editable '.$(if $(ROS_EXTRA),[ros])'
+	@touch $@
+
+$(VENV)/.installed-test: setup.py | $(BIN)/python
+	$(BIN)/python -m pip install --editable '.[$(ROS_EXTRA)test]'
+	@touch $@ $(VENV)/.installed
+
+$(VENV)/.installed-dev: setup.py | $(BIN)/python
+	$(BIN)/python -m pip install --editable '.[$(ROS_EXTRA)dev]'
+	@touch $@ $(VENV)/.installed

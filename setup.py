@@ -1,0 +1,81 @@
+"""Package of dqwalk_ros, for colcon (ament_python) and for pip."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = "dqwalk_ros"
+NODES = ("controller", "integrator", "phase_monitor", "recorder")
+
+# The wheels of ROS 2 Jazzy, for a machine without ROS (Linux, x86_64, Python 3.11 to 3.13). An extra, never a plain
+# requirement: where ROS is installed they must not come beside it.
+ROS = [
+    "ros-jazzy-rclpy[fastrtps]>=7.1.5",
+    "ros-jazzy-diagnostic-msgs>=5.3",
+    "ros-jazzy-geometry-msgs>=5.3",
+    "ros-jazzy-sensor-msgs>=5.3",
+    "ros-jazzy-std-srvs>=5.3",
+    "ros-jazzy-visualization-msgs>=5.3",
+]
+TEST = [
+    "daqp>=0.5",
+    "dqrobotics>=23.4",
+    "hypothesis>=6.80",
+    "pin>=2.7",
+    "psutil>=5.9",
+    "pytest>=7.4",
+    "pytest-timeout>=2.1",
+    "pytest-xdist>=3.3",
+    "quadprog>=0.1.11",
+]
+DEV = ["mypy>=1.10", "ruff>=0.6", "types-PyYAML>=6.0", "types-psutil>=5.9"]
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Biped walking control with quadratic programming and vector-field inequalities, for ROS 2",
+    author="dqwalk_ros",
+    author_email="dqwalk@users.noreply.github.com",
+    maintainer="dqwalk_ros",
+    maintainer_email="dqwalk@users.noreply.github.com",
+    license="Apache-2.0",
+    python_requires=">=3.11",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/config", sorted(glob("config/*.yaml"))),
+        (f"share/{NAME}/urdf", sorted(glob("urdf/*.urdf"))),
+        (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
+        # `ros2 run dqwalk_ros controller` looks here. They are no console scripts, because pip would put such general
+        # names on everybody's PATH; there the nodes are dqwalk_controller and so on.
+        (f"lib/{NAME}", [f"scripts/{node}" for node in NODES]),
+    ],
+    entry_points={
+        "console_scripts": [
+            "dqwalk = dqwalk_ros.cli:main",
+            *(f"dqwalk_{node} = dqwalk_ros.nodes.entry:{node}" for node in NODES),
+        ]
+    },
+    install_requires=[
+        "setuptools",
+        "clarabel>=0.9",
+        "matplotlib>=3.6",
+        "mcap>=1.1",
+        "numba>=0.58",
+        "numpy>=1.26",
+        "pyyaml>=6.0",
+        "rosbags>=0.10.4",
+        "yourdfpy>=0.0.56",
+    ],
+    extras_require={"ros": ROS, "test": TEST, "dev": DEV},
+    tests_require=["pytest"],
+    zip_safe=False,
+    classifiers=[
+        "License :: OSI Approved :: Apache Software License",
+        "Operating System :: POSIX :: Linux",
+        "Programming Language :: Python :: 3",
+        "Topic :: Scientific/Engineering",
+    ],
+)
