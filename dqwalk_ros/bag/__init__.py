@@ -1,8 +1,8 @@
 """A walk as a rosbag2: what `write` puts on disk and what the nodes' recorder does are interchangeable.
 
 `topics` is the table both share, `messages` packs and unpacks whole columns of messages at once, `storage`
-opens MCAP and SQLite files, whole, split, compressed or cut off by a crash. The names below are loaded on first
-use, so that a node which only needs the table does not load the readers.
+opens MCAP and SQLite files, whole, split, compressed or cut off by a crash. The names below are loaded on
+first use, so that a node which only needs the table does not load the readers.
 """
 
 from __future__ import annotations

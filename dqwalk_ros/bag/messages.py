@@ -1,13 +1,13 @@
 """Columns of messages of one topic, packed and unpacked together.
 
-A walk has some hundred thousand joint states which differ in their stamp and their numbers only. So one message is
-serialised by `rosbags`, the rest are copies of its bytes with stamp and numbers put in; the other way round, the
-numbers are cut out of all messages at once wherever nothing else differs.
+A walk has some hundred thousand joint states which differ in their stamp and their numbers only. So one
+message is serialised by `rosbags`, the rest are copies of its bytes with stamp and numbers put in; the other way
+round, the numbers are cut out of all messages at once wherever nothing else differs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -35,6 +35,7 @@ __all__ = [
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 _NS = 1_000_000_000
+_LEVELS = ("OK", "WARN", "ERROR", "STALE")
 _STAMP = slice(4, 12)  # bytes of sec and nanosec, behind the four bytes of the CDR encapsulation
 
 
@@ -58,13 +59,19 @@ def _header(stamp: int, frame: str) -> Any:
 def unpack(raw: bytes, type_name: str) -> Any:
     """Return one message.
 
+    Bytes left over at the end are no damage: rclpy leaves some behind an empty last sequence, and
+    `Typestore.deserialize_cdr` would refuse them.
+
     Raises
     ------
     BagError
         If the bytes are no such message.
     """
+    store = typestore()
+    definition = store.get_msgdef(type_name)
     try:
-        return typestore().deserialize_cdr(raw, type_name)
+        parse = definition.deserialize_cdr_le if raw[1] else definition.deserialize_cdr_be
+        return parse(raw[4:], 0, definition.cls, store)[0]
     except Exception as error:  # whatever damaged bytes make the parser raise
         raise BagError(f"a damaged {type_name}: {error}") from error
 
@@ -95,7 +102,7 @@ def joint_states(
     names : sequence of str, n of them
     position, velocity : ndarray, shape (N, n) [rad, rad/s], or None
     """
-    count, n = len(stamps), len(names)
+    count = len(stamps)
     none = np.zeros(0)
     example = _pack(
         "sensor_msgs/msg/JointState",
@@ -122,7 +129,9 @@ def poses(stamps: Stamps, frame: str, x: Array) -> list[bytes]:
         orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
     )
     example = _pack("geometry_msgs/msg/PoseStamped", header=_header(int(stamps[0]), frame), pose=zero)
-    numbers = np.concatenate([DQ(x).translation(), x[:, 1:4], x[:, :1]], axis=1)  # (N, 7) p, then i j k, then the real part
+    numbers = np.concatenate(
+        [DQ(x).translation(), x[:, 1:4], x[:, :1]], axis=1
+    )  # (N, 7) p, then i j k, then the real part
     block = _copies(example, stamps)
     block[:, -56:] = _as_bytes(numbers, len(stamps))
     return [row.tobytes() for row in block]
@@ -134,12 +143,17 @@ def pose_of(message: Any) -> Array:
     return DQ.from_pose([p.x, p.y, p.z], [r.w, r.x, r.y, r.z]).vec8()
 
 
-def diagnostics(stamp: int, name: str, hardware: str, level: int, message: str, values: dict[str, float]) -> bytes:
-    """Return a DiagnosticArray of one status [REP-107]."""
+def diagnostics(
+    stamp: int, name: str, hardware: str, level: str, message: str, values: Mapping[str, float | str]
+) -> bytes:
+    """Return a DiagnosticArray of one status [REP-107]; `level` is OK, WARN, ERROR or STALE."""
     types = typestore().types
-    pairs = [types["diagnostic_msgs/msg/KeyValue"](key=key, value=repr(float(v))) for key, v in values.items()]
+    pairs = [
+        types["diagnostic_msgs/msg/KeyValue"](key=key, value=v if isinstance(v, str) else repr(float(v)))
+        for key, v in values.items()
+    ]
     status = types["diagnostic_msgs/msg/DiagnosticStatus"](
-        level=level, name=name, message=message, hardware_id=hardware, values=pairs
+        level=_LEVELS.index(level), name=name, message=message, hardware_id=hardware, values=pairs
     )
     return _pack("diagnostic_msgs/msg/DiagnosticArray", header=_header(stamp, ""), status=[status])
 
@@ -197,7 +211,7 @@ def unpack_joint_states(raws: Sequence[bytes]) -> JointColumn:
 
 
 def _unpack_alike(raws: Sequence[bytes]) -> JointColumn | None:
-    """Cut the numbers out of messages that differ in stamp and numbers only; None where they differ in more."""
+    """Cut the numbers out of messages that differ in nothing but stamp and numbers; else return None."""
     first = unpack(raws[0], "sensor_msgs/msg/JointState")
     size, n = len(raws[0]), len(first.name)
     n_position, n_velocity = len(first.position), len(first.velocity)
@@ -206,7 +220,8 @@ def _unpack_alike(raws: Sequence[bytes]) -> JointColumn | None:
     at_position, at_velocity, at_effort = _number_bytes(raws[0])
     block = np.frombuffer(b"".join(raws), np.uint8).reshape(len(raws), size)
     same = np.ones(size, bool)
-    same[_STAMP] = same[at_position] = same[at_velocity] = same[at_effort] = False
+    same[_STAMP] = same[at_position] = same[at_velocity] = False
+    same[at_effort.start :] = False  # and what may be left over behind it
     if not (block[:, same] == block[0, same]).all():
         return None
 
@@ -229,25 +244,21 @@ def _number_bytes(raw: bytes) -> tuple[slice, slice, slice]:
     """Return where positions, velocities and efforts stand in a little-endian JointState."""
     at = 12  # behind encapsulation (4) and stamp (8)
 
-    def count() -> int:
+    def take(width: int) -> slice:
+        """Return where the items of the next sequence stand, whose length comes first."""
         nonlocal at
-        at += -at % 4
-        at += 4
-        return int.from_bytes(raw[at - 4 : at], "little")
-
-    at += count()  # frame_id and its zero
-    for _ in range(count()):
-        at += count()
-
-    def block() -> slice:
-        nonlocal at
-        n = count()
-        if n:
+        at += -at % 4 + 4
+        length = int.from_bytes(raw[at - 4 : at], "little")
+        if length and width == 8:
             at += -(at - 4) % 8  # eight bytes align to the body, which begins at 4
-        at += 8 * n
-        return slice(at - 8 * n, at)
+        at += length * width
+        return slice(at - length * width, at)
 
-    return block(), block(), block()
+    take(1)  # frame_id
+    at += -at % 4 + 4
+    for _ in range(int.from_bytes(raw[at - 4 : at], "little")):
+        take(1)  # a name
+    return take(8), take(8), take(8)
 
 
 def _unpack_each(raws: Sequence[bytes]) -> JointColumn:

@@ -1,7 +1,7 @@
 """The raw messages of a rosbag2: MCAP or SQLite, one file or many, compressed, or cut off by a crash.
 
-`rosbags` reads what is whole. What it refuses is read file by file up to the damage: MCAP with `mcap`, including
-what the last, unfinished chunk still holds, and SQLite row by row.
+`rosbags` reads what is whole. What it refuses is read file by file up to the damage: MCAP with `mcap`,
+including what the last, unfinished chunk still holds, and SQLite row by row.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def load(path: Path, wanted: Callable[[str, str], bool]) -> Content:
     notes: list[str] = []
     if path.is_dir() and not (path / "metadata.yaml").exists():
         notes.append("metadata.yaml is missing: the recorder did not end as it should")
-    content = _gather((item for file in files for item in _file(file, wanted, notes)))
+    content = _gather(item for file in files for item in _file(file, wanted, notes))
     if not content.columns:
         raise BagError(f"cannot read '{path}': {reason}")
     return Content(content.columns, content.topics, tuple(notes or [f"the bag is damaged: {reason}"]))
@@ -168,7 +168,7 @@ def _records(stream: IO[bytes]) -> Iterator[McapRecord]:
 
 
 def _unfinished_chunk(raw: bytes) -> Iterator[McapRecord]:
-    """Yield the records in front of the damage; `raw` is a chunk record that ends early, or something else."""
+    """Yield the records in front of the damage; `raw` begins with a chunk that ends early, or something else."""
     head = struct.Struct("<BQQQQII")  # opcode, length, first and last time, size, checksum, length of the next text
     if len(raw) < head.size or raw[0] != _CHUNK:
         return

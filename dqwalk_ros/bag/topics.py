@@ -38,7 +38,13 @@ class Topic:
 
 
 _ALL = (
-    Topic("joint_states", "sensor_msgs/msg/JointState", False, 10, "positions [rad] and velocities [rad/s], by name"),
+    Topic(
+        "joint_states",
+        "sensor_msgs/msg/JointState",
+        False,
+        10,
+        "positions [rad] and velocities [rad/s], by name",
+    ),
     Topic(
         "joint_velocity_commands",
         "sensor_msgs/msg/JointState",
@@ -61,7 +67,13 @@ _ALL = (
         1,
         "double support: where the CoM goes, as seen at the start, in the base sole",
     ),
-    Topic("swing_target", "geometry_msgs/msg/PoseStamped", True, 1, "single support: the landing place, in the base sole"),
+    Topic(
+        "swing_target",
+        "geometry_msgs/msg/PoseStamped",
+        True,
+        1,
+        "single support: the landing place, in the base sole",
+    ),
     Topic("support_foot", "std_msgs/msg/String", True, 1, "left or right: the foot the phase name gives"),
     Topic("base_pose", "geometry_msgs/msg/PoseStamped", False, 10, "pelvis in odom"),
     Topic("walk_config", "std_msgs/msg/String", True, 1, "every parameter, as the text of a parameter file"),

@@ -1,0 +1,206 @@
+"""Read a rosbag2 back into a `Trace`, whoever recorded it."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros import config as configuration
+from dqwalk_ros.bag import messages, storage
+from dqwalk_ros.bag.messages import JointColumn
+from dqwalk_ros.bag.starts import first_base, records, starts, texts
+from dqwalk_ros.bag.storage import Column, Content
+from dqwalk_ros.bag.topics import FINISHED, REQUIRED, TOPICS
+from dqwalk_ros.config import Config, RobotConfig
+from dqwalk_ros.exceptions import BagError, ConfigError, ModelError
+from dqwalk_ros.model import RobotModel, load_model
+from dqwalk_ros.trace import Trace
+
+__all__ = ["model_of", "read"]
+
+Array = NDArray[np.float64]
+_WANTED = {name: topic.type for name, topic in TOPICS.items() if name != "diagnostics"}
+
+
+def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace:
+    """Read a recorded walk.
+
+    The bag may be MCAP or SQLite, split or compressed, recorded live (more joints, another order, states without
+    a command) or cut off by a crash. The robot is that of the bag's ``robot_description``.
+
+    Parameters
+    ----------
+    path : path-like
+        The bag's folder, or one of its files.
+    namespace : str, optional
+        Of the robot, where the bag holds several.
+
+    Returns
+    -------
+    Trace
+        Velocities are nan where a state has no command; what was missing or left out is in ``notes``.
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read, lacks a topic that is needed, or is that of another robot.
+    """
+    path = Path(path)
+    content = storage.load(path, lambda topic, kind: _WANTED.get(topic.rsplit("/", 1)[-1]) == kind)
+    notes = list(content.notes)
+    columns = _of_one_robot(path, content, namespace)
+    config = _config(path, columns)
+    model = _model(path, config, columns, notes)
+    states = messages.unpack_joint_states(columns["joint_states"].raws)
+    _same_robot(path, model, states)
+
+    first = _after_restart(states.stamps, notes)
+    since = columns["joint_states"].times[first] if first else None
+    began = starts(path, model, {name: _cut(column, since) for name, column in columns.items()})
+    stamps, rows = _ticks(states.stamps, first, began[0].stamp, notes)
+    if not len(stamps):
+        raise BagError(f"'{path}': every joint state is older than the first phase")
+    q = states.position[rows][:, states.columns(model.joint_names)]
+    if not np.isfinite(q).all():
+        bad = [name for name, column in zip(model.joint_names, q.T, strict=True) if not np.isfinite(column).all()]
+        raise BagError(f"'{path}': joint_states lack positions of {', '.join(bad)}")
+    u = _commands(model, stamps, columns["joint_velocity_commands"], notes)
+    finished = FINISHED in texts(_cut(columns["phase"], since))[-1:]
+    return Trace(
+        config=config,
+        model=model,
+        time=stamps / 1e9,
+        q=q,
+        u=u,
+        phases=records(model, began, stamps, first_base(model, columns, began[0]), notes),
+        solve_time=np.full(len(stamps), np.nan),
+        finished=finished,
+        notes=tuple(notes),
+    )
+
+
+# ---------------------------------------------------------------------- what the bag is about
+
+
+def _of_one_robot(path: Path, content: Content, namespace: str | None) -> dict[str, Column]:
+    """Return the columns of one namespace by the names of the contract."""
+    found: dict[str, set[str]] = {}
+    for topic, kind in content.topics.items():
+        prefix, _, name = topic.rpartition("/")
+        if _WANTED.get(name) == kind:
+            found.setdefault(prefix, set()).add(name)
+    if namespace is not None:
+        prefix = "/" + namespace.strip("/") if namespace.strip("/") else ""
+    else:
+        prefix = max(sorted(found), key=lambda key: len(found[key] & set(REQUIRED)), default="")
+        rivals = [key for key, names in found.items() if names >= set(REQUIRED)]
+        if len(rivals) > 1:
+            raise BagError(
+                f"'{path}' holds the walks of {len(rivals)} robots; choose a namespace: {', '.join(sorted(rivals))}"
+            )
+    columns = {name: content.columns[key] for name in _WANTED if (key := f"{prefix}/{name}") in content.columns}
+    missing = [name for name in REQUIRED if name not in columns]
+    if missing:
+        have = ", ".join(sorted(content.topics)) or "none"
+        raise BagError(f"'{path}' is not a walk: it has no messages on {', '.join(missing)}; its topics are {have}")
+    return columns
+
+
+def _config(path: Path, columns: Mapping[str, Column]) -> Config:
+    try:
+        return configuration.from_yaml(texts(columns["walk_config"])[-1], source=f"{path} walk_config")
+    except ConfigError as error:
+        raise BagError(str(error)) from error
+
+
+def _model(path: Path, config: Config, columns: Mapping[str, Column], notes: list[str]) -> RobotModel:
+    """Return the robot of the bag; the URDF that is installed serves where the bag has none."""
+    if "robot_description" not in columns:
+        notes.append(f"robot_description is missing: {config.robot.urdf} as installed here was used")
+        return load_model(config.robot)
+    try:
+        return model_of(texts(columns["robot_description"])[-1], config.robot)
+    except ModelError as error:
+        raise BagError(f"'{path}' is of another robot than its walk_config: {error}") from error
+
+
+def model_of(urdf: str, robot: RobotConfig) -> RobotModel:
+    """Return the model of a URDF's text.
+
+    Raises
+    ------
+    ModelError
+        As `load_model`.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "robot_description"
+        path.write_text(urdf, encoding="utf-8")
+        try:
+            return load_model(dataclasses.replace(robot, urdf=str(path)))
+        except ModelError as error:
+            raise ModelError(str(error).replace(str(path), path.name)) from error
+
+
+def _same_robot(path: Path, model: RobotModel, states: JointColumn) -> None:
+    missing = [name for name in model.joint_names if name not in states.names]
+    if missing:
+        raise BagError(
+            f"'{path}' is of another robot: joint_states lack {', '.join(missing)} of {model.name}; "
+            f"they name {', '.join(states.names)}"
+        )
+
+
+# ---------------------------------------------------------------------- time
+
+
+def _after_restart(stamps: NDArray[np.int64], notes: list[str]) -> int:
+    """Return the first state of the last run: time goes back where the plant was reset."""
+    back = np.flatnonzero(np.diff(stamps) < 0)
+    if not len(back):
+        return 0
+    notes.append(f"time went back {len(back)} times: only the last run is read")
+    return int(back[-1]) + 1
+
+
+def _cut(column: Column, since: int | None) -> Column:
+    """Return the messages recorded at `since` [ns] or later, and where there is none the last before it."""
+    if since is None:
+        return column
+    first = next((i for i, time in enumerate(column.times) if time >= since), len(column.times) - 1)
+    return Column(column.type, column.times[first:], column.raws[first:])
+
+
+def _ticks(
+    stamps: NDArray[np.int64], first: int, start: int, notes: list[str]
+) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+    """Return the stamps from `start` [ns] on and their rows, each once."""
+    unique, rows = np.unique(stamps[first:], return_index=True)
+    keep = unique >= start
+    if before := int(np.count_nonzero(~keep)):
+        notes.append(f"{before} states before the first phase are left out")
+    return unique[keep], rows[keep] + first
+
+
+def _commands(model: RobotModel, stamps: NDArray[np.int64], column: Column, notes: list[str]) -> Array:
+    """Return the velocity that answers each state, shape (N, n); nan where none does."""
+    commands = messages.unpack_joint_states(column.raws)
+    u = np.full((len(stamps), model.n), np.nan)
+    missing = [name for name in model.joint_names if name not in commands.names]
+    if missing:
+        raise BagError(f"joint_velocity_commands lack {', '.join(missing)}")
+    place = np.searchsorted(stamps, commands.stamps)
+    place[place == len(stamps)] = 0
+    match = stamps[place] == commands.stamps
+    u[place[match]] = commands.velocity[match][:, commands.columns(model.joint_names)]
+    unanswered = int(np.count_nonzero(~np.isfinite(u).all(axis=1)))
+    if unanswered:
+        notes.append(f"{unanswered} of {len(stamps)} states have no command")
+    if stray := int(np.count_nonzero(~match)):
+        notes.append(f"{stray} commands answer a state the bag does not hold")
+    return u
