@@ -1,0 +1,116 @@
+"""A report as text for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+__all__ = ["render"]
+
+
+def render(report: Mapping[str, Any]) -> str:
+    """Return the report (see `verdict.report`) as aligned text: phases, distances, the walk, the verdict."""
+    parts = [_phases(report["phases"]), _minima(report["phases"]), _walk(report), _verdict(report)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _phases(phases: Sequence[Mapping[str, Any]]) -> str:
+    head = ("phase", "start", "end", "ticks", "error", "", "tightest distance", "", "violation")
+    units = ("", "[s]", "[s]", "", "first", "last", "", "", "")
+    rows = [
+        (
+            phase["name"] + ("" if phase["ended"] else " (stopped)"),
+            f"{phase['start']:.2f}",
+            f"{phase['end']:.2f}",
+            str(phase["ticks"]),
+            f"{phase['error']['first']:.5f}",
+            f"{phase['error']['last']:.5f}",
+            phase["worst"]["name"],
+            f"{phase['worst']['value']:.2e}",
+            f"{phase['worst']['violation']:.1e}" if phase["worst"]["violation"] else "none",
+        )
+        for phase in phases
+    ]
+    return _aligned([head, units, *rows], right=(1, 2, 3, 4, 5, 7, 8), rule=1)
+
+
+def _minima(phases: Sequence[Mapping[str, Any]]) -> str:
+    names = list(dict.fromkeys(name for phase in phases for name in phase["minimum"]))
+    rows = [
+        (
+            phase["name"],
+            *(f"{phase['minimum'][name]['value']:.4g}" if name in phase["minimum"] else "" for name in names),
+        )
+        for phase in phases
+    ]
+    head = ("least distance to the bound", *names)
+    return _aligned([head, *rows], right=range(1, len(head)), rule=0)
+
+
+def _walk(report: Mapping[str, Any]) -> str:
+    walk, mm = report["walk"], 1e3
+    margin, joints, speed = walk["margin"], walk["margin"]["joints"], walk["joint_speed"]
+    lines = [
+        ("walk", "finished" if walk["finished"] else "stopped before its end"),
+        ("time", f"{walk['duration']:.2f} s, {walk['ticks']} ticks"),
+        (
+            "steps",
+            f"{walk['steps']}, {mm * walk['distance']:.1f} mm ({mm * walk['lateral']:+.1f} mm to the left)",
+        ),
+    ]
+    if walk["landing_error"] is not None:
+        lines.append(("landing error", f"at most {mm * walk['landing_error']:.2f} mm"))
+    lines += [
+        (
+            "joint-limit margin",
+            f"{joints['value']:.4f} rad at {joints['time']:.2f} s ({walk['closest_joint']})",
+        ),
+        (
+            "joint speed",
+            f"at most {speed['largest']:.3f} rad/s, {100 * speed['of_limit']:.1f} % of the limit",
+        ),
+        ("paper margin", _margin(margin["paper"])),
+        ("true margin", _margin(margin["true"])),
+    ]
+    if "true_urdf_sole" in margin:
+        lines.append(("  URDF's own sole", _margin(margin["true_urdf_sole"])))
+    lines.append(("unit-norm error", f"{walk['unit_norm_error']:.1e}"))
+    if (solve := report["solve_time"]) is not None:
+        lines.append(
+            (
+                "solve time",
+                ", ".join(f"{key} {1e6 * solve[key]:.0f} us" for key in ("median", "p99", "max")),
+            )
+        )
+    if walk["unanswered"]:
+        lines.append(("unanswered", f"{walk['unanswered']} states without a command"))
+    lines += [("note", note) for note in report["notes"]]
+    return _aligned(lines, right=(), rule=None)
+
+
+def _margin(least: Mapping[str, float]) -> str:
+    where = "outside" if least["value"] < 0.0 else "inside"
+    return f"{1e3 * least['value']:+.2f} mm at {least['time']:.2f} s ({where})"
+
+
+def _verdict(report: Mapping[str, Any]) -> str:
+    if report["ok"]:
+        return "OK: every constraint was kept and every phase ended by its rule"
+    violations = report["violations"]
+    shown = [f"  {violation['message']}" for violation in violations[:20]]
+    more = [f"  and {len(violations) - 20} more"] if len(violations) > 20 else []
+    return "\n".join([f"VIOLATED, {len(violations)} times:", *shown, *more])
+
+
+def _aligned(rows: Sequence[Sequence[str]], right: Sequence[int], rule: int | None) -> str:
+    """Return rows in columns; `right` are the right-aligned ones, a line goes below row `rule`."""
+    widths = [max(len(row[c]) for row in rows) for c in range(len(rows[0]))]
+    lines = []
+    for r, row in enumerate(rows):
+        cells = [
+            cell.rjust(w) if c in right else cell.ljust(w) for c, (cell, w) in enumerate(zip(row, widths, strict=True))
+        ]
+        lines.append("  ".join(cells).rstrip())
+        if r == rule:
+            lines.append("-" * (sum(widths) + 2 * (len(widths) - 1)))
+    return "\n".join(lines)
