@@ -1,0 +1,151 @@
+"""The grammar of the command line, and the help that teaches it."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+__all__ = ["build"]
+
+_TOP = """\
+examples:
+  dqwalk simulate --cycles 1 --out walk     walk in this process: bag, figures and report in walk/
+  dqwalk walk --cycles 1 --out walk         the same through ROS 2, four nodes as processes of their own
+  dqwalk report walk/bag                    judge and draw any recorded walk
+  dqwalk config                             every parameter with its unit, range and meaning
+
+exit code: 0 all went well; 1 the walk failed or broke a promise; 2 arguments or configuration of no use
+"""
+
+_SIMULATE = """\
+writes to the folder of --out:
+  bag/                 the walk as a rosbag2 (MCAP): ros2 bag, Foxglove, PlotJuggler, `dqwalk report`
+  report.json          every phase, distance, margin and violation
+  figure7 8 9, top_view
+
+Ctrl-C stops the walk and keeps what was walked.
+
+examples:
+  dqwalk simulate                                          the paper's walk, one cycle
+  dqwalk simulate --cycles 3 --first right --out walk
+  dqwalk simulate --set gait.step_length=0.03 --set dsp.flat_feet=false
+  dqwalk simulate --config my_robot.yaml --format png,pdf
+"""
+
+_REPORT = """\
+The bag may be MCAP or SQLite, split or compressed, recorded by `dqwalk` or by `ros2 bag record`, or cut off by
+a crash: then the report says what is missing. All distances are computed anew from joint_states and the phases.
+
+examples:
+  dqwalk report walk/bag
+  dqwalk report walk/bag --out paper --format pdf
+  dqwalk report walk/bag --json | jq .walk.margin
+  dqwalk report rosbag2_2025_01_31/ --namespace poppy_1
+"""
+
+_WALK = """\
+Starts controller, integrator, phase_monitor and recorder in lockstep (each state waits for its command, so the
+walk is exact and as fast as the machine), records a bag, and reports on it.
+
+examples:
+  dqwalk walk --out walk
+  dqwalk walk --cycles 2 --set ssp.com_radius=0.045
+  dqwalk walk --realtime                                   at 1/dt by the clock instead
+"""
+
+_CONFIG = """\
+Without CONFIG: the list of all parameters. With CONFIG: check it and print it in full, as a ROS parameter file.
+
+examples:
+  dqwalk config                                            every parameter
+  dqwalk config --section ssp                              those of one section
+  dqwalk config paper > mine.yaml                          begin a configuration of your own
+  dqwalk config mine.yaml --check                          is it usable?
+  dqwalk config paper --set gait.step_length=0.04
+"""
+
+
+def build() -> argparse.ArgumentParser:
+    """Return the parser of ``dqwalk``."""
+    top = argparse.ArgumentParser(
+        prog="dqwalk",
+        description="Biped walking control with quadratic programming and vector-field inequalities.",
+        epilog=_TOP,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
+
+    simulate = _command(commands, "simulate", "walk in this process, without ROS", _SIMULATE)
+    _add_walk(simulate)
+    _add_output(simulate, "walk")
+    simulate.add_argument("--no-figures", action="store_true", help="write the bag and the report only")
+
+    walk = _command(commands, "walk", "walk through ROS 2: four nodes, lockstep", _WALK)
+    _add_walk(walk)
+    _add_output(walk, "walk")
+    walk.add_argument("--realtime", action="store_true", help="run by the clock, at 1/dt, instead of in lockstep")
+
+    report = _command(commands, "report", "judge and draw a recorded walk", _REPORT)
+    report.add_argument("bag", metavar="BAG", help="folder of a rosbag2, or one .mcap or .db3 file")
+    report.add_argument("--namespace", metavar="NAME", help="of the robot, where the bag holds several")
+    report.add_argument("--json", action="store_true", help="print the report as JSON instead of tables")
+    report.add_argument("--no-figures", action="store_true", help="write the report only")
+    _add_output(report, None)
+
+    config = _command(commands, "config", "list, check or print parameters", _CONFIG)
+    config.add_argument(
+        "config", metavar="CONFIG", nargs="?", help="name of one of ours (paper) or path of a YAML file"
+    )
+    config.add_argument("--section", metavar="NAME", help="list one section only")
+    config.add_argument("--check", action="store_true", help="print nothing, only say whether it can be used")
+    _add_set(config)
+
+    _command(commands, "version", "versions of this package and of what it stands on", "")
+    return top
+
+
+def _command(commands: Any, name: str, summary: str, epilog: str) -> argparse.ArgumentParser:
+    made: argparse.ArgumentParser = commands.add_parser(
+        name,
+        help=summary,
+        description=summary[0].upper() + summary[1:] + ".",
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    return made
+
+
+def _add_walk(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--config", metavar="CONFIG", default="paper", help="name or path of a configuration [paper]")
+    command.add_argument("--cycles", metavar="N", type=int, help="walking cycles of four phases (gait.cycles)")
+    command.add_argument("--first", choices=("left", "right"), help="foot that carries first (gait.first_support)")
+    _add_set(command)
+
+
+def _add_set(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--set",
+        metavar="KEY=VALUE",
+        action="append",
+        default=[],
+        help="change one parameter; may be given several times; `dqwalk config` lists them",
+    )
+
+
+def _add_output(command: argparse.ArgumentParser, default: str | None) -> None:
+    shown = default or "BAG_report"
+    command.add_argument("--out", metavar="DIR", default=default, help=f"where the results go [{shown}]")
+    if default:
+        command.add_argument("--force", action="store_true", help="replace an earlier walk that is there")
+    command.add_argument(
+        "--format", metavar="LIST", type=_formats, default=("png",), help="figures: png, pdf, svg [png]"
+    )
+    command.add_argument("--quiet", action="store_true", help="no progress, no tables")
+
+
+def _formats(text: str) -> tuple[str, ...]:
+    kinds = tuple(kind.strip().lower() for kind in text.split(",") if kind.strip())
+    wrong = [kind for kind in kinds if kind not in ("png", "pdf", "svg")]
+    if wrong or not kinds:
+        raise argparse.ArgumentTypeError(f"png, pdf or svg, separated by commas, not '{text}'")
+    return kinds

@@ -1,0 +1,71 @@
+"""What `simulate`, `walk` and `report` leave behind: the report, the figures, and a line about each."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from dqwalk_ros.cli.progress import Progress
+from dqwalk_ros.exceptions import BagError
+from dqwalk_ros.trace import Trace
+
+__all__ = ["prepare", "write_results"]
+
+
+def prepare(out: Path, *, force: bool) -> None:
+    """Make the folder for a walk's results.
+
+    Raises
+    ------
+    BagError
+        If it cannot be made, or holds an earlier walk that must not be replaced.
+    """
+    bag = out / "bag"
+    if bag.exists() and not force:
+        raise BagError(f"'{bag}' is there already; choose another folder with --out, or replace it with --force")
+    if bag.exists() and not any(bag.glob("*.mcap")) and not any(bag.glob("*.db3")):
+        raise BagError(f"'{bag}' is no bag and will not be replaced; choose another folder with --out")
+    try:
+        if bag.exists():
+            shutil.rmtree(bag)
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BagError(f"cannot make the folder '{out}': {error}") from error
+
+
+def write_results(
+    trace: Trace, out: Path, *, formats: Sequence[str], figures: bool, quiet: bool, as_json: bool = False
+) -> dict[str, Any]:
+    """Analyse a walk, write ``report.json`` and the figures, and print the tables.
+
+    Returns
+    -------
+    dict
+        The report.
+    """
+    from dqwalk_ros import analysis
+
+    progress = Progress(quiet=quiet)
+    try:
+        series = analysis.analyse(trace, progress=lambda fraction: progress(fraction, "computing every distance anew"))
+    finally:
+        progress.close()
+    report = analysis.report(series)
+    text = json.dumps(report, indent=2, allow_nan=False)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "report.json").write_text(text + "\n", encoding="utf-8")
+        files = [out / "report.json"]
+        if figures:
+            files += analysis.save(series, out, formats)
+    except OSError as error:
+        raise BagError(f"cannot write to '{out}': {error}") from error
+    if as_json:
+        print(text)
+    elif not quiet:
+        print(analysis.render(report))
+        print("wrote " + ", ".join(str(file) for file in files))
+    return report
