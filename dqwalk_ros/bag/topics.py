@@ -37,19 +37,23 @@ class Topic:
     meaning: str
 
 
+_HISTORY = 1000
+"""What a publisher keeps of a stream, for a recorder that fell behind on a busy machine. It delays nobody: what a
+subscriber takes next is decided by its own depth."""
+
 _ALL = (
     Topic(
         "joint_states",
         "sensor_msgs/msg/JointState",
         False,
-        10,
+        _HISTORY,
         "positions [rad] and velocities [rad/s], by name",
     ),
     Topic(
         "joint_velocity_commands",
         "sensor_msgs/msg/JointState",
         False,
-        1,
+        _HISTORY,
         "velocities [rad/s]; the stamp is that of the state they answer",
     ),
     Topic("phase", "std_msgs/msg/String", True, 1, "such as double_support/left, at the start of each phase"),
@@ -75,7 +79,7 @@ _ALL = (
         "single support: the landing place, in the base sole",
     ),
     Topic("support_foot", "std_msgs/msg/String", True, 1, "left or right: the foot the phase name gives"),
-    Topic("base_pose", "geometry_msgs/msg/PoseStamped", False, 10, "pelvis in odom"),
+    Topic("base_pose", "geometry_msgs/msg/PoseStamped", False, _HISTORY, "pelvis in odom"),
     Topic("walk_config", "std_msgs/msg/String", True, 1, "every parameter, as the text of a parameter file"),
     Topic("robot_description", "std_msgs/msg/String", True, 1, "URDF"),
     Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", False, 10, "every distance, error and margin"),

@@ -42,11 +42,6 @@ Array = NDArray[np.float64]
 LEVELS = {"OK": DiagnosticStatus.OK, "WARN": DiagnosticStatus.WARN, "ERROR": DiagnosticStatus.ERROR}
 LEVELS["STALE"] = DiagnosticStatus.STALE
 
-_HISTORY = 1000
-"""Samples a publisher keeps for a reliable subscriber that fell behind, such as a recorder on a busy machine.
-
-This delays nobody: what a subscriber takes first is decided by its own depth."""
-
 
 def stream(depth: int = 1, *, reliable: bool = True) -> QoSProfile:
     """Return the profile for a stream of values."""
@@ -68,7 +63,7 @@ def message_type(name: str) -> Any:
 def publisher(node: Node, name: str) -> Publisher:
     """Create the publisher of one of our topics, as the table in `dqwalk_ros.bag.topics` says."""
     topic = TOPICS[name]
-    return node.create_publisher(message_type(topic.type), topic.name, latched() if topic.latched else stream(_HISTORY))
+    return node.create_publisher(message_type(topic.type), topic.name, latched() if topic.latched else stream(topic.depth))
 
 
 def is_heard_by(node: Node, offered: Publisher, name: str) -> bool:
