@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import io
 import re
+import shutil
 import sqlite3
 import struct
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -196,8 +198,27 @@ def _inflated(raw: IO[bytes]) -> IO[bytes]:
 
 def _sqlite(file: Path) -> Iterator[_Item]:
     query = "SELECT topics.name, topics.type, timestamp, data FROM messages JOIN topics ON topics.id = topic_id"
-    with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as connection:
-        for name, kind in connection.execute("SELECT name, type FROM topics"):
-            yield name, kind, -1, b""
-        for name, kind, time, data in connection.execute(f"{query} ORDER BY messages.id"):
-            yield name, kind, time, zstandard.decompress(data) if data[:4] == _ZSTD else data
+    with tempfile.TemporaryDirectory() as scratch:
+        file = _of_full_length(file, Path(scratch))
+        with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as connection:
+            for name, kind in connection.execute("SELECT name, type FROM topics"):
+                yield name, kind, -1, b""
+            for name, kind, time, data in connection.execute(f"{query} ORDER BY messages.id"):
+                yield name, kind, time, zstandard.decompress(data) if data[:4] == _ZSTD else data
+
+
+def _of_full_length(file: Path, scratch: Path) -> Path:
+    """Return the database, or a copy with holes where it is cut off: SQLite opens none that is shorter than it says."""
+    if file.suffix == ".zstd":
+        with file.open("rb") as raw:
+            (scratch / file.stem).write_bytes(_inflated(raw).read())
+        file = scratch / file.stem
+    with file.open("rb") as raw:
+        head = raw.read(32)
+    size = int.from_bytes(head[16:18], "big") * int.from_bytes(head[28:32], "big")  # of a page, number of pages
+    if file.stat().st_size >= size:
+        return file
+    copy = Path(shutil.copy(file, scratch / "copy.db3"))
+    with copy.open("r+b") as raw:
+        raw.truncate(size)
+    return copy

@@ -1,0 +1,65 @@
+"""Walks to test on: one short but complete, made once per process, and ways to tamper with bags."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from dqwalk_ros import make_controller, load, load_model, simulate
+from dqwalk_ros.bag.messages import typestore
+from dqwalk_ros.config import Config
+from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.trace import Trace
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+
+SHORT = {"task.eta": 0.5, "task.damping": 0.03, "ssp.threshold": 4e-3, "dsp.stall_rate": 1e-3}
+"""Ten times the paper's pace."""
+
+
+def short_config(**changes: Any) -> Config:
+    return load("paper").updated({**SHORT, **changes})
+
+
+@cache
+def short_walk() -> Trace:
+    """One cycle, four phases."""
+    config = short_config()
+    model = load_model(config.robot)
+    return simulate(make_controller(config, model), KinematicPlant(model))
+
+
+Edit = Callable[[str, int, Any], tuple[int, Any] | None]
+
+
+def rewrite(
+    source: Path,
+    target: Path,
+    *,
+    rename: Callable[[str], str | None] = lambda topic: topic,
+    edit: Edit = lambda topic, time, message: (time, message),
+    storage: StoragePlugin = StoragePlugin.MCAP,
+    prepare: Callable[[Writer], None] = lambda writer: None,
+) -> Path:
+    """Copy a bag; `rename` may drop a topic (None), `edit` change or drop messages."""
+    store = typestore()
+    writer = Writer(target, version=9, storage_plugin=storage)
+    prepare(writer)
+    with Reader(source) as reader, writer:
+        out = {}
+        for connection in reader.connections:
+            if (name := rename(connection.topic)) is not None:
+                out[connection.topic] = writer.add_connection(
+                    name,
+                    connection.msgtype,
+                    typestore=store,
+                    offered_qos_profiles=connection.ext.offered_qos_profiles,
+                )
+        for connection, time, raw in reader.messages():
+            if connection.topic not in out:
+                continue
+            message = store.deserialize_cdr(raw, connection.msgtype)
+            if (edited := edit(connection.topic, time, message)) is not None:
+                writer.write(out[connection.topic], edited[0], store.serialize_cdr(edited[1], connection.msgtype))
+    return target

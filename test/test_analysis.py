@@ -1,0 +1,466 @@
+"""The report against numbers worked out by hand, what it says of a spoilt walk, and the figures."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from dqwalk_ros import analysis
+from dqwalk_ros.analysis.figures import FIGURES, FORMATS, figure7, figure8, figure9, top_view
+from dqwalk_ros.analysis.figures.style import thinned
+from dqwalk_ros.analysis.support import polygon_margin
+from dqwalk_ros.dq import DQ
+from dqwalk_ros.geometry import ConvexPolygon, point_to_polygon
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.model import Foot
+from dqwalk_ros.phases import PhaseKind
+from recorded import short_walk
+
+RED = "#d1242f"
+
+
+@pytest.fixture(scope="module")
+def trace():
+    return short_walk()
+
+
+@pytest.fixture(scope="module")
+def series(trace):
+    return analysis.analyse(trace)
+
+
+@pytest.fixture(scope="module")
+def report(series):
+    return analysis.report(series)
+
+
+def spoilt(trace, **changes):
+    return analysis.report(analysis.analyse(dataclasses.replace(trace, **changes)))
+
+
+def names(report):
+    return {violation["what"] for violation in report["violations"]}
+
+
+# ---------------------------------------------------------------------- series
+
+
+def test_spans_are_the_phases(trace, series):
+    assert [span.phase.name for span in series.spans] == [record.name for record in trace.phases]
+    assert [span.start for span in series.spans] == [record.start for record in trace.phases]
+    assert series.spans[-1].end == len(trace.time)
+    np.testing.assert_array_equal(np.unique(series.span_of), range(len(trace.phases)))
+
+
+def test_distances_have_no_value_outside_their_phase(series):
+    sliding, cylinder = series.distances["tip_plane"], series.distances["com_cylinder"]
+    for span in series.spans:
+        assert np.isfinite(sliding[span.ticks]).all() == span.double
+        assert np.isfinite(cylinder[span.ticks]).all() == (not span.double)
+
+
+def test_heights_and_distances_by_hand(trace, series):
+    """Each from the poses of links alone, in another way than the series are computed."""
+    rng = np.random.default_rng(0)
+    model = trace.model
+    for tick in rng.integers(0, len(trace.time), 20):
+        span = series.spans[series.span_of[tick]]
+        kin = Kinematics(model, trace.q[tick], span.phase.base)
+        sole, base = model.soles[span.phase.base.other], model.soles[span.phase.base]
+        tip = DQ(kin.pose(sole.frame)).transform_point(sole.tip)
+        assert series.tip_height[tick] == pytest.approx(tip[2], abs=1e-12)
+        assert series.pelvis[tick, 2] == pytest.approx(DQ(kin.pose(model.pelvis)).translation()[2], abs=1e-12)
+        if span.double:
+            start = Kinematics(model, span.record.q_start, span.phase.base)
+            moved = tip - DQ(start.pose(sole.frame)).transform_point(sole.tip)
+            assert series.slide[tick] == pytest.approx(np.hypot(*moved[:2]), abs=1e-12)
+            center = DQ(kin.pose(sole.frame)).transform_point(sole.center)
+            assert series.error[tick] == pytest.approx(np.hypot(*(kin.com - center)[:2]), abs=1e-12)
+            assert series.com_to_axis[tick] == pytest.approx(series.error[tick], abs=1e-12)
+        else:
+            assert np.isnan(series.slide[tick])
+            x, target = kin.pose(sole.frame), span.record.swing_target
+            assert series.error[tick] == pytest.approx(
+                min(np.linalg.norm(x - target), np.linalg.norm(x + target)), abs=1e-12
+            )
+            off = kin.com - base.center
+            assert series.com_to_axis[tick] == pytest.approx(np.hypot(*off[:2]), abs=1e-12)
+            inside = min(0.5 * base.length - abs(off[0]), 0.5 * base.width - abs(off[1]))
+            if inside > 0.0:
+                assert series.true_margin[tick] == pytest.approx(inside, abs=1e-12)
+            else:
+                assert series.true_margin[tick] < 0.0
+
+
+def test_paper_margin_is_that_of_the_tightest_primitive(trace, series):
+    for span in series.spans:
+        if span.double:
+            planes = np.minimum(series.distances["tip_plane"], series.distances["back_plane"])
+            np.testing.assert_array_equal(series.paper_margin[span.ticks], planes[span.ticks])
+        else:
+            # (14) is squared: r^2 - d^2 = (r - d) (r + d)
+            r, margin = trace.config.ssp.com_radius, series.paper_margin[span.ticks]
+            squared = margin * (2.0 * r - margin)
+            np.testing.assert_allclose(series.distances["com_cylinder"][span.ticks], squared, atol=1e-12)
+
+
+def test_the_com_is_continuous_in_odom(series):
+    step = np.linalg.norm(np.diff(series.com_odom, axis=0), axis=1)
+    assert step.max() < 1e-3
+    assert step[[span.start - 1 for span in series.spans[1:]]].max() < 1e-3
+
+
+def test_true_margin_in_double_support_is_that_of_the_hull(series):
+    """Never less than that of either sole alone, and that of one sole where the CoM is well inside it."""
+    trace = series.trace
+    for span in (span for span in series.spans if span.double):
+        for tick in (span.start, span.end - 1):
+            base, other = series.corners(tick)
+            alone = [ConvexPolygon.hull(corners).distance(series.com[tick]) for corners in (base, other)]
+            assert series.true_margin[tick] >= max(alone) - 1e-12
+    assert trace.model.soles[Foot.LEFT].length == pytest.approx(0.0934)
+    assert series.urdf_margin is not None  # paper.yaml states another sole than the URDF has
+
+
+def test_many_points_to_a_polygon_like_one(series):
+    rng = np.random.default_rng(3)
+    polygon = ConvexPolygon.hull(rng.normal(size=(12, 2)))
+    p = rng.normal(scale=2.0, size=(500, 2))
+    one_by_one = [point_to_polygon(q, polygon.vertices)[0] for q in p]
+    np.testing.assert_allclose(polygon_margin(polygon, p), one_by_one, atol=1e-14)
+    assert min(one_by_one) < 0.0 < max(one_by_one)
+
+
+# ---------------------------------------------------------------------- report
+
+
+def test_a_good_walk_is_ok(report):
+    assert report["violations"] == []
+    assert report["ok"] is True
+
+
+def test_report_is_plain_json(report):
+    assert json.loads(json.dumps(report, allow_nan=False)) == report
+
+
+def test_phases_in_numbers(trace, series, report):
+    assert len(report["phases"]) == len(trace.phases) == 4
+    ends = [record.time for record in trace.phases[1:]] + [trace.time[-1]]
+    for phase, record, span, end in zip(report["phases"], trace.phases, series.spans, ends, strict=True):
+        assert phase["name"] == record.name
+        assert (phase["start"], phase["end"]) == (record.time, pytest.approx(end))
+        assert phase["ticks"] == span.end - span.start
+        assert phase["ended"] is True
+        assert phase["error"]["first"] == series.error[span.start]
+        for name, least in phase["minimum"].items():
+            values = series.distances[name][span.ticks]
+            assert least["value"] == np.nanmin(values)
+            at = np.searchsorted(trace.time, least["time"])
+            assert series.distances[name][at] == least["value"]
+        assert phase["worst"]["value"] == min(least["value"] for least in phase["minimum"].values())
+        assert phase["worst"]["violation"] == max(0.0, -phase["worst"]["value"])
+    assert report["phases"][1]["error"]["last"] < trace.config.ssp.threshold
+
+
+def test_landing_by_hand(trace, report):
+    """The first state of the next phase is where the foot landed."""
+    record, following = trace.phases[1], trace.phases[2]
+    frame = trace.model.soles[record.base.other].frame
+    x = DQ(Kinematics(trace.model, following.q_start, record.base).pose(frame)).translation()
+    wanted = DQ(record.swing_target).translation()
+    landing = report["phases"][1]["landing"]
+    np.testing.assert_allclose([landing["x"], landing["y"], landing["z"]], x, atol=1e-15)
+    assert landing["error"] == pytest.approx(np.linalg.norm(x - wanted), abs=1e-12)
+    assert abs(landing["x"] - trace.config.gait.step_length) < 2.1 * trace.config.ssp.threshold
+
+
+def test_walk_in_numbers(trace, series, report):
+    walk = report["walk"]
+    assert walk["steps"] == 2
+    assert walk["ticks"] == len(trace.time)
+    assert walk["finished"] is True
+    assert walk["landing_error"] == max(phase["landing"]["error"] for phase in report["phases"] if "landing" in phase)
+    margin = np.minimum(trace.q - trace.model.q_min, trace.model.q_max - trace.q)
+    assert walk["margin"]["joints"]["value"] == margin.min()
+    assert walk["closest_joint"] == trace.model.joint_names[np.argmin(margin.min(axis=0))]
+    assert walk["joint_speed"]["largest"] == np.abs(trace.u).max()
+    assert walk["unit_norm_error"] < 1e-12
+    assert walk["margin"]["paper"]["value"] == series.paper_margin.min()
+    assert walk["margin"]["true"]["value"] == series.true_margin.min()
+    assert walk["margin"]["true_urdf_sole"]["value"] == series.urdf_margin.min()
+
+
+def test_distance_walked_by_hand(trace, report):
+    """From the middle between the feet to the middle between the feet, through the pelvis and back."""
+    model, ends = trace.model, []
+    for record, q in ((trace.phases[0], trace.q[0]), (trace.phases[-1], trace.q[-1])):
+        feet = []
+        for foot in Foot:
+            frame = model.soles[foot].frame
+            x = DQ(record.x_odom_base) * DQ(Kinematics(model, q, record.base).pose(frame))
+            feet.append(x.transform_point(model.soles[foot].center)[:2])
+        ends.append(np.mean(feet, axis=0))
+    assert report["walk"]["distance"] == pytest.approx(np.linalg.norm(ends[1] - ends[0]), abs=1e-12)
+    assert report["walk"]["forward"] == pytest.approx(ends[1][0] - ends[0][0], abs=1e-12)
+
+
+def test_solve_times(trace):
+    known = np.linspace(1e-5, 1e-4, len(trace.time))
+    assert spoilt(trace, solve_time=known)["solve_time"]["max"] == 1e-4
+    assert spoilt(trace, solve_time=np.full(len(trace.time), np.nan))["solve_time"] is None
+
+
+def test_a_walk_that_stopped_early(trace, report):
+    """What is there is judged; what never happened is no violation."""
+    n = trace.phases[2].start - 50
+    part = spoilt(
+        trace,
+        time=trace.time[:n],
+        q=trace.q[:n],
+        u=trace.u[:n],
+        solve_time=trace.solve_time[:n],
+        phases=trace.phases[:2],
+        finished=False,
+    )
+    assert part["ok"] is True
+    assert part["walk"]["finished"] is False
+    assert part["walk"]["steps"] == 0
+    assert part["walk"]["landing_error"] is None
+    assert [phase["ended"] for phase in part["phases"]] == [True, False]
+    assert "landing" not in part["phases"][1]
+    assert part["phases"][0] == report["phases"][0]
+
+
+def test_states_without_a_command(trace):
+    u = trace.u.copy()
+    u[100:110] = np.nan
+    assert spoilt(trace, u=u)["walk"]["unanswered"] == 10
+    assert spoilt(trace, u=np.full_like(u, np.nan))["walk"]["joint_speed"]["largest"] == 0.0
+
+
+def test_the_table_says_it_all(report):
+    text = analysis.render(report)
+    for phase in report["phases"]:
+        assert phase["name"] in text
+    for what in ("com_cylinder", "tip_plane", "paper margin", "true margin", "URDF's own sole", "landing error", "OK: "):
+        assert what in text
+    assert max(map(len, text.splitlines())) < 160
+
+
+# ---------------------------------------------------------------------- violations
+
+
+def test_a_joint_beyond_its_limit(trace):
+    q = trace.q.copy()
+    tick, joint = 500, trace.model.joint_names.index("l_knee_y")
+    q[tick, joint] = trace.model.q_min[joint] - 1e-3
+    report = spoilt(trace, q=q)
+    assert report["ok"] is False
+    assert {"joint/l_knee_y", "joint_min"} <= names(report)
+    (found,) = [v for v in report["violations"] if v["what"] == "joint/l_knee_y"]
+    assert found["value"] == pytest.approx(-1e-3, abs=1e-12)
+    assert found["time"] == trace.time[tick]
+    assert "l_knee_y" in found["message"]
+    assert "VIOLATED" in analysis.render(report)
+
+
+def test_within_the_tolerance_is_no_violation(trace):
+    q = trace.q.copy()
+    joint = trace.model.joint_names.index("l_knee_y")
+    q[-1, joint] = trace.model.q_min[joint] - 0.9e-5
+    assert not {"joint/l_knee_y", "joint_min"} & names(spoilt(trace, q=q))
+
+
+def test_a_foot_off_the_ground(trace):
+    """Half a millimetre, late in double support."""
+    first, second = trace.phases[0], trace.phases[1]
+    q = trace.q.copy()
+    ankle = trace.model.joint_names.index(f"{first.base.other.value[0]}_ankle_y")
+    q[second.start - 20 : second.start - 10, ankle] -= 0.01
+    assert "ground" in names(spoilt(trace, q=q))
+
+
+def test_a_distance_that_falls_too_fast(trace):
+    """A jump of the CoM that stays inside every bound is still more than eta allows."""
+    q = trace.q.copy()
+    tick = trace.phases[0].start + 40
+    q[tick, [trace.model.joint_names.index(f"{side}_hip_x") for side in "lr"]] += [0.05, 0.05]
+    what = names(spoilt(trace, q=q))
+    assert any(name.startswith("groenwall/") for name in what)
+    assert not what & {"tip_plane", "back_plane", "pelvis_plane", "joint_min", "joint_max"}
+
+
+def test_a_step_that_lands_elsewhere(trace):
+    records = list(trace.phases)
+    target = DQ(records[1].swing_target) * DQ.from_pose([0.0, 0.02, 0.0])
+    records[1] = dataclasses.replace(records[1], swing_target=target.vec8())
+    assert {"landing", "end/error"} <= names(spoilt(trace, phases=tuple(records)))
+
+
+def test_the_com_outside_its_cylinder(trace):
+    """The same walk judged by a smaller cylinder."""
+    config = trace.config.updated({"ssp.com_radius": 0.02})
+    what = names(spoilt(trace, config=config))
+    assert {"com_cylinder", "end/cylinder"} <= what
+
+
+def test_a_pose_off_unit_norm(trace):
+    records = list(trace.phases)
+    records[2] = dataclasses.replace(records[2], x_odom_base=records[2].x_odom_base * (1.0 + 1e-9))
+    assert "unit_norm" in names(spoilt(trace, phases=tuple(records)))
+
+
+# ---------------------------------------------------------------------- figures
+
+
+def lines_of(ax, dashed):
+    from matplotlib.colors import to_hex
+
+    return [line for line in ax.get_lines() if (to_hex(line.get_color()) == RED) == dashed]
+
+
+def test_figure7_has_the_papers_panels(trace, series):
+    axes = figure7(series).get_axes()
+    assert [ax.get_title(loc="left")[0] for ax in axes] == list("ABCDEF")
+    for ax in axes:
+        assert len(lines_of(ax, dashed=False)) == 2  # two double supports
+        assert ax.get_ylabel().endswith("[mm]")
+    bounds = [[line.get_ydata()[0] for line in lines_of(ax, dashed=True)] for ax in axes]
+    assert bounds == [[50.0], [40.0], [], [0.0], [0.0], [0.0]]
+    for ax in axes:
+        for line in lines_of(ax, dashed=True):
+            assert line.get_linestyle() == "--"
+
+
+def test_figure7_shows_the_numbers(series):
+    """The first curve on top, blue, then green; the least and the greatest value are drawn."""
+    from matplotlib.colors import to_hex
+
+    ax = figure7(series).get_axes()[3]
+    first, second = (span for span in series.spans if span.double)
+    green, blue = lines_of(ax, dashed=False)
+    assert (to_hex(blue.get_color()), to_hex(green.get_color())) == ("#1f5fb4", "#1d9a4e")
+    for line, span in ((blue, first), (green, second)):
+        values = 1e3 * series.distances["tip_plane"][span.ticks]
+        assert line.get_ydata().min() == values.min()
+        assert line.get_ydata().max() == values.max()
+        assert line.get_xdata()[0] == 0.0
+
+
+def test_figure8_has_the_papers_panels(trace, series):
+    axes = figure8(series).get_axes()
+    assert [ax.get_title(loc="left")[0] for ax in axes] == list("ABC")
+    assert all(len(lines_of(ax, dashed=False)) == 2 for ax in axes)
+    bounds = [lines_of(ax, dashed=True)[0].get_ydata()[0] for ax in axes]
+    assert bounds == [trace.config.ssp.threshold, 50.0, 0.0]
+
+
+def test_figure9_has_every_joint_its_limits_and_the_phase_changes(trace, series):
+    model = trace.model
+    axes = figure9(series).get_axes()
+    assert len(axes) == model.n
+    limits = {tuple(np.degrees([low, high]).round(6)) for low, high in zip(model.q_min, model.q_max, strict=True)}
+    changes = [record.time for record in trace.phases[1:]]
+    for ax in axes:
+        drawn = tuple(sorted(line.get_ydata()[0] for line in lines_of(ax, dashed=True)))
+        assert tuple(np.round(drawn, 6)) in limits
+        upright = [line.get_xdata()[0] for line in ax.get_lines() if len(set(line.get_xdata())) == 1]
+        assert upright == pytest.approx(changes)
+
+
+def test_top_view_has_soles_cylinders_and_margins(trace, series):
+    from matplotlib.patches import Circle
+
+    ground, margins = top_view(series).get_axes()
+    circles = [patch for patch in ground.patches if isinstance(patch, Circle)]
+    assert [circle.radius for circle in circles] == [0.05, 0.05]
+    assert [text.get_text() for text in ground.texts] == ["1", "2"]
+    assert len(margins.get_legend().get_texts()) == 3
+
+
+def test_later_cycles_fade(trace):
+    """Two cycles: four curves, each later one lighter."""
+    from matplotlib.colors import rgb_to_hsv, to_rgb
+
+    long = two_cycles(trace)
+    ax = figure7(analysis.analyse(long)).get_axes()[0]
+    curves = lines_of(ax, dashed=False)[::-1]
+    assert len(curves) == 4
+    shade = [rgb_to_hsv(to_rgb(line.get_color()))[1] for line in curves]
+    assert shade[2] < 0.6 * shade[0]
+    assert shade[3] < 0.6 * shade[1]
+
+
+def two_cycles(trace):
+    """The walk with itself behind it, for drawing only."""
+    n, shift = len(trace.time), trace.time[-1] + trace.config.dt
+    later = [
+        dataclasses.replace(copy.copy(r), start=r.start + n, time=r.time + shift) for r in trace.phases
+    ]
+    return dataclasses.replace(
+        trace,
+        time=np.concatenate([trace.time, trace.time + shift]),
+        q=np.tile(trace.q, (2, 1)),
+        u=np.tile(trace.u, (2, 1)),
+        solve_time=np.tile(trace.solve_time, 2),
+        phases=(*trace.phases, *later),
+    )
+
+
+def test_every_figure_in_every_format(series, tmp_path):
+    from matplotlib.image import imread
+
+    files = analysis.save(series, tmp_path / "new" / "folder", FORMATS)
+    assert {file.name for file in files} == {f"{name}.{kind}" for name in FIGURES for kind in FORMATS}
+    for file in files:
+        assert file.stat().st_size > 5000
+    for name in FIGURES:
+        picture = imread(tmp_path / "new" / "folder" / f"{name}.png")
+        assert picture.shape[1] > 1600
+        assert 0.02 < (picture[..., :3].min(axis=2) < 0.9).mean() < 0.5  # neither blank nor black
+
+
+def test_a_walk_cut_off_in_its_first_phase_can_be_drawn(trace, tmp_path):
+    n = 40
+    part = dataclasses.replace(
+        trace,
+        time=trace.time[:n],
+        q=trace.q[:n],
+        u=trace.u[:n],
+        solve_time=trace.solve_time[:n],
+        phases=trace.phases[:1],
+        finished=False,
+    )
+    series = analysis.analyse(part)
+    assert analysis.report(series)["ok"] is True
+    assert len(analysis.save(series, tmp_path)) == len(FIGURES)
+    one = dataclasses.replace(part, time=part.time[:1], q=part.q[:1], u=part.u[:1], solve_time=part.solve_time[:1])
+    assert len(analysis.save(analysis.analyse(one), tmp_path)) == len(FIGURES)
+
+
+def test_thinning_keeps_every_peak():
+    rng = np.random.default_rng(0)
+    x, y = np.arange(60_000.0), rng.normal(size=60_000)
+    y[12_345], y[54_321] = 50.0, -50.0
+    thin_x, thin_y = thinned(x, y)
+    assert len(thin_x) < 2500
+    assert {12_345.0, 54_321.0} <= set(thin_x)
+    assert (thin_x[0], thin_x[-1]) == (0.0, 59_999.0)
+    assert np.all(np.diff(thin_x) > 0)
+    assert set(zip(thin_x, thin_y, strict=True)) <= set(zip(x, y, strict=True))
+
+
+def test_a_report_needs_no_matplotlib():
+    code = "import sys, dqwalk_ros.analysis as a; a.report, a.analyse, a.render; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_phase_kinds_are_what_their_names_say(series):
+    for span in series.spans:
+        assert span.double is (span.phase.kind is PhaseKind.DOUBLE_SUPPORT)
+        assert span.phase.name.startswith(span.phase.kind.value)

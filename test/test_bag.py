@@ -1,0 +1,473 @@
+"""Bags: exact round trips, other people's bags, damaged bags, and what is said of those that are of no use."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+
+import numpy as np
+import pytest
+import yaml
+from dqwalk_ros import bag
+from dqwalk_ros.bag import messages, storage
+from dqwalk_ros.dq import DQ
+from dqwalk_ros.exceptions import BagError
+from mcap.reader import make_reader
+from recorded import rewrite, short_walk
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin
+
+
+@pytest.fixture(scope="module")
+def trace():
+    return short_walk()
+
+
+@pytest.fixture(scope="module")
+def path(trace, tmp_path_factory):
+    path = tmp_path_factory.mktemp("bag") / "walk"
+    bag.write(trace, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def plain(trace, tmp_path_factory):
+    """The same bag, not compressed and without diagnostics."""
+    path = tmp_path_factory.mktemp("plain") / "walk"
+    bag.write(trace, path, compress=False, diagnostics=False)
+    return path
+
+
+def assert_same(one, other, upto=None):
+    """Every number of two traces is the same to the last bit, poses to the last but one."""
+    for name in ("time", "q", "u"):
+        np.testing.assert_array_equal(getattr(one, name)[:upto], getattr(other, name)[:upto], err_msg=name)
+    for a, b in zip(one.phases, other.phases, strict=upto is None):
+        for name in ("name", "kind", "support", "base", "start", "time"):
+            assert getattr(a, name) == getattr(b, name), name
+        np.testing.assert_array_equal(a.q_start, b.q_start)
+        np.testing.assert_allclose(b.x_odom_base, a.x_odom_base, rtol=0, atol=1e-15)
+        assert (a.swing_target is None) == (b.swing_target is None)
+        if a.swing_target is not None:
+            np.testing.assert_allclose(b.swing_target, a.swing_target, rtol=0, atol=1e-15)
+
+
+# ---------------------------------------------------------------------- what we write
+
+
+@pytest.mark.parametrize("kind", ["mcap", "sqlite3"])
+def test_round_trip_is_exact(trace, tmp_path, kind):
+    bag.write(trace, tmp_path / "walk", storage=kind)
+    back = bag.read(tmp_path / "walk")
+    assert_same(trace, back)
+    assert back.config == trace.config
+    assert back.model.joint_names == trace.model.joint_names
+    assert back.model.urdf == trace.model.urdf
+    assert back.finished is trace.finished is True
+    assert back.notes == ()
+
+
+def test_numbers_of_every_size_survive(trace, tmp_path):
+    rng = np.random.default_rng(1)
+    u = rng.normal(size=trace.u.shape) * 10.0 ** rng.integers(-300, 300, trace.u.shape)
+    u[0, 0], u[0, 1] = -0.0, 5e-324
+    bag.write(dataclasses.replace(trace, u=u), tmp_path / "walk", diagnostics=False)
+    back = bag.read(tmp_path / "walk").u
+    np.testing.assert_array_equal(back.view(np.int64), u.view(np.int64))
+
+
+def test_is_a_genuine_rosbag2(path, trace):
+    meta = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert meta["version"] == 9
+    assert meta["storage_identifier"] == "mcap"
+    assert meta["starting_time"]["nanoseconds_since_epoch"] == round(trace.time[0] * 1e9)
+    assert meta["duration"]["nanoseconds"] == round((trace.time[-1] - trace.time[0]) * 1e9)
+    topics = {t["topic_metadata"]["name"]: t for t in meta["topics_with_message_count"]}
+    assert set(topics) == {"/" + name for name in bag.TOPICS}
+    assert topics["/joint_states"]["message_count"] == len(trace.time)
+    for name, topic in bag.TOPICS.items():
+        info = topics["/" + name]["topic_metadata"]
+        assert info["type"] == topic.type
+        assert info["type_description_hash"].startswith("RIHS01_")
+        (qos,) = info["offered_qos_profiles"]
+        assert qos["reliability"] == "reliable"
+        assert qos["durability"] == ("transient_local" if topic.latched else "volatile")
+        assert qos["depth"] == topic.depth
+
+
+def test_types_are_embedded(path):
+    with (path / "walk.mcap").open("rb") as file:
+        schemas = make_reader(file).get_summary().schemas.values()
+    definition = {schema.name: schema for schema in schemas}["sensor_msgs/msg/JointState"]
+    assert definition.encoding == "ros2msg"
+    text = definition.data.decode()
+    assert "float64[] position" in text
+    assert "MSG: std_msgs/Header" in text
+
+
+def test_the_same_walk_gives_the_same_bytes(trace, path, tmp_path):
+    bag.write(trace, tmp_path / "walk")
+    assert (tmp_path / "walk/walk.mcap").read_bytes() == (path / "walk.mcap").read_bytes()
+    assert (tmp_path / "walk/metadata.yaml").read_text() == (path / "metadata.yaml").read_text()
+
+
+def test_every_command_has_the_stamp_of_its_state(path, trace):
+    states, commands = (column(path, name) for name in ("/joint_states", "/joint_velocity_commands"))
+    np.testing.assert_array_equal(states.stamps, np.round(trace.time * 1e9))
+    np.testing.assert_array_equal(commands.stamps, states.stamps)
+
+
+def test_velocities_of_the_states_are_those_applied(path, trace):
+    velocity = column(path, "/joint_states").velocity
+    assert not velocity[0].any()
+    np.testing.assert_array_equal(velocity[1:], trace.u[:-1])
+
+
+def test_base_pose_is_continuous(path, trace):
+    """Where the base changes the pelvis does not jump: odometry goes on."""
+    content = storage.load(path, lambda topic, kind: topic == "/base_pose").columns["/base_pose"]
+    poses = [messages.pose_of(messages.unpack(raw, content.type)) for raw in content.raws]
+    step = np.linalg.norm(np.diff(DQ(np.array(poses)).translation(), axis=0), axis=1)
+    assert len(poses) == len(trace.time)
+    assert step.max() < 1e-3
+
+
+def test_diagnostics_come_at_their_rate_and_say_every_distance(path, trace):
+    content = storage.load(path, lambda topic, kind: topic == "/diagnostics").columns["/diagnostics"]
+    found = [messages.unpack(raw, content.type) for raw in content.raws]
+    stamps = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in found])
+    assert np.diff(stamps).max() <= 1.0 / trace.config.monitor.rate + 1e-9
+    assert len(found) <= (trace.time[-1] - trace.time[0]) * trace.config.monitor.rate + len(trace.phases) + 1
+    values = {pair.key: pair.value for pair in found[0].status[0].values}
+    assert float(values["distance/tip_plane"]) > 0.0
+    assert found[0].status[0].name == "phase_monitor: walk"
+
+
+def column(path, topic):
+    return messages.unpack_joint_states(storage.load(path, lambda name, kind: name == topic).columns[topic].raws)
+
+
+def test_nothing_is_overwritten_unasked(trace, path, tmp_path):
+    with pytest.raises(BagError, match="is there already"):
+        bag.write(trace, path)
+    (tmp_path / "walk").mkdir()
+    (tmp_path / "walk/old").touch()
+    bag.write(trace, tmp_path / "walk", diagnostics=False, overwrite=True)
+    assert not (tmp_path / "walk/old").exists()
+    assert [p.name for p in tmp_path.iterdir()] == ["walk"]
+
+
+def test_an_interrupted_write_leaves_nothing(trace, tmp_path, monkeypatch):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("dqwalk_ros.bag.writer._opening", stop)
+    with pytest.raises(KeyboardInterrupt):
+        bag.write(trace, tmp_path / "walk")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_refuses_is_a_bag_error(trace, tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(BagError, match="cannot write"):
+        bag.write(trace, tmp_path / "file" / "walk")
+
+
+# ---------------------------------------------------------------------- what others write
+
+
+def test_a_namespace_is_found(trace, path, tmp_path):
+    moved = rewrite(path, tmp_path / "b", rename=lambda t: t if t == "/diagnostics" else "/lab/poppy_1" + t)
+    assert_same(trace, bag.read(moved))
+    assert_same(trace, bag.read(moved, namespace="lab/poppy_1"))
+    with pytest.raises(BagError, match="joint_states"):
+        bag.read(moved, namespace="poppy_2")
+
+
+def test_two_robots_need_a_namespace(path, tmp_path):
+    store = messages.typestore()
+    two = tmp_path / "two"
+    from rosbags.rosbag2 import Writer
+
+    with Reader(path) as reader, Writer(two, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        out = {
+            (robot, c.topic): writer.add_connection(f"/{robot}{c.topic}", c.msgtype, typestore=store)
+            for robot in "ab"
+            for c in reader.connections
+        }
+        for c, time, raw in reader.messages():
+            for robot in "ab":
+                writer.write(out[robot, c.topic], time, raw)
+    with pytest.raises(BagError, match="2 robots.*/a, /b"):
+        bag.read(two)
+    assert bag.read(two, namespace="b").finished
+
+
+def test_joints_are_matched_by_name(trace, path, tmp_path):
+    """More joints than the model has, in another order that even changes."""
+    rng = np.random.default_rng(0)
+
+    def edit(topic, time, m):
+        if topic in ("/joint_states", "/phase_start"):
+            order = rng.permutation(len(m.name) + 1)
+            m.name = [[*m.name, "head_y"][i] for i in order]
+            m.position = np.append(m.position, 9.0)[order]
+            m.velocity = np.append(m.velocity, 9.0)[order] if len(m.velocity) else m.velocity
+        return time, m
+
+    assert_same(trace, bag.read(rewrite(path, tmp_path / "b", edit=edit)))
+
+
+def test_commands_are_matched_by_stamp(trace, path, tmp_path):
+    """Recorded late, and some lost: what is lost is nan, and the report says how many."""
+
+    def edit(topic, time, m):
+        if topic == "/joint_velocity_commands":
+            if m.header.stamp.nanosec == 500_000_000:
+                return None
+            time += 40_000_000
+        return time, m
+
+    back = bag.read(rewrite(path, tmp_path / "b", edit=edit))
+    lost = ~np.isfinite(back.u).all(axis=1)
+    assert lost.any()
+    np.testing.assert_allclose(back.time[lost] % 1.0, 0.5)
+    np.testing.assert_array_equal(back.u[~lost], trace.u[~lost])
+    np.testing.assert_array_equal(back.q, trace.q)
+    assert f"{lost.sum()} of {len(back.time)} states have no command" in back.notes
+
+
+def test_a_recording_that_began_late(trace, path, tmp_path):
+    """The first states are missing: what is latched tells where in the walk and in the world we are."""
+    second = trace.phases[1]
+    since = round(second.time * 1e9) + 2_000_000_000
+    latched = {"/" + name for name, topic in bag.TOPICS.items() if topic.latched}
+    kept = {}
+
+    def edit(topic, time, m):
+        if topic in latched:
+            if time < since and topic not in ("/walk_config", "/robot_description") and time < round(second.time * 1e9):
+                return None  # the latched message of an earlier phase is gone
+            return max(time, since), m
+        kept[topic] = kept.get(topic, 0) + (time >= since)
+        return (time, m) if time >= since else None
+
+    back = bag.read(rewrite(path, tmp_path / "b", edit=edit))
+    assert [p.name for p in back.phases] == [p.name for p in trace.phases[1:]]
+    np.testing.assert_array_equal(back.q, trace.q[-len(back.q) :])
+    assert back.phases[0].start == 0
+    assert back.phases[0].time == second.time
+    assert any("is missing" in note for note in back.notes)
+
+
+def test_states_before_the_walk_are_left_out(trace, path, tmp_path):
+    shift = 1_000_000_000
+
+    def edit(topic, time, m):
+        header = getattr(m, "header", None)
+        if header is not None:
+            header.stamp.sec += 1
+        return time + shift, m
+
+    later = rewrite(path, tmp_path / "later", edit=edit)
+    store = messages.typestore()
+    waiting = messages.joint_states(
+        np.arange(0, shift, 5_000_000), trace.model.joint_names, np.zeros((200, trace.model.n)), None
+    )
+    queue = [store.deserialize_cdr(raw, "sensor_msgs/msg/JointState") for raw in waiting]
+    both = tmp_path / "both"
+    from rosbags.rosbag2 import Writer
+
+    with Reader(later) as reader, Writer(both, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        out = {c.topic: writer.add_connection(c.topic, c.msgtype, typestore=store) for c in reader.connections}
+        for m in queue:
+            raw = store.serialize_cdr(m, "sensor_msgs/msg/JointState")
+            writer.write(out["/joint_states"], m.header.stamp.sec * 10**9 + m.header.stamp.nanosec, raw)
+        for c, time, raw in reader.messages():
+            writer.write(out[c.topic], time, raw)
+    back = bag.read(both)
+    np.testing.assert_array_equal(back.q, trace.q)
+    assert "200 states before the first phase are left out" in back.notes
+
+
+def test_after_a_reset_the_last_run_counts(trace, path, tmp_path):
+    """One bag, two runs: the plant was reset in between."""
+    store = messages.typestore()
+    from rosbags.rosbag2 import Writer
+
+    twice = tmp_path / "twice"
+    cut = round(trace.time[len(trace.time) // 2] * 1e9)
+    with Reader(path) as reader, Writer(twice, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        out = {c.topic: writer.add_connection(c.topic, c.msgtype, typestore=store) for c in reader.connections}
+        items = list(reader.messages())
+        for c, time, raw in items:
+            if time < cut:
+                writer.write(out[c.topic], time, raw)
+        for c, time, raw in items:
+            writer.write(out[c.topic], time + cut + 10**9, raw)  # received later, stamped from zero again
+    back = bag.read(twice)
+    assert_same(trace, back)
+    assert any("went back" in note for note in back.notes)
+
+
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+@pytest.mark.parametrize("kind", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_compressed_bags(trace, path, tmp_path, mode, kind):
+    packed = rewrite(
+        path,
+        tmp_path / "b",
+        storage=kind,
+        prepare=lambda writer: writer.set_compression(mode, CompressionFormat.ZSTD),
+    )
+    assert_same(trace, bag.read(packed))
+
+
+def test_split_bags(trace, path, tmp_path):
+    """Two files in one folder, as `ros2 bag record --max-bag-duration` leaves them."""
+    half = round(trace.time[len(trace.time) // 2] * 1e9)
+    for name, keep in (("b_0", lambda t: t < half), ("b_1", lambda t: t >= half)):
+        rewrite(path, tmp_path / name, edit=lambda topic, t, m, keep=keep: (t, m) if keep(t) else None)
+    split = tmp_path / "b"
+    split.mkdir()
+    metas = []
+    for name in ("b_0", "b_1"):
+        shutil.copy(tmp_path / name / f"{name}.mcap", split)
+        metas.append(yaml.safe_load((tmp_path / name / "metadata.yaml").read_text())["rosbag2_bagfile_information"])
+    meta = metas[0]
+    meta["relative_file_paths"] += metas[1]["relative_file_paths"]
+    meta["files"] += metas[1]["files"]
+    meta["message_count"] += metas[1]["message_count"]
+    (split / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": meta}))
+    assert_same(trace, bag.read(split))
+    (split / "metadata.yaml").unlink()
+    assert_same(trace, bag.read(split))
+
+
+def test_one_file_of_a_bag_will_do(trace, path):
+    assert_same(trace, bag.read(path / "walk.mcap"))
+
+
+# ---------------------------------------------------------------------- damage
+
+
+def test_without_metadata_the_bag_is_still_read(trace, path, tmp_path):
+    shutil.copytree(path, tmp_path / "b")
+    (tmp_path / "b/metadata.yaml").unlink()
+    back = bag.read(tmp_path / "b")
+    assert_same(trace, back)
+    assert any("metadata.yaml is missing" in note for note in back.notes)
+
+
+@pytest.mark.parametrize("source", ["path", "plain"])
+@pytest.mark.parametrize("part", [0.3, 0.62, 0.97])
+def test_a_truncated_bag_gives_what_it_has(trace, request, tmp_path, source, part):
+    source = request.getfixturevalue(source)
+    shutil.copytree(source, tmp_path / "b")
+    (tmp_path / "b/metadata.yaml").unlink()
+    file = tmp_path / "b/walk.mcap"
+    data = file.read_bytes()
+    file.write_bytes(data[: int(part * len(data))])
+    back = bag.read(tmp_path / "b")
+    n = len(back.time)
+    assert 0.5 * part * len(trace.time) < n < len(trace.time)
+    assert_same(trace, back, upto=min(n, np.count_nonzero(np.isfinite(back.u[:, 0]))))
+    assert not back.finished
+    assert any("damaged or cut off" in note for note in back.notes)
+
+
+def test_the_unfinished_last_chunk_is_recovered(trace, plain, tmp_path):
+    """Chunks are a MiB; what was cut off is a few messages, not the rest of the chunk."""
+    file = tmp_path / "cut.mcap"
+    data = (plain / "walk.mcap").read_bytes()
+    cut = int(0.5 * len(data))
+    file.write_bytes(data[:cut])
+    n = len(bag.read(file).time)
+    file.write_bytes(data[: cut - 3000])
+    assert 0 < n - len(bag.read(file).time) < 12
+
+
+def test_a_truncated_sqlite_bag(trace, path, tmp_path):
+    rewrite(path, tmp_path / "b", storage=StoragePlugin.SQLITE3)
+    file = tmp_path / "b/b.db3"
+    data = file.read_bytes()
+    file.write_bytes(data[: int(0.9 * len(data)) // 4096 * 4096])
+    back = bag.read(tmp_path / "b")
+    assert 0 < len(back.time) < len(trace.time)
+    assert_same(trace, back, upto=np.count_nonzero(np.isfinite(back.u[:, 0])))
+    assert any("damaged or cut off" in note for note in back.notes)
+
+
+def test_a_spoilt_chunk_ends_the_bag_there(trace, path, tmp_path):
+    shutil.copytree(path, tmp_path / "b")
+    file = tmp_path / "b/walk.mcap"
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2 : len(data) // 2 + 64] = bytes(64)
+    file.write_bytes(data)
+    back = bag.read(tmp_path / "b")
+    assert 0 < len(back.time) < len(trace.time)
+    assert back.notes
+
+
+# ---------------------------------------------------------------------- bags of no use
+
+
+@pytest.mark.parametrize("topic", ["joint_states", "joint_velocity_commands", "phase", "phase_start", "walk_config"])
+def test_a_missing_topic_is_named(path, tmp_path, topic):
+    bare = rewrite(path, tmp_path / "b", rename=lambda t: None if t == "/" + topic else t)
+    with pytest.raises(BagError, match=rf"no messages on {topic};"):
+        bag.read(bare)
+
+
+def test_a_bag_of_something_else_says_what_it_has(path, tmp_path):
+    other = rewrite(path, tmp_path / "b", rename=lambda t: "/chatter" if t == "/phase" else None)
+    with pytest.raises(BagError, match=r"no messages on joint_states, .*its topics are /chatter"):
+        bag.read(other)
+
+
+def test_another_robot_is_named(path, tmp_path):
+    def edit(topic, time, m):
+        if topic in ("/joint_states", "/joint_velocity_commands"):
+            m.name = ["shoulder" if name == "l_knee_y" else name for name in m.name]
+        return time, m
+
+    with pytest.raises(BagError, match=r"another robot: joint_states lack l_knee_y .*shoulder"):
+        bag.read(rewrite(path, tmp_path / "b", edit=edit))
+
+
+def test_a_description_of_another_robot(path, tmp_path):
+    def edit(topic, time, m):
+        if topic == "/robot_description":
+            m.data = m.data.replace("l_sole", "left_sole_link")
+        return time, m
+
+    with pytest.raises(BagError, match="another robot.*l_sole"):
+        bag.read(rewrite(path, tmp_path / "b", edit=edit))
+
+
+def test_a_config_of_another_version(path, tmp_path):
+    def edit(topic, time, m):
+        if topic == "/walk_config":
+            m.data = m.data.replace("com_radius", "com_diameter")
+        return time, m
+
+    with pytest.raises(BagError, match="com_diameter"):
+        bag.read(rewrite(path, tmp_path / "b", edit=edit))
+
+
+def test_no_bag_at_all(tmp_path):
+    with pytest.raises(BagError, match="no bag at"):
+        bag.read(tmp_path / "nowhere")
+    with pytest.raises(BagError, match="no rosbag2"):
+        bag.read(tmp_path)
+    (tmp_path / "text.mcap").write_text("hello")
+    with pytest.raises(BagError, match="cannot read"):
+        bag.read(tmp_path / "text.mcap")
+
+
+def test_positions_that_are_not_there(path, tmp_path):
+    def edit(topic, time, m):
+        if topic == "/joint_states":
+            m.position = m.position[:0]
+        return time, m
+
+    with pytest.raises(BagError, match="lack positions of"):
+        bag.read(rewrite(path, tmp_path / "b", edit=edit))
