@@ -1,0 +1,318 @@
+"""Quaternions and dual quaternions, section 2.1 [Adorno2017].
+
+A dual quaternion is an array of eight reals, ``h1 + h2 i + h3 j + h4 k + eps (h1' + h2' i + h3' j + h4' k)``,
+and a `DQ` holds any number of them, shape ``(..., 8)``. A quaternion is a dual quaternion without dual part.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["DQ", "E", "i", "j", "k", "qconj", "qmul"]
+
+Array = NDArray[np.float64]
+
+_CONJ4 = np.array([1.0, -1.0, -1.0, -1.0])
+_CONJ8 = np.concatenate([_CONJ4, _CONJ4])
+_SMALL = 1e-12
+
+
+def qmul(a: Array, b: Array) -> Array:
+    """Hamilton's product of quaternions, shapes (..., 4)."""
+    a1, a2, a3, a4 = np.moveaxis(a, -1, 0)
+    b1, b2, b3, b4 = np.moveaxis(b, -1, 0)
+    return np.stack(
+        [
+            a1 * b1 - a2 * b2 - a3 * b3 - a4 * b4,
+            a1 * b2 + a2 * b1 + a3 * b4 - a4 * b3,
+            a1 * b3 - a2 * b4 + a3 * b1 + a4 * b2,
+            a1 * b4 + a2 * b3 - a3 * b2 + a4 * b1,
+        ],
+        axis=-1,
+    )
+
+
+def qconj(a: Array) -> Array:
+    """Conjugate of quaternions, shape (..., 4)."""
+    return a * _CONJ4
+
+
+class DQ:
+    """Dual quaternions over an array of shape (..., 8).
+
+    Parameters
+    ----------
+    value : array_like, shape (..., 8), (..., 4), (..., 3) or scalar
+        Four numbers are a quaternion, three a pure quaternion, one a real.
+
+    Raises
+    ------
+    ValueError
+        If the last axis has another length.
+    """
+
+    __slots__ = ("_h",)
+    __array_priority__ = 100.0
+
+    def __init__(self, value: ArrayLike) -> None:
+        h = np.asarray(value, dtype=np.float64)
+        if h.ndim == 0:
+            h = h[None]
+        size = h.shape[-1]
+        if size not in (1, 3, 4, 8):
+            raise ValueError(f"a dual quaternion has 1, 3, 4 or 8 coefficients, not {size}")
+        if size != 8:
+            full = np.zeros((*h.shape[:-1], 8))
+            start = 1 if size == 3 else 0
+            full[..., start : start + size] = h
+            h = full
+        self._h = h
+
+    # ------------------------------------------------------------------ making
+
+    @classmethod
+    def rotation_about(cls, angle: ArrayLike, axis: ArrayLike) -> Self:
+        """Return cos(angle/2) + axis sin(angle/2); `angle` [rad] (...), `axis` unit vector (..., 3)."""
+        half = 0.5 * np.asarray(angle, dtype=np.float64)[..., None]
+        n = np.asarray(axis, dtype=np.float64)
+        r = np.empty((*np.broadcast_shapes(half.shape[:-1], n.shape[:-1]), 4))
+        r[..., :1] = np.cos(half)
+        r[..., 1:] = np.sin(half) * n
+        return cls(r)
+
+    @classmethod
+    def from_pose(cls, p: ArrayLike, r: ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> Self:
+        """Return the pose r + eps 1/2 p r of (1); `p` [m] (..., 3), `r` unit quaternion (..., 4)."""
+        r = np.asarray(r, dtype=np.float64)
+        p = np.asarray(p, dtype=np.float64)
+        p4 = np.concatenate([np.zeros((*p.shape[:-1], 1)), p], axis=-1)
+        d = 0.5 * qmul(*np.broadcast_arrays(p4, r))
+        return cls(np.concatenate([np.broadcast_to(r, d.shape), d], axis=-1))
+
+    @classmethod
+    def from_matrix(cls, rotation: ArrayLike, p: ArrayLike = (0.0, 0.0, 0.0)) -> Self:
+        """Return the pose of a rotation matrix (3, 3) and a translation (3,) [m]."""
+        m = np.asarray(rotation, dtype=np.float64)
+        # row i is 4 r_i (r1, r2, r3, r4); the row of the largest r_i is accurate everywhere
+        w1, w2, w3 = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+        s12, s13, s23 = m[1, 0] + m[0, 1], m[0, 2] + m[2, 0], m[2, 1] + m[1, 2]
+        d1, d2, d3 = np.diag(m)
+        rows = np.array(
+            [
+                [1.0 + d1 + d2 + d3, w1, w2, w3],
+                [w1, 1.0 + d1 - d2 - d3, s12, s13],
+                [w2, s12, 1.0 - d1 + d2 - d3, s23],
+                [w3, s13, s23, 1.0 - d1 - d2 + d3],
+            ]
+        )
+        r = rows[int(np.argmax(np.diag(rows)))]
+        r = r / np.linalg.norm(r)
+        return cls.from_pose(p, r if r[0] >= 0.0 else -r)
+
+    # ------------------------------------------------------------------ parts
+
+    def vec8(self) -> Array:
+        """Return vec8 h, shape (..., 8)."""
+        return self._h
+
+    def vec4(self) -> Array:
+        """Return vec4 of the primary part, shape (..., 4)."""
+        return self._h[..., :4]
+
+    def vec3(self) -> Array:
+        """Return vec3, the imaginary part of the primary part, shape (..., 3)."""
+        return self._h[..., 1:4]
+
+    def vec6(self) -> Array:
+        """Return the imaginary parts of the primary and of the dual part, shape (..., 6)."""
+        return np.concatenate([self._h[..., 1:4], self._h[..., 5:]], axis=-1)
+
+    def P(self) -> Self:
+        """Primary part."""
+        return type(self)(self._h[..., :4])
+
+    def D(self) -> Self:
+        """Dual part."""
+        return type(self)(self._h[..., 4:])
+
+    def Re(self) -> Self:
+        """Real part h1 + eps h1'."""
+        h = np.zeros_like(self._h)
+        h[..., ::4] = self._h[..., ::4]
+        return type(self)(h)
+
+    def Im(self) -> Self:
+        """Imaginary part."""
+        h = self._h.copy()
+        h[..., ::4] = 0.0
+        return type(self)(h)
+
+    def conj(self) -> Self:
+        """Conjugate Re(h) - Im(h)."""
+        return type(self)(self._h * _CONJ8)
+
+    def norm(self) -> Self:
+        """Norm, the dual number whose square is h h*; its dual part needs a primary part that is not zero."""
+        square = (self * self.conj())._h
+        primary = np.sqrt(square[..., 0])
+        h = np.zeros_like(self._h)
+        h[..., 0] = primary
+        h[..., 4] = 0.5 * square[..., 4] / np.where(primary > 0.0, primary, 1.0)
+        return type(self)(h)
+
+    def inv(self) -> Self:
+        """Inverse h* (h h*)^-1.
+
+        Raises
+        ------
+        ZeroDivisionError
+            If a primary part is zero.
+        """
+        square = (self * self.conj())._h
+        a, b = square[..., :1], square[..., 4:5]
+        if np.any(a == 0.0):
+            raise ZeroDivisionError("a dual quaternion without primary part has no inverse")
+        h = np.zeros_like(self._h)
+        h[..., :1] = 1.0 / a
+        h[..., 4:5] = -b / a**2
+        return self.conj() * type(self)(h)
+
+    def normalized(self) -> Self:
+        """Return h |h|^-1, the closest unit dual quaternion along h."""
+        return self * self.norm().inv()
+
+    # ------------------------------------------------------------------ algebra
+
+    def __add__(self, other: DQ | float) -> Self:
+        return type(self)(self._h + _as_dq(other)._h)
+
+    __radd__ = __add__
+
+    def __sub__(self, other: DQ | float) -> Self:
+        return type(self)(self._h - _as_dq(other)._h)
+
+    def __rsub__(self, other: DQ | float) -> Self:
+        return type(self)(_as_dq(other)._h - self._h)
+
+    def __neg__(self) -> Self:
+        return type(self)(-self._h)
+
+    def __mul__(self, other: DQ | float) -> Self:
+        if not isinstance(other, DQ):
+            return type(self)(self._h * other)
+        a, b = self._h, other._h
+        primary = qmul(a[..., :4], b[..., :4])
+        dual = qmul(a[..., :4], b[..., 4:]) + qmul(a[..., 4:], b[..., :4])
+        return type(self)(np.concatenate([primary, dual], axis=-1))
+
+    def __rmul__(self, other: float) -> Self:
+        return type(self)(other * self._h)
+
+    def __getitem__(self, index: Any) -> Self:
+        return type(self)(self._h[index])
+
+    def __repr__(self) -> str:
+        return f"DQ({np.array2string(self._h, precision=6, suppress_small=True)})"
+
+    def dot(self, other: DQ) -> Self:
+        """Inner product <a, b> = -(ab + ba)/2, of pure (dual) quaternions."""
+        return -0.5 * (self * other + other * self)
+
+    def cross(self, other: DQ) -> Self:
+        """Cross product a x b = (ab - ba)/2, of pure (dual) quaternions."""
+        return 0.5 * (self * other - other * self)
+
+    def hamiplus4(self) -> Array:
+        """H+4 with vec4(ab) = hamiplus4(a) vec4(b), of the primary parts; shape (..., 4, 4)."""
+        return _left(self._h[..., :4])
+
+    def haminus4(self) -> Array:
+        """H-4 with vec4(ab) = haminus4(b) vec4(a), of the primary parts; shape (..., 4, 4)."""
+        return _right(self._h[..., :4])
+
+    def hamiplus8(self) -> Array:
+        """H+8 with vec8(ab) = hamiplus8(a) vec8(b); shape (..., 8, 8)."""
+        return _blocks(_left(self._h[..., :4]), _left(self._h[..., 4:]))
+
+    def haminus8(self) -> Array:
+        """H-8 with vec8(ab) = haminus8(b) vec8(a), the operator of (3); shape (..., 8, 8)."""
+        return _blocks(_right(self._h[..., :4]), _right(self._h[..., 4:]))
+
+    # ------------------------------------------------------------------ rigid motions (unit norm)
+
+    def translation(self) -> Array:
+        """Position p = 2 D(x) P(x)* of the pose (1), shape (..., 3) [m]."""
+        return 2.0 * qmul(self._h[..., 4:], qconj(self._h[..., :4]))[..., 1:]
+
+    def rotation(self) -> Array:
+        """Orientation r = P(x) of the pose (1), shape (..., 4)."""
+        return self._h[..., :4]
+
+    def rotation_matrix(self) -> Array:
+        """Rotation matrix of the orientation, shape (..., 3, 3)."""
+        r = self._h[..., :4]
+        both = _left(r) @ _right(qconj(r))
+        return both[..., 1:, 1:]
+
+    def Ad(self, other: DQ) -> Self:
+        """x h x*: what a frame at x calls the quaternion, direction or line h; shape as the product."""
+        return self * type(self)(other._h) * self.conj()
+
+    def Ad_sharp(self, other: DQ) -> Self:
+        """(P(x) - eps D(x)) h x*: the motion of a point 1 + eps p, or of a plane n + eps d."""
+        sharp = self._h.copy()
+        sharp[..., 4:] *= -1.0
+        return type(self)(sharp) * type(self)(other._h) * self.conj()
+
+    def transform_point(self, p: ArrayLike) -> Array:
+        """Return the point p + r c r* of a point c [m] fixed to the frame, shape (..., 3)."""
+        return self.translation() + self.P().Ad(DQ(p)).vec3()
+
+    def log(self) -> Self:
+        """Logarithm (phi n + eps p)/2 of a unit dual quaternion, a pure one; phi in [0, 2 pi] as the sign gives it."""
+        r = self._h[..., :4]
+        sin = np.linalg.norm(r[..., 1:], axis=-1, keepdims=True)
+        half = np.arctan2(sin, r[..., :1])
+        scale = np.where(sin > _SMALL, half / np.where(sin > _SMALL, sin, 1.0), 1.0)
+        h = np.zeros_like(self._h)
+        h[..., 1:4] = scale * r[..., 1:]
+        h[..., 5:] = 0.5 * self.translation()
+        return type(self)(h)
+
+    def exp(self) -> Self:
+        """Exponential of a pure dual quaternion, the inverse of `log`."""
+        g = self._h[..., 1:4]
+        half = np.linalg.norm(g, axis=-1, keepdims=True)
+        # sin(x)/x as numpy has it, without a division at zero
+        r = np.concatenate([np.cos(half), np.sinc(half / np.pi) * g], axis=-1)
+        return type(self).from_pose(2.0 * self._h[..., 5:], r)
+
+
+def _as_dq(value: DQ | float) -> DQ:
+    return value if isinstance(value, DQ) else DQ(value)
+
+
+def _left(a: Array) -> Array:
+    a1, a2, a3, a4 = np.moveaxis(a, -1, 0)
+    rows = [[a1, -a2, -a3, -a4], [a2, a1, -a4, a3], [a3, a4, a1, -a2], [a4, -a3, a2, a1]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _right(a: Array) -> Array:
+    a1, a2, a3, a4 = np.moveaxis(a, -1, 0)
+    rows = [[a1, -a2, -a3, -a4], [a2, a1, a4, -a3], [a3, -a4, a1, a2], [a4, a3, -a2, a1]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _blocks(primary: Array, dual: Array) -> Array:
+    top = np.concatenate([primary, np.zeros_like(primary)], axis=-1)
+    return np.concatenate([top, np.concatenate([dual, primary], axis=-1)], axis=-2)
+
+
+i = DQ([0.0, 1.0, 0.0, 0.0])
+j = DQ([0.0, 0.0, 1.0, 0.0])
+k = DQ([0.0, 0.0, 0.0, 1.0])
+E = DQ([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])

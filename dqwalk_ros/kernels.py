@@ -1,0 +1,177 @@
+"""Compiled kinematics: poses, joint lines and the centre of mass in one pass.
+
+`dq.py` states the same mathematics readably and is the test oracle of everything here; with
+``NUMBA_DISABLE_JIT=1`` these functions run as plain Python.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["compose", "forward", "line_jacobian", "point", "point_jacobian", "pose_jacobian"]
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_jit = numba.njit(cache=True, fastmath=False, error_model="numpy")
+
+
+@_jit
+def _qmul(a, b, out):  # type: ignore[no-untyped-def]
+    out[0] = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3]
+    out[1] = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2]
+    out[2] = a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1]
+    out[3] = a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0]
+
+
+@_jit
+def _mul(a, b, out, t):  # type: ignore[no-untyped-def]
+    """Product of dual quaternions into `out`; `t` is scratch for four numbers."""
+    _qmul(a[:4], b[:4], out[:4])
+    _qmul(a[:4], b[4:], out[4:])
+    _qmul(a[4:], b[:4], t)
+    for k in range(4):
+        out[4 + k] += t[k]
+
+
+@_jit
+def _rotate(r, v, out):  # type: ignore[no-untyped-def]
+    """r v r* of a pure quaternion."""
+    a = r[2] * v[2] - r[3] * v[1] + r[0] * v[0]
+    b = r[3] * v[0] - r[1] * v[2] + r[0] * v[1]
+    c = r[1] * v[1] - r[2] * v[0] + r[0] * v[2]
+    x = v[0] + 2.0 * (r[2] * c - r[3] * b)
+    y = v[1] + 2.0 * (r[3] * a - r[1] * c)
+    z = v[2] + 2.0 * (r[1] * b - r[2] * a)
+    out[0] = x
+    out[1] = y
+    out[2] = z
+
+
+@_jit
+def _translation(x, out):  # type: ignore[no-untyped-def]
+    """2 D(x) P(x)*."""
+    out[0] = 2.0 * (-x[4] * x[1] + x[5] * x[0] - x[6] * x[3] + x[7] * x[2])
+    out[1] = 2.0 * (-x[4] * x[2] + x[5] * x[3] + x[6] * x[0] - x[7] * x[1])
+    out[2] = 2.0 * (-x[4] * x[3] - x[5] * x[2] + x[6] * x[1] + x[7] * x[0])
+
+
+@_jit
+def forward(q, parent, joint, origin, axis, mass, com, poses, lines, p_com, J_com):  # type: ignore[no-untyped-def]
+    """Fill poses (b, 8), joint lines (n, 6), the CoM (4) and its Jacobian (5).
+
+    Bodies come parents first, body 0 at rest; `mass` is divided by the total. A joint's line l + eps m is that
+    of its axis in the world; a joint turns all that lies after it about this line.
+    """
+    bodies = parent.shape[0]
+    t = np.empty(4)
+    half = np.zeros(8)
+    x = np.empty(8)
+    p = np.empty(3)
+    c = np.empty(3)
+    weight = mass.copy()  # of the body and all after it
+    moment = np.empty((bodies, 3))  # sum of mass times position of the same
+    poses[0, :] = 0.0
+    poses[0, 0] = 1.0
+    for b in range(bodies):
+        if b > 0:
+            _mul(poses[parent[b]], origin[b], x, t)
+            angle = 0.5 * q[joint[b]]
+            s = math.sin(angle)
+            half[0] = math.cos(angle)
+            for k in range(3):
+                half[1 + k] = s * axis[b, k]
+            _mul(x, half, poses[b], t)
+            row = lines[joint[b]]
+            _rotate(poses[b], axis[b], row[:3])
+            _translation(poses[b], p)
+            row[3] = p[1] * row[2] - p[2] * row[1]
+            row[4] = p[2] * row[0] - p[0] * row[2]
+            row[5] = p[0] * row[1] - p[1] * row[0]
+        _translation(poses[b], p)
+        _rotate(poses[b], com[b], c)
+        for k in range(3):
+            moment[b, k] = mass[b] * (p[k] + c[k])
+    for b in range(bodies - 1, 0, -1):
+        a = parent[b]
+        weight[a] += weight[b]
+        for k in range(3):
+            moment[a, k] += moment[b, k]
+        i = joint[b]
+        l0, l1, l2 = lines[i, 0], lines[i, 1], lines[i, 2]
+        J_com[0, i] = l1 * moment[b, 2] - l2 * moment[b, 1] + weight[b] * lines[i, 3]
+        J_com[1, i] = l2 * moment[b, 0] - l0 * moment[b, 2] + weight[b] * lines[i, 4]
+        J_com[2, i] = l0 * moment[b, 1] - l1 * moment[b, 0] + weight[b] * lines[i, 5]
+    for k in range(3):
+        p_com[k] = moment[0, k]
+
+
+@_jit
+def compose(a, b):  # type: ignore[no-untyped-def]
+    """Return the product of two dual quaternions (8,)."""
+    out = np.empty(8)
+    _mul(a, b, out, np.empty(4))
+    return out
+
+
+@_jit
+def point(x, offset):  # type: ignore[no-untyped-def]
+    """Return the point (3,) at `offset` in the frame `x` (8,)."""
+    p = np.empty(3)
+    c = np.empty(3)
+    _translation(x, p)
+    _rotate(x, offset, c)
+    for k in range(3):
+        p[k] += c[k]
+    return p
+
+
+@_jit
+def point_jacobian(lines, moves, p):  # type: ignore[no-untyped-def]
+    """Return l x p + m of the joints that move the point, shape (3, n)."""
+    n = lines.shape[0]
+    J = np.zeros((3, n))
+    for i in range(n):
+        if moves[i]:
+            l = lines[i]  # noqa: E741
+            J[0, i] = l[1] * p[2] - l[2] * p[1] + l[3]
+            J[1, i] = l[2] * p[0] - l[0] * p[2] + l[4]
+            J[2, i] = l[0] * p[1] - l[1] * p[0] + l[5]
+    return J
+
+
+@_jit
+def line_jacobian(lines, moves, v):  # type: ignore[no-untyped-def]
+    """Return l x v of the joints that turn the direction `v` (3,), shape (3, n)."""
+    n = lines.shape[0]
+    J = np.zeros((3, n))
+    for i in range(n):
+        if moves[i]:
+            l = lines[i]  # noqa: E741
+            J[0, i] = l[1] * v[2] - l[2] * v[1]
+            J[1, i] = l[2] * v[0] - l[0] * v[2]
+            J[2, i] = l[0] * v[1] - l[1] * v[0]
+    return J
+
+
+@_jit
+def pose_jacobian(lines, moves, x):  # type: ignore[no-untyped-def]
+    """Return 1/2 vec8(line x) of the joints that move the frame `x` (8,), shape (8, n)."""
+    n = lines.shape[0]
+    J = np.zeros((8, n))
+    line = np.zeros(8)
+    out = np.empty(8)
+    t = np.empty(4)
+    for i in range(n):
+        if moves[i]:
+            for k in range(3):
+                line[1 + k] = 0.5 * lines[i, k]
+                line[5 + k] = 0.5 * lines[i, 3 + k]
+            _mul(line, x, out, t)
+            for k in range(8):
+                J[k, i] = out[k]
+    return J

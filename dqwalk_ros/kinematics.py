@@ -1,0 +1,183 @@
+"""Kinematics seen from the support foot, sections 2.2, 3.4 and 3.5 [Urban2020].
+
+The tree is re-rooted at the sole of one foot: the way from there to the pelvis is the reversed leg, whose joints
+turn about their axes the other way. The swing foot's pose is then x_left* x_6^5 x_right of section 3.4 without a
+special case, and the foot on the ground carries its part of (4) at rest.
+
+A dual quaternion's derivative under a joint is half the product of the joint's line with it, so all Jacobians are
+products with one array of lines.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dqwalk_ros import kernels
+from dqwalk_ros.dq import DQ
+from dqwalk_ros.model import Foot, RobotModel
+
+__all__ = ["Kinematics", "Rooted", "rooted"]
+
+Array = NDArray[np.float64]
+
+_ORIGIN = np.zeros(3)
+
+
+class Rooted:
+    """The constants of a model seen from one sole; get it from `rooted`.
+
+    Attributes
+    ----------
+    arrays : tuple of ndarray
+        The arguments of `kernels.forward` between the configuration and the results.
+    frames : dict of str to (int, ndarray)
+        Body and pose (8,) on it of every frame.
+    moves : ndarray of bool, shape (bodies, n)
+        Which joints move which body.
+    """
+
+    def __init__(self, model: RobotModel, base: Foot) -> None:
+        sole = model.frames[model.soles[base].frame]
+        count = len(model.bodies)
+        # x_old[b]: pose of the model's body frame in the re-rooted body's frame, which begins at its joint
+        x_old: dict[int, DQ] = {sole.body: DQ(sole.pose).conj()}
+        order, parent, joint, origin, axis = [sole.body], [-1], [-1], [DQ(1.0)], [np.zeros(3)]
+
+        def visit(body: int, via: int, index: int, x_joint: DQ, a: Array) -> None:
+            order.append(body)
+            parent.append(via)
+            joint.append(index)
+            origin.append(x_joint)
+            axis.append(a)
+
+        # the reversed leg, from the sole up to the model's root
+        here = sole.body
+        while model.bodies[here].parent >= 0:
+            body = model.bodies[here]
+            visit(body.parent, len(order) - 1, body.joint, x_old[here], -body.axis)
+            x_old[body.parent] = DQ(body.origin).conj()
+            here = body.parent
+        # everything else hangs from it as in the model
+        for b, body in enumerate(model.bodies):
+            if b not in x_old:
+                x_old[b] = DQ(1.0)
+                visit(b, order.index(body.parent), body.joint, x_old[body.parent] * DQ(body.origin), body.axis)
+
+        place = {b: k for k, b in enumerate(order)}
+        self.arrays = (
+            np.array(parent, dtype=np.int64),
+            np.array(joint, dtype=np.int64),
+            np.array([x.vec8() for x in origin]),
+            np.array(axis),
+            np.array([model.bodies[b].mass for b in order]) / model.mass,
+            np.array([x_old[b].transform_point(model.bodies[b].com) for b in order]),
+        )
+        self.moves = np.zeros((count, model.n), dtype=np.bool_)
+        for k in range(1, count):
+            self.moves[k] = self.moves[parent[k]]
+            self.moves[k, joint[k]] = True
+        self.frames = {
+            name: (place[frame.body], (x_old[frame.body] * DQ(frame.pose)).vec8()) for name, frame in model.frames.items()
+        }
+
+
+_CACHE: dict[tuple[int, Foot], tuple[RobotModel, Rooted]] = {}
+
+
+def rooted(model: RobotModel, base: Foot) -> Rooted:
+    """Return the constants of `model` seen from the sole `base`, worked out once per model."""
+    key = (id(model), base)
+    entry = _CACHE.get(key)
+    if entry is None or entry[0] is not model:
+        entry = _CACHE[key] = (model, Rooted(model, base))
+    return entry[1]
+
+
+class Kinematics:
+    """A read-only snapshot of the robot at `q`, in the frame of the sole `base`.
+
+    Parameters
+    ----------
+    model : RobotModel
+    q : array_like, shape (n,)
+        Joint angles [rad].
+    base : Foot
+        The sole taken for the world: x forward, z up, ground at z = 0.
+
+    Attributes
+    ----------
+    com : ndarray, shape (3,)
+        Centre of mass (4), the base foot's mass included [m].
+    com_jacobian : ndarray, shape (3, n)
+        J_CoM of (5) [m/rad].
+    lines : ndarray, shape (n, 6)
+        The joints' Pluecker lines l, m; the joints of the reversed leg point the other way.
+    """
+
+    __slots__ = ("_poses", "_rooted", "base", "com", "com_jacobian", "lines", "model", "q")
+
+    def __init__(self, model: RobotModel, q: ArrayLike, base: Foot) -> None:
+        self.model = model
+        self.base = base
+        self.q = np.asarray(q, dtype=np.float64)
+        self._rooted = rooted(model, base)
+        n = self.q.shape[0]
+        self._poses = np.empty((len(model.bodies), 8))
+        self.lines = np.empty((n, 6))
+        self.com = np.empty(3)
+        self.com_jacobian = np.empty((3, n))
+        kernels.forward(self.q, *self._rooted.arrays, self._poses, self.lines, self.com, self.com_jacobian)
+
+    @property
+    def swing(self) -> str:
+        """Frame of the other sole."""
+        return self.model.soles[self.base.other].frame
+
+    def _at(self, frame: str) -> tuple[int, Array]:
+        body, local = self._rooted.frames[frame]
+        pose: Array = kernels.compose(self._poses[body], local)
+        return body, pose
+
+    def pose(self, frame: str) -> Array:
+        """Pose of a frame, vec8 of a unit dual quaternion (1), shape (8,)."""
+        return self._at(frame)[1]
+
+    def pose_jacobian(self, frame: str) -> Array:
+        """J with vec8(x') = J q', shape (8, n); for the other sole it is J_swing of section 3.4."""
+        body, x = self._at(frame)
+        J: Array = kernels.pose_jacobian(self.lines, self._rooted.moves[body], x)
+        return J
+
+    def rotation_jacobian(self, frame: str) -> Array:
+        """J_r with vec4(r') = J_r q' (section 2.2), shape (4, n)."""
+        return self.pose_jacobian(frame)[:4]
+
+    def point(self, frame: str, offset: Array = _ORIGIN) -> Array:
+        """Position of the point at `offset` (3,) in a frame, shape (3,) [m]."""
+        p: Array = kernels.point(self._at(frame)[1], offset)
+        return p
+
+    def point_jacobian(self, frame: str, offset: Array = _ORIGIN) -> Array:
+        """J_p with vec3(p') = J_p q' (section 2.2), shape (3, n) [m/rad]."""
+        body, x = self._at(frame)
+        J: Array = kernels.point_jacobian(self.lines, self._rooted.moves[body], kernels.point(x, offset))
+        return J
+
+    def direction(self, frame: str, v: Array) -> Array:
+        """Direction `v` (3,) of a frame in the world, shape (3,)."""
+        body, x = self._at(frame)
+        d: Array = kernels.point(x, v) - kernels.point(x, _ORIGIN)
+        return d
+
+    def direction_jacobian(self, frame: str, v: Array) -> Array:
+        """Jacobian of `direction`, shape (3, n)."""
+        body, x = self._at(frame)
+        J: Array = kernels.line_jacobian(self.lines, self._rooted.moves[body], self.direction(frame, v))
+        return J
+
+    def angular_jacobian(self, frame: str) -> Array:
+        """Angular velocity of a frame per joint velocity, in world axes, shape (3, n)."""
+        body, _ = self._rooted.frames[frame]
+        return np.where(self._rooted.moves[body], self.lines[:, :3].T, 0.0)
+
