@@ -7,6 +7,7 @@ topics that say what is going on.
 
 from __future__ import annotations
 
+import contextlib
 import enum
 import sys
 import time
@@ -20,7 +21,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from dqwalk_ros.bag.topics import FINISHED, ODOM
-from dqwalk_ros.config import to_yaml
+from dqwalk_ros.config import Config, to_yaml
 from dqwalk_ros.controllers import State, make_controller
 from dqwalk_ros.exceptions import DqwalkError, StateError
 from dqwalk_ros.kinematics import Kinematics
@@ -61,6 +62,7 @@ class ControllerNode:
         self._parameters = Parameters(node, options.argv)
         config = self._parameters.config
         self._model = load_model(config.robot)
+        self._warm_up(config)
         self._controller = make_controller(config, self._model)
         self._lockstep, self._dt = config.plant.lockstep, config.dt
         self._mode = Mode.WALKING if config.node.autostart else Mode.IDLE
@@ -70,7 +72,7 @@ class ControllerNode:
         self._reader = ros.JointReader(self._model.joint_names)
         self._command_msg = ros.JointWriter(self._model.joint_names)
         self._zero = np.zeros(self._model.n)
-        self._stamp = -1  # of the last state answered [ns]
+        self._stamp = self._stamp0 = -1  # of the last and the first state answered [ns]
         self._velocity = self._zero
         self._received = time.monotonic()
         self._stale = False
@@ -97,6 +99,11 @@ class ControllerNode:
             f"{self._model.name}: {self._model.n} joints, {config.gait.cycles} cycle(s), "
             f"{'lockstep' if self._lockstep else f'real time, dt {config.dt} s'}, {self._mode.value}"
         )
+
+    def _warm_up(self, config: Config) -> None:
+        """Have everything compiled before the first state waits for an answer; on a fresh machine it takes a while."""
+        with contextlib.suppress(DqwalkError):
+            make_controller(config, self._model).step(State(time=0.0, q=np.zeros(self._model.n)), config.dt)
 
     # ------------------------------------------------------------------ the loop
 
@@ -168,6 +175,8 @@ class ControllerNode:
             return self._fail(f"internal error: {type(error).__name__}: {error}")
         if not np.isfinite(command.velocity).all():
             return self._fail("internal error: the controller's answer is not finite")
+        if self._stamp0 < 0:
+            self._stamp0 = stamp
         if self._controller.phase_index != self._phase_index:
             self._phase_index = self._controller.phase_index
             self._publish_phase()
@@ -224,7 +233,8 @@ class ControllerNode:
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._controller.reset()
-        self._mode, self._problem, self._phase_index, self._stamp = Mode.IDLE, "", -1, -1
+        self._mode, self._problem, self._phase_index = Mode.IDLE, "", -1
+        self._stamp = self._stamp0 = -1
         self._velocity = self._zero
         self._say_phase()
         return self._answer(response, True, "the walk begins anew from where the robot stands; ~/start starts it")
@@ -258,7 +268,7 @@ class ControllerNode:
         else:
             target = Kinematics(model, phase.q_start, phase.base).point(end.frame, end.center)
             self._pub["com_target"].publish(ros.point(stamp, base.frame, target * [1.0, 1.0, 0.0]))
-        self.node.get_logger().info(f"{stamp * 1e-9:8.3f} s  phase {self._phase_index}: {phase.name}")
+        self.node.get_logger().info(f"{(stamp - self._stamp0) * 1e-9:8.3f} s  phase {self._phase_index}: {phase.name}")
 
     def _publish_pose(self, stamp: int) -> None:
         msg = ros.pose(stamp, ODOM, self._controller.odometry())
@@ -300,7 +310,7 @@ class ControllerNode:
             mode=self._mode.value,
             phase=self._controller.phase.name if walking else "",
             phase_index=self._phase_index,
-            time=max(self._stamp, 0) * 1e-9,
+            time=(self._stamp - self._stamp0) * 1e-9 if walking else 0.0,
             ticks=self._ticks,
             error=float(self._controller.last.error) if walking and self._controller.last else None,
             reason=self._problem,

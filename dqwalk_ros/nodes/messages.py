@@ -63,7 +63,9 @@ def message_type(name: str) -> Any:
 def publisher(node: Node, name: str) -> Publisher:
     """Create the publisher of one of our topics, as the table in `dqwalk_ros.bag.topics` says."""
     topic = TOPICS[name]
-    return node.create_publisher(message_type(topic.type), topic.name, latched() if topic.latched else stream(topic.depth))
+    return node.create_publisher(
+        message_type(topic.type), topic.name, latched() if topic.latched else stream(topic.depth)
+    )
 
 
 def is_heard_by(node: Node, offered: Publisher, name: str) -> bool:

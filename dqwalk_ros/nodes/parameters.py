@@ -57,7 +57,7 @@ class Parameters:
             if name.split(".")[0] not in _FOREIGN
         }
         given = {name: () if value is None else value for name, value in given.items()}  # an empty list has no type
-        self.config = Config.from_flat(given, source=node.get_name())
+        self.config = Config.from_flat(given)
         for spec in Config.specs():
             value: Any = getattr_dotted(self.config, spec.name)
             if isinstance(value, tuple):

@@ -2,8 +2,8 @@
 
 The bag's time is the walk's: a message is filed under its own stamp, one without a stamp under the newest stamp so
 far. In lockstep that is simulated time, so that a bag plays back, plots and compares alike however fast the machine
-was; in real time the two differ by the transport's delay. A state that was published again because its answer was
-late is recorded once.
+was; in real time the two differ by the transport's delay. A message that was published again, word for word, because
+its answer was late is recorded once.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ __all__ = ["RecorderNode", "main"]
 
 _DEPTH = 50_000
 """Messages that may wait here: minutes of real time, most of a minute of lockstep at full speed."""
-_LINGER = 1.0
-"""Longest time for what is still under way when the end is asked for [s]."""
+_LINGER = {True: 3.0, False: 0.5}
+"""Longest time for what is still under way when the end is asked for [s], in lockstep and in real time."""
 _EACH_TICK = ("joint_states", "joint_velocity_commands", "base_pose")
 _STAMPED = ("sensor_msgs/", "geometry_msgs/", "diagnostic_msgs/")
 
@@ -59,11 +59,12 @@ class RecorderNode:
     def __init__(self, node: Node, life: Life, options: Any) -> None:
         self.node, self.life, self._report = node, life, options.child
         config = Parameters(node, options.argv).config
-        self._period = round(config.dt * 1e9)
+        self._period, self._linger = round(config.dt * 1e9), _LINGER[config.plant.lockstep]
         self._path = Path(options.bag)
         self._open()
         self._counts = dict.fromkeys(TOPICS, 0)
         self._last = dict.fromkeys(_EACH_TICK, -1)
+        self._last_raw: dict[str, bytes] = {}
         self._missing = dict.fromkeys(_EACH_TICK, 0)
         self._newest = -1  # stamp [ns]
         self._early: list[tuple[str, bytes]] = []  # what came before the first stamp
@@ -104,8 +105,9 @@ class RecorderNode:
             sec, nanosec = struct.unpack_from("<iI" if raw[1] & 1 else ">iI", raw, 4)
             own = sec * 1_000_000_000 + nanosec
             if name in self._last:
-                if own == self._last[name]:
+                if raw == self._last_raw.get(name):
                     return
+                self._last_raw[name] = raw
                 self._note_gap(name, own)
             # what is latched may be far older than the recording
             stamp = max(own, self._newest) if topic.latched else own
@@ -135,7 +137,7 @@ class RecorderNode:
     def drained(self) -> bool:
         """Tell whether nothing more is on its way, or it has taken too long."""
         now = time.monotonic()
-        self._stop_at = min(self._stop_at, now + _LINGER)
+        self._stop_at = min(self._stop_at, now + self._linger)
         seen, self._seen = self._seen, self.handled
         return seen == self._seen or now > self._stop_at
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dqwalk_ros.config import Config, to_yaml
-from dqwalk_ros.runner.processes import Processes, private_domain
+from dqwalk_ros.runner.processes import Processes, environment, private_domain
 from dqwalk_ros.runner.watch import Progress, Watch
 
-__all__ = ["Outcome", "Processes", "private_domain", "run_walk"]
+__all__ = ["Outcome", "Processes", "environment", "private_domain", "run_walk"]
 
 
 @dataclass(frozen=True)

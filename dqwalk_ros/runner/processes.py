@@ -59,6 +59,11 @@ class Processes:
     ) -> None:
         self.stop()
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the nodes that were started."""
+        return tuple(self._running)
+
     def start(self, name: str, arguments: Sequence[str]) -> None:
         """Start the node `name` of `dqwalk_ros.nodes`; it ends when we do, however we do."""
         log = self._logs / f"{name}.log"

@@ -1,0 +1,111 @@
+"""Real nodes for tests: processes in a ROS domain of their own, and a node of the test's that talks to them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from dqwalk_ros.config import Config, to_yaml
+from dqwalk_ros.runner import Processes
+
+LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class Live:
+    """Starts nodes and listens to what they say.
+
+    Attributes
+    ----------
+    got : dict of str to list
+        Messages by topic: phase, joint_states, joint_velocity_commands, diagnostics.
+    """
+
+    def __init__(self, folder: Path, domain: int, config: Config) -> None:
+        self.config = config
+        self.processes = Processes(folder, domain)
+        self.params = folder / "params.yaml"
+        self.params.write_text(to_yaml(config), encoding="utf-8")
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=domain)
+        self.node = Node("test", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self.got: dict[str, list[Any]] = {}
+        self._listen(String, "phase", LATCHED)
+        self._listen(JointState, "joint_states", QoSProfile(depth=1000))
+        self._listen(JointState, "joint_velocity_commands", QoSProfile(depth=1000))
+        self._listen(DiagnosticArray, "/diagnostics", QoSProfile(depth=1000))
+        self.states = self.node.create_publisher(JointState, "joint_states", QoSProfile(depth=10))
+
+    def _listen(self, kind: Any, topic: str, profile: QoSProfile) -> None:
+        box = self.got.setdefault(topic.lstrip("/"), [])
+        self.node.create_subscription(kind, topic, box.append, profile)
+
+    def start(self, name: str, *arguments: str) -> None:
+        """Start a node with the configuration."""
+        self.processes.start(name, [*arguments, "--ros-args", "--params-file", str(self.params)])
+
+    def spin(self, seconds: float) -> None:
+        """Listen for a while."""
+        self.until(lambda: False, seconds, "")
+
+    def until(self, happened: Callable[[], Any], timeout: float, what: str) -> Any:
+        """Listen until something has happened, and return it; an empty `what` may end without."""
+        deadline = time.monotonic() + timeout
+        while not (result := happened()):
+            if time.monotonic() > deadline:
+                assert not what, f"{what} did not happen within {timeout} s; {self.logs()}"
+                return None
+            self._executor.spin_once(timeout_sec=0.05)
+        return result
+
+    def logs(self) -> str:
+        """Return all that the nodes logged."""
+        return "\n".join(f"--- {name}\n{self.processes.log(name)}" for name in self.processes.names)
+
+    def publish_state(self, names: list[str], q: Any, stamp: float, dq: Any = ()) -> None:
+        """Play the plant."""
+        msg = JointState(name=list(names), position=[float(x) for x in q], velocity=[float(x) for x in dq])
+        msg.header.stamp.sec, msg.header.stamp.nanosec = divmod(round(stamp * 1e9), 1_000_000_000)
+        self.states.publish(msg)
+
+    def call(self, service: str) -> Trigger.Response:
+        """Call a Trigger service."""
+        client = self.node.create_client(Trigger, service)
+        self.until(client.service_is_ready, 20.0, f"service {service}")
+        future = client.call_async(Trigger.Request())
+        self.until(future.done, 20.0, f"an answer from {service}")
+        self.node.destroy_client(client)
+        return future.result()
+
+    def statuses(self, name: str) -> list[Any]:
+        """Return what a node said on /diagnostics."""
+        return [s for array in self.got["diagnostics"] for s in array.status if s.name.startswith(f"{name}:")]
+
+    def phases(self) -> list[str]:
+        """Return what `phase` said."""
+        return [msg.data for msg in self.got["phase"]]
+
+    def speeds(self) -> Any:
+        """Return the largest joint speed of each command, shape (N,) [rad/s]."""
+        return np.array([max(map(abs, msg.velocity)) for msg in self.got["joint_velocity_commands"]])
+
+    def close(self) -> None:
+        """End everything."""
+        self.processes.stop()
+        self.node.destroy_node()
+        self._executor.shutdown()
+        self._context.try_shutdown()

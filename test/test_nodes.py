@@ -1,0 +1,324 @@
+"""The nodes as real processes over DDS, each test in a ROS domain of its own. No timing is asserted tightly."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
+
+from live import Live
+
+from dqwalk_ros import bag
+from dqwalk_ros.config import Config, load, to_yaml
+from dqwalk_ros.controllers import make_controller
+from dqwalk_ros.model import load_model
+from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.runner import environment, private_domain, run_walk
+from dqwalk_ros.simulation import simulate
+
+SHORT = {"gait.step_length": 0.02, "task.eta": 0.5, "ssp.threshold": 0.01}
+"""A cycle of some seconds: small steps, a faster task, a coarser landing."""
+
+Make = Callable[..., Live]
+
+
+@pytest.fixture
+def live(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Make]:
+    """Make `Live` with parameters, ended after the test."""
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    made: list[Live] = []
+    with private_domain() as domain:
+
+        def make(**values: object) -> Live:
+            config = load("paper").updated({**SHORT, **{key.replace("__", "."): v for key, v in values.items()}})
+            made.append(Live(tmp_path, domain, config))
+            return made[-1]
+
+        yield make
+        for one in made:
+            one.close()
+
+
+def names_of(config: Config) -> list[str]:
+    return list(load_model(config.robot).joint_names)
+
+
+# ---------------------------------------------------------------------- lockstep
+
+
+@pytest.mark.parametrize("run", [1, 2])
+def test_lockstep_walks_exactly_as_in_one_process(tmp_path: Path, run: int) -> None:
+    config = load("paper").updated(SHORT)
+    model = load_model(config.robot)
+    expected = simulate(make_controller(config, model), KinematicPlant(model))
+    assert expected.finished
+
+    outcome = run_walk(config, tmp_path / "bag")
+    assert outcome.finished, outcome.reason
+
+    walked = bag.read(tmp_path / "bag")
+    assert walked.finished
+    n = min(len(expected.time), len(walked.time))
+    assert abs(len(expected.time) - len(walked.time)) <= 1
+    np.testing.assert_allclose(walked.q[:n], expected.q[:n], rtol=0.0, atol=1e-9)
+    assert [(p.name, p.start) for p in walked.phases] == [(p.name, p.start) for p in expected.phases]
+    for a, b in zip(walked.phases, expected.phases, strict=True):
+        np.testing.assert_allclose(a.x_odom_base, b.x_odom_base, rtol=0.0, atol=1e-9)
+
+
+def test_lockstep_bag_is_whole(tmp_path: Path) -> None:
+    from rosbags.rosbag2 import Reader
+    from rosbags.typesys import Stores, get_typestore
+
+    config = load("paper").updated(SHORT)
+    outcome = run_walk(config, tmp_path / "bag")
+    assert outcome.finished, outcome.reason
+    store = get_typestore(Stores.ROS2_JAZZY)
+    stamps: dict[str, list[int]] = {}
+    with Reader(tmp_path / "bag") as reader:
+        for connection, time, raw in reader.messages():
+            message = store.deserialize_cdr(raw, connection.msgtype)
+            if connection.topic in ("/joint_states", "/joint_velocity_commands", "/base_pose"):
+                stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+                assert stamp == time
+                stamps.setdefault(connection.topic, []).append(stamp)
+    period = round(config.dt * 1e9)
+    for topic, found in stamps.items():
+        assert found == [k * period for k in range(len(found))], topic
+    assert len(stamps["/joint_velocity_commands"]) == outcome.ticks == len(stamps["/base_pose"])
+
+
+def test_pause_stops_the_time_of_lockstep(live: Make) -> None:
+    one = live(plant__lockstep=True)
+    one.start("integrator")
+    one.start("controller")
+    one.until(lambda: len(one.got["joint_states"]) > 200, 60.0, "walking")
+    assert one.call("controller/pause").success
+    one.spin(0.5)
+    before = one.got["joint_states"][-1].header.stamp
+    one.spin(1.5)
+    assert one.got["joint_states"][-1].header.stamp == before
+    assert one.phases()[-1] == "paused"
+    assert one.call("controller/start").success
+    one.until(lambda: one.got["joint_states"][-1].header.stamp != before, 10.0, "going on")
+
+
+# ---------------------------------------------------------------------- real time
+
+
+def test_real_time_walks_by_the_clock(live: Make) -> None:
+    one = live(monitor__rate=20.0)
+    for name in ("integrator", "controller", "phase_monitor"):
+        one.start(name)
+    one.until(lambda: "double_support/left" in one.phases(), 60.0, "the first phase")
+    count = len(one.got["joint_states"])
+    one.spin(4.0)
+    assert len(one.got["joint_states"]) - count > 200  # 800 on an idle machine
+    assert one.speeds().max() > 1e-3
+    watched = [s for s in one.statuses("phase_monitor") if s.values]
+    keys = {pair.key for pair in watched[-1].values}
+    assert {"phase", "error", "distance/tip_plane", "distance/back_plane", "margin/polygon"} <= keys
+    assert all(s.level in (b"\x00", b"\x01") for s in watched), [s.message for s in watched if s.level == b"\x02"]
+    one.processes.signal("controller", signal.SIGINT)
+    assert one.processes.wait("controller", 15.0) == 0
+    one.spin(0.5)
+    assert one.speeds()[-1] == 0.0  # its last word
+    moved = one.got["joint_states"][-1].position
+    one.spin(0.5)
+    assert one.got["joint_states"][-1].position == moved
+
+
+def test_start_pause_reset(live: Make) -> None:
+    one = live(node__autostart=False)
+    one.start("integrator")
+    one.start("controller")
+    one.until(lambda: len(one.got["joint_velocity_commands"]) > 20, 60.0, "answers")
+    assert one.phases()[-1] == "idle"
+    assert one.speeds().max() == 0.0
+
+    assert one.call("controller/start").success
+    one.until(lambda: one.phases()[-1] == "double_support/left" and one.speeds()[-1] > 0.0, 10.0, "walking")
+    assert one.call("controller/pause").success
+    one.until(lambda: one.phases()[-1] == "paused" and not one.speeds()[-5:].any(), 10.0, "standing still")
+    assert one.call("controller/start").success
+    one.until(lambda: one.phases()[-1] == "double_support/left" and one.speeds()[-1] > 0.0, 10.0, "going on")
+    assert one.call("controller/reset").success
+    one.until(lambda: one.phases()[-1] == "idle" and not one.speeds()[-5:].any(), 10.0, "the reset")
+    assert not one.call("controller/pause").success
+    assert one.call("controller/start").success
+    one.until(lambda: one.phases()[-1] == "double_support/left", 10.0, "walking anew")
+
+
+def test_a_state_that_cannot_be_used_is_rejected_and_the_walk_goes_on(live: Make) -> None:
+    one = live(plant__command_timeout=10.0)
+    names = names_of(one.config)
+    one.start("controller")
+    one.until(lambda: one.node.count_subscribers("joint_states") > 1, 60.0, "the controller")
+    zero = np.zeros(len(names))
+
+    def answer_to(stamp: float) -> bool:
+        return any(
+            round(m.header.stamp.sec + m.header.stamp.nanosec * 1e-9, 3) == stamp
+            for m in one.got["joint_velocity_commands"]
+        )
+
+    def good(stamp: float, *, order: list[int] | None = None, extra: bool = False) -> None:
+        index = order or list(range(len(names)))
+        shown = [names[i] for i in index] + (["head_z"] if extra else [])
+
+        def answered() -> bool:  # best effort: a message may be lost
+            one.publish_state(shown, np.zeros(len(shown)), stamp)
+            one.spin(0.1)
+            return answer_to(stamp)
+
+        one.until(answered, 20.0, f"an answer to {stamp}")
+
+    good(1.0)
+    nan, inf = zero.copy(), zero.copy()
+    nan[3], inf[0] = np.nan, -np.inf
+    for stamp, (shown, q, dq, expected) in enumerate(
+        [
+            (names, nan, (), f"not a finite position: {names[3]}"),
+            (names, inf, (), f"not a finite position: {names[0]}"),
+            (names, zero, nan, f"not a finite velocity: {names[3]}"),
+            (names[1:], zero[1:], (), f"joints missing: {names[0]}"),
+            (["wrong", *names[1:]], zero, (), f"joints missing: {names[0]}; it has wrong"),
+            ([*names, names[2]], [*zero, 0.0], (), f"joints named twice: {names[2]}"),
+            (names, zero[1:], (), "numbers in 'position'"),
+            (names, zero, zero[1:], "numbers in 'velocity'"),
+            ([], [], (), "joints missing"),
+        ],
+        start=2,
+    ):
+
+        def said(
+            shown: object = shown, q: object = q, dq: object = dq, expected: str = expected, at: int = stamp
+        ) -> bool:
+            one.publish_state(shown, q, float(at), dq)
+            one.spin(0.1)
+            return any(expected in s.message and s.level == b"\x02" for s in one.statuses("controller"))
+
+        one.until(said, 20.0, expected)
+        assert not answer_to(float(stamp))
+    assert "joint_states rejected" in one.processes.log("controller")
+    good(20.0)
+    good(21.0, order=list(reversed(range(len(names)))))
+    good(22.0, extra=True)
+
+
+def test_a_command_that_cannot_be_used_moves_nothing(live: Make) -> None:
+    from rclpy.qos import QoSProfile
+    from sensor_msgs.msg import JointState
+
+    one = live(plant__lockstep=True)
+    names = names_of(one.config)
+    commands = one.node.create_publisher(JointState, "joint_velocity_commands", QoSProfile(depth=10))
+    one.start("integrator")
+    one.until(lambda: one.got["joint_states"], 60.0, "the first state")
+    one.until(lambda: commands.get_subscription_count() > 1, 10.0, "the integrator")
+    bad = JointState(name=names, velocity=[float("nan")] * len(names))
+    commands.publish(bad)
+    one.until(lambda: "joint_velocity_commands rejected" in one.processes.log("integrator"), 10.0, "the rejection")
+    late = JointState(name=names, velocity=[1.0] * len(names))
+    late.header.stamp.sec = 7
+    commands.publish(late)
+    one.spin(1.0)
+    assert {m.header.stamp.nanosec for m in one.got["joint_states"]} == {0}
+    commands.publish(JointState(name=names, velocity=[1.0] * len(names)))
+    one.until(lambda: one.got["joint_states"][-1].header.stamp.nanosec, 10.0, "the next state")
+    np.testing.assert_allclose(
+        np.array(one.got["joint_states"][-1].position) - one.got["joint_states"][0].position, one.config.dt, atol=1e-12
+    )
+
+
+# ---------------------------------------------------------------------- start and end
+
+
+@pytest.mark.parametrize("name", ["controller", "integrator", "phase_monitor", "recorder"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_node_in_order(live: Make, name: str, number: signal.Signals) -> None:
+    one = live()
+    one.start(name, *(["--bag", str(one.params.parent / "bag")] if name == "recorder" else []))
+    one.until(lambda: name in one.node.get_node_names(), 60.0, f"{name}")
+    one.spin(0.3)
+    one.processes.signal(name, number)
+    assert one.processes.wait(name, 20.0) == 0, one.logs()
+    assert "Traceback" not in one.processes.log(name)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("/**: {ros__parameters: {gait: {step_lenght: 0.04}}}", "did you mean 'gait.step_length'"),
+        ("/**: {ros__parameters: {gait: {step_length: far}}}", "'gait.step_length' must be a number"),
+        ("/**: {ros__parameters: {gait: {step_length: 99.0}}}", "'gait.step_length' must lie in"),
+        ("/**/controler: {ros__parameters: {dt: 0.01}}", "did you mean 'controller'"),
+        ("/elsewhere/controller: {ros__parameters: {dt: 0.01}}", "does not reach /controller"),
+        ("/somebody: {ros__parameters: {dt: 0.01}}", "no section reaches /controller"),
+        ("/**: {ros__parameters: {robot: {urdf: nothing.urdf}}}", "nothing.urdf"),
+    ],
+)
+def test_parameters_that_cannot_be_used_end_a_node(tmp_path: Path, text: str, expected: str) -> None:
+    file = tmp_path / "params.yaml"
+    file.write_text(text)
+    with private_domain() as domain:
+        done = subprocess.run(
+            [sys.executable, "-m", "dqwalk_ros.nodes.controller", "--ros-args", "--params-file", str(file)],
+            env=environment(domain),
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+    assert done.returncode == 2, done.stderr
+    assert expected in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_parameters_are_described_and_live_ones_can_be_set(live: Make) -> None:
+    from rcl_interfaces.msg import Parameter, ParameterValue
+    from rcl_interfaces.srv import DescribeParameters, SetParameters
+
+    one = live(plant__lockstep=True)
+    one.params.write_text(to_yaml(one.config).replace("step_width: 0.0", "step_width: 0"))  # a whole number for a real
+    one.start("integrator")
+    describe = one.node.create_client(DescribeParameters, "integrator/describe_parameters")
+    change = one.node.create_client(SetParameters, "integrator/set_parameters")
+    one.until(lambda: describe.service_is_ready() and change.service_is_ready(), 60.0, "the parameter services")
+
+    future = describe.call_async(DescribeParameters.Request(names=["gait.step_length", "gait.first_support"]))
+    one.until(future.done, 10.0, "the description")
+    length, foot = future.result().descriptors
+    assert "[m]" in length.description
+    assert length.floating_point_range[0].to_value == 0.5
+    assert length.read_only
+    assert "left, right" in foot.additional_constraints
+
+    def set_to(name: str, value: float) -> object:
+        parameter = Parameter(name=name, value=ParameterValue(type=3, double_value=value))
+        done = change.call_async(SetParameters.Request(parameters=[parameter]))
+        one.until(done.done, 10.0, "the answer")
+        return done.result().results[0]
+
+    assert set_to("plant.command_timeout", 0.2).successful
+    assert not set_to("plant.command_timeout", -1.0).successful
+    assert not set_to("gait.step_length", 0.01).successful
+
+
+@pytest.mark.parametrize("name", ["controller", "integrator", "phase_monitor", "recorder"])
+def test_help_needs_no_ros(name: str) -> None:
+    code = (
+        "import sys; sys.modules['rclpy'] = None; sys.argv = ['x', '--help']\n"
+        f"from dqwalk_ros.nodes.entry import {name}; {name}()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    for word in ("subscribes to:", "example:", f"dqwalk_{name}", f"ros2 run dqwalk_ros {name}", "joint_states"):
+        assert word in done.stdout

@@ -1,0 +1,82 @@
+"""What is installed: the metadata agree, and colcon builds something that runs (``make colcon``)."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import venv
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+import dqwalk_ros
+
+ROOT = Path(__file__).resolve().parent.parent
+NODES = ("controller", "integrator", "phase_monitor", "recorder")
+
+
+def test_the_version_is_one() -> None:
+    version = dqwalk_ros.__version__
+    assert ElementTree.parse(ROOT / "package.xml").findtext("version") == version
+    assert f'version="{version}"' in (ROOT / "setup.py").read_text(encoding="utf-8")
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+
+
+def test_package_xml_names_what_the_nodes_import() -> None:
+    declared = {e.text for e in ElementTree.parse(ROOT / "package.xml").iter() if e.tag.endswith("depend")}
+    imported = set()
+    for file in (ROOT / "dqwalk_ros" / "nodes").glob("*.py"):
+        imported |= set(
+            re.findall(r"^\s*(?:from|import) (\w+(?:_msgs|_srvs|_interfaces)|rclpy)\b", file.read_text(), re.M)
+        )
+    assert imported <= declared, imported - declared
+
+
+@pytest.mark.colcon
+@pytest.mark.timeout(900)
+def test_colcon_builds_and_its_executables_run(tmp_path: Path) -> None:
+    """In a virtual environment of its own that sees this one's packages."""
+    colcon = shutil.which("colcon")
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", sys.prefix)
+    if colcon is None:
+        venv.create(tmp_path / "venv", with_pip=True)
+        python = tmp_path / "venv" / "bin" / "python"
+        subprocess.run(
+            [python, "-m", "pip", "install", "--quiet", "colcon-common-extensions", "setuptools<80"], check=True
+        )
+        # colcon runs setup.py with its own Python, the nodes need the packages of this one
+        site = next((tmp_path / "venv" / "lib").glob("python*")) / "site-packages"
+        (site / "outer.pth").write_text("\n".join(p for p in sys.path if p.endswith("-packages")) + "\n")
+        colcon = str(tmp_path / "venv" / "bin" / "colcon")
+    environment = {**os.environ, "AMENT_PREFIX_PATH": prefixes}
+    base = ["--build-base", str(tmp_path / "build"), "--install-base", str(tmp_path / "install")]
+    built = subprocess.run(
+        [colcon, "--log-base", str(tmp_path / "log"), "build", "--base-paths", str(ROOT), *base],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert built.returncode == 0, built.stdout + built.stderr
+    prefix = tmp_path / "install" / "dqwalk_ros"
+    share = prefix / "share"
+    assert (share / "ament_index" / "resource_index" / "packages" / "dqwalk_ros").is_file()
+    for file in ("package.xml", "config/paper.yaml", "urdf/poppy.urdf", "launch/walk.launch.py"):
+        assert (share / "dqwalk_ros" / file).is_file(), file
+    for name in NODES:
+        command = f". '{tmp_path}/install/setup.sh' && exec '{prefix}/lib/dqwalk_ros/{name}' --help"
+        shown = subprocess.run(
+            ["sh", "-c", command],
+            cwd=tmp_path,
+            env={**environment, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert shown.returncode == 0, shown.stderr
+        assert "subscribes to:" in shown.stdout

@@ -1,0 +1,125 @@
+"""The runner: it ends every walk in order and says why it failed."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
+
+import psutil
+
+from dqwalk_ros import bag
+from dqwalk_ros.config import load
+from dqwalk_ros.runner import environment, private_domain, run_walk
+
+SHORT = {"gait.step_length": 0.02, "task.eta": 0.5, "ssp.threshold": 0.01}
+
+
+def children() -> list[psutil.Process]:
+    return [p for p in psutil.Process().children(recursive=True) if "dqwalk_ros.nodes" in " ".join(p.cmdline())]
+
+
+def test_a_step_too_long_ends_with_the_reason(tmp_path: Path) -> None:
+    config = load("paper").updated({**SHORT, "gait.step_length": 0.3, "gait.phase_timeout": 20.0})
+    outcome = run_walk(config, tmp_path / "bag")
+    assert not outcome.finished
+    assert "support/" in outcome.reason
+    assert outcome.ticks > 10
+    assert not children()
+    walked = bag.read(tmp_path / "bag")  # what was walked is there
+    assert not walked.finished
+    assert len(walked.time) >= outcome.ticks
+
+
+def test_a_bag_that_is_there_is_not_touched(tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "precious").write_text("data")
+    outcome = run_walk(load("paper").updated(SHORT), tmp_path / "bag")
+    assert not outcome.finished
+    assert "recorder" in outcome.reason
+    assert [file.name for file in (tmp_path / "bag").iterdir()] == ["precious"]
+    assert not children()
+
+
+def test_progress_is_shown_while_it_walks(tmp_path: Path) -> None:
+    shown: list[tuple[float, str]] = []
+    outcome = run_walk(
+        load("paper").updated(SHORT), tmp_path / "bag", progress=lambda fraction, text: shown.append((fraction, text))
+    )
+    assert outcome.finished, outcome.reason
+    assert any("double_support/left" in text and "ticks/s" in text for _, text in shown)
+    fractions = [fraction for fraction, _ in shown]
+    assert min(fractions) >= 0.0
+    assert max(fractions) > 0.5
+    params = (tmp_path / "log" / "params.yaml").read_text()
+    assert "lockstep: true" in params
+
+
+@pytest.mark.parametrize("victim", ["integrator", "controller", "phase_monitor"])
+def test_a_node_that_dies(tmp_path: Path, victim: str) -> None:
+    """Without plant or controller the walk is over; the monitor is not in the loop."""
+    killed = False
+
+    def kill(fraction: float, text: str) -> None:
+        nonlocal killed
+        if not killed and "support" in text:
+            for process in children():
+                if process.cmdline()[2] == f"dqwalk_ros.nodes.{victim}":
+                    process.kill()
+                    killed = True
+
+    outcome = run_walk(load("paper").updated(SHORT), tmp_path / "bag", progress=kill)
+    assert killed
+    assert outcome.finished is (victim == "phase_monitor")
+    if not outcome.finished:
+        assert f"{victim} ended (-9)" in outcome.reason
+    assert not children()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_no_node_outlives_the_runner(tmp_path: Path, number: signal.Signals) -> None:
+    code = (
+        "import json, sys\n"
+        "from dqwalk_ros.config import load\n"
+        "from dqwalk_ros.runner import run_walk\n"
+        "show = lambda fraction, text: print(json.dumps(text), flush=True)\n"
+        f"out = run_walk(load('paper').updated({SHORT!r}), sys.argv[1], progress=show)\n"
+        "print(json.dumps('reason ' + out.reason), flush=True)\n"
+    )
+    with private_domain() as domain:
+        runner = subprocess.Popen(
+            [sys.executable, "-c", code, str(tmp_path / "bag")],
+            env=environment(domain),
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert runner.stdout is not None
+        for line in runner.stdout:
+            if "support" in json.loads(line):
+                break
+        nodes = psutil.Process(runner.pid).children(recursive=True)
+        assert len(nodes) == 4
+        os.kill(runner.pid, number)
+        rest = runner.stdout.read()
+        runner.wait(30)
+        deadline = time.monotonic() + 20.0
+        while any(node.is_running() and node.status() != psutil.STATUS_ZOMBIE for node in nodes):
+            assert time.monotonic() < deadline, [node.cmdline() for node in nodes if node.is_running()]
+            time.sleep(0.1)
+    if number is not signal.SIGKILL:
+        assert f"reason interrupted by {number.name}" in rest
+    assert bag.read(tmp_path / "bag").time.size > 10
+
+
+def test_domains_are_not_shared() -> None:
+    with private_domain() as one, private_domain() as two:
+        assert one != two
+        assert 1 <= one <= 101
