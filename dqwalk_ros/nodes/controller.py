@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from dqwalk_ros.bag.topics import FINISHED, ODOM
+from dqwalk_ros.bag.topics import FINISHED, ODOM, TOPICS
 from dqwalk_ros.config import Config, to_yaml
 from dqwalk_ros.controllers import State, make_controller
 from dqwalk_ros.exceptions import DqwalkError, StateError
@@ -79,9 +79,7 @@ class ControllerNode:
         self._ticks = self._rejected = self._ignored = 0
         self._phase_index = -1
 
-        names = ("phase", "phase_start", "com_target", "swing_target", "support_foot", "walk_config")
-        names += ("robot_description", "joint_velocity_commands", "base_pose", "diagnostics")
-        self._pub = {name: ros.publisher(node, name) for name in names}
+        self._pub = {name: ros.publisher(node, name) for name in TOPICS if name != "joint_states"}
         self._tf = self._make_tf()
         self._pub["walk_config"].publish(String(data=to_yaml(config)))
         self._pub["robot_description"].publish(String(data=self._model.urdf))

@@ -90,8 +90,8 @@ def _constraints(config: Config, model: RobotModel, phase: Phase, kin: Kinematic
     height = np.array([0.0, 0.0, config.pelvis.height])
     yield _shape(Marker.CUBE, "pelvis_plane", _at(base.center + height), (0.4, 0.4, _THIN), _PELVIS)
     if phase.kind is PhaseKind.SINGLE_SUPPORT:
-        size = 2.0 * config.ssp.com_radius
-        yield _shape(Marker.CYLINDER, "com_cylinder", _at(base.center + up), (size, size, _HEIGHT), _CYLINDER)
+        wide = 2.0 * config.ssp.com_radius
+        yield _shape(Marker.CYLINDER, "com_cylinder", _at(base.center + up), (wide, wide, _HEIGHT), _CYLINDER)
         return
     for name, mine, its, color in (
         ("tip_plane", base.tip, kin.point(end.frame, end.tip), _TIP),
@@ -102,5 +102,5 @@ def _constraints(config: Config, model: RobotModel, phase: Phase, kin: Kinematic
         size = (float(np.hypot(*along)) + 0.1, _THIN, _HEIGHT)
         yield _shape(Marker.CUBE, name, _at(center, float(np.arctan2(along[1], along[0]))), size, color)
     start = Kinematics(model, phase.q_start, phase.base).point(end.frame, end.tip)
-    size = 2.0 * config.dsp.sliding_radius
-    yield _shape(Marker.CYLINDER, "sliding_area", _at(start * [1.0, 1.0, 0.0]), (size, size, _THIN), _CYLINDER)
+    wide = 2.0 * config.dsp.sliding_radius
+    yield _shape(Marker.CYLINDER, "sliding_area", _at(start * [1.0, 1.0, 0.0]), (wide, wide, _THIN), _CYLINDER)

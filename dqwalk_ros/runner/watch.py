@@ -111,16 +111,12 @@ class Watch:
 
     def _fraction(self) -> float:
         """Return how much is done; within single support by the decay of its error, which is exponential."""
-        index, error = self.last["phase_index"], self.last["error"]
+        index, error = int(self.last["phase_index"]), float(self.last["error"] or 0.0)
         within = 0.0
         first = self._error0[1]
         if index % 2 and error and first > self._threshold:
-            within = 1.0 - max(0.0, _log_ratio(error, self._threshold)) / _log_ratio(first, self._threshold)
-        return min(1.0, max(0.0, (index + min(1.0, max(0.0, within))) / self._phases))
-
-
-def _log_ratio(value: float, threshold: float) -> float:
-    return float(math.log(value / threshold))
+            within = 1.0 - math.log(max(error, self._threshold) / self._threshold) / math.log(first / self._threshold)
+        return min(1.0, max(0.0, (index + max(0.0, within)) / self._phases))
 
 
 class Signals:
