@@ -10,6 +10,8 @@ products with one array of lines.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -17,7 +19,7 @@ from dqwalk_ros import kernels
 from dqwalk_ros.dq import DQ
 from dqwalk_ros.model import Foot, RobotModel
 
-__all__ = ["Kinematics", "Rooted", "rooted"]
+__all__ = ["Kinematics", "Point", "Rooted", "rooted"]
 
 Array = NDArray[np.float64]
 
@@ -181,3 +183,18 @@ class Kinematics:
         body, _ = self._rooted.frames[frame]
         return np.where(self._rooted.moves[body], self.lines[:, :3].T, 0.0)
 
+
+@dataclass(frozen=True)
+class Point:
+    """A point that moves with the robot: at `offset` in a frame, or the centre of mass where `frame` is empty."""
+
+    frame: str = ""
+    offset: Array = field(default_factory=lambda: _ORIGIN)
+
+    def position(self, kin: Kinematics) -> Array:
+        """Position in the base frame, shape (3,) [m]."""
+        return kin.point(self.frame, self.offset) if self.frame else kin.com
+
+    def jacobian(self, kin: Kinematics) -> Array:
+        """Jacobian of `position`, shape (3, n) [m/rad]."""
+        return kin.point_jacobian(self.frame, self.offset) if self.frame else kin.com_jacobian

@@ -1,0 +1,174 @@
+"""The walking controller of section 4: one quadratic program per phase, joint velocities out [Urban2020]."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros.config import Config
+from dqwalk_ros.controllers import Command, State, Tick
+from dqwalk_ros.dq import DQ
+from dqwalk_ros.exceptions import PhaseError, StateError
+from dqwalk_ros.gait import EndRule, footstep, phase_at
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.model import RobotModel
+from dqwalk_ros.phases import Phase, PhaseKind, assemble, make_phase
+from dqwalk_ros.qp import Problem, Solution, make_solver
+
+__all__ = ["VelocityController"]
+
+Array = NDArray[np.float64]
+
+
+class VelocityController:
+    """Walks `model` as `config` says.
+
+    Parameters
+    ----------
+    config : Config
+    model : RobotModel
+
+    Attributes
+    ----------
+    problem, solution : Problem, Solution or None
+        The last quadratic program and its answer.
+    """
+
+    def __init__(self, config: Config, model: RobotModel) -> None:
+        self.config = config
+        self.model = model
+        self._solver = make_solver(config.qp.solver)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the walk; the next state begins a new one."""
+        self.problem: Problem | None = None
+        self.solution: Solution | None = None
+        self._phase: Phase | None = None
+        self._rule: EndRule | None = None
+        self._kin: Kinematics | None = None
+        self._index = -1
+        self._time0 = math.nan
+        self._finished = False
+        self._x_odom_base = DQ(1.0)
+        self._error = math.nan
+
+    @property
+    def phase(self) -> Phase:
+        """The current phase; there is one after the first step."""
+        if self._phase is None:
+            raise RuntimeError("a walk has no phase before its first step")
+        return self._phase
+
+    @property
+    def phase_index(self) -> int:
+        """0, 1, ... from the beginning of the walk; -1 before the first step."""
+        return self._index
+
+    @property
+    def phase_time0(self) -> float:
+        """Time of the state at which the phase began [s]."""
+        return self._time0
+
+    @property
+    def finished(self) -> bool:
+        """Whether the last phase is over; commands are zero from then on."""
+        return self._finished
+
+    @property
+    def x_odom_base(self) -> Array:
+        """Pose of the phase's base sole in the world of the first phase, shape (8,)."""
+        return self._x_odom_base.vec8()
+
+    @property
+    def error(self) -> float:
+        """Norm of the error of the phase's own task at the last state."""
+        return self._error
+
+    @property
+    def solve_time(self) -> float:
+        """Time the solver took for the last command [s]."""
+        return self.solution.solve_time if self.solution is not None else math.nan
+
+    @property
+    def last(self) -> Tick:
+        """What there is to say about the last step."""
+        if self.problem is None or self.solution is None:
+            return Tick(self._error, math.nan, 0, ())
+        return Tick(self._error, self.solution.solve_time, self.solution.iterations, self.solution.active(self.problem))
+
+    def odometry(self) -> Array:
+        """Pose of the pelvis in the world of the first phase, shape (8,)."""
+        if self._kin is None:
+            raise RuntimeError("a walk has no odometry before its first step")
+        return (self._x_odom_base * DQ(self._kin.pose(self.model.pelvis))).vec8()
+
+    def step(self, state: State, dt: float) -> Command:
+        """Return the joint velocities for the next period.
+
+        Parameters
+        ----------
+        state : State
+        dt : float
+            Period until the next state [s].
+
+        Raises
+        ------
+        StateError
+            If the state does not fit the model or is not finite.
+        PhaseError
+            If the phase cannot end by its rule.
+        QPError
+            If the quadratic program has no answer.
+        """
+        q = self._checked(state)
+        if self._index < 0:
+            self._enter(0, state)
+        kin = Kinematics(self.model, q, self.phase.base)
+        self._error = self.phase.error(kin)
+        while not self._finished and self._over(state.time):
+            self._enter(self._index + 1, state, kin)
+            kin = Kinematics(self.model, q, self.phase.base)
+            self._error = self.phase.error(kin)
+        self._kin = kin
+        if self._finished:
+            return Command(state.time, np.zeros(self.model.n))
+        self.problem = assemble(self.phase, kin, dt)
+        self.solution = self._solver.solve(self.problem)
+        limit = self.model.velocity_max
+        return Command(state.time, np.clip(self.solution.u, -limit, limit))
+
+    def _checked(self, state: State) -> Array:
+        if state.q.shape != (self.model.n,):
+            raise StateError(f"the state has {state.q.size} joints, the model {self.model.n}")
+        if not np.isfinite(state.q).all():
+            bad = [name for name, angle in zip(self.model.joint_names, state.q, strict=True) if not np.isfinite(angle)]
+            raise StateError(f"the angle of {', '.join(bad)} is not finite")
+        return state.q
+
+    def _over(self, time: float) -> bool:
+        assert self._rule is not None  # set with the phase
+        elapsed = time - self._time0
+        try:
+            return self._rule.over(self._error, elapsed)
+        except PhaseError:
+            # said again with the rows that held the robot back
+            return self._rule.over(self._error, elapsed, self.last.active)
+
+    def _enter(self, index: int, state: State, kin: Kinematics | None = None) -> None:
+        """Begin the phase `index` at `state`; `kin` is seen from the base of the phase before."""
+        following = phase_at(self.config, index)
+        if following is None:
+            self._finished = True
+            return
+        kind, support = following
+        target = footstep(self.config, self.model, support) if kind is PhaseKind.SINGLE_SUPPORT else None
+        phase = make_phase(self.config, self.model, kind, support, state.q, target)
+        if kin is not None and phase.base is not kin.base:
+            # the world moves to the other sole, as that stands now
+            self._x_odom_base = (self._x_odom_base * DQ(kin.pose(kin.swing))).normalized()
+        self._phase, self._index, self._time0 = phase, index, state.time
+        self._rule = EndRule(self.config, self.model, phase)
+        self.problem = self.solution = None

@@ -1,0 +1,68 @@
+"""The closed loop without ROS."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from dqwalk_ros.controllers import Command, Controller
+from dqwalk_ros.exceptions import DqwalkError
+from dqwalk_ros.gait import PHASES_PER_CYCLE
+from dqwalk_ros.plants import Plant
+from dqwalk_ros.trace import Recorder, Trace
+
+__all__ = ["simulate"]
+
+_REPORT_EVERY = 0.1
+
+
+def simulate(
+    controller: Controller,
+    plant: Plant,
+    *,
+    progress: Callable[[float, str], None] | None = None,
+    max_time: float | None = None,
+) -> Trace:
+    """Walk until the controller has finished.
+
+    Parameters
+    ----------
+    controller : Controller
+    plant : Plant
+    progress : callable, optional
+        Called about ten times a second with the fraction of phases done and a line of text.
+    max_time : float, optional
+        Stop after this time of walking [s].
+
+    Returns
+    -------
+    Trace
+        Up to the end, to `max_time`, to Ctrl-C, or to an error of the controller, which is in its notes.
+    """
+    config = controller.config
+    recorder = Recorder(config, controller.model)
+    state = plant.state
+    end = None if max_time is None else state.time + max_time - 0.5 * config.dt
+    total = PHASES_PER_CYCLE * config.gait.cycles
+    due = 0.0
+    try:
+        while True:
+            command: Command | None
+            try:
+                command = controller.step(state, config.dt)
+            except DqwalkError as error:
+                recorder.note(str(error))
+                command = None
+            recorder.add(state, command, controller)
+            if command is None or controller.finished or (end is not None and state.time >= end):
+                break
+            if progress is not None and time.monotonic() >= due:
+                due = time.monotonic() + _REPORT_EVERY
+                progress(
+                    controller.phase_index / total,
+                    f"{controller.phase.name}  t = {state.time:.1f} s  error {controller.error:.4f}",
+                )
+            state = plant.step(command, config.dt)
+    except KeyboardInterrupt:
+        recorder.note(f"interrupted at {state.time:.3f} s")
+    return recorder.trace()
