@@ -120,17 +120,20 @@ class ControllerNode:
         self._received, self._stale = time.monotonic(), False
         if not self._may_answer():
             return
-        velocity = self._zero
+        before = self._mode
         if self._mode is Mode.WALKING:
             velocity = self._step(state, stamp)
         elif self._lockstep:
-            return  # no answer: simulated time stands still
-        self._stamp, self._velocity = stamp, velocity
-        self._publish_command()
-        self._ticks += 1
-        if self._phase_index >= 0:
-            self._publish_pose(stamp)
-        if self._mode in (Mode.DONE, Mode.FAILED):
+            velocity = None  # no answer: simulated time stands still
+        else:
+            velocity = self._zero
+        if velocity is not None:
+            self._stamp, self._velocity = stamp, velocity
+            self._publish_command()
+            self._ticks += 1
+            if self._phase_index >= 0:
+                self._publish_pose(stamp)
+        if self._mode is not before:
             self._done()
         elif self._diagnose_now():
             self._diagnose()
@@ -269,6 +272,8 @@ class ControllerNode:
         self.node.get_logger().info(f"{(stamp - self._stamp0) * 1e-9:8.3f} s  phase {self._phase_index}: {phase.name}")
 
     def _publish_pose(self, stamp: int) -> None:
+        if self._tf is None and not self._pub["base_pose"].get_subscription_count():
+            return
         msg = ros.pose(stamp, ODOM, self._controller.odometry())
         self._pub["base_pose"].publish(msg)
         if self._tf is not None:
