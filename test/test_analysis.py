@@ -13,9 +13,9 @@ import pytest
 from dqwalk_ros import analysis
 from dqwalk_ros.analysis.figures import FIGURES, FORMATS, figure7, figure8, figure9, top_view
 from dqwalk_ros.analysis.figures.style import thinned
-from dqwalk_ros.analysis.support import polygon_margin
+from dqwalk_ros.analysis.support import hull_margin
 from dqwalk_ros.dq import DQ
-from dqwalk_ros.geometry import ConvexPolygon, point_to_polygon
+from dqwalk_ros.geometry import ConvexPolygon
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot
 from dqwalk_ros.phases import PhaseKind
@@ -127,13 +127,21 @@ def test_true_margin_in_double_support_is_that_of_the_hull(series):
     assert series.urdf_margin is not None  # paper.yaml states another sole than the URDF has
 
 
-def test_many_points_to_a_polygon_like_one(series):
+@pytest.mark.parametrize("count", [4, 8])
+def test_many_hulls_at_once_like_one_by_one(count):
     rng = np.random.default_rng(3)
-    polygon = ConvexPolygon.hull(rng.normal(size=(12, 2)))
-    p = rng.normal(scale=2.0, size=(500, 2))
-    one_by_one = [point_to_polygon(q, polygon.vertices)[0] for q in p]
-    np.testing.assert_allclose(polygon_margin(polygon, p), one_by_one, atol=1e-14)
+    points, p = rng.normal(size=(5000, count, 2)), rng.normal(scale=1.2, size=(5000, 2))
+    one_by_one = [ConvexPolygon.hull(k).distance(q) for k, q in zip(points, p, strict=True)]
+    np.testing.assert_allclose(hull_margin(points, p), one_by_one, atol=1e-12)
     assert min(one_by_one) < 0.0 < max(one_by_one)
+
+
+def test_hulls_of_soles_that_touch():
+    """Corners that fall together and edges in one line, as two soles side by side have them."""
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    points = np.concatenate([square, square + [1.0, 0.0]])[None]
+    for p, distance in (([1.0, 0.4], 0.4), ([0.25, 0.5], 0.25), ([3.0, 0.5], -1.0), ([3.0, 2.0], -np.sqrt(2.0))):
+        assert hull_margin(points, np.array([p]))[0] == pytest.approx(distance)
 
 
 # ---------------------------------------------------------------------- report
@@ -247,7 +255,15 @@ def test_the_table_says_it_all(report):
     text = analysis.render(report)
     for phase in report["phases"]:
         assert phase["name"] in text
-    for what in ("com_cylinder", "tip_plane", "paper margin", "true margin", "URDF's own sole", "landing error", "OK: "):
+    for what in (
+        "com_cylinder",
+        "tip_plane",
+        "paper margin",
+        "true margin",
+        "URDF's own sole",
+        "landing error",
+        "OK: ",
+    ):
         assert what in text
     assert max(map(len, text.splitlines())) < 160
 
@@ -399,9 +415,7 @@ def test_later_cycles_fade(trace):
 def two_cycles(trace):
     """The walk with itself behind it, for drawing only."""
     n, shift = len(trace.time), trace.time[-1] + trace.config.dt
-    later = [
-        dataclasses.replace(copy.copy(r), start=r.start + n, time=r.time + shift) for r in trace.phases
-    ]
+    later = [dataclasses.replace(copy.copy(r), start=r.start + n, time=r.time + shift) for r in trace.phases]
     return dataclasses.replace(
         trace,
         time=np.concatenate([trace.time, trace.time + shift]),

@@ -66,6 +66,11 @@ def test_round_trip_is_exact(trace, tmp_path, kind):
     assert back.notes == ()
 
 
+def test_a_bag_of_a_bag_is_the_same_bag(path, tmp_path):
+    bag.write(bag.read(path), tmp_path / "walk")
+    assert (tmp_path / "walk/walk.mcap").read_bytes() == (path / "walk.mcap").read_bytes()
+
+
 def test_numbers_of_every_size_survive(trace, tmp_path):
     rng = np.random.default_rng(1)
     u = rng.normal(size=trace.u.shape) * 10.0 ** rng.integers(-300, 300, trace.u.shape)

@@ -13,9 +13,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.analysis.support import polygon_margin, urdf_soles
+from dqwalk_ros.analysis.support import hull_margin, urdf_soles
 from dqwalk_ros.dq import DQ
-from dqwalk_ros.geometry import ConvexPolygon
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot, RobotModel, Sole
 from dqwalk_ros.phases import Phase, PhaseKind, make_phase
@@ -207,15 +206,12 @@ class Series:
         out = np.full(len(self.time), np.nan)
         for span in self.spans:
             base, other = soles[span.phase.base], soles[span.phase.base.other]
-            com = self.com[span.ticks, :2]
-            if not span.double:
-                out[span.ticks] = polygon_margin(ConvexPolygon.hull(base.corners), com)
-                continue
-            ends = np.stack(
-                [DQ(self.end[span.ticks]).transform_point(corner)[:, :2] for corner in other.corners], axis=1
-            )
-            for tick, (p, corners) in enumerate(zip(com, ends, strict=True), span.start):
-                out[tick] = ConvexPolygon.hull(np.concatenate([base.corners[:, :2], corners])).distance(p)
+            corners = np.broadcast_to(base.corners[:, :2], (span.end - span.start, 4, 2))
+            if span.double:
+                x = DQ(self.end[span.ticks])
+                ends = [x.transform_point(corner)[:, :2] for corner in other.corners]
+                corners = np.concatenate([corners, np.stack(ends, axis=1)], axis=1)
+            out[span.ticks] = hull_margin(corners, self.com[span.ticks, :2])
         return out
 
 

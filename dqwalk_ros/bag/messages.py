@@ -108,8 +108,8 @@ def joint_states(
         "sensor_msgs/msg/JointState",
         header=_header(int(stamps[0]), frame),
         name=list(names),
-        position=none if position is None else position[0],
-        velocity=none if velocity is None else velocity[0],
+        position=none if position is None else np.ascontiguousarray(position[0]),
+        velocity=none if velocity is None else np.ascontiguousarray(velocity[0]),
         effort=none,
     )
     at_position, at_velocity, _ = _number_bytes(example)

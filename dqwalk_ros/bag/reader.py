@@ -66,7 +66,7 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
     stamps, rows = _ticks(states.stamps, first, began[0].stamp, notes)
     if not len(stamps):
         raise BagError(f"'{path}': every joint state is older than the first phase")
-    q = states.position[rows][:, states.columns(model.joint_names)]
+    q = np.ascontiguousarray(states.position[rows][:, states.columns(model.joint_names)])
     if not np.isfinite(q).all():
         bad = [name for name, column in zip(model.joint_names, q.T, strict=True) if not np.isfinite(column).all()]
         raise BagError(f"'{path}': joint_states lack positions of {', '.join(bad)}")

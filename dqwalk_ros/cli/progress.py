@@ -27,7 +27,7 @@ class Progress:
         self._live = self._stream.isatty()
         self._every = 0.1 if self._live else 5.0
         self._began = time.monotonic()
-        self._shown = -1e9 if self._live else self._began
+        self._shown = float("-inf")
         self._drawn = False
 
     def __call__(self, fraction: float, text: str = "") -> None:

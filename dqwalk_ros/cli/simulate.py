@@ -1,0 +1,60 @@
+"""``dqwalk simulate``: walk in this process, write the bag, judge and draw."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from pathlib import Path
+
+from dqwalk_ros import bag
+from dqwalk_ros.cli.progress import Progress
+from dqwalk_ros.cli.results import prepare, write_results
+from dqwalk_ros.cli.settings import config_of
+from dqwalk_ros.controllers import Controller, make_controller
+from dqwalk_ros.gait import PHASES_PER_CYCLE
+from dqwalk_ros.model import load_model
+from dqwalk_ros.phases import PhaseKind
+from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.simulation import simulate
+
+__all__ = ["run"]
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do it and return the exit code."""
+    config, out = config_of(args), Path(args.out)
+    model = load_model(config.robot)
+    prepare(out, force=args.force)
+    controller = make_controller(config, model)
+    bar, done = Progress(quiet=args.quiet), _Fraction(controller)
+    try:
+        trace = simulate(controller, KinematicPlant(model), progress=lambda _, text: bar(done(), text))
+    finally:
+        bar.close()
+    if not trace.finished:
+        print(f"dqwalk: {'; '.join(trace.notes)}", file=sys.stderr)
+    bag.write(trace, out / "bag")
+    report = write_results(trace, out, formats=args.format, figures=not args.no_figures, quiet=args.quiet)
+    return 0 if trace.finished and report["ok"] else 1
+
+
+class _Fraction:
+    """How much of a walk is done: the phases, and within single support the decay of its error, exponential as it is."""
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+        self._total = PHASES_PER_CYCLE * controller.config.gait.cycles
+        self._threshold = controller.config.ssp.threshold
+        self._index, self._first = -1, 0.0
+
+    def __call__(self) -> float:
+        """Return the fraction done."""
+        controller = self._controller
+        index, error = controller.phase_index, max(controller.error, self._threshold)
+        if index != self._index:
+            self._index, self._first = index, error
+        within = 0.0
+        if controller.phase.kind is PhaseKind.SINGLE_SUPPORT and self._first > self._threshold:
+            within = math.log(self._first / error) / math.log(self._first / self._threshold)
+        return (index + max(0.0, within)) / self._total

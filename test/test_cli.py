@@ -1,0 +1,340 @@
+"""The command line: what it teaches, what it leaves behind, how it ends."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from dqwalk_ros import __version__, bag, cli
+from dqwalk_ros.cli.progress import Progress
+from dqwalk_ros.cli.settings import parse_overrides
+from dqwalk_ros.config import Config, from_yaml, load
+from dqwalk_ros.exceptions import ConfigError
+from recorded import SHORT, short_walk
+
+FAST = [word for key, value in SHORT.items() for word in ("--set", f"{key}={value}")]
+
+
+HERE = {
+    **os.environ,
+    "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent.parent), os.environ.get("PYTHONPATH", "")]),
+}
+
+
+def run(*arguments, **options):
+    words = [sys.executable, "-m", "dqwalk_ros.cli", *map(str, arguments)]
+    return subprocess.run(words, capture_output=True, text=True, check=False, env=HERE, **options)
+
+
+def one_line(text):
+    """What went wrong, in one line that names the program."""
+    return text.startswith("dqwalk: ") and text.count("\n") == 1 and "Traceback" not in text
+
+
+# ---------------------------------------------------------------------- help
+
+
+@pytest.mark.parametrize("command", [[], ["simulate"], ["walk"], ["report"], ["config"]])
+def test_help_teaches_by_example(command):
+    done = run(*command, "--help")
+    assert done.returncode == 0
+    assert "examples:" in done.stdout
+    assert done.stdout.count(f"dqwalk {' '.join(command)}".strip()) > 3
+    assert max(map(len, done.stdout.splitlines())) <= 120
+
+
+def test_help_comes_at_once():
+    """Nothing heavy is loaded; measured against an empty interpreter of the same machine."""
+
+    def best(*words):
+        times = []
+        for _ in range(5):
+            began = time.perf_counter()
+            subprocess.run([sys.executable, *words], capture_output=True, check=True, env=HERE)
+            times.append(time.perf_counter() - began)
+        return min(times)
+
+    assert best("-m", "dqwalk_ros.cli", "--help") - best("-c", "pass") < 0.35
+    code = "import sys, dqwalk_ros.cli.parser as p; p.build(); print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=HERE)
+    assert not {"numpy", "numba", "yaml", "matplotlib", "rosbags", "rclpy"} & set(loaded.stdout.split())
+
+
+def test_no_command_and_wrong_options_are_usage():
+    for arguments in ([], ["fly"], ["simulate", "--cycles", "many"], ["report"], ["simulate", "--format", "gif"]):
+        done = run(*arguments)
+        assert done.returncode == 2, arguments
+        assert "usage: dqwalk" in done.stderr
+        assert "Traceback" not in done.stderr
+
+
+def test_version(capsys):
+    assert cli.main(["version"]) == 0
+    out = capsys.readouterr().out
+    assert f"dqwalk_ros {__version__}" in out
+    assert "numpy" in out
+    assert "Python" in out
+
+
+# ---------------------------------------------------------------------- config
+
+
+def test_config_lists_every_parameter(capsys):
+    assert cli.main(["config"]) == 0
+    out = capsys.readouterr().out
+    for spec in Config.specs():
+        assert f"{spec.name} " in out
+    assert "in [0.0001, 1]" in out
+    assert "one of left, right" in out
+
+
+def test_config_of_one_section(capsys):
+    assert cli.main(["config", "--section", "ssp"]) == 0
+    out = capsys.readouterr().out
+    assert "ssp.com_radius" in out
+    assert "dsp." not in out
+    assert cli.main(["config", "--section", "legs"]) == 2
+
+
+def test_config_prints_what_can_be_read_again(capsys, tmp_path):
+    assert cli.main(["config", "paper", "--set", "gait.step_length=0.04"]) == 0
+    text = capsys.readouterr().out
+    assert from_yaml(text) == load("paper").updated({"gait.step_length": 0.04})
+    (tmp_path / "mine.yaml").write_text(text)
+    assert cli.main(["config", str(tmp_path / "mine.yaml"), "--check"]) == 0
+    assert "can be used" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["config", "nowhere.yaml"], "nowhere.yaml"),
+        (["config", "paper", "--set", "ssp.com_radios=0.04"], "did you mean 'ssp.com_radius'"),
+        (["config", "paper", "--set", "ssp.com_radius=wide"], "must be a number"),
+        (["config", "paper", "--set", "ssp.com_radius=7"], "must lie in"),
+        (["config", "paper", "--set", "ssp.com_radius"], "KEY=VALUE"),
+        (["config", "--set", "nothing=1"], "unknown parameter"),
+        (["simulate", "--cycles", "0"], "gait.cycles"),
+        (["simulate", "--set", "robot.urdf=nowhere.urdf"], "nowhere.urdf"),
+    ],
+)
+def test_a_configuration_of_no_use_is_one_line_and_exit_2(arguments, says, tmp_path):
+    done = run(*arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert one_line(done.stderr), done.stderr
+    assert says in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_overrides_are_read_as_yaml():
+    values = parse_overrides(["a.b=1", "c=1e-3", "d=true", "e=[x, y]", "f=left", "g=k=v", "h=0.5"])
+    assert values == {"a.b": 1, "c": 1e-3, "d": True, "e": ["x", "y"], "f": "left", "g": "k=v", "h": 0.5}
+    with pytest.raises(ConfigError):
+        parse_overrides(["=1"])
+    with pytest.raises(ConfigError):
+        parse_overrides(["a=[1"])
+
+
+# ---------------------------------------------------------------------- simulate and report
+
+
+@pytest.fixture(scope="module")
+def walked(tmp_path_factory):
+    """A whole cycle, through the command line."""
+    out = tmp_path_factory.mktemp("cli") / "walk"
+    return out, run("simulate", *FAST, "--cycles", 1, "--first", "right", "--out", out)
+
+
+def test_simulate_leaves_bag_report_and_figures(walked):
+    out, done = walked
+    assert done.returncode == 0, done.stderr
+    names = {"bag", "report.json", "figure7.png", "figure8.png", "figure9.png", "top_view.png"}
+    assert {path.name for path in out.iterdir()} == names
+    report = json.loads((out / "report.json").read_text())
+    assert report["ok"] is True
+    assert report["walk"]["steps"] == 2
+    assert [phase["name"] for phase in report["phases"]] == [
+        "double_support/right",
+        "single_support/right",
+        "double_support/left",
+        "single_support/left",
+    ]
+    assert "OK: every constraint was kept" in done.stdout
+    assert str(out / "figure7.png") in done.stdout
+    assert report["config"]["task.eta"] == 0.5
+
+
+def test_the_bag_of_simulate_is_the_walk(walked):
+    trace = bag.read(walked[0] / "bag")
+    assert trace.finished
+    assert trace.config.gait.first_support == "right"
+    assert trace.notes == ()
+
+
+def test_report_of_the_bag_is_the_report_of_simulate(walked, tmp_path, capsys):
+    out, _ = walked
+    assert cli.main(["report", str(out / "bag"), "--out", str(tmp_path), "--json", "--no-figures", "--quiet"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    before = json.loads((out / "report.json").read_text())
+    for one in (report, before):
+        one.pop("solve_time")  # a bag does not keep it
+    assert report == before
+    assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
+
+
+def test_report_goes_beside_the_bag_in_every_format(walked, capsys):
+    out, _ = walked
+    assert cli.main(["report", str(out / "bag"), "--format", "svg,pdf"]) == 0
+    assert {path.suffix for path in (out / "bag_report").iterdir()} == {".json", ".svg", ".pdf"}
+
+
+def test_an_earlier_walk_is_not_overwritten_unasked(walked):
+    out, _ = walked
+    before = (out / "bag/metadata.yaml").read_text()
+    done = run("simulate", *FAST, "--out", out)
+    assert done.returncode == 1
+    assert one_line(done.stderr)
+    assert "--force" in done.stderr
+    assert (out / "bag/metadata.yaml").read_text() == before
+
+
+def test_force_replaces_bags_only(tmp_path):
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag/thesis.tex").touch()
+    assert cli.main(["simulate", *FAST, "--out", str(tmp_path), "--force", "--quiet"]) == 1
+    assert (tmp_path / "bag/thesis.tex").exists()
+
+
+def test_a_broken_promise_is_exit_1_with_the_reason(tmp_path):
+    import dataclasses
+
+    trace = short_walk()
+    q = trace.q.copy()
+    q[500, trace.model.joint_names.index("l_knee_y")] = -1.0
+    bag.write(dataclasses.replace(trace, q=q), tmp_path / "b")
+    done = run("report", tmp_path / "b", "--no-figures")
+    assert done.returncode == 1
+    assert "VIOLATED" in done.stdout
+    assert "l_knee_y" in done.stdout
+
+
+@pytest.mark.parametrize("make", ["nothing", "empty", "text"])
+def test_report_of_no_bag_is_one_line(tmp_path, make):
+    path = tmp_path / "b"
+    if make == "empty":
+        path.mkdir()
+    if make == "text":
+        path.write_text("no bag")
+    done = run("report", path)
+    assert done.returncode == 1
+    assert one_line(done.stderr), done.stderr
+    assert str(path) in done.stderr
+
+
+def test_too_long_a_step_fails_with_the_reason_and_keeps_what_was_walked(tmp_path):
+    done = run(
+        "simulate", *FAST, "--set", "gait.step_length=0.2", "--set", "gait.phase_timeout=20", "--out", tmp_path / "w"
+    )
+    assert done.returncode == 1
+    assert "single_support" in done.stderr
+    assert "Traceback" not in done.stderr
+    trace = bag.read(tmp_path / "w/bag")
+    assert not trace.finished
+    assert [record.name for record in trace.phases] == ["double_support/left", "single_support/left"]
+    report = json.loads((tmp_path / "w/report.json").read_text())
+    assert report["walk"]["finished"] is False
+    assert report["ok"] is True  # it stopped, but never left its constraints
+    assert (tmp_path / "w/figure8.png").exists()
+
+
+def test_ctrl_c_keeps_what_was_walked(tmp_path):
+    """The paper's own pace, interrupted once it walks."""
+    out = tmp_path / "walk"
+    process = subprocess.Popen(
+        [sys.executable, "-u", "-m", "dqwalk_ros.cli", "simulate", "--out", str(out), "--cycles", "20"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=HERE,
+    )
+    first = process.stderr.readline()  # the first line of progress
+    assert "double_support/left" in first
+    time.sleep(0.5)
+    os.kill(process.pid, signal.SIGINT)
+    stdout, stderr = process.communicate(timeout=60)
+    assert process.returncode == 1, stderr
+    assert "interrupted" in stderr
+    assert "Traceback" not in stderr
+    trace = bag.read(out / "bag")
+    assert not trace.finished
+    assert len(trace.time) > 100
+    report = json.loads((out / "report.json").read_text())
+    assert report["walk"]["ticks"] == len(trace.time)
+    assert (out / "figure7.png").exists()
+    assert "stopped before its end" in stdout
+
+
+def test_quiet_says_nothing(tmp_path, capsys):
+    assert cli.main(["simulate", *FAST, "--out", str(tmp_path / "w"), "--quiet", "--no-figures"]) == 0
+    assert capsys.readouterr() == ("", "")
+    assert {path.name for path in (tmp_path / "w").iterdir()} == {"bag", "report.json"}
+
+
+def test_a_closed_pipe_is_no_error():
+    words = f"{sys.executable} -m dqwalk_ros.cli config | head -1"
+    done = subprocess.run(words, shell=True, capture_output=True, text=True, check=False, env=HERE)
+    assert done.returncode == 0
+    assert done.stderr == ""
+
+
+def test_the_python_module_of_ros_that_is_missing_is_named(monkeypatch, capsys):
+    def run_walk(*_, **__):
+        raise ModuleNotFoundError("No module named 'rclpy'", name="rclpy")
+
+    monkeypatch.setattr("dqwalk_ros.cli._run", run_walk)
+    assert cli.main(["walk"]) == 1
+    assert "'rclpy'" in capsys.readouterr().err
+
+
+# ---------------------------------------------------------------------- progress
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_progress_on_a_terminal_is_one_line(monkeypatch):
+    clock = iter(range(0, 1000, 10))
+    monkeypatch.setattr("dqwalk_ros.cli.progress.time.monotonic", lambda: float(next(clock)))
+    stream = Terminal()
+    progress = Progress(stream)
+    for fraction in (0.0, 0.25, 0.5):
+        progress(fraction, "single_support/left")
+    shown = stream.getvalue()
+    assert "\n" not in shown
+    assert "[##########..........]  50 %  single_support/left  0:30 left" in shown
+    progress.close()
+    assert stream.getvalue().endswith("\r")
+
+
+def test_progress_elsewhere_is_a_line_now_and_then(monkeypatch):
+    now = 0.0
+    monkeypatch.setattr("dqwalk_ros.cli.progress.time.monotonic", lambda: now)
+    stream = io.StringIO()
+    progress = Progress(stream)
+    for k in range(101):
+        now = 0.2 * k
+        progress(k / 100, "walking")
+    lines = stream.getvalue().splitlines()
+    assert 4 <= len(lines) <= 6
+    assert all("walking" in line and "\r" not in line for line in lines)
+    Progress(stream, quiet=True)(0.5, "never")
+    assert "never" not in stream.getvalue()
