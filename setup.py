@@ -67,6 +67,7 @@ setup(
         "numpy>=1.26",
         "pyyaml>=6.0",
         "rosbags>=0.10.4",
+        "scipy>=1.11",
         "yourdfpy>=0.0.56",
     ],
     extras_require={"ros": ROS, "test": TEST, "dev": DEV},

@@ -58,7 +58,14 @@ def _par(
     structural: bool = False,
 ) -> Any:
     """Declare one parameter as a dataclass field that carries its own documentation."""
-    meta = dict(meaning=meaning, unit=unit, low=low, high=high, choices=choices, structural=structural)
+    meta = {
+        "meaning": meaning,
+        "unit": unit,
+        "low": low,
+        "high": high,
+        "choices": choices,
+        "structural": structural,
+    }
     return dataclasses.field(default=default, metadata=meta)
 
 
@@ -120,7 +127,9 @@ class GaitConfig:
     first_support: str = _par("left", "the foot that carries the weight first", choices=("left", "right"))
     cycles: int = _par(1, "walking cycles, of four phases each (Fig. 1)", "", 1, 100000)
     step_length: float = _par(0.05, "landing place of the swing foot ahead of the support foot", "m", -0.5, 0.5)
-    step_width: float = _par(0.0, "lateral distance of the soles' centres; 0 keeps that of the zero posture", "m", 0.0, 1.0)
+    step_width: float = _par(
+        0.0, "lateral distance of the soles' centres; 0 keeps that of the zero posture", "m", 0.0, 1.0
+    )
     phase_timeout: float = _par(900.0, "a phase that takes longer has failed", "s", 0.1, 1e5)
 
 
@@ -130,7 +139,9 @@ class TaskConfig:
 
     eta: float = _par(0.05, "convergence rate of the task error in (6)", "1/s", 1e-6, 1e3)
     damping: float = _par(0.1, "lambda, the damping of the joint velocities in (6)", "", 1e-6, 1e3)
-    posture_weight: float = _par(0.0, "weight of a task back to the zero posture (0: none, as in the paper)", "", 0.0, 1e3)
+    posture_weight: float = _par(
+        0.0, "weight of a task back to the zero posture (0: none, as in the paper)", "", 0.0, 1e3
+    )
 
 
 @dataclass(frozen=True)
@@ -143,7 +154,9 @@ class DspConfig:
     flat_feet: bool = _par(True, "keep the end sole parallel to the ground; false: the literal (8), its tip only")
     eta_tip: float = _par(10.0, "rate of (9)", "1/s", 1e-3, 1e4)
     eta_back: float = _par(20.0, "rate of (10)", "1/s", 1e-3, 1e4)
-    stall_rate: float = _par(1e-4, "the phase is over when the error falls by less than this in a stall_window", "m", 1e-9, 1.0)
+    stall_rate: float = _par(
+        1e-4, "the phase is over when the error falls by less than this in a stall_window", "m", 1e-9, 1.0
+    )
     stall_window: float = _par(1.0, "time over which the fall of the error is judged", "s", 0.01, 1e3)
 
 
@@ -322,7 +335,7 @@ def _checked(spec: Spec, value: Any, source: str) -> Value:
         if not all(isinstance(item, str) for item in value):
             raise wrong("must be a list of texts")
         return tuple(item for item in value if item)
-    if spec.low is not None and value < spec.low or spec.high is not None and value > spec.high:
+    if (spec.low is not None and value < spec.low) or (spec.high is not None and value > spec.high):
         raise wrong(f"must lie in [{spec.low:g}, {spec.high:g}]")
     number: Value = value
     return number

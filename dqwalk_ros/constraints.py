@@ -92,10 +92,12 @@ class PointInCylinder(Constraint):
     cylinder: Cylinder
 
     def distance(self, kin: Kinematics) -> Array:
+        """Radius squared less the squared distance from the axis, shape (1,) [m^2]."""
         axis = self.cylinder.axis
         return np.array([self.cylinder.radius**2 - point_to_line_squared(self.point.position(kin), axis.l, axis.m)])
 
     def jacobian(self, kin: Kinematics) -> Array:
+        """Jacobian of `distance`, shape (1, n) [m^2/rad]."""
         axis, p = self.cylinder.axis, self.point
         return -point_to_line_squared_jacobian(p.position(kin), p.jacobian(kin), axis.l, axis.m)[None]
 
@@ -108,9 +110,11 @@ class PointOverPlane(Constraint):
     plane: Plane
 
     def distance(self, kin: Kinematics) -> Array:
+        """Height of the point over the plane, shape (1,) [m]."""
         return np.array([point_to_plane(self.point.position(kin), self.plane.n, self.plane.d)])
 
     def jacobian(self, kin: Kinematics) -> Array:
+        """Jacobian of `distance`, shape (1, n) [m/rad]."""
         return point_to_plane_jacobian(self.point.position(kin), self.point.jacobian(kin), self.plane.n)[None]
 
 
@@ -135,11 +139,15 @@ class PointInsideWall(Constraint):
     side: float
 
     def distance(self, kin: Kinematics) -> Array:
+        """Distance of the point from the wall, shape (1,) [m]."""
         return np.array([point_to_wall(self.point.position(kin), self.fixed, self.moving.position(kin), self.side)])
 
     def jacobian(self, kin: Kinematics) -> Array:
+        """Jacobian of `distance`, shape (1, n) [m/rad], with the residual of the moving plane."""
         p, b = self.point, self.moving
-        J = point_to_wall_jacobian(p.position(kin), p.jacobian(kin), self.fixed, b.position(kin), b.jacobian(kin), self.side)
+        J = point_to_wall_jacobian(
+            p.position(kin), p.jacobian(kin), self.fixed, b.position(kin), b.jacobian(kin), self.side
+        )
         return J[None]
 
 
@@ -154,9 +162,11 @@ class AxisLevel(Constraint):
     direction: Array
 
     def distance(self, kin: Kinematics) -> Array:
+        """Height of the direction, shape (1,), for small angles in [rad]."""
         return np.array([self.direction @ kin.direction(self.frame, _UP)])
 
     def jacobian(self, kin: Kinematics) -> Array:
+        """Jacobian of `distance`, shape (1, n)."""
         return (self.direction @ kin.direction_jacobian(self.frame, _UP))[None]
 
 
@@ -170,12 +180,15 @@ class JointMaximum(Constraint):
     q_max: Array
 
     def distance(self, kin: Kinematics) -> Array:
+        """How far each joint may still turn up, shape (n,) [rad]."""
         return self.q_max - kin.q
 
     def jacobian(self, kin: Kinematics) -> Array:
+        """Jacobian of `distance`, shape (n, n)."""
         return -np.eye(kin.q.shape[0])
 
     def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
+        """One name per joint, such as ``joint_max/l_knee_y``."""
         return tuple(f"{self.name}/{joint}" for joint in joint_names)
 
 
@@ -186,10 +199,13 @@ class JointMinimum(Constraint):
     q_min: Array
 
     def distance(self, kin: Kinematics) -> Array:
+        """How far each joint may still turn down, shape (n,) [rad]."""
         return kin.q - self.q_min
 
     def jacobian(self, kin: Kinematics) -> Array:
+        """Jacobian of `distance`, shape (n, n)."""
         return np.eye(kin.q.shape[0])
 
     def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
+        """One name per joint, such as ``joint_min/l_knee_y``."""
         return tuple(f"{self.name}/{joint}" for joint in joint_names)

@@ -37,7 +37,8 @@ def qmul(a: Array, b: Array) -> Array:
 
 def qconj(a: Array) -> Array:
     """Conjugate of quaternions, shape (..., 4)."""
-    return a * _CONJ4
+    conjugate: Array = a * _CONJ4
+    return conjugate
 
 
 class DQ:
@@ -258,7 +259,7 @@ class DQ:
         return both[..., 1:, 1:]
 
     def Ad(self, other: DQ) -> Self:
-        """x h x*: what a frame at x calls the quaternion, direction or line h; shape as the product."""
+        """Return x h x*: what a frame at x calls the quaternion, direction or line h; shape as the product."""
         return self * type(self)(other._h) * self.conj()
 
     def Ad_sharp(self, other: DQ) -> Self:

@@ -148,7 +148,7 @@ class ConvexPolygon:
         return n, np.einsum("ij,ij->i", n, a)
 
     def distance(self, p: ArrayLike) -> float:
-        """Signed distance [m] of a point (2,) or (3,): to the nearest edge inside, minus that to the polygon outside."""
+        """Signed distance [m] of a point (2,) or (3,): inside that of the nearest edge, outside negative."""
         return float(point_to_polygon(np.asarray(p, dtype=np.float64), self.vertices)[0])
 
 
@@ -160,7 +160,9 @@ def point_to_plane(p: Array, n: Array, d: float) -> float:
     return float(p @ n) - d
 
 
-def point_to_plane_jacobian(p: Array, J_p: Array, n: Array, J_n: Array | None = None, J_d: Array | None = None) -> Array:
+def point_to_plane_jacobian(
+    p: Array, J_p: Array, n: Array, J_n: Array | None = None, J_d: Array | None = None
+) -> Array:
     """Jacobian (n,) of `point_to_plane`; `J_n` (3, n) and `J_d` (n,) are the residual of a plane that moves."""
     J = n @ J_p
     if J_n is not None:
@@ -182,7 +184,7 @@ def wall_normal(a: Array, b: Array, inside: Array) -> Array:
     length = np.hypot(*t)
     if length < 1e-9:
         raise ValueError("two points above each other do not fix an upright plane")
-    n = np.array([-t[1], t[0], 0.0]) / length
+    n: Array = np.array([-t[1], t[0], 0.0]) / length
     return n if n @ (inside - a) >= 0.0 else -n
 
 
@@ -192,7 +194,7 @@ def point_to_wall(p: Array, a: Array, b: Array, side: float) -> float:
     It is positive to the left of the way from `a` to `b` where `side` is 1, to the right where it is -1.
     """
     t = b[:2] - a[:2]
-    return float(side * (t[0] * (p[1] - a[1]) - t[1] * (p[0] - a[0])) / np.hypot(*t))
+    return float(side * (t[0] * (p[1] - a[1]) - t[1] * (p[0] - a[0])) / np.hypot(t[0], t[1]))
 
 
 def point_to_wall_jacobian(p: Array, J_p: Array, a: Array, b: Array, J_b: Array, side: float) -> Array:
@@ -219,7 +221,12 @@ def point_to_line_squared(p: Array, l: Array, m: Array) -> float:  # noqa: E741
 
 
 def point_to_line_squared_jacobian(
-    p: Array, J_p: Array, l: Array, m: Array, J_l: Array | None = None, J_m: Array | None = None  # noqa: E741
+    p: Array,
+    J_p: Array,
+    l: Array,  # noqa: E741
+    m: Array,
+    J_l: Array | None = None,
+    J_m: Array | None = None,
 ) -> Array:
     """Jacobian (n,) of `point_to_line_squared`; `J_l`, `J_m` (3, n) are the residual of a line that moves."""
     h = np.cross(p, l) - m

@@ -40,7 +40,7 @@ def _mul(a, b, out, t):  # type: ignore[no-untyped-def]
 
 @_jit
 def _rotate(r, v, out):  # type: ignore[no-untyped-def]
-    """r v r* of a pure quaternion."""
+    """Rotate: r v r* of a pure quaternion."""
     a = r[2] * v[2] - r[3] * v[1] + r[0] * v[0]
     b = r[3] * v[0] - r[1] * v[2] + r[0] * v[1]
     c = r[1] * v[1] - r[2] * v[0] + r[0] * v[2]

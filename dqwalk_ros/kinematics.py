@@ -80,7 +80,8 @@ class Rooted:
             self.moves[k] = self.moves[parent[k]]
             self.moves[k, joint[k]] = True
         self.frames = {
-            name: (place[frame.body], (x_old[frame.body] * DQ(frame.pose)).vec8()) for name, frame in model.frames.items()
+            name: (place[frame.body], (x_old[frame.body] * DQ(frame.pose)).vec8())
+            for name, frame in model.frames.items()
         }
 
 
@@ -168,13 +169,13 @@ class Kinematics:
 
     def direction(self, frame: str, v: Array) -> Array:
         """Direction `v` (3,) of a frame in the world, shape (3,)."""
-        body, x = self._at(frame)
+        _, x = self._at(frame)
         d: Array = kernels.point(x, v) - kernels.point(x, _ORIGIN)
         return d
 
     def direction_jacobian(self, frame: str, v: Array) -> Array:
         """Jacobian of `direction`, shape (3, n)."""
-        body, x = self._at(frame)
+        body, _ = self._at(frame)
         J: Array = kernels.line_jacobian(self.lines, self._rooted.moves[body], self.direction(frame, v))
         return J
 

@@ -63,7 +63,8 @@ class Sole:
     @property
     def tip(self) -> Array:
         """Middle of the front edge, shape (3,) [m]."""
-        return self.center + [0.5 * self.length, 0.0, 0.0]
+        tip: Array = self.center + np.array([0.5 * self.length, 0.0, 0.0])
+        return tip
 
     @property
     def heel(self) -> Array:
@@ -253,18 +254,22 @@ class _Tree:
         self.joints: list[Any] = []
 
     def add_root(self, link: Any) -> None:
-        self.bodies.append(dict(parent=-1, joint=-1, origin=_IDENTITY.vec8(), axis=np.zeros(3), parts=[]))
+        root = {"parent": -1, "joint": -1, "origin": _IDENTITY.vec8(), "axis": np.zeros(3), "parts": []}
+        self.bodies.append(root)
         self.attach(link, 0, _IDENTITY)
 
     def add(self, link: Any, parent: int, origin: DQ, joint: Any) -> int:
         if joint.type not in ("revolute", "continuous"):
-            raise ModelError(f"{self.path}: joint '{joint.name}' is {joint.type}; lock or drop it, only revolute ones move")
+            raise ModelError(
+                f"{self.path}: joint '{joint.name}' is {joint.type}; lock or drop it, only revolute ones move"
+            )
         if joint.mimic is not None:
             raise ModelError(f"{self.path}: joint '{joint.name}' mimics '{joint.mimic.joint}'; lock or drop it")
         axis = np.asarray(joint.axis, dtype=np.float64)
         if not np.isclose(np.linalg.norm(axis), 1.0, atol=1e-3):
             raise ModelError(f"{self.path}: joint '{joint.name}' has the axis {axis}, not a unit vector")
-        body = dict(parent=parent, joint=len(self.joints), origin=origin.vec8(), axis=axis / np.linalg.norm(axis), parts=[])
+        axis = axis / np.linalg.norm(axis)
+        body = {"parent": parent, "joint": len(self.joints), "origin": origin.vec8(), "axis": axis, "parts": []}
         self.bodies.append(body)
         self.joints.append(joint)
         self.attach(link, len(self.bodies) - 1, _IDENTITY)
@@ -320,8 +325,13 @@ class _Tree:
         boxes = [c for c in link.collisions if c.geometry.box is not None]
         if not (length and width):
             if not boxes:
-                raise ModelError(f"{self.path}: link '{link.name}' has no collision box; give robot.sole_length and sole_width")
-            length, width = length or float(boxes[0].geometry.box.size[0]), width or float(boxes[0].geometry.box.size[1])
+                raise ModelError(
+                    f"{self.path}: link '{link.name}' has no collision box; give robot.sole_length and sole_width"
+                )
+            length, width = (
+                length or float(boxes[0].geometry.box.size[0]),
+                width or float(boxes[0].geometry.box.size[1]),
+            )
         if boxes and boxes[0].origin is not None:
             center[:2] = boxes[0].origin[:2, 3]
         if config.sole_center == "foot_com":

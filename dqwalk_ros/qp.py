@@ -127,7 +127,8 @@ class Solution:
         inequality = self.z[l:]
         return Residuals(
             stationarity=float(np.abs(gradient).max()) / force,
-            primal=max(float(np.abs(problem.E @ u - problem.e).max(initial=0.0)), float((-slack).max(initial=0.0))) / size,
+            primal=max(float(np.abs(problem.E @ u - problem.e).max(initial=0.0)), float((-slack).max(initial=0.0)))
+            / size,
             dual=float((-inequality).max(initial=0.0)) / force,
             complementarity=float(np.abs(inequality * slack).max(initial=0.0)) / (force * size),
         )
@@ -217,7 +218,8 @@ class _InPlace:
             top = float(np.abs(z).max(initial=0.0))
             rows = [problem.names[i] for i in worst if problem.names and abs(z[i]) > 1e-3 * top]
             raise QPError(
-                f"the quadratic program has no answer ({status})" + (f"; rows in conflict: {', '.join(rows)}" if rows else ""),
+                f"the quadratic program has no answer ({status})"
+                + (f"; rows in conflict: {', '.join(rows)}" if rows else ""),
                 status=status,
                 rows=rows,
             )
@@ -228,11 +230,15 @@ class _InPlace:
     def _check(self, problem: Problem, v: Array, b: Array) -> None:
         """Refuse an answer that violates a row, whatever its status."""
         l, n = self._equalities, self.n  # noqa: E741
-        off = np.concatenate([np.abs(problem.E @ v - b[:l]), -(problem.G @ v) - b[l : self.dense], v - b[self.dense : -n], -v - b[-n:]])
+        off = np.concatenate(
+            [np.abs(problem.E @ v - b[:l]), -(problem.G @ v) - b[l : self.dense], v - b[self.dense : -n], -v - b[-n:]]
+        )
         worst = int(np.argmax(off))
         if not off[worst] <= _PRIMAL:
             name = problem.names[worst] if problem.names else str(worst)
-            raise QPError(f"the answer violates the row '{name}' by {off[worst]:.3g} (scaled)", status="Violated", rows=[name])
+            raise QPError(
+                f"the answer violates the row '{name}' by {off[worst]:.3g} (scaled)", status="Violated", rows=[name]
+            )
 
     def _run(self, P: Array, c: Array, b: Array) -> clarabel.DefaultSolution:
         values = self._values.ravel()

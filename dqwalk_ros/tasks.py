@@ -47,9 +47,11 @@ class ComOverFoot(Task):
     foot: Point
 
     def error(self, kin: Kinematics) -> Array:
+        """Horizontal offset of the CoM from the point, shape (2,) [m]."""
         return kin.com[:2] - self.foot.position(kin)[:2]
 
     def jacobian(self, kin: Kinematics) -> Array:
+        """Jacobian of `error`, shape (2, n) [m/rad]."""
         return kin.com_jacobian[:2] - self.foot.jacobian(kin)[:2]
 
 
@@ -68,10 +70,12 @@ class FramePose(Task):
     target: Array
 
     def error(self, kin: Kinematics) -> Array:
+        """Difference of the dual quaternions, shape (8,)."""
         x = kin.pose(self.frame)
         return self._sign(x) * x - self.target
 
     def jacobian(self, kin: Kinematics) -> Array:
+        """Jacobian of `error`, shape (8, n)."""
         return self._sign(kin.pose(self.frame)) * kin.pose_jacobian(self.frame)
 
     def _sign(self, x: Array) -> float:
@@ -86,7 +90,9 @@ class Posture(Task):
     q_ref: Array
 
     def error(self, kin: Kinematics) -> Array:
+        """Offset of every joint, shape (n,) [rad]."""
         return kin.q - self.q_ref
 
     def jacobian(self, kin: Kinematics) -> Array:
+        """Jacobian of `error`, shape (n, n)."""
         return np.eye(kin.q.shape[0])

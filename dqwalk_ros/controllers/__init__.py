@@ -81,25 +81,45 @@ class Controller(Protocol):
     model: RobotModel
 
     @property
-    def phase(self) -> Phase: ...
-    @property
-    def phase_index(self) -> int: ...
-    @property
-    def phase_time0(self) -> float: ...
-    @property
-    def finished(self) -> bool: ...
-    @property
-    def x_odom_base(self) -> Array: ...
-    @property
-    def error(self) -> float: ...
-    @property
-    def solve_time(self) -> float: ...
-    @property
-    def last(self) -> Tick: ...
+    def phase(self) -> Phase:
+        """The current phase; there is one after the first step."""
 
-    def step(self, state: State, dt: float) -> Command: ...
-    def odometry(self) -> Array: ...
-    def reset(self) -> None: ...
+    @property
+    def phase_index(self) -> int:
+        """0, 1, ... from the beginning of the walk; -1 before the first step."""
+
+    @property
+    def phase_time0(self) -> float:
+        """Time of the state at which the phase began [s]."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether the last phase is over."""
+
+    @property
+    def x_odom_base(self) -> Array:
+        """Pose of the phase's base sole in the world of the first phase, shape (8,)."""
+
+    @property
+    def error(self) -> float:
+        """Norm of the error of the phase's own task at the last state."""
+
+    @property
+    def solve_time(self) -> float:
+        """Time the solver took for the last command [s]."""
+
+    @property
+    def last(self) -> Tick:
+        """What there is to say about the last step."""
+
+    def step(self, state: State, dt: float) -> Command:
+        """Return what is asked of the joints for the next period `dt` [s]."""
+
+    def odometry(self) -> Array:
+        """Pose of the pelvis in the world of the first phase, shape (8,)."""
+
+    def reset(self) -> None:
+        """Forget the walk; the next step begins a new one."""
 
 
 def make_controller(config: Config, model: RobotModel) -> Controller:

@@ -13,6 +13,8 @@ class Plant(Protocol):
     """A simulator or a robot."""
 
     @property
-    def state(self) -> State: ...
+    def state(self) -> State:
+        """The state now."""
 
-    def step(self, command: Command, dt: float) -> State: ...
+    def step(self, command: Command, dt: float) -> State:
+        """Return the state one period `dt` [s] later."""
