@@ -21,6 +21,9 @@ from std_srvs.srv import Trigger
 from dqwalk_ros.config import Config, to_yaml
 from dqwalk_ros.runner import Processes
 
+SHORT = {"gait.step_length": 0.02, "task.eta": 2.0, "ssp.threshold": 0.01, "dsp.stall_rate": 1e-3}
+"""A cycle of some 3000 ticks: small steps, a fast task, phases that end early."""
+
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -57,6 +60,10 @@ class Live:
     def start(self, name: str, *arguments: str) -> None:
         """Start a node with the configuration."""
         self.processes.start(name, [*arguments, "--ros-args", "--params-file", str(self.params)])
+
+    def until_up(self, name: str) -> None:
+        """Wait until a node has said its first word."""
+        self.until(lambda: "[INFO]" in self.processes.log(name), 60.0, f"the start of {name}")
 
     def spin(self, seconds: float) -> None:
         """Listen for a while."""
