@@ -1,0 +1,326 @@
+"""What may enter a controller or a plant, and what may leave it.
+
+Every decision of ``docs/faults.md`` that needs no ROS is here, over an injected clock, so that it is tested without
+waiting; the nodes call it and publish what it decides. Two rules run through all of it. What is rejected changes
+nothing and does not feed a watchdog. Silence is judged by when a message was *received*, on a steady clock; a
+message's stamp is data, good for its order alone.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dqwalk_ros.exceptions import StateError
+from dqwalk_ros.model import RobotModel
+
+__all__ = ["CommandGate", "JointOrder", "Latch", "StateGate", "Watchdog", "clamp_velocity", "outside_limits"]
+
+Array = NDArray[np.float64]
+Clock = Callable[[], float]
+
+
+class JointOrder:
+    """Put numbers that come with joint names into the order of the model.
+
+    Joints the model does not have are ignored. Anything else that does not fit rejects the whole message.
+
+    Parameters
+    ----------
+    joint_names : sequence of str
+    """
+
+    def __init__(self, joint_names: Sequence[str]) -> None:
+        self._joints = tuple(joint_names)
+        self._names: list[str] = []
+        self._index: NDArray[np.intp] | None = None
+
+    def __call__(self, names: Sequence[str], values: ArrayLike, what: str) -> Array:
+        """Return the values of the model's joints, shape (n,); `what` is their name in messages.
+
+        Raises
+        ------
+        StateError
+            If joints are missing or doubled, a length is wrong or a number is not finite; the message names the joints.
+        """
+        if self._index is None or names != self._names:
+            self._index = self._order(names)
+            self._names = list(names)
+        given = np.asarray(values, dtype=np.float64)
+        if given.shape != (len(self._names),):
+            raise StateError(f"{len(self._names)} names with {given.size} numbers in '{what}'")
+        out: Array = given[self._index]
+        if not np.isfinite(out).all():
+            bad = ", ".join(f"{self._joints[i]} = {out[i]}" for i in np.flatnonzero(~np.isfinite(out)))
+            raise StateError(f"not a finite {what}: {bad}")
+        return out
+
+    def _order(self, names: Sequence[str]) -> NDArray[np.intp]:
+        place = {name: i for i, name in enumerate(names)}
+        if missing := [joint for joint in self._joints if joint not in place]:
+            extra = [name for name in names if name not in self._joints]
+            also = f"; it has {', '.join(extra)}, which the model has not" if extra else ""
+            raise StateError(f"joints missing: {', '.join(missing)}{also}")
+        if len(place) != len(names):
+            seen: set[str] = set()
+            doubled = sorted({name for name in names if name in seen or seen.add(name)})  # type: ignore[func-returns-value]
+            raise StateError(f"joints named twice: {', '.join(doubled)}")
+        return np.array([place[joint] for joint in self._joints], np.intp)
+
+
+class Watchdog:
+    """Tell silence by the time of receipt.
+
+    Parameters
+    ----------
+    timeout : callable
+        Returns the longest silence that is still none [s]; asked each time, so that it may change.
+    clock : callable
+        Steady time [s].
+    """
+
+    def __init__(self, timeout: Callable[[], float], clock: Clock = time.monotonic) -> None:
+        self._timeout, self._clock = timeout, clock
+        self._fed = -float("inf")
+
+    @property
+    def age(self) -> float:
+        """Time since it was fed last [s]; infinite before the first time."""
+        return self._clock() - self._fed
+
+    @property
+    def silent(self) -> bool:
+        """Whether nothing acceptable came for longer than the timeout."""
+        return not self.age <= self._timeout()
+
+    def feed(self) -> None:
+        """Note that something acceptable came."""
+        self._fed = self._clock()
+
+    def starve(self) -> None:
+        """Forget what came: silent until the next feed."""
+        self._fed = -float("inf")
+
+
+class Latch:
+    """A fault that repeats stays until someone resets it.
+
+    Parameters
+    ----------
+    limit : int
+        Faults in a row that latch it.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self.limit = limit
+        self.reset()
+
+    def fault(self, reason: str) -> bool:
+        """Note a fault; return whether it is latched now."""
+        self.count += 1
+        if self.count >= self.limit and not self.reason:
+            self.reason = reason
+        return bool(self.reason)
+
+    def good(self) -> None:
+        """Note that all is well; it ends a row of faults, but not a latched one."""
+        if not self.reason:
+            self.count = 0
+
+    def reset(self) -> None:
+        """Forget all."""
+        self.count, self.reason = 0, ""
+
+    def __bool__(self) -> bool:
+        return bool(self.reason)
+
+
+def outside_limits(q: Array, model: RobotModel, slack: float) -> str:
+    """Return which joints are beyond their limits by more than `slack` [rad], and by how much; empty if none is."""
+    beyond = np.maximum(model.q_min - q, q - model.q_max)
+    return ", ".join(f"{model.joint_names[i]} by {beyond[i]:.3g} rad" for i in np.flatnonzero(~(beyond <= slack)))
+
+
+def clamp_velocity(u: Array, q: Array, model: RobotModel, dt: float) -> Array:
+    """Return `u` within the velocity limits, and such that no joint leaves its range within `dt`.
+
+    A joint that is outside already may move back in, or stay, but not further out. This is the last thing a plant
+    does to a command; what a controller of ours sends is inside it already.
+
+    Parameters
+    ----------
+    u : ndarray, shape (n,)
+        Commanded velocities [rad/s], finite.
+    q : ndarray, shape (n,)
+        [rad]
+    model : RobotModel
+    dt : float
+        Time for which it will move [s].
+    """
+    if dt <= 0.0:
+        return np.zeros_like(u)
+    high = np.minimum(np.maximum((model.q_max - q) / dt, 0.0), model.velocity_max)
+    low = np.maximum(np.minimum((model.q_min - q) / dt, 0.0), -model.velocity_max)
+    return np.clip(u, low, high)
+
+
+class StateGate:
+    """Decide which measured states a controller may act on.
+
+    Parameters
+    ----------
+    model : RobotModel
+    dt : float
+        Period of the states [s].
+    timeout : callable
+        Returns the time after which the plant is silent [s].
+    outside : float
+        A state further outside the joint limits is refused [rad].
+    jumps : int
+        Jumps in a row after which every state is refused until `reset`.
+    by_stamp : bool
+        Lockstep: time is that of the stamps, and the steady clock says nothing about it.
+    clock : callable
+
+    Attributes
+    ----------
+    watchdog : Watchdog
+        Fed by accepted states alone.
+    jumped : Latch
+    overtaken, rejected : int
+        States that were ignored for their stamp, and refused for what they said.
+    """
+
+    def __init__(
+        self,
+        model: RobotModel,
+        dt: float,
+        timeout: Callable[[], float],
+        *,
+        outside: float = 0.1,
+        jumps: int = 5,
+        by_stamp: bool = False,
+        clock: Clock = time.monotonic,
+    ) -> None:
+        self._model, self._dt, self._outside, self._by_stamp = model, dt, outside, by_stamp
+        self.watchdog = Watchdog(timeout, clock)
+        self.jumped = Latch(jumps)
+        self.overtaken = self.rejected = 0
+        self._q: Array | None = None
+        self._stamp = -1
+
+    def is_new(self, stamp: int) -> bool:
+        """Tell whether a stamp [ns] is newer than the last accepted one, or the plant's clock was set back.
+
+        An older state has been overtaken, unless nothing newer came for as long as makes a silence.
+        """
+        if stamp > self._stamp or self.watchdog.silent:
+            return True
+        self.overtaken += 1
+        return False
+
+    def accept(self, stamp: int, q: Array) -> None:
+        """Take in a state, or refuse it and change nothing.
+
+        Raises
+        ------
+        StateError
+            If it is outside the joint limits, or further from the last one than the joints can move; the message
+            names the joints.
+        """
+        if self.jumped:
+            raise self._refusal(self.jumped.reason)
+        if outside := outside_limits(q, self._model, self._outside):
+            raise self._refusal(f"outside the joint limits: {outside} (at most {self._outside:g} is led back in)")
+        if self._q is not None:
+            passed = (stamp - self._stamp) * 1e-9
+            if not self._by_stamp:  # late or early, both clocks bound how far it may have come
+                passed = max(passed, self.watchdog.age)
+            reach = self._model.velocity_max * (max(passed, 0.0) + self._dt)
+            moved = np.abs(q - self._q)
+            if far := [i for i in np.flatnonzero(~(moved <= reach))]:
+                names = ", ".join(f"{self._model.joint_names[i]} by {moved[i]:.3g} rad" for i in far)
+                why = f"a jump that the velocity limits do not allow: {names}"
+                if self.jumped.fault(f"{why}; {self.jumped.limit} in a row, refused until ~/reset"):
+                    why = self.jumped.reason
+                raise self._refusal(why)
+        self.jumped.good()
+        self._q, self._stamp = q, stamp
+        self.watchdog.feed()
+
+    def reset(self) -> None:
+        """Take the next state, wherever it is."""
+        self.jumped.reset()
+        self._q, self._stamp = None, -1
+        self.watchdog.starve()
+
+    def _refusal(self, why: str) -> StateError:
+        self.rejected += 1
+        return StateError(why)
+
+
+class CommandGate:
+    """Decide how a plant moves: what the last acceptable command says, or not at all.
+
+    Parameters
+    ----------
+    model : RobotModel
+    timeout : callable
+        Returns the time without a command after which the plant holds [s].
+    clock : callable
+
+    Attributes
+    ----------
+    watchdog : Watchdog
+    refused : str
+        Why nothing may move whatever the commands say, such as a second controller; empty if nothing is in the way.
+    late, rejected : int
+        Commands that were ignored for their stamp, and refused for what they said.
+    """
+
+    def __init__(self, model: RobotModel, timeout: Callable[[], float], clock: Clock = time.monotonic) -> None:
+        self._model, self._timeout = model, timeout
+        self.watchdog = Watchdog(timeout, clock)
+        self.refused = ""
+        self.late = self.rejected = 0
+        self._zero = np.zeros(model.n)
+        self._u = self._zero
+        self._stamp = -1
+
+    @property
+    def holding(self) -> bool:
+        """Whether the plant stands still, whatever the last command was."""
+        return bool(self.refused) or self.watchdog.silent
+
+    def accept(self, stamp: int, u: Array, now: int) -> bool:
+        """Take in a command, or ignore it and change nothing; return which.
+
+        Parameters
+        ----------
+        stamp : int
+            Of the state it answers [ns].
+        u : ndarray, shape (n,)
+            Velocities [rad/s], finite.
+        now : int
+            Stamp of the state that the plant published last [ns]: a command that answers an older one by more than
+            the timeout, or one that does not exist yet, is ignored.
+        """
+        overtaken = stamp < self._stamp and not self.watchdog.silent
+        if overtaken or stamp > now or now - stamp > self._timeout() * 1e9:
+            self.late += 1
+            return False
+        self._u, self._stamp = u, stamp
+        self.watchdog.feed()
+        return True
+
+    def velocity(self, q: Array, dt: float) -> Array:
+        """Return the velocities with which to move for `dt` [s] from `q`: clamped, and zero where the plant holds."""
+        return self._zero if self.holding else clamp_velocity(self._u, q, self._model, dt)
+
+    def hold(self) -> None:
+        """Forget the last command: stand still until the next."""
+        self._u = self._zero
+        self.watchdog.starve()

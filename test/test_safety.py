@@ -1,0 +1,317 @@
+"""Every decision about what may enter and leave, over a clock that the test turns."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dqwalk_ros.config import load
+from dqwalk_ros.exceptions import StateError
+from dqwalk_ros.model import RobotModel, load_model
+from dqwalk_ros.safety import CommandGate, JointOrder, Latch, StateGate, Watchdog, clamp_velocity, outside_limits
+
+DT = 0.005
+MS = 1_000_000
+PERIOD = 5 * MS
+
+
+class FakeClock:
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> FakeClock:
+    return FakeClock()
+
+
+@pytest.fixture(scope="module")
+def model() -> RobotModel:
+    return load_model(load("paper").robot)
+
+
+# ---------------------------------------------------------------------- names
+
+
+def test_joints_are_taken_by_name_in_any_order() -> None:
+    order = JointOrder(["a", "b"])
+    np.testing.assert_array_equal(order(["b", "head", "a"], [2.0, 9.0, 1.0], "position"), [1.0, 2.0])
+    np.testing.assert_array_equal(order(["a", "b"], [3.0, 4.0], "position"), [3.0, 4.0])
+
+
+@pytest.mark.parametrize(
+    ("names", "values", "expected"),
+    [
+        (["a"], [1.0], "joints missing: b"),
+        (["a", "c"], [1.0, 2.0], "joints missing: b; it has c"),
+        ([], [], "joints missing: a, b"),
+        (["a", "b", "a"], [1.0, 2.0, 3.0], "named twice: a"),
+        (["a", "b"], [1.0], "2 names with 1 numbers"),
+        (["a", "b"], [1.0, 2.0, 3.0], "2 names with 3 numbers"),
+        (["a", "b"], [1.0, float("nan")], "not a finite position: b = nan"),
+        (["a", "b"], [float("-inf"), 1.0], "not a finite position: a = -inf"),
+        (["b", "a"], [float("inf"), 1.0], "not a finite position: b = inf"),
+    ],
+)
+def test_what_does_not_fit_is_refused_by_name(names: list[str], values: list[float], expected: str) -> None:
+    order = JointOrder(["a", "b"])
+    order(["a", "b"], [0.0, 0.0], "position")
+    with pytest.raises(StateError, match=expected):
+        order(names, values, "position")
+    np.testing.assert_array_equal(order(["a", "b"], [5.0, 6.0], "position"), [5.0, 6.0])
+
+
+# ---------------------------------------------------------------------- watchdog and latch
+
+
+def test_the_watchdog_knows_silence_by_receipt_alone(clock: FakeClock) -> None:
+    dog = Watchdog(lambda: 0.1, clock)
+    assert dog.silent  # nothing came yet
+    dog.feed()
+    clock.now += 0.0999
+    assert not dog.silent
+    clock.now += 0.0002
+    assert dog.silent
+    dog.feed()
+    assert not dog.silent
+    dog.starve()
+    assert dog.silent
+
+
+def test_a_latch_needs_faults_in_a_row_and_a_reset() -> None:
+    latch = Latch(3)
+    assert not latch.fault("x")
+    assert not latch.fault("x")
+    latch.good()
+    assert not latch.fault("x")
+    assert not latch.fault("x")
+    assert latch.fault("third")
+    latch.good()
+    assert latch
+    assert latch.reason == "third"
+    latch.reset()
+    assert not latch
+
+
+# ---------------------------------------------------------------------- states
+
+
+def gate_of(model: RobotModel, clock: FakeClock, **options: object) -> StateGate:
+    return StateGate(model, DT, lambda: 0.1, clock=clock, **options)  # type: ignore[arg-type]
+
+
+def test_a_walk_passes(model: RobotModel, clock: FakeClock) -> None:
+    gate = gate_of(model, clock)
+    for k in range(100):
+        assert gate.is_new(k * PERIOD)
+        gate.accept(k * PERIOD, 0.9 * DT * k * np.minimum(model.velocity_max, 0.5 * model.q_max / (100 * DT)))
+        clock.now += DT
+    assert gate.rejected == gate.overtaken == 0
+
+
+def test_a_spike_is_refused_and_does_not_feed_the_watchdog(model: RobotModel, clock: FakeClock) -> None:
+    gate = gate_of(model, clock)
+    zero = np.zeros(model.n)
+    gate.accept(0, zero)
+    clock.now += 0.06
+    spike = zero.copy()
+    spike[3] = 0.9
+    with pytest.raises(StateError, match=rf"jump.*{model.joint_names[3]} by 0.9 rad"):
+        gate.accept(PERIOD, spike)
+    clock.now += 0.06
+    assert gate.watchdog.silent
+    gate.accept(2 * PERIOD, zero)  # good again, and the spike left no trace
+    assert not gate.watchdog.silent
+    assert gate.rejected == 1
+
+
+def test_half_a_radian_between_two_ticks_is_a_jump(model: RobotModel, clock: FakeClock) -> None:
+    gate = gate_of(model, clock)
+    gate.accept(0, np.zeros(model.n))
+    clock.now += DT
+    with pytest.raises(StateError, match="jump"):
+        gate.accept(PERIOD, np.full(model.n, 0.05) + 0.45 * np.eye(model.n)[2])
+
+
+def test_jumps_in_a_row_latch_until_reset(model: RobotModel, clock: FakeClock) -> None:
+    gate = gate_of(model, clock, jumps=3)
+    zero, far = np.zeros(model.n), 0.4 * np.eye(model.n)[1] * np.sign(model.q_max[1] + model.q_min[1])
+    gate.accept(0, zero)
+    for k in range(1, 4):
+        clock.now += DT
+        with pytest.raises(StateError, match="jump"):
+            gate.accept(k * PERIOD, far)
+    with pytest.raises(StateError, match="reset"):
+        gate.accept(4 * PERIOD, zero)
+    gate.reset()
+    gate.accept(5 * PERIOD, far)
+
+
+def test_after_a_long_silence_the_robot_may_stand_elsewhere(model: RobotModel, clock: FakeClock) -> None:
+    gate = gate_of(model, clock)
+    gate.accept(0, np.zeros(model.n))
+    clock.now += 1.0
+    gate.accept(PERIOD, 0.3 * np.eye(model.n)[0])
+
+
+def test_in_lockstep_the_clock_says_nothing(model: RobotModel, clock: FakeClock) -> None:
+    gate = gate_of(model, clock, by_stamp=True)
+    gate.accept(0, np.zeros(model.n))
+    clock.now += 100.0
+    with pytest.raises(StateError, match="jump"):
+        gate.accept(PERIOD, 0.3 * np.eye(model.n)[0])
+
+
+@pytest.mark.parametrize("beyond", [1e-9, 1e-4, 0.01, 0.0999])
+def test_a_little_outside_the_limits_is_led_back(model: RobotModel, clock: FakeClock, beyond: float) -> None:
+    for i in range(model.n):
+        q = np.zeros(model.n)
+        q[i] = model.q_max[i] + beyond
+        gate_of(model, clock).accept(0, q)
+        q[i] = model.q_min[i] - beyond
+        gate_of(model, clock).accept(0, q)
+
+
+@pytest.mark.parametrize("beyond", [0.101, 0.5, 1e6])
+def test_far_outside_the_limits_is_refused_by_name(model: RobotModel, clock: FakeClock, beyond: float) -> None:
+    for i, name in enumerate(model.joint_names):
+        for sign, limit in ((1.0, model.q_max[i]), (-1.0, model.q_min[i])):
+            q = np.zeros(model.n)
+            q[i] = limit + sign * beyond
+            with pytest.raises(StateError, match=rf"outside the joint limits: {name} by"):
+                gate_of(model, clock).accept(0, q)
+            assert name in outside_limits(q, model, 0.1)
+
+
+def test_order_of_stamps(model: RobotModel, clock: FakeClock) -> None:
+    gate = gate_of(model, clock)
+    gate.accept(10 * PERIOD, np.zeros(model.n))
+    assert not gate.is_new(10 * PERIOD)
+    assert not gate.is_new(9 * PERIOD)
+    assert gate.is_new(11 * PERIOD)
+    assert gate.overtaken == 2
+    clock.now += 0.11  # nothing newer came: the plant's clock was set back
+    assert gate.is_new(3 * PERIOD)
+
+
+# ---------------------------------------------------------------------- commands
+
+
+def commands_of(model: RobotModel, clock: FakeClock) -> CommandGate:
+    return CommandGate(model, lambda: 0.1, clock)
+
+
+def test_a_plant_holds_before_the_first_command_and_after_the_last(model: RobotModel, clock: FakeClock) -> None:
+    gate, zero = commands_of(model, clock), np.zeros(model.n)
+    assert gate.holding
+    assert not gate.velocity(zero, DT).any()
+    assert gate.accept(0, np.full(model.n, 0.01), 0)
+    np.testing.assert_array_equal(gate.velocity(zero, DT), np.full(model.n, 0.01))
+    clock.now += 0.099
+    assert not gate.holding
+    clock.now += 0.002
+    assert gate.holding
+    assert not gate.velocity(zero, DT).any()
+
+
+def test_commands_that_answer_the_wrong_state_are_ignored(model: RobotModel, clock: FakeClock) -> None:
+    gate, u = commands_of(model, clock), np.full(model.n, 0.01)
+    now = 1000 * PERIOD
+    assert gate.accept(now - PERIOD, u, now)
+    assert not gate.accept(now - 2 * PERIOD, 2 * u, now)  # overtaken
+    assert not gate.accept(now + 1, 2 * u, now)  # of a state that was never published: a clock fault
+    assert gate.late == 2
+    np.testing.assert_array_equal(gate.velocity(np.zeros(model.n), DT), u)
+
+
+def test_a_relay_that_delays_by_200_ms_moves_nothing(model: RobotModel, clock: FakeClock) -> None:
+    gate, u = commands_of(model, clock), np.full(model.n, 0.01)
+    for k in range(200):
+        gate.accept(k * PERIOD, u, k * PERIOD + 200 * MS)
+        clock.now += DT
+        assert gate.holding
+
+
+def test_what_is_ignored_does_not_feed_the_watchdog(model: RobotModel, clock: FakeClock) -> None:
+    gate, u = commands_of(model, clock), np.full(model.n, 0.01)
+    gate.accept(100 * PERIOD, u, 100 * PERIOD)
+    for _ in range(30):
+        clock.now += DT
+        gate.accept(50 * PERIOD, u, 100 * PERIOD)
+    assert gate.late >= 20
+
+
+def test_a_clock_set_back_holds_for_one_silence_and_goes_on(model: RobotModel, clock: FakeClock) -> None:
+    gate, u = commands_of(model, clock), np.full(model.n, 0.01)
+    ahead = 100_000_000_000
+    gate.accept(ahead, u, ahead)
+    accepted = []
+    for k in range(60):
+        clock.now += DT
+        accepted.append(gate.accept(k * PERIOD, u, k * PERIOD))
+    assert not accepted[0]
+    assert accepted[-1]
+    assert accepted.index(True) == pytest.approx(20, abs=2)
+
+
+def test_a_refusal_holds_whatever_comes(model: RobotModel, clock: FakeClock) -> None:
+    gate = commands_of(model, clock)
+    gate.refused = "two controllers: a, b"
+    gate.accept(0, np.full(model.n, 0.01), 0)
+    assert gate.holding
+    assert not gate.velocity(np.zeros(model.n), DT).any()
+
+
+def test_hold_forgets_the_command(model: RobotModel, clock: FakeClock) -> None:
+    gate = commands_of(model, clock)
+    gate.accept(0, np.full(model.n, 0.01), 0)
+    gate.hold()
+    assert gate.holding
+
+
+# ---------------------------------------------------------------------- the clamp
+
+speeds = st.floats(-1e6, 1e6, allow_nan=False)
+
+
+@settings(max_examples=200, deadline=None)
+@given(data=st.data())
+def test_whatever_is_asked_no_limit_is_crossed(model: RobotModel, data: st.DataObject) -> None:
+    u = np.array(data.draw(st.lists(speeds, min_size=model.n, max_size=model.n)))
+    at = np.array(data.draw(st.lists(st.floats(0.0, 1.0), min_size=model.n, max_size=model.n)))
+    dt = data.draw(st.floats(1e-4, 0.1))
+    q = model.q_min + at * (model.q_max - model.q_min)
+    v = clamp_velocity(u, q, model, dt)
+    assert (np.abs(v) <= model.velocity_max).all()
+    after = q + dt * v
+    assert (after <= model.q_max + 1e-12).all()
+    assert (after >= model.q_min - 1e-12).all()
+
+
+@settings(max_examples=200, deadline=None)
+@given(data=st.data())
+def test_outside_it_goes_in_or_stays(model: RobotModel, data: st.DataObject) -> None:
+    u = np.array(data.draw(st.lists(speeds, min_size=model.n, max_size=model.n)))
+    out = np.array(data.draw(st.lists(st.floats(1e-9, 0.5), min_size=model.n, max_size=model.n)))
+    v = clamp_velocity(u, model.q_max + out, model, DT)
+    assert (v <= 0.0).all()
+    v = clamp_velocity(u, model.q_min - out, model, DT)
+    assert (v >= 0.0).all()
+
+
+def test_no_time_no_motion(model: RobotModel) -> None:
+    assert not clamp_velocity(np.ones(model.n), np.zeros(model.n), model, 0.0).any()
+    assert not clamp_velocity(np.ones(model.n), np.zeros(model.n), model, -1.0).any()
+
+
+def test_a_joint_without_a_velocity_limit_is_clamped_by_its_range(model: RobotModel) -> None:
+    free = dataclasses.replace(model, velocity_max=np.full(model.n, np.inf))
+    v = clamp_velocity(np.full(model.n, 1e9), np.zeros(model.n), free, DT)
+    np.testing.assert_allclose(DT * v, free.q_max)
