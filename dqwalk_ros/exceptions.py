@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 __all__ = [
     "BagError",
@@ -49,12 +49,17 @@ class QPError(DqwalkError):
         What the solver said.
     rows : tuple of str
         Names of the rows that stand in the way, most violated first; may be empty.
+    short : dict of str to float
+        By how much rows would have to give way, in their own unit per second; may be empty.
     """
 
-    def __init__(self, message: str, *, status: str, rows: Sequence[str] = ()) -> None:
+    def __init__(
+        self, message: str, *, status: str, rows: Sequence[str] = (), short: Mapping[str, float] | None = None
+    ) -> None:
         super().__init__(message)
         self.status = status
         self.rows = tuple(rows)
+        self.short = dict(short or {})
 
 
 class PhaseError(DqwalkError):

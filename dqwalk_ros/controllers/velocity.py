@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from dqwalk_ros.config import Config
 from dqwalk_ros.controllers import Command, State, Tick
 from dqwalk_ros.dq import DQ
-from dqwalk_ros.exceptions import PhaseError, StateError
+from dqwalk_ros.exceptions import PhaseError, QPError, StateError
+from dqwalk_ros.feasibility import explained, lead_back, within_velocity
 from dqwalk_ros.gait import EndRule, footstep, phase_at
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import RobotModel
@@ -135,10 +136,23 @@ class VelocityController:
         self._kin = kin
         if self._finished:
             return Command(state.time, np.zeros(self.model.n))
-        self.problem = assemble(self.phase, kin, dt)
-        self.solution = self._solver.solve(self.problem)
         limit = self.model.velocity_max
+        self.problem = within_velocity(assemble(self.phase, kin, dt), limit)
+        self.solution = self._solved(self.problem)
         return Command(state.time, np.clip(self.solution.u, -limit, limit))
+
+    def _solved(self, problem: Problem) -> Solution:
+        """Return the answer of (6); where the robot is outside and cannot return at the wanted rate, of a slower one."""
+        try:
+            return self._solver.solve(problem)
+        except QPError as error:
+            if not error.status.endswith("Infeasible"):
+                raise
+            try:
+                self.problem, _ = lead_back(problem)
+                return self._solver.solve(self.problem)
+            except QPError:
+                raise explained(error, problem) from error
 
     def _checked(self, state: State) -> Array:
         if state.q.shape != (self.model.n,):
