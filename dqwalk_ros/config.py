@@ -23,6 +23,7 @@ from typing import Any
 
 import yaml
 
+from dqwalk_ros import strict_yaml
 from dqwalk_ros.exceptions import ConfigError
 
 __all__ = [
@@ -263,7 +264,7 @@ class Config:
         tree: dict[str, dict[str, Value]] = {}
         for name, value in values.items():
             if name not in specs:
-                raise ConfigError(f"{_where(source)}unknown parameter '{name}'{_hint(name, specs)}")
+                raise ConfigError(f"{_where(source)}unknown parameter '{name[:80]}'{_hint(name, specs)}")
             section, _, key = name.rpartition(".")
             tree.setdefault(section, {})[key] = _checked(specs[name], value, source)
         top: dict[str, Any] = dict(tree.pop("", {}))
@@ -296,7 +297,7 @@ def _where(source: str) -> str:
 
 
 def _hint(name: str, known: Mapping[str, Any]) -> str:
-    close = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
+    close = difflib.get_close_matches(name[:100], known, n=3, cutoff=0.6)
     if not close:
         key = name.rpartition(".")[2]
         close = [k for k in known if k.rpartition(".")[2] == key][:3]
@@ -308,7 +309,7 @@ def _checked(spec: Spec, value: Any, source: str) -> Value:
 
     def wrong(what: str) -> ConfigError:
         unit = f" [{spec.unit}]" if spec.unit else ""
-        return ConfigError(f"{_where(source)}'{spec.name}' {what}, got {value!r} ({spec.meaning}{unit})")
+        return ConfigError(f"{_where(source)}'{spec.name}' {what}, got {_shown(value)} ({spec.meaning}{unit})")
 
     if spec.type is bool:
         if not isinstance(value, bool):
@@ -320,7 +321,10 @@ def _checked(spec: Spec, value: Any, source: str) -> Value:
     elif spec.type is float:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise wrong("must be a number")
-        value = float(value)
+        try:
+            value = float(value)
+        except OverflowError:
+            value = math.inf
         if not math.isfinite(value):
             raise wrong("must be finite")
     elif spec.type is str:
@@ -339,6 +343,14 @@ def _checked(spec: Spec, value: Any, source: str) -> Value:
         raise wrong(f"must lie in [{spec.low:g}, {spec.high:g}]")
     number: Value = value
     return number
+
+
+def _shown(value: Any) -> str:
+    try:
+        text = repr(value)
+    except ValueError:  # a number with thousands of digits
+        text = f"a {type(value).__name__}"
+    return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 def find_share(folder: str, name: str) -> pathlib.Path:
@@ -389,18 +401,18 @@ def from_yaml(text: str, *, source: str = "") -> Config:
     ConfigError
         As `load`.
     """
-    try:
-        tree = yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError) as error:
-        raise ConfigError(f"{_where(source)}not YAML: {' '.join(str(error).split())}") from error
+    tree, lines = strict_yaml.read(text, source=source)
     if not isinstance(tree, dict) or not all(isinstance(node, dict) for node in tree.values()):
         raise ConfigError(f"{_where(source)}expected '/**: {{ros__parameters: {{...}}}}'")
-    values: dict[str, Any] = {}
+    config = Config()
     for node, body in tree.items():
         if set(body) != {"ros__parameters"} or not isinstance(body["ros__parameters"], dict):
             raise ConfigError(f"{_where(source)}node '{node}' must hold 'ros__parameters' and nothing else")
-        values.update(_flattened(body["ros__parameters"], "", source))
-    return Config.from_flat(values, source=source)
+        values = _flattened(body["ros__parameters"], "", source)
+        for name, value in values.items():
+            line = lines.get((str(node), "ros__parameters", *name.split(".")))
+            config = config.updated({name: value}, source=f"{source or 'text'}, line {line}" if line else source)
+    return config
 
 
 def _flattened(tree: Mapping[Any, Any], prefix: str, source: str) -> dict[str, Any]:
@@ -408,10 +420,10 @@ def _flattened(tree: Mapping[Any, Any], prefix: str, source: str) -> dict[str, A
     for key, value in tree.items():
         if not isinstance(key, str):
             raise ConfigError(f"{_where(source)}the key {prefix}{key!r} is not a text")
-        if isinstance(value, dict):
-            out.update(_flattened(value, f"{prefix}{key}.", source))
-        else:
-            out[prefix + key] = value
+        found = _flattened(value, f"{prefix}{key}.", source) if isinstance(value, dict) else {prefix + key: value}
+        if doubled := [name for name in found if name in out]:  # gait.cycles and gait: {cycles: }
+            raise ConfigError(f"{_where(source)}'{doubled[0]}' is given twice")
+        out.update(found)
     return out
 
 

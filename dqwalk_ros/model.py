@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import enum
 import fnmatch
+import io
 import pathlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.config import RobotConfig, find_share
+from dqwalk_ros.description import MAX_BYTES, checked
 from dqwalk_ros.dq import DQ
 from dqwalk_ros.exceptions import ConfigError, ModelError
 
@@ -185,7 +187,7 @@ def load_model(config: RobotConfig) -> RobotModel:
         If the URDF cannot be read or lacks a link or joint that `config` names; the message names it.
     """
     path = find_urdf(config.urdf)
-    robot = _parse(path)
+    robot, text = _parse(path)
     links = {link.name: link for link in robot.links}
     joints = {joint.name: joint for joint in robot.joints}
     dropped = _matching(config.drop, joints, "robot.drop", path)
@@ -195,9 +197,6 @@ def load_model(config: RobotConfig) -> RobotModel:
     for joint in robot.joints:
         children.setdefault(joint.parent, []).append(joint)
     roots = set(links) - {joint.child for joint in robot.joints}
-    if len(roots) != 1:
-        raise ModelError(f"{path}: a robot has one root link, this has {len(roots)}: {', '.join(sorted(roots))}")
-
     tree = _Tree(path)
     tree.add_root(links[roots.pop()])
     stack = [(joint, 0, _IDENTITY) for joint in reversed(children.get(next(iter(tree.frames)), []))]
@@ -212,22 +211,26 @@ def load_model(config: RobotConfig) -> RobotModel:
         else:
             after = tree.add(links[joint.child], body, origin, joint), _IDENTITY
         stack += [(child, *after) for child in reversed(children.get(joint.child, []))]
-    return tree.model(robot.name, config, links, path.read_text(encoding="utf-8"))
+    return tree.model(robot.name, config, links, text)
 
 
 _IDENTITY = DQ(1.0)
 
 
-def _parse(path: pathlib.Path) -> yourdfpy.Robot:
+def _parse(path: pathlib.Path) -> tuple[yourdfpy.Robot, str]:
+    """Return the robot of a file, and its text, both from the same bytes."""
     import yourdfpy
 
     try:
-        loaded = yourdfpy.URDF.load(str(path), load_meshes=False, build_scene_graph=False)
+        with path.open("rb") as file:
+            data = checked(file.read(MAX_BYTES + 1), str(path))
+    except OSError as error:
+        raise ModelError(f"cannot read '{path}': {error.strerror}") from error
+    try:
+        loaded = yourdfpy.URDF.load(io.BytesIO(data), load_meshes=False, build_scene_graph=False, mesh_dir="")
     except Exception as error:  # lxml, yourdfpy and numpy each have their own
-        raise ModelError(f"{path}: not a URDF: {error}") from error
-    if not loaded.robot.links:
-        raise ModelError(f"{path}: not a URDF: it has no links")
-    return loaded.robot
+        raise ModelError(f"{path}: not a URDF: {' '.join(str(error).split())[:300]}") from error
+    return loaded.robot, data.decode("utf-8")
 
 
 def _matching(patterns: Sequence[str], joints: Mapping[str, Any], key: str, path: pathlib.Path) -> set[str]:

@@ -1,0 +1,70 @@
+"""Parameter files that are none: each refused, with its line."""
+
+from __future__ import annotations
+
+import pytest
+
+from dqwalk_ros.config import Config, from_yaml, load, to_yaml
+from dqwalk_ros.exceptions import ConfigError
+
+HEAD = "/**:\n  ros__parameters:\n"
+BOMB = "a: &a [x, x]\n" + "".join(f"{b}: &{b} [*{a}, *{a}]\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True))
+
+BAD = {
+    "a key twice": (HEAD + "    dt: 0.005\n    dt: 0.01\n", "line 4: .*'dt' was given in line 3"),
+    "a section twice": (
+        HEAD + "    gait: {cycles: 1}\n    gait: {cycles: 2}\n",
+        "line 4: .*'gait' was given in line 3",
+    ),
+    "a node twice": ("/**: {ros__parameters: {}}\n/**: {ros__parameters: {}}\n", "line 2: .*was given in line 1"),
+    "dotted and nested": (HEAD + "    gait.cycles: 1\n    gait: {cycles: 2}\n", "'gait.cycles' is given twice"),
+    "a typo": (
+        HEAD + "    gait:\n      cylces: 2\n",
+        "line 4: unknown parameter 'gait.cylces'; did you mean 'gait.cycles'",
+    ),
+    "out of range": (HEAD + "    dt: -1.0\n", "line 3: 'dt' must lie in"),
+    "wrong type": (HEAD + "    gait:\n      cycles: two\n", "line 4: 'gait.cycles' must be a whole number, got 'two'"),
+    "half a cycle": (HEAD + "    gait: {cycles: 1.5}\n", "must be a whole number"),
+    "nan": (HEAD + "    dt: .nan\n", "line 3: 'dt' must be finite"),
+    "inf": (HEAD + "    dt: .inf\n", "must be finite"),
+    "nothing": (HEAD + "    dt:\n", "line 3: 'dt' must be a number, got None"),
+    "a list": (HEAD + "    dt: [0.005]\n", "must be a number"),
+    "a truth": (HEAD + "    dt: true\n", "must be a number"),
+    "400 digits": (HEAD + f"    dt: {'9' * 400}\n", "must be finite"),
+    "5000 digits": (HEAD + f"    dt: {'9' * 5000}\n", "not YAML"),
+    "a date": (HEAD + "    dt: 2001-99-99\n", "not YAML"),
+    "a tab": (HEAD + "\tdt: 1\n", "line 3: not YAML"),
+    "an open bracket": (HEAD + "    dt: [1\n", "line 4: not YAML"),
+    "a bomb": (BOMB, "line 1: not YAML: an anchor"),
+    "an alias": (HEAD + "    dt: *x\n", "line 3: not YAML: an alias"),
+    "a merge": (HEAD + "    <<: {dt: 1}\n", "line 3: not YAML: a merge key"),
+    "code": ("!!python/object/apply:os.system ['true']", "not YAML"),
+    "a tag": (HEAD + "    dt: !x 1\n", "line 3: not YAML"),
+    "two documents": (f"{HEAD}    dt: 0.005\n---\n{HEAD}    dt: 0.01\n", "not YAML"),
+    "too deep": ("[" * 50, "nested deeper"),
+    "too long": ("#" * (1 << 20) + "\n", "longer than 1 MiB"),
+    "a list as key": (HEAD + "    ? [a]\n    : 1\n", "line 3: not YAML: a key that is no text"),
+    "a number as key": (HEAD + "    1: 2\n", "not a text"),
+    "no node": ("dt: 0.005\n", "expected '/\\*\\*"),
+    "no ros__parameters": ("/**:\n  dt: 0.005\n", "must hold 'ros__parameters'"),
+    "empty": ("", "expected"),
+    "a zero": ("\x00", "not YAML"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_it_is_refused_with_the_line(name: str) -> None:
+    text, expected = BAD[name]
+    with pytest.raises(ConfigError, match=expected) as caught:
+        from_yaml(text, source="file.yaml")
+    assert str(caught.value).startswith("file.yaml")
+    assert len(str(caught.value)) < 1000
+
+
+def test_a_whole_number_is_a_real_one() -> None:
+    assert from_yaml(HEAD + "    task: {eta: 1}\n").task.eta == 1.0
+
+
+def test_what_we_write_we_read() -> None:
+    for config in (Config(), load("paper")):
+        assert from_yaml(to_yaml(config)) == config
