@@ -20,7 +20,7 @@ ROS_EXTRA    := ros,
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help venv walk simulate test lint colcon clean
+.PHONY: help venv walk simulate test fuzz lint colcon clean
 
 help:  ## show this
 	@echo "usage: make TARGET [CYCLES=$(CYCLES)] [CONFIG=$(CONFIG)] [OUT=$(OUT)]"
@@ -36,6 +36,9 @@ simulate: $(VENV)/.installed  ## the same walk in one process, without ROS
 
 test: $(VENV)/.installed-test  ## run all tests (JOBS=2 at a time)
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -m 'not colcon' $(ARGS)
+
+fuzz: $(VENV)/.installed-test  ## 10 000 hostile robots, parameter files and messages
+	DQWALK_FUZZ=10000 $(BIN)/python -m pytest --timeout 3000 --durations 6 test/test_fuzz.py $(ARGS)
 
 lint: $(VENV)/.installed-dev  ## ruff and mypy
 	$(BIN)/ruff check .

@@ -61,6 +61,7 @@ setup(
     install_requires=[
         "setuptools",
         "clarabel>=0.9",
+        "lxml>=4.8",
         "matplotlib>=3.6",
         "mcap>=1.1",
         "numba>=0.58",

@@ -64,7 +64,7 @@ def conflicts(problem: Problem) -> Conflict | None:
     Each row is measured by its largest coefficient, so that what is least is a joint velocity whatever the unit of
     the row.
     """
-    n, l, m = problem.shape
+    n, l, m = problem.shape  # noqa: E741
     rows = np.vstack([problem.E, -problem.G, np.eye(n), -np.eye(n)])  # E u = e, and A u <= b for the rest
     b = np.concatenate([problem.e, -problem.h, problem.upper, -problem.lower])
     if not (np.isfinite(rows).all() and np.isfinite(b).all()):
@@ -114,7 +114,7 @@ def lead_back(problem: Problem) -> tuple[Problem, float]:
     QPError
         If there is no way back in.
     """
-    n, l, _ = problem.shape
+    n, l, _ = problem.shape  # noqa: E741
     wanted, kept = np.maximum(problem.h, 0.0), np.minimum(problem.h, 0.0)
     rise, low = np.maximum(problem.lower, 0.0), np.minimum(problem.lower, 0.0)
     fall, high = np.minimum(problem.upper, 0.0), np.maximum(problem.upper, 0.0)

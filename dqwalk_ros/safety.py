@@ -116,7 +116,7 @@ class Latch:
 
     def __init__(self, limit: int) -> None:
         self.limit = limit
-        self.reset()
+        self.count, self.reason = 0, ""
 
     def fault(self, reason: str) -> bool:
         """Note a fault; return whether it is latched now."""
@@ -241,7 +241,7 @@ class StateGate:
                 passed = max(passed, self.watchdog.age)
             reach = self._model.velocity_max * (max(passed, 0.0) + self._dt)
             moved = np.abs(q - self._q)
-            if far := [i for i in np.flatnonzero(~(moved <= reach))]:
+            if far := list(np.flatnonzero(~(moved <= reach))):
                 names = ", ".join(f"{self._model.joint_names[i]} by {moved[i]:.3g} rad" for i in far)
                 why = f"a jump that the velocity limits do not allow: {names}"
                 if self.jumped.fault(f"{why}; {self.jumped.limit} in a row, refused until ~/reset"):

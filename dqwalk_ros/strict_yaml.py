@@ -29,15 +29,16 @@ class _Loader(yaml.SafeLoader):
         self._depth = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            raise _at(self.peek_event().start_mark, "an alias, which ROS parameter files do not have")
-        if getattr(self.peek_event(), "anchor", None):
-            raise _at(self.peek_event().start_mark, "an anchor, which ROS parameter files do not have")
+        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
+        if isinstance(event, yaml.AliasEvent):
+            raise _at(event.start_mark, "an alias, which ROS parameter files do not have")
+        if getattr(event, "anchor", None):
+            raise _at(event.start_mark, "an anchor, which ROS parameter files do not have")
         self._depth += 1
         if self._depth > _DEPTH:
-            raise _at(self.peek_event().start_mark, f"nested deeper than {_DEPTH} levels")
+            raise _at(event.start_mark, f"nested deeper than {_DEPTH} levels")
         try:
-            return super().compose_node(parent, index)  # type: ignore[no-untyped-call]
+            return super().compose_node(parent, index)
         finally:
             self._depth -= 1
 
@@ -67,7 +68,7 @@ def read(text: str, *, source: str = "") -> tuple[Any, dict[tuple[str, ...], int
             _check_keys(node, (), lines)
             return loader.construct_document(node), lines
         finally:
-            loader.dispose()  # type: ignore[no-untyped-call]
+            loader.dispose()
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f"line {mark.line + 1}: " if mark is not None else ""

@@ -142,7 +142,7 @@ class VelocityController:
         return Command(state.time, np.clip(self.solution.u, -limit, limit))
 
     def _solved(self, problem: Problem) -> Solution:
-        """Return the answer of (6); where the robot is outside and cannot return at the wanted rate, of a slower one."""
+        """Return the answer of (6); where the robot is outside and cannot return at the wanted rate, a slower one."""
         try:
             return self._solver.solve(problem)
         except QPError as error:
