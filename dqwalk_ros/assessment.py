@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dqwalk_ros.config import Config, MonitorConfig
+from dqwalk_ros.constraints import PointInCylinder
 from dqwalk_ros.dq import DQ
 from dqwalk_ros.geometry import ConvexPolygon
 from dqwalk_ros.kinematics import Kinematics
@@ -57,6 +58,7 @@ class Assessor:
         start = phase.distances(Kinematics(model, phase.q_start, phase.base))
         self._rate = {row.name: 1.0 - min(1.0, row.eta * config.dt) for row in (*phase.constraints, *phase.holds)}
         self._holds = {hold.name for hold in phase.holds}
+        self._radius = {row.name: row.cylinder.radius for row in phase.rows if isinstance(row, PointInCylinder)}
         self._start = start
 
     def __call__(self, kin: Kinematics, elapsed: float, monitor: MonitorConfig | None = None) -> Assessment:
@@ -87,12 +89,17 @@ class Assessor:
             values[f"distance/{name}"] = float(d)
             if d < min(0.0, promised) - monitor.tolerance:
                 broken.append(f"{name} is {-d:.3g} beyond its bound")
-            elif d < monitor.warn_margin:
-                close.append(f"{name} {d:.2g}")
+            elif (margin := self._margin(name, d)) < monitor.warn_margin:
+                close.append(f"{name} within {margin:.2g}")
         values |= self._margins(kin, distances)
         text = "; ".join(broken or close)
         level = "ERROR" if broken else "WARN" if close else "OK"
         return Assessment(level, f"{self.phase.name}: {text}" if text else self.phase.name, values)
+
+    def _margin(self, name: str, d: float) -> float:
+        """Return a distance in its plain unit: that to a cylinder is r^2 - d^2, whose unit is m^2."""
+        radius = self._radius.get(name)
+        return d if radius is None else radius - float(np.sqrt(max(0.0, radius**2 - d)))
 
     def _margins(self, kin: Kinematics, distances: Mapping[str, float]) -> dict[str, float]:
         model, phase = self.model, self.phase

@@ -21,8 +21,14 @@ from std_srvs.srv import Trigger
 from dqwalk_ros.config import Config, to_yaml
 from dqwalk_ros.runner import Processes
 
-SHORT = {"gait.step_length": 0.02, "task.eta": 2.0, "ssp.threshold": 0.01, "dsp.stall_rate": 1e-3}
-"""A cycle of some 3000 ticks: small steps, a fast task, phases that end early."""
+SHORT = {
+    "gait.step_length": 0.02,
+    "task.eta": 1.0,
+    "dsp.stall_rate": 3e-3,
+    "dsp.eta_ground": 100.0,
+    "ssp.threshold": 0.02,
+}
+"""A cycle of 1267 ticks: small steps, a fast task, phases that end early, every promise kept."""
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 

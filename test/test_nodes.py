@@ -35,7 +35,7 @@ def live(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Make]:
     with private_domain() as domain:
 
         def make(**values: object) -> Live:
-            config = load("paper").updated({**SHORT, **{key.replace("__", "."): v for key, v in values.items()}})
+            config = load("paper").updated({key.replace("__", "."): v for key, v in values.items()})
             made.append(Live(tmp_path, domain, config))
             return made[-1]
 
@@ -51,7 +51,7 @@ def names_of(config: Config) -> list[str]:
 # ---------------------------------------------------------------------- lockstep
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def walks(tmp_path_factory: pytest.TempPathFactory) -> tuple[Config, list[Path]]:
     """Walk twice in lockstep."""
     config = load("paper").updated(SHORT)

@@ -6,11 +6,13 @@ passes over the rest without unpacking them: in lockstep states come several tim
 
 from __future__ import annotations
 
+import contextlib
 import struct
 import sys
 import time
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import Point32, PointStamped, PolygonStamped, PoseStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -25,7 +27,7 @@ from dqwalk_ros.bag.topics import FINISHED
 from dqwalk_ros.config import Config, from_yaml
 from dqwalk_ros.exceptions import DqwalkError, StateError
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import Foot, RobotModel
+from dqwalk_ros.model import Foot, RobotModel, load_model
 from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.markers import markers
@@ -58,6 +60,7 @@ class PhaseMonitorNode:
     def __init__(self, node: Node, life: Life, options: Any) -> None:
         self.node, self.life = node, life
         self._parameters = Parameters(node, options.argv)
+        self._warm_up(self._parameters.config)
         self._config: Config | None = None
         self._model: RobotModel | None = None
         self._urdf = ""
@@ -90,9 +93,15 @@ class PhaseMonitorNode:
             (PoseStamped, "swing_target", self._on_swing_target),
         ):
             node.create_subscription(kind, topic, callback, latched)
-        node.create_subscription(JointState, "joint_states", self._on_state, ros.stream(1, reliable=False), raw=True)
+        node.create_subscription(JointState, "joint_states", self._on_state, ros.stream(100, reliable=False), raw=True)
         node.create_timer(0.5 * _SILENT, self._watch, clock=STEADY)
         node.get_logger().info("waiting for a walk")
+
+    def _warm_up(self, config: Config) -> None:
+        """Have the kinematics compiled before the walk begins."""
+        with contextlib.suppress(DqwalkError):
+            model = load_model(config.robot)
+            Kinematics(model, np.zeros(model.n), Foot.LEFT)
 
     # ------------------------------------------------------------------ what the walk is
 

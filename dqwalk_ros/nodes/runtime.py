@@ -40,6 +40,8 @@ _LAST_WORDS = 1.0
 """Longest wait for subscribers to acknowledge what was published last [s]."""
 _HANG = 5.0
 """Longest time the middleware may take to end [s]."""
+_PATIENCE = 20
+"""Calls of `spin_once` without any effect after which nothing more is waiting."""
 _PR_SET_PDEATHSIG = 1
 
 
@@ -157,11 +159,16 @@ def _end_with_parent() -> None:
 
 
 def _spin_until_idle(executor: Any, worker: Worker) -> None:
-    """Handle everything that has come: `spin_once` stops after one subscription's messages."""
-    before = -1
-    while worker.handled != before:
+    """Handle everything that has come.
+
+    `spin_once` handles one event and does not tell whether there was any; an event whose message was overwritten by
+    a newer one handles nothing. Hence some patience.
+    """
+    idle = 0
+    while idle < _PATIENCE:
         before = worker.handled
         executor.spin_once(timeout_sec=0.0)
+        idle = idle + 1 if worker.handled == before else 0
 
 
 def _end(node: Node, worker: Worker | None, life: Life) -> None:
