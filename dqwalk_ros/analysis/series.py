@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros.analysis.batch import Batch, distance, error
 from dqwalk_ros.analysis.support import hull_margin, urdf_soles
 from dqwalk_ros.dq import DQ
 from dqwalk_ros.kinematics import Kinematics
@@ -215,23 +216,11 @@ class Series:
         return out
 
 
-def analyse(trace: Trace, *, progress: Callable[[float], None] | None = None) -> Series:
-    """Compute every series of a walk.
-
-    Parameters
-    ----------
-    trace : Trace
-    progress : callable, optional
-        Called with the fraction done, now and then.
-    """
+def analyse(trace: Trace) -> Series:
+    """Compute every series of a walk."""
     model, config = trace.model, trace.config
     count = len(trace.time)
-    error, com, end, pelvis = (
-        np.full(count, np.nan),
-        np.empty((count, 3)),
-        np.empty((count, 8)),
-        np.empty((count, 3)),
-    )
+    task_error, com, end, pelvis = (np.full((count, *shape), np.nan) for shape in ((), (3,), (8,), (3,)))
     kept: dict[str, Array] = {}
     residuals: dict[str, Array] = {}
     spans: list[Span] = []
@@ -240,22 +229,18 @@ def analyse(trace: Trace, *, progress: Callable[[float], None] | None = None) ->
     ends.append(trace.q[-1] if trace.finished else None)
     for record, stop, q_end in zip(trace.phases, stops, ends, strict=True):
         phase = make_phase(config, model, record.kind, record.support, record.q_start, record.swing_target)
-        spans.append(Span(record, phase, record.start, stop, _ending(model, phase, q_end)))
-        other = model.soles[phase.base.other].frame
-        holds = {hold.name for hold in phase.holds}
-        for tick in range(record.start, stop):
-            kin = Kinematics(model, trace.q[tick], phase.base)
-            error[tick] = phase.error(kin)
-            com[tick], end[tick], pelvis[tick] = kin.com, kin.pose(other), kin.point(model.pelvis)
-            for name, value in phase.distances(kin).items():
-                into = residuals if name in holds else kept
-                column = into.get(name)
-                if column is None:
-                    column = into[name] = np.full(count, np.nan)
-                column[tick] = value
-            if progress is not None and tick % 1000 == 0:
-                progress(tick / count)
-    return Series(trace, tuple(spans), error, kept, residuals, com, end, pelvis)
+        span = Span(record, phase, record.start, stop, _ending(model, phase, q_end))
+        spans.append(span)
+        batch = Batch(model, trace.q[span.ticks], phase.base)
+        task_error[span.ticks] = error(phase.tasks[0], batch)
+        com[span.ticks] = batch.com
+        end[span.ticks] = batch.pose(model.soles[phase.base.other].frame)
+        pelvis[span.ticks] = batch.point(model.pelvis, np.zeros(3))
+        for table, rows in ((residuals, phase.holds), (kept, phase.constraints)):
+            for row in rows:
+                column = table.setdefault(row.name, np.full(count, np.nan))
+                column[span.ticks] = distance(row, batch)
+    return Series(trace, tuple(spans), task_error, kept, residuals, com, end, pelvis)
 
 
 def _ending(model: RobotModel, phase: Phase, q: Array | None) -> Ending | None:

@@ -55,7 +55,8 @@ def _hull_margin(points: Array, p: Array) -> Array:
     inside = np.where(edge, np.einsum("nmc,nmc->nm", v, n), np.inf).min(axis=1)
     s = np.clip(np.einsum("nmc,nmc->nm", v, t) / length**2, 0.0, 1.0)
     outside = np.where(edge, np.linalg.norm(v - s[..., None] * t, axis=2), np.inf).min(axis=1)
-    return np.where(inside >= 0.0, inside, -outside)
+    out: Array = np.where(inside >= 0.0, inside, -outside)
+    return out
 
 
 def urdf_soles(trace: Trace) -> Mapping[Foot, Sole] | None:

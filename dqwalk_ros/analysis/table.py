@@ -55,7 +55,7 @@ def _walk(report: Mapping[str, Any]) -> str:
         ("time", f"{walk['duration']:.2f} s, {walk['ticks']} ticks"),
         (
             "steps",
-            f"{walk['steps']}, {mm * walk['distance']:.1f} mm ({mm * walk['lateral']:+.1f} mm to the left)",
+            f"{walk['steps']}, {mm * walk['forward']:.1f} mm forward, {mm * walk['lateral']:.1f} mm to the left",
         ),
     ]
     if walk["landing_error"] is not None:

@@ -203,7 +203,7 @@ def unpack_joint_states(raws: Sequence[bytes]) -> JointColumn:
     Raises
     ------
     BagError
-        If a message is damaged.
+        If every one of them is damaged.
     """
     if not raws:
         return JointColumn(np.zeros(0, np.int64), (), (), np.zeros((0, 0)), np.zeros((0, 0)))
@@ -212,7 +212,10 @@ def unpack_joint_states(raws: Sequence[bytes]) -> JointColumn:
 
 def _unpack_alike(raws: Sequence[bytes]) -> JointColumn | None:
     """Cut the numbers out of messages that differ in nothing but stamp and numbers; else return None."""
-    first = unpack(raws[0], "sensor_msgs/msg/JointState")
+    try:
+        first = unpack(raws[0], "sensor_msgs/msg/JointState")
+    except BagError:
+        return None
     size, n = len(raws[0]), len(first.name)
     n_position, n_velocity = len(first.position), len(first.velocity)
     if raws[0][1] != 1 or not {n_position, n_velocity} <= {0, n} or any(len(raw) != size for raw in raws):
@@ -262,16 +265,31 @@ def _number_bytes(raw: bytes) -> tuple[slice, slice, slice]:
 
 
 def _unpack_each(raws: Sequence[bytes]) -> JointColumn:
-    messages = [unpack(raw, "sensor_msgs/msg/JointState") for raw in raws]
-    names = tuple(dict.fromkeys(name for message in messages for name in message.name))
+    """Read messages one by one; a damaged one has the stamp of the one before it, and no numbers."""
+    messages: list[Any] = []
+    damaged: BagError | None = None
+    for raw in raws:
+        try:
+            messages.append(unpack(raw, "sensor_msgs/msg/JointState"))
+        except BagError as error:
+            damaged = error
+            messages.append(None)
+    if damaged is not None and not any(messages):
+        raise damaged
+    names = tuple(dict.fromkeys(name for message in messages if message for name in message.name))
     column = {name: i for i, name in enumerate(names)}
     position, velocity = np.full((2, len(messages), len(names)), np.nan)
+    stamps, frames = [-1], [""]
     for row, message in enumerate(messages):
+        if message is None:
+            stamps.append(stamps[-1])
+            frames.append(frames[-1])
+            continue
         at = [column[name] for name in message.name]
         if len(message.position) == len(at):
             position[row, at] = message.position
         if len(message.velocity) == len(at):
             velocity[row, at] = message.velocity
-    stamps = [m.header.stamp.sec * _NS + m.header.stamp.nanosec for m in messages]
-    frames = tuple(m.header.frame_id for m in messages)
-    return JointColumn(np.array(stamps, np.int64), frames, names, position, velocity)
+        stamps.append(message.header.stamp.sec * _NS + message.header.stamp.nanosec)
+        frames.append(message.header.frame_id)
+    return JointColumn(np.array(stamps[1:], np.int64), tuple(frames[1:]), names, position, velocity)

@@ -64,12 +64,14 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
     since = columns["joint_states"].times[first] if first else None
     began = starts(path, model, {name: _cut(column, since) for name, column in columns.items()})
     stamps, rows = _ticks(states.stamps, first, began[0].stamp, notes)
-    if not len(stamps):
-        raise BagError(f"'{path}': every joint state is older than the first phase")
     q = np.ascontiguousarray(states.position[rows][:, states.columns(model.joint_names)])
-    if not np.isfinite(q).all():
+    whole = np.isfinite(q).all(axis=1)
+    if not whole.any():
         bad = [name for name, column in zip(model.joint_names, q.T, strict=True) if not np.isfinite(column).all()]
-        raise BagError(f"'{path}': joint_states lack positions of {', '.join(bad)}")
+        raise BagError(f"'{path}': joint_states lack positions of {', '.join(bad)}" if bad else _too_old(path))
+    if not whole.all():
+        notes.append(f"{np.count_nonzero(~whole)} states without a number for every joint are left out")
+        stamps, q = stamps[whole], q[whole]
     u = _commands(model, stamps, columns["joint_velocity_commands"], notes)
     finished = FINISHED in texts(_cut(columns["phase"], since))[-1:]
     return Trace(
@@ -83,6 +85,10 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
         finished=finished,
         notes=tuple(notes),
     )
+
+
+def _too_old(path: Path) -> str:
+    return f"'{path}': every joint state is older than the first phase"
 
 
 # ---------------------------------------------------------------------- what the bag is about

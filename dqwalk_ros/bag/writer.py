@@ -118,7 +118,7 @@ def _fill(writer: Writer, trace: Trace, diagnostics: bool) -> None:
     applied[1:] = np.nan_to_num(trace.u[:-1])
     states = messages.joint_states(stamps, names, trace.q, applied)
     commands = messages.joint_states(stamps, names, None, trace.u)
-    answered = np.isfinite(trace.u).all(axis=1)
+    answered = ~np.isnan(trace.u[:, 0])
     pelvis = messages.poses(stamps, ODOM, _pelvis_in_odom(trace))
     starts = {record.start: record for record in trace.phases}
     status = _Status(trace) if diagnostics else None

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from dqwalk_ros.cli.progress import Progress
 from dqwalk_ros.exceptions import BagError
 from dqwalk_ros.trace import Trace
 
@@ -48,11 +47,7 @@ def write_results(
     """
     from dqwalk_ros import analysis
 
-    progress = Progress(quiet=quiet)
-    try:
-        series = analysis.analyse(trace, progress=lambda fraction: progress(fraction, "computing every distance anew"))
-    finally:
-        progress.close()
+    series = analysis.analyse(trace)
     report = analysis.report(series)
     text = json.dumps(report, indent=2, allow_nan=False)
     try:

@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 class _Fraction:
-    """How much of a walk is done: the phases, and within single support the decay of its error, exponential as it is."""
+    """How much of a walk is done: by phases, and within single support by the decay of its error."""
 
     def __init__(self, controller: Controller) -> None:
         self._controller = controller

@@ -36,4 +36,5 @@ def save(series: Series, folder: str | os.PathLike[str], formats: Sequence[str] 
             files.append(out / f"{name}.{kind}")
             with drawing():  # resolution and fonts are settings of the moment of saving
                 figure.savefig(files[-1])
+            figure.set_layout_engine("none")  # the layout is found once
     return files

@@ -17,6 +17,7 @@ from dqwalk_ros.analysis.figures.style import (
     mark_phases,
     name_phases,
     new_figure,
+    set_time_limits,
     thinned,
     tone,
 )
@@ -80,25 +81,48 @@ def _time_response(series: Series, panels: Sequence[_Panel], axes: Sequence[Axes
         if np.isfinite(low):
             room = 0.08 * (high - low) or 0.05 * abs(high) or 1.0
             ax.set_ylim(low - room, high + room)
-        if panel.bound is not None and panel.bound_label:
-            below = panel.bound > 0.5 * sum(ax.get_ylim())
-            ax.annotate(
-                panel.bound_label,
-                (1.0, panel.bound),
-                xycoords=("axes fraction", "data"),
-                xytext=(-3, -3 if below else 3),
-                textcoords="offset points",
-                ha="right",
-                va="top" if below else "bottom",
-                color=RED,
-                fontsize=8,
-            )
-        ax.set_title(f"{letter}   {panel.title}")
-        ax.set_ylabel(panel.label)
         ax.set_xlim(left=0.0)
         ax.margins(x=0.01)
+        if panel.bound is not None:
+            _name_bound(ax, panel.bound, panel.bound_label)
+        ax.set_title(f"{letter}   {panel.title}")
+        ax.set_ylabel(panel.label)
     for ax in axes[-3:]:
         ax.set_xlabel(f"time since the {'double' if double else 'single'} support began [s]")
+
+
+def _name_bound(ax: Axes, bound: float, label: str) -> None:
+    """Write the name of a bound beside its line, where no curve runs."""
+    from matplotlib.patheffects import withStroke
+
+    (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
+    inside = 1 if bound < 0.5 * (low + high) else -1  # above the line or below it
+    places = [(side, way) for way in (inside, -inside) for side in ("right", "left")]
+
+    def crowd(place: tuple[str, int]) -> int:
+        side, way = place
+        edges = (left + 0.55 * (right - left), right) if side == "right" else (left, left + 0.45 * (right - left))
+        reach = sorted((bound + 0.004 * way * (high - low), bound + 0.09 * way * (high - low)))
+        count = 0
+        for line in ax.get_lines():
+            x, y = (np.asarray(values) for values in line.get_data())
+            count += int(np.count_nonzero((x > edges[0]) & (x < edges[1]) & (y > reach[0]) & (y < reach[1])))
+        return count + 10_000 * (not low < reach[0] < reach[1] < high)
+
+    side, way = min(places, key=crowd)
+    ax.annotate(
+        label,
+        (1.0 if side == "right" else 0.0, bound),
+        xycoords=("axes fraction", "data"),
+        xytext=(-3 if side == "right" else 4, 3 * way),
+        textcoords="offset points",
+        ha=side,
+        va="bottom" if way > 0 else "top",
+        color=RED,
+        fontsize=8,
+        path_effects=[withStroke(linewidth=2.5, foreground="white")],
+        zorder=5,
+    )
 
 
 def _legend(fig: Figure, series: Series, double: bool, bound: str) -> None:
@@ -223,7 +247,7 @@ def _joint(ax: Axes, series: Series, i: int) -> None:
         ax.axhline(limit, color=RED, linestyle=DASHED, linewidth=1.2)
     room = 0.1 * (high - low)
     ax.set_ylim(low - room, high + room)
-    ax.set_xlim(series.time[0], series.time[-1])
+    set_time_limits(ax, series)
     ax.set_ylabel("angle [°]")
     closest = float(np.degrees(series.joint_margin[:, i].min()))
     ax.set_title(_joint_title(model.joint_names[i]))

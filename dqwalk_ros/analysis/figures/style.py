@@ -26,6 +26,7 @@ __all__ = [
     "mark_phases",
     "name_phases",
     "new_figure",
+    "set_time_limits",
     "thinned",
     "tone",
 ]
@@ -104,6 +105,11 @@ def tone(color: str, cycle: int, cycles: int) -> tuple[float, float, float]:
     return r, g, b
 
 
+def set_time_limits(ax: Axes, series: Series) -> None:
+    """Show the whole walk, be it a single tick."""
+    ax.set_xlim(series.time[0], max(series.time[-1], series.time[0] + series.trace.config.dt))
+
+
 def mark_phases(ax: Axes, series: Series) -> None:
     """Shade double support and put a dashed line at every change of phase."""
     for span in series.spans:
@@ -114,20 +120,22 @@ def mark_phases(ax: Axes, series: Series) -> None:
 
 
 def name_phases(ax: Axes, series: Series) -> None:
-    """Write DSP and SSP above the axes, where there is room for it."""
+    """Write the name of each phase at the top of the axes, as much of it as there is room for."""
     total = series.time[-1] - series.time[0]
     for span in series.spans:
         begin, end = series.time[span.start], series.time[span.end - 1]
-        if end - begin > 0.07 * total:
-            label = f"{'DSP to' if span.double else 'SSP on'} {span.phase.support.value}"
-            ax.annotate(
-                label,
-                (0.5 * (begin + end), 1.0),
-                xycoords=("data", "axes fraction"),
-                xytext=(0, -3),
-                textcoords="offset points",
-                ha="center",
-                va="top",
-                fontsize=7.5,
-                color="#57606a",
-            )
+        short = "DSP" if span.double else "SSP"
+        long = f"{short} {'to' if span.double else 'on'} {span.phase.support.value}"
+        if end - begin < 0.05 * total:
+            continue
+        ax.annotate(
+            long if end - begin > 0.16 * total else short,
+            (0.5 * (begin + end), 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(0, -3),
+            textcoords="offset points",
+            ha="center",
+            va="top",
+            fontsize=7.5,
+            color="#57606a",
+        )

@@ -19,6 +19,7 @@ from dqwalk_ros.analysis.figures.style import (
     mark_phases,
     name_phases,
     new_figure,
+    set_time_limits,
     thinned,
 )
 from dqwalk_ros.analysis.series import Series, Span
@@ -176,7 +177,7 @@ def _draw_margins(ax: Axes, series: Series) -> None:
     ax.axhline(0.0, color=RED, linestyle=DASHED, linewidth=1.3)
     low, high = ax.get_ylim()
     ax.set_ylim(low - 0.02 * (high - low), high + 0.36 * (high - low))
-    ax.set_xlim(series.time[0], series.time[-1])
+    set_time_limits(ax, series)
     ax.set_xlabel("time [s]")
     ax.set_ylabel("margin [mm]")
     ax.set_title("B   How far inside its support the CoM is (below zero: outside)")
