@@ -83,6 +83,7 @@ def build() -> argparse.ArgumentParser:
     walk = _command(commands, "walk", "walk through ROS 2: four nodes, lockstep", _WALK)
     _add_walk(walk)
     _add_output(walk, "walk")
+    walk.add_argument("--no-figures", action="store_true", help="write the bag and the report only")
     walk.add_argument("--realtime", action="store_true", help="run by the clock, at 1/dt, instead of in lockstep")
 
     report = _command(commands, "report", "judge and draw a recorded walk", _REPORT)

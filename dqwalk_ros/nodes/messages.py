@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 from dqwalk_ros.bag.topics import TOPICS
 from dqwalk_ros.controllers import Command, State
 from dqwalk_ros.dq import DQ
-from dqwalk_ros.exceptions import StateError
+from dqwalk_ros.safety import JointOrder
 
 __all__ = [
     "JointReader",
@@ -92,9 +92,7 @@ def time_msg(stamp: int) -> Time:
 
 
 class JointReader:
-    """Check JointState messages and put their joints into the order of the model.
-
-    Joints the model does not have are ignored. Anything else that does not fit rejects the whole message.
+    """Make states and commands of JointState messages, in the order of the model's joints.
 
     Parameters
     ----------
@@ -102,9 +100,7 @@ class JointReader:
     """
 
     def __init__(self, joint_names: Sequence[str]) -> None:
-        self._joints = tuple(joint_names)
-        self._names: list[str] = []
-        self._index: NDArray[np.intp] | None = None
+        self._order = JointOrder(joint_names)
 
     def state(self, msg: JointState) -> State:
         """Return the measured state; the velocities may be missing.
@@ -112,10 +108,10 @@ class JointReader:
         Raises
         ------
         StateError
-            If joints are missing or doubled, a length is wrong or a number is not finite; the message names the joints.
+            As `safety.JointOrder`: a message that does not fit is rejected as a whole.
         """
-        q = self._read(msg, msg.position, "position")
-        dq = self._read(msg, msg.velocity, "velocity") if len(msg.velocity) else None
+        q = self._order(msg.name, msg.position, "position")
+        dq = self._order(msg.name, msg.velocity, "velocity") if len(msg.velocity) else None
         return State(time=nanoseconds(msg.header.stamp) * 1e-9, q=q, dq=dq)
 
     def command(self, msg: JointState) -> Command:
@@ -126,29 +122,8 @@ class JointReader:
         StateError
             As `state`.
         """
-        return Command(time=nanoseconds(msg.header.stamp) * 1e-9, velocity=self._read(msg, msg.velocity, "velocity"))
-
-    def _read(self, msg: JointState, values: Any, what: str) -> Array:
-        if self._index is None or msg.name != self._names:
-            self._index = self._order(msg.name)
-            self._names = list(msg.name)
-        if len(values) != len(self._names):
-            raise StateError(f"{len(self._names)} names with {len(values)} numbers in '{what}'")
-        out = np.frombuffer(values, np.float64)[self._index]
-        if not np.isfinite(out).all():
-            bad = ", ".join(f"{self._joints[i]} = {out[i]}" for i in np.flatnonzero(~np.isfinite(out)))
-            raise StateError(f"not a finite {what}: {bad}")
-        return out
-
-    def _order(self, names: Sequence[str]) -> NDArray[np.intp]:
-        place = {name: i for i, name in enumerate(names)}
-        if missing := [joint for joint in self._joints if joint not in place]:
-            extra = [name for name in names if name not in self._joints]
-            also = f"; it has {', '.join(extra)}, which the model has not" if extra else ""
-            raise StateError(f"joints missing: {', '.join(missing)}{also}")
-        if doubled := sorted({name for name in names if list(names).count(name) > 1}):
-            raise StateError(f"joints named twice: {', '.join(doubled)}")
-        return np.array([place[joint] for joint in self._joints], np.intp)
+        velocity = self._order(msg.name, msg.velocity, "velocity")
+        return Command(time=nanoseconds(msg.header.stamp) * 1e-9, velocity=velocity)
 
 
 class JointWriter:
