@@ -263,7 +263,7 @@ class DQ:
         return self * type(self)(other._h) * self.conj()
 
     def Ad_sharp(self, other: DQ) -> Self:
-        """(P(x) - eps D(x)) h x*: the motion of a point 1 + eps p, or of a plane n + eps d."""
+        """(P(x) - eps D(x)) h x*: the motion of a plane n + eps d, or of a point 1 - eps p."""
         sharp = self._h.copy()
         sharp[..., 4:] *= -1.0
         return type(self)(sharp) * type(self)(other._h) * self.conj()
@@ -273,13 +273,17 @@ class DQ:
         return self.translation() + self.P().Ad(DQ(p)).vec3()
 
     def log(self) -> Self:
-        """Logarithm (phi n + eps p)/2 of a unit dual quaternion, a pure one; phi in [0, 2 pi] as the sign gives it."""
+        """Logarithm (phi n + eps p)/2 of a unit dual quaternion, a pure one; phi in [0, 2 pi] as the sign gives it.
+
+        A full turn has no axis of its own; it is given i.
+        """
         r = self._h[..., :4]
         sin = np.linalg.norm(r[..., 1:], axis=-1, keepdims=True)
         half = np.arctan2(sin, r[..., :1])
         scale = np.where(sin > _SMALL, half / np.where(sin > _SMALL, sin, 1.0), 1.0)
         h = np.zeros_like(self._h)
         h[..., 1:4] = scale * r[..., 1:]
+        h[..., 1:2] += np.where((sin <= _SMALL) & (r[..., :1] < 0.0), half, 0.0)
         h[..., 5:] = 0.5 * self.translation()
         return type(self)(h)
 

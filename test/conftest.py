@@ -1,0 +1,33 @@
+"""Fixtures every test may ask for."""
+
+from __future__ import annotations
+
+import pytest
+import robots
+
+from dqwalk_ros.config import Config, load
+from dqwalk_ros.model import Foot, RobotModel
+
+
+@pytest.fixture(scope="session")
+def paper() -> Config:
+    """The paper's configuration."""
+    return load("paper")
+
+
+@pytest.fixture(scope="session")
+def legs() -> RobotModel:
+    """The paper's mechanism."""
+    return robots.legs()
+
+
+@pytest.fixture(params=list(Foot), ids=lambda foot: foot.value)
+def foot(request: pytest.FixtureRequest) -> Foot:
+    """Each foot in turn."""
+    return request.param
+
+
+@pytest.fixture(params=list(robots.ROBOTS))
+def robot(request: pytest.FixtureRequest) -> RobotModel:
+    """Each robot in turn."""
+    return robots.ROBOTS[request.param]()

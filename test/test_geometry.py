@@ -1,0 +1,236 @@
+"""Signed distances against formulas of another kind, their Jacobians against central differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from robots import central_difference
+
+from dqwalk_ros.geometry import (
+    ConvexPolygon,
+    Cylinder,
+    Line,
+    Plane,
+    point_to_line_squared,
+    point_to_line_squared_jacobian,
+    point_to_plane,
+    point_to_plane_jacobian,
+    point_to_polygon,
+    point_to_polygon_jacobian,
+    point_to_wall,
+    point_to_wall_jacobian,
+    wall_normal,
+)
+
+SQUARE = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0]])
+
+
+@pytest.fixture(params=range(20))
+def rng(request):
+    return np.random.default_rng(request.param)
+
+
+def unit(v):
+    return v / np.linalg.norm(v)
+
+
+# ---------------------------------------------------------------------- points, planes and lines
+
+
+def test_point_to_plane(rng):
+    a, b, c, p = rng.normal(size=(4, 3))
+    plane = Plane.through(a, np.cross(b - a, c - a))
+    # the height of the tetrahedron a, b, c, p
+    height = np.linalg.det([b - a, c - a, p - a]) / np.linalg.norm(np.cross(b - a, c - a))
+    assert plane.distance(p) == pytest.approx(height, abs=1e-12)
+    assert point_to_plane(p, plane.n, plane.d) == plane.distance(p)
+    assert Plane.through(a, a - p).distance(a + (a - p)) > 0.0  # positive where the normal points
+
+
+def test_point_to_line(rng):
+    a, b, p = rng.normal(size=(3, 3))
+    line = Line.through(a, b - a)
+    t = np.dot(p - a, b - a) / np.dot(b - a, b - a)
+    nearest = a + t * (b - a)
+    assert line.distance_squared(p) == pytest.approx(np.sum((p - nearest) ** 2), abs=1e-12)
+    assert point_to_line_squared(p, line.l, line.m) == line.distance_squared(p)
+
+
+def test_cylinder_is_negative_inside_as_in_the_paper(rng):
+    a, direction = rng.normal(size=(2, 3))
+    cylinder = Cylinder(Line.through(a, direction), 0.5)
+    across = unit(np.cross(direction, rng.normal(size=3)))
+    for r in (0.0, 0.2, 0.5, 0.9):
+        p = a + 3.0 * direction + r * across
+        assert cylinder.distance(p) == pytest.approx(r**2 - 0.25, abs=1e-12)
+
+
+def test_point_to_wall(rng):
+    a, b, p = rng.normal(size=(3, 3))
+    n = wall_normal(a, b, p)
+    np.testing.assert_allclose([n[2], np.linalg.norm(n), n @ (b - a) - n[2] * (b - a)[2]], [0.0, 1.0, 0.0], atol=1e-12)
+    assert n @ (p - a) >= 0.0
+    left = (b - a)[0] * (p - a)[1] - (b - a)[1] * (p - a)[0] > 0.0
+    assert point_to_wall(p, a, b, 1.0 if left else -1.0) == pytest.approx(n @ (p - a), abs=1e-12)
+    assert point_to_wall(p, a, b, -1.0 if left else 1.0) == pytest.approx(-n @ (p - a), abs=1e-12)
+
+
+def test_two_points_above_each_other_fix_no_wall():
+    with pytest.raises(ValueError, match="do not fix an upright plane"):
+        wall_normal(np.array([1.0, 2.0, 0.0]), np.array([1.0, 2.0, 5.0]), np.zeros(3))
+
+
+# ---------------------------------------------------------------------- everything may move
+
+
+@pytest.fixture
+def curves(rng):
+    """Three points moving with four joints, as smooth as kinematics are, and their Jacobians."""
+    A = rng.normal(size=(3, 3, 4))
+    phase = rng.normal(size=(3, 3, 4))
+    centre = rng.normal(size=(3, 3))
+
+    def make(index):
+        def point(q):
+            return centre[index] + (A[index] * np.sin(q + phase[index])).sum(axis=1)
+
+        def jacobian(q):
+            return A[index] * np.cos(q + phase[index])
+
+        return point, jacobian
+
+    return [make(index) for index in range(3)]
+
+
+def test_plane_jacobian_with_the_residual(rng, curves):
+    (p, J_p), (a, J_a), (b, J_b) = curves
+    q = rng.normal(size=4)
+    n0 = unit(rng.normal(size=3))
+    J = point_to_plane_jacobian(p(q), J_p(q), n0)
+    np.testing.assert_allclose(J, central_difference(lambda q: point_to_plane(p(q), n0, 0.3), q), atol=1e-7)
+
+    def plane(q):  # through a, orthogonal to the way to b
+        n = unit(b(q) - a(q))
+        return n, n @ a(q)
+
+    t = b(q) - a(q)
+    n, _ = plane(q)
+    J_n = (np.eye(3) - np.outer(n, n)) / np.linalg.norm(t) @ (J_b(q) - J_a(q))
+    J_d = a(q) @ J_n + n @ J_a(q)
+    J = point_to_plane_jacobian(p(q), J_p(q), n, J_n, J_d)
+    scale = max(1.0, np.abs(J).max())
+    np.testing.assert_allclose(J, central_difference(lambda q: point_to_plane(p(q), *plane(q)), q), atol=1e-7 * scale)
+
+
+def test_line_jacobian_with_the_residual(rng, curves):
+    (p, J_p), (a, J_a), (b, J_b) = curves
+    q = rng.normal(size=4)
+    line = Line.through(a(q), b(q) - a(q))
+    J = point_to_line_squared_jacobian(p(q), J_p(q), line.l, line.m)
+    expected = central_difference(lambda q: line.distance_squared(p(q)), q)
+    np.testing.assert_allclose(J, expected, atol=1e-7 * max(1.0, np.abs(J).max()))
+
+    def distance(q):
+        return Line.through(a(q), b(q) - a(q)).distance_squared(p(q))
+
+    t = b(q) - a(q)
+    J_l = (np.eye(3) - np.outer(line.l, line.l)) / np.linalg.norm(t) @ (J_b(q) - J_a(q))
+    J_m = np.cross(J_a(q).T, line.l).T + np.cross(a(q), J_l.T).T
+    J = point_to_line_squared_jacobian(p(q), J_p(q), line.l, line.m, J_l, J_m)
+    np.testing.assert_allclose(J, central_difference(distance, q), atol=1e-7 * max(1.0, np.abs(J).max()))
+
+
+def test_line_jacobian_is_smooth_on_the_axis():
+    """Where that of the distance itself is not defined: why the square is used."""
+    line = Line.through([1.0, 2.0, 0.0], [0.0, 0.0, 1.0])
+    J = point_to_line_squared_jacobian(np.array([1.0, 2.0, 7.0]), np.eye(3), line.l, line.m)
+    np.testing.assert_allclose(J, 0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_wall_jacobian_with_the_residual(rng, curves, side):
+    (p, J_p), (b, J_b), _ = curves
+    q, a = rng.normal(size=4), rng.normal(size=3)
+    J = point_to_wall_jacobian(p(q), J_p(q), a, b(q), J_b(q), side)
+    expected = central_difference(lambda q: point_to_wall(p(q), a, b(q), side), q)
+    np.testing.assert_allclose(J, expected, atol=1e-7 * max(1.0, np.abs(J).max()))
+    # the residual is there: without it the Jacobian is another
+    assert np.abs(point_to_wall_jacobian(p(q), J_p(q), a, b(q), 0.0 * J_b(q), side) - expected).max() > 1e-4
+
+
+# ---------------------------------------------------------------------- polygons
+
+
+def brute_force(p, vertices):
+    """Boundary sampled every 2e-4 or so, and a winding number for the sign."""
+    t = np.linspace(0.0, 1.0, 20001)[:, None]
+    ends = np.roll(vertices, -1, axis=0)
+    boundary = np.concatenate([a + t * (b - a) for a, b in zip(vertices, ends, strict=True)])
+    far = np.linalg.norm(boundary - p, axis=1).min()
+    to = vertices - p
+    angles = np.arctan2(to[:, 1], to[:, 0])
+    turns = np.angle(np.exp(1j * (np.roll(angles, -1) - angles))).sum() / (2.0 * np.pi)
+    return far if turns > 0.5 else -far
+
+
+def test_point_to_polygon(rng):
+    polygon = ConvexPolygon.hull(rng.normal(size=(8, 2)))
+    for p in 1.5 * rng.normal(size=(20, 2)):
+        assert polygon.distance(p) == pytest.approx(brute_force(p, polygon.vertices), abs=1e-4)
+        assert polygon.distance([*p, 5.0]) == polygon.distance(p)  # of a point in space, its ground projection
+
+
+@pytest.mark.parametrize(
+    ("p", "distance", "gradient"),
+    [
+        ([0.5, 0.4], 0.4, [0.0, 1.0]),  # nearest to the lower edge
+        ([1.9, 0.6], 0.1, [-1.0, 0.0]),
+        ([1.0, -0.3], -0.3, [0.0, 1.0]),  # beyond an edge
+        ([2.3, 1.4], -0.5, [-0.6, -0.8]),  # beyond a corner: the corner counts, not the edges
+        ([-0.3, -0.4], -0.5, [0.6, 0.8]),
+        ([1.0, 0.0], 0.0, [0.0, 1.0]),  # on the edge
+    ],
+)
+def test_polygon_by_hand(p, distance, gradient):
+    d, g = point_to_polygon(np.array(p), SQUARE)
+    assert d == pytest.approx(distance, abs=1e-15)
+    np.testing.assert_allclose(g, gradient, atol=1e-15)
+
+
+def test_on_a_corner_the_gradient_is_finite():
+    for corner in SQUARE:
+        d, g = point_to_polygon(corner, SQUARE)
+        assert d == 0.0
+        assert np.linalg.norm(g) == pytest.approx(1.0)
+
+
+def test_polygon_jacobian(rng, curves):
+    p, J_p = curves[0]
+    vertices = ConvexPolygon.hull(rng.normal(size=(6, 2))).vertices
+    for q in rng.normal(size=(5, 4)):
+        J = point_to_polygon_jacobian(p(q), J_p(q), vertices)
+        expected = central_difference(lambda q: point_to_polygon(p(q), vertices)[0], q)
+        np.testing.assert_allclose(J, expected, atol=1e-6 * max(1.0, np.abs(J).max()))
+
+
+def test_hull_leaves_out_what_lies_inside_or_on_an_edge():
+    inner = [[1.0, 0.5], [1.0, 0.0], [2.0, 0.5], [0.3, 0.2]]
+    hull = ConvexPolygon.hull([*SQUARE.tolist(), *inner, *SQUARE.tolist()]).vertices
+    assert hull.shape == (4, 2)
+    assert {tuple(v) for v in hull} == {tuple(v) for v in SQUARE}
+    n, d = ConvexPolygon(hull).edges()
+    assert (n @ np.array([1.0, 0.5]) - d > 0.0).all()  # counter-clockwise, normals inwards
+
+
+def test_hull_matches_scipy(rng):
+    from scipy.spatial import ConvexHull
+
+    points = rng.normal(size=(30, 2))
+    ours, theirs = ConvexPolygon.hull(points).vertices, points[ConvexHull(points).vertices]
+    assert {tuple(v) for v in ours} == {tuple(v) for v in theirs}
+
+
+@pytest.mark.parametrize("points", [[[0, 0]], [[0, 0], [1, 1]], [[0, 0], [1, 1], [3, 3], [2, 2]], [[1, 1]] * 5])
+def test_no_area_no_polygon(points):
+    with pytest.raises(ValueError, match="no convex hull with an area"):
+        ConvexPolygon.hull(points)
