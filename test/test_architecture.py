@@ -1,0 +1,144 @@
+"""The layers hold: a module imports only modules above it, and each heavy dependency has one home."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = ROOT / "dqwalk_ros"
+
+LAYERS = (
+    "exceptions",
+    "strict_yaml",
+    "config",
+    "dq",
+    "geometry",
+    "description",
+    "model",
+    "kernels",
+    "kinematics",
+    "dynamics",
+    "constraints",
+    "tasks",
+    "objectives",
+    "qp",
+    "assembly",
+    "feasibility",
+    "hierarchy",
+    "preview",
+    "phases",
+    "gait",
+    "controllers",
+    "plants",
+    "reach",
+    "safety",
+    "trace",
+    "simulation",
+    "assessment",
+    "bag",
+    "analysis",
+    "scene",
+    "viewer",
+    "nodes",
+    "runner",
+    "cli",
+)
+"""From the top down; a folder is one layer."""
+
+HOMES = {
+    "clarabel": {"qp"},
+    "daqp": {"qp"},
+    "matplotlib": {"analysis"},
+    "mujoco": {"plants"},
+    "numba": {"kernels", "dynamics"},
+    "pinocchio": {"dynamics"},
+    "pypot": {"plants"},
+    "rclpy": {"nodes"},
+    "viser": {"viewer"},
+    "yourdfpy": {"model"},
+}
+"""The only layers that may import what is heavy or may be missing."""
+
+FILES = sorted(PACKAGE.rglob("*.py"))
+
+
+def layer(file: Path) -> str:
+    return file.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imports(file: Path) -> list[str]:
+    """Every module a file imports, also within functions, but not for type checking only."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    skipped = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        for inner in ast.walk(node)
+    }
+    found = []
+    for node in ast.walk(tree):
+        if id(node) in skipped:
+            continue
+        if isinstance(node, ast.Import):
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{file}: imports are absolute"
+            found += [f"{node.module}.{alias.name}" for alias in node.names]
+    return found
+
+
+def test_every_module_has_its_layer():
+    assert {layer(file) for file in FILES} - {"__init__", "__main__"} <= set(LAYERS)
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(PACKAGE)))
+def test_a_module_imports_only_modules_above_it(file):
+    if layer(file) == "__init__":
+        return  # names only, loaded on first use
+    for name in imports(file):
+        package, _, rest = name.partition(".")
+        if package == "dqwalk_ros" and rest not in ("__version__",):
+            above = rest.split(".")[0]
+            assert LAYERS.index(above) <= LAYERS.index(layer(file)), f"{file.name} imports {name}, which is below it"
+
+
+@pytest.mark.parametrize("package", HOMES)
+def test_heavy_dependencies_have_one_home(package):
+    importers = {layer(file) for file in FILES if any(name.split(".")[0] == package for name in imports(file))}
+    assert importers <= HOMES[package]
+
+
+def test_clarabel_is_imported_once():
+    assert [file.name for file in FILES if "clarabel" in imports(file)] == ["qp.py"]
+
+
+def test_files_stay_readable():
+    """The schema of the parameters is a table, to be looked up rather than read, and may be longer."""
+    lines = {str(file.relative_to(PACKAGE)): len(file.read_text(encoding="utf-8").splitlines()) for file in FILES}
+    too_long = {name: n for name, n in lines.items() if n > (600 if name == "config.py" else 400)}
+    assert not too_long, "make folders of them"
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(PACKAGE)))
+def test_what_is_public_says_what_it_is(file):
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    assert ast.get_docstring(tree) or not tree.body
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+            assert ast.get_docstring(node), f"{node.name} has no docstring"
+
+
+def test_the_core_does_without_ros_and_extras():
+    """Importing the core brings in none of the optional packages."""
+    import subprocess
+    import sys
+
+    optional = ("rclpy", "mujoco", "viser", "pypot", "pinocchio", "daqp", "matplotlib")
+    core = ("controllers.velocity", "plants.kinematic", "simulation", "assessment")
+    code = "import sys\n" + "".join(f"import dqwalk_ros.{name}\n" for name in core)
+    code += f"print([name for name in {optional!r} if name in sys.modules])"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert out.stdout.strip() == "[]"

@@ -1,0 +1,199 @@
+"""The one schema: what it refuses and why, that files keep it, and that paper.yaml is the paper."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import yaml
+
+from dqwalk_ros.config import Config, find_share, from_yaml, load, to_yaml
+from dqwalk_ros.exceptions import ConfigError
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.model import Foot
+from dqwalk_ros.phases import PhaseKind, make_phase
+
+
+def text(body: str) -> str:
+    return "/**:\n  ros__parameters:\n" + "\n".join("    " + line for line in body.splitlines()) + "\n"
+
+
+# ---------------------------------------------------------------------- the numbers of section 5
+
+SECTION_5 = {
+    "dt": 0.005,  # integration step
+    "task.eta": 0.05,
+    "task.damping": 0.1,
+    "task.posture_weight": 0.0,
+    "dsp.eta_sliding": 5.0,
+    "dsp.eta_ground": 5.0,
+    "dsp.eta_tip": 10.0,
+    "dsp.eta_back": 20.0,
+    "dsp.sliding_radius": 0.04,
+    "pelvis.eta": 500.0,
+    "pelvis.height": 0.2,
+    "joints.eta": 10.0,
+    "ssp.eta_com": 5.0,
+    "ssp.com_radius": 0.05,
+    "ssp.threshold": 0.001,
+    "gait.step_length": 0.05,
+    "robot.sole_width": 0.07,
+    "robot.sole_length": 0.0934,
+}
+
+
+def test_paper_yaml_states_every_number_of_section_5():
+    stated = yaml.safe_load(find_share("config", "paper.yaml").read_text(encoding="utf-8"))
+    body = stated["/**"]["ros__parameters"]
+    flat = {"dt": body["dt"]} | {f"{s}.{k}": v for s, d in body.items() if isinstance(d, dict) for k, v in d.items()}
+    for name, value in SECTION_5.items():
+        assert flat[name] == value, name
+    config = load("paper").flat()
+    assert {name: config[name] for name in SECTION_5} == SECTION_5
+
+
+def test_the_phases_use_them(paper, legs):
+    """The rates and radii of (7)-(14) as the phases have them, not as a file has them."""
+    x_d = Kinematics(legs, np.zeros(legs.n), Foot.LEFT).pose(legs.soles[Foot.RIGHT].frame)
+    double = make_phase(paper, legs, PhaseKind.DOUBLE_SUPPORT, Foot.LEFT, np.zeros(legs.n))
+    single = make_phase(paper, legs, PhaseKind.SINGLE_SUPPORT, Foot.LEFT, np.zeros(legs.n), x_d)
+    eta = {row.name: row.eta for phase in (double, single) for row in (*phase.holds, *phase.constraints)}
+    assert eta["sliding"] == eta["ground"] == eta["com_cylinder"] == 5.0
+    assert (eta["tip_plane"], eta["back_plane"], eta["pelvis"]) == (10.0, 20.0, 500.0)
+    assert eta["joint_max"] == eta["joint_min"] == 10.0
+    by_name = {row.name: row for row in (*double.rows, *single.rows)}
+    assert by_name["sliding"].cylinder.radius == 0.04
+    assert by_name["com_cylinder"].cylinder.radius == 0.05
+    assert by_name["pelvis"].plane.d == 0.2
+    for phase in (double, single):
+        assert (phase.eta, phase.damping) == (0.05, 0.1)
+
+
+# ---------------------------------------------------------------------- what is refused
+
+REFUSED = [
+    ("dps: {eta_tip: 3.0}", r"unknown parameter 'dps.eta_tip'; did you mean 'dsp.eta_tip'"),
+    ("eta_com: 3.0", r"unknown parameter 'eta_com'; did you mean .*ssp.eta_com"),
+    ("com_radius: 3.0", r"unknown parameter 'com_radius'; did you mean .*'ssp.com_radius'"),
+    ("zzz: 3.0", r"unknown parameter 'zzz'; `dqwalk config` lists them all"),
+    ("task: {eta: fast}", r"'task.eta' must be a number, got 'fast' \(convergence rate .*\[1/s\]"),
+    ("task: {eta: true}", r"'task.eta' must be a number, got True"),
+    ("task: {eta: [0.1]}", r"'task.eta' must be a number"),
+    ("task: {eta: .nan}", r"'task.eta' must be finite"),
+    ("task: {eta: .inf}", r"'task.eta' must be finite"),
+    ("task: {eta: -0.1}", r"'task.eta' must lie in \[1e-06, 1000\], got -0.1"),
+    ("task: {eta: null}", r"'task.eta' must be a number, got None"),
+    ("dt: 5.0", r"'dt' must lie in \[0.0001, 0.1\]"),
+    ("gait: {cycles: 1.5}", r"'gait.cycles' must be a whole number, got 1.5"),
+    ("gait: {cycles: true}", r"'gait.cycles' must be a whole number"),
+    ("gait: {cycles: 0}", r"'gait.cycles' must lie in \[1, 100000\]"),
+    ("gait: {first_support: middle}", r"'gait.first_support' must be one of left, right, got 'middle'"),
+    ("dsp: {flat_feet: 1}", r"'dsp.flat_feet' must be true or false, got 1"),
+    ("dsp: {flat_feet: 'yes'}", r"'dsp.flat_feet' must be true or false"),
+    ("robot: {urdf: 3}", r"'robot.urdf' must be a text, got 3"),
+    ("robot: {drop: abs_y}", r"'robot.drop' must be a list, got 'abs_y'"),
+    ("robot: {drop: [1]}", r"'robot.drop' must be a list of texts"),
+    ("qp: {solver: magic}", r"'qp.solver' must be one of"),
+    ("3: 4", r"the key 3 is not a text"),
+]
+
+
+@pytest.mark.parametrize(("body", "message"), REFUSED, ids=[body for body, _ in REFUSED])
+def test_refused(body, message):
+    with pytest.raises(ConfigError, match=message) as caught:
+        from_yaml(text(body), source="mine.yaml")
+    assert str(caught.value).startswith("mine.yaml: ")
+
+
+@pytest.mark.parametrize(
+    ("whole", "message"),
+    [
+        ("", "expected '/\\*\\*"),
+        ("[1, 2]", "expected '/\\*\\*"),
+        ("dt: 0.005", "expected '/\\*\\*"),
+        ("/**:\n  parameters:\n    dt: 0.005", "must hold 'ros__parameters'"),
+        ("/**:\n  ros__parameters: 3", "must hold 'ros__parameters'"),
+        ("/**: {ros__parameters: {dt: 0.005", "not YAML"),
+        ("a: &a [*a]", "YAML|expected"),
+        ("\t- x", "not YAML"),
+    ],
+)
+def test_other_files_are_refused(whole, message):
+    with pytest.raises(ConfigError, match=message):
+        from_yaml(whole)
+
+
+def test_missing_and_unreadable_files(tmp_path):
+    with pytest.raises(ConfigError, match="no configuration file '.*nowhere.yaml'"):
+        load(tmp_path / "nowhere.yaml")
+    with pytest.raises(ConfigError, match="no file 'papre.yaml' in config/"):
+        load("papre")
+    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00\x80")
+    with pytest.raises(ConfigError, match="cannot read|not YAML"):
+        load(tmp_path / "binary.yaml")
+
+
+@pytest.mark.parametrize("spec", [s for s in Config.specs() if s.low is not None], ids=lambda s: s.name)
+def test_every_bound_is_closed(spec):
+    """Both ends are allowed, what is beyond them is not."""
+    for end, step in ((spec.low, -1), (spec.high, 1)):
+        value = int(end) if spec.type is int else end
+        assert Config.from_flat({spec.name: value}).flat()[spec.name] == value
+        beyond = value + step if spec.type is int else float(np.nextafter(value, step * np.inf))
+        with pytest.raises(ConfigError, match=f"'{spec.name}' must lie in"):
+            Config.from_flat({spec.name: beyond})
+
+
+# ---------------------------------------------------------------------- what is kept
+
+
+def test_an_int_does_for_a_float():
+    value = from_yaml(text("task: {eta: 1}")).task.eta
+    assert value == 1.0
+    assert isinstance(value, float)
+
+
+def test_what_is_not_named_keeps_its_default():
+    assert from_yaml(text("dt: 0.01")) == dataclasses.replace(Config(), dt=0.01)
+
+
+def other(spec):
+    """A value that is not the default."""
+    if spec.type is bool:
+        return not spec.default
+    if spec.choices:
+        return spec.choices[-1]
+    if spec.type is int:
+        return spec.default + 1
+    if spec.type is float:
+        return 0.3 * spec.default + 0.7 * (spec.high if spec.default == spec.low else spec.low)
+    return ("a", "b*") if spec.type is tuple else "something"
+
+
+def test_files_keep_everything(tmp_path):
+    config = Config.from_flat({spec.name: other(spec) for spec in Config.specs()})
+    changed = {n for n, v in config.flat().items() if v != Config().flat()[n]}
+    assert changed >= {spec.name for spec in Config.specs() if len(spec.choices) != 1}
+    for one in (config, Config(), load("paper")):
+        assert from_yaml(to_yaml(one)) == one
+        path = tmp_path / "config.yaml"
+        path.write_text(to_yaml(one), encoding="utf-8")
+        assert load(path) == one
+        assert Config.from_flat(one.flat()) == one
+
+
+def test_every_parameter_says_what_it_is():
+    specs = Config.specs()
+    assert len({spec.name for spec in specs}) == len(specs)
+    for spec in specs:
+        assert len(spec.meaning) > 5, spec.name
+        if spec.type in (int, float):
+            assert spec.low is not None, spec.name
+            assert spec.low <= spec.default <= spec.high, spec.name
+
+
+def test_records_are_frozen(paper):
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        paper.task.eta = 3.0
+    assert hash(paper) == hash(load("paper"))
