@@ -125,12 +125,12 @@ def test_other_files_are_refused(whole, message):
 
 
 def test_missing_and_unreadable_files(tmp_path):
-    with pytest.raises(ConfigError, match="no configuration file '.*nowhere.yaml'"):
+    with pytest.raises(ConfigError, match=r"no configuration file '.*nowhere.yaml'"):
         load(tmp_path / "nowhere.yaml")
-    with pytest.raises(ConfigError, match="no file 'papre.yaml' in config/"):
+    with pytest.raises(ConfigError, match=r"no file 'papre.yaml' in config/"):
         load("papre")
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00\x80")
-    with pytest.raises(ConfigError, match="cannot read|not YAML"):
+    with pytest.raises(ConfigError, match=r"cannot read|not YAML"):
         load(tmp_path / "binary.yaml")
 
 
