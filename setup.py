@@ -17,8 +17,9 @@ ROS = [
     "ros-jazzy-std-srvs>=5.3",
     "ros-jazzy-visualization-msgs>=5.3",
 ]
+DAQP = ["daqp>=0.7"]
 TEST = [
-    "daqp>=0.5",
+    *DAQP,
     "dqrobotics>=23.4",
     "hypothesis>=6.80",
     "pin>=2.7",
@@ -71,7 +72,7 @@ setup(
         "scipy>=1.11",
         "yourdfpy>=0.0.56",
     ],
-    extras_require={"ros": ROS, "test": TEST, "dev": DEV},
+    extras_require={"ros": ROS, "daqp": DAQP, "test": TEST, "dev": DEV},
     tests_require=["pytest"],
     zip_safe=False,
     classifiers=[

@@ -190,7 +190,12 @@ class JointsConfig:
 class QpConfig:
     """How (6) is solved."""
 
-    solver: str = _par("clarabel", "solver of the QP", choices=("clarabel",), structural=True)
+    solver: str = _par(
+        "clarabel",
+        "solver of the QP; daqp, an extra, gives the same answers in less time",
+        choices=("clarabel", "daqp"),
+        structural=True,
+    )
 
 
 @dataclass(frozen=True)

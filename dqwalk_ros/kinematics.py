@@ -133,6 +133,16 @@ class Kinematics:
         kernels.forward(self.q, *self._rooted.arrays, self._poses, self.lines, self.com, self.com_jacobian)
 
     @property
+    def rooted(self) -> Rooted:
+        """The constants of the model seen from `base`."""
+        return self._rooted
+
+    @property
+    def arrays(self) -> tuple[Array, Array, Array, Array, Array]:
+        """q, poses (bodies, 8) of `rooted`, lines, CoM and its Jacobian, for compiled functions."""
+        return self.q, self._poses, self.lines, self.com, self.com_jacobian
+
+    @property
     def swing(self) -> str:
         """Frame of the other sole."""
         return self.model.soles[self.base.other].frame

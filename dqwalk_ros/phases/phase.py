@@ -9,8 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.constraints import Constraint, JointMaximum, JointMinimum, gain, vfi_rows
-from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.assembly import Table
+from dqwalk_ros.constraints import Constraint, JointMaximum, JointMinimum
+from dqwalk_ros.kinematics import Kinematics, Rooted
 from dqwalk_ros.model import Foot
 from dqwalk_ros.qp import Problem
 from dqwalk_ros.tasks import Task
@@ -85,6 +86,27 @@ class Phase:
             name for row in (*self.holds, *self.rows, *self.limits) for name in row.row_names(self.joint_names)
         )
 
+    def table(self, rooted: Rooted) -> Table:
+        """Return the compiled form of the phase for a robot; made once."""
+        table: Table | None = self.__dict__.get("_table")
+        if table is None or table.rooted is not rooted:
+            table = self.__dict__["_table"] = Table(
+                rooted,
+                self.joint_names,
+                self.tasks,
+                self.holds,
+                self.rows,
+                self.limits,
+                eta=self.eta,
+                damping=self.damping,
+                names=self.row_names,
+            )
+        return table
+
+    def __getstate__(self) -> dict[str, object]:
+        # the compiled form is made anew where the phase is sent
+        return {key: value for key, value in self.__dict__.items() if key != "_table"}
+
     def error(self, kin: Kinematics) -> float:
         """Norm of the error of the phase's own task."""
         e = self.tasks[0].error(kin)
@@ -111,32 +133,4 @@ def assemble(phase: Phase, kin: Kinematics, dt: float) -> Problem:
     dt : float
         Control period [s], which caps the rates at 1/dt.
     """
-    n = kin.q.shape[0]
-    H = np.zeros((n, n))
-    H.flat[:: n + 1] = phase.damping**2
-    c = np.zeros(n)
-    for task in phase.tasks:
-        J = task.jacobian(kin)
-        H += task.weight * (J.T @ J)
-        c += (task.weight * phase.eta) * (task.error(kin) @ J)
-    E, e = _stacked(phase.holds, kin, dt)
-    G, h = _stacked(phase.rows, kin, dt)
-    above, below = phase.limits
-    return Problem(
-        H=H,
-        c=c,
-        E=E,
-        e=e,
-        G=G,
-        h=h,
-        lower=-gain(below.eta, dt) * (below.distance(kin) - below.bound),
-        upper=gain(above.eta, dt) * (above.distance(kin) - above.bound),
-        names=phase.row_names,
-    )
-
-
-def _stacked(rows: tuple[Constraint, ...], kin: Kinematics, dt: float) -> tuple[Array, Array]:
-    if not rows:
-        return np.empty((0, kin.q.shape[0])), np.empty(0)
-    parts = [vfi_rows(row, kin, dt) for row in rows]
-    return np.concatenate([G for G, _ in parts]), np.concatenate([h for _, h in parts])
+    return phase.table(kin.rooted).problem(kin, dt)

@@ -1,0 +1,180 @@
+"""The compiled half of the assembly: one pass over the table of a phase.
+
+Every joint is a line l + eps m. A distance whose gradient at the point p is g feels the joint's turn by the
+reciprocal product of that line with the wrench (g, p x g) of a force g at p, so a row of (6) is
+
+    J_i = l_i . (p x g) + m_i . g        for the joints i that move the point,
+
+whatever the distance is. The tables are made, and their columns explained, in `dqwalk_ros.assembly`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+
+from dqwalk_ros.kernels import _mul, _rotate, _translation
+
+__all__ = ["AXIS", "COM_OVER_FOOT", "CYLINDER", "FRAME_POSE", "PLANE", "POSTURE", "WALL", "evaluate"]
+
+PLANE, CYLINDER, WALL, AXIS = 0, 1, 2, 3
+COM_OVER_FOOT, FRAME_POSE, POSTURE = 0, 1, 2
+
+_jit: Any = numba.njit(cache=True, fastmath=False, error_model="numpy")
+
+
+@_jit
+def _place(poses, com, body, offset, p, t):  # type: ignore[no-untyped-def]
+    """Put the point at `offset` of a body, or the CoM where `body` is -1, into `p`; `t` is scratch."""
+    if body < 0:
+        for k in range(3):
+            p[k] = com[k]
+        return
+    _translation(poses[body], p)
+    _rotate(poses[body], offset, t)
+    for k in range(3):
+        p[k] += t[k]
+
+
+@_jit
+def _pull(row, factor, g, p, body, lines, J_com, moves):  # type: ignore[no-untyped-def]
+    """Add `factor` times the gradient `g` at the point `p` of a body, seen by the joints, to `row`."""
+    n = lines.shape[0]
+    g0, g1, g2 = factor * g[0], factor * g[1], factor * g[2]
+    if body < 0:
+        for i in range(n):
+            row[i] += g0 * J_com[0, i] + g1 * J_com[1, i] + g2 * J_com[2, i]
+        return
+    m0 = p[1] * g2 - p[2] * g1
+    m1 = p[2] * g0 - p[0] * g2
+    m2 = p[0] * g1 - p[1] * g0
+    for i in range(n):
+        if moves[body, i]:
+            l = lines[i]  # noqa: E741
+            row[i] += l[0] * m0 + l[1] * m1 + l[2] * m2 + l[3] * g0 + l[4] * g1 + l[5] * g2
+
+
+@_jit
+def _rows(poses, lines, com, J_com, moves, index, data, fastest, W, w):  # type: ignore[no-untyped-def]
+    """Fill the rows W u >= w (or = w) that the table knows."""
+    n = lines.shape[0]
+    p, b, g, t = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for k in range(index.shape[0]):
+        kind, body, other, at = index[k, 0], index[k, 1], index[k, 2], index[k, 3]
+        a = data[k, 8:14]
+        row = W[at]
+        for i in range(n):
+            row[i] = 0.0
+        if kind == AXIS:
+            # the direction R z turns about every joint as a point would, without moving
+            _rotate(poses[body], data[k, 2:5], p)
+            d = a[0] * p[0] + a[1] * p[1] + a[2] * p[2]
+            m0, m1, m2 = p[1] * a[2] - p[2] * a[1], p[2] * a[0] - p[0] * a[2], p[0] * a[1] - p[1] * a[0]
+            for i in range(n):
+                if moves[body, i]:
+                    row[i] = lines[i, 0] * m0 + lines[i, 1] * m1 + lines[i, 2] * m2
+        else:
+            _place(poses, com, body, data[k, 2:5], p, t)
+            if kind == PLANE:  # a = n, d
+                d = a[0] * p[0] + a[1] * p[1] + a[2] * p[2] - a[3]
+                _pull(row, 1.0, a, p, body, lines, J_com, moves)
+            elif kind == CYLINDER:  # a = l, m; data[14] = r^2
+                t[0] = p[1] * a[2] - p[2] * a[1] - a[3]
+                t[1] = p[2] * a[0] - p[0] * a[2] - a[4]
+                t[2] = p[0] * a[1] - p[1] * a[0] - a[5]
+                d = data[k, 14] - (t[0] * t[0] + t[1] * t[1] + t[2] * t[2])
+                g[0] = a[1] * t[2] - a[2] * t[1]
+                g[1] = a[2] * t[0] - a[0] * t[2]
+                g[2] = a[0] * t[1] - a[1] * t[0]
+                _pull(row, -2.0, g, p, body, lines, J_com, moves)
+            else:  # WALL: a = the fixed place, side; the moving place is data[5:8] of `other`
+                _place(poses, com, other, data[k, 5:8], b, t)
+                x, y = b[0] - a[0], b[1] - a[1]
+                square = x * x + y * y
+                length = math.sqrt(square)
+                g[0], g[1], g[2] = -a[3] * y / length, a[3] * x / length, 0.0
+                d = g[0] * (p[0] - a[0]) + g[1] * (p[1] - a[1])
+                along = (x * (p[0] - a[0]) + y * (p[1] - a[1])) / square
+                _pull(row, 1.0, g, p, body, lines, J_com, moves)
+                _pull(row, -along, g, b, other, lines, J_com, moves)
+        w[at] = -min(data[k, 0], fastest) * (d - data[k, 1])
+
+
+@_jit
+def _tasks(q, poses, lines, com, J_com, moves, index, data, eta, diagonal, c, J, e):  # type: ignore[no-untyped-def]
+    """Fill J (r, n) and e (r,) of the tasks in the table, each times the root of its weight; posture is diagonal."""
+    n = lines.shape[0]
+    p, g, t = np.empty(3), np.empty(3), np.empty(3)
+    x, h, line, s = np.empty(8), np.empty(8), np.empty(8), np.empty(4)
+    at = 0
+    for k in range(index.shape[0]):
+        kind, body, weight = index[k, 0], index[k, 1], data[k, 0]
+        root = math.sqrt(weight)
+        if kind == POSTURE:
+            for i in range(n):
+                diagonal[i] += weight
+                c[i] += weight * eta * (q[i] - data[k, 1 + i])
+        elif kind == COM_OVER_FOOT:
+            _place(poses, com, body, data[k, 1:4], p, t)
+            for j in range(2):
+                for i in range(3):
+                    g[i] = 1.0 if i == j else 0.0
+                for i in range(n):
+                    J[at + j, i] = root * J_com[j, i]
+                _pull(J[at + j], -root, g, p, body, lines, J_com, moves)
+                e[at + j] = root * (com[j] - p[j])
+            at += 2
+        else:  # FRAME_POSE
+            _mul(poses[body], data[k, 1:9], x, s)
+            target = data[k, 9:17]
+            near = x[0] * target[0] + x[1] * target[1] + x[2] * target[2] + x[3] * target[3]
+            if near < 0.0:
+                root = -root
+            line[0] = line[4] = 0.0
+            for i in range(8):
+                e[at + i] = root * x[i] - abs(root) * target[i]
+            for i in range(n):
+                if moves[body, i]:
+                    for j in range(3):
+                        line[1 + j] = 0.5 * root * lines[i, j]
+                        line[5 + j] = 0.5 * root * lines[i, 3 + j]
+                    _mul(line, x, h, s)
+                    for j in range(8):
+                        J[at + j, i] = h[j]
+                else:
+                    for j in range(8):
+                        J[at + j, i] = 0.0
+            at += 8
+
+
+@_jit
+def evaluate(  # type: ignore[no-untyped-def]
+    q, poses, lines, com, J_com, moves, rows, row_data, tasks, task_data, limits, eta, damping, fastest,
+    H, c, diagonal, J, W, w, lower, upper,
+):  # fmt: skip
+    """Fill the quadratic program (6).
+
+    `fastest` is 1/dt; `limits` (2, n + 2) are the joint limits, eta and bound of (12) and (13).
+    """
+    n = lines.shape[0]
+    e = np.empty(J.shape[0])
+    for i in range(n):
+        diagonal[i] = damping * damping
+        c[i] = 0.0
+        upper[i] = min(limits[0, n], fastest) * (limits[0, i] - q[i] - limits[0, n + 1])
+        lower[i] = -min(limits[1, n], fastest) * (q[i] - limits[1, i] - limits[1, n + 1])
+    _tasks(q, poses, lines, com, J_com, moves, tasks, task_data, eta, diagonal, c, J, e)
+    r = J.shape[0]
+    for i in range(n):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(r):
+                total += J[k, i] * J[k, j]
+            H[i, j] = H[j, i] = total
+        H[i, i] += diagonal[i]
+        for k in range(r):
+            c[i] += eta * e[k] * J[k, i]
+    _rows(poses, lines, com, J_com, moves, rows, row_data, fastest, W, w)

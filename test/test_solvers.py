@@ -1,0 +1,109 @@
+"""Clarabel (dense and lifted) and DAQP: the same answers, optimal, and the same word where there is none."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from test_assembly import DT, KINDS, phase_of, setting
+
+from dqwalk_ros.controllers import State, make_controller
+from dqwalk_ros.exceptions import QPError
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.phases import assemble
+from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.qp import Problem, make_solver
+from dqwalk_ros.qp.active_set import DaqpSolver
+from dqwalk_ros.qp.interior_point import ClarabelSolver
+
+SOLVERS = {"dense": lambda: ClarabelSolver(False), "lifted": lambda: ClarabelSolver(True), "daqp": DaqpSolver}
+
+
+def walked(kind, foot, count=15):
+    """Problems along a short way into a phase."""
+    model, phase = setting()[1], phase_of(kind, foot)
+    q, solver = phase.q_start, ClarabelSolver()
+    for _ in range(count):
+        problem = assemble(phase, Kinematics(model, q, phase.base), DT)
+        yield problem
+        q = q + 20 * DT * solver.solve(problem).u
+
+
+def random_problem(rng, n=8, equalities=2, inequalities=12, scale=1.0):
+    """A feasible problem with rows that matter: a random point satisfies all of it."""
+    A, u = rng.normal(size=(3, n)), scale * rng.normal(size=n)
+    E, G = rng.normal(size=(equalities, n)), rng.normal(size=(inequalities, n))
+    H = A.T @ A + 0.01 * np.eye(n)
+    slack = scale * rng.uniform(0.0, 0.5, inequalities) * (rng.random(inequalities) < 0.7)
+    margin = scale * rng.uniform(0.0, 1.0, (2, n))
+    c = scale * rng.normal(size=n) * 10.0
+    names = tuple(f"row{k}" for k in range(equalities + inequalities + 2 * n))
+    return Problem(H, c, E, E @ u, G, G @ u - slack, u - margin[0], u + margin[1], names, np.full(n, 0.01), A)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+@pytest.mark.parametrize(("kind", "foot"), KINDS)
+def test_answers_are_optimal_on_the_way(kind, foot, name):
+    solver = SOLVERS[name]()
+    for problem in walked(kind, foot):
+        solution = solver.solve(problem)
+        assert solution.residuals(problem).largest < 1e-9
+        assert np.abs(solution.u - ClarabelSolver(False).solve(problem).u).max() < 1e-9 * np.abs(solution.u).max()
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e3])
+def test_answers_are_optimal_whatever_the_scale(name, scale):
+    rng, solver = np.random.default_rng(3), SOLVERS[name]()
+    for _ in range(40):
+        problem = random_problem(rng, scale=scale)
+        assert solver.solve(problem).residuals(problem).largest < 1e-7
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_no_answer_names_rows(name):
+    solver, rng = SOLVERS[name](), np.random.default_rng(5)
+    problem = random_problem(rng, equalities=0)
+    solver.solve(problem)
+    G, h = problem.G.copy(), problem.h.copy()
+    G[1], h[1] = -G[0], 5.0 - h[0]
+    with pytest.raises(QPError, match="row0") as caught:
+        solver.solve(dataclasses.replace(problem, G=G, h=h))
+    assert "row1" in caught.value.rows
+    assert solver.solve(problem).residuals(problem).largest < 1e-7  # and it goes on
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_numbers_that_are_none_are_refused(name):
+    problem = random_problem(np.random.default_rng(5))
+    for key in ("H", "c", "E", "e", "G", "h", "lower", "upper"):
+        array = getattr(problem, key).copy()
+        array.flat[-1] = np.nan
+        with pytest.raises(QPError) as caught:
+            SOLVERS[name]().solve(dataclasses.replace(problem, **{key: array}))
+        assert caught.value.status == "NotFinite"
+
+
+def test_walks_do_not_depend_on_the_solver():
+    config, model = setting()
+    ways = []
+    for name in ("clarabel", "daqp"):
+        controller = make_controller(config.updated({"qp.solver": name}), model)
+        plant = KinematicPlant(model)
+        state = State(0.0, np.zeros(model.n))
+        for _ in range(2000):
+            state = plant.step(controller.step(state, DT), DT)
+        ways.append(state.q)
+    assert np.abs(ways[0] - ways[1]).max() < 1e-12
+    assert np.abs(ways[0]).max() > 1e-3
+
+
+def test_daqp_answers_itself():
+    solver = make_solver("daqp")
+    for kind, foot in KINDS:
+        for problem in walked(kind, foot, 5):
+            solver.solve(problem)
+    assert solver.fallbacks == 0
+
+
