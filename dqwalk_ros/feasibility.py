@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linprog
 
 from dqwalk_ros.exceptions import QPError
 from dqwalk_ros.qp import Problem
@@ -54,8 +53,10 @@ class Conflict:
 
 def within_velocity(problem: Problem, limit: Array) -> Problem:
     """Return the problem with the velocity limits (n,) [rad/s] in its bounds."""
-    lower, upper = np.clip(problem.lower, -limit, limit), np.clip(problem.upper, -limit, limit)
-    return dataclasses.replace(problem, lower=lower, upper=upper)
+    lower = np.maximum(np.minimum(problem.lower, limit), -limit)
+    upper = np.maximum(np.minimum(problem.upper, limit), -limit)
+    H, c, E, e, G, h, _, _ = problem.arrays
+    return Problem(H, c, E, e, G, h, lower, upper, problem.names, problem.diagonal, problem.J)
 
 
 def conflicts(problem: Problem) -> Conflict | None:
@@ -64,6 +65,8 @@ def conflicts(problem: Problem) -> Conflict | None:
     Each row is measured by its largest coefficient, so that what is least is a joint velocity whatever the unit of
     the row.
     """
+    from scipy.optimize import linprog  # slow to import, and seldom needed
+
     n, l, m = problem.shape  # noqa: E741
     rows = np.vstack([problem.E, -problem.G, np.eye(n), -np.eye(n)])  # E u = e, and A u <= b for the rest
     b = np.concatenate([problem.e, -problem.h, problem.upper, -problem.lower])
@@ -114,6 +117,8 @@ def lead_back(problem: Problem) -> tuple[Problem, float]:
     QPError
         If there is no way back in.
     """
+    from scipy.optimize import linprog  # slow to import, and seldom needed
+
     n, l, _ = problem.shape  # noqa: E741
     wanted, kept = np.maximum(problem.h, 0.0), np.minimum(problem.h, 0.0)
     rise, low = np.maximum(problem.lower, 0.0), np.minimum(problem.lower, 0.0)

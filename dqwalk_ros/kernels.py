@@ -7,20 +7,22 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["compose", "forward", "line_jacobian", "point", "point_jacobian", "pose_jacobian"]
+__all__ = ["compose", "forward", "jit", "line_jacobian", "point", "point_jacobian", "pose_jacobian"]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_jit = numba.njit(cache=True, fastmath=False, error_model="numpy")
+jit: Any = numba.njit(cache=True, fastmath=False, error_model="numpy")
+"""How every function of this package is compiled: once per machine, IEEE arithmetic as written."""
 
 
-@_jit
+@jit
 def _qmul(a, b, out):  # type: ignore[no-untyped-def]
     out[0] = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3]
     out[1] = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2]
@@ -28,7 +30,7 @@ def _qmul(a, b, out):  # type: ignore[no-untyped-def]
     out[3] = a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0]
 
 
-@_jit
+@jit
 def _mul(a, b, out, t):  # type: ignore[no-untyped-def]
     """Product of dual quaternions into `out`; `t` is scratch for four numbers."""
     _qmul(a[:4], b[:4], out[:4])
@@ -38,7 +40,7 @@ def _mul(a, b, out, t):  # type: ignore[no-untyped-def]
         out[4 + k] += t[k]
 
 
-@_jit
+@jit
 def _rotate(r, v, out):  # type: ignore[no-untyped-def]
     """Rotate: r v r* of a pure quaternion."""
     a = r[2] * v[2] - r[3] * v[1] + r[0] * v[0]
@@ -52,7 +54,7 @@ def _rotate(r, v, out):  # type: ignore[no-untyped-def]
     out[2] = z
 
 
-@_jit
+@jit
 def _translation(x, out):  # type: ignore[no-untyped-def]
     """2 D(x) P(x)*."""
     out[0] = 2.0 * (-x[4] * x[1] + x[5] * x[0] - x[6] * x[3] + x[7] * x[2])
@@ -60,7 +62,7 @@ def _translation(x, out):  # type: ignore[no-untyped-def]
     out[2] = 2.0 * (-x[4] * x[3] - x[5] * x[2] + x[6] * x[1] + x[7] * x[0])
 
 
-@_jit
+@jit
 def forward(q, parent, joint, origin, axis, mass, com, poses, lines, p_com, J_com):  # type: ignore[no-untyped-def]
     """Fill poses (b, 8), joint lines (n, 6), the CoM (4) and its Jacobian (5).
 
@@ -110,7 +112,7 @@ def forward(q, parent, joint, origin, axis, mass, com, poses, lines, p_com, J_co
         p_com[k] = moment[0, k]
 
 
-@_jit
+@jit
 def compose(a, b):  # type: ignore[no-untyped-def]
     """Return the product of two dual quaternions (8,)."""
     out = np.empty(8)
@@ -118,7 +120,7 @@ def compose(a, b):  # type: ignore[no-untyped-def]
     return out
 
 
-@_jit
+@jit
 def point(x, offset):  # type: ignore[no-untyped-def]
     """Return the point (3,) at `offset` in the frame `x` (8,)."""
     p = np.empty(3)
@@ -130,7 +132,7 @@ def point(x, offset):  # type: ignore[no-untyped-def]
     return p
 
 
-@_jit
+@jit
 def point_jacobian(lines, moves, p):  # type: ignore[no-untyped-def]
     """Return l x p + m of the joints that move the point, shape (3, n)."""
     n = lines.shape[0]
@@ -144,7 +146,7 @@ def point_jacobian(lines, moves, p):  # type: ignore[no-untyped-def]
     return J
 
 
-@_jit
+@jit
 def line_jacobian(lines, moves, v):  # type: ignore[no-untyped-def]
     """Return l x v of the joints that turn the direction `v` (3,), shape (3, n)."""
     n = lines.shape[0]
@@ -158,7 +160,7 @@ def line_jacobian(lines, moves, v):  # type: ignore[no-untyped-def]
     return J
 
 
-@_jit
+@jit
 def pose_jacobian(lines, moves, x):  # type: ignore[no-untyped-def]
     """Return 1/2 vec8(line x) of the joints that move the frame `x` (8,), shape (8, n)."""
     n = lines.shape[0]

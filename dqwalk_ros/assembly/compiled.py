@@ -11,22 +11,17 @@ whatever the distance is. The tables are made, and their columns explained, in `
 from __future__ import annotations
 
 import math
-from typing import Any
 
-import numba
 import numpy as np
 
-from dqwalk_ros.kernels import _mul, _rotate, _translation
+from dqwalk_ros.kernels import _mul, _rotate, _translation, jit
 
 __all__ = ["AXIS", "COM_OVER_FOOT", "CYLINDER", "FRAME_POSE", "PLANE", "POSTURE", "WALL", "evaluate"]
 
 PLANE, CYLINDER, WALL, AXIS = 0, 1, 2, 3
 COM_OVER_FOOT, FRAME_POSE, POSTURE = 0, 1, 2
 
-_jit: Any = numba.njit(cache=True, fastmath=False, error_model="numpy")
-
-
-@_jit
+@jit
 def _place(poses, com, body, offset, p, t):  # type: ignore[no-untyped-def]
     """Put the point at `offset` of a body, or the CoM where `body` is -1, into `p`; `t` is scratch."""
     if body < 0:
@@ -39,7 +34,7 @@ def _place(poses, com, body, offset, p, t):  # type: ignore[no-untyped-def]
         p[k] += t[k]
 
 
-@_jit
+@jit
 def _pull(row, factor, g, p, body, lines, J_com, moves):  # type: ignore[no-untyped-def]
     """Add `factor` times the gradient `g` at the point `p` of a body, seen by the joints, to `row`."""
     n = lines.shape[0]
@@ -57,7 +52,7 @@ def _pull(row, factor, g, p, body, lines, J_com, moves):  # type: ignore[no-unty
             row[i] += l[0] * m0 + l[1] * m1 + l[2] * m2 + l[3] * g0 + l[4] * g1 + l[5] * g2
 
 
-@_jit
+@jit
 def _rows(poses, lines, com, J_com, moves, index, data, fastest, W, w):  # type: ignore[no-untyped-def]
     """Fill the rows W u >= w (or = w) that the table knows."""
     n = lines.shape[0]
@@ -103,7 +98,7 @@ def _rows(poses, lines, com, J_com, moves, index, data, fastest, W, w):  # type:
         w[at] = -min(data[k, 0], fastest) * (d - data[k, 1])
 
 
-@_jit
+@jit
 def _tasks(q, poses, lines, com, J_com, moves, index, data, eta, diagonal, c, J, e):  # type: ignore[no-untyped-def]
     """Fill J (r, n) and e (r,) of the tasks in the table, each times the root of its weight; posture is diagonal."""
     n = lines.shape[0]
@@ -150,7 +145,7 @@ def _tasks(q, poses, lines, com, J_com, moves, index, data, eta, diagonal, c, J,
             at += 8
 
 
-@_jit
+@jit
 def evaluate(  # type: ignore[no-untyped-def]
     q, poses, lines, com, J_com, moves, rows, row_data, tasks, task_data, limits, eta, damping, fastest,
     H, c, diagonal, J, W, w, lower, upper,

@@ -8,16 +8,12 @@ and the objective divided by its mean curvature.
 from __future__ import annotations
 
 import math
-from typing import Any
 
-import numba
+from dqwalk_ros.kernels import jit
 
 __all__ = ["check", "pack_active_set", "pack_interior_point", "scales", "unpack_active_set", "unpack_interior_point"]
 
-_jit: Any = numba.njit(cache=True, fastmath=False, error_model="numpy")
-
-
-@_jit
+@jit
 def scales(H, c, E, e, G, h, lower, upper):  # type: ignore[no-untyped-def]
     """Return s and the mean curvature; s is nan where any number of the problem is not finite."""
     n = c.shape[0]
@@ -47,7 +43,7 @@ def scales(H, c, E, e, G, h, lower, upper):  # type: ignore[no-untyped-def]
     return s, curvature
 
 
-@_jit
+@jit
 def pack_interior_point(H, c, E, e, G, h, lower, upper, diagonal, J, cap, sizes, out):  # type: ignore[no-untyped-def]
     """Fill P, q, A, b of min 1/2 v'Pv + q'v, A v + slack = b, column by column, into `out`; return s and curvature.
 
@@ -101,7 +97,7 @@ def pack_interior_point(H, c, E, e, G, h, lower, upper, diagonal, J, cap, sizes,
     return s, curvature
 
 
-@_jit
+@jit
 def pack_active_set(H, c, E, e, G, h, lower, upper, H_out, c_out, A_out, high, low):  # type: ignore[no-untyped-def]
     """Fill H, c, A and the bounds of low <= [v; A v] <= high, scaled; return s and curvature."""
     s, curvature = scales(H, c, E, e, G, h, lower, upper)
@@ -122,7 +118,7 @@ def pack_active_set(H, c, E, e, G, h, lower, upper, H_out, c_out, A_out, high, l
     return s, curvature
 
 
-@_jit
+@jit
 def check(H, c, E, e, G, h, lower, upper, u, z, s, curvature):  # type: ignore[no-untyped-def]
     """Return the largest scaled violation of a row, that row, and the other KKT residuals' largest, relative.
 
@@ -164,7 +160,7 @@ def check(H, c, E, e, G, h, lower, upper, u, z, s, curvature):  # type: ignore[n
     return worst, row, other
 
 
-@_jit
+@jit
 def unpack_interior_point(  # type: ignore[no-untyped-def]
     H, c, E, e, G, h, lower, upper, s, curvature, x, z, first, u_out, z_out
 ):
@@ -176,7 +172,7 @@ def unpack_interior_point(  # type: ignore[no-untyped-def]
     return check(H, c, E, e, G, h, lower, upper, u_out, z_out, s, curvature)
 
 
-@_jit
+@jit
 def unpack_active_set(  # type: ignore[no-untyped-def]
     H, c, E, e, G, h, lower, upper, s, curvature, x, z, u_out, z_out
 ):
