@@ -492,6 +492,27 @@ def test_a_walk_cut_off_in_its_first_phase_can_be_drawn(trace, n):
         assert draw(series).get_axes()
 
 
+def test_a_single_support_alone_can_be_judged_and_drawn(trace):
+    """A recording that began late and ended early."""
+    record, end = trace.phases[1], trace.phases[2].start
+    ticks = slice(record.start, end)
+    part = dataclasses.replace(
+        trace,
+        time=trace.time[ticks],
+        q=trace.q[ticks],
+        u=trace.u[ticks],
+        solve_time=trace.solve_time[ticks],
+        phases=(dataclasses.replace(record, start=0),),
+        finished=False,
+    )
+    series = analysis.analyse(part)
+    report = analysis.report(series)
+    assert report["ok"] is True
+    assert "single_support/left (stopped)" in analysis.render(report)
+    for draw in FIGURES.values():
+        assert draw(series).get_axes()
+
+
 def test_thinning_keeps_every_peak():
     rng = np.random.default_rng(0)
     x, y = np.arange(60_000.0), rng.normal(size=60_000)

@@ -10,7 +10,7 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 from recorded import rewrite, short_walk
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 
 from dqwalk_ros import bag
 from dqwalk_ros.bag import messages, storage
@@ -196,8 +196,6 @@ def test_a_namespace_is_found(trace, path, tmp_path):
 def test_two_robots_need_a_namespace(path, tmp_path):
     store = messages.typestore()
     two = tmp_path / "two"
-    from rosbags.rosbag2 import Writer
-
     with Reader(path) as reader, Writer(two, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         out = {
             (robot, c.topic): writer.add_connection(f"/{robot}{c.topic}", c.msgtype, typestore=store)
@@ -269,6 +267,35 @@ def test_a_recording_that_began_late(trace, path, tmp_path):
     assert any("is missing" in note for note in back.notes)
 
 
+def test_states_after_the_walk_are_left_out(trace, path, tmp_path):
+    """A plant goes on to publish where the robot stands."""
+    store, end = messages.typestore(), round(trace.time[-1] * 1e9)
+    standing = messages.joint_states(
+        end + np.arange(1, 11) * 5_000_000, trace.model.joint_names, np.tile(trace.q[-1], (10, 1)), None
+    )
+    longer = tmp_path / "longer"
+    with Reader(path) as reader, Writer(longer, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        out = {c.topic: writer.add_connection(c.topic, c.msgtype, typestore=store) for c in reader.connections}
+        for c, time, raw in reader.messages():
+            writer.write(out[c.topic], time, raw)
+        for k, raw in enumerate(standing, 1):
+            writer.write(out["/joint_states"], end + 5_000_000 * k, raw)
+    back = bag.read(longer)
+    assert_same(trace, back)
+    assert back.notes == ()
+
+
+def test_a_walk_that_failed_says_so(path, tmp_path):
+    def edit(topic, time, m):
+        if topic == "/phase" and m.data == bag.FINISHED:
+            m.data = "failed"
+        return time, m
+
+    back = bag.read(rewrite(path, tmp_path / "b", edit=edit))
+    assert back.finished is False
+    assert "the walk failed: a phase could not end by its rule" in back.notes
+
+
 def test_states_before_the_walk_are_left_out(trace, path, tmp_path):
     shift = 1_000_000_000
 
@@ -285,8 +312,6 @@ def test_states_before_the_walk_are_left_out(trace, path, tmp_path):
     )
     queue = [store.deserialize_cdr(raw, "sensor_msgs/msg/JointState") for raw in waiting]
     both = tmp_path / "both"
-    from rosbags.rosbag2 import Writer
-
     with Reader(later) as reader, Writer(both, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         out = {c.topic: writer.add_connection(c.topic, c.msgtype, typestore=store) for c in reader.connections}
         for m in queue:
@@ -302,8 +327,6 @@ def test_states_before_the_walk_are_left_out(trace, path, tmp_path):
 def test_after_a_reset_the_last_run_counts(trace, path, tmp_path):
     """One bag, two runs: the plant was reset in between."""
     store = messages.typestore()
-    from rosbags.rosbag2 import Writer
-
     twice = tmp_path / "twice"
     cut = round(trace.time[len(trace.time) // 2] * 1e9)
     with Reader(path) as reader, Writer(twice, version=9, storage_plugin=StoragePlugin.MCAP) as writer:

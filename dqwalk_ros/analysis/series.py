@@ -114,6 +114,10 @@ class Series:
         """Time of each tick [s], shape (N,)."""
         return self.trace.time
 
+    def distance(self, name: str) -> Array:
+        """Return an inequality's distance less its bound, shape (N,); all nan where no phase of the walk has it."""
+        return self.distances.get(name, np.full(len(self.time), np.nan))
+
     @cached_property
     def com_odom(self) -> Array:
         """Centre of mass in odom [m], shape (N, 3)."""

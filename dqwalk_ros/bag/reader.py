@@ -16,7 +16,7 @@ from dqwalk_ros.bag import messages, storage
 from dqwalk_ros.bag.messages import JointColumn
 from dqwalk_ros.bag.starts import first_base, records, starts, texts
 from dqwalk_ros.bag.storage import Column, Content
-from dqwalk_ros.bag.topics import FINISHED, REQUIRED, TOPICS
+from dqwalk_ros.bag.topics import FAILED, FINISHED, REQUIRED, TOPICS
 from dqwalk_ros.config import Config, RobotConfig
 from dqwalk_ros.exceptions import BagError, ConfigError, ModelError
 from dqwalk_ros.model import RobotModel, load_model
@@ -72,8 +72,16 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
     if not whole.all():
         notes.append(f"{np.count_nonzero(~whole)} states without a number for every joint are left out")
         stamps, q = stamps[whole], q[whole]
-    u = _commands(model, stamps, columns["joint_velocity_commands"], notes)
-    finished = FINISHED in texts(_cut(columns["phase"], since))[-1:]
+    u, answered = _commands(model, stamps, columns["joint_velocity_commands"], notes)
+    last_word = texts(_cut(columns["phase"], since))[-1]
+    finished = last_word == FINISHED
+    if last_word == FAILED:
+        notes.append("the walk failed: a phase could not end by its rule")
+    if finished and answered.any():  # what the plant went on to say is no part of the walk
+        last = int(np.flatnonzero(answered)[-1]) + 1
+        stamps, q, u, answered = stamps[:last], q[:last], u[:last], answered[:last]
+    if not answered.all():
+        notes.append(f"{np.count_nonzero(~answered)} of {len(stamps)} states have no command")
     return Trace(
         config=config,
         model=model,
@@ -193,8 +201,10 @@ def _ticks(
     return unique[keep], rows[keep] + first
 
 
-def _commands(model: RobotModel, stamps: NDArray[np.int64], column: Column, notes: list[str]) -> Array:
-    """Return the velocity that answers each state, shape (N, n); nan where none does."""
+def _commands(
+    model: RobotModel, stamps: NDArray[np.int64], column: Column, notes: list[str]
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the velocity that answers each state, shape (N, n), nan where none does; and which are answered."""
     commands = messages.unpack_joint_states(column.raws)
     u = np.full((len(stamps), model.n), np.nan)
     missing = [name for name in model.joint_names if name not in commands.names]
@@ -204,9 +214,6 @@ def _commands(model: RobotModel, stamps: NDArray[np.int64], column: Column, note
     place[place == len(stamps)] = 0
     match = stamps[place] == commands.stamps
     u[place[match]] = commands.velocity[match][:, commands.columns(model.joint_names)]
-    unanswered = int(np.count_nonzero(~np.isfinite(u).all(axis=1)))
-    if unanswered:
-        notes.append(f"{unanswered} of {len(stamps)} states have no command")
     if stray := int(np.count_nonzero(~match)):
         notes.append(f"{stray} commands answer a state the bag does not hold")
-    return u
+    return u, ~np.isnan(u).any(axis=1)

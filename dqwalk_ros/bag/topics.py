@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["FINISHED", "ODOM", "REQUIRED", "TOPICS", "Topic"]
+__all__ = ["FAILED", "FINISHED", "ODOM", "REQUIRED", "TOPICS", "Topic"]
 
 ODOM = "odom"
 """Frame of the base sole at the very start of the walk [REP-105]."""
 
 FINISHED = "finished"
 """What `phase` says once the walk is over."""
+
+FAILED = "failed"
+"""What `phase` says where the walk could not go on."""
 
 
 @dataclass(frozen=True)

@@ -78,19 +78,16 @@ def build() -> argparse.ArgumentParser:
     simulate = _command(commands, "simulate", "walk in this process, without ROS", _SIMULATE)
     _add_walk(simulate)
     _add_output(simulate, "walk")
-    simulate.add_argument("--no-figures", action="store_true", help="write the bag and the report only")
 
     walk = _command(commands, "walk", "walk through ROS 2: four nodes, lockstep", _WALK)
     _add_walk(walk)
     _add_output(walk, "walk")
-    walk.add_argument("--no-figures", action="store_true", help="write the bag and the report only")
     walk.add_argument("--realtime", action="store_true", help="run by the clock, at 1/dt, instead of in lockstep")
 
     report = _command(commands, "report", "judge and draw a recorded walk", _REPORT)
     report.add_argument("bag", metavar="BAG", help="folder of a rosbag2, or one .mcap or .db3 file")
     report.add_argument("--namespace", metavar="NAME", help="of the robot, where the bag holds several")
     report.add_argument("--json", action="store_true", help="print the report as JSON instead of tables")
-    report.add_argument("--no-figures", action="store_true", help="write the report only")
     _add_output(report, None)
 
     config = _command(commands, "config", "list, check or print parameters", _CONFIG)
@@ -141,6 +138,7 @@ def _add_output(command: argparse.ArgumentParser, default: str | None) -> None:
     command.add_argument(
         "--format", metavar="LIST", type=_formats, default=("png",), help="figures: png, pdf, svg [png]"
     )
+    command.add_argument("--no-figures", action="store_true", help="draw nothing")
     command.add_argument("--quiet", action="store_true", help="no progress, no tables")
 
 

@@ -156,8 +156,8 @@ def figure7(series: Series) -> Figure:
             "sliding cylinder",
         ),
         _Panel("End-foot tip to the ground", "height [mm]", mm * series.tip_height),
-        _Panel("CoM to the tip plane", "distance [mm]", mm * series.distances["tip_plane"], 0.0, "tip plane"),
-        _Panel("CoM to the back plane", "distance [mm]", mm * series.distances["back_plane"], 0.0, "back plane"),
+        _Panel("CoM to the tip plane", "distance [mm]", mm * series.distance("tip_plane"), 0.0, "tip plane"),
+        _Panel("CoM to the back plane", "distance [mm]", mm * series.distance("back_plane"), 0.0, "back plane"),
         _Panel(
             "Pelvis to its plane",
             "distance [mm]",
