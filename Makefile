@@ -20,11 +20,11 @@ ROS_EXTRA    := ros,
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help venv walk simulate test fuzz lint colcon clean
+.PHONY: help venv walk simulate test test-long fuzz lint colcon clean
 
 help:  ## show this
 	@echo "usage: make TARGET [CYCLES=$(CYCLES)] [CONFIG=$(CONFIG)] [OUT=$(OUT)]"
-	@sed -n 's/^\([a-z]*\):.*##/  \1\t/p' $(MAKEFILE_LIST) | expand -t 14
+	@sed -n 's/^\([a-z-]*\):.*##/  \1\t/p' $(MAKEFILE_LIST) | expand -t 14
 
 venv: $(VENV)/.installed  ## install the package and ROS 2 into .venv (after that: . .venv/bin/activate)
 
@@ -35,7 +35,10 @@ simulate: $(VENV)/.installed  ## the same walk in one process, without ROS
 	$(BIN)/dqwalk simulate --config $(CONFIG) --cycles $(CYCLES) --out $(OUT) --force
 
 test: $(VENV)/.installed-test  ## run all tests (JOBS=2 at a time)
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -m 'not colcon' $(ARGS)
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -m 'not colcon and not long' $(ARGS)
+
+test-long: $(VENV)/.installed-test  ## the tests that take minutes
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -m long $(ARGS)
 
 fuzz: $(VENV)/.installed-test  ## 10 000 hostile robots, parameter files and messages
 	DQWALK_FUZZ=10000 $(BIN)/python -m pytest --timeout 3000 --durations 6 test/test_fuzz.py $(ARGS)

@@ -29,6 +29,8 @@ TEST = [
     "pytest-xdist>=3.3",
     "quadprog>=0.1.11",
 ]
+# pinocchio, for the whole-body controller
+WHOLEBODY = ["pin>=2.7"]
 DEV = ["mypy>=1.10", "ruff>=0.6", "types-PyYAML>=6.0", "types-psutil>=5.9"]
 
 setup(
@@ -72,7 +74,7 @@ setup(
         "scipy>=1.11",
         "yourdfpy>=0.0.56",
     ],
-    extras_require={"ros": ROS, "daqp": DAQP, "test": TEST, "dev": DEV},
+    extras_require={"ros": ROS, "daqp": DAQP, "wholebody": WHOLEBODY, "test": TEST, "dev": DEV},
     tests_require=["pytest"],
     zip_safe=False,
     classifiers=[

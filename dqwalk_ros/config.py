@@ -40,6 +40,7 @@ __all__ = [
     "Spec",
     "SspConfig",
     "TaskConfig",
+    "WholeBodyConfig",
     "find_share",
     "from_yaml",
     "load",
@@ -227,6 +228,56 @@ class NodeConfig:
 
 
 @dataclass(frozen=True)
+class WholeBodyConfig:
+    """The whole-body controller of Sherikov, Dimitrov and Wieber; a robot with ankles that roll.
+
+    Weights are w of 1/2 w ||r||^2 on the third level; wrenches are in units of the robot's weight there.
+    """
+
+    torso: str = _par("chest", "link that is kept upright (18), and that pushes act on", structural=True)
+    hand: str = _par("R_hand", "link that reaches (17)", structural=True)
+    posture: tuple[str, ...] = _par((), "'joint: angle' of the posture; what is not named is zero", structural=True)
+    free: tuple[str, ...] = _par((), "joints only damped, without a reference (19); '*' is any text", structural=True)
+
+    interval: float = _par(0.1, "T, the sampling interval of the preview (10)", "s", 0.01, 1.0, structural=True)
+    intervals: int = _par(16, "N, the number of intervals previewed", "", 4, 64, structural=True)
+    single_support: float = _par(0.7, "duration of a single support", "s", 0.1, 10.0, structural=True)
+    double_support: float = _par(0.1, "duration of the double support between steps", "s", 0.01, 10.0, structural=True)
+    first_double_support: float = _par(0.3, "standing before the first step", "s", 0.0, 10.0, structural=True)
+    feet_distance: float = _par(0.19, "lateral distance of the soles at the start", "m", 0.05, 1.0, structural=True)
+    cop_length: float = _par(0.1372, "rectangle of the CoP around the sole's link, along x (7), (11)", "m", 0.01, 0.5)
+    cop_width: float = _par(0.058, "the same along y", "m", 0.01, 0.5)
+    step_length: float = _par(0.2, "a foot lands at most this far ahead of or behind the other (12)", "m", 0.0, 1.0)
+    step_width_min: float = _par(0.19, "least lateral distance of a landing foot from the other (12)", "m", 0.0, 1.0)
+    step_width_max: float = _par(0.30, "greatest lateral distance (12)", "m", 0.0, 1.0)
+    step_height: float = _par(0.07, "height of the swing foot in the middle of a step (16)", "m", 0.0, 0.3)
+    freeze: float = _par(0.05, "the landing place is settled this long before the landing", "s", 0.01, 1.0)
+
+    friction: float = _par(0.7, "mu of (4)", "", 0.05, 2.0)
+    contact_damping: float = _par(10.0, "rate at which a velocity of a standing foot decays (8)", "1/s", 0.0, 100.0)
+    limit_time: float = _par(0.05, "T of the joint limits (9)", "s", 0.005, 1.0)
+    effort: float = _par(150.0, "greatest joint torque; the URDF's where that is less", "N m", 1.0, 1e4)
+    capturability: bool = _par(True, "the second level, (14); without it the robot falls")
+
+    com_kp: float = _par(100.0, "stiffness of the CoM's height", "1/s^2", 0.0, 1e4)
+    foot_kp: float = _par(400.0, "stiffness of the swing foot's orientation (16)", "1/s^2", 0.0, 1e4)
+    hand_kp: float = _par(100.0, "stiffness of (17); all damping is critical", "1/s^2", 0.0, 1e4)
+    hand_saturation: float = _par(11.8, "the hand is pulled by at most this along each axis (17)", "m/s^2", 0.1, 1e3)
+    torso_kp: float = _par(100.0, "stiffness of (18)", "1/s^2", 0.0, 1e4)
+    joint_kp: float = _par(25.0, "stiffness of (19)", "1/s^2", 0.0, 1e4)
+    joint_kd: float = _par(3.0, "damping of the free joints (19)", "1/s", 0.0, 1e3)
+
+    hand_weight: float = _par(1.0, "weight of (17)", "", 0.0, 1e6)
+    torso_weight: float = _par(10.0, "weight of (18)", "", 0.0, 1e6)
+    joint_weight: float = _par(0.05, "weight of (19)", "", 0.0, 1e6)
+    jerk_weight: float = _par(1e-6, "weight of (20), the swing foot's jerk", "", 0.0, 1e6)
+    cop_weight: float = _par(5e3, "weight of (21), the CoP in the middle of the feet", "", 0.0, 1e9)
+    cop_velocity_weight: float = _par(2.0, "weight of (22)", "", 0.0, 1e6)
+    wrench_weight: float = _par(1e-4, "weight of the contact wrenches; not in the paper", "", 0.0, 1e6)
+    regularization: float = _par(1e-6, "weight of all variables, for one answer; not in the paper", "", 1e-9, 1.0)
+
+
+@dataclass(frozen=True)
 class Config:
     """All parameters of a walk."""
 
@@ -242,6 +293,7 @@ class Config:
     plant: PlantConfig = dataclasses.field(default_factory=PlantConfig)
     monitor: MonitorConfig = dataclasses.field(default_factory=MonitorConfig)
     node: NodeConfig = dataclasses.field(default_factory=NodeConfig)
+    whole_body: WholeBodyConfig = dataclasses.field(default_factory=WholeBodyConfig)
 
     @classmethod
     def specs(cls) -> tuple[Spec, ...]:

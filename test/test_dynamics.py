@@ -1,0 +1,111 @@
+"""The multibody system against independent sums over its bodies and against differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dqwalk_ros.config import load
+from dqwalk_ros.dq import DQ
+from dqwalk_ros.dynamics import GRAVITY, Multibody, rotation_error
+from dqwalk_ros.exceptions import ModelError
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.model import Foot, load_model
+
+MODEL = load_model(load("whole_body").robot)
+FRAMES = ("L_sole", "R_sole", "chest", "R_hand", "head")
+RNG = np.random.default_rng(3)
+
+
+def state(spread: float = 1.0):
+    x_base = DQ(0.3 * RNG.normal(size=8) * [0, 1, 1, 1, 0, 1, 1, 1]).exp().vec8()
+    q = MODEL.q_min + RNG.random(MODEL.n) * (MODEL.q_max - MODEL.q_min)
+    return x_base, q, spread * RNG.normal(size=6 + MODEL.n)
+
+
+@pytest.fixture(scope="module")
+def body() -> Multibody:
+    return Multibody(MODEL, FRAMES)
+
+
+def test_mass_is_that_of_the_model(body: Multibody) -> None:
+    assert body.mass == pytest.approx(MODEL.mass, abs=1e-10)
+    x_base, q, _ = state()
+    still = body.at(x_base, q, np.zeros(body.nv))
+    R = DQ(x_base).rotation_matrix()
+    assert still.h[:3] == pytest.approx(R.T @ [0.0, 0.0, GRAVITY * body.mass], abs=1e-9)
+    assert still.H[:3, :3] == pytest.approx(body.mass * np.eye(3), abs=1e-10)
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_frames_and_com_are_those_of_the_dual_quaternions(body: Multibody, frame: str) -> None:
+    """The package's own kinematics and pinocchio agree to 1e-10, in every link and in the CoM."""
+    x_base, q, v = state()
+    d = body.at(x_base, q, v)
+    kin = Kinematics(MODEL, q, Foot.LEFT)
+    x_sole = DQ(x_base) * DQ(kin.pose("pelvis")).conj()  # the left sole in the world
+    pose = x_sole * DQ(kin.pose(frame))
+    assert d.frames[frame].position == pytest.approx(pose.translation(), abs=1e-10)
+    assert d.frames[frame].rotation == pytest.approx(pose.rotation_matrix(), abs=1e-10)
+    assert d.com == pytest.approx(x_sole.transform_point(kin.com), abs=1e-10)
+
+
+def test_jacobians_and_drifts_are_derivatives(body: Multibody) -> None:
+    """p' = J v and p'' = J v' + J' v, by central differences along a motion of constant v."""
+    x_base, q, v = state(0.5)
+    eps = 1e-5
+    now = body.at(x_base, q, v)
+    after, before = (body.at(*body.integrate(x_base, q, s * eps * v), v) for s in (1.0, -1.0))
+    assert now.com_velocity == pytest.approx((after.com - before.com) / (2 * eps), abs=1e-8)
+    assert now.com_jacobian @ v == pytest.approx(now.com_velocity, abs=1e-10)
+    # v is constant in the axes of the base, whose own turning is not in J' v
+    assert now.com_drift == pytest.approx((after.com_velocity - before.com_velocity) / (2 * eps), abs=1e-7)
+    for frame in FRAMES:
+        a, b, c = after.frames[frame], before.frames[frame], now.frames[frame]
+        assert c.velocity[:3] == pytest.approx((a.position - b.position) / (2 * eps), abs=1e-8)
+        turned = rotation_error(a.rotation, b.rotation) / (2 * eps)
+        assert c.velocity[3:] == pytest.approx(turned, abs=1e-7)
+        assert c.drift == pytest.approx((a.velocity - b.velocity) / (2 * eps), abs=1e-6)
+
+
+def test_energy_is_kept_without_torque(body: Multibody) -> None:
+    """H v' + h = 0 keeps 1/2 v'Hv + m g c_z: kinetic and potential energy, to the order of the integration."""
+    x_base, q, v = state(0.3)
+
+    def energy(d) -> float:
+        return 0.5 * d.v @ d.H @ d.v + GRAVITY * body.mass * d.com[2]
+
+    def drift(dt: float) -> float:
+        x, angles, speed = x_base, q, v
+        first = energy(body.at(x, angles, speed))
+        for _ in range(round(0.02 / dt)):
+            d = body.at(x, angles, speed)
+            a = np.linalg.solve(d.H, -d.h)
+            x, angles = body.integrate(x, angles, dt * speed + 0.5 * dt**2 * a)
+            speed = speed + dt * a
+        return abs(energy(body.at(x, angles, speed)) - first)
+
+    assert drift(1e-4) < 0.05
+    assert drift(5e-5) == pytest.approx(0.5 * drift(1e-4), rel=0.1)  # of first order, to zero
+
+
+def test_it_stands_where_it_is_told(body: Multibody) -> None:
+    feet = {Foot.LEFT: [0.3, 0.2], Foot.RIGHT: [0.3, 0.0]}
+    x_base, q = body.stand(np.where([n.endswith("knee") for n in MODEL.joint_names], 0.8, 0.0), feet, "chest")
+    d = body.at(x_base, q, np.zeros(body.nv))
+    for foot, place in feet.items():
+        assert d.frames[MODEL.soles[foot].frame].position == pytest.approx([*place, 0.0], abs=1e-9)
+        assert d.frames[MODEL.soles[foot].frame].rotation == pytest.approx(np.eye(3), abs=1e-9)
+    assert d.com[:2] == pytest.approx([0.3, 0.1], abs=1e-9)
+    with pytest.raises(ModelError, match="cannot stand"):
+        body.stand(q, {Foot.LEFT: [0.0, 2.0], Foot.RIGHT: [0.0, -2.0]}, "chest")
+
+
+def test_what_is_dropped_or_locked_is_not_in_it() -> None:
+    robot = load("whole_body").updated({"robot.drop": ["neck_yaw"], "robot.lock": ["L_wrist_*"]}).robot
+    model = load_model(robot)
+    body = Multibody(model, ("L_hand",))
+    assert body.nv == 6 + model.n
+    assert body.mass == pytest.approx(model.mass, abs=1e-10)
+    with pytest.raises(ModelError, match="'head'"):
+        Multibody(model, ("head",))

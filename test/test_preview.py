@@ -1,0 +1,111 @@
+"""The preview against the equations it was derived from."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dqwalk_ros.config import WholeBodyConfig
+from dqwalk_ros.model import Foot
+from dqwalk_ros.preview import PointMass, Stepping, previewed, swing_acceleration, swing_jerk
+
+CONFIG = WholeBodyConfig()
+STEPPING = Stepping.of(CONFIG, Foot.RIGHT)
+
+
+@given(st.floats(0.3, 1.2), st.floats(0.02, 0.2), st.integers(4, 40))
+def test_alpha_sums_to_one(height: float, interval: float, intervals: int) -> None:
+    alpha = PointMass(height, interval, intervals).alpha
+    assert alpha.sum() == pytest.approx(1.0, abs=1e-12)
+    assert (alpha > 0.0).all()
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.3, 1.2))
+def test_capturability_is_the_condensed_form(seed: int, height: float) -> None:
+    """c'_N + c''_N/omega of (10), stepped with A and B, equals omega e^(omega N T) (xi_0 - sum alpha z)."""
+    mass, rng = PointMass(height, 0.1, 16), np.random.default_rng(seed)
+    A, B, D = mass.matrices()
+    x = rng.normal(size=3) * [0.1, 0.3, 1.0]
+    xi, z = x[0] + x[1] / mass.omega, [D @ x]
+    for _ in range(mass.intervals):
+        x = A @ x + B * rng.normal()
+        z.append(D @ x)
+    growth = mass.omega * math.exp(mass.omega * mass.intervals * mass.interval)
+    assert (x[1] + x[2] / mass.omega) / growth == pytest.approx(xi - mass.alpha @ z, abs=1e-12)
+
+
+def test_the_matrices_solve_the_differential_equation() -> None:
+    """(10) integrated in a thousand small steps."""
+    mass = PointMass(0.8, 0.1, 16)
+    A, B, D = mass.matrices()
+    w2 = mass.omega**2
+    F, g = np.array([[0, 1, 0], [0, 0, 1], [0, w2, 0]]), np.array([0, 0, -w2])
+    x, n = np.array([0.1, -0.2, 0.7]), 1000
+    expected = A @ x + B * 0.3
+    h = mass.interval / n
+    for _ in range(n):
+        k1 = F @ x + g * 0.3
+        k2 = F @ (x + 0.5 * h * k1) + g * 0.3
+        x = x + h * k2
+    assert x == pytest.approx(expected, abs=1e-7)
+    assert D @ x == pytest.approx(x[0] - mass.zeta * x[2])
+
+
+@given(st.floats(0.05, 0.7), st.floats(-0.2, 0.2), st.floats(-1.0, 1.0), st.floats(-0.3, 0.3))
+def test_the_cubic_arrives_at_rest(left: float, s: float, speed: float, end: float) -> None:
+    a, b = swing_acceleration(left)
+    ja, jb = swing_jerk(left)
+    acceleration, jerk = a * (end - s) - b * speed, -ja * (end - s) + jb * speed
+    assert s + speed * left + acceleration * left**2 / 2 + jerk * left**3 / 6 == pytest.approx(end, abs=1e-9)
+    assert speed + acceleration * left + jerk * left**2 / 2 == pytest.approx(0.0, abs=1e-9)
+
+
+def test_timing() -> None:
+    """Standing to 0.3 s, over to the right foot until 0.4 s, then 0.7 s swings and 0.1 s transitions."""
+    s = STEPPING.coordinate([0.0, 0.3, 0.35, 0.4, 1.1, 1.15, 1.2, 1.9, 1.95])
+    assert s == pytest.approx([-1.0, -1.0, -0.5, 0.0, 0.0, 0.5, 1.0, 1.0, 1.5])
+    assert STEPPING.swing(0.2) is None
+    swing = STEPPING.swing(0.6)
+    assert swing is not None
+    assert swing.foot is Foot.LEFT
+    assert (swing.elapsed, swing.remaining) == pytest.approx((0.2, 0.5))
+    assert STEPPING.swing(1.1) is None
+    assert STEPPING.swing(1.1 - 1e-12) is None  # a clock that is summed up
+    assert STEPPING.swing(1.2).foot is Foot.RIGHT
+    assert [STEPPING.step(t) for t in (0.39, 0.4, 1.199, 1.2)] == [-1, 0, 0, 1]
+
+
+def test_the_grid_moves_with_the_clock_without_a_jump() -> None:
+    """Over all ticks of three steps with feet that land where they were previewed, every limit moves a little."""
+    places = {-1: np.zeros(2), 0: np.array([0.0, -0.095])}
+    last = None
+    for tick in range(round(2.6 / 0.005)):
+        t = 0.4 + 0.005 * tick
+        landed = STEPPING.step(t) + (STEPPING.swing(t) is None)
+        for j in range(max(places) + 1, landed + 1):
+            places[j] = np.array([0.1 * j, 0.095 * (-1) ** (j + 1)])
+        p = previewed(CONFIG, STEPPING, t, places)
+        base = max(places)
+        dP = np.array([[0.1, 0.19 * (-1) ** (base + k)] for k in range(p.steps)])
+        center = p.V0 + p.V @ dP
+        for edge in (center - p.half, center + p.half):
+            assert np.isfinite(edge).all()
+        if last is not None:
+            assert np.abs(center - last).max() <= 0.19 * 0.005 / 0.1 + 1e-9
+        last = center
+        assert p.steps in (1, 2, 3)
+        assert (p.lower <= dP + 1e-12).all()
+        assert (dP <= p.upper + 1e-12).all()
+
+
+def test_the_first_foot_stands_already() -> None:
+    p = previewed(CONFIG, STEPPING, 0.0, {-1: np.array([1.0, 2.0])})
+    assert p.lower[0] == pytest.approx([0.0, -0.095])
+    assert p.upper[0] == pytest.approx([0.0, -0.095])
+    assert pytest.approx(np.tile([1.0, 2.0], (16, 1))) == p.V0
+    assert p.half[0] == pytest.approx([0.0686, 0.124])  # both feet side by side
+    assert p.half[-1] == pytest.approx([0.0686, 0.029])

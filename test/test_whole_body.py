@@ -1,0 +1,310 @@
+"""The whole-body controller in closed loop with rigid bodies on rigid ground."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from dqwalk_ros.config import load
+from dqwalk_ros.controllers.whole_body import BodyState, WholeBodyController
+from dqwalk_ros.controllers.whole_body.levels import friction_edges, joint_bounds
+from dqwalk_ros.dynamics import Multibody
+from dqwalk_ros.exceptions import ConfigError, ModelError, PlantError, StateError
+from dqwalk_ros.hierarchy import HierarchySolver
+from dqwalk_ros.model import load_model
+from dqwalk_ros.objectives import FrameOutsideSphere, FramePosition
+from dqwalk_ros.plants.rigid import RigidPlant
+from dqwalk_ros.qp.reference import solve_reference
+from dqwalk_ros.reach import PAPER_TIMES, SCENARIOS, Reaching, Scenario, follow
+
+CONFIG = load("whole_body")
+MODEL = load_model(CONFIG.robot)
+TARGET = ((0.0, (1.2, -0.8, 0.9)),)
+
+
+def walk(scenario: Scenario, changes: dict | None = None, **options) -> Reaching:
+    config = CONFIG.updated({f"whole_body.{key}": value for key, value in (changes or {}).items()})
+    controller = WholeBodyController(config, MODEL, **options)
+    return follow(controller, RigidPlant(MODEL, controller.start, pushed=config.whole_body.torso), scenario)
+
+
+@cache
+def reached() -> Reaching:
+    """The first steps of Test 1, with a jump of the target in mid-swing at 1.5 s."""
+    return walk(Scenario("short", 2.4, (*TARGET, (1.5, (2.0, -0.2, 0.9)))))
+
+
+@cache
+def problems() -> tuple:
+    """Return every 20th hierarchy of a short walk with a push, and its answer."""
+    controller = WholeBodyController(CONFIG, MODEL)
+    plant = RigidPlant(MODEL, controller.start, pushed="chest")
+    controller.reach(TARGET[0][1])
+    found = []
+    for tick in range(200):
+        if tick == 150:
+            plant.push([0.0, 10.0, 0.0])
+        command = controller.step(plant.state, CONFIG.dt)
+        if tick % 20 == 10 or tick in (150, 151):
+            found.append((controller.hierarchy, controller.answer, controller.layout))
+        plant.step(command, CONFIG.dt)
+    return tuple(found)
+
+
+def assert_limits(walked: Reaching) -> None:
+    """Assert what level 1 promises on every tick, by the plant's own forces."""
+    assert walked.stood, walked.note
+    for name in ("cop_margin", "friction", "normal", "torque", "joint", "step"):
+        assert walked.margins[name].min() > -1e-6, name
+    assert walked.capturability.max() < 1e-6
+    assert walked.violation.max() == 0.0
+
+
+def test_every_answer_is_exact() -> None:
+    """Level 1 and 2 to 1e-6, and the accelerations those of Clarabel to 1e-3 rad/s^2."""
+    for h, answer, layout in problems():
+        p, x = h.problem(), answer.x
+        assert np.abs(p.E @ x - p.e).max() < 1e-6
+        violation = np.concatenate([p.h - p.G @ x, p.lower - x, x - p.upper])
+        assert violation.max() < 1e-6
+        sure = solve_reference(p, 1e-9).u
+        assert x[: layout.nv] == pytest.approx(sure[: layout.nv], abs=1e-3)
+
+
+def test_infeasible_balance_keeps_level_one() -> None:
+    """A CoM that runs away at 2 m/s cannot be stopped in two steps: (14) is missed by the least there is."""
+    h, _, layout = problems()[4]
+    away = replace(h, e=h.e + [0.6, 0.0])
+    answer = HierarchySolver().solve(away)
+    p = h.level1
+    assert answer.method == "level 2 relaxed"
+    assert np.abs(p.E @ answer.x - p.e).max() < 1e-6
+    assert np.concatenate([p.h - p.G @ answer.x, p.lower - answer.x, answer.x - p.upper]).max() < 1e-6
+    closest = replace(p, H=h.E.T @ h.E + 1e-9 * np.eye(layout.size), c=-h.E.T @ away.e)
+    nearest = solve_reference(closest, 1e-10).u
+    assert answer.residual == pytest.approx(float(np.linalg.norm(h.E @ nearest - away.e)), abs=1e-5)
+    assert answer.residual > 0.05
+
+
+def test_it_walks_towards_the_target() -> None:
+    walked = reached()
+    assert_limits(walked)
+    assert walked.error[walked.at(1.5)] < walked.error[0] - 0.3
+    assert len(walked.footholds()) == 3  # the foot it stands on first, and two steps
+    assert np.abs(walked.height_error).max() < 1e-3
+    assert walked.tilt.max() < 0.02
+    assert walked.effort.std(axis=0).max() > 1.0
+
+
+def test_the_next_footstep_follows_the_target_at_once() -> None:
+    """The target jumps in mid-swing: the landing place previewed in that very tick is another."""
+    walked = reached()
+    i = walked.at(1.5) + 1
+    assert walked.time[i] == pytest.approx(1.5)
+    assert walked.single[i]
+    usual = np.abs(np.diff(walked.landing[i - 10 : i], axis=0)).max()
+    assert np.linalg.norm(walked.landing[i] - walked.landing[i - 1]) > 5.0 * usual + 1e-3
+
+
+def test_the_forces_of_the_plant_are_those_planned() -> None:
+    """From the torques alone the plant finds the motion and the wrenches that the controller meant."""
+    controller = WholeBodyController(CONFIG, MODEL)
+    plant = RigidPlant(MODEL, controller.start, pushed="chest")
+    controller.reach(TARGET[0][1])
+    for _ in range(120):
+        before = plant.state
+        command = controller.step(before, CONFIG.dt)
+        after = plant.step(command, CONFIG.dt)
+        for foot, wrench in controller.last.wrenches.items():
+            assert plant.wrenches[foot].force == pytest.approx(wrench.force, abs=1e-4)
+            assert plant.wrenches[foot].moment == pytest.approx(wrench.moment, abs=1e-4)
+        assert after.v == pytest.approx(before.v + CONFIG.dt * command.acceleration, abs=1e-7)
+
+
+def test_a_push_obeys_the_law_of_impact() -> None:
+    """(23), (24): both feet keep still, and the momentum that is missing went through them."""
+    controller = WholeBodyController(CONFIG, MODEL)
+    plant = RigidPlant(MODEL, controller.start, pushed="chest")
+    body = Multibody(MODEL, ("chest", "L_sole", "R_sole"))
+    before = plant.state
+    plant.push([0.0, 15.0, 0.0])
+    after = plant.state
+    d = body.at(after.x_base, after.q, after.v)
+    assert d.frames["L_sole"].velocity == pytest.approx(np.zeros(6), abs=1e-9)
+    assert d.frames["R_sole"].velocity == pytest.approx(np.zeros(6), abs=1e-9)
+    assert d.com_velocity[1] > 0.05
+    J = np.vstack([d.frames["L_sole"].jacobian, d.frames["R_sole"].jacobian])
+    missing = d.H @ (after.v - before.v) - d.frames["chest"].jacobian[:3].T @ [0.0, 15.0, 0.0]
+    impulse = np.linalg.lstsq(J.T, missing, rcond=None)[0]
+    assert J.T @ impulse == pytest.approx(missing, abs=1e-8)
+
+
+def test_without_balance_it_falls() -> None:
+    """The negative control: without the second level it does not stand for two seconds."""
+    walked = walk(Scenario("no balance", 2.0, TARGET), {"capturability": False})
+    assert not walked.stood
+    assert walked.time[-1] < 2.0
+
+
+def test_without_a_target_it_walks_in_place() -> None:
+    walked = walk(Scenario("in place", 2.4))
+    assert_limits(walked)
+    places = np.array([place for _, place in walked.footholds()])
+    assert np.abs(np.diff(places[:, 0])).max() < 0.06
+    assert 0.15 < np.abs(walked.com_velocity[:, 1]).max() < 0.45
+
+
+def test_an_obstacle_is_kept_clear_of() -> None:
+    """A distance of one's own: a sphere where the hand would pass, and it goes around."""
+    scenario = Scenario("obstacle", 2.0, ((0.0, (0.45, -0.35, 0.9)),))
+    free = walk(scenario)
+    at = int(0.45 / CONFIG.dt)
+    center = free.hand[at] + [0.0, 0.01, 0.0]
+    sphere = FrameOutsideSphere(name="ball", frame="R_hand", center=center, radius=0.06, eta=20.0)
+
+    def clearance(walked: Reaching) -> float:
+        return float(np.linalg.norm(walked.hand - sphere.center, axis=1).min() - sphere.radius)
+
+    assert clearance(free) < -0.04
+    kept = walk(scenario, distances=[sphere])
+    assert kept.stood
+    assert clearance(kept) > -1e-3
+
+
+def test_an_objective_of_ones_own() -> None:
+    """The left hand reaches as well, in two lines."""
+    place = np.array([0.25, 0.35, 0.95])
+    own = FramePosition(name="left hand", frame="L_hand", target=place, kp=100.0)
+    controller = WholeBodyController(CONFIG, MODEL, objectives=[own])
+    plant = RigidPlant(MODEL, controller.start, pushed="chest")
+    body = Multibody(MODEL, ("L_hand",))
+
+    def error() -> float:
+        s = plant.state
+        return float(np.linalg.norm(body.at(s.x_base, s.q, s.v).frames["L_hand"].position - place))
+
+    first = error()
+    for _ in range(240):
+        plant.step(controller.step(plant.state, CONFIG.dt), CONFIG.dt)
+    assert error() < 0.35 * first
+
+
+def test_joint_bounds_stop_in_time() -> None:
+    """A joint driven against its limit as hard as (9) allows comes to rest before it."""
+    q, dq = MODEL.q_max - 0.3, np.full(MODEL.n, 4.0)
+    for _ in range(400):
+        _, upper = joint_bounds(MODEL, q, dq, CONFIG.whole_body.limit_time)
+        q, dq = q + CONFIG.dt * dq + 0.5 * CONFIG.dt**2 * upper, dq + CONFIG.dt * upper
+        assert (q <= MODEL.q_max + 1e-3).all()
+    assert q == pytest.approx(MODEL.q_max, abs=5e-3)
+
+
+def test_friction_edges_are_of_unit_length_on_the_cone() -> None:
+    G = friction_edges(0.6)
+    assert np.linalg.norm(G, axis=0) == pytest.approx(np.ones(4))
+    assert np.linalg.norm(G[:2], axis=0) == pytest.approx(0.6 * G[2])
+
+
+def test_what_cannot_be_used_is_said() -> None:
+    controller = WholeBodyController(CONFIG, MODEL)
+    start = controller.start
+    with pytest.raises(StateError, match="three finite"):
+        controller.reach([0.0, np.nan, 0.0])
+    with pytest.raises(StateError, match="dq"):
+        controller.step(replace(start, dq=np.zeros(3)), CONFIG.dt)
+    with pytest.raises(StateError, match="x_base"):
+        controller.step(replace(start, x_base=np.full(8, np.nan)), CONFIG.dt)
+    with pytest.raises(RuntimeError):
+        _ = controller.last
+    plant = RigidPlant(MODEL, start, pushed="chest")
+    with pytest.raises(PlantError, match="impulse"):
+        plant.push([1.0, 2.0])
+    command = controller.step(start, CONFIG.dt)
+    with pytest.raises(PlantError, match="torques"):
+        plant.step(replace(command, effort=np.full(MODEL.n, np.nan)), CONFIG.dt)
+    for key, value, message in (
+        ("posture", ["L_kne: 0.8"], "L_kne"),
+        ("posture", ["L_knee: much"], "joint: angle"),
+        ("free", ["X_*"], "X_"),
+        ("hand", "third_hand", "third_hand"),
+    ):
+        with pytest.raises((ModelError, ConfigError), match=message):
+            WholeBodyController(CONFIG.updated({f"whole_body.{key}": value}), MODEL)
+    with pytest.raises(ConfigError, match="no place"):
+        Scenario("never", 1.0, ((0.0, (1.0, 2.0)),))  # type: ignore[arg-type]
+
+
+def test_the_state_is_complete() -> None:
+    with pytest.raises(TypeError):
+        BodyState(0.0, np.zeros(3), x_base=np.zeros(8), v_base=np.zeros(6))  # type: ignore[call-arg]
+
+
+def test_mirrored_it_is_the_mirror_image() -> None:
+    """Beginning on the left foot, with everything mirrored, it makes the mirrored steps."""
+    right = walk(Scenario("right first", 1.3))
+    config = CONFIG.updated({"gait.first_support": "left"})
+    controller = WholeBodyController(config, MODEL)
+    left = follow(controller, RigidPlant(MODEL, controller.start, pushed="chest"), Scenario("left first", 1.3))
+    for (t0, p0), (t1, p1) in zip(right.footholds(), left.footholds(), strict=True):
+        assert t0 == t1
+        # the right arm is free and the left is not, so the mirror is not perfect
+        assert p1 * [1, -1] == pytest.approx(p0, abs=0.02)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["1", "2"])
+def test_the_papers_tests(name: str) -> None:
+    walked = walk(SCENARIOS[name])
+    assert_limits(walked)
+    assert walked.error[walked.at(8.0)] < 0.14
+    last = walked.error[walked.time > 11.0]
+    assert np.sqrt((last**2).mean()) < 0.010
+    if name == "1":
+        assert walked.error[walked.at(4.0)] < 0.10
+        return
+    for when, axis, least in ((2.5, 1, 0.05), (7.0, 0, -0.05)):  # against the same walk without that push
+        without = walk(replace(SCENARIOS[name], pushes=tuple(p for p in SCENARIOS[name].pushes if p[0] != when)))
+        i = next(i for i, (t, _) in enumerate(walked.footholds()) if t > when)
+        shift = (walked.footholds()[i][1] - without.footholds()[i][1])[axis]
+        assert shift / least >= 1.0
+
+
+@pytest.mark.long
+def test_the_times_of_the_paper() -> None:
+    walked = walk(replace(SCENARIOS["1"], targets=PAPER_TIMES))
+    assert_limits(walked)
+    assert walked.error[walked.at(4.0)] < 0.10
+    last = walked.error[walked.time > 11.0]
+    assert np.sqrt((last**2).mean()) < 0.010
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("push", "when", "changes"),
+    [
+        (10, 2.5, {}),
+        (15, 2.5, {}),
+        (20, 2.5, {}),
+        (15, 2.3, {}),
+        (15, 2.5, {"friction": 0.4}),
+        (15, 2.5, {"intervals": 8}),
+    ],
+)
+def test_pushes_it_survives(push: float, when: float, changes: dict) -> None:
+    walked = walk(Scenario("push", 6.0, TARGET, ((when, (0.0, float(push), 0.0)),)), changes)
+    assert walked.stood, walked.note
+    assert min(walked.margins[name].min() for name in ("cop_margin", "friction", "torque", "joint")) > -1e-6
+
+
+@pytest.mark.long
+def test_a_push_beyond_reach_degrades_gracefully() -> None:
+    """25 N s miss (14); level 1 stays as it is for as long as the robot is up."""
+    walked = walk(Scenario("hard", 3.5, TARGET, ((2.5, (0.0, 25.0, 0.0)),)))
+    missed = walked.capturability > 1e-6
+    assert missed.any()
+    up = missed & (walked.violation == 0.0)
+    assert up.any()
+    assert walked.margins["cop_margin"][up].min() > -1e-6
