@@ -77,7 +77,7 @@ def test_every_answer_is_exact() -> None:
 def test_infeasible_balance_keeps_level_one() -> None:
     """A CoM that runs away at 2 m/s cannot be stopped in two steps: (14) is missed by the least there is."""
     h, _, layout = problems()[4]
-    away = replace(h, e=h.e + [0.6, 0.0])
+    away = replace(h, e=h.e + np.array([0.6, 0.0]))
     answer = HierarchySolver().solve(away)
     p = h.level1
     assert answer.method == "level 2 relaxed"
