@@ -93,7 +93,7 @@ def test_it_walks_towards_the_target() -> None:
     walked = reached()
     assert_limits(walked)
     assert walked.error[-1] < walked.error[walked.at(0.9)] - 0.5
-    assert len(walked.footholds()) == 3  # the foot it stands on first, and two steps
+    assert len(walked.footholds()) == 4  # the foot it stands on first, and three steps
     assert np.abs(walked.height_error).max() < 1e-3
     assert walked.tilt.max() < 0.02
     assert walked.effort.std(axis=0).max() > 1.0
