@@ -13,6 +13,7 @@ __all__ = [
     "PlantError",
     "QPError",
     "StateError",
+    "ViewerError",
 ]
 
 
@@ -38,6 +39,10 @@ class PlantError(DqwalkError):
 
 class BagError(DqwalkError):
     """A bag that cannot be read as a walk; the message says what is missing."""
+
+
+class ViewerError(DqwalkError):
+    """The page cannot be served; the message says what to do."""
 
 
 class QPError(DqwalkError):

@@ -12,6 +12,7 @@ examples:
   dqwalk simulate --cycles 1 --out walk     walk in this process: bag, figures and report in walk/
   dqwalk walk --cycles 1 --out walk         the same through ROS 2, four nodes as processes of their own
   dqwalk report walk/bag                    judge and draw any recorded walk
+  dqwalk view walk/bag                      look at it in the browser: play, pause, scrub
   dqwalk config                             every parameter with its unit, range and meaning
 
 exit code: 0 all went well; 1 the walk failed or broke a promise; 2 arguments or configuration of no use
@@ -53,6 +54,18 @@ examples:
   dqwalk walk --realtime                                   at 1/dt by the clock instead
 """
 
+_VIEW = """\
+Serves a page on 127.0.0.1 until Ctrl-C: the robot, its soles and support polygon, the planes and cylinders of the
+current phase, the centre of mass and its way, and every margin over time, the tightest one marked. The bag may be
+any that `dqwalk report` reads. On another machine, forward the port: ssh -L 8080:127.0.0.1:8080 HOST.
+
+examples:
+  dqwalk view walk/bag                                     a recorded walk
+  dqwalk view walk/bag --open                              and open the browser
+  dqwalk simulate --view                                   a walk while it is computed
+  dqwalk_viewer                                            a walk on ROS 2, live (or: ros2 run dqwalk_ros viewer)
+"""
+
 _CONFIG = """\
 Without CONFIG: the list of all parameters. With CONFIG: check it and print it in full, as a ROS parameter file.
 
@@ -89,6 +102,13 @@ def build() -> argparse.ArgumentParser:
     report.add_argument("--namespace", metavar="NAME", help="of the robot, where the bag holds several")
     report.add_argument("--json", action="store_true", help="print the report as JSON instead of tables")
     _add_output(report, None)
+
+    view = _command(commands, "view", "look at a recorded walk in the browser", _VIEW)
+    view.add_argument("bag", metavar="BAG", help="folder of a rosbag2, or one .mcap or .db3 file")
+    view.add_argument("--namespace", metavar="NAME", help="of the robot, where the bag holds several")
+    view.add_argument("--port", type=int, help="port of the page; 0: any [8080, or the next free one]")
+    view.add_argument("--open", action="store_true", help="open the page in the browser of this machine")
+    view.add_argument("--play", action="store_true", help="begin to play at once")
 
     config = _command(commands, "config", "list, check or print parameters", _CONFIG)
     config.add_argument(
