@@ -9,6 +9,7 @@ CYCLES ?= 1
 CONFIG ?= paper
 JOBS   ?= 2
 
+SUDO   := $(if $(filter 0,$(shell id -u)),,sudo)
 BIN    := $(VENV)/bin
 NATIVE := $(shell $(PYTHON) -c 'from importlib.util import find_spec as f; print("yes" if f("rclpy") and not f("ros_wheels_bootstrapper") else "")')
 ifeq ($(NATIVE),yes)
@@ -20,7 +21,7 @@ ROS_EXTRA    := ros,
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help venv walk simulate test test-long fuzz lint colcon clean
+.PHONY: help venv walk simulate test test-long browser fuzz lint colcon clean
 
 help:  ## show this
 	@echo "usage: make TARGET [CYCLES=$(CYCLES)] [CONFIG=$(CONFIG)] [OUT=$(OUT)]"
@@ -35,10 +36,15 @@ simulate: $(VENV)/.installed  ## the same walk in one process, without ROS
 	$(BIN)/dqwalk simulate --config $(CONFIG) --cycles $(CYCLES) --out $(OUT) --force
 
 test: $(VENV)/.installed-test  ## run all tests (JOBS=2 at a time)
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -m 'not colcon and not long' $(ARGS)
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -m 'not colcon and not long and not browser' $(ARGS)
 
 test-long: $(VENV)/.installed-test  ## the tests that take minutes
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -m long $(ARGS)
+
+browser: $(VENV)/.installed-test  ## run the tests that look at the pages in headless Chromium (installs it with apt)
+	command -v chromium >/dev/null || { $(SUDO) apt-get update -qq && \
+	    $(SUDO) apt-get install -y -qq --no-install-recommends chromium fonts-dejavu-core; }
+	$(BIN)/python -m pytest -m browser $(ARGS)
 
 fuzz: $(VENV)/.installed-test  ## 10 000 hostile robots, parameter files and messages
 	DQWALK_FUZZ=10000 $(BIN)/python -m pytest --timeout 3000 --durations 6 test/test_fuzz.py $(ARGS)

@@ -5,7 +5,7 @@ from glob import glob
 from setuptools import find_packages, setup
 
 NAME = "dqwalk_ros"
-NODES = ("controller", "integrator", "phase_monitor", "recorder")
+NODES = ("controller", "integrator", "phase_monitor", "recorder", "viewer")
 
 # The wheels of ROS 2 Jazzy, for a machine without ROS (Linux, x86_64, Python 3.11 to 3.13). An extra, never a plain
 # requirement: where ROS is installed they must not come beside it.
@@ -18,11 +18,14 @@ ROS = [
     "ros-jazzy-visualization-msgs>=5.3",
 ]
 DAQP = ["daqp>=0.7"]
+VIEW = ["viser>=1.1"]
 TEST = [
     *DAQP,
+    *VIEW,
     "dqrobotics>=23.4",
     "hypothesis>=6.80",
     "pin>=2.7",
+    "playwright>=1.40",
     "psutil>=5.9",
     "pytest>=7.4",
     "pytest-timeout>=2.1",
@@ -31,7 +34,7 @@ TEST = [
 ]
 # pinocchio, for the whole-body controller
 WHOLEBODY = ["pin>=2.7"]
-DEV = ["mypy>=1.10", "ruff>=0.6", "types-PyYAML>=6.0", "types-psutil>=5.9"]
+DEV = [*VIEW, "mypy>=1.10", "ruff>=0.6", "types-PyYAML>=6.0", "types-psutil>=5.9"]
 
 setup(
     name=NAME,
@@ -74,7 +77,7 @@ setup(
         "scipy>=1.11",
         "yourdfpy>=0.0.56",
     ],
-    extras_require={"ros": ROS, "daqp": DAQP, "wholebody": WHOLEBODY, "test": TEST, "dev": DEV},
+    extras_require={"ros": ROS, "daqp": DAQP, "view": VIEW, "wholebody": WHOLEBODY, "test": TEST, "dev": DEV},
     tests_require=["pytest"],
     zip_safe=False,
     classifiers=[

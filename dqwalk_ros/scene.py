@@ -5,10 +5,10 @@ Nothing here draws. The live page (`dqwalk_ros.viewer`) and the replay in a repo
 
 from __future__ import annotations
 
-import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import singledispatch
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,37 +65,47 @@ class Shape:
 
 def shapes_of(model: RobotModel) -> tuple[Shape, ...]:
     """Return the visual shapes of the model's URDF; meshes are left out, the robot is drawn from primitives."""
-    import yourdfpy
-
-    robot = yourdfpy.URDF.load(io.BytesIO(model.urdf.encode()), load_meshes=False, build_scene_graph=False).robot
-    named = {m.name: _rgba(m) for m in robot.materials or [] if m.color is not None}
+    robot = ElementTree.fromstring(model.urdf.encode())
+    named = {m.get("name", ""): _rgba(m, {}) for m in robot.findall("material")}
     out = []
-    for link in robot.links:
-        if link.name not in model.frames:
-            continue
-        frame = model.frames[link.name]
-        for visual in link.visuals:
-            origin = np.eye(4) if visual.origin is None else visual.origin
-            pose = (DQ(frame.pose) * DQ.from_matrix(origin[:3, :3], origin[:3, 3])).vec8()
-            color = _GREY
-            if (material := visual.material) is not None:
-                color = _rgba(material) if material.color is not None else named.get(material.name, _GREY)
-            geometry = visual.geometry
-            if geometry.box is not None:
-                kind, size = "box", tuple(map(float, geometry.box.size))
-            elif geometry.cylinder is not None:
-                kind, size = "cylinder", (float(geometry.cylinder.radius), float(geometry.cylinder.length))
-            elif geometry.sphere is not None:
-                kind, size = "sphere", (float(geometry.sphere.radius),)
-            else:
-                continue
-            out.append(Shape(frame.body, kind, size, pose, color))
+    for link in robot.findall("link"):
+        frame = model.frames.get(link.get("name", ""))
+        for visual in link.findall("visual") if frame is not None else ():
+            found = _primitive(visual.find("geometry"))
+            if found is not None and frame is not None:
+                pose = (DQ(frame.pose) * _origin(visual.find("origin"))).vec8()
+                out.append(Shape(frame.body, *found, pose, _rgba(visual.find("material"), named)))
     return tuple(out)
 
 
-def _rgba(material: object) -> Rgba:
-    r, g, b, a = map(float, material.color.rgba)  # type: ignore[attr-defined]
+def _primitive(geometry: ElementTree.Element | None) -> tuple[str, tuple[float, ...]] | None:
+    for kind, keys in (("box", ("size",)), ("cylinder", ("radius", "length")), ("sphere", ("radius",))):
+        element = geometry.find(kind) if geometry is not None else None
+        if element is not None:
+            return kind, tuple(x for key in keys for x in _numbers(element.get(key, "")))
+    return None
+
+
+def _origin(element: ElementTree.Element | None) -> DQ:
+    """Return the pose of a URDF origin, whose angles turn about the fixed axes x, y, z one after the other."""
+    if element is None:
+        return DQ(1.0)
+    half = [0.5 * angle for angle in _numbers(element.get("rpy", "0 0 0"))]
+    turns = [DQ([np.cos(h), *(np.sin(h) * np.eye(3)[axis])]) for axis, h in enumerate(half)]
+    r = turns[2] * turns[1] * turns[0]
+    return DQ.from_pose(_numbers(element.get("xyz", "0 0 0")), r.vec4())
+
+
+def _rgba(material: ElementTree.Element | None, named: Mapping[str, Rgba]) -> Rgba:
+    color = material.find("color") if material is not None else None
+    if color is None:
+        return named.get(material.get("name", ""), _GREY) if material is not None else _GREY
+    r, g, b, a = _numbers(color.get("rgba", "0.7 0.72 0.75 1"))
     return r, g, b, a
+
+
+def _numbers(text: str) -> list[float]:
+    return [float(word) for word in text.split()]
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ examples:
   dqwalk simulate --cycles 3 --first right --out walk
   dqwalk simulate --set gait.step_length=0.03 --set dsp.flat_feet=false
   dqwalk simulate --config my_robot.yaml --format png,pdf
+  dqwalk simulate --view                                   look at it while it is computed
 """
 
 _REPORT = """\
@@ -91,6 +92,8 @@ def build() -> argparse.ArgumentParser:
     simulate = _command(commands, "simulate", "walk in this process, without ROS", _SIMULATE)
     _add_walk(simulate)
     _add_output(simulate, "walk")
+    simulate.add_argument("--view", action="store_true", help="show the walk in the browser, live, then as a replay")
+    simulate.add_argument("--port", type=int, help="port of the page; 0: any [8080, or the next free one]")
 
     walk = _command(commands, "walk", "walk through ROS 2: four nodes, lockstep", _WALK)
     _add_walk(walk)

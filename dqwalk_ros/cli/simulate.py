@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import importlib.util
 import math
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dqwalk_ros import bag
 from dqwalk_ros.cli.progress import Progress
 from dqwalk_ros.cli.results import prepare, write_results
 from dqwalk_ros.cli.settings import config_of
+from dqwalk_ros.config import Config
 from dqwalk_ros.controllers import Controller, make_controller
+from dqwalk_ros.exceptions import ViewerError
 from dqwalk_ros.gait import PHASES_PER_CYCLE
 from dqwalk_ros.model import load_model
 from dqwalk_ros.phases import PhaseKind
+from dqwalk_ros.plants import Plant
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.simulation import simulate
+
+if TYPE_CHECKING:
+    from dqwalk_ros.viewer.feed import Feed
 
 __all__ = ["run"]
 
@@ -27,16 +36,36 @@ def run(args: argparse.Namespace) -> int:
     model = load_model(config.robot)
     prepare(out, force=args.force)
     controller = make_controller(config, model)
-    bar, done = Progress(quiet=args.quiet), _Fraction(controller)
-    try:
-        trace = simulate(controller, KinematicPlant(model), progress=lambda _, text: bar(done(), text))
-    finally:
-        bar.close()
-    if not trace.finished:
-        print(f"dqwalk: {'; '.join(trace.notes)}", file=sys.stderr)
-    bag.write(trace, out / "bag")
-    report = write_results(trace, out, formats=args.format, figures=not args.no_figures, quiet=args.quiet)
+    plant: Plant = KinematicPlant(model)
+    with contextlib.ExitStack() as stack:
+        feed = stack.enter_context(_page(config, args.port)) if args.view else None
+        if feed is not None:
+            plant = feed.watch(plant, controller)
+        bar, done = Progress(quiet=args.quiet), _Fraction(controller)
+        try:
+            trace = simulate(controller, plant, progress=lambda _, text: bar(done(), text))
+        finally:
+            bar.close()
+        if not trace.finished:
+            print(f"dqwalk: {'; '.join(trace.notes)}", file=sys.stderr)
+        bag.write(trace, out / "bag")
+        report = write_results(trace, out, formats=args.format, figures=not args.no_figures, quiet=args.quiet)
+        if feed is not None:
+            feed.replay(out / "bag")
+            print(f"{feed.url} plays the walk until Ctrl-C", flush=True)
+            feed.wait()
     return 0 if trace.finished and report["ok"] else 1
+
+
+def _page(config: Config, port: int | None) -> Feed:
+    """Return a page in a process of its own."""
+    if importlib.util.find_spec("viser") is None:
+        raise ViewerError("--view needs viser: pip install 'dqwalk_ros[view]'")
+    from dqwalk_ros.viewer.feed import Feed
+
+    feed = Feed(config, port)
+    print(f"{feed.url} shows the walk", flush=True)
+    return feed
 
 
 class _Fraction:

@@ -1,4 +1,4 @@
-"""The walk on ROS 2: four thin nodes around the core, and the only folder that imports rclpy.
+"""The walk on ROS 2: five thin nodes around the core, and the only folder that imports rclpy.
 
 ====================  ================================================================================
 `entry`               command line of the nodes: help, exit codes
@@ -9,5 +9,6 @@
 `integrator`          the plant that stands in for the hardware
 `phase_monitor`       /diagnostics and markers, recomputed from the topics
 `recorder`            rosbag2
+`viewer`              the walk in the browser
 ====================  ================================================================================
 """

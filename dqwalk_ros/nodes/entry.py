@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from dqwalk_ros.config import Config
 
-__all__ = ["controller", "integrator", "parse", "phase_monitor", "recorder"]
+__all__ = ["controller", "integrator", "parse", "phase_monitor", "recorder", "viewer"]
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,16 @@ _HELP = {
         sections=("plant",),
         example="--bag my_walk",
     ),
+    "viewer": Help(
+        what="Show the walk in the browser while it goes on: robot, constraints, margins (needs viser).",
+        gets=(
+            "joint_states, phase, phase_start, com_target, swing_target, walk_config, robot_description, /diagnostics;",
+            "base_pose once           geometry_msgs/PoseStamped: where in odom the first phase seen stands",
+        ),
+        gives=("nothing on ROS: a page on 127.0.0.1, whose address is logged; the walk never waits for it",),
+        sections=(),
+        example="--port 8090",
+    ),
 }
 
 
@@ -90,7 +100,7 @@ def parse(name: str, argv: Sequence[str]) -> argparse.Namespace:
     Parameters
     ----------
     name : str
-        Which of the four nodes.
+        Which node.
     argv : sequence of str
         Without the program's name.
     """
@@ -106,6 +116,8 @@ def parse(name: str, argv: Sequence[str]) -> argparse.Namespace:
     )
     if name == "recorder":
         parser.add_argument("--bag", metavar="DIR", required=True, help="the folder to make; it must not be there yet")
+    if name == "viewer":
+        parser.add_argument("--port", type=int, help="port of the page; 0: any [8080, or the next free one]")
     own = list(argv)
     if "--ros-args" in own:
         start = own.index("--ros-args")
@@ -122,7 +134,7 @@ def _epilog(name: str) -> str:
         "subscribes to:",
         *(f"  {line}" for line in about.gets),
         "",
-        "publishes:" if name != "recorder" else "writes:",
+        {"recorder": "writes:", "viewer": "serves:"}.get(name, "publishes:"),
     ]
     lines += [f"  {line}" for line in about.gives]
     lines += ["", "parameters (name = default [unit]):"]
@@ -154,6 +166,9 @@ def _run(name: str) -> int:
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] == "dqwalk_ros":
             raise
+        if error.name == "viser":
+            print("viewer: the page needs viser: pip install 'dqwalk_ros[view]'", file=sys.stderr)
+            return 2
         print(
             f"{name}: ROS 2 is not there (no Python module '{error.name}'): source a ROS 2 Jazzy setup file, or "
             "install the wheels with: pip install 'dqwalk_ros[ros]'",
@@ -182,3 +197,8 @@ def phase_monitor() -> int:
 def recorder() -> int:
     """Console script ``dqwalk_recorder``."""
     return _run("recorder")
+
+
+def viewer() -> int:
+    """Console script ``dqwalk_viewer``."""
+    return _run("viewer")

@@ -180,7 +180,8 @@ class Page:
 
     def close(self) -> None:
         """Stop serving."""
-        self.server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
 
 
 def prints_of(records: Iterator[tuple[int, Foot, Array]]) -> Iterator[tuple[int, Foot, Array]]:

@@ -1,0 +1,164 @@
+"""What there is to see, and the page without a browser: it serves, plays, jumps, and refuses politely."""
+
+from __future__ import annotations
+
+import socket
+import time
+import urllib.request
+
+import numpy as np
+import pytest
+from recorded import short_walk
+
+from dqwalk_ros.dq import DQ
+from dqwalk_ros.exceptions import ViewerError
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.model import Foot
+from dqwalk_ros.phases import PhaseKind
+from dqwalk_ros.scene import Scene, moment_of, shapes_of
+from dqwalk_ros.viewer.gauges import History, margins_html, status_html
+from dqwalk_ros.viewer.page import HOST, Page
+from dqwalk_ros.viewer.player import Player
+
+
+@pytest.fixture(scope="module")
+def trace():
+    return short_walk()
+
+
+def views(trace, count=40):
+    scene, phases = Scene(trace.config, trace.model), {}
+    for tick in np.linspace(0, len(trace) - 1, count).astype(int).tolist():
+        yield tick, scene.look(moment_of(trace, tick, phases))
+
+
+def test_shapes_are_those_of_the_urdf(trace):
+    shapes = shapes_of(trace.model)
+    kept = trace.model.urdf.count("<visual>")
+    assert 40 < len(shapes) < kept  # arms and head are dropped with what they carry
+    assert {shape.kind for shape in shapes} == {"box", "cylinder", "sphere"}
+    assert {shape.body for shape in shapes} <= set(range(len(trace.model.bodies)))
+    # the drawn feet touch the ground the sole stands on, to the thickness of the drawing
+    q = np.zeros(trace.model.n)
+    kin = Kinematics(trace.model, q, Foot.LEFT)
+    lowest = min(
+        float((DQ(kin.pose(name)) * DQ(frame.pose).conj() * DQ(shape.pose)).translation()[2])
+        for shape in shapes
+        for name, frame in trace.model.frames.items()
+        if frame.body == shape.body
+    )
+    assert -1e-3 < lowest < 0.03
+
+
+def test_a_view_stands_where_the_walk_does(trace):
+    for tick, view in views(trace):
+        index = view.moment.index
+        record = trace.phases[index]
+        kin = Kinematics(trace.model, trace.q[tick], record.base)
+        x = DQ(record.x_odom_base)
+        np.testing.assert_allclose(view.com, x.transform_point(kin.com), atol=1e-12)
+        np.testing.assert_allclose(view.soles[record.base], record.x_odom_base, atol=1e-12)
+        pelvis = list(trace.model.frames).index(trace.model.pelvis)
+        assert pelvis == 0
+        np.testing.assert_allclose(view.bodies[0], (x * DQ(kin.pose(trace.model.pelvis))).vec8(), atol=1e-12)
+        names = {r.name for r in view.regions}
+        double = record.kind is PhaseKind.DOUBLE_SUPPORT
+        assert names == ({"sliding", "tip_plane", "back_plane", "pelvis"} if double else {"com_cylinder", "pelvis"})
+        assert (view.target is None) == double
+        assert view.tightest.value == min((g for g in view.gauges if g.role == "kept"), key=lambda g: g.share).value
+
+
+def test_regions_are_where_their_distance_is_zero(trace):
+    """The centre of a drawn wall or plane lies on it; a point on a drawn cylinder's side has no margin left."""
+    for tick, view in views(trace):
+        record, phase = trace.phases[view.moment.index], view.moment.phase
+        x = DQ(record.x_odom_base)
+        kin = Kinematics(trace.model, trace.q[tick], record.base)
+        rows = {row.name: row for row in phase.rows}
+        for region in view.regions:
+            row, pose = rows[region.name], x.conj() * DQ(region.pose)
+            if region.kind == "cylinder":
+                side = pose.transform_point(np.array([region.size[0], 0.0, 0.0]))
+                assert abs(row.cylinder.distance(side)) < 1e-12
+            elif region.kind == "plane":
+                assert abs(row.plane.distance(pose.translation())) < 1e-12
+            else:
+                a, b = row.fixed, row.moving.position(kin)
+                t, v = (b - a)[:2], (pose.translation() - a)[:2]
+                assert abs(t[0] * v[1] - t[1] * v[0]) < 1e-12
+
+
+def test_gauges_say_metres_left(trace):
+    for tick, view in views(trace):
+        phase = view.moment.phase
+        kin = Kinematics(trace.model, trace.q[tick], phase.base)
+        gauges = {g.name: g for g in view.gauges}
+        if phase.kind is PhaseKind.SINGLE_SUPPORT:
+            center = trace.model.soles[phase.base].center
+            left = trace.config.ssp.com_radius - np.hypot(*(kin.com - center)[:2])
+            assert gauges["com_cylinder"].value == pytest.approx(1e3 * left, abs=1e-9)
+        low = np.degrees((kin.q - trace.model.q_min).min())
+        assert gauges["joint_min"].value == pytest.approx(low, abs=1e-9)
+
+
+def test_panels_say_it_in_words(trace):
+    history = History()
+    for _, view in views(trace, 60):
+        history.add(view)
+        text = margins_html(view, history)
+        assert text.count("TIGHTEST") == 1
+        assert "nan" not in text
+        assert "nan" not in status_html(view, steps=1, total=2, note="")
+    for name in ("sliding", "tip_plane", "back_plane", "com_cylinder", "pelvis", "joint_min", "joint_max"):
+        assert f'data-curve="{name}"' in text
+    assert len(history.marks) == 4
+
+
+def test_a_history_stays_small_and_whole(trace):
+    _, view = next(views(trace, 1))
+    history = History()
+    moment = view.moment
+    for k in range(20_000):
+        object.__setattr__(moment, "time", 0.005 * k)
+        history.add(view)
+    assert len(history.times) < 1000
+    assert history.times[0] == 0.0
+    assert history.times[-1] > 99.0
+    assert max(np.diff(history.times)) < 1.0
+
+
+def test_the_page_serves_and_plays(trace):
+    page = Page(0)
+    try:
+        assert page.url.startswith(f"http://{HOST}:")
+        with urllib.request.urlopen(page.url, timeout=10) as answer:
+            assert b"<html" in answer.read().lower()
+        player = Player(page, trace)
+        before = page.shown
+        player.toggle()
+        end = time.monotonic() + 1.5
+        player.run(lambda: time.monotonic() < end)
+        assert page.shown > before + 5
+        player.toggle()
+        player.seek(1e9)
+        player.show()
+        assert "finished" in page._status.content
+        player.seek(-1.0)
+        player.show()
+        assert "double support" in page._status.content
+    finally:
+        page.close()
+
+
+def test_the_page_is_for_this_machine_only(trace):
+    page = Page(0)
+    try:
+        port = int(page.url.rpartition(":")[2])
+        for address in {info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)} - {HOST}:
+            with socket.socket() as probe:
+                probe.settimeout(0.5)
+                assert probe.connect_ex((address, port)) != 0
+        with pytest.raises(ViewerError, match=r"port \d+ is taken.*--port"):
+            Page(port)
+    finally:
+        page.close()
