@@ -90,9 +90,8 @@ def _origin(element: ElementTree.Element | None) -> DQ:
     """Return the pose of a URDF origin, whose angles turn about the fixed axes x, y, z one after the other."""
     if element is None:
         return DQ(1.0)
-    half = [0.5 * angle for angle in _numbers(element.get("rpy", "0 0 0"))]
-    turns = [DQ([np.cos(h), *(np.sin(h) * np.eye(3)[axis])]) for axis, h in enumerate(half)]
-    r = turns[2] * turns[1] * turns[0]
+    x, y, z = (DQ.rotation_about(a, n) for a, n in zip(_numbers(element.get("rpy", "0 0 0")), np.eye(3), strict=True))
+    r = z * y * x
     return DQ.from_pose(_numbers(element.get("xyz", "0 0 0")), r.vec4())
 
 

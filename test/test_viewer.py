@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import socket
 import time
 import urllib.request
 
 import numpy as np
 import pytest
+import yourdfpy
 from recorded import short_walk
 
 from dqwalk_ros.dq import DQ
@@ -38,6 +40,14 @@ def test_shapes_are_those_of_the_urdf(trace):
     assert 40 < len(shapes) < kept  # arms and head are dropped with what they carry
     assert {shape.kind for shape in shapes} == {"box", "cylinder", "sphere"}
     assert {shape.body for shape in shapes} <= set(range(len(trace.model.bodies)))
+    urdf = io.BytesIO(trace.model.urdf.encode())
+    links = yourdfpy.URDF.load(urdf, load_meshes=False, build_scene_graph=False).robot.links
+    visuals = [(trace.model.frames[k.name], v) for k in links if k.name in trace.model.frames for v in k.visuals]
+    for shape, (frame, visual) in zip(shapes, visuals, strict=True):
+        origin = np.eye(4) if visual.origin is None else visual.origin
+        placed = DQ(frame.pose) * DQ.from_matrix(origin[:3, :3], origin[:3, 3])
+        point = np.array([0.1, 0.2, 0.3])
+        np.testing.assert_allclose(DQ(shape.pose).transform_point(point), placed.transform_point(point), atol=1e-12)
     # the drawn feet touch the ground the sole stands on, to the thickness of the drawing
     q = np.zeros(trace.model.n)
     kin = Kinematics(trace.model, q, Foot.LEFT)
