@@ -23,8 +23,8 @@ _CAP = 100.0
 _ACTIVE = 1e-4
 """A capped row with a scaled multiplier above this mattered after all."""
 _SOLVED = clarabel.SolverStatus.Solved
-_LIFTED = 24
-"""From so many joints on the sparse form y = J u is faster than the dense Hessian."""
+_LIFTED = 3
+"""From so many joints per row of the tasks on the sparse form y = J u is faster than the dense Hessian."""
 
 
 class ClarabelSolver:
@@ -34,7 +34,7 @@ class ClarabelSolver:
     ----------
     lifted : bool, optional
         Whether the task velocity y = J u becomes a variable, so that the Hessian is diagonal and the work grows
-        linearly with the number of joints; by default where the robot has many.
+        linearly with the number of joints; by default where there are many joints for the rows of the tasks.
     """
 
     name = "clarabel"
@@ -54,7 +54,7 @@ class ClarabelSolver:
         shape = (*problem.shape, 0 if problem.J is None else problem.J.shape[0])
         kept = self._kept.get(shape)
         if kept is None:
-            lifted = shape[0] >= _LIFTED if self._lifted is None else self._lifted
+            lifted = shape[0] >= _LIFTED * shape[3] if self._lifted is None else self._lifted
             kept = self._kept[shape] = _InPlace(*shape[:3], shape[3] if lifted else 0)
         return kept.solve(problem)
 

@@ -1,0 +1,45 @@
+"""Write docs/benchmarks.md: run every benchmark and keep what it prints.
+
+python -m benchmark.page [--peers] [--out docs/benchmarks.md]
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import subprocess
+import sys
+from pathlib import Path
+
+TEXT = """\
+# Benchmarks
+
+Written by `python -m benchmark.page` on {date}; do not edit. Times are medians of single calls of an interleaved run
+on a machine that other programs used as well: compare figures of one table only, and ratios rather than times.
+
+"""
+
+
+def main() -> None:
+    """Run and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--peers", action="store_true", help="with the peers; needs benchmark/requirements.txt")
+    parser.add_argument("--out", type=Path, default=Path(__file__).resolve().parent.parent / "docs" / "benchmarks.md")
+    args = parser.parse_args()
+    runs = [
+        ("One tick", ["benchmark.tick", *(["--peers"] if args.peers else [])]),
+        ("Growth", ["benchmark.growth"]),
+        ("A long walk", ["benchmark.cycle"]),
+    ]
+    parts = [TEXT.format(date=datetime.date.today().isoformat())]
+    for title, command in runs:
+        shown = f"python -m {' '.join(command)}"
+        print(f"{shown} ...", file=sys.stderr, flush=True)
+        out = subprocess.run([sys.executable, "-m", *command], capture_output=True, text=True, check=True).stdout
+        parts.append(f"## {title}\n\n`{shown}`\n\n{out.strip()}\n\n")
+    args.out.write_text("".join(parts).rstrip() + "\n", encoding="utf-8")
+    print(f"wrote {args.out}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()
