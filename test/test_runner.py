@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -117,6 +118,22 @@ def test_no_node_outlives_the_runner(tmp_path: Path, number: signal.Signals) -> 
     if number is not signal.SIGKILL:
         assert f"reason interrupted by {number.name}" in rest
     assert len(bag.read(tmp_path / "bag")) > 0
+
+
+def test_a_recorder_that_is_held_up_loses_nothing(tmp_path: Path) -> None:
+    held: list[threading.Timer] = []
+
+    def hold(fraction: float, text: str) -> None:
+        if not held and "support" in text:
+            recorder = next(p for p in children() if p.cmdline()[2] == "dqwalk_ros.nodes.recorder")
+            recorder.suspend()
+            held.append(threading.Timer(4.0, recorder.resume))
+            held[0].start()
+
+    outcome = run_walk(load("paper").updated(SHORT), tmp_path / "bag", progress=hold)
+    assert held
+    assert outcome.finished, outcome.reason
+    assert len(bag.read(tmp_path / "bag")) == outcome.ticks + 1
 
 
 def test_domains_are_not_shared() -> None:

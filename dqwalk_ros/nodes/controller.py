@@ -29,7 +29,7 @@ from dqwalk_ros.model import load_model
 from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.parameters import Parameters
-from dqwalk_ros.nodes.runtime import STEADY, Life, Throttle, run, say
+from dqwalk_ros.nodes.runtime import LAST_WORDS, STEADY, Life, Throttle, run, say
 
 __all__ = ["ControllerNode", "main"]
 
@@ -65,6 +65,7 @@ class ControllerNode:
         self._warm_up(config)
         self._controller = make_controller(config, self._model)
         self._lockstep, self._dt = config.plant.lockstep, config.dt
+        self.last_words = LAST_WORDS[self._lockstep]
         self._mode = Mode.WALKING if config.node.autostart else Mode.IDLE
         self._problem = ""
         self._report = options.child

@@ -20,7 +20,7 @@ from dqwalk_ros.model import load_model
 from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.parameters import Parameters
-from dqwalk_ros.nodes.runtime import STEADY, Life, Throttle, run
+from dqwalk_ros.nodes.runtime import LAST_WORDS, STEADY, Life, Throttle, run
 from dqwalk_ros.plants.kinematic import KinematicPlant
 
 __all__ = ["IntegratorNode", "main"]
@@ -50,6 +50,7 @@ class IntegratorNode:
         config = self._parameters.config
         model = load_model(config.robot)
         self._dt, self._lockstep = config.dt, config.plant.lockstep
+        self.last_words = LAST_WORDS[self._lockstep]
         self._plant = KinematicPlant(model)
         self._reader = ros.JointReader(model.joint_names)
         self._state_msg = ros.JointWriter(model.joint_names)

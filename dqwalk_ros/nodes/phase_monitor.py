@@ -55,7 +55,7 @@ class PhaseMonitorNode:
         From `entry.parse`.
     """
 
-    rest = 0.01
+    rest, last_words = 0.01, 1.0
 
     def __init__(self, node: Node, life: Life, options: Any) -> None:
         self.node, self.life = node, life

@@ -54,7 +54,7 @@ class RecorderNode:
         If the folder is there already or cannot be made.
     """
 
-    rest = 0.05
+    rest, last_words = 0.05, 0.0
 
     def __init__(self, node: Node, life: Life, options: Any) -> None:
         self.node, self.life, self._report = node, life, options.child

@@ -29,15 +29,15 @@ from rclpy.signals import SignalHandlerOptions
 
 from dqwalk_ros.exceptions import DqwalkError
 
-__all__ = ["STEADY", "Life", "Throttle", "Worker", "flush", "run", "say"]
+__all__ = ["LAST_WORDS", "STEADY", "Life", "Throttle", "Worker", "flush", "run", "say"]
 
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 """For every timer: rclpy's default clock makes timers stop when the system's clock is set back."""
 
 _SLICE = 0.1
 """Longest time before a signal is seen [s]: Python runs its handlers only between two slices."""
-_LAST_WORDS = 1.0
-"""Longest wait for subscribers to acknowledge what was published last [s]."""
+LAST_WORDS = {True: 10.0, False: 1.0}
+"""Longest wait for acknowledgements in lockstep, where nothing may be missing from the bag, and in real time [s]."""
 _HANG = 5.0
 """Longest time the middleware may take to end [s]."""
 _PATIENCE = 20
@@ -75,6 +75,8 @@ class Worker(Protocol):
     """Time to sleep between two looks at what has come [s]; who may wait leaves the processor to the loop."""
     handled: int
     """Messages handled so far; needed where `rest` is not zero."""
+    last_words: float
+    """Longest wait, at the end, for subscribers to acknowledge what was published [s]."""
 
     def drained(self) -> bool:
         """Tell, once the end is asked for, whether what is still under way may be left."""
@@ -179,7 +181,7 @@ def _end(node: Node, worker: Worker | None, life: Life) -> None:
     try:
         if worker is not None:
             worker.close()
-        flush(node, _LAST_WORDS)
+            flush(node, worker.last_words)
     finally:
         guard.start()
         faulthandler.dump_traceback_later(_HANG + 1.0, exit=True)

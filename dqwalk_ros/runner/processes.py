@@ -22,7 +22,7 @@ from typing import Any, Self
 
 __all__ = ["Processes", "environment", "private_domain"]
 
-_GRACE = (8.0, 3.0, 2.0)
+_GRACE = (20.0, 3.0, 2.0)
 """How long a process may take to end after SIGINT, SIGTERM and SIGKILL [s]."""
 
 
@@ -132,18 +132,26 @@ class Processes:
         return (errors or lines or ["it said nothing"])[-1]
 
     def stop(self) -> None:
-        """End everything: SIGINT, then SIGTERM, then SIGKILL, in the reverse order of the start."""
+        """End everything: SIGINT, then SIGTERM, then SIGKILL.
+
+        What was started first ends last: a recorder goes on until the others have said their last words.
+        """
         order = list(reversed(self._running.values()))
-        for number, grace in zip((signal.SIGINT, signal.SIGTERM, signal.SIGKILL), _GRACE, strict=True):
-            alive = [process for process in order if process.popen.poll() is None]
-            for process in alive:
-                process.popen.send_signal(number)
-            deadline = time.monotonic() + grace
-            for process in alive:
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    process.popen.wait(max(0.0, deadline - time.monotonic()))
+        for group in (order[:-1], order[-1:]):
+            _end(group)
         for process in order:
             _finish_reading(process)
+
+
+def _end(group: Sequence[_Process]) -> None:
+    for number, grace in zip((signal.SIGINT, signal.SIGTERM, signal.SIGKILL), _GRACE, strict=True):
+        alive = [process for process in group if process.popen.poll() is None]
+        for process in alive:
+            process.popen.send_signal(number)
+        deadline = time.monotonic() + grace
+        for process in alive:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.popen.wait(max(0.0, deadline - time.monotonic()))
 
 
 def _finish_reading(process: _Process) -> None:
