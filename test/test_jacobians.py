@@ -1,0 +1,177 @@
+"""Every Jacobian there is, against central differences: 100 random configurations, both support feet, 1e-6."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import pkgutil
+
+import numpy as np
+import pytest
+from robots import central_difference, configurations, legs
+
+import dqwalk_ros
+from dqwalk_ros.constraints import Constraint
+from dqwalk_ros.dq import DQ
+from dqwalk_ros.geometry import ConvexPolygon, Cylinder, Line, Plane
+from dqwalk_ros.kinematics import Kinematics, Point
+from dqwalk_ros.model import Foot
+from dqwalk_ros.tasks import Task
+
+COUNT = 100
+TOLERANCE = 1e-6
+OFFSET = np.array([0.03, -0.02, 0.05])
+V = np.array([0.36, 0.48, 0.8])
+
+
+# ---------------------------------------------------------------------- Kinematics
+
+
+def places(robot, foot):
+    """Frames at both ends, in the middle, and on the stance leg."""
+    knees = [name for name in robot.frames if "shank" in name or "shin" in name]
+    return [robot.soles[foot.other].frame, robot.pelvis, *knees[:2]]
+
+
+def test_kinematics(robot, foot):
+    frames = places(robot, foot)
+
+    def values(q):
+        kin = Kinematics(robot, q, foot)
+        parts = [kin.com]
+        for name in frames:
+            parts += [kin.pose(name), kin.point(name, OFFSET), kin.direction(name, V)]
+        return np.concatenate(parts)
+
+    def jacobians(q):
+        kin = Kinematics(robot, q, foot)
+        parts = [kin.com_jacobian]
+        for name in frames:
+            parts += [kin.pose_jacobian(name), kin.point_jacobian(name, OFFSET), kin.direction_jacobian(name, V)]
+        return np.concatenate(parts)
+
+    for q in configurations(robot, COUNT, seed=20):
+        np.testing.assert_allclose(jacobians(q), central_difference(values, q), rtol=0, atol=TOLERANCE)
+
+
+def test_rotations(robot, foot):
+    """J_r of section 2.2, and the angular velocity 2 r' r*."""
+    frame = robot.soles[foot.other].frame
+    for q in configurations(robot, COUNT // 10, seed=21):
+        kin = Kinematics(robot, q, foot)
+        slope = central_difference(lambda q: Kinematics(robot, q, foot).pose(frame)[:4], q)
+        np.testing.assert_allclose(kin.rotation_jacobian(frame), slope, rtol=0, atol=TOLERANCE)
+        r = DQ(kin.pose(frame)).P()
+        omega = np.array([(2.0 * DQ(column) * r.conj()).vec3() for column in slope.T]).T
+        np.testing.assert_allclose(kin.angular_jacobian(frame), omega, rtol=0, atol=TOLERANCE)
+
+
+# ---------------------------------------------------------------------- tasks and constraints
+
+
+def subclasses(parent):
+    """Every class of the package that derives from `parent`, wherever it is."""
+    for module in pkgutil.walk_packages(dqwalk_ros.__path__, "dqwalk_ros."):
+        if not module.name.startswith(("dqwalk_ros.nodes", "dqwalk_ros.runner", "dqwalk_ros.cli")):
+            importlib.import_module(module.name)
+    found, stack = [], [parent]
+    while stack:
+        for cls in stack.pop().__subclasses__():
+            stack.append(cls)
+            if not cls.__abstractmethods__ and cls.__module__.startswith("dqwalk_ros."):
+                found.append(cls)
+    return sorted(found, key=lambda cls: cls.__name__)
+
+
+def examples(model, foot):
+    """What the fields of tasks and constraints may be, by name, or by class and name where a name has two meanings."""
+    base, swing = model.soles[foot], model.soles[foot.other]
+    zero = np.zeros(model.n)
+    target = DQ(Kinematics(model, zero, foot).pose(swing.frame)) * DQ.from_pose([0.05, 0.01, 0.02])
+    return {
+        "name": "example",
+        "eta": 3.0,
+        "foot": Point(swing.frame, swing.center),
+        "frame": swing.frame,
+        "target": target.vec8(),
+        "q_ref": 0.1 + zero,
+        "q_min": model.q_min,
+        "q_max": model.q_max,
+        "direction": np.array([0.6, 0.8, 0.0]),
+        "point": Point(swing.frame, swing.tip),
+        "moving": Point(swing.frame, swing.heel),
+        "fixed": base.tip,
+        "side": -1.0,
+        "plane": Plane.through([0.0, 0.0, 0.1], [0.1, -0.2, 1.0]),
+        "cylinder": Cylinder(Line.through([0.02, 0.03, 0.0], [0.1, 0.2, 1.0]), 0.05),
+        "polygon": ConvexPolygon(base.corners[:, :2]),
+        "points": swing.corners,
+        "pose": target.vec8(),
+        "over": (Point(base.frame, base.center),),
+        "start": DQ(Kinematics(model, zero, foot).pose(swing.frame)).vec8(),
+        "goal": target.vec8(),
+        "height": 0.02,
+        "duration": 2.0,
+        "rate": 3.0,
+        "lever": 0.2,
+        "saturation": 0.1,
+        "ComPath.start": np.array([0.01, 0.02]),
+        # the CoM, so that more than one branch of a constraint on points is seen
+        "PointInsideWall.point": Point(),
+        "PointInCylinder.point": Point(),
+    }
+
+
+def example(cls, model, foot):
+    """Return one of a class; a class with fields of a new kind must add them to `examples`."""
+    known = examples(model, foot)
+    values = {}
+    for field in dataclasses.fields(cls):
+        key = f"{cls.__name__}.{field.name}"
+        if key in known or field.name in known:
+            values[field.name] = known.get(key, known.get(field.name))
+        elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
+            pytest.fail(f"say in test_jacobians.examples what '{field.name}' of {cls.__name__} may be")
+    return cls(**values)
+
+
+@pytest.mark.parametrize("cls", subclasses(Task), ids=lambda cls: cls.__name__)
+def test_tasks(cls, foot):
+    robot = legs()
+    task = example(cls, robot, foot)
+    for q in configurations(robot, COUNT, seed=22):
+        J = task.jacobian(Kinematics(robot, q, foot))
+        expected = central_difference(lambda q: task.error(Kinematics(robot, q, foot)), q)
+        assert J.shape == (task.error(Kinematics(robot, q, foot)).size, robot.n)
+        np.testing.assert_allclose(J, expected, rtol=0, atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("cls", subclasses(Constraint), ids=lambda cls: cls.__name__)
+def test_constraints(cls, foot):
+    robot = legs()
+    constraint = example(cls, robot, foot)
+    for q in configurations(robot, COUNT, seed=23):
+        kin = Kinematics(robot, q, foot)
+        J, d = constraint.jacobian(kin), constraint.distance(kin)
+        expected = central_difference(lambda q: constraint.distance(Kinematics(robot, q, foot)), q)
+        assert J.shape == (d.size, robot.n)
+        assert len(constraint.row_names(robot.joint_names)) == d.size
+        np.testing.assert_allclose(J, expected, rtol=0, atol=TOLERANCE * max(1.0, np.abs(J).max()))
+
+
+def test_none_is_forgotten():
+    assert {"ComOverFoot", "FramePose", "Posture"} <= {cls.__name__ for cls in subclasses(Task)}
+    assert len(subclasses(Constraint)) >= 6
+
+
+def test_a_pose_error_has_the_sign_of_the_closer_one():
+    """x and -x are the same pose: the target's sign must not matter."""
+    robot = legs()
+    rng = np.random.default_rng(24)
+    cls = next(cls for cls in subclasses(Task) if cls.__name__ == "FramePose")
+    for q in configurations(robot, 20, seed=25):
+        kin = Kinematics(robot, q, Foot.LEFT)
+        x_d = (DQ(kin.pose("r_sole")) * DQ.from_pose(0.1 * rng.normal(size=3))).vec8()
+        plus, minus = (cls(name="x", frame="r_sole", target=s * x_d) for s in (1.0, -1.0))
+        np.testing.assert_allclose(plus.error(kin), -minus.error(kin), atol=1e-15)
+        assert np.linalg.norm(plus.error(kin)) < 0.5

@@ -1,0 +1,358 @@
+"""Kinematics against plain dual quaternions from the pelvis, against `dqrobotics` and against `pin`."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import dqrobotics as other_dq
+import numpy as np
+import pinocchio as pin
+import pytest
+from dqrobotics.robot_modeling import DQ_SerialManipulatorDH
+from robots import biped12, central_difference, configurations, legs, mirrored, poppy
+
+from dqwalk_ros.config import RobotConfig
+from dqwalk_ros.dq import DQ
+from dqwalk_ros.kinematics import Kinematics, Point
+from dqwalk_ros.model import Foot, load_model
+
+X, Y, Z = np.eye(3)
+
+
+def from_root(model, q):
+    """Poses of all bodies in the root's frame, by `dq.py` alone."""
+    poses = []
+    for body in model.bodies:
+        if body.parent < 0:
+            poses.append(DQ(1.0))
+        else:
+            poses.append(poses[body.parent] * DQ(body.origin) * DQ.rotation_about(q[body.joint], body.axis))
+    return poses
+
+
+def frame_from_root(model, poses, name):
+    frame = model.frames[name]
+    return poses[frame.body] * DQ(frame.pose)
+
+
+def up_to_sign(a, b, tol=1e-12):
+    a, b = np.asarray(a), np.asarray(b)
+    np.testing.assert_allclose(a if a[:4] @ b[:4] >= 0.0 else -a, b, rtol=0, atol=tol)
+
+
+# ---------------------------------------------------------------------- sections 3.4 and 3.5, written out
+
+
+def test_serialisation(robot, foot):
+    """The swing foot's pose is x_left* x_6^5 x_right of section 3.4."""
+    for q in configurations(robot, 20):
+        x = from_root(robot, q)
+
+        def leg(side, x=x):
+            """x_side(q_side) from the leg's own base (F5 or F6) to the sole, and the pose of that base."""
+            sole = robot.soles[side].frame
+            body = robot.frames[sole].body
+            while robot.bodies[robot.bodies[body].parent].parent >= 0:
+                body = robot.bodies[body].parent
+            base = DQ(robot.bodies[body].origin)  # where the hip is fixed to the pelvis
+            return base.conj() * frame_from_root(robot, x, sole), base
+
+        stance, base_5 = leg(foot)
+        swing, base_6 = leg(foot.other)
+        expected = stance.conj() * (base_5.conj() * base_6) * swing
+        up_to_sign(Kinematics(robot, q, foot).pose(robot.soles[foot.other].frame), expected.vec8())
+
+
+def test_every_frame(robot, foot):
+    for q in configurations(robot, 10, seed=1):
+        x = from_root(robot, q)
+        kin = Kinematics(robot, q, foot)
+        base = frame_from_root(robot, x, robot.soles[foot].frame)
+        for name in robot.frames:
+            expected = base.conj() * frame_from_root(robot, x, name)
+            up_to_sign(kin.pose(name), expected.vec8())
+            offset = np.array([0.1, -0.2, 0.3])
+            np.testing.assert_allclose(kin.point(name, offset), expected.transform_point(offset), atol=1e-12)
+            np.testing.assert_allclose(kin.direction(name, offset), expected.P().Ad(DQ(offset)).vec3(), atol=1e-12)
+
+
+def test_centre_of_mass(robot, foot):
+    """(4), with the mass of the support foot; and (5) as the weighted sum of the partial Jacobians of (3)."""
+    for q in configurations(robot, 10, seed=2):
+        x = from_root(robot, q)
+        kin = Kinematics(robot, q, foot)
+        base = frame_from_root(robot, x, robot.soles[foot].frame)
+        com, J = np.zeros(3), np.zeros((3, robot.n))
+        for index, body in enumerate(robot.bodies):
+            p = (base.conj() * x[index]).transform_point(body.com)
+            com += body.mass / robot.mass * p
+            J += body.mass / robot.mass * partial_com_jacobian(robot, kin, index)
+        np.testing.assert_allclose(kin.com, com, atol=1e-12)
+        np.testing.assert_allclose(kin.com_jacobian, J, atol=1e-12)
+        foot_body = robot.bodies[robot.frames[robot.soles[foot].frame].body]
+        assert foot_body.mass > 0.0  # it counts, though it is at rest
+
+
+def link_on(model, index):
+    """A frame on a body, and the body's centre of mass in it."""
+    name, frame = next((name, frame) for name, frame in model.frames.items() if frame.body == index)
+    return name, DQ(frame.pose).conj().transform_point(model.bodies[index].com)
+
+
+def partial_com_jacobian(model, kin, index):
+    """(3): vec8(x_c') = H8-(x_ci) J_i q', and of it the translation, as section 2.2 has it."""
+    name, com = link_on(model, index)
+    x_ci = DQ.from_pose(com)
+    J = x_ci.haminus8() @ kin.pose_jacobian(name)
+    x = DQ(kin.pose(name)) * x_ci
+    # p = 2 D(x) P(x)*, so p' = 2 D(x') P(x)* + 2 D(x) P(x')*
+    columns = [(2.0 * (DQ(c).D() * x.P().conj() + x.D() * DQ(c).P().conj())).vec4()[1:] for c in J.T]
+    return np.array(columns).T
+
+
+def test_partial_com_jacobians_of_the_reversed_chain(foot):
+    """One per body, those of the stance leg included, against central differences."""
+    robot = legs()
+    for q in configurations(robot, 10, seed=3):
+        kin = Kinematics(robot, q, foot)
+        for index in range(len(robot.bodies)):
+            name, com = link_on(robot, index)
+            expected = central_difference(lambda q, n=name, c=com: Kinematics(robot, q, foot).point(n, c), q)
+            np.testing.assert_allclose(partial_com_jacobian(robot, kin, index), expected, atol=1e-9)
+            np.testing.assert_allclose(kin.point_jacobian(name, com), expected, atol=1e-9)
+    stance = [i for i, name in enumerate(robot.joint_names) if name[0] == foot.value[0]]
+    shank = robot.frames[robot.soles[foot].frame].body
+    shank = robot.bodies[shank].parent
+    name, com = link_on(robot, shank)
+    moved = np.abs(kin.point_jacobian(name, com)).max(axis=0) > 1e-9
+    assert moved[stance[-1]]  # the ankle moves the shank above it
+    assert moved.sum() == 1  # and no other joint does: the chain is reversed
+
+
+def test_unit_norm(robot, foot):
+    for q in configurations(robot, 50, seed=4):
+        kin = Kinematics(robot, 3.0 * q, foot)
+        for name in robot.frames:
+            x = DQ(kin.pose(name))
+            np.testing.assert_allclose((x * x.conj()).vec8(), [1, 0, 0, 0, 0, 0, 0, 0], atol=1e-12)
+
+
+def test_the_base_is_at_rest(robot, foot):
+    q = configurations(robot, 1)[0]
+    kin = Kinematics(robot, q, foot)
+    sole = robot.soles[foot].frame
+    up_to_sign(kin.pose(sole), [1, 0, 0, 0, 0, 0, 0, 0], 1e-14)
+    assert not kin.pose_jacobian(sole).any()
+    assert not Point(sole, np.ones(3)).jacobian(kin).any()
+
+
+def test_seen_from_the_other_foot(robot):
+    for q in configurations(robot, 10, seed=5):
+        left, right = Kinematics(robot, q, Foot.LEFT), Kinematics(robot, q, Foot.RIGHT)
+        x = DQ(left.pose(left.swing))
+        up_to_sign(x.conj().vec8(), right.pose(right.swing))
+        np.testing.assert_allclose(x.transform_point(right.com), left.com, atol=1e-12)
+
+
+def test_mirror_image(robot, foot):
+    """The mirror image of a robot, at the same angles, on the other foot, is the image of the robot."""
+    image = mirrored(robot)
+    reflect = np.array([1.0, -1.0, 1.0])
+    for q in configurations(robot, 10, seed=6):
+        kin, other = Kinematics(robot, q, foot), Kinematics(image, q, foot.other)
+        np.testing.assert_allclose(other.com, reflect * kin.com, atol=1e-13)
+        np.testing.assert_allclose(other.com_jacobian, reflect[:, None] * kin.com_jacobian, atol=1e-13)
+        for name in robot.frames:
+            np.testing.assert_allclose(other.point(name), reflect * kin.point(name), atol=1e-13)
+
+
+# ---------------------------------------------------------------------- against dqrobotics
+
+
+def dq_chain(model, foot):
+    """The chain from one sole to the other as `dqrobotics` has it, and which joints it has."""
+    body = model.frames[model.soles[foot].frame].body
+    start, end = body, model.frames[model.soles[foot.other].frame].body
+    up, down = [], []
+    while model.bodies[start].parent >= 0:
+        up.append(start)
+        start = model.bodies[start].parent
+    while model.bodies[end].parent >= 0:
+        down.append(end)
+        end = model.bodies[end].parent
+
+    def turn_to(axis):
+        """Turns z to the axis."""
+        v = np.cross(Z, axis)
+        if np.linalg.norm(v) < 1e-9:
+            return DQ.rotation_about(0.0 if axis[2] > 0.0 else np.pi, X)
+        return DQ.rotation_about(np.arctan2(np.linalg.norm(v), axis[2]), v / np.linalg.norm(v))
+
+    before = DQ(model.frames[model.soles[foot].frame].pose).conj()
+    links, joints = [], []
+
+    def joint(axis, index):
+        nonlocal before
+        z = turn_to(axis)
+        one = DQ_SerialManipulatorDH(np.zeros((5, 1)))
+        one.set_reference_frame(other_dq.DQ((before * z).vec8()))
+        one.set_effector(other_dq.DQ(z.conj().vec8()))
+        links.append(one)
+        joints.append(index)
+        before = DQ(1.0)
+
+    for b in up:  # reversed: the way down a joint is the way up the other way
+        joint(-model.bodies[b].axis, model.bodies[b].joint)
+        before = before * DQ(model.bodies[b].origin).conj()
+    for b in reversed(down):
+        before = before * DQ(model.bodies[b].origin)
+        joint(model.bodies[b].axis, model.bodies[b].joint)
+    last = model.bodies[down[0]].axis
+    links[-1].set_effector(
+        other_dq.DQ((turn_to(last).conj() * DQ(model.frames[model.soles[foot.other].frame].pose)).vec8())
+    )
+    return links, joints
+
+
+def dq_forward(links, q):
+    """Pose and pose Jacobian of a chain of one-joint robots, with the operators of `dqrobotics`."""
+    poses = [link.fkm(np.array([angle])) for link, angle in zip(links, q, strict=True)]
+    before = [other_dq.DQ([1.0])]
+    for x in poses:
+        before.append(before[-1] * x)
+    after = [other_dq.DQ([1.0])]
+    for x in reversed(poses):
+        after.append(x * after[-1])
+    after.reverse()
+    columns = [
+        before[i].hamiplus8() @ after[i + 1].haminus8() @ np.asarray(link.pose_jacobian(np.array([angle])))
+        for i, (link, angle) in enumerate(zip(links, q, strict=True))
+    ]
+    return np.asarray(before[-1].vec8()), np.concatenate([np.reshape(c, (8, 1)) for c in columns], axis=1)
+
+
+def test_swing_pose_and_jacobian_agree_with_dqrobotics(robot, foot):
+    links, joints = dq_chain(robot, foot)
+    for q in configurations(robot, 100, seed=7):
+        kin = Kinematics(robot, q, foot)
+        x, J = kin.pose(kin.swing), kin.pose_jacobian(kin.swing)
+        theirs, J_theirs = dq_forward(links, q[joints])
+        sign = 1.0 if theirs[:4] @ x[:4] >= 0.0 else -1.0
+        np.testing.assert_allclose(sign * theirs, x, atol=1e-9)
+        np.testing.assert_allclose(sign * J_theirs, J[:, joints], atol=1e-9)
+        rest = np.setdiff1d(np.arange(robot.n), joints)
+        assert not J[:, rest].any()
+
+
+def test_algebra_agrees_with_dqrobotics():
+    rng = np.random.default_rng(8)
+    for a, b in rng.normal(size=(100, 2, 8)):
+        ours, theirs = DQ(a), other_dq.DQ(a)
+        np.testing.assert_allclose((ours * DQ(b)).vec8(), (theirs * other_dq.DQ(b)).vec8(), atol=1e-12)
+        np.testing.assert_allclose(ours.hamiplus8(), theirs.hamiplus8(), atol=1e-12)
+        np.testing.assert_allclose(ours.haminus8(), theirs.haminus8(), atol=1e-12)
+        np.testing.assert_allclose(ours.norm().vec8(), theirs.norm().vec8(), atol=1e-12)
+        np.testing.assert_allclose(ours.inv().vec8(), theirs.inv().vec8(), atol=1e-11)
+        x = DQ(a).normalized()
+        if x.vec8()[0] > 0.0:
+            log = other_dq.DQ(x.vec8()).log()
+            np.testing.assert_allclose(x.log().vec8(), log.vec8(), atol=1e-9)
+        np.testing.assert_allclose(x.translation(), other_dq.DQ(x.vec8()).translation().vec3(), atol=1e-12)
+
+
+# ---------------------------------------------------------------------- against pinocchio
+
+
+def pin_model(model):
+    """The robot in `pin`, its root free (a root that is fixed has no mass there), and the order of its joints."""
+    full = pin.buildModelFromXML(model.urdf, pin.JointModelFreeFlyer())
+    locked = [full.getJointId(name) for name in full.names[2:] if name not in model.joint_names]
+    reduced = pin.buildReducedModel(full, locked, pin.neutral(full)) if locked else full
+    order = [model.joint_names.index(name) for name in reduced.names[2:]]
+    return reduced, order
+
+
+PIN_ROBOTS = {
+    "poppy": poppy,
+    "locked": lambda: load_model(
+        RobotConfig(lock=("abs_*", "bust_*", "head_*", "*_shoulder_*", "*_arm_*", "*_elbow_*"))
+    ),
+    "biped12": biped12,
+}
+
+
+def skew(v):
+    return np.cross(np.eye(3), v).T
+
+
+@pytest.mark.parametrize("name", PIN_ROBOTS)
+def test_com_and_frames_agree_with_pin(name, foot):
+    model = PIN_ROBOTS[name]()
+    theirs, order = pin_model(model)
+    assert theirs.nv == 6 + model.n
+    data = theirs.createData()
+    sole = theirs.getFrameId(model.soles[foot].frame)
+    for q in configurations(model, 50, seed=9):
+        kin = Kinematics(model, q, foot)
+        v = np.concatenate([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], q[order]])
+        pin.computeJointJacobians(theirs, data, v)
+        pin.updateFramePlacements(theirs, data)
+        J_com = pin.jacobianCenterOfMass(theirs, data, v)
+        base = data.oMf[sole]
+        J_base = pin.getFrameJacobian(theirs, data, sole, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+
+        def seen_from_sole(p, J_p, base=base, J_base=J_base):
+            """A point and its Jacobian in the frame of the sole, which moves in theirs."""
+            J = J_p - J_base[:3] + skew(p - base.translation) @ J_base[3:]
+            ours = np.empty((3, model.n))
+            ours[:, order] = base.rotation.T @ J[:, 6:]
+            return base.rotation.T @ (p - base.translation), ours
+
+        p, J = seen_from_sole(data.com[0], J_com)
+        np.testing.assert_allclose(kin.com, p, atol=1e-9)
+        np.testing.assert_allclose(kin.com_jacobian, J, atol=1e-9)
+        assert model.mass == pytest.approx(pin.computeTotalMass(theirs), rel=1e-12)
+        for frame in (model.soles[foot.other].frame, model.pelvis):
+            index = theirs.getFrameId(frame)
+            J_f = pin.getFrameJacobian(theirs, data, index, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+            p, J = seen_from_sole(data.oMf[index].translation, J_f[:3])
+            np.testing.assert_allclose(kin.point(frame), p, atol=1e-9)
+            np.testing.assert_allclose(kin.point_jacobian(frame), J, atol=1e-9)
+            turn = np.empty_like(J)
+            turn[:, order] = base.rotation.T @ (J_f[3:] - J_base[3:])[:, 6:]
+            np.testing.assert_allclose(kin.angular_jacobian(frame), turn, atol=1e-9)
+
+
+# ---------------------------------------------------------------------- compiled or not
+
+PLAIN = """
+import sys, numpy as np
+sys.path.insert(0, "test")
+from robots import legs, configurations
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.model import Foot
+import numba
+out = []
+for q in configurations(legs(), 3, seed=10):
+    for foot in Foot:
+        k = Kinematics(legs(), q, foot)
+        out += [k.com, k.com_jacobian, k.lines, k.pose(k.swing), k.pose_jacobian(k.swing), k.point_jacobian("pelvis")]
+print(int(numba.config.DISABLE_JIT), *(x.hex() for a in out for x in a.ravel().tolist()))
+"""
+
+
+def test_compiled_and_plain_kernels_agree():
+    """NUMBA_DISABLE_JIT=1 runs the same functions as plain Python."""
+    results = {}
+    for plain in ("0", "1"):
+        environment = {**os.environ, "NUMBA_DISABLE_JIT": plain}
+        root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+        command = [sys.executable, "-c", PLAIN]
+        run = subprocess.run(command, env=environment, cwd=root, capture_output=True, text=True, check=True)
+        flag, *numbers = run.stdout.split()
+        assert flag == plain
+        results[plain] = np.array([float.fromhex(x) for x in numbers])
+    assert results["0"].size > 1000
+    np.testing.assert_allclose(results["1"], results["0"], rtol=0, atol=1e-14)
