@@ -21,7 +21,7 @@ ROS_EXTRA    := ros,
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help venv walk simulate test test-long browser fuzz lint colcon clean
+.PHONY: help venv walk simulate reach test test-long browser fuzz lint colcon clean
 
 help:  ## show this
 	@echo "usage: make TARGET [CYCLES=$(CYCLES)] [CONFIG=$(CONFIG)] [OUT=$(OUT)]"
@@ -34,6 +34,9 @@ walk: $(VENV)/.installed  ## walk one cycle through ROS 2: bag, figures and repo
 
 simulate: $(VENV)/.installed  ## the same walk in one process, without ROS
 	$(BIN)/dqwalk simulate --config $(CONFIG) --cycles $(CYCLES) --out $(OUT) --force
+
+reach: $(VENV)/.installed-wholebody  ## Tests 1 and 2 of the whole-body controller: figures and tables in results/reach
+	OPENBLAS_NUM_THREADS=1 $(BIN)/dqwalk reach --out results/reach --force
 
 test: $(VENV)/.installed-test  ## run all tests (JOBS=2 at a time)
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -m 'not colcon and not long and not browser' $(ARGS)
@@ -75,6 +78,10 @@ $(BIN)/python:
 $(VENV)/.installed: setup.py | $(BIN)/python
 	$(BIN)/python -m pip install --editable '.$(if $(ROS_EXTRA),[ros])'
 	@touch $@
+
+$(VENV)/.installed-wholebody: setup.py | $(BIN)/python
+	$(BIN)/python -m pip install --editable '.[$(ROS_EXTRA)wholebody]'
+	@touch $@ $(VENV)/.installed
 
 $(VENV)/.installed-test: setup.py | $(BIN)/python
 	$(BIN)/python -m pip install --editable '.[$(ROS_EXTRA)test]'

@@ -226,10 +226,13 @@ class Multibody:
         raise ModelError(f"'{self.model.name}' cannot stand with its soles at {dict(feet)}, but off by {off:.2g}")
 
     def _configuration(self, x_base: ArrayLike, q: Array) -> Array:
-        pose = DQ(x_base)
+        w, x, y, z, w_, x_, y_, z_ = np.asarray(x_base, dtype=np.float64).tolist()
         full = np.empty(self._pin.nq)
-        full[:3] = pose.translation()
-        full[3:7] = pose.rotation()[[1, 2, 3, 0]]
+        # p = 2 D(x) P(x)*, written out: this runs every tick
+        full[0] = 2.0 * (x_ * w - w_ * x - y_ * z + z_ * y)
+        full[1] = 2.0 * (y_ * w - w_ * y - z_ * x + x_ * z)
+        full[2] = 2.0 * (z_ * w - w_ * z - x_ * y + y_ * x)
+        full[3:7] = x, y, z, w
         full[self._iq] = q
         return full
 

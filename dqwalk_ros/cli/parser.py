@@ -11,6 +11,7 @@ _TOP = """\
 examples:
   dqwalk simulate --cycles 1 --out walk     walk in this process: bag, figures and report in walk/
   dqwalk walk --cycles 1 --out walk         the same through ROS 2, four nodes as processes of their own
+  dqwalk reach                              walk where the hand wants to go (whole body)
   dqwalk report walk/bag                    judge and draw any recorded walk
   dqwalk view walk/bag                      look at it in the browser: play, pause, scrub
   dqwalk config                             every parameter with its unit, range and meaning
@@ -32,6 +33,23 @@ examples:
   dqwalk simulate --set gait.step_length=0.03 --set dsp.flat_feet=false
   dqwalk simulate --config my_robot.yaml --format png,pdf
   dqwalk simulate --view                                   look at it while it is computed
+"""
+
+_REACH = """\
+A robot of HRP-2's size reaches for a target with its right hand and walks there by itself; its steps are nobody's
+plan. Test 1 moves the target in mid-swing, Test 2 also pushes the torso, 15 N s twice. Needs pinocchio: pip install pin
+
+writes to the folder of --out:
+  figure2 3 4 5        solving time, the walk from above, reactions to target and pushes
+  report.json          every figure of the tables
+
+times are CPU time of this process; OPENBLAS_NUM_THREADS=1 keeps it from using threads that do not help here.
+
+examples:
+  dqwalk reach                                             both tests of the paper
+  dqwalk reach --test 1 --target 0.8,-0.3,0.9              a target of your own
+  dqwalk reach --test 1 --push 2.5,0,20,0                  hit it harder: 20 N s to the left at 2.5 s
+  dqwalk reach --test 1 --set whole_body.capturability=false --duration 3     it falls
 """
 
 _REPORT = """\
@@ -99,6 +117,16 @@ def build() -> argparse.ArgumentParser:
     _add_walk(walk)
     _add_output(walk, "walk")
     walk.add_argument("--realtime", action="store_true", help="run by the clock, at 1/dt, instead of in lockstep")
+
+    reach = _command(commands, "reach", "reach for a target with the whole body, and get pushed", _REACH)
+    reach.add_argument("--config", metavar="CONFIG", default="whole_body", help="name or path [whole_body]")
+    reach.add_argument("--test", choices=("1", "2", "both"), default="both", help="of the paper [both]")
+    reach.add_argument("--paper-times", action="store_true", help="the target jumps at 4 and 8 s, not as in the thesis")
+    reach.add_argument("--target", metavar="X,Y,Z", help="one target for the hand instead of the test's [m]")
+    reach.add_argument("--push", metavar="T,X,Y,Z", action="append", default=[], help="another push [s, N s]")
+    reach.add_argument("--duration", metavar="S", type=float, help="instead of the test's 14 s")
+    _add_set(reach)
+    _add_output(reach, "reach")
 
     report = _command(commands, "report", "judge and draw a recorded walk", _REPORT)
     report.add_argument("bag", metavar="BAG", help="folder of a rosbag2, or one .mcap or .db3 file")

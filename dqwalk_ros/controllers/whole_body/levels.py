@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,8 +109,9 @@ class Scene:
     settled: Array | None
 
 
+@cache
 def friction_edges(mu: float) -> Array:
-    """G of (4): unit vectors along the edges of the friction pyramid, shape (3, FACES)."""
+    """Return G of (4): unit vectors along the edges of the friction pyramid, shape (3, FACES)."""
     angle = 2.0 * math.pi * np.arange(FACES) / FACES + 0.25 * math.pi
     G = np.stack([mu * np.cos(angle), mu * np.sin(angle), np.ones(FACES)])
     unit: Array = G / np.linalg.norm(G, axis=0)
@@ -318,7 +320,8 @@ def _objectives(
     HD = config.cop_velocity_weight * D.T @ D
     for axis in (0, 1):
         cops, feet = layout.cops(axis), layout.feet(axis)
-        index = np.r_[layout.com + axis, cops, feet]
+        parts = ((layout.com + axis,), range(cops.start, cops.stop), range(feet.start, feet.stop))
+        index = np.array([at for part in parts for at in part])
         offset = np.diff(np.append(d.com[axis], preview.V0[:, axis])) / mass.interval
         H[np.ix_(index, index)] += HD
         c[index] += config.cop_velocity_weight * (D.T @ offset)

@@ -1,0 +1,58 @@
+"""What a tick of the whole-body controller costs, in CPU time: ``python -m benchmark.whole_body [--quick]``.
+
+Tests 1 and 2 of the paper in closed loop; the plant is not in the figures. One thread, so that CPU time is what one
+core would take with nobody else on it.
+"""
+
+from __future__ import annotations
+
+import os
+
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_name] = "1"  # before numpy is loaded
+
+import argparse
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from dqwalk_ros.config import load
+from dqwalk_ros.controllers.whole_body import WholeBodyController
+from dqwalk_ros.model import load_model
+from dqwalk_ros.plants.rigid import RigidPlant
+from dqwalk_ros.reach import SCENARIOS, follow
+
+STAGES = ("model", "assembly", "solution", "whole tick")
+PAPER = "the paper, 2012: solution 0.92 ms on average, peaks to 20 ms"
+
+
+def main() -> None:
+    """Run it and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="3 s of Test 2 instead of both tests")
+    parser.add_argument("--cold", action="store_true", help="Clarabel on every tick")
+    args = parser.parse_args()
+    config = load("whole_body")
+    model = load_model(config.robot)
+    scenarios = [replace(SCENARIOS["2"], duration=3.0)] if args.quick else list(SCENARIOS.values())
+    times, methods = [], []
+    for scenario in scenarios:
+        controller = WholeBodyController(config, model, clock=time.thread_time, hot=not args.cold)
+        walked = follow(
+            controller, RigidPlant(model, controller.start, pushed="chest"), scenario, clock=time.thread_time
+        )
+        times.append(walked.times)
+        methods += walked.method
+        print(f"{scenario.name}: {len(walked.time)} ticks {walked.note}", flush=True)
+    spent = 1e3 * np.vstack(times)
+    print(f"\n{'CPU time [ms]':<14}{'mean':>8}{'median':>8}{'p95':>8}{'p99':>8}{'max':>8}")
+    for stage, column in zip(STAGES, spent.T, strict=True):
+        values = [column.mean(), *np.percentile(column, [50, 95, 99]), column.max()]
+        print(f"{stage:<14}" + "".join(f"{value:8.2f}" for value in values))
+    shares = ", ".join(f"{name} {100.0 * methods.count(name) / len(methods):.1f} %" for name in dict.fromkeys(methods))
+    print(f"{shares}; {100.0 * (spent[:, 3] > 5.0).mean():.2f} % of the ticks above 5 ms\n{PAPER}")
+
+
+if __name__ == "__main__":
+    main()
