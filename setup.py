@@ -19,8 +19,10 @@ ROS = [
 ]
 DAQP = ["daqp>=0.7"]
 VIEW = ["viser>=1.1"]
+STUDY = ["distributed>=2023.1", "joblib>=1.3", "pyarrow>=12"]
 TEST = [
     *DAQP,
+    *STUDY,
     *VIEW,
     "dqrobotics>=23.4",
     "hypothesis>=6.80",
@@ -77,7 +79,15 @@ setup(
         "scipy>=1.11",
         "yourdfpy>=0.0.56",
     ],
-    extras_require={"ros": ROS, "daqp": DAQP, "view": VIEW, "wholebody": WHOLEBODY, "test": TEST, "dev": DEV},
+    extras_require={
+        "ros": ROS,
+        "daqp": DAQP,
+        "study": STUDY,
+        "view": VIEW,
+        "wholebody": WHOLEBODY,
+        "test": TEST,
+        "dev": DEV,
+    },
     tests_require=["pytest"],
     zip_safe=False,
     classifiers=[

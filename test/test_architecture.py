@@ -40,6 +40,7 @@ LAYERS = (
     "assessment",
     "bag",
     "analysis",
+    "study",
     "scene",
     "viewer",
     "nodes",

@@ -14,6 +14,7 @@ examples:
   dqwalk reach                              walk where the hand wants to go (whole body)
   dqwalk report walk/bag                    judge and draw any recorded walk
   dqwalk view walk/bag                      look at it in the browser: play, pause, scrub
+  dqwalk study studies/step_length.yaml     walk many times over with parameters varied
   dqwalk config                             every parameter with its unit, range and meaning
 
 exit code: 0 all went well; 1 the walk failed or broke a promise; 2 arguments or configuration of no use
@@ -85,6 +86,31 @@ examples:
   dqwalk_viewer                                            a walk on ROS 2, live (or: ros2 run dqwalk_ros viewer)
 """
 
+_STUDY = """\
+a study is a file such as
+  config: paper                     # a name or a path, as of --config
+  set: {gait.cycles: 1}             # the same in every walk
+  sample: grid                      # or latin_hypercube, sobol, with `count: 64` and `seed: 0`
+  vary:
+    gait.step_length: {from: 0.02, to: 0.12, steps: 6}
+    dsp.flat_feet: [true, false]    # a list of values
+    start.l_knee_y: [0.0, 0.2]      # first angle of a joint [rad]
+    mass.pelvis: [1.0, 1.5]         # factor on the mass of the body that carries a link
+    disturbance.velocity: [0.0, 0.01]   # standard deviation, every joint, every tick [rad/s]
+
+writes to the folder of --out:
+  walks.jsonl      a line per finished walk; a study that was stopped or killed goes on from here
+  walks.parquet    all walks in order: parameters, finished, end, duration, error, margins (pandas.read_parquet)
+  study.png        which walks finished, and their margins
+
+needs: pip install 'dqwalk_ros[study]'
+
+examples:
+  dqwalk study studies/step_length.yaml --jobs 2
+  dqwalk study mine.yaml --dry-run
+  dqwalk study mine.yaml --scheduler tcp://127.0.0.1:8786
+"""
+
 _CONFIG = """\
 Without CONFIG: the list of all parameters. With CONFIG: check it and print it in full, as a ROS parameter file.
 
@@ -140,6 +166,15 @@ def build() -> argparse.ArgumentParser:
     view.add_argument("--port", type=int, help="port of the page; 0: any [8080, or the next free one]")
     view.add_argument("--open", action="store_true", help="open the page in the browser of this machine")
     view.add_argument("--play", action="store_true", help="begin to play at once")
+
+    study = _command(commands, "study", "walk many times over with parameters varied", _STUDY)
+    study.add_argument("study", metavar="STUDY.yaml", help="what is varied, as below")
+    study.add_argument("--out", metavar="DIR", help="where the results go [STUDY_study]")
+    study.add_argument("--jobs", metavar="N", type=int, default=1, help="processes on this machine [1]")
+    study.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask scheduler to walk on instead")
+    study.add_argument("--dry-run", action="store_true", help="check the study and say how many walks it has")
+    study.add_argument("--format", metavar="LIST", type=_formats, default=("png",), help="figure: png, pdf, svg [png]")
+    study.add_argument("--quiet", action="store_true", help="no progress, no summary")
 
     config = _command(commands, "config", "list, check or print parameters", _CONFIG)
     config.add_argument(
