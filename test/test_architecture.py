@@ -42,6 +42,7 @@ LAYERS = (
     "analysis",
     "study",
     "scene",
+    "html_report",
     "viewer",
     "nodes",
     "runner",

@@ -60,6 +60,8 @@ a crash: then the report says what is missing. All distances are computed anew f
 examples:
   dqwalk report walk/bag
   dqwalk report walk/bag --out paper --format pdf
+  dqwalk report walk/bag --html                            report.html: opens offline, with a replay in 3D
+  dqwalk report walk/bag --compare slower/bag              the two side by side
   dqwalk report walk/bag --json | jq .walk.margin
   dqwalk report rosbag2_2025_01_31/ --namespace poppy_1
 """
@@ -157,6 +159,9 @@ def build() -> argparse.ArgumentParser:
     report = _command(commands, "report", "judge and draw a recorded walk", _REPORT)
     report.add_argument("bag", metavar="BAG", help="folder of a rosbag2, or one .mcap or .db3 file")
     report.add_argument("--namespace", metavar="NAME", help="of the robot, where the bag holds several")
+    report.add_argument("--html", action="store_true", help="also one offline page: replay, figures, tables")
+    report.add_argument("--compare", metavar="BAG", help="another walk, side by side on that page")
+    report.add_argument("--csv", action="store_true", help="also every series as series.csv, a line per state")
     report.add_argument("--json", action="store_true", help="print the report as JSON instead of tables")
     _add_output(report, None)
 

@@ -6,10 +6,13 @@ import json
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dqwalk_ros.exceptions import BagError
 from dqwalk_ros.trace import Trace
+
+if TYPE_CHECKING:
+    from dqwalk_ros.analysis import Series
 
 __all__ = ["prepare", "write_results"]
 
@@ -36,9 +39,16 @@ def prepare(out: Path, *, force: bool) -> None:
 
 
 def write_results(
-    trace: Trace, out: Path, *, formats: Sequence[str], figures: bool, quiet: bool, as_json: bool = False
+    trace: Trace,
+    out: Path,
+    *,
+    formats: Sequence[str],
+    figures: bool,
+    quiet: bool,
+    as_json: bool = False,
+    series: Series | None = None,
 ) -> dict[str, Any]:
-    """Analyse a walk, write ``report.json`` and the figures, and print the tables.
+    """Analyse a walk, unless its `series` are known, write ``report.json`` and the figures, and print the tables.
 
     Returns
     -------
@@ -47,7 +57,7 @@ def write_results(
     """
     from dqwalk_ros import analysis
 
-    series = analysis.analyse(trace)
+    series = series or analysis.analyse(trace)
     report = analysis.report(series)
     text = json.dumps(report, indent=2, allow_nan=False)
     try:

@@ -1,0 +1,146 @@
+"""The report as a page: everything is on it, nothing is fetched, and it stays small."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+import resource
+import time
+from base64 import b64decode
+
+import numpy as np
+import pytest
+from recorded import rewrite, short_config, short_walk
+
+from dqwalk_ros import analysis, bag, cli
+from dqwalk_ros.bag import messages
+from dqwalk_ros.bag.said import LEVELS, _level, diagnostics_of, faults
+from dqwalk_ros.dq import DQ
+from dqwalk_ros.html_report.replay import replay_data
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.model import Foot
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    path = tmp_path_factory.mktemp("bag") / "short"
+    bag.write(short_walk(), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def page(path, tmp_path_factory):
+    out = tmp_path_factory.mktemp("out")
+    cli.main(["report", str(path), "--html", "--csv", "--no-figures", "--quiet", "--out", str(out)])
+    return out
+
+
+def test_the_page_is_one_small_file_that_fetches_nothing(page):
+    text = (page / "report.html").read_text()
+    assert len(text) < 5e6
+    assert not re.findall(r"""(?:src|href)=['"](?!data:)""", text)
+    assert not re.findall(r"https?://(?!www\.w3\.org)", re.sub(r"base64,[^'\"]*", "", text))
+
+
+def test_the_page_says_what_the_report_says(page):
+    text, report = (page / "report.html").read_text(), json.loads((page / "report.json").read_text())
+    for phase in report["phases"]:
+        assert phase["name"] in text
+    for joint in report["robot"]["joints"]:
+        assert f"<td>{joint}</td>" in text
+    for key in report["config"]:
+        assert f"<td>{key}</td>" in text
+    assert ("every promise kept" in text) == report["ok"]
+    assert text.count("data:image/svg+xml") == 4
+    assert f"{report['walk']['duration']:.1f} s" in text
+
+
+def test_the_replay_stands_where_the_walk_did():
+    """The tree of the replay, put together as `replay.js` does it, has its soles where the kinematics has them."""
+    trace = short_walk()
+    data = replay_data(analysis.analyse(trace))
+    t, q, root = (np.frombuffer(b64decode(data[k]), "<f4") for k in ("t", "q", "root"))
+    q, root = q.reshape(len(t), -1), root.reshape(len(t), 7)
+    for row in np.linspace(0, len(t) - 1, 25).astype(int):
+        tick = int(np.argmin(np.abs(trace.time - trace.time[0] - t[row])))
+        poses = [DQ.from_pose(root[row, :3], root[row, 3:])]
+        for body in data["bodies"][1:]:
+            turned = DQ.rotation_about(q[row, body["joint"]], body["axis"])
+            poses.append(poses[body["parent"]] * DQ.from_pose(body["p"], body["r"]) * turned)
+        record = [r for r in trace.phases if r.start <= tick][-1]
+        kin = Kinematics(trace.model, trace.q[tick], record.base)
+        for foot in Foot:
+            sole = trace.model.soles[foot]
+            shown = poses[data["soles"][foot.value]["b"]].transform_point(data["soles"][foot.value]["corners"][0])
+            there = DQ(record.x_odom_base).transform_point(kin.point(sole.frame, sole.corners[0]))
+            np.testing.assert_allclose(shown, there, atol=2e-5)
+
+
+def test_two_walks_side_by_side(path, tmp_path):
+    trace = short_walk()
+    other = tmp_path / "wider"
+    bag.write(dataclasses.replace(trace, config=short_config(**{"ssp.com_radius": 0.06})), other)
+    cli.main(["report", str(path), "--compare", str(other), "--no-figures", "--quiet", "--out", str(tmp_path / "out")])
+    text = (tmp_path / "out/report.html").read_text()
+    assert "Side by side" in text
+    assert "<td>ssp.com_radius</td><td>0.05</td><td>0.06</td>" in text
+    assert "id='stage1'" in text
+    assert text.count("data:image/svg+xml") == 8
+
+
+def test_series_as_csv(page):
+    trace = short_walk()
+    with (page / "series.csv").open() as file:
+        head = file.readline().strip().split(",")
+        table = np.genfromtxt(file, delimiter=",")
+    assert table.shape == (len(trace), len(head))
+    np.testing.assert_allclose(table[:, 0], trace.time, atol=1e-6)
+    np.testing.assert_allclose(table[:, 2 : 2 + trace.model.n], trace.q, atol=1e-8)
+
+
+def test_faults_are_said_once(path, tmp_path):
+    def complain(topic, stamp, message):
+        if topic == "/diagnostics" and stamp > 5_000_000_000:
+            message.status[0].level = 2
+            message.status[0].message = f"joint_states rejected ({stamp} so far)"
+        return stamp, message
+
+    found = faults(diagnostics_of(rewrite(path, tmp_path / "b", edit=complain)))
+    assert found[0].level == "ERROR"
+    assert found[0].count > 10
+    assert sum("rejected" in fault.message for fault in found) == 1
+    assert found[0].first == pytest.approx(5.0, abs=0.2)
+
+
+@pytest.mark.parametrize("level", ["OK", "WARN", "ERROR", "STALE"])
+def test_the_level_is_read_without_unpacking(level):
+    raw = messages.diagnostics(7, "phase_monitor: walk", "poppy", level, "text", {"error": 1e-4})
+    assert LEVELS[_level(raw)] == level
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_ten_minutes_are_reported_in_time(tmp_path):
+    """120 000 states: in under 20 s of processor time and 1 GiB."""
+    trace = short_walk()
+    times = -(-120_000 // len(trace))
+    phases = [
+        dataclasses.replace(r, start=r.start + k * len(trace), time=r.time + k * len(trace) * trace.config.dt)
+        for k in range(times)
+        for r in trace.phases
+    ]
+    long = dataclasses.replace(
+        trace,
+        time=np.arange(times * len(trace)) * trace.config.dt,
+        q=np.tile(trace.q, (times, 1)),
+        u=np.tile(trace.u, (times, 1)),
+        solve_time=np.tile(trace.solve_time, times),
+        phases=tuple(phases),
+    )
+    bag.write(long, tmp_path / "long")
+    began = time.process_time()
+    cli.main(["report", str(tmp_path / "long"), "--html", "--quiet", "--out", str(tmp_path / "out")])
+    assert time.process_time() - began < 20.0
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < 1 << 20
+    assert (tmp_path / "out/report.html").stat().st_size < 5e6
