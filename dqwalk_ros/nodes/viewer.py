@@ -58,7 +58,7 @@ class ViewerNode:
         If the page's port is taken.
     """
 
-    rest = 0.0
+    rest, last_words = 0.0, 0.0
 
     def __init__(self, node: Node, life: Life, options: Any) -> None:
         self.node, self.life = node, life
