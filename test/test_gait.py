@@ -1,0 +1,166 @@
+"""Which phase follows which, where feet go, what ends a phase, and what cannot end."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from robots import legs
+from walks import walk
+
+from dqwalk_ros.config import load
+from dqwalk_ros.controllers import State, make_controller
+from dqwalk_ros.dq import DQ
+from dqwalk_ros.exceptions import PhaseError, StateError
+from dqwalk_ros.gait import EndRule, footstep, phase_at
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.model import Foot
+from dqwalk_ros.phases import PhaseKind, make_phase
+from dqwalk_ros.plants.kinematic import KinematicPlant
+
+PAPER = load("paper")
+FAST = {"task.eta": 0.5, "task.damping": 0.03, "gait.phase_timeout": 60.0}
+"""Ten times the paper's pace, to fail as fast."""
+
+
+@pytest.mark.parametrize(("first", "second"), [("left", "right"), ("right", "left")])
+def test_four_phases_again_and_again(first, second):
+    config = PAPER.updated({"gait.first_support": first, "gait.cycles": 3})
+    sequence = []
+    while (following := phase_at(config, len(sequence))) is not None:
+        sequence.append((following[0].value, following[1].value))
+    double, single = "double_support", "single_support"
+    assert sequence == 3 * [(double, first), (single, first), (double, second), (single, second)]
+
+
+def test_footsteps_are_ahead_and_flat(foot):
+    x = DQ(footstep(PAPER, legs(), foot))
+    at_zero = Kinematics(legs(), np.zeros(10), foot)
+    np.testing.assert_allclose(x.translation(), at_zero.point(at_zero.swing) + np.array([0.05, 0.0, 0.0]), atol=1e-12)
+    np.testing.assert_allclose(x.rotation(), [1.0, 0.0, 0.0, 0.0])
+    wide = DQ(footstep(PAPER.updated({"gait.step_width": 0.12, "gait.step_length": -0.02}), legs(), foot))
+    np.testing.assert_allclose(wide.translation(), [-0.02, -0.12 if foot is Foot.LEFT else 0.12, 0.0])
+
+
+# ---------------------------------------------------------------------- end rules, on made-up errors
+
+
+def rule(kind, **changes):
+    config = PAPER.updated({"dsp.stall_window": 0.05, "gait.phase_timeout": 10.0, **changes})
+    target = footstep(config, legs(), Foot.LEFT) if kind is PhaseKind.SINGLE_SUPPORT else None
+    return EndRule(config, legs(), make_phase(config, legs(), kind, Foot.LEFT, np.zeros(10), target))
+
+
+def ticks_until_over(rule, errors, active=("sliding",)):
+    for k, error in enumerate(errors):
+        if rule.over(float(error), 0.005 * k, active):
+            return k
+    return None
+
+
+def test_single_support_ends_below_the_threshold():
+    errors = np.geomspace(0.1, 1e-4, 200)
+    k = ticks_until_over(rule(PhaseKind.SINGLE_SUPPORT), errors)
+    assert errors[k] < 1e-3 <= errors[k - 1]
+
+
+def test_double_support_ends_when_its_error_stops_falling():
+    t = 0.005 * np.arange(1000)
+    errors = 0.04 + 0.03 * np.exp(-2.0 * t)
+    k = ticks_until_over(rule(PhaseKind.DOUBLE_SUPPORT), errors)
+    assert errors[k - 10] - errors[k] < 1e-4 <= errors[k - 11] - errors[k - 1]
+
+
+def test_double_support_does_not_end_outside_the_cylinder():
+    t = 0.005 * np.arange(1000)
+    with pytest.raises(PhaseError, match=r"has stalled at an error of 0\.06") as caught:
+        ticks_until_over(rule(PhaseKind.DOUBLE_SUPPORT), 0.06 + 0.01 * np.exp(-5.0 * t))
+    assert caught.value.phase == "double_support/left"
+    assert caught.value.error == pytest.approx(0.06, abs=1e-4)
+    assert caught.value.active == ("sliding",)
+
+
+def test_a_phase_has_a_time_limit():
+    with pytest.raises(
+        PhaseError, match=r"single_support/left is not over after 10 s at an error of .*; active: sliding"
+    ):
+        # falling fast enough for hope, but from too far
+        ticks_until_over(rule(PhaseKind.SINGLE_SUPPORT), np.exp(-0.2 * 0.005 * np.arange(3000)))
+
+
+def test_a_slow_phase_is_not_a_stalled_one():
+    """As long as the goal can be reached within the time limit at the present rate, the phase goes on."""
+    errors = 0.05 - 0.006 * 0.005 * np.arange(1960)  # 8.2 s from 0.05 to the threshold
+    assert ticks_until_over(rule(PhaseKind.SINGLE_SUPPORT), errors) == 1634
+
+
+def test_a_stall_without_a_row_is_a_local_minimum():
+    with pytest.raises(PhaseError, match="no constraint is active: a local minimum of the task"):
+        ticks_until_over(rule(PhaseKind.SINGLE_SUPPORT), np.full(3000, 0.02), active=())
+
+
+# ---------------------------------------------------------------------- what cannot be walked
+
+
+def fails(**changes):
+    """Walk until it fails; return the error and the state it failed in."""
+    config = PAPER.updated({**FAST, **changes})
+    controller, plant = make_controller(config, legs()), KinematicPlant(legs())
+
+    def on_and_on():
+        while plant.state.time < 200.0 and not controller.finished:
+            plant.step(controller.step(plant.state, config.dt), config.dt)
+
+    with pytest.raises(PhaseError) as caught:
+        on_and_on()
+    kin = Kinematics(legs(), plant.state.q, controller.phase.base)
+    for name, d in controller.phase.distances(kin).items():
+        assert d > -1e-4, name  # it did not fall out of its constraints
+    return caught.value
+
+
+def test_too_long_a_step():
+    """20 cm: the swing stalls, and the error says where, how far off and what held it."""
+    error = fails(**{"gait.step_length": 0.2})
+    assert error.phase == "single_support/left"
+    assert error.error > 2e-3
+    assert error.active
+    assert set(error.active) <= {"com_cylinder", "pelvis"} | {
+        f"joint_{end}/{name}" for end in ("min", "max") for name in legs().joint_names
+    }
+    assert error.phase in str(error)
+    assert error.active[0] in str(error)
+
+
+def test_a_cylinder_that_cannot_be_reached():
+    """Poppy's hips do not let the CoM come within 5 mm of the foot's centre."""
+    error = fails(**{"ssp.com_radius": 0.005})
+    assert error.phase == "double_support/left"
+    assert error.error > 0.005
+    assert error.active
+    assert "it ends below 0.005 m" in str(error)
+
+
+def test_a_simulation_notes_why_it_ended():
+    trace = walk(PAPER.updated({**FAST, "gait.phase_timeout": 1.0}), legs())
+    assert not trace.finished
+    assert len(trace.notes) == 1
+    assert trace.notes[0].startswith("double_support/left is not over after 1 s")
+    assert np.isfinite(trace.q).all()
+    assert np.isnan(trace.u[-1]).all()
+
+
+# ---------------------------------------------------------------------- states that must not come in
+
+
+@pytest.mark.parametrize(
+    ("q", "message"),
+    [
+        (np.zeros(9), "the state has 9 joints, the model 10"),
+        (np.array([0.0] * 4 + [np.nan] + [0.0] * 5), "the angle of l_ankle_y is not finite"),
+        (np.full(10, np.inf), "the angle of l_hip_x, .* is not finite"),
+    ],
+)
+def test_states_that_are_none(q, message):
+    controller = make_controller(PAPER, legs())
+    with pytest.raises(StateError, match=message):
+        controller.step(State(0.0, q), 0.005)

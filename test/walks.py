@@ -1,0 +1,80 @@
+"""Whole walks, made once per process, and every distance along them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import robots
+
+from dqwalk_ros.config import Config, load
+from dqwalk_ros.constraints import gain
+from dqwalk_ros.controllers import make_controller
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.model import RobotModel
+from dqwalk_ros.phases import Phase, make_phase
+from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.simulation import simulate
+from dqwalk_ros.trace import Trace
+
+
+def walk(config: Config, model: RobotModel, max_time: float | None = None) -> Trace:
+    return simulate(make_controller(config, model), KinematicPlant(model), max_time=max_time)
+
+
+@cache
+def paper_walk(first: str, flat: bool = True, cycles: int = 1) -> Trace:
+    """The paper's walk at the paper's gains."""
+    changes = {"gait.first_support": first, "dsp.flat_feet": flat, "gait.cycles": cycles}
+    return walk(load("paper").updated(changes), robots.legs())
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """One phase of a walk: its states from the first to the one that ended it, and what there is to say of each.
+
+    `distances` has one array (ticks, k) for each constraint, less its bound, `holds` the same for what is held at
+    zero; `rates` are the gains that are used.
+    """
+
+    phase: Phase
+    ticks: range
+    time: np.ndarray
+    error: np.ndarray
+    distances: dict[str, np.ndarray]
+    holds: dict[str, np.ndarray]
+    rates: dict[str, float]
+    last: Kinematics
+
+
+def stretches(trace: Trace) -> Iterator[Stretch]:
+    """Recompute a walk's phases from its joint angles alone."""
+    config, model = trace.config, trace.model
+    starts = [record.start for record in trace.phases]
+    for record, end in zip(trace.phases, [*starts[1:], len(trace) - 1], strict=True):
+        phase = make_phase(config, model, record.kind, record.support, record.q_start, record.swing_target)
+        ticks = range(record.start, end + 1)
+        error, rows = [], {row.name: [] for row in (*phase.holds, *phase.constraints)}
+        for tick in ticks:
+            kin = Kinematics(model, trace.q[tick], phase.base)
+            error.append(phase.error(kin))
+            for row in (*phase.holds, *phase.constraints):
+                rows[row.name].append(row.distance(kin) - row.bound)
+        arrays = {name: np.array(values) for name, values in rows.items()}
+        yield Stretch(
+            phase=phase,
+            ticks=ticks,
+            time=trace.time[ticks.start : ticks.stop] - trace.time[ticks.start],
+            error=np.array(error),
+            distances={row.name: arrays[row.name] for row in phase.constraints},
+            holds={row.name: arrays[row.name] for row in phase.holds},
+            rates={row.name: gain(row.eta, config.dt) for row in (*phase.holds, *phase.constraints)},
+            last=kin,
+        )
+
+
+@cache
+def paper_stretches(first: str, flat: bool = True, cycles: int = 1) -> tuple[Stretch, ...]:
+    return tuple(stretches(paper_walk(first, flat, cycles)))
