@@ -20,10 +20,12 @@ ROS = [
 DAQP = ["daqp>=0.7"]
 VIEW = ["viser>=1.1"]
 STUDY = ["distributed>=2023.1", "joblib>=1.3", "pyarrow>=12"]
+SIM = ["mujoco>=3.2"]
 TEST = [
     *DAQP,
     *STUDY,
     *VIEW,
+    *SIM,
     "dqrobotics>=23.4",
     "hypothesis>=6.80",
     "pin>=2.7",
@@ -84,6 +86,7 @@ setup(
         "daqp": DAQP,
         "study": STUDY,
         "view": VIEW,
+        "sim": SIM,
         "wholebody": WHOLEBODY,
         "test": TEST,
         "dev": DEV,

@@ -103,13 +103,13 @@ class Assessor:
 
     def _margins(self, kin: Kinematics, distances: Mapping[str, float]) -> dict[str, float]:
         model, phase = self.model, self.phase
-        if phase.kind is PhaseKind.SINGLE_SUPPORT:
+        margins: dict[str, float] = {}
+        if "com_cylinder" in distances:
             center = model.soles[phase.base].center
-            paper = self.config.ssp.com_radius - float(np.hypot(*(kin.com - center)[:2]))
-        else:
-            paper = min(distances["tip_plane"], distances["back_plane"])
-        return {
-            "margin/paper": paper,
+            margins["margin/paper"] = self.config.ssp.com_radius - float(np.hypot(*(kin.com - center)[:2]))
+        elif "tip_plane" in distances:
+            margins["margin/paper"] = min(distances["tip_plane"], distances["back_plane"])
+        return margins | {
             "margin/polygon": support_polygon(model, phase, kin).distance(kin.com),
             "margin/joints": float(np.minimum(kin.q - model.q_min, model.q_max - kin.q).min()),
         }
@@ -118,7 +118,7 @@ class Assessor:
 def support_polygon(model: RobotModel, phase: Phase, kin: Kinematics) -> ConvexPolygon:
     """Return the convex hull of the soles on the ground, in the base sole's frame [m]."""
     corners = model.soles[phase.base].corners
-    if phase.kind is PhaseKind.DOUBLE_SUPPORT:
+    if phase.kind is not PhaseKind.SINGLE_SUPPORT:
         end = model.soles[phase.base.other]
         corners = np.concatenate([corners, DQ(kin.pose(end.frame)).transform_point(end.corners)])
     return ConvexPolygon.hull(corners)

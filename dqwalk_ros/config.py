@@ -34,11 +34,14 @@ __all__ = [
     "MonitorConfig",
     "NodeConfig",
     "PelvisConfig",
+    "PhysicsConfig",
     "PlantConfig",
     "QpConfig",
     "RobotConfig",
+    "ServoConfig",
     "Spec",
     "SspConfig",
+    "StandingConfig",
     "TaskConfig",
     "WholeBodyConfig",
     "find_share",
@@ -126,12 +129,22 @@ class RobotConfig:
 class GaitConfig:
     """Where the feet go."""
 
+    style: str = _par(
+        "paper",
+        "'paper' (Fig. 1: planes and a cylinder) or 'standing' (the CoM stays over the true soles)",
+        choices=("paper", "standing"),
+        structural=True,
+    )
     first_support: str = _par("left", "the foot that carries the weight first", choices=("left", "right"))
     cycles: int = _par(1, "walking cycles, of four phases each (Fig. 1)", "", 1, 100000)
     step_length: float = _par(0.05, "landing place of the swing foot ahead of the support foot", "m", -0.5, 0.5)
     step_width: float = _par(
         0.0, "lateral distance of the soles' centres; 0 keeps that of the zero posture", "m", 0.0, 1.0
     )
+    steps: int = _par(4, "standing: steps before the feet are put together; 0 walks as cmd_vel says", "", 0, 100000)
+    step_side: float = _par(0.0, "standing: each step this far to the left", "m", -0.2, 0.2)
+    step_turn: float = _par(0.0, "standing: each step turns this far to the left", "rad", -0.8, 0.8)
+    step_height: float = _par(0.02, "standing: height of the swing foot's via point", "m", 0.0, 0.2)
     phase_timeout: float = _par(900.0, "a phase that takes longer has failed", "s", 0.1, 1e5)
 
 
@@ -172,6 +185,29 @@ class SspConfig:
 
 
 @dataclass(frozen=True)
+class StandingConfig:
+    """The walk that stands: the CoM inside the edges of the true soles."""
+
+    margin: float = _par(0.008, "each edge of the support polygon is moved in by this", "m", 0.0, 0.1)
+    eta_edges: float = _par(5.0, "rate of the edges", "1/s", 1e-3, 1e4)
+    eta_feet: float = _par(5.0, "rate at which the end sole is held in place; 0 only keeps it at rest", "1/s", 0.0, 1e4)
+    recovery: float = _par(0.02, "what is beyond its bound is led back no faster than this", "m/s", 1e-4, 1e3)
+    transfer_duration: float = _par(1.5, "time of the CoM's path from foot to foot", "s", 0.05, 60.0)
+    swing_duration: float = _par(1.5, "time of the swing foot's path", "s", 0.05, 60.0)
+    com_threshold: float = _par(0.003, "a double support is over when the CoM is this close", "m", 1e-5, 0.1)
+    swing_threshold: float = _par(0.002, "a single support is over when the sole is this close", "m", 1e-5, 0.1)
+    saturation: float = _par(0.03, "larger CoM errors are answered like this one", "m", 1e-4, 1.0)
+    com_weight: float = _par(0.3, "weight of the CoM over the support sole while the other foot swings", "", 0.0, 1e3)
+    swing_weight: float = _par(10.0, "weight of the swing foot's path", "", 1e-3, 1e4)
+    swing_rate: float = _par(10.0, "convergence of the swing foot to its path", "1/s", 0.1, 1e3)
+    lever: float = _par(0.2, "what an angle of the swing foot counts", "m/rad", 1e-3, 10.0)
+    balance: float = _par(0.5, "gain of the torques that draw the CoM to its path; 0: gravity only", "", 0.0, 10.0)
+    pressure_margin: float = _par(0.004, "the torques ask for no pressure closer to an edge than this", "m", 0.0, 0.1)
+    sole_gap: float = _par(0.004, "least distance of the soles beside each other", "m", 0.0, 0.2)
+    posture: tuple[str, ...] = _par((), "angles of the posture task, JOINT=RADIANS, '*' matches any text; others 0")
+
+
+@dataclass(frozen=True)
 class PelvisConfig:
     """The pelvis plane (11)."""
 
@@ -185,6 +221,7 @@ class JointsConfig:
 
     eta: float = _par(10.0, "rate of (12) and (13)", "1/s", 1e-3, 1e4)
     margin: float = _par(0.0, "moves both limits inwards", "rad", 0.0, 1.0)
+    velocity: float = _par(0.0, "largest joint velocity inside the quadratic program; 0: none", "rad/s", 0.0, 100.0)
 
 
 @dataclass(frozen=True)
@@ -197,6 +234,43 @@ class QpConfig:
         choices=("clarabel", "daqp"),
         structural=True,
     )
+
+
+@dataclass(frozen=True)
+class ServoConfig:
+    """Position servos that are told velocities; defaults: Dynamixel MX at 12 V with a raised P gain."""
+
+    stiffness: float = _par(
+        60.0, "torque per angle of error; an MX-28 has 6 at its default P and 51 at most", "N m/rad", 0.1, 1e4
+    )
+    damping: float = _par(0.02, "torque per speed, as a part of the stiffness", "s", 0.0, 1.0)
+    torque_scale: float = _par(
+        0.81, "stall torque as a part of the URDF's effort (MX-28: 2.5 of 3.1 N m)", "", 0.0, 100.0
+    )
+    backlash: float = _par(0.0, "play of the gears; an MX has 0.0058", "rad", 0.0, 0.1)
+    resolution: float = _par(0.00153, "smallest step of the commanded position", "rad", 0.0, 0.1)
+    friction: float = _par(0.02, "dry friction of the gears", "N m", 0.0, 10.0)
+    armature: float = _par(0.01, "inertia of the rotor behind the gears", "kg m^2", 0.0, 1.0)
+    rate: float = _par(0.0, "positions are written this often; 0: every period", "Hz", 0.0, 1e4)
+    latency: float = _par(0.0, "a written position takes effect this much later", "s", 0.0, 0.5)
+    window: float = _par(0.15, "the commanded position stays this close to the measured one", "rad", 1e-3, 3.0)
+    assumed_stiffness: float = _par(
+        60.0, "stiffness by which the torque of gravity is fed forward; 0: not at all", "N m/rad", 0.0, 1e4
+    )
+
+
+@dataclass(frozen=True)
+class PhysicsConfig:
+    """The world of the physics plant."""
+
+    timestep: float = _par(0.001, "step of the physics engine", "s", 1e-5, 0.01)
+    friction: float = _par(0.8, "of the soles on the floor", "", 0.0, 5.0)
+    contact_time: float = _par(
+        0.005, "time constant of the contact between sole and floor: less is harder", "s", 1e-4, 1.0
+    )
+    mass_scale: float = _par(1.0, "masses and inertias are multiplied by this", "", 0.1, 10.0)
+    settle: float = _par(0.5, "time to come to rest before the walk", "s", 0.0, 60.0)
+    imu: str = _par("imu", "link of the inertial sensor", structural=True)
 
 
 @dataclass(frozen=True)
@@ -287,9 +361,12 @@ class Config:
     task: TaskConfig = dataclasses.field(default_factory=TaskConfig)
     dsp: DspConfig = dataclasses.field(default_factory=DspConfig)
     ssp: SspConfig = dataclasses.field(default_factory=SspConfig)
+    standing: StandingConfig = dataclasses.field(default_factory=StandingConfig)
     pelvis: PelvisConfig = dataclasses.field(default_factory=PelvisConfig)
     joints: JointsConfig = dataclasses.field(default_factory=JointsConfig)
     qp: QpConfig = dataclasses.field(default_factory=QpConfig)
+    servo: ServoConfig = dataclasses.field(default_factory=ServoConfig)
+    physics: PhysicsConfig = dataclasses.field(default_factory=PhysicsConfig)
     plant: PlantConfig = dataclasses.field(default_factory=PlantConfig)
     monitor: MonitorConfig = dataclasses.field(default_factory=MonitorConfig)
     node: NodeConfig = dataclasses.field(default_factory=NodeConfig)

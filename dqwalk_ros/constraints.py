@@ -7,13 +7,16 @@ bound by d' = -eta (d - bound), is an equality such as (8).
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros.dq import DQ
 from dqwalk_ros.geometry import (
+    ConvexPolygon,
     Cylinder,
     Plane,
     point_to_line_squared,
@@ -23,21 +26,29 @@ from dqwalk_ros.geometry import (
     point_to_wall,
     point_to_wall_jacobian,
 )
-from dqwalk_ros.kinematics import Kinematics, Point
+from dqwalk_ros.kinematics import Kinematics, Point, pose_difference, pose_difference_jacobian
 
 __all__ = [
     "AxisLevel",
+    "ComInsideEdges",
     "Constraint",
+    "FrameHeld",
     "JointMaximum",
     "JointMinimum",
     "PointInCylinder",
     "PointInsideWall",
     "PointOverPlane",
+    "PointsOverPlane",
     "gain",
+    "hold_rows",
     "vfi_rows",
 ]
 
 Array = NDArray[np.float64]
+
+
+_DEPENDENT = 5e-3
+"""Equality rows with a singular value below this part of the largest are taken for dependent."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,11 +63,15 @@ class Constraint(ABC):
         that is used is `gain`.
     bound : float
         Least distance allowed.
+    recovery : float
+        Beyond its bound a distance is led back no faster than this, so that the quadratic program stays feasible
+        wherever a real robot has been pushed to [unit of the distance per second].
     """
 
     name: str
     eta: float
     bound: float = 0.0
+    recovery: float = math.inf
 
     @abstractmethod
     def distance(self, kin: Kinematics) -> Array:
@@ -80,8 +95,27 @@ def gain(eta: float, dt: float) -> float:
 
 
 def vfi_rows(constraint: Constraint, kin: Kinematics, dt: float) -> tuple[Array, Array]:
-    """Return G (k, n) and h (k,) of G u >= h, the one place where the inequality is written."""
-    return constraint.jacobian(kin), -gain(constraint.eta, dt) * (constraint.distance(kin) - constraint.bound)
+    """Return G (k, n) and h (k,) of G u >= h, the one place where the inequality is written.
+
+    An equality is G u = h, whose h `hold_rows` clips on both sides.
+    """
+    h = -gain(constraint.eta, dt) * (constraint.distance(kin) - constraint.bound)
+    return constraint.jacobian(kin), np.minimum(h, constraint.recovery)
+
+
+def hold_rows(constraint: Constraint, kin: Kinematics, dt: float) -> tuple[Array, Array]:
+    """Return E (k, n) and e (k,) of E u = e that hold a distance at its bound.
+
+    Several rows are turned into independent ones (by their singular values), and what no joint can move is left out:
+    two feet without ankle roll leave the six rows of a held sole with rank five.
+    """
+    E, e = vfi_rows(constraint, kin, dt)
+    e = np.maximum(e, -constraint.recovery)
+    if len(e) == 1:
+        return E, e
+    U, s, V = np.linalg.svd(E, full_matrices=False)
+    kept = s > _DEPENDENT * s[0]
+    return (s * kept)[:, None] * V, np.where(kept, U.T @ e, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,3 +243,88 @@ class JointMinimum(Constraint):
     def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
         """One name per joint, such as ``joint_min/l_knee_y``."""
         return tuple(f"{self.name}/{joint}" for joint in joint_names)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComInsideEdges(Constraint):
+    """Keep the vertical through the CoM inside a convex polygon on the base sole's plane, one row per edge [m].
+
+    "As many planes as necessary", section 3.1.
+
+    Attributes
+    ----------
+    polygon : ConvexPolygon
+        At rest in the base frame.
+    """
+
+    polygon: ConvexPolygon
+
+    def distance(self, kin: Kinematics) -> Array:
+        """Signed distances, shape (k,)."""
+        n, d = self.polygon.edges()
+        return n @ kin.com_on_ground - d
+
+    def jacobian(self, kin: Kinematics) -> Array:
+        """Jacobian, shape (k, n)."""
+        n, _ = self.polygon.edges()
+        return n @ kin.com_on_ground_jacobian
+
+    def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
+        """Name of each row."""
+        return tuple(f"{self.name}/{k}" for k in range(len(self.polygon.vertices)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointsOverPlane(Constraint):
+    """Keep points of a frame, such as the corners of a sole, on the positive side of a plane at rest, one row each [m].
+
+    Attributes
+    ----------
+    frame : str
+    points : ndarray, shape (k, 3)
+        In the frame [m].
+    plane : Plane
+    """
+
+    frame: str
+    points: Array
+    plane: Plane
+
+    def distance(self, kin: Kinematics) -> Array:
+        """Signed distances, shape (k,)."""
+        return DQ(kin.pose(self.frame)).transform_point(self.points) @ self.plane.n - self.plane.d
+
+    def jacobian(self, kin: Kinematics) -> Array:
+        """Jacobian, shape (k, n)."""
+        return np.array([self.plane.n @ kin.point_jacobian(self.frame, p) for p in self.points])
+
+    def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
+        """Name of each row."""
+        return tuple(f"{self.name}/{k}" for k in range(len(self.points)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameHeld(Constraint):
+    """Six rows that are zero where a frame is at a pose: p - p_d [m] and 2 Im(r r_d*), near it the angle [rad].
+
+    Attributes
+    ----------
+    frame : str
+    pose : ndarray, shape (8,)
+        x_d in the base frame.
+    """
+
+    frame: str
+    pose: Array
+
+    def distance(self, kin: Kinematics) -> Array:
+        """Signed distances, shape (k,)."""
+        return pose_difference(kin.pose(self.frame), self.pose)
+
+    def jacobian(self, kin: Kinematics) -> Array:
+        """Jacobian, shape (k, n)."""
+        return pose_difference_jacobian(kin, self.frame, self.pose)
+
+    def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
+        """Name of each row."""
+        return tuple(f"{self.name}/{axis}" for axis in range(6))

@@ -10,6 +10,7 @@ products with one array of lines.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,11 +20,12 @@ from dqwalk_ros import kernels
 from dqwalk_ros.dq import DQ
 from dqwalk_ros.model import Foot, RobotModel
 
-__all__ = ["Kinematics", "Point", "Rooted", "rooted"]
+__all__ = ["Kinematics", "Point", "Rooted", "pose_difference", "pose_difference_jacobian", "rooted"]
 
 Array = NDArray[np.float64]
 
 _ORIGIN = np.zeros(3)
+_Z = np.array([0.0, 0.0, 1.0])
 
 
 class Rooted:
@@ -107,6 +109,10 @@ class Kinematics:
         Joint angles [rad].
     base : Foot
         The sole taken for the world: x forward, z up, ground at z = 0.
+    up : array_like, shape (3,), optional
+        Unit vector against gravity in the frame of the base sole; z, a level sole, without it.
+    elapsed : float
+        Time since the phase began [s], for what follows a path; without it the end of every path.
 
     Attributes
     ----------
@@ -118,11 +124,15 @@ class Kinematics:
         The joints' Pluecker lines l, m; the joints of the reversed leg point the other way.
     """
 
-    __slots__ = ("_poses", "_rooted", "base", "com", "com_jacobian", "lines", "model", "q")
+    __slots__ = ("_poses", "_rooted", "base", "com", "com_jacobian", "elapsed", "lines", "model", "q", "up")
 
-    def __init__(self, model: RobotModel, q: ArrayLike, base: Foot) -> None:
+    def __init__(
+        self, model: RobotModel, q: ArrayLike, base: Foot, up: ArrayLike | None = None, elapsed: float = math.inf
+    ) -> None:
         self.model = model
         self.base = base
+        self.up = _Z if up is None else np.asarray(up, dtype=np.float64)
+        self.elapsed = elapsed
         self.q = np.asarray(q, dtype=np.float64)
         self._rooted = rooted(model, base)
         n = self.q.shape[0]
@@ -141,6 +151,19 @@ class Kinematics:
     def arrays(self) -> tuple[Array, Array, Array, Array, Array]:
         """q, poses (bodies, 8) of `rooted`, lines, CoM and its Jacobian, for compiled functions."""
         return self.q, self._poses, self.lines, self.com, self.com_jacobian
+
+    @property
+    def com_on_ground(self) -> Array:
+        """Where the vertical through the CoM meets the plane of the base sole, shape (2,) [m]."""
+        p: Array = self.com[:2] - self.com[2] * (self.up[:2] / self.up[2])
+        return p
+
+    @property
+    def com_on_ground_jacobian(self) -> Array:
+        """Jacobian of `com_on_ground` with the base sole at rest, shape (2, n) [m/rad]."""
+        if self.up is _Z:
+            return self.com_jacobian[:2]
+        return self.com_jacobian[:2] - np.outer(self.up[:2] / self.up[2], self.com_jacobian[2])
 
     @property
     def swing(self) -> str:
@@ -209,3 +232,21 @@ class Point:
     def jacobian(self, kin: Kinematics) -> Array:
         """Jacobian of `position`, shape (3, n) [m/rad]."""
         return kin.point_jacobian(self.frame, self.offset) if self.frame else kin.com_jacobian
+
+
+def pose_difference(x: Array, x_d: Array) -> Array:
+    """Return p - p_d [m] and 2 Im(r r_d*) of two poses (8,), shape (6,): zero where they are the same."""
+    a, b = DQ(x), DQ(x_d)
+    r = (a.P() * b.P().conj()).vec4()
+    sign = 1.0 if r[0] >= 0.0 else -1.0  # x and -x are the same pose
+    return np.concatenate([a.translation() - b.translation(), 2.0 * sign * r[1:]])
+
+
+def pose_difference_jacobian(kin: Kinematics, frame: str, x_d: Array) -> Array:
+    """Jacobian of `pose_difference` of a frame to a pose at rest, shape (6, n)."""
+    r = (DQ(kin.pose(frame)).P() * DQ(x_d).P().conj()).vec4()
+    r = r if r[0] >= 0.0 else -r
+    # r' = 1/2 w r, so (2 Im r)' = r_0 w - v x w
+    v = r[1:]
+    turn = r[0] * np.eye(3) - np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    return np.concatenate([kin.point_jacobian(frame), turn @ kin.angular_jacobian(frame)])

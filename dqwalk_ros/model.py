@@ -156,6 +156,11 @@ class RobotModel:
         return len(self.joint_names)
 
     @property
+    def root(self) -> str:
+        """The root link of the URDF, which floats."""
+        return next(iter(self.frames))
+
+    @property
     def mass(self) -> float:
         """Total mass M of (4) [kg]."""
         return sum(body.mass for body in self.bodies)

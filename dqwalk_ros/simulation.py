@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 
 from dqwalk_ros.controllers import Command, Controller
 from dqwalk_ros.exceptions import DqwalkError
-from dqwalk_ros.gait import PHASES_PER_CYCLE
+from dqwalk_ros.gait import phase_count
 from dqwalk_ros.plants import Plant
 from dqwalk_ros.trace import Recorder, Trace
 
@@ -43,7 +44,7 @@ def simulate(
     recorder = Recorder(config, controller.model)
     state = plant.state
     end = None if max_time is None else state.time + max_time - 0.5 * config.dt
-    total = PHASES_PER_CYCLE * config.gait.cycles
+    total = phase_count(config) or math.inf
     due = 0.0
     try:
         while True:

@@ -8,16 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.kinematics import Kinematics, Point
+from dqwalk_ros.dq import DQ
+from dqwalk_ros.kinematics import Kinematics, Point, pose_difference, pose_difference_jacobian
 
-__all__ = ["ComOverFoot", "FramePose", "Posture", "Task"]
+__all__ = ["ComOverFoot", "ComPath", "FramePose", "Posture", "SwingPath", "Task"]
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Task(ABC):
-    """An error e(q) with e' = J u; the objective has weight ||J u + eta e||^2.
+    """An error e(q) with e' = J u; the objective has weight ||J u - wanted||^2.
 
     Attributes
     ----------
@@ -35,6 +36,10 @@ class Task(ABC):
     @abstractmethod
     def jacobian(self, kin: Kinematics) -> Array:
         """Jacobian of `error`, shape (k, n)."""
+
+    def wanted(self, kin: Kinematics, eta: float) -> Array:
+        """Return the e' asked for, shape (k,): -eta e in (6); one on a path adds the path's velocity."""
+        return -eta * self.error(kin)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,3 +101,130 @@ class Posture(Task):
     def jacobian(self, kin: Kinematics) -> Array:
         """Jacobian of `error`, shape (n, n)."""
         return np.eye(kin.q.shape[0])
+
+
+def minimum_jerk(s: float) -> tuple[float, float]:
+    """Return the place 0..1 and the slope at the fraction `s` of the time: at rest at both ends."""
+    s = min(max(s, 0.0), 1.0)
+    return s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * (s * (1.0 - s)) ** 2
+
+
+def _capped(v: Array, most: float) -> Array:
+    size = float(np.sqrt(v @ v))
+    return v if size <= most else v * (most / size)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComPath(Task):
+    """The vertical through the CoM moves to the middle of some points and stays there [m].
+
+    A step in CoM velocity tips a robot, so the target leaves `start` and arrives with no acceleration.
+
+    Attributes
+    ----------
+    start : ndarray, shape (2,)
+        Where the CoM began, in the base frame [m].
+    over : tuple of Point
+        Its goal is the mean of these.
+    duration : float
+        [s]
+    saturation : float
+        Larger errors are answered like this one [m].
+    """
+
+    start: Array
+    over: tuple[Point, ...]
+    duration: float
+    saturation: float
+
+    def velocity(self, kin: Kinematics) -> Array:
+        """Velocity of the path, shape (2,) [m/s]."""
+        _, slope = minimum_jerk(kin.elapsed / self.duration)
+        velocity: Array = slope / self.duration * (self.goal(kin) - self.start)
+        return velocity
+
+    def acceleration(self, kin: Kinematics) -> Array:
+        """Acceleration of the path, shape (2,) [m/s^2]."""
+        s = min(max(kin.elapsed / self.duration, 0.0), 1.0)
+        bend = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
+        return bend / self.duration**2 * (self.goal(kin) - self.start)
+
+    def goal(self, kin: Kinematics) -> Array:
+        """Where the CoM is to arrive, shape (2,) [m]."""
+        mean: Array = np.mean([point.position(kin)[:2] for point in self.over], axis=0)
+        return mean
+
+    def error(self, kin: Kinematics) -> Array:
+        """Error, shape (k,)."""
+        place, _ = minimum_jerk(kin.elapsed / self.duration)
+        return kin.com_on_ground - (self.start + place * (self.goal(kin) - self.start))
+
+    def jacobian(self, kin: Kinematics) -> Array:
+        """Jacobian, shape (k, n)."""
+        # feet that a phase holds do not move, and where they do the error follows them
+        return kin.com_on_ground_jacobian
+
+    def wanted(self, kin: Kinematics, eta: float) -> Array:
+        """Return the e' asked for: the path's velocity and the way back to it."""
+        return self.velocity(kin) - eta * _capped(self.error(kin), self.saturation)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SwingPath(Task):
+    """A sole lifts off, passes over a via point and lands: p - p_d [m], and the angle times `lever` [m].
+
+    Attributes
+    ----------
+    frame : str
+    start, goal : ndarray, shape (8,)
+        Poses in the base frame.
+    height : float
+        Of the via point above both [m].
+    duration : float
+        [s]
+    rate : float
+        Convergence to the path [1/s].
+    lever : float
+        What an angle of 1 rad counts [m/rad].
+    """
+
+    frame: str
+    start: Array
+    goal: Array
+    height: float
+    duration: float
+    rate: float
+    lever: float
+
+    def at(self, elapsed: float) -> tuple[Array, Array]:
+        """Pose (8,) and velocity, linear and angular, (6,) on the path."""
+        s = min(max(elapsed / self.duration, 0.0), 1.0)
+        # along the ground between lift-off and landing, which are upright
+        place, slope = minimum_jerk((s - 0.1) / 0.8)
+        a, b = DQ(self.start), DQ(self.goal)
+        p, q = a.translation(), b.translation()
+        turn = b.P() * a.P().conj()
+        turn = turn if turn.vec4()[0] >= 0.0 else -turn
+        half = turn.log()
+        bump, rise = 64.0 * (s * (1.0 - s)) ** 3, 192.0 * (s * (1.0 - s)) ** 2 * (1.0 - 2.0 * s)
+        up = np.array([0.0, 0.0, self.height])
+        r = (half * place).exp() * a.P()
+        rate = slope / 0.8
+        velocity = np.concatenate([(q - p) * rate + up * rise, 2.0 * half.vec3() * rate]) / self.duration
+        return DQ.from_pose(p + place * (q - p) + bump * up, r.vec4()).vec8(), velocity
+
+    def error(self, kin: Kinematics) -> Array:
+        """Error, shape (k,)."""
+        return self._scale() * pose_difference(kin.pose(self.frame), self.at(kin.elapsed)[0])
+
+    def jacobian(self, kin: Kinematics) -> Array:
+        """Jacobian, shape (k, n)."""
+        return self._scale()[:, None] * pose_difference_jacobian(kin, self.frame, self.at(kin.elapsed)[0])
+
+    def wanted(self, kin: Kinematics, eta: float) -> Array:
+        """Return the e' asked for: the path's velocity and the way back to it."""
+        target, velocity = self.at(kin.elapsed)
+        return self._scale() * (velocity - self.rate * pose_difference(kin.pose(self.frame), target))
+
+    def _scale(self) -> Array:
+        return np.array([1.0, 1.0, 1.0, self.lever, self.lever, self.lever])

@@ -7,6 +7,7 @@ support, every phase ended by its own rule, every step landed where it should.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -91,6 +92,8 @@ def groenwall(series: Series, span: Span) -> Iterator[tuple[str, float, int]]:
         (series.residuals, span.phase.holds, -1.0),
     ):
         for row in rows:
+            if math.isfinite(row.recovery):
+                continue  # its return is not at the rate eta
             d = table[row.name][span.ticks]
             d = d if sign > 0.0 else -np.abs(d)
             slack = d - (1.0 - min(1.0, row.eta * dt)) ** k * d[0]
@@ -147,6 +150,9 @@ def _of_the_phases(series: Series) -> Iterator[Violation]:
             continue
         last = min(span.end, len(series.time) - 1)
         radius, threshold = config.ssp.com_radius, config.ssp.threshold
+        if config.gait.style == "standing":
+            yield from _of_a_landing(series, span, ending, last)
+            continue
         if span.double and ending.com_to_axis > radius:
             far = f"{1e3 * ending.com_to_axis:.1f} mm from the foot's centre, {1e3 * radius:.1f} mm are allowed"
             text = f"ended with the CoM {far}"
@@ -158,6 +164,17 @@ def _of_the_phases(series: Series) -> Iterator[Violation]:
             miss, allowed = landing(span, ending)["error"], LANDING_TOLERANCE * threshold
             if miss > allowed:
                 yield broken("landing", last, miss, allowed, f"landed {1e3 * miss:.2f} mm from its target")
+
+
+def _of_a_landing(series: Series, span: Span, ending: Ending, last: int) -> Iterator[Violation]:
+    """Yield a landing of a standing walk that missed its footprint."""
+    if span.phase.swing_target is None:
+        return
+    miss, allowed = landing(span, ending)["error"], LANDING_TOLERANCE * series.trace.config.standing.swing_threshold
+    if miss > allowed:
+        name, time = span.phase.name, float(series.time[last])
+        text = f"{name} at {time:.3f} s: landed {1e3 * miss:.2f} mm from its target"
+        yield Violation("landing", name, time, miss, allowed, text)
 
 
 def _of_the_walk(series: Series) -> Iterator[Violation]:

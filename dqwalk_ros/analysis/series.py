@@ -75,7 +75,7 @@ class Span:
     @property
     def double(self) -> bool:
         """Whether both feet are on the ground."""
-        return self.phase.kind is PhaseKind.DOUBLE_SUPPORT
+        return self.phase.kind is not PhaseKind.SINGLE_SUPPORT
 
 
 @dataclass(frozen=True)
@@ -166,8 +166,10 @@ class Series:
         """How far inside the support region of the paper the CoM is [m].
 
         Double support: the nearer of the tip and the back plane (9), (10). Single support: the radius of the cylinder
-        (14) minus the distance from its axis.
+        (14) minus the distance from its axis. A standing walk has neither, and its margin is nan.
         """
+        if self.trace.config.gait.style != "paper":
+            return np.full(len(self.time), np.nan)
         out = self.trace.config.ssp.com_radius - self.com_to_axis
         for span in self.spans:
             if span.double:

@@ -69,9 +69,10 @@ def _walk(report: Mapping[str, Any]) -> str:
             "joint speed",
             f"at most {speed['largest']:.3f} rad/s, {100 * speed['of_limit']:.1f} % of the limit",
         ),
-        ("paper margin", _margin(margin["paper"])),
-        ("true margin", _margin(margin["true"])),
     ]
+    if "paper" in margin:
+        lines.append(("paper margin", _margin(margin["paper"])))
+    lines.append(("true margin", _margin(margin["true"])))
     if "true_urdf_sole" in margin:
         lines.append(("  URDF's own sole", _margin(margin["true_urdf_sole"])))
     lines.append(("unit-norm error", f"{walk['unit_norm_error']:.1e}"))

@@ -109,10 +109,10 @@ def _phase(series: Series, index: int) -> dict[str, Any]:
 
 def _margins(series: Series, ticks: slice) -> dict[str, dict[str, float]]:
     """Return the least of each margin of the CoM and of the joints."""
-    out = {
-        "paper": _least(series, series.paper_margin, ticks),
-        "true": _least(series, series.true_margin, ticks),
-    }
+    out = {}
+    if series.trace.config.gait.style == "paper":
+        out["paper"] = _least(series, series.paper_margin, ticks)
+    out["true"] = _least(series, series.true_margin, ticks)
     if series.urdf_margin is not None:
         out["true_urdf_sole"] = _least(series, series.urdf_margin, ticks)
     out["joints"] = _least(series, series.joint_margin.min(axis=1), ticks)

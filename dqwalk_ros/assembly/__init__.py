@@ -25,6 +25,7 @@ from dqwalk_ros.constraints import (
     PointInsideWall,
     PointOverPlane,
     gain,
+    hold_rows,
     vfi_rows,
 )
 from dqwalk_ros.kinematics import Kinematics, Point, Rooted
@@ -76,13 +77,14 @@ class Table:
         self._eta, self._damping, self._names = eta, damping, names
         index: list[list[int]] = []
         data: list[list[float]] = []
-        self._others: list[tuple[slice, Constraint]] = []
+        self._others: list[tuple[slice, Constraint, _Asked]] = []
         at = 0
-        for constraint in (*holds, *rows):
+        for k, constraint in enumerate((*holds, *rows)):
             count = len(constraint.row_names(joint_names))
             form = _ROWS.get(type(constraint))
-            if form is None:
-                self._others.append((slice(at, at + count), constraint))
+            if form is None or constraint.recovery < np.inf:
+                asked = hold_rows if k < len(holds) else vfi_rows
+                self._others.append((slice(at, at + count), constraint, asked))
             else:
                 kind, body, other, numbers = form(constraint, rooted)
                 index.append([kind, body, other, at])
@@ -133,13 +135,13 @@ class Table:
             *kin.arrays, self._moves, self._row_index, self._row_data, self._task_index, self._task_data, self._limits,
             self._eta, self._damping, 1.0 / dt, H, c, diagonal, J, W, w, lower, upper,
         )  # fmt: skip
-        for at, constraint in self._others:
-            W[at], w[at] = vfi_rows(constraint, kin, dt)
+        for at, constraint, asked in self._others:
+            W[at], w[at] = asked(constraint, kin, dt)
         for task in self._other_tasks:
             root = task.weight**0.5
             part = root * task.jacobian(kin)
             H += part.T @ part
-            c += (self._eta * root) * (task.error(kin) @ part)
+            c -= root * (task.wanted(kin, self._eta) @ part)
             J = np.concatenate([J, part])
         if self._other_limits is not None:
             above, below = self._other_limits
@@ -204,6 +206,7 @@ def _posture(task: Posture, rooted: Rooted) -> tuple[int, int, int, list[float]]
     return POSTURE, -1, 0, [*task.q_ref]
 
 
+_Asked = Callable[[Constraint, Kinematics, float], tuple[Array, Array]]
 _Form = Callable[[Any, Rooted], tuple[int, int, int, list[float]]]
 _ROWS: dict[type, _Form] = {
     PointOverPlane: _plane,

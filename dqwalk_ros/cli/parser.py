@@ -34,6 +34,7 @@ examples:
   dqwalk simulate --set gait.step_length=0.03 --set dsp.flat_feet=false
   dqwalk simulate --config my_robot.yaml --format png,pdf
   dqwalk simulate --view                                   look at it while it is computed
+  dqwalk simulate --config poppy --plant physics           the walk that stands, in MuJoCo (dqwalk_ros[sim])
 """
 
 _REACH = """\
@@ -140,6 +141,9 @@ def build() -> argparse.ArgumentParser:
     _add_output(simulate, "walk")
     simulate.add_argument("--view", action="store_true", help="show the walk in the browser, live, then as a replay")
     simulate.add_argument("--port", type=int, help="port of the page; 0: any [8080, or the next free one]")
+    simulate.add_argument(
+        "--plant", choices=("kinematic", "physics"), default="kinematic", help="joints that obey, or MuJoCo [kinematic]"
+    )
 
     walk = _command(commands, "walk", "walk through ROS 2: four nodes, lockstep", _WALK)
     _add_walk(walk)

@@ -17,11 +17,10 @@ from dqwalk_ros.cli.settings import config_of
 from dqwalk_ros.config import Config
 from dqwalk_ros.controllers import Controller, make_controller
 from dqwalk_ros.exceptions import ViewerError
-from dqwalk_ros.gait import PHASES_PER_CYCLE
+from dqwalk_ros.gait import phase_count
 from dqwalk_ros.model import load_model
 from dqwalk_ros.phases import PhaseKind
-from dqwalk_ros.plants import Plant
-from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.plants import make_plant
 from dqwalk_ros.simulation import simulate
 
 if TYPE_CHECKING:
@@ -36,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     model = load_model(config.robot)
     prepare(out, force=args.force)
     controller = make_controller(config, model)
-    plant: Plant = KinematicPlant(model)
+    plant = make_plant(args.plant, config, model)
     with contextlib.ExitStack() as stack:
         feed = stack.enter_context(_page(config, args.port)) if args.view else None
         if feed is not None:
@@ -73,7 +72,7 @@ class _Fraction:
 
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
-        self._total = PHASES_PER_CYCLE * controller.config.gait.cycles
+        self._total = phase_count(controller.config) or math.inf
         self._threshold = controller.config.ssp.threshold
         self._index, self._first = -1, 0.0
 

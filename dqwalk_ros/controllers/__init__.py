@@ -30,11 +30,17 @@ class State:
         Joint angles, in the order of the model [rad].
     dq : ndarray, shape (n,), or None
         Joint velocities [rad/s].
+    up : ndarray, shape (3,), or None
+        Unit vector against gravity in the frame of the inertial sensor, where there is one.
+    gyro : ndarray, shape (3,), or None
+        Angular velocity of the inertial sensor in its frame [rad/s].
     """
 
     time: float
     q: Array
     dq: Array | None = None
+    up: Array | None = None
+    gyro: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -47,10 +53,13 @@ class Command:
         Time of the state it answers [s].
     velocity : ndarray, shape (n,)
         [rad/s]
+    effort : ndarray, shape (n,), or None
+        Torques that hold the robot against gravity, for a drive that can feed them forward [N m].
     """
 
     time: float
     velocity: Array
+    effort: Array | None = None
 
 
 @dataclass(frozen=True)

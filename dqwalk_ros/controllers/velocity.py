@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.controllers import Command, State, Tick
+from dqwalk_ros.controllers.balance import balance_torques
 from dqwalk_ros.dq import DQ
 from dqwalk_ros.exceptions import PhaseError, QPError, StateError
 from dqwalk_ros.feasibility import explained, lead_back, within_velocity
-from dqwalk_ros.gait import EndRule, footstep, phase_at
+from dqwalk_ros.gait import EndRule, StandingEnd, make_gait, make_rule
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import RobotModel
-from dqwalk_ros.phases import Phase, PhaseKind, assemble, make_phase
+from dqwalk_ros.phases import Phase, assemble, make_phase
 from dqwalk_ros.qp import Problem, Solution, make_solver
 
 __all__ = ["VelocityController"]
@@ -40,6 +41,7 @@ class VelocityController:
     def __init__(self, config: Config, model: RobotModel) -> None:
         self.config = config
         self.model = model
+        self._imu = config.physics.imu
         self._solver = make_solver(config.qp.solver)
         self.reset()
 
@@ -48,7 +50,8 @@ class VelocityController:
         self.problem: Problem | None = None
         self.solution: Solution | None = None
         self._phase: Phase | None = None
-        self._rule: EndRule | None = None
+        self._gait = make_gait(self.config, self.model)
+        self._rule: EndRule | StandingEnd | None = None
         self._kin: Kinematics | None = None
         self._index = -1
         self._time0 = math.nan
@@ -124,22 +127,23 @@ class VelocityController:
         QPError
             If the quadratic program has no answer.
         """
-        q = self._checked(state)
+        self._checked(state)
         if self._index < 0:
             self._enter(0, state)
-        kin = Kinematics(self.model, q, self.phase.base)
-        self._error = self.phase.error(kin)
+        kin = self._seen(state)
         while not self._finished and self._over(state.time):
             self._enter(self._index + 1, state, kin)
-            kin = Kinematics(self.model, q, self.phase.base)
-            self._error = self.phase.error(kin)
+            kin = self._seen(state)
         self._kin = kin
         if self._finished:
             return Command(state.time, np.zeros(self.model.n))
-        limit = self.model.velocity_max
+        limit = np.minimum(self.model.velocity_max, self.config.joints.velocity or np.inf)
         self.problem = within_velocity(assemble(self.phase, kin, dt), limit)
         self.solution = self._solved(self.problem)
-        return Command(state.time, np.clip(self.solution.u, -limit, limit))
+        effort = None
+        if state.up is not None and self._imu in self.model.frames:
+            effort = balance_torques(self.phase, kin, state, self.config.standing, self._imu)
+        return Command(state.time, np.clip(self.solution.u, -limit, limit), effort)
 
     def _solved(self, problem: Problem) -> Solution:
         """Return the answer of (6); where the robot is outside and cannot return at the wanted rate, a slower one."""
@@ -153,6 +157,14 @@ class VelocityController:
                 return self._solver.solve(self.problem)
             except QPError:
                 raise explained(error, problem) from error
+
+    def _seen(self, state: State) -> Kinematics:
+        elapsed = state.time - self._time0
+        kin = Kinematics(self.model, state.q, self.phase.base, elapsed=elapsed)
+        if state.up is not None and self._imu in self.model.frames:
+            kin = Kinematics(self.model, state.q, self.phase.base, kin.direction(self._imu, state.up), elapsed)
+        self._error = self.phase.error(kin)
+        return kin
 
     def _checked(self, state: State) -> Array:
         if state.q.shape != (self.model.n,):
@@ -173,16 +185,14 @@ class VelocityController:
 
     def _enter(self, index: int, state: State, kin: Kinematics | None = None) -> None:
         """Begin the phase `index` at `state`; `kin` is seen from the base of the phase before."""
-        following = phase_at(self.config, index)
+        following = self._gait.following(self._phase)
         if following is None:
             self._finished = True
             return
-        kind, support = following
-        target = footstep(self.config, self.model, support) if kind is PhaseKind.SINGLE_SUPPORT else None
-        phase = make_phase(self.config, self.model, kind, support, state.q, target)
+        phase = make_phase(self.config, self.model, *following[:2], state.q, following[2])
         if kin is not None and phase.base is not kin.base:
             # the world moves to the other sole, as that stands now
             self._x_odom_base = (self._x_odom_base * DQ(kin.pose(kin.swing))).normalized()
         self._phase, self._index, self._time0 = phase, index, state.time
-        self._rule = EndRule(self.config, self.model, phase)
+        self._rule = make_rule(self.config, self.model, phase)
         self.problem = self.solution = None

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.model import Foot, RobotModel
-from dqwalk_ros.phases import paper
+from dqwalk_ros.phases import paper, standing
 from dqwalk_ros.phases.phase import Phase, PhaseKind, assemble
 
 __all__ = ["Phase", "PhaseKind", "assemble", "make_phase"]
@@ -45,8 +45,14 @@ def make_phase(
         If a single support comes without its target.
     """
     q = np.array(q_start, dtype=np.float64)
-    if kind is PhaseKind.DOUBLE_SUPPORT:
-        return paper.double_support(config, model, support, q)
-    if swing_target is None:
+    style = standing if config.gait.style == "standing" else paper
+    phase: Phase
+    if kind is PhaseKind.STANCE:
+        phase = standing.stance(config, model, support, q)
+    elif kind is PhaseKind.DOUBLE_SUPPORT:
+        phase = style.double_support(config, model, support, q)
+    elif swing_target is None:
         raise ValueError("a single support needs the target of its swing foot")
-    return paper.single_support(config, model, support, q, np.array(swing_target, dtype=np.float64))
+    else:
+        phase = style.single_support(config, model, support, q, np.array(swing_target, dtype=np.float64))
+    return phase

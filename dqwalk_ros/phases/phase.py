@@ -22,10 +22,11 @@ Array = NDArray[np.float64]
 
 
 class PhaseKind(enum.Enum):
-    """Both feet on the ground, or one."""
+    """Both feet on the ground, or one; in a stance the weight is on both."""
 
     DOUBLE_SUPPORT = "double_support"
     SINGLE_SUPPORT = "single_support"
+    STANCE = "stance"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,11 +116,15 @@ class Phase:
     def distances(self, kin: Kinematics) -> dict[str, float]:
         """Every signed distance less its bound, by name; what is kept is >= 0, what is held is 0.
 
-        Of the joint limits it is the least.
+        Of several rows it is the least, of an equality the one furthest from 0.
         """
-        held = {row.name: float(row.distance(kin)[0] - row.bound) for row in self.holds}
+        held = {row.name: _largest(row.distance(kin) - row.bound) for row in self.holds}
         kept = {row.name: float(row.distance(kin).min() - row.bound) for row in self.constraints}
         return held | kept
+
+
+def _largest(d: Array) -> float:
+    return float(d[np.argmax(np.abs(d))])
 
 
 def assemble(phase: Phase, kin: Kinematics, dt: float) -> Problem:

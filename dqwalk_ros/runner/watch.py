@@ -11,6 +11,7 @@ from types import FrameType
 from typing import Any, Self
 
 from dqwalk_ros.config import Config
+from dqwalk_ros.gait import phase_count
 from dqwalk_ros.runner.processes import Processes
 
 __all__ = ["Progress", "Signals", "Watch"]
@@ -42,7 +43,7 @@ class Watch:
     def __init__(self, config: Config, progress: Progress | None) -> None:
         self.last: dict[str, Any] = {}
         self.took = 0.0
-        self._phases = 4 * config.gait.cycles
+        self._phases = phase_count(config) or math.inf
         self._threshold = config.ssp.threshold
         self._progress = progress
         self._first: tuple[float, int] | None = None

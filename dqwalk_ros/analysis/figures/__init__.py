@@ -30,7 +30,10 @@ def save(series: Series, folder: str | os.PathLike[str], formats: Sequence[str] 
     out = Path(folder)
     out.mkdir(parents=True, exist_ok=True)
     files = []
+    paper_only = () if series.trace.config.gait.style == "paper" else ("figure7", "figure8")
     for name, draw in FIGURES.items():
+        if name in paper_only:
+            continue
         figure = draw(series)
         for kind in formats:
             files.append(out / f"{name}.{kind}")

@@ -56,13 +56,14 @@ def top_view(series: Series) -> Figure:
         own = urdf_soles(series.trace)
         _draw_ground(ground, series, own)
         _draw_margins(margins, series)
-        fig.legend(handles=_legend(own is not None), loc="outside lower center", ncols=7, fontsize=8.5)
+        paper = series.trace.config.gait.style == "paper"
+        fig.legend(handles=_legend(own is not None, paper), loc="outside lower center", ncols=7, fontsize=8.5)
         title = f"{series.trace.model.name}: {steps} step{'s' if steps != 1 else ''} from above"
         fig.suptitle(title, fontsize=12, fontweight="bold")
     return fig
 
 
-def _legend(own: bool) -> list[Any]:
+def _legend(own: bool, paper: bool) -> list[Any]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -70,10 +71,11 @@ def _legend(own: bool) -> list[Any]:
         Patch(facecolor=BLUE + "26", edgecolor=BLUE, label="left sole"),
         Patch(facecolor=GREEN + "26", edgecolor=GREEN, label="right sole"),
         Patch(facecolor=_HULL, edgecolor=_HULL_EDGE, label="double-support polygon"),
-        Line2D([], [], color=RED, linestyle=DASHED, linewidth=1.2, label="cylinder (14)"),
         Line2D([], [], color=INK, linewidth=2.0, label="CoM"),
         Line2D([], [], color=GREY, linestyle=":", linewidth=1.2, label="start, swing"),
     ]
+    if paper:
+        handles.insert(3, Line2D([], [], color=RED, linestyle=DASHED, linewidth=1.2, label="cylinder (14)"))
     if own:
         handles.append(Line2D([], [], color=_ORANGE, linewidth=1.0, alpha=0.6, label="sole of the URDF"))
     return handles
@@ -126,10 +128,12 @@ def _draw_step(
         real = _in_odom(series, span, span.start, base, own)
         ax.add_patch(Polygon(real, fill=False, edgecolor=_ORANGE, linewidth=1.0, alpha=0.6, zorder=3))
     center = x_base.transform_point(soles[base].center)
+    paper = series.trace.config.gait.style == "paper"
     radius = series.trace.config.ssp.com_radius
     circle = Circle((float(center[0]), float(center[1])), radius, fill=False, edgecolor=RED, linestyle=DASHED)
     circle.set(linewidth=1.2, zorder=4)
-    ax.add_patch(circle)
+    if paper:
+        ax.add_patch(circle)
     swing = base.other
     way = (x_base * DQ(series.end[span.ticks])).transform_point(soles[swing].center)
     ax.plot(*_thinned_way(way), color=_COLOR[swing], linewidth=1.3, linestyle=":", zorder=5)
@@ -168,7 +172,9 @@ def _thinned_way(way: Array) -> tuple[Array, Array]:
 def _draw_margins(ax: Axes, series: Series) -> None:
     mm = 1e3
     mark_phases(ax, series)
-    curves = [(series.paper_margin, INK, "support region of the paper: planes, cylinder")]
+    curves = []
+    if series.trace.config.gait.style == "paper":
+        curves.append((series.paper_margin, INK, "support region of the paper: planes, cylinder"))
     curves.append((series.true_margin, GREEN, "convex hull of the soles as configured"))
     if series.urdf_margin is not None:
         curves.append((series.urdf_margin, _ORANGE, "convex hull of the soles of the URDF"))

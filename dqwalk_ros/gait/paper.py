@@ -14,7 +14,7 @@ from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot, RobotModel
 from dqwalk_ros.phases import Phase, PhaseKind
 
-__all__ = ["PHASES_PER_CYCLE", "EndRule", "footstep", "phase_at"]
+__all__ = ["PHASES_PER_CYCLE", "EndRule", "PaperGait", "footstep", "phase_at"]
 
 Array = NDArray[np.float64]
 
@@ -43,6 +43,30 @@ def footstep(config: Config, model: RobotModel, support: Foot) -> Array:
         width = abs(float(kin.point(kin.swing)[1]))
     y = -width if support is Foot.LEFT else width
     return DQ.from_pose([config.gait.step_length, y, 0.0]).vec8()
+
+
+class PaperGait:
+    """The cycle of Fig. 1, ``gait.cycles`` times.
+
+    Parameters
+    ----------
+    config : Config
+    model : RobotModel
+    """
+
+    def __init__(self, config: Config, model: RobotModel) -> None:
+        self._config, self._model = config, model
+        self._index = -1
+
+    def following(self, phase: Phase | None) -> tuple[PhaseKind, Foot, Array | None] | None:
+        """Return kind, support foot and swing target of the phase after `phase`; None after the last one."""
+        self._index += 1
+        at = phase_at(self._config, self._index)
+        if at is None:
+            return None
+        kind, support = at
+        single = kind is PhaseKind.SINGLE_SUPPORT
+        return kind, support, footstep(self._config, self._model, support) if single else None
 
 
 class EndRule:

@@ -1,0 +1,125 @@
+"""The standing walk: steps ahead, sideways and round, counted or steered; it begins and ends with the feet together."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros.config import Config
+from dqwalk_ros.exceptions import PhaseError
+from dqwalk_ros.gait.footsteps import Footsteps
+from dqwalk_ros.model import Foot, RobotModel
+from dqwalk_ros.phases import Phase, PhaseKind
+
+__all__ = ["StandingEnd", "StandingGait"]
+
+Array = NDArray[np.float64]
+
+
+class StandingGait:
+    """Which phase follows which.
+
+    Double support to a foot, single support on it, and so on; at last the feet are put together and the CoM between
+    them. With ``gait.steps: 0`` the walk waits in a stance for `steer`.
+
+    Parameters
+    ----------
+    config : Config
+    model : RobotModel
+    """
+
+    def __init__(self, config: Config, model: RobotModel) -> None:
+        self._config, self._model = config, model
+        self.footsteps = Footsteps(config, model)
+        self._twist = (0.0, 0.0, 0.0)
+        self._done = 0
+        self._first = Foot(config.gait.first_support)
+
+    @property
+    def count(self) -> int:
+        """Number of phases of the whole walk; 0 where it is steered and has no end."""
+        steps = self._config.gait.steps
+        return 2 * steps + 3 if steps else 0
+
+    def steer(self, forward: float, left: float, turn: float) -> None:
+        """Set the velocity of a steered walk [m/s, m/s, rad/s]; zero puts the feet together and waits."""
+        self._twist = (forward, left, turn)
+
+    @property
+    def waiting(self) -> bool:
+        """Whether a stance has nothing to do but wait."""
+        return not self._config.gait.steps and not any(self._twist)
+
+    def following(self, phase: Phase | None) -> tuple[PhaseKind, Foot, Array | None] | None:
+        """Return kind, support foot and swing target of the phase after `phase`; None after the last one."""
+        steps = self._config.gait.steps
+        if phase is None:
+            return (PhaseKind.DOUBLE_SUPPORT, self._first, None) if steps else (PhaseKind.STANCE, self._first, None)
+        if phase.kind is PhaseKind.STANCE:
+            return None if steps else (PhaseKind.DOUBLE_SUPPORT, self._leading(), None)
+        if phase.kind is PhaseKind.DOUBLE_SUPPORT:
+            step = self._step()
+            self._together = step is None
+            target = self.footsteps.beside(phase.support) if step is None else self.footsteps.step(phase.support, *step)
+            self._done += 1
+            return PhaseKind.SINGLE_SUPPORT, phase.support, target
+        if self._together:
+            return PhaseKind.STANCE, phase.support, None
+        return PhaseKind.DOUBLE_SUPPORT, phase.support.other, None
+
+    def _step(self) -> tuple[float, float, float] | None:
+        gait = self._config.gait
+        if gait.steps:
+            return None if self._done >= gait.steps else (gait.step_length, gait.step_side, gait.step_turn)
+        if not any(self._twist):
+            return None
+        s = self._config.standing
+        period = s.transfer_duration + s.swing_duration
+        forward, left, turn = self._twist
+        return forward * period, left * period, turn * period
+
+    def _leading(self) -> Foot:
+        """Return the foot to stand on first: the one on the side the robot turns away from or leaves."""
+        _, left, turn = self._twist
+        sideways = turn if turn else left
+        return self._first if not sideways else Foot.RIGHT if sideways > 0.0 else Foot.LEFT
+
+
+class StandingEnd:
+    """Decides, state by state, whether a phase of a standing walk is over: its path done, its error below a threshold.
+
+    Parameters
+    ----------
+    config : Config
+    model : RobotModel
+    phase : Phase
+    """
+
+    def __init__(self, config: Config, model: RobotModel, phase: Phase) -> None:
+        s = config.standing
+        self._phase = phase
+        swing = phase.kind is PhaseKind.SINGLE_SUPPORT
+        self._duration = s.swing_duration if swing else s.transfer_duration
+        self._goal = s.swing_threshold if swing else s.com_threshold
+        self._timeout = config.gait.phase_timeout
+
+    def over(self, error: float, elapsed: float, active: tuple[str, ...] = ()) -> bool:
+        """Return whether the phase ends at the state with this error, as `gait.paper.EndRule.over`.
+
+        Raises
+        ------
+        PhaseError
+            If it takes longer than ``gait.phase_timeout``.
+        """
+        if elapsed >= self._duration - 1e-9 and error < self._goal:
+            return True
+        if elapsed > self._timeout:
+            rows = f"; active: {', '.join(active)}" if active else ""
+            raise PhaseError(
+                f"{self._phase.name} is not over after {self._timeout:g} s at an error of {error:.4g} m "
+                f"(it ends below {self._goal:.4g} m){rows}",
+                phase=self._phase.name,
+                error=error,
+                active=active,
+            )
+        return False

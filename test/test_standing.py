@@ -1,0 +1,201 @@
+"""The walk that stands: its rows and tasks, its footsteps, and short walks without and with physics."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import dqwalk_ros as dq
+from dqwalk_ros.constraints import ComInsideEdges, FrameHeld, PointsOverPlane, hold_rows
+from dqwalk_ros.controllers import State, make_controller
+from dqwalk_ros.controllers.balance import com_velocity, gravity_torques
+from dqwalk_ros.dq import DQ
+from dqwalk_ros.exceptions import ConfigError
+from dqwalk_ros.gait.footsteps import Footsteps
+from dqwalk_ros.geometry import ConvexPolygon, Plane
+from dqwalk_ros.kinematics import Kinematics, Point, pose_difference
+from dqwalk_ros.model import Foot
+from dqwalk_ros.phases import PhaseKind, make_phase
+from dqwalk_ros.phases.standing import posture
+from dqwalk_ros.plants import make_plant
+from dqwalk_ros.simulation import simulate
+from dqwalk_ros.tasks import ComPath, SwingPath
+
+CONFIG = dq.load("poppy")
+MODEL = dq.load_model(CONFIG.robot)
+TILTED = np.array([0.05, -0.08, np.sqrt(1.0 - 0.05**2 - 0.08**2)])
+
+
+def somewhere(seed: int, scale: float = 0.2) -> np.ndarray:
+    q = posture(CONFIG, MODEL) + scale * np.random.default_rng(seed).normal(size=MODEL.n)
+    return np.clip(q, MODEL.q_min, MODEL.q_max)
+
+
+def differences(f, q: np.ndarray, base: Foot, up: np.ndarray, elapsed: float) -> np.ndarray:
+    h, eye = 1e-6, np.eye(len(q))
+    columns = [
+        f(Kinematics(MODEL, q + h * e, base, up, elapsed)) - f(Kinematics(MODEL, q - h * e, base, up, elapsed))
+        for e in eye
+    ]
+    return np.stack(columns, axis=1) / (2.0 * h)
+
+
+@pytest.mark.parametrize("base", list(Foot))
+def test_jacobians_are_derivatives(base: Foot) -> None:
+    swing = MODEL.soles[base.other]
+    start = Kinematics(MODEL, somewhere(1), base).pose(swing.frame)
+    goal = DQ.from_pose([0.05, 0.1 if base is Foot.RIGHT else -0.1, 0.0]).vec8()
+    polygon = ConvexPolygon.hull(MODEL.soles[base].corners)
+    plane = Plane.through([0.0, 0.0, 0.01], [0.1, 0.2, 1.0])
+    for row in (
+        ComInsideEdges(name="edges", eta=1.0, polygon=polygon),
+        PointsOverPlane(name="corners", eta=1.0, frame=swing.frame, points=swing.corners, plane=plane),
+        FrameHeld(name="held", eta=1.0, frame=swing.frame, pose=start),
+    ):
+        kin = Kinematics(MODEL, somewhere(2), base, TILTED)
+        numeric = differences(row.distance, kin.q, base, TILTED, 0.4)
+        assert row.jacobian(kin) == pytest.approx(numeric, abs=1e-7), row.name
+        assert len(row.row_names(())) == len(row.distance(kin))
+    com = ComPath(name="com", start=np.zeros(2), over=(Point(),), duration=1.0, saturation=1.0)
+    foot = ComPath(
+        name="com", start=np.zeros(2), over=(Point(MODEL.soles[base].frame),), duration=1.0, saturation=1.0
+    )
+    path = SwingPath(
+        name="swing", frame=swing.frame, start=start, goal=goal, height=0.02, duration=1.0, rate=5.0, lever=0.2
+    )
+    kin = Kinematics(MODEL, somewhere(3), base, TILTED, 0.4)
+    for task in (foot, path):
+        numeric = differences(task.error, kin.q, base, TILTED, 0.4)
+        assert task.jacobian(kin) == pytest.approx(numeric, abs=1e-7), task.name
+    assert com.duration == foot.duration
+
+
+def test_paths_begin_and_end_where_they_should_and_their_velocity_is_their_derivative() -> None:
+    start = DQ.from_pose([0.0, 0.1, 0.0]).vec8()
+    goal = DQ.from_pose([0.1, 0.12, 0.0], [np.cos(0.1), 0.0, 0.0, np.sin(0.1)]).vec8()
+    path = SwingPath(name="s", frame="r_sole", start=start, goal=goal, height=0.03, duration=2.0, rate=5.0, lever=0.2)
+    assert path.at(0.0)[0] == pytest.approx(start, abs=1e-12)
+    assert path.at(2.0)[0] == pytest.approx(goal, abs=1e-12)
+    assert DQ(path.at(1.0)[0]).translation()[2] == pytest.approx(0.03)
+    h = 1e-6
+    for t in (0.1, 0.5, 1.0, 1.7):
+        numeric = pose_difference(path.at(t + h)[0], path.at(t - h)[0]) / (2.0 * h)
+        assert path.at(t)[1] == pytest.approx(numeric, abs=1e-7)
+
+
+def test_a_held_sole_without_ankle_roll_has_independent_rows() -> None:
+    """Six rows of rank five, and the answer of a quadratic program moves none of what can be moved."""
+    phase = make_phase(CONFIG, MODEL, PhaseKind.DOUBLE_SUPPORT, Foot.LEFT, posture(CONFIG, MODEL))
+    kin = Kinematics(MODEL, posture(CONFIG, MODEL), phase.base)
+    E, _ = hold_rows(phase.holds[0], kin, CONFIG.dt)
+    full = phase.holds[0].jacobian(kin)
+    kept = np.abs(E).max(axis=1) > 0.0
+    assert kept.sum() == 5
+    assert np.linalg.matrix_rank(full, tol=5e-3) == 5
+    u = np.linalg.svd(E[kept])[2][5:].T @ np.random.default_rng(0).normal(size=MODEL.n - 5)
+    assert np.abs(full @ u).max() < 5e-3 * np.abs(u).max() * np.linalg.norm(full, 2)
+
+
+def test_footsteps_are_flat_within_reach_and_mirrored() -> None:
+    steps = Footsteps(CONFIG, MODEL)
+    left, right = (DQ(steps.step(foot, 0.05, 0.0, 0.0)).translation() for foot in (Foot.RIGHT, Foot.LEFT))
+    assert left == pytest.approx([0.05, 0.0946, 0.0], abs=5e-4)
+    assert right == pytest.approx(left * [1.0, -1.0, 1.0], abs=2e-4)
+    # without ankle roll two flat parallel feet keep their lateral distance
+    aside = DQ(steps.step(Foot.RIGHT, 0.0, 0.03, 0.0)).translation()
+    assert abs(aside[1] - left[1]) < 0.005
+    turned = DQ(steps.step(Foot.RIGHT, 0.0, 0.0, 0.1)).rotation_matrix()
+    assert np.arctan2(turned[1, 0], turned[0, 0]) == pytest.approx(0.1, abs=0.02)
+
+
+def test_posture_names_joints_or_says_so() -> None:
+    for entry in ("knee=0.3", "?_knee_y=bent"):
+        with pytest.raises(ConfigError, match=r"standing\.posture"):
+            posture(CONFIG.updated({"standing.posture": [entry]}), MODEL)
+
+
+def test_gravity_torques_are_the_derivative_of_the_potential() -> None:
+    q = somewhere(4)
+    kin = Kinematics(MODEL, q, Foot.LEFT)
+    height = differences(lambda k: k.com[2:], q, Foot.LEFT, kin.up, np.inf)[0]
+    tau = gravity_torques(kin, PhaseKind.SINGLE_SUPPORT)
+    assert tau == pytest.approx(MODEL.mass * 9.80665 * height, abs=1e-5)
+
+
+def test_com_velocity_counts_a_sole_that_tips() -> None:
+    q, turning = somewhere(5), np.array([0.1, 0.2, 0.0])
+    kin = Kinematics(MODEL, q, Foot.LEFT)
+    in_imu = DQ(kin.pose("imu")).rotation_matrix().T @ turning
+    v = com_velocity(kin, State(0.0, q, np.zeros(MODEL.n), gyro=in_imu), "imu")
+    assert v == pytest.approx(np.cross(turning, kin.com))
+
+
+def walked(plant: str, **values: object):
+    config = CONFIG.updated({key.replace("__", "."): value for key, value in values.items()})
+    model = dq.load_model(config.robot)
+    body = make_plant(plant, config, model)
+    return simulate(make_controller(config, model), body), body
+
+
+def kept(trace) -> dict[str, float]:
+    """Return the least of every distance of a walk, and the largest landing error as `miss`."""
+    least: dict[str, float] = {"miss": 0.0}
+    ends = [record.start for record in trace.phases[1:]] + [len(trace) - 1]
+    for record, end in zip(trace.phases, ends, strict=True):
+        phase = make_phase(trace.config, trace.model, record.kind, record.support, record.q_start, record.swing_target)
+        for tick in range(record.start, end + 1):
+            kin = Kinematics(trace.model, trace.q[tick], record.base)
+            for row in phase.constraints:
+                least[row.name] = min(least.get(row.name, np.inf), float(row.distance(kin).min() - row.bound))
+        if record.swing_target is not None:
+            landed = Kinematics(trace.model, trace.q[end], record.base).pose(kin.swing)
+            off = pose_difference(landed, record.swing_target)
+            least["miss"] = max(least["miss"], float(np.linalg.norm(off[:3])))
+    return least
+
+
+def stands(trace) -> None:
+    assert trace.finished, trace.notes
+    least = kept(trace)
+    assert least["edges"] >= -1e-4
+    assert least["clearance"] >= -5e-4
+    assert least["miss"] <= 3e-3
+
+
+@pytest.mark.parametrize("first", ["left", "right"])
+def test_one_step_stands_on_its_true_soles(first: str) -> None:
+    trace, _ = walked("kinematic", gait__steps=1, gait__first_support=first)
+    stands(trace)
+    assert [record.name.split("/")[0] for record in trace.phases] == [
+        "double_support", "single_support", "double_support", "single_support", "stance",
+    ]  # fmt: skip
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"gait__steps": 20},
+        {"gait__steps": 72, "gait__step_length": 0.0, "gait__step_turn": 2.0 * np.pi / 72},
+        {"gait__steps": 10, "gait__step_length": -0.05},
+    ],
+    ids=["20 ahead", "a full turn", "10 back"],
+)
+def test_long_walks_stand(values: dict[str, object]) -> None:
+    stands(walked("kinematic", **values)[0])
+
+
+def test_a_step_in_physics() -> None:
+    trace, plant = walked("physics", gait__steps=1)
+    assert trace.finished, trace.notes
+    assert not plant.fallen
+    truth = plant.truth
+    assert sum(w[2] for w in truth.wrenches.values()) == pytest.approx(MODEL.mass * 9.81, rel=0.05)
+    soles = [DQ(x).translation() for x in truth.soles.values()]
+    assert soles[0][0] == pytest.approx(0.05, abs=0.01)
+
+
+def test_the_physics_engine_makes_up_no_mass() -> None:
+    plant = make_plant("physics", CONFIG.updated({"physics.settle": 0.0}), MODEL)
+    assert plant.mj.body_mass.sum() == pytest.approx(MODEL.mass, rel=1e-12)
+    assert plant.state.up == pytest.approx([0.0, 0.0, 1.0], abs=0.2)
