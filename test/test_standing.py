@@ -99,7 +99,7 @@ def test_a_held_sole_without_ankle_roll_has_independent_rows() -> None:
 def test_footsteps_are_flat_within_reach_and_mirrored() -> None:
     steps = Footsteps(CONFIG, MODEL)
     left, right = (DQ(steps.step(foot, 0.05, 0.0, 0.0)).translation() for foot in (Foot.RIGHT, Foot.LEFT))
-    assert left == pytest.approx([0.05, 0.0946, 0.0], abs=5e-4)
+    assert left == pytest.approx([0.05, 0.0953, 0.0], abs=2e-4)
     assert right == pytest.approx(left * [1.0, -1.0, 1.0], abs=2e-4)
     # without ankle roll two flat parallel feet keep their lateral distance
     aside = DQ(steps.step(Foot.RIGHT, 0.0, 0.03, 0.0)).translation()
