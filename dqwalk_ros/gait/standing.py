@@ -64,7 +64,7 @@ class StandingGait:
             self._done += 1
             return PhaseKind.SINGLE_SUPPORT, phase.support, target
         if self._together:
-            return PhaseKind.STANCE, phase.support, None
+            return PhaseKind.STANCE, phase.support.other, None
         return PhaseKind.DOUBLE_SUPPORT, phase.support.other, None
 
     def _step(self) -> tuple[float, float, float] | None:

@@ -68,8 +68,8 @@ def double_support(config: Config, model: RobotModel, support: Foot, q_start: Ar
 
 
 def stance(config: Config, model: RobotModel, support: Foot, q_start: Array) -> Phase:
-    """Return the phase that brings the CoM between both soles; the world is the sole of `support`."""
-    kin = Kinematics(model, q_start, support)
+    """Return the phase that brings the CoM between both soles; the world is the other sole than `support`."""
+    kin = Kinematics(model, q_start, support.other)
     over = tuple(Point(sole.frame, sole.center) for sole in model.soles.values())
     return _on_both(config, model, PhaseKind.STANCE, support, kin, over)
 
