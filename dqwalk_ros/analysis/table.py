@@ -7,6 +7,9 @@ from typing import Any
 
 __all__ = ["render"]
 
+_EDGE = 1e-5
+"""Closer than this to the edge of its support the CoM is on it [m]: what Euler's method may be off."""
+
 
 def render(report: Mapping[str, Any]) -> str:
     """Return the report (see `verdict.report`) as aligned text: phases, distances, the walk, the verdict."""
@@ -90,7 +93,7 @@ def _walk(report: Mapping[str, Any]) -> str:
 
 
 def _margin(least: Mapping[str, float]) -> str:
-    where = "outside" if least["value"] < 0.0 else "inside"
+    where = "at the edge" if abs(least["value"]) < _EDGE else "outside" if least["value"] < 0.0 else "inside"
     return f"{1e3 * least['value']:+.2f} mm at {least['time']:.2f} s ({where})"
 
 
