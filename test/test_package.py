@@ -16,7 +16,7 @@ import pytest
 import dqwalk_ros
 
 ROOT = Path(__file__).resolve().parent.parent
-NODES = ("controller", "integrator", "phase_monitor", "recorder", "viewer")
+NODES = ("controller", "integrator", "phase_monitor", "recorder", "rigid", "viewer", "whole_body_controller")
 
 
 def test_the_version_is_one() -> None:

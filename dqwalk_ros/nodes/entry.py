@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from dqwalk_ros.config import Config
 
-__all__ = ["controller", "integrator", "parse", "phase_monitor", "recorder", "viewer"]
+__all__ = ["controller", "integrator", "parse", "phase_monitor", "recorder", "rigid", "viewer", "whole_body_controller"]
 
 
 @dataclass(frozen=True)
@@ -80,6 +80,31 @@ _HELP = {
         gives=("the folder --bag: an .mcap file and metadata.yaml, for ros2 bag, Foxglove and `dqwalk report`",),
         sections=("plant",),
         example="--bag my_walk",
+    ),
+    "whole_body_controller": Help(
+        what="Walk where the hand wants to go, and keep able to stop: answer each state with joint torques.",
+        gets=(
+            "joint_states, base_pose, base_twist   one state in three messages with one stamp [rad, rad/s, m, m/s]:",
+            "                         sensor_msgs/JointState; geometry_msgs/PoseStamped of the root link in odom;",
+            "                         geometry_msgs/TwistStamped of it in its own axes",
+            "hand_target              geometry_msgs/PoseStamped: where the hand should be in odom; move it at any time",
+        ),
+        gives=(
+            "joint_effort_commands    sensor_msgs/JointState [N m]; stamp: that of the state it answers",
+            "/diagnostics             diagnostic_msgs/DiagnosticArray: WARN where it cannot stop within the preview",
+        ),
+        sections=("dt", "robot", "gait", "whole_body"),
+        example="-p whole_body.friction:=0.4",
+    ),
+    "rigid": Help(
+        what="Stand in for the robot of the whole-body controller: rigid bodies on rigid ground.",
+        gets=(
+            "joint_effort_commands    sensor_msgs/JointState [N m]",
+            "push                     geometry_msgs/WrenchStamped: its force times 1 s hits the torso [N s], in odom",
+        ),
+        gives=("joint_states, base_pose, base_twist   one state in three messages with one stamp, from 0 s on",),
+        sections=("dt", "robot", "plant", "whole_body"),
+        example="-p plant.lockstep:=true",
     ),
     "viewer": Help(
         what="Show the walk in the browser while it goes on: robot, constraints, margins (needs viser).",
@@ -151,7 +176,7 @@ def _epilog(name: str) -> str:
         "",
         "example:",
         f"  dqwalk_{name} {about.example if about.example.startswith('--') else ''}".rstrip()
-        + " --ros-args --params-file config/paper.yaml"
+        + f" --ros-args --params-file config/{'whole_body' if 'whole_body' in about.sections else 'paper'}.yaml"
         + (f" {about.example}" if not about.example.startswith("--") else ""),
         f"  ros2 run dqwalk_ros {name} --help",
     ]
@@ -166,6 +191,9 @@ def _run(name: str) -> int:
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] == "dqwalk_ros":
             raise
+        if error.name == "pinocchio":
+            print(f"{name}: needs pinocchio: pip install 'dqwalk_ros[wholebody]'", file=sys.stderr)
+            return 2
         if error.name == "viser":
             print("viewer: the page needs viser: pip install 'dqwalk_ros[view]'", file=sys.stderr)
             return 2
@@ -197,6 +225,16 @@ def phase_monitor() -> int:
 def recorder() -> int:
     """Console script ``dqwalk_recorder``."""
     return _run("recorder")
+
+
+def whole_body_controller() -> int:
+    """Console script ``dqwalk_whole_body_controller``."""
+    return _run("whole_body_controller")
+
+
+def rigid() -> int:
+    """Console script ``dqwalk_rigid``."""
+    return _run("rigid")
 
 
 def viewer() -> int:

@@ -1,0 +1,181 @@
+"""The whole-body controller on topics: a state of joints and base comes in, joint torques go out.
+
+The state is three messages with one stamp, joint_states, base_pose and base_twist; the tick begins when all are there.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from numpy.typing import NDArray
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+from dqwalk_ros.controllers.whole_body import BodyState, WholeBodyController
+from dqwalk_ros.dq import DQ
+from dqwalk_ros.exceptions import DqwalkError, StateError
+from dqwalk_ros.model import load_model
+from dqwalk_ros.nodes import entry
+from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.parameters import Parameters
+from dqwalk_ros.nodes.runtime import LAST_WORDS, Life, Throttle, run
+
+__all__ = ["WholeBodyControllerNode", "main"]
+
+Array = NDArray[np.float64]
+
+_PARTS = 20
+"""So many messages of each kind wait for the rest of their state."""
+
+
+class WholeBodyControllerNode:
+    """joint_states, base_pose, base_twist, hand_target -> joint_effort_commands.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    life : Life
+    options : argparse.Namespace
+        From `entry.parse`.
+    """
+
+    rest, handled = 0.0, 0
+
+    def __init__(self, node: Node, life: Life, options: Any) -> None:
+        self.node, self.life = node, life
+        self._config = Parameters(node, options.argv).config
+        self.last_words = LAST_WORDS[self._config.plant.lockstep]
+        model = load_model(self._config.robot)
+        self._controller = WholeBodyController(self._config, model)
+        self._names = {name: i for i, name in enumerate(model.joint_names)}
+        self._hardware = model.name
+        self._begin: int | None = None  # stamp of the first state [ns]
+        self._joints: dict[int, tuple[Array, Array]] = {}
+        self._poses: dict[int, Array] = {}
+        self._twists: dict[int, Array] = {}
+        self._failed = ""
+        self._counts = {"ticks": 0, "states rejected": 0, "targets rejected": 0, "capturability missed": 0}
+        self._warn_now = Throttle(2.0)
+        self._efforts = node.create_publisher(JointState, "joint_effort_commands", ros.stream(10))
+        self._diagnostics = ros.publisher(node, "diagnostics")
+        node.create_subscription(JointState, "joint_states", self._on_joints, ros.stream(10))
+        node.create_subscription(PoseStamped, "base_pose", self._on_pose, ros.stream(10))
+        node.create_subscription(TwistStamped, "base_twist", self._on_twist, ros.stream(10))
+        node.create_subscription(PoseStamped, "hand_target", self._on_target, ros.stream(10))
+        self._every = max(round(1.0 / (self._config.monitor.rate * self._config.dt)), 1)
+        node.get_logger().info(f"{model.name}: {model.n} joints, {model.mass:.1f} kg, no target yet")
+
+    def _on_joints(self, msg: JointState) -> None:
+        try:
+            q, dq = self._read(msg)
+        except StateError as error:
+            self._reject(error)
+            return
+        self._joints[ros.nanoseconds(msg.header.stamp)] = q, dq
+        self._tick(ros.nanoseconds(msg.header.stamp))
+
+    def _on_pose(self, msg: PoseStamped) -> None:
+        r = msg.pose.orientation
+        norm = float(np.linalg.norm([r.w, r.x, r.y, r.z]))
+        if not abs(norm - 1.0) < 1e-3:
+            self._reject(StateError(f"base_pose has a quaternion of norm {norm:.3g}"))
+            return
+        self._poses[ros.nanoseconds(msg.header.stamp)] = DQ(ros.pose_dq(msg)).normalized().vec8()
+        self._tick(ros.nanoseconds(msg.header.stamp))
+
+    def _on_twist(self, msg: TwistStamped) -> None:
+        v, w = msg.twist.linear, msg.twist.angular
+        self._twists[ros.nanoseconds(msg.header.stamp)] = np.array([v.x, v.y, v.z, w.x, w.y, w.z])
+        self._tick(ros.nanoseconds(msg.header.stamp))
+
+    def _on_target(self, msg: PoseStamped) -> None:
+        p = msg.pose.position
+        try:
+            self._controller.reach([p.x, p.y, p.z])
+        except StateError as error:
+            self._counts["targets rejected"] += 1
+            self.node.get_logger().error(f"hand_target rejected: {error}")
+
+    def _read(self, msg: JointState) -> tuple[Array, Array]:
+        """Return angles and velocities in the order of the model."""
+        q, dq = np.full(len(self._names), np.nan), np.full(len(self._names), np.nan)
+        if not len(msg.name) == len(msg.position) == len(msg.velocity):
+            raise StateError("joint_states must have as many positions and velocities as names")
+        for name, angle, speed in zip(msg.name, msg.position, msg.velocity, strict=True):
+            if name in self._names:
+                q[self._names[name]], dq[self._names[name]] = angle, speed
+        missing = [name for name, i in self._names.items() if not np.isfinite(q[i] + dq[i])]
+        if missing:
+            raise StateError(f"joint_states has no finite angle and velocity of {', '.join(missing)}")
+        return q, dq
+
+    def _tick(self, stamp: int) -> None:
+        """Answer the state with this stamp once it is complete."""
+        for part in (self._joints, self._poses, self._twists):
+            while len(part) > _PARTS:  # of states that never got complete
+                del part[min(part)]
+        if self._failed or not all(stamp in part for part in (self._joints, self._poses, self._twists)):
+            return
+        (q, dq), pose, twist = self._joints[stamp], self._poses[stamp], self._twists[stamp]
+        for part in (self._joints, self._poses, self._twists):
+            for old in [key for key in part if key <= stamp]:
+                del part[old]
+        if self._begin is None:
+            self._begin = stamp
+        state = BodyState(1e-9 * (stamp - self._begin), q, dq=dq, x_base=pose, v_base=twist)
+        try:
+            command = self._controller.step(state, self._config.dt)
+        except StateError as error:
+            self._reject(error)
+            return
+        except DqwalkError as error:
+            self._failed = str(error)
+            self.node.get_logger().error(f"no command any more: {error}")
+            self._diagnose(stamp)
+            self.life.end(1)
+            return
+        msg = JointState()
+        msg.header.stamp = ros.time_msg(stamp)
+        msg.name = list(self._names)
+        msg.effort = command.effort.tolist()
+        self._efforts.publish(msg)
+        self._counts["ticks"] += 1
+        self._counts["capturability missed"] += self._controller.last.capturability > 1e-6
+        if self._counts["ticks"] % self._every == 1:
+            self._diagnose(stamp)
+
+    def _reject(self, error: StateError) -> None:
+        self._counts["states rejected"] += 1
+        if self._warn_now():
+            self.node.get_logger().error(f"state rejected ({self._counts['states rejected']} so far): {error}")
+
+    def _diagnose(self, stamp: int) -> None:
+        level, text = ("ERROR", self._failed) if self._failed else ("OK", "in balance")
+        values: dict[str, Any] = dict(self._counts)
+        if not self._failed:
+            last = self._controller.last
+            if last.capturability > 1e-6:
+                level, text = "WARN", "cannot stop within the preview"
+            values |= {"capturability": last.capturability, "solve time": last.times[2], "solver": last.method}
+        status = ros.status(f"{self.node.get_name()}: balance", self._hardware, level, text, values)
+        self._diagnostics.publish(ros.diagnostics(stamp, status))
+
+    def drained(self) -> bool:
+        """Nothing to wait for."""
+        return True
+
+    def close(self) -> None:
+        """Nothing to say: without a command the plant holds or the robot's driver takes over."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the node; return the exit code."""
+    options = entry.parse("whole_body_controller", sys.argv[1:] if argv is None else argv)
+    return run("whole_body_controller", lambda node, life: WholeBodyControllerNode(node, life, options), options)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

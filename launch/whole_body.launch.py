@@ -1,0 +1,42 @@
+"""Reach with the whole body: controller and rigid plant.
+
+ros2 launch dqwalk_ros whole_body.launch.py
+ros2 topic pub --once /hand_target geometry_msgs/PoseStamped '{pose: {position: {x: 1.2, y: -0.8, z: 0.9}}}'
+ros2 topic pub --once /push geometry_msgs/WrenchStamped '{wrench: {force: {y: 15.0}}}'
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler
+from launch.event_handlers import OnProcessExit
+from launch.events import Shutdown
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.substitutions import FindPackageShare
+
+
+def generate_launch_description() -> LaunchDescription:
+    parameters = [LaunchConfiguration("config"), {"plant.lockstep": LaunchConfiguration("lockstep")}]
+
+    def node(name: str) -> Node:
+        return Node(package="dqwalk_ros", executable=name, name=name, parameters=parameters, output="screen")
+
+    controller = node("whole_body_controller")
+    over = EmitEvent(event=Shutdown(reason="the controller has ended"))
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument(
+                "config",
+                default_value=PathJoinSubstitution([FindPackageShare("dqwalk_ros"), "config", "whole_body.yaml"]),
+                description="parameter file of both nodes; `dqwalk config` explains each key",
+            ),
+            DeclareLaunchArgument(
+                "lockstep",
+                default_value="false",
+                choices=["true", "false"],
+                description="true: as fast as the machine; false: at most in real time",
+            ),
+            node("rigid"),
+            controller,
+            RegisterEventHandler(OnProcessExit(target_action=controller, on_exit=[over])),
+        ]
+    )

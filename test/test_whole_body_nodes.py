@@ -1,0 +1,92 @@
+"""The whole-body controller and its plant as real processes, in lockstep."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from live import Live
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+
+from dqwalk_ros.config import load
+from dqwalk_ros.controllers.whole_body import WholeBodyController
+from dqwalk_ros.model import load_model
+from dqwalk_ros.plants.rigid import RigidPlant
+from dqwalk_ros.runner import private_domain
+
+ROOT = Path(__file__).resolve().parent.parent
+CONFIG = load("whole_body").updated({"plant.lockstep": True})
+
+
+@pytest.fixture
+def live(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with private_domain() as domain:
+        made = Live(tmp_path, domain, CONFIG)
+        yield made
+        made.close()
+
+
+@pytest.mark.xdist_group("whole_body_nodes")
+def test_it_walks_over_topics(live: Live) -> None:
+    """The torques are those of one process, tick by tick; then a target is set and a push is given."""
+    efforts: dict[int, JointState] = {}
+    twists: list[TwistStamped] = []
+    profile = QoSProfile(depth=1000)
+
+    def note(msg: JointState) -> None:
+        efforts[msg.header.stamp.sec * 10**9 + msg.header.stamp.nanosec] = msg
+
+    live.node.create_subscription(JointState, "joint_effort_commands", note, profile)
+    live.node.create_subscription(TwistStamped, "base_twist", twists.append, profile)
+    target = live.node.create_publisher(PoseStamped, "hand_target", 10)
+    push = live.node.create_publisher(WrenchStamped, "push", 10)
+    live.start("whole_body_controller")
+    live.start("rigid")
+    live.until(lambda: len(efforts) > 40, 90.0, "forty ticks")
+
+    model = load_model(CONFIG.robot)
+    controller = WholeBodyController(CONFIG, model)
+    plant = RigidPlant(model, controller.start, pushed="chest")
+    for tick in range(30):
+        command = controller.step(plant.state, CONFIG.dt)
+        msg = efforts.get(round(tick * CONFIG.dt * 1e9))
+        if msg is not None:  # the first may have come before this test listened
+            got = np.array([msg.effort[msg.name.index(name)] for name in model.joint_names])
+            assert got == pytest.approx(command.effort, abs=1e-3)
+        plant.step(command, CONFIG.dt)
+
+    live.until(lambda: target.get_subscription_count() and push.get_subscription_count(), 20.0, "listeners")
+    goal = PoseStamped()
+    goal.pose.position.x, goal.pose.position.y, goal.pose.position.z = 1.2, -0.8, 0.9
+    target.publish(goal)
+    begun = len(efforts)
+    live.until(lambda: len(efforts) > begun + 200, 60.0, "another second")
+    at = len(twists)
+    hit = WrenchStamped()
+    hit.wrench.force.y = 10.0
+    push.publish(hit)
+    live.until(lambda: "pushed: 0, 10, 0 N s" in live.processes.log("rigid"), 20.0, "the push")
+
+    def jump() -> bool:  # within one tick, and far beyond what walking does
+        speeds = np.array([[t.twist.linear.x, t.twist.linear.y, t.twist.linear.z] for t in twists[at - 1 :]])
+        return len(speeds) > 1 and bool(np.linalg.norm(np.diff(speeds, axis=0), axis=1).max() > 0.05)
+
+    live.until(jump, 30.0, "the velocity after it")
+    assert all(s.level == b"\x00" for s in live.statuses("whole_body_controller"))
+
+
+def test_the_launch_file_starts_what_is_installed() -> None:
+    text = (ROOT / "launch" / "whole_body.launch.py").read_text(encoding="utf-8")
+    calls = [n for n in ast.walk(ast.parse(text)) if isinstance(n, ast.Call) and getattr(n.func, "id", "") == "node"]
+    started = {call.args[0].value for call in calls}
+    assert started == {"whole_body_controller", "rigid"}
+    for name in started:
+        script = ROOT / "scripts" / name
+        assert script.stat().st_mode & 0o111
+        assert f"import {name}" in script.read_text(encoding="utf-8")
