@@ -107,6 +107,26 @@ def test_lockstep_bag_is_whole(walks: tuple[Config, list[Path]]) -> None:
     assert len(stamps["/joint_velocity_commands"]) == len(stamps["/base_pose"]) == len(stamps["/joint_states"]) - 1
 
 
+def test_a_recorder_that_comes_late_still_makes_a_walk(live: Make, tmp_path: Path) -> None:
+    one = live(plant__lockstep=True, **{key.replace(".", "__"): value for key, value in SHORT.items()})
+    one.start("integrator")
+    one.start("controller")
+    one.until(lambda: "single_support/left" in one.phases(), 60.0, "the second phase")
+    assert one.call("controller/pause").success
+    one.start("recorder", "--bag", str(tmp_path / "bag"))
+    one.until_up("recorder")
+    one.spin(2.0)
+    assert one.call("controller/start").success
+    one.until(lambda: "finished" in one.phases(), 60.0, "the end of the walk")
+    one.spin(1.0)
+    one.processes.signal("recorder", signal.SIGINT)
+    assert one.processes.wait("recorder", 20.0) == 0
+    walked = bag.read(tmp_path / "bag")
+    assert walked.finished
+    assert [phase.name for phase in walked.phases][-2:] == ["double_support/right", "single_support/right"]
+    assert walked.time[0] > 0.0
+
+
 def test_pause_stops_the_time_of_lockstep(live: Make) -> None:
     one = live(plant__lockstep=True)
     one.start("integrator")

@@ -67,14 +67,13 @@ def starts(path: Path, model: RobotModel, columns: Mapping[str, Column]) -> list
             f"'{path}' is of another robot: phase_start names {begun.frames[0]} and {', '.join(begun.names)}"
         )
     out: dict[int, Start] = {}
-    order = range(len(begun.stamps))
-    paired = list(order) if len(names) == len(begun.stamps) else [_closest(names, column.times[i]) for i in order]
-    for i, j in zip(order, paired, strict=True):
-        stamp = int(begun.stamps[i])
+    for i, stamp in enumerate(begun.stamps.tolist()):
+        base = frames[begun.frames[i]]
         out[stamp] = Start(
-            name=names[j][1],
+            # a name is said again after a pause, and says not which start it belongs to
+            name=names[i][1] if len(names) == len(begun.stamps) else _name(base, stamp in targets),
             stamp=stamp,
-            base=frames[begun.frames[i]],
+            base=base,
             q=begun.position[i, begun.columns(model.joint_names)],
             swing_target=targets.get(stamp),
         )
@@ -88,8 +87,10 @@ def starts(path: Path, model: RobotModel, columns: Mapping[str, Column]) -> list
     return phases
 
 
-def _closest(names: Sequence[tuple[int, str]], time: int) -> int:
-    return min(range(len(names)), key=lambda j: abs(names[j][0] - time))
+def _name(base: Foot, swings: bool) -> str:
+    """Return the name of a phase by its base sole, and whether a swing target began with it."""
+    kind = PhaseKind.SINGLE_SUPPORT if swings else PhaseKind.DOUBLE_SUPPORT
+    return f"{kind.value}/{(base if swings else base.other).value}"
 
 
 def _targets(column: Column | None) -> dict[int, Array]:
@@ -132,6 +133,8 @@ def records(
         if tick == len(stamps):
             notes.append(f"{start.name} began at {start.stamp / 1e9:.3f} s, after the last state, and is left out")
             break
+        if out and out[-1].start == tick:  # over before the recording began
+            out.pop()
         if stamps[tick] != start.stamp:
             notes.append(f"the state at which {start.name} began, {start.stamp / 1e9:.3f} s, is missing")
         out.append(

@@ -46,6 +46,9 @@ _HISTORY = 20_000
 On a busy machine the middleware drops samples on the way and repairs that only every 3 s. It delays nobody: what a
 subscriber takes next is decided by its own depth."""
 
+_PHASES = 100
+"""Phases that are kept for whoever comes late or fell behind: a recorder wants each of them."""
+
 _ALL = (
     Topic(
         "joint_states",
@@ -61,29 +64,29 @@ _ALL = (
         _HISTORY,
         "velocities [rad/s]; the stamp is that of the state they answer",
     ),
-    Topic("phase", "std_msgs/msg/String", True, 1, "such as double_support/left, at the start of each phase"),
+    Topic("phase", "std_msgs/msg/String", True, _PHASES, "such as double_support/left, at the start of each phase"),
     Topic(
         "phase_start",
         "sensor_msgs/msg/JointState",
         True,
-        1,
+        _PHASES,
         "positions at the start of the phase, frame_id the base sole",
     ),
     Topic(
         "com_target",
         "geometry_msgs/msg/PointStamped",
         True,
-        1,
+        _PHASES,
         "double support: where the CoM goes, as seen at the start, in the base sole",
     ),
     Topic(
         "swing_target",
         "geometry_msgs/msg/PoseStamped",
         True,
-        1,
+        _PHASES,
         "single support: the landing place, in the base sole",
     ),
-    Topic("support_foot", "std_msgs/msg/String", True, 1, "left or right: the foot the phase name gives"),
+    Topic("support_foot", "std_msgs/msg/String", True, _PHASES, "left or right: the foot the phase name gives"),
     Topic("base_pose", "geometry_msgs/msg/PoseStamped", False, _HISTORY, "pelvis in odom"),
     Topic("walk_config", "std_msgs/msg/String", True, 1, "every parameter, as the text of a parameter file"),
     Topic("robot_description", "std_msgs/msg/String", True, 1, "URDF"),

@@ -29,7 +29,7 @@ from dqwalk_ros.model import load_model
 from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.parameters import Parameters
-from dqwalk_ros.nodes.runtime import LAST_WORDS, STEADY, Life, Throttle, run, say
+from dqwalk_ros.nodes.runtime import LAST_WORDS, STEADY, Life, Throttle, Worker, run, say
 
 __all__ = ["ControllerNode", "main"]
 
@@ -44,7 +44,7 @@ class Mode(enum.Enum):
     FAILED = "failed"
 
 
-class ControllerNode:
+class ControllerNode(Worker):
     """joint_states -> joint_velocity_commands.
 
     Parameters
@@ -54,8 +54,6 @@ class ControllerNode:
     options : argparse.Namespace
         From `entry.parse`.
     """
-
-    rest, handled = 0.0, 0
 
     def __init__(self, node: Node, life: Life, options: Any) -> None:
         self.node, self.life = node, life
@@ -319,10 +317,6 @@ class ControllerNode:
             error=float(self._controller.last.error) if walking and self._controller.last else None,
             reason=self._problem,
         )
-
-    def drained(self) -> bool:
-        """Nothing to wait for."""
-        return True
 
     def close(self) -> None:
         """Command zero velocity; in lockstep the plant stands still without an answer."""

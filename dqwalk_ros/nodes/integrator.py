@@ -20,7 +20,7 @@ from dqwalk_ros.model import load_model
 from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.parameters import Parameters
-from dqwalk_ros.nodes.runtime import LAST_WORDS, STEADY, Life, Throttle, run
+from dqwalk_ros.nodes.runtime import LAST_WORDS, STEADY, Life, Throttle, Worker, run
 from dqwalk_ros.plants.kinematic import KinematicPlant
 
 __all__ = ["IntegratorNode", "main"]
@@ -31,7 +31,7 @@ _FIRST_ASK = 0.05
 """The same before the first answer [s], while the controller may not be up yet."""
 
 
-class IntegratorNode:
+class IntegratorNode(Worker):
     """joint_velocity_commands -> joint_states.
 
     Parameters
@@ -41,8 +41,6 @@ class IntegratorNode:
     options : argparse.Namespace
         From `entry.parse`.
     """
-
-    rest, handled = 0.0, 0
 
     def __init__(self, node: Node, life: Life, options: Any) -> None:
         self.node, self.life = node, life
@@ -184,13 +182,6 @@ class IntegratorNode:
     def _end(self, why: str) -> None:
         self.node.get_logger().error(why)
         self.life.end(1)
-
-    def drained(self) -> bool:
-        """Nothing to wait for."""
-        return True
-
-    def close(self) -> None:
-        """Nothing to say: a plant without a driver just stops."""
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -49,9 +49,9 @@ def stream(depth: int = 1, *, reliable: bool = True) -> QoSProfile:
     return QoSProfile(depth=depth, reliability=reliability)
 
 
-def latched() -> QoSProfile:
+def latched(depth: int = 1) -> QoSProfile:
     """Return the profile for what a subscriber that comes late must still get."""
-    return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def message_type(name: str) -> Any:
@@ -63,9 +63,8 @@ def message_type(name: str) -> Any:
 def publisher(node: Node, name: str) -> Publisher:
     """Create the publisher of one of our topics, as the table in `dqwalk_ros.bag.topics` says."""
     topic = TOPICS[name]
-    return node.create_publisher(
-        message_type(topic.type), topic.name, latched() if topic.latched else stream(topic.depth)
-    )
+    profile = latched(topic.depth) if topic.latched else stream(topic.depth)
+    return node.create_publisher(message_type(topic.type), topic.name, profile)
 
 
 def is_heard_by(node: Node, offered: Publisher, name: str) -> bool:

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 
 from dqwalk_ros.bag.messages import typestore
@@ -26,7 +25,7 @@ from dqwalk_ros.exceptions import BagError
 from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.parameters import Parameters
-from dqwalk_ros.nodes.runtime import Life, run, say
+from dqwalk_ros.nodes.runtime import Life, Worker, run, say
 
 __all__ = ["RecorderNode", "main"]
 
@@ -38,7 +37,7 @@ _EACH_TICK = ("joint_states", "joint_velocity_commands", "base_pose")
 _STAMPED = ("sensor_msgs/", "geometry_msgs/", "diagnostic_msgs/")
 
 
-class RecorderNode:
+class RecorderNode(Worker):
     """All topics of a walk -> rosbag2.
 
     Parameters
@@ -54,7 +53,7 @@ class RecorderNode:
         If the folder is there already or cannot be made.
     """
 
-    rest, last_words = 0.05, 0.0
+    rest = 0.05
 
     def __init__(self, node: Node, life: Life, options: Any) -> None:
         self.node, self.life, self._report = node, life, options.child
@@ -72,9 +71,7 @@ class RecorderNode:
         self._seen = -1
         self._stop_at = float("inf")
         for name, topic in TOPICS.items():
-            profile = ros.stream(_DEPTH)
-            if topic.latched:
-                profile = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+            profile = ros.latched(topic.depth) if topic.latched else ros.stream(_DEPTH)
             kind = ros.message_type(topic.type)
             node.create_subscription(kind, topic.name, partial(self._on_message, name, topic), profile, raw=True)
         node.get_logger().info(f"recording to {self._path}")

@@ -18,7 +18,7 @@ import threading
 import time
 from collections.abc import Callable
 from types import FrameType
-from typing import Any, Protocol
+from typing import Any
 
 import rclpy
 from rclpy.clock import Clock, ClockType
@@ -67,19 +67,28 @@ class Life:
         self.over = True
 
 
-class Worker(Protocol):
-    """What each of the four nodes is: a set of callbacks on a node, and a last word."""
+class Worker:
+    """What each node is: callbacks on a `node`, and a last word.
+
+    Attributes
+    ----------
+    node : rclpy.node.Node
+    rest : float
+        Time to sleep between two looks at what has come [s]; who may wait leaves the processor to the loop.
+    handled : int
+        Messages handled so far, to be counted where `rest` is not zero.
+    last_words : float
+        Longest wait, at the end, for subscribers to acknowledge what was published [s].
+    """
 
     node: Node
-    rest: float
-    """Time to sleep between two looks at what has come [s]; who may wait leaves the processor to the loop."""
-    handled: int
-    """Messages handled so far; needed where `rest` is not zero."""
-    last_words: float
-    """Longest wait, at the end, for subscribers to acknowledge what was published [s]."""
+    rest = 0.0
+    handled = 0
+    last_words = 1.0
 
     def drained(self) -> bool:
         """Tell, once the end is asked for, whether what is still under way may be left."""
+        return True
 
     def close(self) -> None:
         """Say the last word; the node can still publish."""

@@ -29,7 +29,7 @@ from dqwalk_ros.model import Foot, RobotModel
 from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.parameters import Parameters
-from dqwalk_ros.nodes.runtime import STEADY, Life, Throttle, run
+from dqwalk_ros.nodes.runtime import STEADY, Life, Throttle, Worker, run
 from dqwalk_ros.phases import Phase, PhaseKind, make_phase
 from dqwalk_ros.scene import Moment, Scene
 from dqwalk_ros.viewer.page import FRAME, Page
@@ -39,7 +39,7 @@ __all__ = ["ViewerNode", "main"]
 Array = NDArray[np.float64]
 
 
-class ViewerNode:
+class ViewerNode(Worker):
     """joint_states, phase, phase_start, com_target, swing_target, walk_config, robot_description -> a page.
 
     Where in odom the walk is, follows from the phases: each begins where the one before it has put its foot. Only
@@ -223,10 +223,6 @@ class ViewerNode:
                 solver=self._solver,
             )
         )
-
-    def drained(self) -> bool:
-        """Nothing to wait for."""
-        return True
 
     def close(self) -> None:
         """End the page."""

@@ -1,0 +1,133 @@
+"""The phases of a walk, rebuilt from the topics that say where each began."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from geometry_msgs.msg import PointStamped, PoseStamped
+from rclpy.impl.rcutils_logger import RcutilsLogger
+from sensor_msgs.msg import JointState
+
+from dqwalk_ros.assessment import Assessor
+from dqwalk_ros.bag.reader import model_of
+from dqwalk_ros.config import Config, from_yaml
+from dqwalk_ros.exceptions import DqwalkError
+from dqwalk_ros.model import Foot, RobotModel
+from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.phases import PhaseKind, make_phase
+
+__all__ = ["PhaseLog"]
+
+_KEPT = 100
+
+
+class PhaseLog:
+    """Knows which phase a state belongs to, in whatever order the messages came.
+
+    A phase is known from where it began: the base sole is the frame of `phase_start`, and whether `com_target` or
+    `swing_target` has the same stamp says whether it is double or single support.
+
+    Parameters
+    ----------
+    logger : rclpy logger
+        Told what cannot be used.
+
+    Attributes
+    ----------
+    config : Config or None
+    model : RobotModel or None
+    reader : JointReader or None
+    """
+
+    def __init__(self, logger: RcutilsLogger) -> None:
+        self._logger = logger
+        self.config: Config | None = None
+        self.model: RobotModel | None = None
+        self.reader: ros.JointReader | None = None
+        self._urdf = ""
+        self._starts: dict[int, JointState] = {}  # by stamp [ns]
+        self._targets: dict[int, tuple[PhaseKind, Any]] = {}
+        self._assessors: dict[int, Assessor] = {}
+
+    @property
+    def lockstep(self) -> bool:
+        """Whether the walk goes in lockstep."""
+        return self.config is not None and self.config.plant.lockstep
+
+    def add_config(self, text: str) -> None:
+        """Take in `walk_config`."""
+        try:
+            self.config = from_yaml(text, source="walk_config")
+        except DqwalkError as error:
+            self._logger.error(str(error))
+        self._load()
+
+    def add_description(self, text: str) -> None:
+        """Take in `robot_description`."""
+        self._urdf = text
+        self._load()
+
+    def _load(self) -> None:
+        if self.config is None or not self._urdf:
+            return
+        try:
+            self.model = model_of(self._urdf, self.config.robot)
+        except DqwalkError as error:
+            self._logger.error(str(error))
+            return
+        self.reader = ros.JointReader(self.model.joint_names)
+        self._assessors.clear()
+        self._logger.info(f"watching {self.model.name}, {self.model.n} joints")
+
+    def add_start(self, msg: JointState) -> None:
+        """Take in `phase_start`."""
+        _keep(self._starts, ros.nanoseconds(msg.header.stamp), msg)
+
+    def add_target(self, msg: PointStamped | PoseStamped) -> None:
+        """Take in `com_target` or `swing_target`."""
+        swings = isinstance(msg, PoseStamped)
+        kind = PhaseKind.SINGLE_SUPPORT if swings else PhaseKind.DOUBLE_SUPPORT
+        _keep(self._targets, ros.nanoseconds(msg.header.stamp), (kind, ros.pose_dq(msg) if swings else None))
+
+    def forget_after(self, stamp: int) -> None:
+        """Drop the phases that began after a stamp [ns]: time went back."""
+        for table in (self._starts, self._targets, self._assessors):
+            for key in [key for key in table if key > stamp]:
+                del table[key]
+
+    def at(self, stamp: int) -> tuple[int, Assessor] | None:
+        """Return the start [ns] and the assessor of the phase that a state's stamp [ns] is in, if it is known."""
+        began = max((key for key in self._starts if key <= stamp), default=None)
+        if began is None:
+            return None
+        if began not in self._assessors:
+            made = self._make(began)
+            if made is None:
+                return None
+            _keep(self._assessors, began, made)
+        return began, self._assessors[began]
+
+    def _make(self, began: int) -> Assessor | None:
+        if self.config is None or self.model is None or self.reader is None or began not in self._targets:
+            return None
+        start, (kind, target) = self._starts[began], self._targets[began]
+        feet = {self.model.soles[foot].frame: foot for foot in Foot}
+        base = feet.get(start.header.frame_id)
+        if base is None:
+            self._logger.error(f"phase_start is in the frame '{start.header.frame_id}', which is no sole of the robot")
+            del self._starts[began]
+            return None
+        support = base if kind is PhaseKind.SINGLE_SUPPORT else base.other
+        try:
+            phase = make_phase(self.config, self.model, kind, support, self.reader.state(start).q, target)
+            return Assessor(self.config, self.model, phase)
+        except DqwalkError as error:
+            self._logger.error(f"cannot rebuild the phase: {error}")
+            del self._starts[began]
+            return None
+
+
+def _keep(table: dict[int, Any], key: int, value: Any) -> None:
+    table[key] = value
+    while len(table) > _KEPT:
+        del table[min(table)]
