@@ -37,6 +37,7 @@ LAYERS = (
     "safety",
     "trace",
     "simulation",
+    "robustness",
     "assessment",
     "bag",
     "analysis",

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import dqwalk_ros as dq
+from dqwalk_ros import robustness
+from dqwalk_ros.cli.robustness import table
 from dqwalk_ros.constraints import ComInsideEdges, FrameHeld, PointsOverPlane, hold_rows
 from dqwalk_ros.controllers import State, make_controller
 from dqwalk_ros.controllers.balance import com_velocity, gravity_torques
@@ -199,3 +201,48 @@ def test_the_physics_engine_makes_up_no_mass() -> None:
     plant = make_plant("physics", CONFIG.updated({"physics.settle": 0.0}), MODEL)
     assert plant.mj.body_mass.sum() == pytest.approx(MODEL.mass, rel=1e-12)
     assert plant.state.up == pytest.approx([0.0, 0.0, 1.0], abs=0.2)
+
+
+def test_robustness_draws_cells_and_counts_them() -> None:
+    axes = {"physics.friction": (0.4, 0.8), "servo.latency": (0.0, 0.02, 0.04)}
+    assert len(robustness.cells(axes)) == 6
+    drawn = robustness.cells(axes, sample=4, seed=1)
+    assert drawn == robustness.cells(axes, sample=4, seed=1)
+    assert len(drawn) == 4
+    done = [robustness.Cell(values, k > 0, 1.0, "" if k else "fell") for k, values in enumerate(drawn)]
+    text = table(done, axes)
+    assert text.startswith("3 of 4 cells stood (4 of the 6 combinations were walked)")
+    assert "failed at" in text
+
+
+def test_a_robot_with_weak_servos_that_nothing_holds_falls() -> None:
+    """The cell says so: 8 N m/rad per joint are less than the weight of the pendulum asks for."""
+    values = {"servo.stiffness": 8.0, "servo.assumed_stiffness": 0.0, "standing.balance": 0.0}
+    cell = robustness.walk(CONFIG.updated({"gait.steps": 1}), values)
+    assert not cell.stood
+    assert cell.reason
+
+
+@pytest.mark.long
+def test_a_metre_in_physics() -> None:
+    config = CONFIG.updated({"gait.steps": 20})
+    model = dq.load_model(config.robot)
+    controller, plant = make_controller(config, model), make_plant("physics", config, model)
+    state, inside, tilt = plant.state, [], 0.0
+    while True:
+        command = controller.step(state, config.dt)
+        if controller.finished:
+            break
+        state = plant.step(command, config.dt)
+        truth = plant.truth
+        down = [foot for foot, wrench in truth.wrenches.items() if wrench[2] > 0.3]
+        corners = [DQ(truth.soles[foot]).transform_point(model.soles[foot].corners) for foot in down]
+        hull = ConvexPolygon.hull(np.concatenate(corners)) if down else None
+        inside.append(hull is not None and truth.cop is not None and hull.distance(truth.cop) > -1e-4)
+        if controller.phase.kind is PhaseKind.SINGLE_SUPPORT:
+            up = DQ(truth.soles[controller.phase.support]).rotation_matrix()[2, 2]
+            tilt = max(tilt, float(np.degrees(np.arccos(min(up, 1.0)))))
+    assert not plant.fallen
+    assert DQ(plant.truth.pelvis).translation()[0] > 0.95
+    assert tilt < 2.0
+    assert np.mean(inside) > 0.99

@@ -1,4 +1,4 @@
-"""The command line: ``dqwalk simulate | walk | report | view | config | version``.
+"""The command line: ``dqwalk simulate | robustness | walk | report | view | config | version``.
 
 Only `argparse` is loaded until a command is known, so that help comes at once.
 """

@@ -54,6 +54,15 @@ examples:
   dqwalk reach --test 1 --set whole_body.capturability=false --duration 3     it falls
 """
 
+_ROBUSTNESS = """\
+Walks every combination of friction, mass, servo stiffness, backlash, output rate and latency (432 of them), prints
+the fraction that stood and what failed, and writes robustness.csv and robustness.txt. Needs dqwalk_ros[sim].
+
+examples:
+  dqwalk robustness --sample 40
+  dqwalk robustness --axis servo.stiffness=60 --axis servo.latency=0,0.06 --steps 4
+"""
+
 _REPORT = """\
 The bag may be MCAP or SQLite, split or compressed, recorded by `dqwalk` or by `ros2 bag record`, or cut off by
 a crash: then the report says what is missing. All distances are computed anew from joint_states and the phases.
@@ -144,6 +153,17 @@ def build() -> argparse.ArgumentParser:
     simulate.add_argument(
         "--plant", choices=("kinematic", "physics"), default="kinematic", help="joints that obey, or MuJoCo [kinematic]"
     )
+
+    robust = _command(commands, "robustness", "walk in physics on robots and floors that differ", _ROBUSTNESS)
+    robust.add_argument("--config", metavar="CONFIG", default="poppy", help="name or path of a configuration [poppy]")
+    robust.add_argument("--steps", metavar="N", type=int, default=10, help="steps of each walk [10]")
+    robust.add_argument("--axis", metavar="KEY=A,B", action="append", default=[], help="vary this parameter so instead")
+    robust.add_argument("--sample", metavar="N", type=int, default=0, help="walk N combinations, drawn at random [all]")
+    robust.add_argument("--seed", type=int, default=0, help="of the draw [0]")
+    robust.add_argument("--jobs", metavar="N", type=int, default=2, help="processes at a time [2]")
+    robust.add_argument("--out", metavar="DIR", default="robustness", help="where the results go [robustness]")
+    robust.add_argument("--quiet", action="store_true", help="no progress")
+    _add_set(robust)
 
     walk = _command(commands, "walk", "walk through ROS 2: four nodes, lockstep", _WALK)
     _add_walk(walk)

@@ -139,6 +139,24 @@ class PhysicsPlant:
             self._pose(self.mj.body(self.model.pelvis).id), soles, wrenches, np.array(self.data.subtree_com[self._root])
         )
 
+    def picture(self, width: int = 360, height: int = 480, azimuth: float = 130.0) -> NDArray[np.uint8]:
+        """Return an image of the robot now, shape (height, width, 3); set MUJOCO_GL=egl or osmesa without a display.
+
+        Parameters
+        ----------
+        width, height : int
+            Up to 640 and 480.
+        azimuth : float
+            Of the camera [degrees].
+        """
+        camera = mujoco.MjvCamera()
+        camera.lookat[:] = self.data.subtree_com[self._root] * [1.0, 0.0, 0.0] + [0.0, 0.0, 0.4]
+        camera.distance, camera.azimuth, camera.elevation = 1.5, azimuth, -12.0
+        with mujoco.Renderer(self.mj, height, width) as renderer:
+            renderer.update_scene(self.data, camera)
+            image: NDArray[np.uint8] = renderer.render()
+        return image
+
     @property
     def fallen(self) -> bool:
         """Whether the pelvis has come down to 60 % of its first height or leans by more than 60 degrees."""

@@ -1,0 +1,74 @@
+"""``dqwalk robustness``: the same walk in physics on robots and floors that differ."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+from dqwalk_ros import robustness
+from dqwalk_ros.cli.progress import Progress
+from dqwalk_ros.cli.settings import config_of
+from dqwalk_ros.exceptions import ConfigError
+from dqwalk_ros.robustness import AXES, Cell
+
+__all__ = ["run"]
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do it and return the exit code."""
+    config = config_of(args).updated({"gait.steps": args.steps}, source="command line")
+    axes = dict(AXES)
+    for text in args.axis:
+        name, _, values = text.partition("=")
+        try:
+            axes[name] = tuple(float(value) for value in values.split(","))
+        except ValueError:
+            raise ConfigError(f"--axis wants KEY=NUMBER,NUMBER..., not '{text}'") from None
+    combinations = robustness.cells(axes, args.sample, args.seed)
+    bar = Progress(quiet=args.quiet)
+    try:
+        done = robustness.run(
+            config,
+            combinations,
+            jobs=args.jobs,
+            progress=lambda count, cell: bar(count / len(combinations), f"{count} of {len(combinations)} cells"),
+        )
+    finally:
+        bar.close()
+    out = Path(args.out)
+    out.mkdir(parents=True, exist_ok=True)
+    _write(out / "robustness.csv", done, list(axes))
+    text = table(done, axes)
+    (out / "robustness.txt").write_text(text + "\n", encoding="utf-8")
+    print(text)
+    return 0 if all(cell.stood for cell in done) else 1
+
+
+def table(done: Sequence[Cell], axes: dict[str, tuple[float, ...]]) -> str:
+    """Return the fraction that stood, in all and for each value, and what failed."""
+    stood = sum(cell.stood for cell in done)
+    total = 1
+    for values in axes.values():
+        total *= len(values)
+    lines = [f"{stood} of {len(done)} cells stood ({len(done)} of the {total} combinations were walked)", ""]
+    for name, values in axes.items():
+        for value in values:
+            part = [cell for cell in done if cell.values[name] == value]
+            if part:
+                good = sum(cell.stood for cell in part)
+                lines.append(f"  {name + ' = ' + format(value, 'g'):28s} {good:3d} of {len(part):3d}")
+    for cell in done:
+        if not cell.stood:
+            where = ", ".join(f"{name.partition('.')[2]} {value:g}" for name, value in cell.values.items())
+            lines.append(f"  failed at {cell.time:5.1f} s: {where}: {cell.reason}")
+    return "\n".join(lines)
+
+
+def _write(path: Path, done: Sequence[Cell], names: list[str]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow([*names, "stood", "time", "reason"])
+        for cell in done:
+            writer.writerow([*(cell.values[name] for name in names), int(cell.stood), cell.time, cell.reason])
