@@ -115,7 +115,7 @@ class Solution:
         """Return the residuals of the Karush-Kuhn-Tucker conditions.
 
         Stationarity is relative to the largest term of the gradient, the others to the largest velocity and
-        multiplier.
+        multiplier; in complementarity the slack of a row further away than that velocity is relative to itself.
         """
         l, m = problem.e.shape[0], problem.h.shape[0]  # noqa: E741
         n = problem.c.shape[0]
@@ -132,7 +132,8 @@ class Solution:
             primal=max(float(np.abs(problem.E @ u - problem.e).max(initial=0.0)), float((-slack).max(initial=0.0)))
             / size,
             dual=float((-inequality).max(initial=0.0)) / force,
-            complementarity=float(np.abs(inequality * slack).max(initial=0.0)) / (force * size),
+            complementarity=float(np.abs(inequality * slack / np.maximum(np.abs(slack), size)).max(initial=0.0))
+            / force,
         )
 
 

@@ -1,0 +1,129 @@
+"""The quadratic programs of whole walks: optimal by the Karush-Kuhn-Tucker conditions, and equal to an exact answer."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import quadprog
+from robots import legs
+from walks import paper_walk
+
+from dqwalk_ros.config import load
+from dqwalk_ros.exceptions import QPError
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.model import Foot
+from dqwalk_ros.phases import PhaseKind, assemble, make_phase
+from dqwalk_ros.qp import Problem, make_solver
+
+DT = 0.005
+WALKS = [
+    pytest.param("left", True, 25, marks=pytest.mark.xdist_group("left"), id="left-flat"),
+    pytest.param("right", True, 25, marks=pytest.mark.xdist_group("right"), id="right-flat"),
+    *(
+        pytest.param(first, flat, 1, marks=[pytest.mark.long, pytest.mark.xdist_group(f"{first}-long")], id=name)
+        for first in ("left", "right")
+        for flat, name in ((True, f"{first}-flat-all"), (False, f"{first}-literal-all"))
+    ),
+]
+"""First support foot, flat feet or the literal (8), and every which quadratic program is looked at."""
+
+
+def exact(problem: Problem) -> np.ndarray:
+    """Goldfarb and Idnani's dual active-set method, on the problem in units of its own gradient."""
+    s = np.abs(problem.c).max() / np.abs(problem.H).max()
+    n = problem.c.size
+    A = np.concatenate([problem.E, problem.G, -np.eye(n), np.eye(n)])
+    b = np.concatenate([problem.e, problem.h, -problem.upper, problem.lower]) / s
+    H = problem.H / np.abs(problem.H).max()
+    c = problem.c / np.abs(problem.c).max()
+    return s * quadprog.solve_qp(H, -c, A.T.copy(), b, problem.e.size)[0]
+
+
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize(("first", "flat", "every"), WALKS)
+def test_every_answer_along_a_walk_is_exact(first, flat, every):
+    """KKT residuals below 1e-9, and the exact solver's answer to 1e-9 relative; the first second of a phase in full."""
+    trace = paper_walk(first, flat)
+    solver = make_solver("clarabel")
+    starts = [record.start for record in trace.phases]
+    worst, off, count = 0.0, 0.0, 0
+    for record, end in zip(trace.phases, [*starts[1:], len(trace) - 1], strict=True):
+        phase = make_phase(trace.config, trace.model, record.kind, record.support, record.q_start, record.swing_target)
+        for tick in [*range(record.start, record.start + 200), *range(record.start + 200, end, every)]:
+            problem = assemble(phase, Kinematics(trace.model, trace.q[tick], phase.base), DT)
+            solution = solver.solve(problem)
+            worst = max(worst, solution.residuals(problem).largest)
+            u = exact(problem)
+            off = max(off, np.abs(solution.u - u).max() / np.abs(u).max())
+            # and it is what the walk did
+            np.testing.assert_allclose(solution.u, trace.u[tick], rtol=0, atol=1e-9 * np.abs(u).max())
+            count += 1
+    assert count > 2000
+    assert worst < 1e-9
+    assert off < 1e-9
+
+
+# ---------------------------------------------------------------------- residuals say what is wrong
+
+
+def a_problem():
+    config = load("paper")
+    phase = make_phase(config, legs(), PhaseKind.DOUBLE_SUPPORT, Foot.LEFT, np.full(10, 0.01))
+    return assemble(phase, Kinematics(legs(), np.full(10, 0.01), Foot.RIGHT), DT)
+
+
+@pytest.mark.parametrize("what", ["stationarity", "primal", "dual", "complementarity"])
+def test_residuals_see_a_wrong_answer(what):
+    problem = a_problem()
+    right = make_solver("clarabel").solve(problem)
+    assert right.residuals(problem).largest < 1e-9
+    z = right.z.copy()
+    l, n = problem.e.size, problem.c.size  # noqa: E741
+    if what == "stationarity":
+        wrong = dataclasses.replace(right, u=right.u * 1.01)
+    elif what == "primal":
+        wrong = dataclasses.replace(right, u=right.u + 1e-3 * np.linalg.pinv(problem.E)[:, 0])
+    else:
+        # a multiplier on a row that does not touch: of the wrong sign, or of the right one
+        slack = problem.upper - right.u
+        z[l + problem.h.size + int(np.argmax(slack[:n]))] += -0.1 if what == "dual" else 0.1
+        wrong = dataclasses.replace(right, z=z)
+    assert getattr(wrong.residuals(problem), what) > 1e-5
+
+
+def test_what_is_active_is_named():
+    """Minimise |u - (1, -1, 0)|^2 with u_0 <= 1/2 and u_1 >= -1/4: both hold back, the second more."""
+    none, eye = np.empty((0, 3)), np.eye(3)
+    names = tuple(f"{end}/{k}" for end in ("max", "min") for k in "abc")
+    bounds = np.array([-9.0, -0.25, -9.0]), np.array([0.5, 9.0, 9.0])
+    problem = Problem(eye, np.array([-1.0, 1.0, 0.0]), none, np.empty(0), none, np.empty(0), *bounds, names)
+    solution = make_solver("clarabel").solve(problem)
+    np.testing.assert_allclose(solution.u, [0.5, -0.25, 0.0], atol=1e-10)
+    assert solution.active(problem) == ("min/b", "max/a")
+
+
+@pytest.mark.parametrize("far", [1e2, 1e4])
+def test_a_row_capped_at_first_still_counts(far):
+    """A bound many gradient steps away, which a row with a large right-hand side makes matter after all."""
+    eye, G = np.eye(2), np.array([[1.0, -1.0]])
+    none = np.empty((0, 2))
+    bounds = np.full(2, -2.0 * far), np.array([far / 2.0, 2.0 * far])
+    names = ("push", "max/a", "max/b", "min/a", "min/b")
+    problem = Problem(eye, np.array([-1.0, 0.0]), none, np.empty(0), G, np.array([far]), *bounds, names)
+    solution = make_solver("clarabel").solve(problem)
+    np.testing.assert_allclose(solution.u, exact(problem), rtol=1e-9)
+    assert solution.residuals(problem).largest < 1e-9
+
+
+def test_rows_in_conflict_are_named():
+    problem = a_problem()
+    k = problem.names.index("ground")
+    E = np.concatenate([problem.E, problem.E[k : k + 1]])
+    names = (*problem.names[: problem.e.size], "ceiling", *problem.names[problem.e.size :])
+    clash = dataclasses.replace(problem, E=E, e=np.append(problem.e, problem.e[k] + 0.1), names=names)
+    with pytest.raises(QPError, match="no answer") as caught:
+        make_solver("clarabel").solve(clash)
+    assert caught.value.status.endswith("Infeasible")
+    assert {"ground", "ceiling"} <= set(caught.value.rows)

@@ -1,0 +1,188 @@
+"""Whole walks at the paper's gains, judged by the figures of section 5 and by Groenwall's bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from robots import biped12, biped12_config, legs, mirrored
+from walks import Stretch, paper_stretches, paper_walk, stretches, walk
+
+from dqwalk_ros.config import load
+from dqwalk_ros.dq import DQ
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.model import Foot
+from dqwalk_ros.phases import PhaseKind
+
+TOLERANCE = 1e-5
+"""The paper's own discretisation effect: m, m^2 for squared distances, rad."""
+
+WALKS = [
+    pytest.param("left", True, 1, marks=pytest.mark.xdist_group("left"), id="left-flat"),
+    pytest.param("right", True, 1, marks=pytest.mark.xdist_group("right"), id="right-flat"),
+    *(
+        pytest.param(first, flat, cycles, marks=[pytest.mark.long, pytest.mark.xdist_group(f"{first}-long")], id=name)
+        for first in ("left", "right")
+        for flat, cycles, name in ((True, 3, f"{first}-flat-3"), (False, 1, f"{first}-literal"))
+    ),
+]
+"""First support foot, flat feet or the literal (8), cycles."""
+
+pytestmark = pytest.mark.timeout(1800)
+each_walk = pytest.mark.parametrize(("first", "flat", "cycles"), WALKS)
+
+
+@each_walk
+def test_every_phase_ends_by_its_rule(first, flat, cycles):
+    trace = paper_walk(first, flat, cycles)
+    assert trace.finished, trace.notes
+    assert trace.notes == ()
+    other = {"left": "right", "right": "left"}[first]
+    cycle = [f"{kind}_support/{foot}" for foot in (first, other) for kind in ("double", "single")]
+    assert [record.name for record in trace.phases] == cycle * cycles
+    config = trace.config
+    for part in paper_stretches(first, flat, cycles):
+        assert part.time[-1] < config.gait.phase_timeout
+        window = round(config.dsp.stall_window / config.dt)
+        if part.phase.kind is PhaseKind.SINGLE_SUPPORT:
+            assert part.error[-1] < config.ssp.threshold
+            assert (part.error[:-1] >= config.ssp.threshold).all()  # and not later than that
+        else:
+            fall = part.error[:-window] - part.error[window:]
+            assert fall[-1] < config.dsp.stall_rate
+            assert part.error[-1] < config.ssp.com_radius
+            inside = part.error[window:] < config.ssp.com_radius
+            assert not ((fall < config.dsp.stall_rate) & inside)[:-1].any()
+
+
+@each_walk
+def test_each_swing_lands_five_centimetres_ahead(first, flat, cycles):
+    nominal = abs(Kinematics(legs(), np.zeros(10), Foot.LEFT).point("r_sole")[1])
+    for part in paper_stretches(first, flat, cycles):
+        if part.phase.kind is PhaseKind.SINGLE_SUPPORT:
+            aside = -nominal if part.phase.base is Foot.LEFT else nominal
+            landed = part.last.point(part.last.swing)
+            assert np.linalg.norm(landed - [0.05, aside, 0.0]) < 2.1e-3
+            up = part.last.direction(part.last.swing, np.array([0.0, 0.0, 1.0]))
+            assert np.arccos(min(1.0, up[2])) < 2e-3  # and flat
+
+
+@each_walk
+def test_no_distance_falls_below_its_bound(first, flat, cycles):
+    for part in paper_stretches(first, flat, cycles):
+        for name, d in part.distances.items():
+            assert d.min() >= -TOLERANCE, f"{part.phase.name}: {name} {d.min():.3g}"
+
+
+def groenwall(part: Stretch, name: str, dt: float) -> np.ndarray:
+    """(1 - eta dt)^k d_0 for every tick and row."""
+    d = {**part.distances, **part.holds}[name]
+    return (1.0 - part.rates[name] * dt) ** np.arange(len(d))[:, None] * d[0]
+
+
+@each_walk
+def test_groenwall(first, flat, cycles):
+    """No distance falls faster than its rate allows, and what is held returns at its rate."""
+    for part in paper_stretches(first, flat, cycles):
+        for name, d in part.distances.items():
+            excess = (d - groenwall(part, name, 0.005)).min()
+            assert excess >= -TOLERANCE, f"{part.phase.name}: {name} {excess:.3g}"
+        for name, d in part.holds.items():
+            excess = np.abs(d - groenwall(part, name, 0.005)).max()
+            assert excess <= 2e-5, f"{part.phase.name}: {name} {excess:.3g}"
+
+
+@each_walk
+def test_the_end_tip_is_on_the_ground(first, flat, cycles):
+    """Within 2e-5 m from two seconds into each double support."""
+    for part in paper_stretches(first, flat, cycles):
+        if part.phase.kind is PhaseKind.DOUBLE_SUPPORT:
+            assert np.abs(part.holds["ground"][part.time >= 2.0]).max() < 2e-5
+
+
+@each_walk
+def test_double_support_ends_inside_the_cylinder_of_the_foot_as_it_then_stands(first, flat, cycles):
+    trace = paper_walk(first, flat, cycles)
+    for part in paper_stretches(first, flat, cycles):
+        if part.phase.kind is PhaseKind.DOUBLE_SUPPORT:
+            kin = Kinematics(trace.model, trace.q[part.ticks[-1]], part.phase.support)
+            center = trace.model.soles[part.phase.support].center
+            assert np.hypot(*(kin.com - center)[:2]) < trace.config.ssp.com_radius
+
+
+@each_walk
+def test_joint_limits_are_never_crossed(first, flat, cycles):
+    trace = paper_walk(first, flat, cycles)
+    assert (trace.q >= trace.model.q_min).all()
+    assert (trace.q <= trace.model.q_max).all()
+    assert np.abs(trace.u[:-1]).max() <= trace.model.velocity_max.min()
+
+
+@each_walk
+def test_poses_keep_unit_norm(first, flat, cycles):
+    trace = paper_walk(first, flat, cycles)
+    for part in paper_stretches(first, flat, cycles):
+        for tick in part.ticks[::100]:
+            kin = Kinematics(trace.model, trace.q[tick], part.phase.base)
+            for frame in (kin.swing, trace.model.pelvis):
+                x = DQ(kin.pose(frame))
+                np.testing.assert_allclose((x * x.conj()).vec8(), [1, 0, 0, 0, 0, 0, 0, 0], rtol=0, atol=1e-12)
+
+
+@each_walk
+def test_the_walk_goes_ahead(first, flat, cycles):
+    """The CoM ends ahead of where it began, if by much less than the steps: in double support feet slide back."""
+    trace = paper_walk(first, flat, cycles)
+    com = [
+        DQ(record.x_odom_base).transform_point(Kinematics(trace.model, trace.q[tick], record.base).com)
+        for record, tick in ((trace.phases[0], 0), (trace.phases[-1], -1))
+    ]
+    assert com[1][0] - com[0][0] > 0.01 * cycles
+    for record in trace.phases:
+        y = DQ(record.x_odom_base)
+        np.testing.assert_allclose((y * y.conj()).vec8(), [1, 0, 0, 0, 0, 0, 0, 0], rtol=0, atol=1e-12)
+
+
+# ---------------------------------------------------------------------- symmetry, other robots
+
+
+@pytest.mark.xdist_group("left")
+def test_a_left_step_is_the_mirror_image_of_a_right_step():
+    """On the mirrored robot the same angles do the same on the other side, through two phases."""
+    trace = paper_walk("left")
+    until = trace.phases[2].start + 400
+    config = load("paper").updated({"gait.first_support": "right"})
+    image = walk(config, mirrored(legs()), max_time=until * 0.005)
+    assert [record.name for record in image.phases] == [
+        "double_support/right",
+        "single_support/right",
+        "double_support/left",
+    ]
+    assert [record.start for record in image.phases] == [record.start for record in trace.phases[:3]]
+    np.testing.assert_allclose(image.q, trace.q[: len(image)], rtol=0, atol=1e-9)
+
+
+@pytest.mark.xdist_group("right")
+def test_a_walk_is_the_same_every_time():
+    """To the last bit, so that a seed or a busy machine cannot matter."""
+    config = load("paper").updated({"gait.first_support": "right"})
+    again = walk(config, legs(), max_time=20.0)
+    np.testing.assert_array_equal(again.q, paper_walk("right").q[: len(again)])
+
+
+@pytest.mark.xdist_group("right")
+def test_another_biped_walks_with_its_own_configuration(foot):
+    """The made-up one: other names, six joints a leg, a fixed torso; faster gains, for the time of the test."""
+    config = biped12_config(**FAST, **{"gait.first_support": foot.value})
+    trace = walk(config, biped12())
+    assert trace.finished, trace.notes
+    assert len(trace.phases) == 4
+    for part in stretches(trace):
+        for name, d in part.distances.items():
+            assert d.min() >= -TOLERANCE, f"{part.phase.name}: {name} {d.min():.3g}"
+        if part.phase.kind is PhaseKind.SINGLE_SUPPORT:
+            assert part.last.point(part.last.swing)[0] == pytest.approx(0.05, abs=2.1e-3)
+    assert (trace.q >= trace.model.q_min).all()
+    assert (trace.q <= trace.model.q_max).all()
+
+
+FAST = {"task.eta": 0.3, "task.damping": 0.05}
