@@ -88,7 +88,7 @@ def test_groenwall(first, flat, cycles):
             assert excess >= -TOLERANCE, f"{part.phase.name}: {name} {excess:.3g}"
         for name, d in part.holds.items():
             excess = np.abs(d - groenwall(part, name, 0.005)).max()
-            assert excess <= 2e-5, f"{part.phase.name}: {name} {excess:.3g}"
+            assert excess <= TOLERANCE, f"{part.phase.name}: {name} {excess:.3g}"
 
 
 @each_walk
