@@ -43,7 +43,7 @@ class RigidNode:
         From `entry.parse`.
     """
 
-    rest, handled = 0.0, 0
+    rest, handled, last_words = 0.0, 0, 1.0
 
     def __init__(self, node: Node, life: Life, options: Any) -> None:
         self.node, self.life = node, life

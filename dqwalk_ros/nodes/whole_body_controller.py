@@ -42,7 +42,7 @@ class WholeBodyControllerNode:
         From `entry.parse`.
     """
 
-    rest, handled = 0.0, 0
+    rest, handled, last_words = 0.0, 0, 1.0
 
     def __init__(self, node: Node, life: Life, options: Any) -> None:
         self.node, self.life = node, life
