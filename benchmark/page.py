@@ -16,6 +16,8 @@ TEXT = """\
 
 Written by `python -m benchmark.page` on {date}; do not edit. Times are medians of single calls of an interleaved run
 on a machine that other programs used as well: compare figures of one table only, and ratios rather than times.
+A peer's tick is its own kinematics, the rows in numpy as one writes them by hand, and its usual solver; its error is that
+of u relative to the largest joint velocity. The robots are made up (`benchmark/robots.py`).
 
 """
 
@@ -24,12 +26,13 @@ def main() -> None:
     """Run and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--peers", action="store_true", help="with the peers; needs benchmark/requirements.txt")
+    parser.add_argument("--ticks", type=int, default=100_000, help="of the long walk")
     parser.add_argument("--out", type=Path, default=Path(__file__).resolve().parent.parent / "docs" / "benchmarks.md")
     args = parser.parse_args()
     runs = [
         ("One tick", ["benchmark.tick", *(["--peers"] if args.peers else [])]),
         ("Growth", ["benchmark.growth"]),
-        ("A long walk", ["benchmark.cycle"]),
+        ("A long walk", ["benchmark.cycle", "--ticks", str(args.ticks)]),
     ]
     parts = [TEXT.format(date=datetime.date.today().isoformat())]
     for title, command in runs:

@@ -6,17 +6,38 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from typing import Any
 
 import numba
 import numpy as np
+from numba.core import event
 from numpy.typing import NDArray
 
 __all__ = ["compose", "forward", "jit", "line_jacobian", "point", "point_jacobian", "pose_jacobian"]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+
+
+class _Notice(event.Listener):
+    """Says once that this process compiles, so that nobody takes the wait for a hang."""
+
+    def __init__(self) -> None:
+        self._told = False
+
+    def on_start(self, event: Any) -> None:
+        """Compiling begins; what is in the cache is not compiled."""
+        if not self._told:
+            self._told = True
+            logging.getLogger("dqwalk_ros").warning("compiling for this machine; this takes a while, once")
+
+    def on_end(self, event: Any) -> None:
+        """Compiling is over."""
+
+
+event.register("numba:compile", _Notice())  # type: ignore[no-untyped-call]
 
 jit: Any = numba.njit(cache=True, fastmath=False, error_model="numpy")
 """How every function of this package is compiled: once per machine, IEEE arithmetic as written."""
