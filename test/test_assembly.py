@@ -18,7 +18,7 @@ from dqwalk_ros.phases import PhaseKind, assemble, make_phase
 from dqwalk_ros.tasks import Posture
 
 DT = 0.005
-KINDS = [(kind, foot) for kind in PhaseKind for foot in Foot]
+KINDS = [(kind, foot) for kind in (PhaseKind.DOUBLE_SUPPORT, PhaseKind.SINGLE_SUPPORT) for foot in Foot]
 
 
 @cache
