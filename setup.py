@@ -55,7 +55,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/config", sorted(glob("config/*.yaml"))),
+        (f"share/{NAME}/config", sorted(glob("config/*.*"))),
         (f"share/{NAME}/urdf", sorted(glob("urdf/*.urdf"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
         # `ros2 run dqwalk_ros controller` looks here. They are no console scripts, because pip would put such general
@@ -87,6 +87,7 @@ setup(
         "study": STUDY,
         "view": VIEW,
         "sim": SIM,
+        "docs": ["mkdocs>=1.5"],
         "wholebody": WHOLEBODY,
         "test": TEST,
         "dev": DEV,

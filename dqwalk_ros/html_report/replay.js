@@ -71,7 +71,7 @@
         void main() {
           vec3 n = normalize(normal + vec3(1e-9)); float sun = max(dot(n, normalize(vec3(0.5, 0.35, 0.8))), 0.0);
           float shade = mix(1.0, 0.50 + 0.16 * n.z + 0.46 * sun, lit);
-          float fog = lit > 0.5 ? 0.0 : clamp((distance(place, eye) - 1.4) / 2.2, 0.0, 1.0) * step(color.a, 0.99);
+          float fog = lit > 0.5 ? 0.0 : clamp((distance(place, eye) - 2.0) / 2.5, 0.0, 1.0) * step(color.a, 0.99);
           gl_FragColor = vec4(mix(color.rgb * shade, vec3(1.0), fog), color.a * (1.0 - fog)); }`));
       gl.linkProgram(program); gl.useProgram(program);
       this.u = {}; for (const k of ["view", "r", "o", "s", "color", "lit", "eye"]) this.u[k] = gl.getUniformLocation(program, k);

@@ -14,7 +14,17 @@ from dataclasses import dataclass
 
 from dqwalk_ros.config import Config
 
-__all__ = ["controller", "integrator", "parse", "phase_monitor", "recorder", "rigid", "viewer", "whole_body_controller"]
+__all__ = [
+    "HELP",
+    "controller",
+    "integrator",
+    "parse",
+    "phase_monitor",
+    "recorder",
+    "rigid",
+    "viewer",
+    "whole_body_controller",
+]
 
 
 @dataclass(frozen=True)
@@ -28,7 +38,7 @@ class Help:
     example: str
 
 
-_HELP = {
+HELP = {
     "controller": Help(
         what="Walk: answer each measured state with joint velocities, from one quadratic program per tick.",
         gets=("joint_states        sensor_msgs/JointState [rad, rad/s], joints matched by name",),
@@ -132,7 +142,7 @@ def parse(name: str, argv: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog=name,
         usage=f"{name} {'--bag DIR ' if name == 'recorder' else ''}[--ros-args --params-file FILE -p NAME:=VALUE ...]",
-        description=_HELP[name].what,
+        description=HELP[name].what,
         epilog=_epilog(name),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -154,7 +164,7 @@ def parse(name: str, argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _epilog(name: str) -> str:
-    about = _HELP[name]
+    about = HELP[name]
     lines = [
         "subscribes to:",
         *(f"  {line}" for line in about.gets),

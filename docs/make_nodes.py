@@ -1,0 +1,45 @@
+"""Write docs/nodes/NAME.md from what the nodes say of themselves and from the schema of the parameters.
+
+Run it after a change: ``python docs/make_nodes.py``; a test compares.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from dqwalk_ros.config import Config, Spec
+from dqwalk_ros.nodes.entry import HELP
+
+FOLDER = Path(__file__).resolve().parent / "nodes"
+
+
+def page(name: str) -> str:
+    """Return the page of a node."""
+    about = HELP[name]
+    lines = [f"# {name}", "", about.what, ""]
+    lines += ["```text", f"ros2 run dqwalk_ros {name} --help", f"dqwalk_{name} --help", "```"]
+    lines += ["", "## Subscribes to", "", "```text", *about.gets, "```", ""]
+    lines += ["## Gives", "", "```text", *about.gives, "```", "", "## Parameters", ""]
+    specs = [spec for spec in Config.specs() if spec.name.split(".")[0] in about.sections]
+    if not specs:
+        lines.append("None of its own; it takes every parameter of the package, so that one file serves all nodes.")
+    else:
+        lines += ["| name | default | range | meaning |", "|---|---|---|---|", *map(_row, specs)]
+    return "\n".join(lines) + "\n"
+
+
+def _row(spec: Spec) -> str:
+    value = str(spec.default).lower() if spec.type is bool else str(spec.default)
+    value = "(none)" if spec.default in ("", ()) else value
+    limits = ", ".join(spec.choices)
+    if not limits and (spec.low is not None or spec.high is not None):
+        low, high = ("" if bound is None else f"{bound:g}" for bound in (spec.low, spec.high))
+        limits = f"{low} to {high}"
+    meaning = spec.meaning.replace("|", "\\|").replace("*", "\\*")
+    return f"| `{spec.name}` | {value} {spec.unit}".rstrip() + f" | {limits} | {meaning} |"
+
+
+if __name__ == "__main__":
+    FOLDER.mkdir(exist_ok=True)
+    for node in HELP:
+        (FOLDER / f"{node}.md").write_text(page(node), encoding="utf-8")

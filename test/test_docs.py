@@ -1,0 +1,71 @@
+"""The documentation is true: links lead somewhere, commands parse, Python runs, node pages agree with the schema."""
+
+from __future__ import annotations
+
+import json
+import re
+import runpy
+import shlex
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+
+from dqwalk_ros.bag import TOPICS
+from dqwalk_ros.cli import parser
+from dqwalk_ros.nodes.entry import HELP
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
+OURS = [ROOT / "docs/tutorial.md", ROOT / "docs/see.md"]
+
+
+def blocks(page, language):
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.S | re.M)
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if p.exists()], ids=lambda p: str(p.relative_to(ROOT)))
+def test_links_lead_somewhere(page):
+    text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.S | re.M)
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if not re.match(r"https?:|mailto:|#", target):
+            assert (page.parent / target.partition("#")[0]).exists(), f"{page.name} links to {target}"
+
+
+@pytest.mark.parametrize("page", OURS, ids=lambda p: p.name)
+def test_commands_parse(page):
+    count = 0
+    for block in blocks(page, "bash"):
+        for line in block.splitlines():
+            words = shlex.split(line, comments=True)
+            if words and words[0] == "dqwalk":
+                words = words[1 : words.index(">")] if ">" in words else words[1:]
+                parser.build().parse_args(words)  # exits where a word is not known
+                count += 1
+    assert count >= 5
+
+
+@pytest.mark.parametrize("page", OURS, ids=lambda p: p.name)
+def test_python_runs(page):
+    for block in blocks(page, "python"):
+        exec(compile(block, str(page), "exec"), {"__name__": "__main__"})
+
+
+@pytest.mark.parametrize("node", sorted(HELP))
+def test_the_page_of_a_node_is_that_of_the_schema(node):
+    made = runpy.run_path(str(ROOT / "docs/make_nodes.py"))["page"](node)
+    assert (ROOT / f"docs/nodes/{node}.md").read_text() == made, "run docs/make_nodes.py"
+
+
+def test_layouts_name_topics_there_are():
+    known = {f"/{name}" for name in TOPICS} | {"/com", "/support_polygon", "/walk_markers"}
+    layout = json.loads((ROOT / "config/foxglove.json").read_text())
+    named = set(layout["configById"]["3D!walk"]["topics"])
+    named |= {re.match(r"/\w+", found).group() for found in re.findall(r'"value": "(/[^"]+)"', json.dumps(layout))}
+    assert named <= known
+    curves = [c.get("name") for c in ElementTree.parse(ROOT / "config/plotjuggler.xml").iter("curve")]
+    assert {re.match(r"/\w+", name).group() for name in curves} <= known
+    rviz = yaml.safe_load((ROOT / "config/walk.rviz").read_text())["Visualization Manager"]["Displays"]
+    topics = {d[key]["Value"] for d in rviz for key in ("Topic", "Description Topic") if key in d}
+    assert {f"/{name}" for name in topics} <= known
