@@ -1,11 +1,12 @@
-"""Write docs/nodes/NAME.md from what the nodes say of themselves and from the schema of the parameters.
+"""Make the pages of the nodes from what they say of themselves and from the schema of the parameters.
 
-Run it after a change: ``python docs/make_nodes.py``; a test compares.
+A hook of mkdocs (see mkdocs.yml): the pages are made anew with every website and are not kept.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from dqwalk_ros.config import Config, Spec
 from dqwalk_ros.nodes.entry import HELP
@@ -39,7 +40,8 @@ def _row(spec: Spec) -> str:
     return f"| `{spec.name}` | {value} {spec.unit}".rstrip() + f" | {limits} | {meaning} |"
 
 
-if __name__ == "__main__":
+def on_pre_build(config: Any) -> None:
+    """Write docs/nodes/NAME.md; mkdocs calls this."""
     FOLDER.mkdir(exist_ok=True)
     for node in HELP:
         (FOLDER / f"{node}.md").write_text(page(node), encoding="utf-8")

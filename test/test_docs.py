@@ -14,6 +14,7 @@ import yaml
 
 from dqwalk_ros.bag import TOPICS
 from dqwalk_ros.cli import parser
+from dqwalk_ros.config import Config
 from dqwalk_ros.nodes.entry import HELP
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -29,7 +30,10 @@ def blocks(page, language):
 def test_links_lead_somewhere(page):
     text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.S | re.M)
     for target in re.findall(r"\]\(([^)\s]+)\)", text):
-        if not re.match(r"https?:|mailto:|#", target):
+        made = page.parent.name == "docs" and re.fullmatch(r"nodes/(\w+)\.md", target)
+        if made:
+            assert made.group(1) in HELP
+        elif not re.match(r"https?:|mailto:|#", target):
             assert (page.parent / target.partition("#")[0]).exists(), f"{page.name} links to {target}"
 
 
@@ -55,7 +59,13 @@ def test_python_runs(page):
 @pytest.mark.parametrize("node", sorted(HELP))
 def test_the_page_of_a_node_is_that_of_the_schema(node):
     made = runpy.run_path(str(ROOT / "docs/make_nodes.py"))["page"](node)
-    assert (ROOT / f"docs/nodes/{node}.md").read_text() == made, "run docs/make_nodes.py"
+    rows = dict(re.findall(r"^\| `([\w.]+)` \| ([^|]+) \|", made, re.M))
+    about = HELP[node]
+    assert list(rows) == [spec.name for spec in Config.specs() if spec.name.split(".")[0] in about.sections]
+    for spec in Config.specs():
+        if spec.name in rows and spec.type is float:
+            assert float(rows[spec.name].split()[0]) == spec.default
+    assert all(line in made for line in (*about.gets, *about.gives))
 
 
 def test_layouts_name_topics_there_are():
