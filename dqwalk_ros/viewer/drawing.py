@@ -137,17 +137,21 @@ class Drawing:
         self._scene.add_line_segments(name, pairs, np.array(color), thickness=thickness, thickness_units="screen")
 
     def _show_regions(self, view: View) -> None:
+        # kept and hidden, not removed and added again: the browser may show a new one before it is placed
         present = {r.name for r in view.regions}
-        for name in [name for name in self._regions if name not in present]:
-            self._regions.pop(name)[1].remove()
+        for name, (_, handle) in self._regions.items():
+            if handle.visible != (name in present):
+                handle.visible = name in present
         tight = view.tightest.name
         for found in view.regions:
-            known = self._regions.get(found.name)
-            if known is None or not np.allclose(known[0].size, found.size, rtol=0.03):
-                known = (found, self._add_region(found))
-                self._regions[found.name] = known
-            handle = known[1]
+            if found.name not in self._regions:
+                self._regions[found.name] = (found, self._add_region(found))
+            first, handle = self._regions[found.name]
             _move(handle, found.pose, _ORIGIN)
+            a, b = found.size[0] / first.size[0], found.size[1] / first.size[1]
+            scale = {"cylinder": (a, a, b), "plane": (a, b, 1.0)}.get(found.kind, (a, 1.0, b))
+            if not np.allclose(handle.scale, scale, rtol=0.005):
+                handle.scale = scale
             color = colors.TIGHT if found.name == tight else colors.of_region(found.name)
             if tuple(handle.color) != color:
                 handle.color = color
