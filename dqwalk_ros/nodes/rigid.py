@@ -22,7 +22,7 @@ from dqwalk_ros.model import Foot, load_model
 from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.parameters import Parameters
-from dqwalk_ros.nodes.runtime import LAST_WORDS, STEADY, Life, run
+from dqwalk_ros.nodes.runtime import LAST_WORDS, STEADY, Life, Worker, run
 from dqwalk_ros.plants.rigid import RigidPlant
 from dqwalk_ros.preview import Stepping
 
@@ -32,7 +32,7 @@ _ASK_AGAIN = 0.5
 """A state without an answer is published again after this long [s]."""
 
 
-class RigidNode:
+class RigidNode(Worker):
     """joint_effort_commands, push -> joint_states, base_pose, base_twist.
 
     Parameters
@@ -42,8 +42,6 @@ class RigidNode:
     options : argparse.Namespace
         From `entry.parse`.
     """
-
-    rest, handled, last_words = 0.0, 0, 1.0
 
     def __init__(self, node: Node, life: Life, options: Any) -> None:
         self.node, self.life = node, life

@@ -21,7 +21,7 @@ from dqwalk_ros.model import load_model
 from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.parameters import Parameters
-from dqwalk_ros.nodes.runtime import LAST_WORDS, Life, Throttle, run
+from dqwalk_ros.nodes.runtime import LAST_WORDS, Life, Throttle, Worker, run
 
 __all__ = ["WholeBodyControllerNode", "main"]
 
@@ -31,7 +31,7 @@ _PARTS = 20
 """So many messages of each kind wait for the rest of their state."""
 
 
-class WholeBodyControllerNode:
+class WholeBodyControllerNode(Worker):
     """joint_states, base_pose, base_twist, hand_target -> joint_effort_commands.
 
     Parameters
@@ -41,8 +41,6 @@ class WholeBodyControllerNode:
     options : argparse.Namespace
         From `entry.parse`.
     """
-
-    rest, handled, last_words = 0.0, 0, 1.0
 
     def __init__(self, node: Node, life: Life, options: Any) -> None:
         self.node, self.life = node, life
