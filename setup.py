@@ -5,7 +5,16 @@ from glob import glob
 from setuptools import find_packages, setup
 
 NAME = "dqwalk_ros"
-NODES = ("controller", "integrator", "phase_monitor", "recorder", "rigid", "viewer", "whole_body_controller")
+NODES = (
+    "controller",
+    "integrator",
+    "phase_monitor",
+    "poppy_driver",
+    "recorder",
+    "rigid",
+    "viewer",
+    "whole_body_controller",
+)
 
 # The wheels of ROS 2 Jazzy, for a machine without ROS (Linux, x86_64, Python 3.11 to 3.13). An extra, never a plain
 # requirement: where ROS is installed they must not come beside it.
@@ -31,6 +40,7 @@ TEST = [
     "pin>=2.7",
     "playwright>=1.40",
     "psutil>=5.9",
+    "pyserial>=3.5",
     "pytest>=7.4",
     "pytest-timeout>=2.1",
     "pytest-xdist>=3.3",
@@ -38,6 +48,9 @@ TEST = [
 ]
 # pinocchio, for the whole-body controller
 WHOLEBODY = ["pin>=2.7"]
+# pypot 5.0.2 names OpenCV, ikpy, tornado and more as requirements (500 MB), of which the driver uses none:
+# `pip install --no-deps pypot==5.0.2` beside pyserial is enough, and is what `make test` does.
+POPPY = ["pypot==5.0.2", "pyserial>=3.5"]
 DEV = [*VIEW, "mypy>=1.10", "ruff>=0.6", "types-PyYAML>=6.0", "types-psutil>=5.9"]
 
 setup(
@@ -56,6 +69,8 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", sorted(glob("config/*.*"))),
+        (f"share/{NAME}/config/motors", sorted(glob("config/motors/*.yaml"))),
+        (f"share/{NAME}/config/plants", sorted(glob("config/plants/*.yaml"))),
         (f"share/{NAME}/urdf", sorted(glob("urdf/*.urdf"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
         # `ros2 run dqwalk_ros controller` looks here. They are no console scripts, because pip would put such general
@@ -84,6 +99,7 @@ setup(
     extras_require={
         "ros": ROS,
         "daqp": DAQP,
+        "poppy": POPPY,
         "study": STUDY,
         "view": VIEW,
         "sim": SIM,

@@ -36,8 +36,10 @@ __all__ = [
     "PelvisConfig",
     "PhysicsConfig",
     "PlantConfig",
+    "PoppyConfig",
     "QpConfig",
     "RobotConfig",
+    "SafetyConfig",
     "ServoConfig",
     "Spec",
     "SspConfig",
@@ -352,6 +354,36 @@ class WholeBodyConfig:
 
 
 @dataclass(frozen=True)
+class SafetyConfig:
+    """What a node refuses (docs/faults.md)."""
+
+    outside: float = _par(0.1, "a state further outside the joint limits is refused", "rad", 0.0, 1.0, structural=True)
+    jumps: int = _par(5, "jumps of the state in a row that end the walk", "", 1, 1000, structural=True)
+    failures: int = _par(10, "programs without an answer in a row that end the walk", "", 1, 1000, structural=True)
+
+
+@dataclass(frozen=True)
+class PoppyConfig:
+    """The driver of the real Poppy."""
+
+    motors: str = _par("poppy", "table of the motors: a path, or the name of one in config/motors/", structural=True)
+    dummy: bool = _par(False, "pypot's dummy motors instead of a robot", structural=True)
+    rate: float = _par(50.0, "goals sent and angles read per second", "Hz", 5.0, 100.0, structural=True)
+    lower_port: str = _par("auto", "serial port of the legs, such as /dev/ttyACM0", structural=True)
+    upper_port: str = _par("auto", "serial port of the upper body", structural=True)
+    sync_read: bool = _par(True, "read all motors of a bus at once: USB2AX yes, FTDI and U2D2 no", structural=True)
+    calibration: tuple[str, ...] = _par((), "what pypot shows at a joint's zero, as JOINT=DEGREES", structural=True)
+    start_speed: float = _par(0.25, "speed of the way to the first pose", "rad/s", 0.01, 1.0, structural=True)
+    start_tolerance: float = _par(
+        0.1, "joints this near to the first pose are there", "rad", 1e-3, 0.5, structural=True
+    )
+    max_speed: float = _par(120.0, "no servo is told to turn faster", "deg/s", 2.0, 360.0, structural=True)
+    max_lead: float = _par(0.2, "a goal is never further from its joint", "rad", 0.01, 1.0, structural=True)
+    hot: float = _par(65.0, "the robot holds still when a motor is hotter", "degC", 30.0, 80.0, structural=True)
+    torque_off_at_end: bool = _par(False, "the motors go limp when the driver ends; false: they hold", structural=True)
+
+
+@dataclass(frozen=True)
 class Config:
     """All parameters of a walk."""
 
@@ -369,6 +401,8 @@ class Config:
     physics: PhysicsConfig = dataclasses.field(default_factory=PhysicsConfig)
     plant: PlantConfig = dataclasses.field(default_factory=PlantConfig)
     monitor: MonitorConfig = dataclasses.field(default_factory=MonitorConfig)
+    safety: SafetyConfig = dataclasses.field(default_factory=SafetyConfig)
+    poppy: PoppyConfig = dataclasses.field(default_factory=PoppyConfig)
     node: NodeConfig = dataclasses.field(default_factory=NodeConfig)
     whole_body: WholeBodyConfig = dataclasses.field(default_factory=WholeBodyConfig)
 
@@ -443,7 +477,7 @@ def _checked(spec: Spec, value: Any, source: str) -> Value:
 
     def wrong(what: str) -> ConfigError:
         unit = f" [{spec.unit}]" if spec.unit else ""
-        return ConfigError(f"{_where(source)}'{spec.name}' {what}, got {_shown(value)} ({spec.meaning}{unit})")
+        return ConfigError(f"{_where(source)}'{spec.name}' {what}, got {value!r:.80} ({spec.meaning}{unit})")
 
     if spec.type is bool:
         if not isinstance(value, bool):
@@ -455,10 +489,7 @@ def _checked(spec: Spec, value: Any, source: str) -> Value:
     elif spec.type is float:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise wrong("must be a number")
-        try:
-            value = float(value)
-        except OverflowError:
-            value = math.inf
+        value = float(value) if abs(value) < 1e308 else math.inf  # a whole number may be larger than any real one
         if not math.isfinite(value):
             raise wrong("must be finite")
     elif spec.type is str:
@@ -477,14 +508,6 @@ def _checked(spec: Spec, value: Any, source: str) -> Value:
         raise wrong(f"must lie in [{spec.low:g}, {spec.high:g}]")
     number: Value = value
     return number
-
-
-def _shown(value: Any) -> str:
-    try:
-        text = repr(value)
-    except ValueError:  # a number with thousands of digits
-        text = f"a {type(value).__name__}"
-    return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 def find_share(folder: str, name: str) -> pathlib.Path:

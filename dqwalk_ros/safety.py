@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from dqwalk_ros.exceptions import StateError
 from dqwalk_ros.model import RobotModel
 
-__all__ = ["CommandGate", "JointOrder", "Latch", "StateGate", "Watchdog", "clamp_velocity", "outside_limits"]
+__all__ = ["CommandGate", "JointOrder", "Latch", "Rivals", "StateGate", "Watchdog", "clamp_velocity", "outside_limits"]
 
 Array = NDArray[np.float64]
 Clock = Callable[[], float]
@@ -136,6 +136,35 @@ class Latch:
 
     def __bool__(self) -> bool:
         return bool(self.reason)
+
+
+class Rivals:
+    """Tell from the publishers of a topic whether there are two where there must be one.
+
+    Two different nodes are told at once. Two of one name may be a node and its own ghost, for the middleware remembers
+    one that was killed for 20 s; they are two when they stay.
+
+    Parameters
+    ----------
+    clock : callable
+    """
+
+    ghost = 25.0
+    """How long a publisher that was killed may still be listed [s]."""
+
+    def __init__(self, clock: Clock = time.monotonic) -> None:
+        self._clock = clock
+        self._doubled = float("inf")
+
+    def judge(self, names: Sequence[str]) -> str:
+        """Return who the rivals are, empty for one publisher or none; `names` has one entry per publisher."""
+        if len(set(names)) > 1:
+            return ", ".join(sorted(set(names)))
+        if len(names) < 2:
+            self._doubled = float("inf")
+            return ""
+        self._doubled = min(self._doubled, self._clock())
+        return f"{names[0]}, {len(names)} times" if self._clock() - self._doubled > self.ghost else ""
 
 
 def outside_limits(q: Array, model: RobotModel, slack: float) -> str:
@@ -281,8 +310,12 @@ class CommandGate:
         Commands that were ignored for their stamp, and refused for what they said.
     """
 
+    contradictions = 3
+    """Different answers to one state, within a second, that make two controllers."""
+
     def __init__(self, model: RobotModel, timeout: Callable[[], float], clock: Clock = time.monotonic) -> None:
-        self._model, self._timeout = model, timeout
+        self._model, self._timeout, self._clock = model, timeout, clock
+        self._contradicted: list[float] = []
         self.watchdog = Watchdog(timeout, clock)
         self.refused = ""
         self.late = self.rejected = 0
@@ -293,7 +326,14 @@ class CommandGate:
     @property
     def holding(self) -> bool:
         """Whether the plant stands still, whatever the last command was."""
-        return bool(self.refused) or self.watchdog.silent
+        return bool(self.refused) or self.contradicted or self.watchdog.silent
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether two controllers answer the same states, and differ."""
+        now = self._clock()
+        self._contradicted = [at for at in self._contradicted if now - at < 1.0]
+        return len(self._contradicted) >= self.contradictions
 
     def accept(self, stamp: int, u: Array, now: int) -> bool:
         """Take in a command, or ignore it and change nothing; return which.
@@ -308,6 +348,9 @@ class CommandGate:
             Stamp of the state that the plant published last [ns]: a command that answers an older one by more than
             the timeout, or one that does not exist yet, is ignored.
         """
+        if stamp == self._stamp and not np.array_equal(u, self._u):
+            # a controller that stops says zero once for a state it has answered already; that is no second one
+            self._contradicted.append(self._clock())
         overtaken = stamp < self._stamp and not self.watchdog.silent
         if overtaken or stamp > now or now - stamp > self._timeout() * 1e9:
             self.late += 1

@@ -4,11 +4,12 @@ ros2 launch dqwalk_ros walk.launch.py lockstep:=true bag:=my_walk
 """
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler
+from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler, SetEnvironmentVariable
 from launch.conditions import IfCondition
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
 from launch.substitutions import (
+    EnvironmentVariable,
     EqualsSubstitution,
     LaunchConfiguration,
     NotEqualsSubstitution,
@@ -20,6 +21,7 @@ from launch_ros.substitutions import FindPackageShare
 
 def generate_launch_description() -> LaunchDescription:
     config = LaunchConfiguration("config")
+    plant = LaunchConfiguration("plant")
     lockstep = LaunchConfiguration("lockstep")
     bag = LaunchConfiguration("bag")
     recorded = NotEqualsSubstitution(bag, "")
@@ -33,8 +35,9 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             "plant",
             default_value="integrator",
-            choices=["integrator"],
-            description="what stands on the other side of the command: integrator, an ideal robot",
+            choices=["integrator", "poppy"],
+            description="other side of the command: integrator, an ideal robot; poppy, the real one; "
+            "config/plants/NAME.yaml is what it asks of all nodes",
         ),
         DeclareLaunchArgument(
             "lockstep",
@@ -44,11 +47,18 @@ def generate_launch_description() -> LaunchDescription:
             "ends with the walk; false: by the clock, and the robot is held still after the walk until Ctrl-C",
         ),
         DeclareLaunchArgument(
+            "discovery",
+            default_value=EnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", default_value="LOCALHOST"),
+            choices=["LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT"],
+            description="who can see the nodes: LOCALHOST this machine only, SUBNET the network as well",
+        ),
+        DeclareLaunchArgument(
             "bag", default_value="", description="record to this folder, which must not be there yet; empty: do not"
         ),
     ]
     parameters = [
         config,
+        PathJoinSubstitution([FindPackageShare("dqwalk_ros"), "config", "plants", [plant, ".yaml"]]),
         {
             "plant.lockstep": lockstep,
             "node.exit_when_done": lockstep,
@@ -63,9 +73,12 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             *arguments,
+            # nothing leaves this machine unless somebody asks for it
+            SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery")),
             node("recorder", arguments=["--bag", bag], condition=IfCondition(recorded)),
             node("phase_monitor"),
-            node("integrator", condition=IfCondition(EqualsSubstitution(LaunchConfiguration("plant"), "integrator"))),
+            node("integrator", condition=IfCondition(EqualsSubstitution(plant, "integrator"))),
+            node("poppy_driver", condition=IfCondition(EqualsSubstitution(plant, "poppy"))),
             controller,
             # in lockstep the controller ends with the walk; without a controller there is nothing left to do
             RegisterEventHandler(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +58,6 @@ class Live:
         self._listen(JointState, "joint_states", QoSProfile(depth=1000))
         self._listen(JointState, "joint_velocity_commands", QoSProfile(depth=1000))
         self._listen(DiagnosticArray, "/diagnostics", QoSProfile(depth=1000))
-        self.states = self.node.create_publisher(JointState, "joint_states", QoSProfile(depth=10))
 
     def _listen(self, kind: Any, topic: str, profile: QoSProfile) -> None:
         box = self.got.setdefault(topic.lstrip("/"), [])
@@ -88,6 +88,11 @@ class Live:
     def logs(self) -> str:
         """Return all that the nodes logged."""
         return "\n".join(f"--- {name}\n{self.processes.log(name)}" for name in self.processes.names)
+
+    @cached_property
+    def states(self) -> Any:
+        """A publisher of joint_states: two of them are a fault, so it is there only for who asks."""
+        return self.node.create_publisher(JointState, "joint_states", QoSProfile(depth=10))
 
     def publish_state(self, names: list[str], q: Any, stamp: float, dq: Any = ()) -> None:
         """Play the plant."""

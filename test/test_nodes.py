@@ -273,7 +273,7 @@ def test_a_command_that_cannot_be_used_moves_nothing(live: Make) -> None:
 # ---------------------------------------------------------------------- start and end
 
 
-@pytest.mark.parametrize("name", ["controller", "integrator", "phase_monitor", "recorder"])
+@pytest.mark.parametrize("name", ["controller", "integrator", "phase_monitor", "poppy_driver", "recorder"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_a_node_in_order(live: Make, name: str, number: signal.Signals) -> None:
     one = live()
@@ -343,7 +343,7 @@ def test_parameters_are_described_and_live_ones_can_be_set(live: Make) -> None:
     assert not set_to("gait.step_length", 0.01).successful
 
 
-@pytest.mark.parametrize("name", ["controller", "integrator", "phase_monitor", "recorder"])
+@pytest.mark.parametrize("name", ["controller", "integrator", "phase_monitor", "poppy_driver", "recorder"])
 def test_help_needs_no_ros(name: str) -> None:
     code = (
         "import sys; sys.modules['rclpy'] = None; sys.argv = ['x', '--help']\n"

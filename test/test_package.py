@@ -16,7 +16,16 @@ import pytest
 import dqwalk_ros
 
 ROOT = Path(__file__).resolve().parent.parent
-NODES = ("controller", "integrator", "phase_monitor", "recorder", "rigid", "viewer", "whole_body_controller")
+NODES = (
+    "controller",
+    "integrator",
+    "phase_monitor",
+    "poppy_driver",
+    "recorder",
+    "rigid",
+    "viewer",
+    "whole_body_controller",
+)
 
 
 def test_the_version_is_one() -> None:

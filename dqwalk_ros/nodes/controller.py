@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import enum
 import sys
-import time
 import traceback
 from typing import Any
 
@@ -23,13 +22,14 @@ from std_srvs.srv import Trigger
 from dqwalk_ros.bag.topics import FINISHED, ODOM, TOPICS
 from dqwalk_ros.config import Config, to_yaml
 from dqwalk_ros.controllers import State, make_controller
-from dqwalk_ros.exceptions import DqwalkError, StateError
+from dqwalk_ros.exceptions import DqwalkError, QPError, StateError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import load_model
 from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.parameters import Parameters
 from dqwalk_ros.nodes.runtime import LAST_WORDS, STEADY, Life, Throttle, Worker, run, say
+from dqwalk_ros.safety import Latch, Rivals, StateGate
 
 __all__ = ["ControllerNode", "main"]
 
@@ -73,7 +73,18 @@ class ControllerNode(Worker):
         self._zero = np.zeros(self._model.n)
         self._stamp = self._stamp0 = -1  # of the last and the first state answered [ns]
         self._velocity = self._zero
-        self._received = time.monotonic()
+        safety = config.safety
+        self._gate = StateGate(
+            self._model,
+            config.dt,
+            lambda: self._parameters.config.plant.command_timeout,
+            outside=safety.outside,
+            jumps=safety.jumps,
+            by_stamp=self._lockstep,
+        )
+        self._failures = Latch(safety.failures)
+        self._plants = Rivals()
+        self._rivals = ""
         self._stale = False
         self._ticks = self._rejected = self._ignored = 0
         self._phase_index = -1
@@ -92,6 +103,7 @@ class ControllerNode(Worker):
         self._diagnose_now = Throttle(1.0 / config.monitor.rate)
         self._warn_now = Throttle(2.0)
         self._report_now = Throttle(0.5)
+        self._look_now = Throttle(0.25)
         node.get_logger().info(
             f"{self._model.name}: {self._model.n} joints, {config.gait.cycles} cycle(s), "
             f"{'lockstep' if self._lockstep else f'real time, dt {config.dt} s'}, {self._mode.value}"
@@ -105,22 +117,20 @@ class ControllerNode(Worker):
     # ------------------------------------------------------------------ the loop
 
     def _on_state(self, msg: JointState) -> None:
+        stamp = ros.nanoseconds(msg.header.stamp)
         try:
             state = self._reader.state(msg)
+            if not self._is_new(stamp):
+                return
+            self._gate.accept(stamp, state.q)
         except StateError as error:
-            self._rejected += 1
-            if self._warn_now():
-                self.node.get_logger().error(f"joint_states rejected ({self._rejected} so far): {error}")
-            self._diagnose("ERROR", f"joint_states rejected: {error}")
+            self._reject(error)
             return
-        stamp = ros.nanoseconds(msg.header.stamp)
-        if not self._is_new(stamp):
-            return
-        self._received, self._stale = time.monotonic(), False
+        self._stale = False
         if not self._may_answer():
             return
         before = self._mode
-        if self._mode is Mode.WALKING:
+        if self._mode is Mode.WALKING and not self._rivals:
             velocity = self._step(state, stamp)
         elif self._lockstep:
             velocity = None  # no answer: simulated time stands still
@@ -138,6 +148,18 @@ class ControllerNode(Worker):
             self._diagnose()
         self._report_progress()
 
+    def _reject(self, error: StateError) -> None:
+        """Note a state that cannot be used; it has changed nothing."""
+        self._rejected += 1
+        if self._warn_now():
+            self.node.get_logger().error(f"joint_states rejected ({self._rejected} so far): {error}")
+        if self._gate.jumped and self._mode is Mode.WALKING:
+            self._velocity = self._fail(self._gate.jumped.reason)
+            self._publish_zero()
+            self._done()
+        else:
+            self._diagnose("ERROR", f"joint_states rejected: {error}")
+
     def _is_new(self, stamp: int) -> bool:
         if stamp > self._stamp:
             return True
@@ -151,7 +173,7 @@ class ControllerNode(Worker):
                 )
             return False
         # An older state has been overtaken, unless nothing newer comes: then the plant's clock was set back.
-        if time.monotonic() - self._received <= self._parameters.config.plant.command_timeout:
+        if not self._gate.watchdog.silent:
             self._ignored += 1
             return False
         self.node.get_logger().warning(f"the stamps went back by {(self._stamp - stamp) * 1e-9:.3f} s")
@@ -168,6 +190,13 @@ class ControllerNode(Worker):
         """Return the velocities; whatever goes wrong, zeros."""
         try:
             command = self._controller.step(state, self._dt)
+            self._failures.good()
+        except QPError as error:
+            if self._failures.fault(str(error)):
+                return self._fail(f"{error} ({self._failures.limit} times in a row)")
+            if self._warn_now():
+                self.node.get_logger().error(f"standing still for a tick: {error}")
+            return self._zero
         except DqwalkError as error:
             return self._fail(str(error))
         except Exception as error:  # a fault of ours must stop the robot like any other
@@ -203,14 +232,29 @@ class ControllerNode(Worker):
 
     def _watch(self) -> None:
         """Answer a plant that fell silent with zeros, once (real time only: in lockstep it may take its time)."""
+        if self._look_now():
+            self._look()
         if self._lockstep or self._stale or self._stamp < 0:
             return
-        if time.monotonic() - self._received > self._parameters.config.plant.command_timeout:
-            self._stale, self._velocity = True, self._zero
-            self._publish_command()
+        if self._gate.watchdog.silent:
+            self._stale = True
+            self._publish_zero()
             if self._warn_now():
                 self.node.get_logger().warning("joint_states fell silent: commanding zero velocity")
             self._diagnose("STALE", "joint_states fell silent")
+
+    def _look(self) -> None:
+        """Stand still where two plants say where the robot is."""
+        rivals = self._plants.judge(ros.others(self.node, "joint_states"))
+        if rivals != self._rivals:
+            self._rivals = rivals
+            log = self.node.get_logger()
+            log.error(f"standing still: two plants: {rivals}") if rivals else log.info("one plant again: going on")
+
+    def _publish_zero(self) -> None:
+        if not self._lockstep and self._stamp >= 0:
+            self._velocity = self._zero
+            self._publish_command()
 
     # ------------------------------------------------------------------ services
 
@@ -236,6 +280,8 @@ class ControllerNode(Worker):
         self._mode, self._problem, self._phase_index = Mode.IDLE, "", -1
         self._stamp = self._stamp0 = -1
         self._velocity = self._zero
+        self._gate.reset()
+        self._failures.reset()
         self._say_phase()
         return self._answer(response, True, "the walk begins anew from where the robot stands; ~/start starts it")
 
@@ -297,9 +343,10 @@ class ControllerNode(Worker):
             values |= {"error": last.error, "solve time": last.solve_time, "iterations": last.iterations}
             values["active rows"] = ", ".join(last.active)
         if not level:
-            level = "ERROR" if self._mode is Mode.FAILED else "OK"
+            trouble = self._problem or (f"two plants: {self._rivals}" if self._rivals else "")
+            level = "ERROR" if trouble or self._failures.count else "OK"
             walking = self._mode is Mode.WALKING and self._phase_index >= 0
-            message = self._problem or (self._controller.phase.name if walking else self._mode.value)
+            message = trouble or (self._controller.phase.name if walking else self._mode.value)
         entry_ = ros.status(f"{self.node.get_name()}: walk", self._model.name, level, message, values)
         self._pub["diagnostics"].publish(ros.diagnostics(max(self._stamp, 0), entry_))
 

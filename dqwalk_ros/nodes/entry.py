@@ -20,6 +20,7 @@ __all__ = [
     "integrator",
     "parse",
     "phase_monitor",
+    "poppy_driver",
     "recorder",
     "rigid",
     "viewer",
@@ -65,6 +66,17 @@ HELP = {
         ),
         sections=("dt", "robot", "plant", "node"),
         example="-p plant.lockstep:=true",
+    ),
+    "poppy_driver": Help(
+        what="Drive a real Poppy Humanoid through pypot; poppy.dummy:=true tries it without one.",
+        gets=("joint_velocity_commands  sensor_msgs/JointState [rad/s]",),
+        gives=(
+            "joint_states             sensor_msgs/JointState of all 25 motors, once the first pose is reached",
+            "/diagnostics             temperature, voltage and load of every motor",
+            "~/compliant              std_srvs/SetBool: true switches the torque off, false on again",
+        ),
+        sections=("dt", "robot", "plant", "poppy"),
+        example="-p dt:=0.02 -p poppy.dummy:=true",
     ),
     "phase_monitor": Help(
         what="Watch a walk from outside: every distance, error and margin, recomputed from the topics alone.",
@@ -230,6 +242,11 @@ def integrator() -> int:
 def phase_monitor() -> int:
     """Console script ``dqwalk_phase_monitor``."""
     return _run("phase_monitor")
+
+
+def poppy_driver() -> int:
+    """Console script ``dqwalk_poppy_driver``."""
+    return _run("poppy_driver")
 
 
 def recorder() -> int:

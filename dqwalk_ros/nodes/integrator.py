@@ -10,18 +10,19 @@ import sys
 import time
 from typing import Any
 
-import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from dqwalk_ros.controllers import Command
-from dqwalk_ros.exceptions import DqwalkError, StateError
+from dqwalk_ros.exceptions import DqwalkError
 from dqwalk_ros.model import load_model
 from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.commands import Commands
 from dqwalk_ros.nodes.parameters import Parameters
-from dqwalk_ros.nodes.runtime import LAST_WORDS, STEADY, Life, Throttle, Worker, run
+from dqwalk_ros.nodes.runtime import LAST_WORDS, STEADY, Life, Worker, run
 from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.safety import clamp_velocity
 
 __all__ = ["IntegratorNode", "main"]
 
@@ -46,27 +47,21 @@ class IntegratorNode(Worker):
         self.node, self.life = node, life
         self._parameters = Parameters(node, options.argv)
         config = self._parameters.config
-        model = load_model(config.robot)
+        self._model = model = load_model(config.robot)
         self._dt, self._lockstep = config.dt, config.plant.lockstep
         self.last_words = LAST_WORDS[self._lockstep]
         self._plant = KinematicPlant(model)
-        self._reader = ros.JointReader(model.joint_names)
+        self._commands = Commands(node, model, self._parameters)
         self._state_msg = ros.JointWriter(model.joint_names)
         self._hardware = model.name
-        self._zero = np.zeros(model.n)
 
         self._stamp = 0  # of the state published last [ns]
         self._asked = time.monotonic()
-        self._command = Command(time=0.0, velocity=self._zero)
-        self._command_stamp = -1  # [ns]
-        self._heard = -float("inf")  # when a command came last (steady clock) [s]
-        self._holding = True
         self._stepped = time.monotonic()
-        self._counts = {"ticks": 0, "commands rejected": 0, "commands late": 0, "periods missed": 0}
+        self._counts = {"ticks": 0, "periods missed": 0}
 
         self._states = ros.publisher(node, "joint_states")
         self._diagnostics = ros.publisher(node, "diagnostics")
-        self._warn_now = Throttle(2.0)
         on_command = self._on_command_lockstep if self._lockstep else self._on_command
         node.create_subscription(JointState, "joint_velocity_commands", on_command, ros.stream(1))
         if self._lockstep:
@@ -80,21 +75,22 @@ class IntegratorNode(Worker):
     # ------------------------------------------------------------------ lockstep
 
     def _on_command_lockstep(self, msg: JointState) -> None:
-        stamp = ros.nanoseconds(msg.header.stamp)
-        if stamp != self._stamp:
-            self._counts["commands late"] += 1  # the answer to a state that was asked for twice
+        gate = self._commands.gate
+        if ros.nanoseconds(msg.header.stamp) != self._stamp:
+            gate.late += 1  # the answer to a state that was asked for twice
             return
-        command = self._checked(msg)
-        if command is None:
+        u = self._commands.checked(msg)
+        if u is None or not gate.accept(self._stamp, u, self._stamp) or gate.refused:
             return
+        u = clamp_velocity(u, self._plant.state.q, self._model, self._dt)
         try:
-            self._plant.step(command, self._dt)
+            self._plant.step(Command(self._stamp * 1e-9, u), self._dt)
         except DqwalkError as error:
             self._end(f"the plant failed: {error}")
             return
         self._counts["ticks"] += 1
         self._stamp = round(self._counts["ticks"] * self._dt * 1e9)
-        self._heard = self._asked = time.monotonic()
+        self._asked = time.monotonic()
         self._publish()
 
     def _ask(self) -> None:
@@ -114,18 +110,7 @@ class IntegratorNode(Worker):
     # ------------------------------------------------------------------ real time
 
     def _on_command(self, msg: JointState) -> None:
-        stamp = ros.nanoseconds(msg.header.stamp)
-        if stamp < self._command_stamp and not self._silent():
-            self._counts["commands late"] += 1
-            return
-        command = self._checked(msg)
-        if command is None:
-            return
-        self._command, self._command_stamp = command, stamp
-        self._heard = time.monotonic()
-        if self._holding:
-            self._holding = False
-            self.node.get_logger().info("commands arrive: moving")
+        self._commands.take(msg, self._stamp)
 
     def _on_period(self) -> None:
         """Move for the time that has passed, two periods at most: a late tick is never made up for."""
@@ -133,14 +118,10 @@ class IntegratorNode(Worker):
         passed, self._stepped = now - self._stepped, now
         if passed > 2.0 * self._dt:
             self._counts["periods missed"] += int(passed / self._dt) - 1
-        if self._silent() and not self._holding:
-            self._holding = True
-            self._command = Command(time=self._command.time, velocity=self._zero)
-            self.node.get_logger().warning(
-                f"no command for {self._parameters.config.plant.command_timeout:g} s: holding still"
-            )
+        self._commands.note_motion()
+        dt = min(passed, 2.0 * self._dt)
         try:
-            self._plant.step(self._command, min(passed, 2.0 * self._dt))
+            self._plant.step(Command(self._stamp * 1e-9, self._commands.gate.velocity(self._plant.state.q, dt)), dt)
         except DqwalkError as error:
             self._end(f"the plant failed: {error}")
             return
@@ -148,35 +129,19 @@ class IntegratorNode(Worker):
         self._stamp = self.node.get_clock().now().nanoseconds
         self._publish()
 
-    def _silent(self) -> bool:
-        return time.monotonic() - self._heard > self._parameters.config.plant.command_timeout
-
     # ------------------------------------------------------------------ both
-
-    def _checked(self, msg: JointState) -> Command | None:
-        """Return the command; None where it is rejected, which leaves everything as it was."""
-        try:
-            return self._reader.command(msg)
-        except StateError as error:
-            self._counts["commands rejected"] += 1
-            if self._warn_now():
-                count = self._counts["commands rejected"]
-                self.node.get_logger().error(f"joint_velocity_commands rejected ({count} so far): {error}")
-            return None
 
     def _publish(self) -> None:
         state = self._plant.state
         self._states.publish(self._state_msg(self._stamp, position=state.q, velocity=state.dq))
 
     def _diagnose(self) -> None:
-        if self._lockstep:
+        level, text = self._commands.level()
+        if self._lockstep and level == "WARN":
             waits = time.monotonic() - self._asked
             level, text = ("OK", "lockstep") if waits < 2.0 else ("WARN", "waiting for a command")
-        else:
-            level, text = ("WARN", "holding: no commands") if self._holding else ("OK", "moving")
-        if self._counts["commands rejected"]:
-            level = "ERROR" if self._silent() else "WARN"
-        entry_ = ros.status(f"{self.node.get_name()}: plant", self._hardware, level, text, self._counts)
+        counts = {**self._counts, **self._commands.counts()}
+        entry_ = ros.status(f"{self.node.get_name()}: plant", self._hardware, level, text, counts)
         self._diagnostics.publish(ros.diagnostics(self._stamp, entry_))
 
     def _end(self, why: str) -> None:

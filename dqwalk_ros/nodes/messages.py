@@ -29,6 +29,7 @@ __all__ = [
     "is_heard_by",
     "latched",
     "nanoseconds",
+    "others",
     "point",
     "pose",
     "publisher",
@@ -65,6 +66,13 @@ def publisher(node: Node, name: str) -> Publisher:
     topic = TOPICS[name]
     profile = latched(topic.depth) if topic.latched else stream(topic.depth)
     return node.create_publisher(message_type(topic.type), topic.name, profile)
+
+
+def others(node: Node, topic: str, own: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return the nodes that publish a topic, without the named ones."""
+    ends = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
+    names = [f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends]
+    return tuple(sorted(name for name in names if name not in own))
 
 
 def is_heard_by(node: Node, offered: Publisher, name: str) -> bool:

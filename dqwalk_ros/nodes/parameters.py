@@ -24,7 +24,16 @@ from dqwalk_ros.exceptions import ConfigError
 
 __all__ = ["NODES", "Parameters", "check_sections"]
 
-NODES = ("controller", "integrator", "phase_monitor", "recorder", "rigid", "viewer", "whole_body_controller")
+NODES = (
+    "controller",
+    "integrator",
+    "phase_monitor",
+    "poppy_driver",
+    "recorder",
+    "rigid",
+    "viewer",
+    "whole_body_controller",
+)
 
 LIVE = frozenset({"plant.command_timeout", "monitor.rate", "monitor.warn_margin", "monitor.tolerance"})
 """What may change while a node runs: what shapes the walk is fixed when the walk is built."""

@@ -1,0 +1,193 @@
+"""The real Poppy as a plant: commands become goals of its servos, their angles become states.
+
+A robot that is switched on stands anywhere. So the driver says no joint state until it has taken the robot slowly to
+its first pose; a controller that waits for states walks from there. With the torque off (`~/compliant`) it listens to
+nobody, and takes the robot to the first pose again afterwards.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any
+
+import numpy as np
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool
+
+from dqwalk_ros.controllers import Command
+from dqwalk_ros.exceptions import ConfigError, DqwalkError
+from dqwalk_ros.model import load_model
+from dqwalk_ros.nodes import entry
+from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.commands import Commands
+from dqwalk_ros.nodes.parameters import Parameters
+from dqwalk_ros.nodes.runtime import LAST_WORDS, STEADY, Life, Throttle, run
+from dqwalk_ros.plants.poppy import Health, PoppyPlant
+
+__all__ = ["PoppyDriverNode", "main"]
+
+_COOLER = 5.0
+"""A robot that got too hot holds still until it is this much cooler [K]."""
+
+
+class PoppyDriverNode:
+    """joint_velocity_commands -> servos; their angles -> joint_states.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    life : Life
+    options : argparse.Namespace
+        From `entry.parse`.
+
+    Raises
+    ------
+    ConfigError
+        In lockstep, or where the control period is shorter than the bus's.
+    PlantError
+        If the motors do not answer.
+    """
+
+    rest, handled = 0.0, 0
+    last_words = LAST_WORDS[False]
+
+    def __init__(self, node: Node, life: Life, options: Any) -> None:
+        self.node, self.life = node, life
+        self._parameters = Parameters(node, options.argv)
+        config = self._parameters.config
+        self._period = 1.0 / config.poppy.rate
+        if config.plant.lockstep:
+            raise ConfigError("'plant.lockstep' must be false: a robot does not wait for its command")
+        if config.dt < 0.99 * self._period:
+            raise ConfigError(
+                f"'dt' is {config.dt:g} s, and the motors answer every {self._period:g} s (poppy.rate): "
+                f"set dt: {self._period:g}, as config/plants/poppy.yaml does"
+            )
+        model = load_model(config.robot)
+        self._plant = PoppyPlant(model, config.poppy)
+        self._commands = Commands(node, model, self._parameters)
+        self._state_msg = ros.JointWriter(self._plant.names)
+        self._hardware = f"{model.name}{' (dummy motors)' if config.poppy.dummy else ''}"
+        self._zero = np.zeros(model.n)
+        self._stamp = -1
+        self._q = self._plant.q
+        self._stepped = time.monotonic()
+        self._counts = {"ticks": 0, "periods missed": 0}
+        self._left = 0.0
+        self._too_hot = False
+        self._states = ros.publisher(node, "joint_states")
+        self._diagnostics = ros.publisher(node, "diagnostics")
+        self._say_now = Throttle(2.0)
+        node.create_subscription(JointState, "joint_velocity_commands", self._on_command, ros.stream(1))
+        node.create_service(SetBool, "~/compliant", self._set_compliant)
+        node.create_timer(self._period, self._on_period, clock=STEADY)
+        node.create_timer(1.0 / config.monitor.rate, self._diagnose, clock=STEADY)
+        self._commands.forbid("on the way to the first pose")
+        self._plant.set_compliant(False)
+        node.get_logger().info(f"{self._hardware}: {len(self._plant.names)} motors at {config.poppy.rate:g} Hz")
+
+    def _on_command(self, msg: JointState) -> None:
+        self._commands.take(msg, self._stamp)
+
+    def _on_period(self) -> None:
+        """Move for the time that has passed, two periods at most: a late tick is never made up for."""
+        now = time.monotonic()
+        passed, self._stepped = now - self._stepped, now
+        if passed > 2.0 * self._period:
+            self._counts["periods missed"] += int(passed / self._period) - 1
+        dt = min(passed, 2.0 * self._period)
+        try:
+            if self._plant.ready or self._plant.compliant:
+                u = self._commands.gate.velocity(self._plant.state.q, dt)
+                self._plant.step(Command(self._stamp * 1e-9, u), dt)
+                self._commands.note_motion()
+            else:
+                self._approach(dt)
+            self._publish(passed)
+        except DqwalkError as error:
+            self.node.get_logger().error(f"the robot failed: {error}")
+            self.life.end(1)
+
+    def _approach(self, dt: float) -> None:
+        self._left = self._plant.approach(dt)
+        if self._plant.ready:
+            self._commands.gate.hold()
+            self._commands.forbid("")
+            self.node.get_logger().info("in the first pose")
+        elif self._say_now():
+            self.node.get_logger().info(f"on the way to the first pose: {self._left:.2f} rad left")
+
+    def _publish(self, passed: float) -> None:
+        q, before = self._plant.q, self._q
+        self._q = q
+        self._counts["ticks"] += 1
+        if self._plant.ready:
+            self._stamp = self.node.get_clock().now().nanoseconds
+            velocity = (q - before) / max(passed, 1e-3)
+            self._states.publish(self._state_msg(self._stamp, position=q, velocity=velocity))
+
+    def _set_compliant(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        try:
+            if request.data:
+                self._commands.forbid("the torque is off")
+            self._plant.set_compliant(request.data)
+            if not request.data:
+                self._commands.forbid("on the way to the first pose")
+        except DqwalkError as error:
+            response.success, response.message = False, str(error)
+            return response
+        response.success = True
+        response.message = "the torque is off" if request.data else "the torque is on: moving to the first pose, slowly"
+        self.node.get_logger().info(response.message)
+        return response
+
+    # ------------------------------------------------------------------ health
+
+    def _watch_heat(self, health: Health) -> None:
+        """Hold still while a motor is too hot; its own firmware would go limp, which is worse."""
+        name, hottest = health.hottest
+        hot = self._parameters.config.poppy.hot
+        if self._too_hot != (hottest > (hot - _COOLER if self._too_hot else hot)):
+            self._too_hot = not self._too_hot
+            self._commands.forbid(f"{name} is at {hottest:.0f} degC, too hot" if self._too_hot else "")
+
+    def _diagnose(self) -> None:
+        health = self._plant.health
+        if self._plant.ready:
+            self._watch_heat(health)
+        level, text = self._commands.level()
+        if not self._plant.ready and not self._plant.compliant:
+            level, text = "WARN", f"on the way to the first pose: {self._left:.2f} rad left"
+        name, hottest = health.hottest
+        values = {**self._counts, **self._commands.counts(), "hottest motor": name, "hottest temperature": hottest}
+        plant = ros.status(f"{self.node.get_name()}: plant", self._hardware, level, text, values)
+        each: dict[str, object] = {}
+        for joint in self._plant.names:
+            each[f"temperature/{joint}"] = health.temperature[joint]
+            each[f"voltage/{joint}"] = health.voltage[joint]
+            each[f"load/{joint}"] = health.load[joint]
+        hot = "ERROR" if self._too_hot else "OK"
+        motors = ros.status(
+            f"{self.node.get_name()}: motors", self._hardware, hot, f"{name} is hottest, {hottest:.0f} degC", each
+        )
+        self._diagnostics.publish(ros.diagnostics(max(self._stamp, 0), plant, motors))
+
+    def drained(self) -> bool:
+        """Nothing to wait for."""
+        return True
+
+    def close(self) -> None:
+        """Hold, or go limp where that is asked for, and let go of the buses."""
+        self._plant.close()
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the node; return the exit code."""
+    options = entry.parse("poppy_driver", sys.argv[1:] if argv is None else argv)
+    return run("poppy_driver", lambda node, life: PoppyDriverNode(node, life, options), options)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

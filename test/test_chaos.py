@@ -1,0 +1,472 @@
+"""Every row of docs/faults.md on live nodes, one fault after the other during one and the same walk (`make chaos`).
+
+The cases stand in an order: the walk goes on from one to the next, and at the end has to finish a whole cycle. Times
+are those of a busy machine; what is asserted is an order of magnitude.
+"""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
+
+import chaos
+from chaos import Chaos, row
+from live import SHORT
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+
+from dqwalk_ros.config import load
+from dqwalk_ros.runner import private_domain
+
+pytestmark = [pytest.mark.long, pytest.mark.timeout(300), pytest.mark.xdist_group("chaos")]
+
+RESUMED = "walk resumed"
+HELD = "safely held"
+UNDISTURBED = "walk undisturbed"
+BUSY = 2.0
+"""A reaction that must take 0.1 s may take this long where seven people share two processors [s]."""
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chaos]:
+    patch = pytest.MonkeyPatch()
+    patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    config = load("paper").updated(
+        {**SHORT, "dt": 0.02, "dsp.eta_ground": 25.0, "gait.cycles": 1000, "monitor.tolerance": 1e-3}
+    )
+    with private_domain() as domain:
+        one = Chaos(tmp_path_factory.mktemp("chaos"), domain, config)
+        try:
+            for name in ("integrator", "phase_monitor", "controller"):
+                one.begin(name)
+            one.walks(120.0)
+            yield one
+        finally:
+            for name in one.processes.names:
+                if one.processes.exit_code(name) is None:
+                    one.processes.signal(name, signal.SIGCONT)
+            one.close()
+            patch.undo()
+
+
+# ---------------------------------------------------------------------- the network
+
+
+@pytest.mark.parametrize("way", ["states", "commands"])
+def test_drop(walk: Chaos, way: str) -> None:
+    setattr(walk, f"on_{way}", chaos.dropping(0.3))
+    walk.spin(1.5)
+    assert walk.walking()
+    setattr(walk, f"on_{way}", chaos.passing)
+    row(f"30 % of the {way} are lost", "none needed", None, UNDISTURBED)
+
+
+@pytest.mark.parametrize("way", ["states", "commands"])
+def test_reorder(walk: Chaos, way: str) -> None:
+    setattr(walk, f"on_{way}", chaos.swapping())
+    walk.spin(1.5)
+    assert walk.walking()
+    setattr(walk, f"on_{way}", chaos.passing)
+    row(f"{way} come in pairs, swapped", "overtaken ones are ignored", None, UNDISTURBED)
+
+
+@pytest.mark.parametrize("way", ["states", "commands"])
+def test_double(walk: Chaos, way: str) -> None:
+    setattr(walk, f"on_{way}", chaos.doubling)
+    walk.spin(1.0)
+    assert walk.walking()
+    setattr(walk, f"on_{way}", chaos.passing)
+    row(f"{way} come twice", "the second is ignored", None, UNDISTURBED)
+
+
+@pytest.mark.parametrize("way", ["states", "commands"])
+def test_delay(walk: Chaos, way: str) -> None:
+    """A command 200 ms late answers a state that is no more."""
+    setattr(walk, f"on_{way}", chaos.delaying(0.2))
+    took = walk.stands(10.0)
+    assert took < BUSY
+    setattr(walk, f"on_{way}", chaos.passing)
+    walk.walks()
+    row(f"{way} are 200 ms late", "the plant ignores the answers and holds", took, RESUMED)
+
+
+@pytest.mark.parametrize("way", ["states", "commands"])
+def test_silence(walk: Chaos, way: str) -> None:
+    setattr(walk, f"on_{way}", chaos.blocking)
+    took = walk.stands()
+    assert took < BUSY
+    if way == "states":
+        walk.said("controller", "fell silent") if not any(
+            "fell silent" in s.message for s in walk.statuses("controller")[-20:]
+        ) else None
+    setattr(walk, f"on_{way}", chaos.passing)
+    walk.walks()
+    row(f"no {way} at all", "the plant holds", took, RESUMED)
+
+
+# ---------------------------------------------------------------------- corrupted messages
+
+
+def put(field: str, i: int, value: float) -> Callable[[JointState], None]:
+    def change(msg: JointState) -> None:
+        getattr(msg, field)[i] = value
+
+    return change
+
+
+def rename(msg: JointState) -> None:
+    msg.name = ["wrong", *msg.name[1:]]
+
+
+def double(msg: JointState) -> None:
+    msg.name = [msg.name[1], *msg.name[1:]]
+
+
+def shorten(msg: JointState) -> None:
+    msg.name = msg.name[1:]
+
+
+def clear(msg: JointState) -> None:
+    msg.name, msg.position, msg.velocity = [], [], []
+
+
+def far(msg: JointState) -> None:
+    msg.position[3] = msg.position[3] + 3.0
+
+
+STATES = {
+    "NaN in an angle": (put("position", 2, np.nan), "not a finite position"),
+    "inf in an angle": (put("position", 9, np.inf), "not a finite position"),
+    "NaN in a measured velocity": (put("velocity", 0, np.nan), "not a finite velocity"),
+    "a joint renamed": (rename, "joints missing"),
+    "a joint named twice": (double, "joints missing"),
+    "a name short": (shorten, "joints missing"),
+    "nothing in the message": (clear, "joints missing"),
+    "an angle 3 rad out": (far, "outside the joint limits"),
+}
+
+
+@pytest.mark.parametrize("fault", STATES)
+def test_corrupted_states(walk: Chaos, fault: str) -> None:
+    change, text = STATES[fault]
+    walk.on_states = chaos.changing(change)
+    took = walk.said("controller", text)
+    walk.stands()
+    walk.on_states = chaos.passing
+    walk.walks()
+    row(f"state: {fault}", "rejected, named, plant holds", took, RESUMED)
+
+
+COMMANDS = {
+    "NaN in a velocity": put("velocity", 2, np.nan),
+    "-inf in a velocity": put("velocity", 9, -np.inf),
+    "a joint renamed": rename,
+    "a joint named twice": double,
+    "a name short": shorten,
+    "nothing in the message": clear,
+}
+
+
+@pytest.mark.parametrize("fault", COMMANDS)
+def test_corrupted_commands(walk: Chaos, fault: str) -> None:
+    walk.on_commands = chaos.changing(COMMANDS[fault])
+    took = walk.stands()
+    assert took < BUSY
+    assert all(np.isfinite(q).all() for _, q in walk.moved[-50:])
+    walk.on_commands = chaos.passing
+    walk.walks()
+    row(f"command: {fault}", "rejected, plant holds", took, RESUMED)
+
+
+def test_one_corrupted_state_in_ten(walk: Chaos) -> None:
+    count = iter(range(10**9))
+    bad = chaos.changing(put("position", 0, np.nan))
+    walk.on_states = lambda msg: bad(msg) if next(count) % 10 == 0 else chaos.passing(msg)
+    walk.spin(1.5)
+    assert walk.walking()
+    walk.on_states = chaos.passing
+    row("one state in ten has a NaN", "rejected; no watchdog barks", None, UNDISTURBED)
+
+
+def test_a_spike(walk: Chaos) -> None:
+    done = []
+
+    def spike(msg: JointState) -> Iterator[tuple[float, JointState]]:
+        if not done:
+            done.append(1)
+            msg.position[2] = msg.position[2] + 0.5 * (-1.0 if msg.position[2] > 0.0 else 1.0)
+        yield 0.0, msg
+
+    walk.on_states = spike
+    took = walk.said("controller", "a jump")
+    walk.on_states = chaos.passing
+    walk.walks()
+    row("a spike of 0.5 rad in one angle", "rejected as a jump", took, RESUMED)
+
+
+def test_joints_in_another_order_and_more_of_them(walk: Chaos) -> None:
+    def change(msg: JointState) -> None:
+        msg.name = ["head_z", *reversed(msg.name)]
+        msg.position = [9.0, *reversed(msg.position)]
+        msg.velocity = [0.0, *reversed(msg.velocity)]
+
+    walk.on_states = chaos.changing(change)
+    walk.spin(1.0)
+    assert walk.walking()
+    walk.on_states = chaos.passing
+    row("joints in another order, and one too many", "taken by name", None, UNDISTURBED)
+
+
+def test_no_velocities(walk: Chaos) -> None:
+    def change(msg: JointState) -> None:
+        msg.velocity, msg.effort = [], []
+
+    walk.on_states = chaos.changing(change)
+    walk.spin(1.0)
+    assert walk.walking()
+    walk.on_states = chaos.passing
+    row("states without velocities", "none needed", None, UNDISTURBED)
+
+
+# ---------------------------------------------------------------------- clocks
+
+
+@pytest.mark.parametrize("seconds", [-100, 100])
+def test_the_stamps_step(walk: Chaos, seconds: int) -> None:
+    """As when the system's clock is set; both ways, so that the plant knows its own stamps again."""
+
+    def shift(by: int) -> Callable[[JointState], None]:
+        def change(msg: JointState) -> None:
+            msg.header.stamp.sec += by
+
+        return change
+
+    walk.on_states, walk.on_commands = chaos.changing(shift(seconds)), chaos.changing(shift(-seconds))
+    walk.spin(1.0)
+    walk.walks()
+    walk.on_states, walk.on_commands = chaos.passing, chaos.passing
+    walk.spin(0.5)
+    walk.walks()
+    row(f"the stamps step by {seconds:+d} s and back", "at most one silence", None, RESUMED)
+
+
+def test_commands_from_the_future(walk: Chaos) -> None:
+    def change(msg: JointState) -> None:
+        msg.header.stamp.sec += 100
+
+    walk.on_commands = chaos.changing(change)
+    took = walk.stands()
+    walk.on_commands = chaos.passing
+    walk.walks()
+    row("commands answer states of the future", "a clock fault: ignored, plant holds", took, RESUMED)
+
+
+# ---------------------------------------------------------------------- processes
+
+
+def test_the_controller_is_killed_and_restarted(walk: Chaos) -> None:
+    walk.processes.signal("controller", signal.SIGKILL)
+    took = walk.stands()
+    assert took < BUSY
+    q = walk.moved[-1][1].copy()
+    walk.begin("controller")
+    walk.until(lambda: walk.walking(), 90.0, "the new controller walking")
+    steps = [np.abs(b - a).max() for (_, a), (_, b) in zip(walk.moved[-2000:], walk.moved[-1999:], strict=False)]
+    assert max(steps) < 8.2 * 0.04 + 1e-9
+    assert np.abs(walk.moved[-1][1] - q).max() < 1.0
+    row("controller: SIGKILL, restarted", "the plant holds", took, "walks anew from there")
+
+
+def test_the_controller_is_frozen(walk: Chaos) -> None:
+    walk.processes.signal("controller", signal.SIGSTOP)
+    took = walk.stands()
+    assert took < BUSY
+    walk.spin(0.5)
+    assert walk.standing()
+    walk.processes.signal("controller", signal.SIGCONT)
+    walk.walks()
+    row("controller: SIGSTOP, SIGCONT", "the plant holds", took, RESUMED)
+
+
+def test_the_plant_is_frozen(walk: Chaos) -> None:
+    walk.processes.signal("integrator", signal.SIGSTOP)
+    took = walk.said("controller", "fell silent")
+    assert max(abs(v) for v in walk.got["joint_velocity_commands"][-1].velocity) == 0.0
+    walk.processes.signal("integrator", signal.SIGCONT)
+    walk.walks()
+    row("plant: SIGSTOP, SIGCONT", "STALE, zeros, then silence", took, RESUMED)
+
+
+def test_the_monitor_dies_and_comes_back(walk: Chaos) -> None:
+    walk.processes.signal("phase_monitor", signal.SIGKILL)
+    walk.spin(1.0)
+    assert walk.walking()
+    walk.begin("phase_monitor")
+    walk.until(lambda: walk.statuses("phase_monitor")[-1:], 60.0, "the monitor")
+    row("monitor: SIGKILL, restarted", "it is not in the loop", None, UNDISTURBED)
+
+
+@pytest.mark.parametrize(
+    ("what", "topic", "node"),
+    [("controller", "joint_velocity_commands", "integrator"), ("plant", "states_in", "controller")],
+)
+def test_two_of_them(walk: Chaos, what: str, topic: str, node: str) -> None:
+    from rclpy.node import Node
+
+    other = Node(f"other_{what}", context=walk._context)
+    stranger = other.create_publisher(JointState, topic, QoSProfile(depth=1))
+    try:
+        took = walk.said(node, f"two {what}s: /other_{what}, /test", 30.0)
+        walk.stands()
+    finally:
+        other.destroy_publisher(stranger)
+        other.destroy_node()
+    walk.walks(40.0)
+    row(f"a second {what}", f"the {node} holds and names both", took, RESUMED)
+
+
+# ---------------------------------------------------------------------- parameters, QoS, load
+
+
+def set_parameter(walk: Chaos, node: str, name: str, **value: object) -> object:
+    client = walk.node.create_client(SetParameters, f"{node}/set_parameters")
+    walk.until(client.service_is_ready, 40.0, "the parameter service")
+    kind = {"double_value": 3, "integer_value": 2, "string_value": 4, "double_array_value": 8}[next(iter(value))]
+    request = SetParameters.Request(parameters=[Parameter(name=name, value=ParameterValue(type=kind, **value))])
+    future = client.call_async(request)
+    walk.until(future.done, 20.0, "an answer")
+    walk.node.destroy_client(client)
+    return future.result().results[0]
+
+
+ABUSE = {
+    "nan": {"double_value": float("nan")},
+    "inf": {"double_value": float("inf")},
+    "-1": {"double_value": -1.0},
+    "a text": {"string_value": "x"},
+    "an array": {"double_array_value": [0.1, 0.2]},
+    "1e300": {"double_value": 1e300},
+}
+
+
+@pytest.mark.parametrize("value", ABUSE)
+@pytest.mark.parametrize("node", ["controller", "integrator"])
+def test_parameter_abuse(walk: Chaos, node: str, value: str) -> None:
+    assert not set_parameter(walk, node, "plant.command_timeout", **ABUSE[value]).successful
+    assert walk.processes.exit_code(node) is None
+    walk.walks()
+    row(f"{node}: plant.command_timeout = {value}", "refused", None, UNDISTURBED)
+
+
+def test_a_structural_parameter(walk: Chaos) -> None:
+    assert not set_parameter(walk, "controller", "gait.step_length", double_value=0.3).successful
+    walk.walks()
+    row("gait.step_length set during the walk", "read only", None, UNDISTURBED)
+
+
+def test_a_thousand_parameter_writes(walk: Chaos) -> None:
+    client = walk.node.create_client(SetParameters, "controller/set_parameters")
+    walk.until(client.service_is_ready, 40.0, "the parameter service")
+    began = time.monotonic()
+    for start in range(0, 1000, 5):  # a service keeps ten requests
+        futures = []
+        for k in range(start, start + 5):
+            bad = k % 3 == 0
+            value = ParameterValue(type=3, double_value=-1.0 if bad else 0.1 + 1e-4 * k)
+            request = SetParameters.Request(parameters=[Parameter(name="plant.command_timeout", value=value)])
+            futures.append((bad, client.call_async(request)))
+        walk.until(lambda futures=futures: all(f.done() for _, f in futures), 60.0, "5 answers")
+        assert all(f.result().results[0].successful is not bad for bad, f in futures)
+    took = time.monotonic() - began
+    walk.node.destroy_client(client)
+    walk.walks()
+    assert set_parameter(walk, "controller", "plant.command_timeout", double_value=0.1).successful
+    row("1000 parameter writes", "applied between ticks, a third refused", took, UNDISTURBED)
+
+
+def test_commands_with_the_wrong_quality_of_service(walk: Chaos) -> None:
+    from rclpy.node import Node
+
+    other = Node("unreliable", context=walk._context)
+    best_effort = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    publisher = other.create_publisher(JointState, "joint_velocity_commands", best_effort)
+    try:
+        walk.until(lambda: "incompatible QoS" in walk.processes.log("integrator"), 30.0, "the log of the mismatch")
+    finally:
+        other.destroy_publisher(publisher)
+        other.destroy_node()
+    walk.walks(40.0)
+    row("best-effort commands", "incompatible QoS is logged; a second controller", None, RESUMED)
+
+
+@pytest.mark.parametrize("busy", [0.1, 1.0])
+def test_overload(walk: Chaos, busy: float) -> None:
+    """The plant is late: one late tick, never a burst."""
+    before = len(walk.moved)
+    walk.processes.signal("integrator", signal.SIGSTOP)
+    time.sleep(busy)
+    walk.processes.signal("integrator", signal.SIGCONT)
+    walk.spin(1.0)
+    walk.walks()
+    q = np.array([q for _, q in walk.moved[before:]])
+    assert np.abs(np.diff(q, axis=0)).max() < 8.2 * 2.0 * walk.config.dt + 1e-9
+    row(f"the plant gets no processor for {busy:g} s", "one late tick of two periods at most", None, RESUMED)
+
+
+# ---------------------------------------------------------------------- the services, and the end
+
+
+def test_pause_and_start(walk: Chaos) -> None:
+    assert walk.call("controller/pause").success
+    took = walk.stands()
+    assert walk.call("controller/start").success
+    walk.walks()
+    row("~/pause, ~/start", "stands", took, RESUMED)
+
+
+def test_jumps_that_stay_are_latched_until_reset(walk: Chaos) -> None:
+    def shift(msg: JointState) -> None:
+        for i in range(3):
+            msg.position[i] = msg.position[i] + 0.35
+
+    walk.on_states = chaos.changing(shift)
+    walk.until(lambda: walk.phases()[-1] == "failed", 10.0, "the latch")
+    walk.on_states = chaos.passing
+    took = walk.stands()
+    walk.spin(0.5)
+    assert walk.standing()
+    assert not walk.call("controller/start").success
+    assert walk.call("controller/reset").success
+    assert walk.call("controller/start").success
+    walk.walks()
+    row("three joints jump by 0.35 rad and stay there", "latched: failed until ~/reset", took, "walks after ~/reset")
+
+
+def test_the_walk_goes_through_a_whole_cycle_after_all_that(walk: Chaos) -> None:
+    start = len(walk.phases())
+    walk.until(lambda: sum("support/" in p for p in walk.phases()[start:]) >= 5, 120.0, "a cycle of four phases")
+    judged = [s for s in walk.statuses("phase_monitor") if s.values][-20:]
+    assert len(judged) == 20
+    assert all(s.level in (b"\x00", b"\x01") for s in judged), [s.message for s in judged]
+    assert all(np.isfinite(q).all() for _, q in walk.moved)
+    row("after all of it", "a whole cycle, every constraint kept", None, RESUMED)
+
+
+@pytest.mark.parametrize(("name", "number"), [("controller", signal.SIGINT), ("integrator", signal.SIGTERM)])
+def test_signals(walk: Chaos, name: str, number: signal.Signals) -> None:
+    began = time.monotonic()
+    walk.processes.signal(name, number)
+    assert walk.processes.wait(name, 15.0) == 0
+    took = time.monotonic() - began
+    if name == "controller":
+        walk.stands()
+        assert max(abs(v) for v in walk.got["joint_velocity_commands"][-1].velocity) == 0.0
+    row(f"{name}: {number.name}", "zeros as last word, exit code 0", took, HELD)
