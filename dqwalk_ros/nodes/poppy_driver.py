@@ -23,7 +23,7 @@ from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.commands import Commands
 from dqwalk_ros.nodes.parameters import Parameters
-from dqwalk_ros.nodes.runtime import LAST_WORDS, STEADY, Life, Throttle, run
+from dqwalk_ros.nodes.runtime import STEADY, Life, Throttle, Worker, run
 from dqwalk_ros.plants.poppy import Health, PoppyPlant
 
 __all__ = ["PoppyDriverNode", "main"]
@@ -32,7 +32,7 @@ _COOLER = 5.0
 """A robot that got too hot holds still until it is this much cooler [K]."""
 
 
-class PoppyDriverNode:
+class PoppyDriverNode(Worker):
     """joint_velocity_commands -> servos; their angles -> joint_states.
 
     Parameters
@@ -49,9 +49,6 @@ class PoppyDriverNode:
     PlantError
         If the motors do not answer.
     """
-
-    rest, handled = 0.0, 0
-    last_words = LAST_WORDS[False]
 
     def __init__(self, node: Node, life: Life, options: Any) -> None:
         self.node, self.life = node, life
@@ -173,10 +170,6 @@ class PoppyDriverNode:
             f"{self.node.get_name()}: motors", self._hardware, hot, f"{name} is hottest, {hottest:.0f} degC", each
         )
         self._diagnostics.publish(ros.diagnostics(max(self._stamp, 0), plant, motors))
-
-    def drained(self) -> bool:
-        """Nothing to wait for."""
-        return True
 
     def close(self) -> None:
         """Hold, or go limp where that is asked for, and let go of the buses."""
