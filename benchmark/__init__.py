@@ -1,1 +1,1 @@
-"""How long a tick takes: `python -m benchmark.tick`, `.growth`, `.cycle`; `.page` writes docs/benchmarks.md."""
+"""What a tick costs: `python -m benchmark.tick`, `.growth`, `.cycle`, `.nodes`; `.page` writes docs/benchmarks.md."""

@@ -33,6 +33,7 @@ def main() -> None:
         ("One tick", ["benchmark.tick", *(["--peers"] if args.peers else [])]),
         ("Growth", ["benchmark.growth"]),
         ("A long walk", ["benchmark.cycle", "--ticks", str(args.ticks)]),
+        ("The controller as a node (ROS 2)", ["benchmark.nodes", "--ticks", "2000"]),
     ]
     parts = [TEXT.format(date=datetime.date.today().isoformat())]
     for title, command in runs:
