@@ -225,6 +225,8 @@ def _compiled(config: Config, model: RobotModel) -> tuple[Any, Array]:
     spec.compiler.inertiafromgeom = 0  # the soles have no mass; none may be made up
     spec.compiler.fusestatic = False
     spec.compiler.balanceinertia = True
+    spec.compiler.discardvisual = False  # for pictures
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.45] * 3, [0.6] * 3
     spec.option.timestep = c.timestep
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     root = spec.body(model.root)
