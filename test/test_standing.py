@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pathlib
+
 import numpy as np
 import pytest
 
@@ -221,6 +223,16 @@ def test_a_robot_with_weak_servos_that_nothing_holds_falls() -> None:
     cell = robustness.walk(CONFIG.updated({"gait.steps": 1}), values)
     assert not cell.stood
     assert cell.reason
+
+
+def test_another_biped_walks_in_physics_with_a_configuration_of_its_own() -> None:
+    data = pathlib.Path(__file__).parent / "data"
+    config = dq.load(data / "biped12.yaml").updated({"robot.urdf": str(data / "biped12.urdf"), "gait.steps": 1})
+    model = dq.load_model(config.robot)
+    plant = make_plant("physics", config, model)
+    trace = simulate(make_controller(config, model), plant)
+    assert trace.finished, trace.notes
+    assert not plant.fallen
 
 
 @pytest.mark.long
