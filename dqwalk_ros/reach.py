@@ -3,24 +3,42 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.controllers.whole_body import BodyTick, WholeBodyController
+from dqwalk_ros.controllers.whole_body import BodyCommand, BodyState, BodyTick, WholeBodyController, Wrench
 from dqwalk_ros.exceptions import ConfigError, DqwalkError
 from dqwalk_ros.model import Foot
-from dqwalk_ros.plants.rigid import RigidPlant
 
-__all__ = ["PAPER_TIMES", "SCENARIOS", "Reaching", "Scenario", "follow"]
+__all__ = ["PAPER_TIMES", "SCENARIOS", "BodyPlant", "Reaching", "Scenario", "follow"]
 
 Array = NDArray[np.float64]
 
 _FALLEN = 0.2
 """A robot whose CoM is lower than it should be by this fraction of its height falls."""
+
+
+class BodyPlant(Protocol):
+    """A body that takes torques and pushes."""
+
+    @property
+    def state(self) -> BodyState:
+        """The state now."""
+
+    @property
+    def wrenches(self) -> Mapping[Foot, Wrench]:
+        """What the ground did to the feet; empty where that is not judged."""
+
+    def step(self, command: BodyCommand, dt: float) -> BodyState:
+        """Return the state one period later."""
+
+    def push(self, impulse: tuple[float, float, float]) -> None:
+        """Hit the robot [N s]."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +174,7 @@ class _Rows:
 
 def follow(
     controller: WholeBodyController,
-    plant: RigidPlant,
+    plant: BodyPlant,
     scenario: Scenario,
     *,
     clock: Callable[[], float] = time.perf_counter,
@@ -238,7 +256,7 @@ def follow(
 
 
 def _margins(
-    controller: WholeBodyController, plant: RigidPlant, q: Array, effort: Array, tick: BodyTick
+    controller: WholeBodyController, plant: BodyPlant, q: Array, effort: Array, tick: BodyTick
 ) -> dict[str, float]:
     """Say how far each limit is away; the forces are those of the plant, not those the controller planned."""
     settings, model = controller.config.whole_body, controller.model

@@ -71,6 +71,8 @@ def checks(walked: Reaching, without: Sequence[Reaching] = ()) -> list[Check]:
         found.append(_shift(walked, other, push, authors.get(push[0])))
     for key, (text, unit) in _LIMITS.items():
         least = float(walked.margins[key].min())
+        if not np.isfinite(least):  # a plant that does not tell
+            continue
         found.append(Check(f"least {text}", least, unit, ">= 0", least >= _KEPT[key]))
     missed = int((walked.capturability > 1e-6).sum())
     gave = int((walked.violation > 0.0).sum())

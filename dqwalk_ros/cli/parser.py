@@ -173,6 +173,7 @@ def build() -> argparse.ArgumentParser:
     reach = _command(commands, "reach", "reach for a target with the whole body, and get pushed", _REACH)
     reach.add_argument("--config", metavar="CONFIG", default="whole_body", help="name or path [whole_body]")
     reach.add_argument("--test", choices=("1", "2", "both"), default="both", help="of the paper [both]")
+    reach.add_argument("--plant", choices=("rigid", "physics"), default="rigid", help="physics: MuJoCo, by torques")
     reach.add_argument("--paper-times", action="store_true", help="the target jumps at 4 and 8 s, not as in the thesis")
     reach.add_argument("--target", metavar="X,Y,Z", help="one target for the hand instead of the test's [m]")
     reach.add_argument("--push", metavar="T,X,Y,Z", action="append", default=[], help="another push [s, N s]")

@@ -20,9 +20,9 @@ def run(args: argparse.Namespace) -> int:
     """Do it and return the exit code."""
     from dqwalk_ros.analysis.figures.reaching import save_reaching
     from dqwalk_ros.analysis.reaching import checks, render_checks, summary
-    from dqwalk_ros.controllers.whole_body import WholeBodyController
+    from dqwalk_ros.controllers.whole_body import BodyState, WholeBodyController
     from dqwalk_ros.plants.rigid import RigidPlant
-    from dqwalk_ros.reach import PAPER_TIMES, SCENARIOS, Reaching, Scenario, follow
+    from dqwalk_ros.reach import PAPER_TIMES, SCENARIOS, BodyPlant, Reaching, Scenario, follow
 
     config, out = config_of(args), Path(args.out)
     model = load_model(config.robot)
@@ -44,12 +44,18 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         raise BagError(f"cannot make the folder '{out}': {error}") from error
 
+    def make_plant(state: BodyState) -> BodyPlant:
+        torso = config.whole_body.torso
+        if args.plant == "physics":
+            from dqwalk_ros.plants.torque import TorquePlant
+
+            return TorquePlant(model, state, pushed=torso)
+        return RigidPlant(model, state, pushed=torso, damping=config.whole_body.contact_damping)
+
     def walk(scenario: Scenario) -> Reaching:
         bar = Progress(quiet=args.quiet)
         controller = WholeBodyController(config, model, clock=time.process_time)
-        plant = RigidPlant(
-            model, controller.start, pushed=config.whole_body.torso, damping=config.whole_body.contact_damping
-        )
+        plant = make_plant(controller.start)
         try:
             return follow(controller, plant, scenario, clock=time.process_time, progress=bar)
         finally:

@@ -129,13 +129,6 @@ class RigidNode(Worker):
         self._twists.publish(twist)
         self._states.publish(self._write(self._stamp, position=s.q, velocity=s.dq))
 
-    def drained(self) -> bool:
-        """Nothing to wait for."""
-        return True
-
-    def close(self) -> None:
-        """Nothing to say."""
-
 
 def main(argv: list[str] | None = None) -> int:
     """Run the node; return the exit code."""

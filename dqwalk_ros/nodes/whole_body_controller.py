@@ -161,13 +161,6 @@ class WholeBodyControllerNode(Worker):
         status = ros.status(f"{self.node.get_name()}: balance", self._hardware, level, text, values)
         self._diagnostics.publish(ros.diagnostics(stamp, status))
 
-    def drained(self) -> bool:
-        """Nothing to wait for."""
-        return True
-
-    def close(self) -> None:
-        """Nothing to say: without a command the plant holds or the robot's driver takes over."""
-
 
 def main(argv: list[str] | None = None) -> int:
     """Run the node; return the exit code."""

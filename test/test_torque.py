@@ -1,0 +1,71 @@
+"""The whole-body controller closed through a physics engine, by joint torques."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dqwalk_ros.config import load
+from dqwalk_ros.controllers.whole_body import WholeBodyController
+from dqwalk_ros.exceptions import PlantError
+from dqwalk_ros.model import load_model
+from dqwalk_ros.plants.torque import TorquePlant
+from dqwalk_ros.reach import SCENARIOS, Reaching, Scenario, follow
+
+CONFIG = load("whole_body")
+MODEL = load_model(CONFIG.robot)
+
+
+def walk(scenario: Scenario) -> Reaching:
+    controller = WholeBodyController(CONFIG, MODEL)
+    return follow(controller, TorquePlant(MODEL, controller.start, pushed="chest"), scenario)
+
+
+def test_it_walks_on_soft_ground() -> None:
+    walked = walk(Scenario("soft", 2.0, ((0.0, (1.2, -0.8, 0.9)),)))
+    assert walked.stood, walked.note
+    assert walked.error[-1] < walked.error[0] - 0.5
+    assert walked.footholds()[-1][1][0] > 0.3
+    assert np.abs(walked.height_error).max() < 5e-3
+    assert walked.tilt.max() < 0.05
+
+
+def test_a_push_is_an_impulse() -> None:
+    """In the air, where nothing holds it, the momentum is the impulse, and gravity's."""
+    controller = WholeBodyController(CONFIG, MODEL)
+    start = controller.start
+    high = start.x_base.copy()
+    high[4:] = 0.0
+    high[7] = 2.0  # upright, 4 m up
+    plant = TorquePlant(MODEL, replace(start, x_base=high), pushed="chest")
+    still = replace(controller.step(start, CONFIG.dt), effort=np.zeros(MODEL.n))
+    plant.push([0.0, 15.0, 0.0])
+    for _ in range(12):
+        state = plant.step(still, CONFIG.dt)
+    from dqwalk_ros.dynamics import Multibody
+
+    body = Multibody(MODEL)
+    d = body.at(state.x_base, state.q, state.v)
+    assert body.mass * d.com_velocity == pytest.approx([0.0, 15.0, -body.mass * 9.81 * 0.06], abs=0.05)
+
+
+def test_what_cannot_be_used_is_said() -> None:
+    controller = WholeBodyController(CONFIG, MODEL)
+    plant = TorquePlant(MODEL, controller.start, pushed="chest")
+    with pytest.raises(PlantError, match="impulse"):
+        plant.push([1.0])
+    command = controller.step(controller.start, CONFIG.dt)
+    with pytest.raises(PlantError, match="torques"):
+        plant.step(replace(command, effort=np.full(MODEL.n, np.nan)), CONFIG.dt)
+    locked = load_model(CONFIG.updated({"robot.lock": ["neck_yaw"]}).robot)
+    with pytest.raises(PlantError, match="neck_yaw"):
+        TorquePlant(locked, controller.start, pushed="chest")
+
+
+@pytest.mark.long
+def test_test_1_completes() -> None:
+    walked = walk(SCENARIOS["1"])
+    assert walked.stood, walked.note
+    assert walked.error[walked.at(4.0)] < 0.10
