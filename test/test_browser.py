@@ -17,7 +17,7 @@ import pytest
 from browser import chromium, dark_share, picture
 from recorded import SHORT, short_config, short_walk
 
-from dqwalk_ros import bag
+from dqwalk_ros import bag, cli
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]
 
@@ -138,3 +138,18 @@ def test_a_walk_on_ros_is_seen_live(tmp_path):
             assert not [s for s in live.statuses("controller") if s.level not in (b"\x00", 0)]
         finally:
             live.close()
+
+
+def test_a_report_replays_offline(path, tmp_path):
+    cli.main(["report", str(path), "--html", "--no-figures", "--quiet", "--out", str(tmp_path / "out")])
+    with chromium(tmp_path, offline=True) as page:
+        page.goto((tmp_path / "out/report.html").as_uri())
+        page.wait_for_function("window.dqwalkDrawn > 0")
+        start = picture(page, "report")
+        assert dark_share(start, slice(150, 800)) > 0.005
+        page.evaluate("() => { const s = document.getElementById('time'); s.value = s.max / 2; s.oninput(); }")
+        assert np.abs(picture(page, "report_scrubbed") - start)[:, 150:800].max() > 0.3
+        before = page.inner_text("#clock")
+        page.get_by_role("button", name="Play").click()
+        page.wait_for_function(f"document.getElementById('clock').textContent !== '{before}'")
+        assert page.errors == []
