@@ -53,6 +53,9 @@ docs: $(VENV)/.installed  ## build the documentation as a website in site/
 	$(BIN)/python -m pip install --quiet --editable '.[docs]'
 	$(BIN)/mkdocs build --strict
 
+chaos: $(VENV)/.installed-test  ## put a live walk through every fault of docs/faults.md, and print what it did
+	PYTHONPATH=test $(BIN)/python -m pytest -q -p chaos -m long --timeout 900 test/test_chaos.py $(ARGS)
+
 fuzz: $(VENV)/.installed-test  ## 10 000 hostile robots, parameter files and messages
 	DQWALK_FUZZ=10000 $(BIN)/python -m pytest --timeout 3000 --durations 6 test/test_fuzz.py $(ARGS)
 
