@@ -21,7 +21,7 @@ ROS_EXTRA    := ros,
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help venv walk simulate reach test test-long browser docs fuzz lint colcon clean
+.PHONY: help venv walk simulate reach test test-long browser docs chaos fuzz lint colcon clean
 
 help:  ## show this
 	@echo "usage: make TARGET [CYCLES=$(CYCLES)] [CONFIG=$(CONFIG)] [OUT=$(OUT)]"
