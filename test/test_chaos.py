@@ -469,5 +469,5 @@ def test_signals(walk: Chaos, name: str, number: signal.Signals) -> None:
     took = time.monotonic() - began
     if name == "controller":
         walk.stands()
-        assert max(abs(v) for v in walk.got["joint_velocity_commands"][-1].velocity) == 0.0
+        walk.until(lambda: not any(walk.got["joint_velocity_commands"][-1].velocity), 5.0, "a last word of zeros")
     row(f"{name}: {number.name}", "zeros as last word, exit code 0", took, HELD)
