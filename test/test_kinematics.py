@@ -284,7 +284,7 @@ PIN_ROBOTS = {
 
 
 def skew(v):
-    return np.cross(np.eye(3), v).T
+    return np.cross(v, np.eye(3)).T
 
 
 @pytest.mark.parametrize("name", PIN_ROBOTS)
@@ -305,7 +305,7 @@ def test_com_and_frames_agree_with_pin(name, foot):
 
         def seen_from_sole(p, J_p, base=base, J_base=J_base):
             """A point and its Jacobian in the frame of the sole, which moves in theirs."""
-            J = J_p - J_base[:3] + skew(p - base.translation) @ J_base[3:]
+            J = J_p - J_base[:3] + skew(p - base.translation) @ J_base[3:]  # w x r = -r x w
             ours = np.empty((3, model.n))
             ours[:, order] = base.rotation.T @ J[:, 6:]
             return base.rotation.T @ (p - base.translation), ours
