@@ -51,24 +51,15 @@ def names_of(config: Config) -> list[str]:
 # ---------------------------------------------------------------------- lockstep
 
 
-@pytest.fixture(scope="session")
-def walks(tmp_path_factory: pytest.TempPathFactory) -> tuple[Config, list[Path]]:
-    """Walk twice in lockstep."""
+def test_lockstep_walks_exactly_as_in_one_process(tmp_path: Path) -> None:
+    """Twice, and nothing is missing from the bag."""
     config = load("paper").updated(SHORT)
-    bags = [tmp_path_factory.mktemp("walk") / "bag" for _ in range(2)]
-    for path in bags:
-        outcome = run_walk(config, path)
-        assert outcome.finished, outcome.reason
-    return config, bags
-
-
-@pytest.mark.xdist_group("walks")
-def test_lockstep_walks_exactly_as_in_one_process(walks: tuple[Config, list[Path]]) -> None:
-    config, bags = walks
     model = load_model(config.robot)
     expected = simulate(make_controller(config, model), KinematicPlant(model))
     assert expected.finished
-    for path in bags:
+    for path in (tmp_path / "one" / "bag", tmp_path / "two" / "bag"):
+        outcome = run_walk(config, path)
+        assert outcome.finished, outcome.reason
         walked = bag.read(path)
         assert walked.finished
         n = len(expected.time)
@@ -78,18 +69,17 @@ def test_lockstep_walks_exactly_as_in_one_process(walks: tuple[Config, list[Path
         assert [(p.name, p.start) for p in walked.phases] == [(p.name, p.start) for p in expected.phases]
         for a, b in zip(walked.phases, expected.phases, strict=True):
             np.testing.assert_allclose(a.x_odom_base, b.x_odom_base, rtol=0.0, atol=1e-9)
+    check_that_all_is_there(path, round(config.dt * 1e9))
 
 
-@pytest.mark.xdist_group("walks")
-def test_lockstep_bag_is_whole(walks: tuple[Config, list[Path]]) -> None:
+def check_that_all_is_there(path: Path, period: int) -> None:
     from rosbags.rosbag2 import Reader
     from rosbags.typesys import Stores, get_typestore
 
-    config, bags = walks
     store = get_typestore(Stores.ROS2_JAZZY)
     stamps: dict[str, list[int]] = {}
     judged = []
-    with Reader(bags[0]) as reader:
+    with Reader(path) as reader:
         assert {connection.topic for connection in reader.connections} == {f"/{name}" for name in TOPICS}
         for connection, time, raw in reader.messages():
             message = store.deserialize_cdr(raw, connection.msgtype)
@@ -101,14 +91,14 @@ def test_lockstep_bag_is_whole(walks: tuple[Config, list[Path]]) -> None:
                 judged += [s for s in message.status if s.name == "phase_monitor: walk" and s.values]
     assert len(judged) > 20
     assert all(status.level < 2 for status in judged), [status.message for status in judged if status.level > 1]
-    period = round(config.dt * 1e9)
     for topic, found in stamps.items():
         assert found == [k * period for k in range(len(found))], topic
     assert len(stamps["/joint_velocity_commands"]) == len(stamps["/base_pose"]) == len(stamps["/joint_states"]) - 1
 
 
 def test_a_recorder_that_comes_late_still_makes_a_walk(live: Make, tmp_path: Path) -> None:
-    one = live(plant__lockstep=True, **{key.replace(".", "__"): value for key, value in SHORT.items()})
+    slow = {**SHORT, "task.eta": 0.3, "ssp.threshold": 1e-3}  # so that it is caught in the middle
+    one = live(plant__lockstep=True, **{key.replace(".", "__"): value for key, value in slow.items()})
     one.start("integrator")
     one.start("controller")
     one.until(lambda: "single_support/left" in one.phases(), 60.0, "the second phase")
@@ -276,7 +266,8 @@ def test_a_command_that_cannot_be_used_moves_nothing(live: Make) -> None:
 @pytest.mark.parametrize("name", ["controller", "integrator", "phase_monitor", "poppy_driver", "recorder"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_a_node_in_order(live: Make, name: str, number: signal.Signals) -> None:
-    one = live()
+    no_motors = {"dt": 0.02, "poppy.dummy": True} if name == "poppy_driver" else {}
+    one = live(**no_motors)
     one.start(name, *(["--bag", str(one.params.parent / "bag")] if name == "recorder" else []))
     one.until_up(name)
     one.processes.signal(name, number)
