@@ -110,12 +110,12 @@ def _on_cluster(todo: list[tuple[Any, ...]], address: str | None) -> Iterator[Ro
     from distributed import Client, as_completed
 
     try:
-        client = Client(address, timeout="10s")  # type: ignore[no-untyped-call]
+        client = Client(address, timeout="10s")
     except (OSError, ValueError) as error:
         raise ConfigError(f"no Dask scheduler answers at {address}: {error}") from error
     with client:
         futures = client.map(walk, *zip(*todo, strict=True), pure=False) if todo else []
-        for _, row in as_completed(futures, with_results=True):  # type: ignore[no-untyped-call]
+        for _, row in as_completed(futures, with_results=True):
             yield row
 
 
