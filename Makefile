@@ -39,10 +39,10 @@ reach: $(VENV)/.installed-wholebody  ## Tests 1 and 2 of the whole-body controll
 	OPENBLAS_NUM_THREADS=1 $(BIN)/dqwalk reach --out results/reach --force
 
 test: $(VENV)/.installed-test  ## run all tests (JOBS=2 at a time)
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -m 'not colcon and not long and not browser' $(ARGS)
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m 'not colcon and not long and not browser' $(ARGS)
 
 test-long: $(VENV)/.installed-test  ## the tests that take minutes
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -m long $(ARGS)
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m long $(ARGS)
 
 browser: $(VENV)/.installed-test  ## run the tests that look at the pages in headless Chromium (installs it with apt)
 	command -v chromium >/dev/null || { $(SUDO) apt-get update -qq && \

@@ -19,10 +19,10 @@ from dqwalk_ros.qp import Problem, make_solver
 
 DT = 0.005
 WALKS = [
-    pytest.param("left", True, 25, marks=pytest.mark.xdist_group("left"), id="left-flat"),
-    pytest.param("right", True, 25, marks=pytest.mark.xdist_group("right"), id="right-flat"),
+    pytest.param("left", True, 25, id="left-flat"),
+    pytest.param("right", True, 25, id="right-flat"),
     *(
-        pytest.param(first, flat, 1, marks=[pytest.mark.long, pytest.mark.xdist_group(f"{first}-long")], id=name)
+        pytest.param(first, flat, 1, marks=pytest.mark.long, id=name)
         for first in ("left", "right")
         for flat, name in ((True, f"{first}-flat-all"), (False, f"{first}-literal-all"))
     ),

@@ -17,10 +17,10 @@ TOLERANCE = 1e-5
 """The paper's own discretisation effect: m, m^2 for squared distances, rad."""
 
 WALKS = [
-    pytest.param("left", True, 1, marks=pytest.mark.xdist_group("left"), id="left-flat"),
-    pytest.param("right", True, 1, marks=pytest.mark.xdist_group("right"), id="right-flat"),
+    pytest.param("left", True, 1, id="left-flat"),
+    pytest.param("right", True, 1, id="right-flat"),
     *(
-        pytest.param(first, flat, cycles, marks=[pytest.mark.long, pytest.mark.xdist_group(f"{first}-long")], id=name)
+        pytest.param(first, flat, cycles, marks=pytest.mark.long, id=name)
         for first in ("left", "right")
         for flat, cycles, name in ((True, 3, f"{first}-flat-3"), (False, 1, f"{first}-literal"))
     ),
@@ -145,7 +145,6 @@ def test_the_walk_goes_ahead(first, flat, cycles):
 # ---------------------------------------------------------------------- symmetry, other robots
 
 
-@pytest.mark.xdist_group("left")
 def test_a_left_step_is_the_mirror_image_of_a_right_step():
     """On the mirrored robot the same angles do the same on the other side, through two phases."""
     trace = paper_walk("left")
@@ -161,7 +160,6 @@ def test_a_left_step_is_the_mirror_image_of_a_right_step():
     np.testing.assert_allclose(image.q, trace.q[: len(image)], rtol=0, atol=1e-9)
 
 
-@pytest.mark.xdist_group("right")
 def test_a_walk_is_the_same_every_time():
     """To the last bit, so that a seed or a busy machine cannot matter."""
     config = load("paper").updated({"gait.first_support": "right"})
@@ -169,7 +167,6 @@ def test_a_walk_is_the_same_every_time():
     np.testing.assert_array_equal(again.q, paper_walk("right").q[: len(again)])
 
 
-@pytest.mark.xdist_group("right")
 def test_another_biped_walks_with_its_own_configuration(foot):
     """The made-up one: other names, six joints a leg, a fixed torso; faster gains, for the time of the test."""
     config = biped12_config(**FAST, **{"gait.first_support": foot.value})

@@ -24,9 +24,13 @@ def walk(config: Config, model: RobotModel, max_time: float | None = None) -> Tr
     return simulate(make_controller(config, model), KinematicPlant(model), max_time=max_time)
 
 
-@cache
 def paper_walk(first: str, flat: bool = True, cycles: int = 1) -> Trace:
     """The paper's walk at the paper's gains."""
+    return _paper_walk(first, flat, cycles)
+
+
+@cache  # of a signature without defaults: for the cache, a default and the same value written out are two walks
+def _paper_walk(first: str, flat: bool, cycles: int) -> Trace:
     changes = {"gait.first_support": first, "dsp.flat_feet": flat, "gait.cycles": cycles}
     return walk(load("paper").updated(changes), robots.legs())
 
@@ -76,5 +80,5 @@ def stretches(trace: Trace) -> Iterator[Stretch]:
 
 
 @cache
-def paper_stretches(first: str, flat: bool = True, cycles: int = 1) -> tuple[Stretch, ...]:
+def paper_stretches(first: str, flat: bool, cycles: int) -> tuple[Stretch, ...]:
     return tuple(stretches(paper_walk(first, flat, cycles)))

@@ -42,6 +42,8 @@ _SILENT = 1.0
 _REPAIR = 4.0
 """In lockstep a state is judged this long after it came [s]: on a busy machine the start of its phase may have been
 dropped on the way, and the middleware repairs that every 3 s."""
+_DEPTH = 5000
+"""States that may wait: in lockstep a thousand come in the second that reading the robot's description takes."""
 
 
 class PhaseMonitorNode(Worker):
@@ -85,7 +87,7 @@ class PhaseMonitorNode(Worker):
         ):
             node.create_subscription(kind, name, self._counted(callback), ros.latched(TOPICS[name].depth))
         node.create_subscription(
-            JointState, "joint_states", self._counted(self._on_state), ros.stream(100, reliable=False), raw=True
+            JointState, "joint_states", self._counted(self._on_state), ros.stream(_DEPTH, reliable=False), raw=True
         )
         node.create_timer(0.1, self._watch, clock=STEADY)
         self._stale_now = Throttle(0.5 * _SILENT)
