@@ -39,7 +39,7 @@ reach: $(VENV)/.installed-wholebody  ## Tests 1 and 2 of the whole-body controll
 	OPENBLAS_NUM_THREADS=1 $(BIN)/dqwalk reach --out results/reach --force
 
 test: $(VENV)/.installed-test  ## run all tests (JOBS=2 at a time)
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m 'not colcon and not long and not browser' $(ARGS)
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m 'not colcon and not native and not long and not browser' $(ARGS)
 
 test-long: $(VENV)/.installed-test  ## the tests that take minutes
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m long $(ARGS)
@@ -64,7 +64,7 @@ lint: $(VENV)/.installed-dev  ## ruff and mypy
 	$(BIN)/mypy
 
 colcon: $(VENV)/.installed-test  ## build the package with colcon and run what it built
-	$(BIN)/python -m pytest -m colcon $(ARGS)
+	$(BIN)/python -m pytest -m 'colcon$(if $(filter yes,$(NATIVE)), or native)' $(ARGS)
 
 clean:  ## remove .venv and everything that was built or recorded
 	rm -rf $(VENV) build install log results dqwalk_ros.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -58,7 +58,7 @@ def generate_launch_description() -> LaunchDescription:
     ]
     parameters = [
         config,
-        PathJoinSubstitution([FindPackageShare("dqwalk_ros"), "config", "plants", [plant, ".yaml"]]),
+        [PathJoinSubstitution([FindPackageShare("dqwalk_ros"), "config", "plants", plant]), ".yaml"],
         {
             "plant.lockstep": lockstep,
             "node.exit_when_done": lockstep,

@@ -26,7 +26,7 @@ from sensor_msgs.msg import JointState
 from dqwalk_ros.config import load
 from dqwalk_ros.runner import private_domain
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(300), pytest.mark.xdist_group("chaos")]
+pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
 
 RESUMED = "walk resumed"
 HELD = "safely held"

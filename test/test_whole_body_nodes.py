@@ -32,7 +32,6 @@ def live(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
         made.close()
 
 
-@pytest.mark.xdist_group("whole_body_nodes")
 def test_it_walks_over_topics(live: Live) -> None:
     """The torques are those of one process, tick by tick; then a target is set and a push is given."""
     efforts: dict[int, JointState] = {}
