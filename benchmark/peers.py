@@ -7,7 +7,7 @@ usual solver. The robot is handed over as the serial chain from the base sole to
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from dqwalk_ros.dq import DQ
 from dqwalk_ros.kinematics import rooted
 from dqwalk_ros.tasks import ComOverFoot
 
-__all__ = ["PEERS"]
+__all__ = ["PEERS", "Chain", "Places", "Poses", "Program", "ordered"]
 
 Array = np.ndarray
 
@@ -86,6 +86,39 @@ class Chain:
             )
         return "".join([*parts, "</robot>"])
 
+    def mjcf(self, q_min: Array, q_max: Array) -> str:
+        """Return the chain as MuJoCo's XML, with the limits [rad] of its joints."""
+
+        def text(values: Array) -> str:
+            return " ".join(f"{v:.17g}" for v in values)
+
+        def place(x: Array) -> str:
+            return f'pos="{text(DQ(x).translation())}" quat="{text(x[:4])}"'
+
+        def body(k: int) -> str:
+            mass, com = max(self.mass[k], 1e-9), text(self.com[k])
+            sites = "".join(
+                f'<site name="{name}" {place(x)}/>'
+                for name, (of, x) in (("end", self.end), ("pelvis", self.pelvis))
+                if of == k
+            )
+            return f'<inertial pos="{com}" mass="{mass:.17g}" diaginertia="1e-4 1e-4 1e-4"/>{sites}'
+
+        parts = [f'<mujoco><compiler angle="radian" autolimits="true"/><worldbody><body name="body0">{body(0)}']
+        for k in range(self.n):
+            limits = text(np.array([q_min[k], q_max[k]]))
+            parts.append(
+                f'<body name="body{k + 1}" {place(self.origin[k])}>'
+                f'<joint name="q{k}" type="hinge" axis="{text(self.axis[k])}" range="{limits}"/>{body(k + 1)}'
+            )
+        return "".join([*parts, "</body>" * (self.n + 1), "</worldbody></mujoco>"])
+
+    def moving(self) -> tuple[float, Array]:
+        """Return the share of the mass that moves, and what the base at rest adds to the CoM [m]: Pinocchio leaves
+        out what is at rest.
+        """
+        return self.mass[1:].sum() / self.mass.sum(), self.mass[0] * self.com[0] / self.mass.sum()
+
 
 class Program:
     """(6) of a phase, by hand: constants looked up once, rows in numpy."""
@@ -128,24 +161,40 @@ class Program:
                 J, d = n @ (J_p[:2] - (t @ v / length**2) * J_b[:2]), n @ v
         return J, -min(row.eta, 1.0 / self.dt) * (d - row.bound)
 
-    def __call__(self, q: Array, at: Places) -> tuple[Array, ...]:
-        """Return H, c, E, e, G, h, lower, upper."""
-        phase, n = self.phase, q.size
-        task = phase.tasks[0]
+    def task(self, at: Places) -> tuple[Array, Array]:
+        """Return the Jacobian and the error of the task."""
+        task = self.phase.tasks[0]
         if self.com_task:
             p, J_p = self.point(task.foot, at)
-            J, error = (at.J_com - J_p)[:2], (at.com - p)[:2]
-        else:
-            sign = 1.0 if at.x[:4] @ task.target[:4] >= 0.0 else -1.0
-            J, error = sign * at.J_x, sign * at.x - task.target
-        E, e = np.empty((len(phase.holds), n)), np.empty(len(phase.holds))
-        G, h = np.empty((len(phase.rows), n)), np.empty(len(phase.rows))
-        for k, row in enumerate(phase.holds):
-            E[k], e[k] = self.row(row, at)
-        for k, row in enumerate(phase.rows):
-            G[k], h[k] = self.row(row, at)
+            return (at.J_com - J_p)[:2], (at.com - p)[:2]
+        sign = 1.0 if at.x[:4] @ task.target[:4] >= 0.0 else -1.0
+        return sign * at.J_x, sign * at.x - task.target
+
+    def holds(self, at: Places) -> tuple[Array, Array]:
+        """Return E and e of the equalities."""
+        return self._stack(self.phase.holds, at)
+
+    def rows(self, at: Places) -> tuple[Array, Array]:
+        """Return G and h of the inequalities, G u >= h."""
+        return self._stack(self.phase.rows, at)
+
+    def _stack(self, of: Sequence[Any], at: Places) -> tuple[Array, Array]:
+        A, b = np.empty((len(of), self.q_max.size)), np.empty(len(of))
+        for k, row in enumerate(of):
+            A[k], b[k] = self.row(row, at)
+        return A, b
+
+    def __call__(self, q: Array, at: Places) -> tuple[Array, ...]:
+        """Return H, c, E, e, G, h, lower, upper."""
+        J, error = self.task(at)
         upper, lower = self.eta_q * (self.q_max - q), self.eta_q * (self.q_min - q)
-        return J.T @ J + self.eye, phase.eta * (error @ J), E, e, G, h, lower, upper
+        return J.T @ J + self.eye, self.phase.eta * (error @ J), *self.holds(at), *self.rows(at), lower, upper
+
+
+def ordered(program: Program, chain: Chain) -> Program:
+    """Return the program with its joints in the order of the chain."""
+    program.q_max, program.q_min = program.q_max[chain.order], program.q_min[chain.order]
+    return program
 
 
 def quadprog(H: Array, c: Array, E: Array, e: Array, G: Array, h: Array, lower: Array, upper: Array) -> Array:
@@ -167,19 +216,53 @@ def daqp(H: Array, c: Array, E: Array, e: Array, G: Array, h: Array, lower: Arra
     return np.array(solver.solve(H, c, np.concatenate([E, G]), high, low, sense, primal_tol=1e-12)[0])
 
 
+class InPlace:
+    """Clarabel kept and updated in place, at its default tolerances and without scaling."""
+
+    def __init__(self) -> None:
+        self.solver: Any = None
+
+    def __call__(
+        self, H: Array, c: Array, E: Array, e: Array, G: Array, h: Array, lower: Array, upper: Array
+    ) -> Array:
+        """Solve."""
+        n = c.size
+        eye = np.eye(n)
+        A, b = np.concatenate([E, -G, eye, -eye]), np.concatenate([e, -h, upper, -lower])
+        P = H[self.upper] if self.solver else None
+        if self.solver is None:
+            import clarabel
+            from scipy import sparse
+
+            self.upper = tuple(reversed(np.tril_indices(n)))  # of the upper triangle, column by column
+            full = np.ones_like(A, dtype=bool)
+            pattern = sparse.csc_matrix(full)
+            pattern.data = A.T.ravel()
+            triangle = sparse.csc_matrix(np.triu(np.ones((n, n))))
+            triangle.data = H[self.upper]
+            settings = clarabel.DefaultSettings()
+            settings.verbose = False
+            settings.presolve_enable = False
+            cones = [clarabel.ZeroConeT(e.size)] if e.size else []
+            cones.append(clarabel.NonnegativeConeT(b.size - e.size))
+            self.solver = clarabel.DefaultSolver(triangle, c, pattern.astype(float), b, cones, settings)
+        else:
+            self.solver.update(P=P.tolist(), q=c.tolist(), A=A.T.ravel().tolist(), b=b.tolist())
+        return np.array(self.solver.solve().x)
+
+
 def pinocchio(of: Case, solve: Callable[..., Array]) -> Callable[[Array], Array]:
     """Return the tick with Pinocchio's kinematics."""
     import pinocchio as pin
 
-    chain, program = Chain(of), Program(of)
+    chain, program = Chain(of), ordered(Program(of), Chain(of))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "chain.urdf"
         path.write_text(chain.urdf(), encoding="utf-8")
         model = pin.buildModelFromUrdf(str(path))
     data = model.createData()
     end, pelvis = model.getFrameId("end"), model.getFrameId("pelvis")
-    share = chain.mass[1:].sum() / chain.mass.sum()  # Pinocchio leaves out what is at rest
-    rest = chain.mass[0] * chain.com[0] / chain.mass.sum()
+    share, rest = chain.moving()
     x_end = Poses(of)
 
     def tick(q: Array) -> Array:
@@ -194,17 +277,9 @@ def pinocchio(of: Case, solve: Callable[..., Array]) -> Callable[[Array], Array]
             T.rotation, T.translation, J[:3], J[3:], data.oMf[pelvis].translation, J_pelvis,
             share * data.com[0] + rest, J_com, *x_end(T.rotation, T.translation, J),
         )  # fmt: skip
-        return solve(*permuted(program, q, places, chain))[chain.back]
+        return solve(*program(q, places))[chain.back]
 
     return tick
-
-
-def permuted(program: Program, q: Array, places: Places, chain: Chain) -> tuple[Array, ...]:
-    """Return the program of a state in the chain's order of joints."""
-    if program.q_max.size and not hasattr(program, "ordered"):
-        program.q_max, program.q_min = program.q_max[chain.order], program.q_min[chain.order]
-        program.ordered = True
-    return program(q, places)
 
 
 class Poses:
@@ -231,7 +306,7 @@ def dqrobotics(of: Case) -> Callable[[Array], Array]:
 
     from benchmark.denavit import parameters
 
-    chain, program, n = Chain(of), Program(of), of.model.n
+    chain, program, n = Chain(of), ordered(Program(of), Chain(of)), of.model.n
     base, table, frames = parameters(chain)
     robot = DQ_SerialManipulatorDH(table)
     robot.set_reference_frame(Dual(base))
@@ -262,7 +337,7 @@ def dqrobotics(of: Case) -> Callable[[Array], Array]:
         places = Places(
             R, vec8(translation(x))[1:4], J_p, J_w, vec8(translation(x_pelvis))[1:4], J_pelvis, com, J_com, h, J_x
         )
-        H, c, E, e, G, h, lower, upper = permuted(program, q, places, chain)
+        H, c, E, e, G, h, lower, upper = program(q, places)
         eye = np.eye(n)
         A, b = np.concatenate([-G, eye, -eye]), np.concatenate([-h, upper, -lower])
         if not e.size:
@@ -276,4 +351,15 @@ PEERS: dict[str, Callable[[Case], Callable[[Array], Array]]] = {
     "pinocchio + quadprog": lambda of: pinocchio(of, quadprog),
     "pinocchio + daqp": lambda of: pinocchio(of, daqp),
     "dqrobotics + quadprog": dqrobotics,
+    "pinocchio + clarabel in place": lambda of: pinocchio(of, InPlace()),
+    "pink + quadprog": lambda of: _own("pink")(of),
+    "mink + quadprog": lambda of: _own("mink")(of),
+    "placo": lambda of: _own("placo")(of),
 }
+
+
+def _own(name: str) -> Callable[[Case], Callable[[Array], Array]]:
+    from benchmark import inverse_kinematics  # which needs what is above
+
+    return getattr(inverse_kinematics, name)
+

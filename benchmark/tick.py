@@ -1,7 +1,7 @@
 """Every stage of one tick, and beside it the tick of other packages.
 
     python -m benchmark.tick                  our stages
-    python -m benchmark.tick --peers          and dqrobotics and Pinocchio on the same problem
+    python -m benchmark.tick --peers          and what one would use instead, on the same problem
 
 A peer's error is |u - u*| relative to the largest velocity of u*, the answer of the active-set solver, whose
 Karush-Kuhn-Tucker residuals are checked. A peer that is not installed is named and left out; their versions are in
@@ -99,7 +99,7 @@ def main() -> None:
     args = parser.parse_args()
     packages = ("numpy", "numba", "clarabel", "daqp", "quadprog")
     if args.peers:
-        packages += ("dqrobotics", "pin")
+        packages += ("dqrobotics", "pin", "pin-pink", "mink", "placo")
     print(machine(packages))
     for name, kind in KINDS.items():
         of = case(args.joints, kind)
