@@ -29,6 +29,7 @@ from dqwalk_ros.geometry import (
 from dqwalk_ros.kinematics import Kinematics, Point, pose_difference, pose_difference_jacobian
 
 __all__ = [
+    "DEPENDENT",
     "AxisLevel",
     "ComInsideEdges",
     "Constraint",
@@ -47,7 +48,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 
-_DEPENDENT = 5e-3
+DEPENDENT = 5e-3
 """Equality rows with a singular value below this part of the largest are taken for dependent."""
 
 
@@ -114,7 +115,7 @@ def hold_rows(constraint: Constraint, kin: Kinematics, dt: float) -> tuple[Array
     if len(e) == 1:
         return E, e
     U, s, V = np.linalg.svd(E, full_matrices=False)
-    kept = s > _DEPENDENT * s[0]
+    kept = s > DEPENDENT * s[0]
     return (s * kept)[:, None] * V, np.where(kept, U.T @ e, 0.0)
 
 

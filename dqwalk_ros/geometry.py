@@ -8,6 +8,7 @@ Jacobian is an argument too: that is the residual of the distance's derivative.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -141,6 +142,10 @@ class ConvexPolygon:
 
     def edges(self) -> tuple[Array, Array]:
         """Return inward unit normals n (m, 2) and offsets d (m,) [m]; a point inside has n p - d >= 0."""
+        return self._edges
+
+    @cached_property
+    def _edges(self) -> tuple[Array, Array]:
         a = self.vertices
         t = np.roll(a, -1, axis=0) - a
         n = np.stack([-t[:, 1], t[:, 0]], axis=1)

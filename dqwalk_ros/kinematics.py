@@ -10,6 +10,7 @@ products with one array of lines.
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass, field
 
@@ -141,6 +142,12 @@ class Kinematics:
         self.com = np.empty(3)
         self.com_jacobian = np.empty((3, n))
         kernels.forward(self.q, *self._rooted.arrays, self._poses, self.lines, self.com, self.com_jacobian)
+
+    def tilted(self, up: ArrayLike) -> Kinematics:
+        """Return the same snapshot with gravity against `up` (3,), a unit vector in the frame of the base sole."""
+        kin = copy.copy(self)
+        kin.up = np.asarray(up, dtype=np.float64)
+        return kin
 
     @property
     def rooted(self) -> Rooted:

@@ -151,8 +151,10 @@ class ComPath(Task):
 
     def goal(self, kin: Kinematics) -> Array:
         """Where the CoM is to arrive, shape (2,) [m]."""
-        mean: Array = np.mean([point.position(kin)[:2] for point in self.over], axis=0)
-        return mean
+        total = np.zeros(2)
+        for point in self.over:
+            total += point.position(kin)[:2]
+        return total / len(self.over)
 
     def error(self, kin: Kinematics) -> Array:
         """Error, shape (k,)."""
@@ -196,22 +198,25 @@ class SwingPath(Task):
     rate: float
     lever: float
 
+    @property
+    def legs(self) -> tuple[DQ, Array, DQ]:
+        """Pose at the start, way to the goal (3,) [m], and the logarithm of the turn."""
+        a, b = DQ(self.start), DQ(self.goal)
+        turn = b.P() * a.P().conj()
+        return a, b.translation() - a.translation(), (turn if turn.vec4()[0] >= 0.0 else -turn).log()
+
     def at(self, elapsed: float) -> tuple[Array, Array]:
         """Pose (8,) and velocity, linear and angular, (6,) on the path."""
         s = min(max(elapsed / self.duration, 0.0), 1.0)
         # along the ground between lift-off and landing, which are upright
         place, slope = minimum_jerk((s - 0.1) / 0.8)
-        a, b = DQ(self.start), DQ(self.goal)
-        p, q = a.translation(), b.translation()
-        turn = b.P() * a.P().conj()
-        turn = turn if turn.vec4()[0] >= 0.0 else -turn
-        half = turn.log()
+        a, way, half = self.legs
         bump, rise = 64.0 * (s * (1.0 - s)) ** 3, 192.0 * (s * (1.0 - s)) ** 2 * (1.0 - 2.0 * s)
         up = np.array([0.0, 0.0, self.height])
         r = (half * place).exp() * a.P()
         rate = slope / 0.8
-        velocity = np.concatenate([(q - p) * rate + up * rise, 2.0 * half.vec3() * rate]) / self.duration
-        return DQ.from_pose(p + place * (q - p) + bump * up, r.vec4()).vec8(), velocity
+        velocity = np.concatenate([way * rate + up * rise, 2.0 * half.vec3() * rate]) / self.duration
+        return DQ.from_pose(a.translation() + place * way + bump * up, r.vec4()).vec8(), velocity
 
     def error(self, kin: Kinematics) -> Array:
         """Error, shape (k,)."""

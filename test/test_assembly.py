@@ -9,12 +9,15 @@ from functools import cache
 import numpy as np
 import pytest
 
+from dqwalk_ros.assembly.independent import independent
 from dqwalk_ros.config import load
-from dqwalk_ros.constraints import PointOverPlane, gain, vfi_rows
+from dqwalk_ros.constraints import DEPENDENT, PointOverPlane, gain, hold_rows, vfi_rows
+from dqwalk_ros.dq import DQ
 from dqwalk_ros.gait import footstep
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot, load_model
 from dqwalk_ros.phases import PhaseKind, assemble, make_phase
+from dqwalk_ros.phases.standing import posture
 from dqwalk_ros.tasks import Posture
 
 DT = 0.005
@@ -121,3 +124,61 @@ def test_a_phase_can_be_sent_to_another_process():
     kin = Kinematics(setting()[1], configurations(1)[0], phase.base)
     H = assemble(phase, kin, DT).H
     np.testing.assert_array_equal(assemble(pickle.loads(pickle.dumps(phase)), kin, DT).H, H)
+
+
+@cache
+def standing():
+    config = load("poppy")
+    return config, load_model(config.robot)
+
+
+@pytest.mark.parametrize("kind", list(PhaseKind))
+@pytest.mark.parametrize("foot", list(Foot))
+def test_every_row_of_the_standing_walk_is_its_definition(kind, foot):
+    """On a tilted sole, on the way along the path, inside the bounds and beyond them."""
+    config, model = standing()
+    rng = np.random.default_rng(3)
+    q_start = np.clip(posture(config, model) + 0.05 * rng.normal(size=model.n), model.q_min, model.q_max)
+    goal = DQ.from_pose([0.05, 0.1 if foot is Foot.RIGHT else -0.1, 0.0], [np.cos(0.1), 0.0, 0.0, np.sin(0.1)]).vec8()
+    phase = make_phase(config, model, kind, foot, q_start, goal)
+    above, below = phase.limits
+    phase = dataclasses.replace(phase, limits=(above, dataclasses.replace(below, bound=0.05)))
+    for elapsed in (0.0, 0.3, 0.7, 1.2, 1.5, np.inf):
+        up = np.array([*(0.1 * rng.normal(size=2)), 1.0])
+        q = q_start + 0.1 * rng.normal(size=model.n)
+        kin = Kinematics(model, q, phase.base, up / np.linalg.norm(up), elapsed)
+        problem = assemble(phase, kin, DT)
+        H, c = phase.damping**2 * np.eye(model.n), np.zeros(model.n)
+        for task in phase.tasks:
+            J = task.jacobian(kin)
+            H += task.weight * J.T @ J
+            c -= task.weight * J.T @ task.wanted(kin, phase.eta)
+        np.testing.assert_allclose(problem.H, H, rtol=1e-11, atol=1e-12)
+        np.testing.assert_allclose(problem.c, c, rtol=1e-11, atol=1e-12)
+        for ours, rows in ((np.c_[problem.G, problem.h], phase.rows),):
+            exact = np.concatenate([np.c_[vfi_rows(row, kin, DT)] for row in rows])
+            np.testing.assert_allclose(ours, exact, rtol=1e-11, atol=1e-12)
+        if phase.holds:  # the same rows, but for a rotation among them
+            ours, exact = np.c_[problem.E, problem.e], np.c_[hold_rows(phase.holds[0], kin, DT)]
+            np.testing.assert_allclose(ours.T @ ours, exact.T @ exact, rtol=1e-9, atol=1e-11)
+            assert np.count_nonzero(np.abs(ours).max(axis=1)) == np.count_nonzero(np.abs(exact).max(axis=1))
+        for bound, limit, sign in ((problem.upper, phase.limits[0], -1.0), (problem.lower, phase.limits[1], 1.0)):
+            np.testing.assert_allclose(sign * bound, vfi_rows(limit, kin, DT)[1], rtol=1e-12)
+        assert np.abs(problem.upper).max() > 0.5 >= -problem.upper.min()
+        e = phase.tasks[0].error(kin)
+        assert phase.error(kin) == pytest.approx(np.linalg.norm(e), rel=1e-11)
+
+
+@pytest.mark.parametrize("rank", [0, 1, 3, 6])
+def test_independent_rows_are_those_of_the_singular_values(rank):
+    rng = np.random.default_rng(rank)
+    E = rng.normal(size=(6, rank)) @ rng.normal(size=(rank, 15)) + 1e-4 * rng.normal(size=(6, 15)) * (rank < 6)
+    e = rng.normal(size=6)
+    U, s, V = np.linalg.svd(E, full_matrices=False)
+    kept = s > DEPENDENT * s[0]
+    exact = np.c_[(s * kept)[:, None] * V, np.where(kept, U.T @ e, 0.0)]
+    independent(E, e)
+    ours = np.c_[E, e]
+    np.testing.assert_allclose(ours.T @ ours, exact.T @ exact, rtol=1e-9, atol=1e-12)
+    off = E @ E.T
+    assert np.abs(off - np.diag(np.diag(off))).max() < 1e-12 * max(np.abs(off).max(), 1e-9)

@@ -1,8 +1,8 @@
 """From tasks and constraints to the quadratic program (6), compiled.
 
 Tasks and constraints say readably what they are (`distance`, `jacobian`, `error`); those are their definition, and
-the oracle of what happens here. The kinds below are written into one table when a phase begins, and each tick one
-compiled pass over the table fills the matrices. A kind that is not below, such as one of your own, is asked by its
+the oracle of what happens here. The kinds in `forms` are written into one table when a phase begins, and each tick
+one compiled pass over the table fills the matrices. A kind that is not there, such as one of your own, is asked by its
 methods; a phase may mix both. Only exact classes are taken for the table: a subclass may have changed its methods.
 """
 
@@ -14,29 +14,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros import kernels
-from dqwalk_ros.assembly.compiled import AXIS, COM_OVER_FOOT, CYLINDER, FRAME_POSE, PLANE, POSTURE, WALL, evaluate
+from dqwalk_ros.assembly import forms
+from dqwalk_ros.assembly.compiled import COM_PATH, SWING_PATH, evaluate, first_error
 from dqwalk_ros.constraints import (
-    AxisLevel,
     Constraint,
+    FrameHeld,
     JointMaximum,
     JointMinimum,
-    PointInCylinder,
-    PointInsideWall,
-    PointOverPlane,
     gain,
     hold_rows,
     vfi_rows,
 )
-from dqwalk_ros.kinematics import Kinematics, Point, Rooted
+from dqwalk_ros.kinematics import Kinematics, Rooted
 from dqwalk_ros.qp import Problem
-from dqwalk_ros.tasks import ComOverFoot, FramePose, Posture, Task
+from dqwalk_ros.tasks import Task
 
 __all__ = ["Table"]
 
 Array = NDArray[np.float64]
 
-_UP = np.array([0.0, 0.0, 1.0])
+_Asked = Callable[[Constraint, Kinematics, float], tuple[Array, Array]]
 
 
 class Table:
@@ -81,40 +78,46 @@ class Table:
         at = 0
         for k, constraint in enumerate((*holds, *rows)):
             count = len(constraint.row_names(joint_names))
-            form = _ROWS.get(type(constraint))
-            if form is None or constraint.recovery < np.inf:
-                asked = hold_rows if k < len(holds) else vfi_rows
-                self._others.append((slice(at, at + count), constraint, asked))
+            held = k < len(holds)
+            form = forms.ROWS.get(type(constraint))
+            if form is None or (held and count > 1 and type(constraint) is not FrameHeld):
+                self._others.append((slice(at, at + count), constraint, hold_rows if held else vfi_rows))
             else:
-                kind, body, other, numbers = form(constraint, rooted)
-                index.append([kind, body, other, at])
-                data.append([constraint.eta, constraint.bound, *numbers])
+                least = -constraint.recovery if held else -np.inf
+                side = [constraint.eta, constraint.bound, constraint.recovery, least]
+                for j, (kind, body, other, numbers) in enumerate(form(constraint, rooted)):
+                    index.append([kind, body, other, at + j, int(held)])
+                    data.append([*side, *numbers])
             at += count
         self._equalities = sum(len(hold.row_names(joint_names)) for hold in holds)
         self._height = at
-        self._row_index, self._row_data = _table(index, 4, np.int64), _table(data, 15, np.float64)
+        self._row_index, self._row_data = _table(index, 5, np.int64), _table(data, 19, np.float64)
 
         index, data = [], []
         self._other_tasks: list[Task] = []
         self._residuals = 0
+        self._path_first = False
         for task in tasks:
-            made = _TASKS.get(type(task))
+            whole = forms.TASKS.get(type(task))
+            made = whole(task, rooted) if whole is not None else None
             if made is None:
                 self._other_tasks.append(task)
                 continue
-            kind, body, height, numbers = made(task, rooted)
-            index.append([kind, body])
+            kind, body, other, numbers = made
+            index.append([kind, body, other])
             data.append([task.weight, *numbers])
-            self._residuals += height
-        self._task_index, self._task_data = _table(index, 2, np.int64), _table(data, max(17, n + 1), np.float64)
+            self._residuals += forms.HEIGHT[kind]
+            if task is tasks[0]:
+                self._path_first = kind in (COM_PATH, SWING_PATH)
+        self._task_index, self._task_data = _table(index, 3, np.int64), _table(data, max(26, n + 1), np.float64)
 
         above, below = limits
-        self._limits = np.zeros((2, n + 2))
+        self._limits = np.zeros((2, n + 3))
         self._limits[0, :n], self._limits[1, :n] = np.inf, -np.inf
         self._other_limits: tuple[Constraint, Constraint] | None = None
         if type(above) is JointMaximum and type(below) is JointMinimum:
-            self._limits[0] = *above.q_max, above.eta, above.bound
-            self._limits[1] = *below.q_min, below.eta, below.bound
+            self._limits[0] = *above.q_max, above.eta, above.bound, above.recovery
+            self._limits[1] = *below.q_min, below.eta, below.bound, below.recovery
         else:
             self._other_limits = above, below
 
@@ -132,8 +135,8 @@ class Table:
         J, W, w = np.empty((self._residuals, n)), np.empty((self._height, n)), np.empty(self._height)
         lower, upper = np.empty(n), np.empty(n)
         evaluate(
-            *kin.arrays, self._moves, self._row_index, self._row_data, self._task_index, self._task_data, self._limits,
-            self._eta, self._damping, 1.0 / dt, H, c, diagonal, J, W, w, lower, upper,
+            *kin.arrays, kin.up, kin.elapsed, self._moves, self._row_index, self._row_data, self._task_index,
+            self._task_data, self._limits, self._eta, self._damping, 1.0 / dt, H, c, diagonal, J, W, w, lower, upper,
         )  # fmt: skip
         for at, constraint, asked in self._others:
             W[at], w[at] = asked(constraint, kin, dt)
@@ -145,9 +148,17 @@ class Table:
             J = np.concatenate([J, part])
         if self._other_limits is not None:
             above, below = self._other_limits
-            upper = gain(above.eta, dt) * (above.distance(kin) - above.bound)
-            lower = -gain(below.eta, dt) * (below.distance(kin) - below.bound)
+            upper = np.maximum(gain(above.eta, dt) * (above.distance(kin) - above.bound), -above.recovery)
+            lower = np.minimum(-gain(below.eta, dt) * (below.distance(kin) - below.bound), below.recovery)
         return Problem(H, c, W[:l], w[:l], W[l:], w[l:], lower, upper, self._names, diagonal, J)
+
+    def error(self, kin: Kinematics, task: Task) -> float:
+        """Return the norm of the error of the first task, which is `task`, at one configuration."""
+        if self._path_first:
+            _, poses, _, com, _ = kin.arrays
+            return float(first_error(poses, com, kin.up, kin.elapsed, self._task_index, self._task_data))
+        e = task.error(kin)
+        return float(np.sqrt(e @ e))
 
 
 def _table(rows: list[list[Any]], width: int, dtype: type) -> NDArray[Any]:
@@ -155,63 +166,3 @@ def _table(rows: list[list[Any]], width: int, dtype: type) -> NDArray[Any]:
     for k, row in enumerate(rows):
         out[k, : len(row)] = row
     return out
-
-
-def _at(point: Point, rooted: Rooted) -> tuple[int, Array]:
-    """Return the body of a point and its place on it, -1 for the centre of mass."""
-    if not point.frame:
-        return -1, np.zeros(3)
-    body, pose = rooted.frames[point.frame]
-    return body, kernels.point(pose, point.offset)
-
-
-# Each form returns the kind, the body, a second body, and the numbers from column 2 of the table on:
-# the point on the body (3), the point on the second body (3), and what the kind asks for (7).
-
-
-def _plane(row: PointOverPlane, rooted: Rooted) -> tuple[int, int, int, list[float]]:
-    body, p = _at(row.point, rooted)
-    return PLANE, body, 0, [*p, 0, 0, 0, *row.plane.n, row.plane.d]
-
-
-def _cylinder(row: PointInCylinder, rooted: Rooted) -> tuple[int, int, int, list[float]]:
-    body, p = _at(row.point, rooted)
-    axis = row.cylinder.axis
-    return CYLINDER, body, 0, [*p, 0, 0, 0, *axis.l, *axis.m, row.cylinder.radius**2]
-
-
-def _wall(row: PointInsideWall, rooted: Rooted) -> tuple[int, int, int, list[float]]:
-    body, p = _at(row.point, rooted)
-    other, b = _at(row.moving, rooted)
-    return WALL, body, other, [*p, *b, *row.fixed, row.side]
-
-
-def _axis(row: AxisLevel, rooted: Rooted) -> tuple[int, int, int, list[float]]:
-    body, pose = rooted.frames[row.frame]
-    up = kernels.point(pose, _UP) - kernels.point(pose, np.zeros(3))
-    return AXIS, body, 0, [*up, 0, 0, 0, *row.direction]
-
-
-def _com_over_foot(task: ComOverFoot, rooted: Rooted) -> tuple[int, int, int, list[float]]:
-    body, p = _at(task.foot, rooted)
-    return COM_OVER_FOOT, body, 2, [*p]
-
-
-def _frame_pose(task: FramePose, rooted: Rooted) -> tuple[int, int, int, list[float]]:
-    body, pose = rooted.frames[task.frame]
-    return FRAME_POSE, body, 8, [*pose, *task.target]
-
-
-def _posture(task: Posture, rooted: Rooted) -> tuple[int, int, int, list[float]]:
-    return POSTURE, -1, 0, [*task.q_ref]
-
-
-_Asked = Callable[[Constraint, Kinematics, float], tuple[Array, Array]]
-_Form = Callable[[Any, Rooted], tuple[int, int, int, list[float]]]
-_ROWS: dict[type, _Form] = {
-    PointOverPlane: _plane,
-    PointInCylinder: _cylinder,
-    PointInsideWall: _wall,
-    AxisLevel: _axis,
-}
-_TASKS: dict[type, _Form] = {ComOverFoot: _com_over_foot, FramePose: _frame_pose, Posture: _posture}

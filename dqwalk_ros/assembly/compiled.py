@@ -14,12 +14,29 @@ import math
 
 import numpy as np
 
+from dqwalk_ros.assembly.independent import independent
+from dqwalk_ros.assembly.paths import com_path, difference, difference_row, on_ground, swing_path
 from dqwalk_ros.kernels import _mul, _rotate, _translation, jit
 
-__all__ = ["AXIS", "COM_OVER_FOOT", "CYLINDER", "FRAME_POSE", "PLANE", "POSTURE", "WALL", "evaluate"]
+__all__ = [
+    "AXIS",
+    "COM_OVER_FOOT",
+    "COM_PATH",
+    "CYLINDER",
+    "EDGE",
+    "FRAME_HELD",
+    "FRAME_POSE",
+    "PLANE",
+    "POSTURE",
+    "SWING_PATH",
+    "WALL",
+    "evaluate",
+    "first_error",
+]
 
-PLANE, CYLINDER, WALL, AXIS = 0, 1, 2, 3
-COM_OVER_FOOT, FRAME_POSE, POSTURE = 0, 1, 2
+PLANE, CYLINDER, WALL, AXIS, EDGE, FRAME_HELD = 0, 1, 2, 3, 4, 5
+COM_OVER_FOOT, FRAME_POSE, POSTURE, COM_PATH, SWING_PATH = 0, 1, 2, 3, 4
+
 
 @jit
 def _place(poses, com, body, offset, p, t):  # type: ignore[no-untyped-def]
@@ -53,57 +70,131 @@ def _pull(row, factor, g, p, body, lines, J_com, moves):  # type: ignore[no-unty
 
 
 @jit
-def _rows(poses, lines, com, J_com, moves, index, data, fastest, W, w):  # type: ignore[no-untyped-def]
-    """Fill the rows W u >= w (or = w) that the table knows."""
+def _right(d, data, fastest):  # type: ignore[no-untyped-def]
+    """Return the right-hand side for a distance: -eta (d - bound), within the largest and the least."""
+    return max(min(-min(data[0], fastest) * (d - data[1]), data[2]), data[3])
+
+
+@jit
+def _rows(poses, lines, com, J_com, up, moves, index, data, fastest, W, w):  # type: ignore[no-untyped-def]
+    """Fill the rows W u >= w (or = w) that the table knows.
+
+    Columns of `data`: eta, bound, largest and least right-hand side, then what the kind asks for; of `index`: kind,
+    body, second body, the first row, and 1 where several rows are to be made independent.
+    """
     n = lines.shape[0]
     p, b, g, t = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    e, x, r = np.empty(6), np.empty(8), np.empty(4)
     for k in range(index.shape[0]):
         kind, body, other, at = index[k, 0], index[k, 1], index[k, 2], index[k, 3]
-        a = data[k, 8:14]
+        a = data[k, 10:17]
         row = W[at]
         for i in range(n):
             row[i] = 0.0
-        if kind == AXIS:
+        if kind == FRAME_HELD:  # the frame on its body, and the pose it is held at with its rotation conjugate
+            _mul(poses[body], data[k, 4:12], x, r)
+            difference(x, data[k, 12:15], data[k, 15:19], e, r)
+            _translation(x, p)
+            held = W[at : at + 6]
+            for i in range(n):
+                if moves[body, i]:
+                    difference_row(lines[i], p, r, 1.0, held, i)
+                else:
+                    for j in range(6):
+                        held[j, i] = 0.0
+            for j in range(6):
+                w[at + j] = _right(e[j], data[k], fastest)
+            if index[k, 4] == 1:
+                independent(held, w[at : at + 6])
+            continue
+        if kind == EDGE:  # a = n, d
+            d = a[0] * on_ground(com, up, 0) + a[1] * on_ground(com, up, 1) - a[2]
+            lean = (a[0] * up[0] + a[1] * up[1]) / up[2]
+            for i in range(n):
+                row[i] = a[0] * J_com[0, i] + a[1] * J_com[1, i] - lean * J_com[2, i]
+        elif kind == AXIS:
             # the direction R z turns about every joint as a point would, without moving
-            _rotate(poses[body], data[k, 2:5], p)
+            _rotate(poses[body], data[k, 4:7], p)
             d = a[0] * p[0] + a[1] * p[1] + a[2] * p[2]
             m0, m1, m2 = p[1] * a[2] - p[2] * a[1], p[2] * a[0] - p[0] * a[2], p[0] * a[1] - p[1] * a[0]
             for i in range(n):
                 if moves[body, i]:
                     row[i] = lines[i, 0] * m0 + lines[i, 1] * m1 + lines[i, 2] * m2
         else:
-            _place(poses, com, body, data[k, 2:5], p, t)
+            _place(poses, com, body, data[k, 4:7], p, t)
             if kind == PLANE:  # a = n, d
                 d = a[0] * p[0] + a[1] * p[1] + a[2] * p[2] - a[3]
                 _pull(row, 1.0, a, p, body, lines, J_com, moves)
-            elif kind == CYLINDER:  # a = l, m; data[14] = r^2
+            elif kind == CYLINDER:  # a = l, m, r^2
                 t[0] = p[1] * a[2] - p[2] * a[1] - a[3]
                 t[1] = p[2] * a[0] - p[0] * a[2] - a[4]
                 t[2] = p[0] * a[1] - p[1] * a[0] - a[5]
-                d = data[k, 14] - (t[0] * t[0] + t[1] * t[1] + t[2] * t[2])
+                d = a[6] - (t[0] * t[0] + t[1] * t[1] + t[2] * t[2])
                 g[0] = a[1] * t[2] - a[2] * t[1]
                 g[1] = a[2] * t[0] - a[0] * t[2]
                 g[2] = a[0] * t[1] - a[1] * t[0]
                 _pull(row, -2.0, g, p, body, lines, J_com, moves)
-            else:  # WALL: a = the fixed place, side; the moving place is data[5:8] of `other`
-                _place(poses, com, other, data[k, 5:8], b, t)
-                x, y = b[0] - a[0], b[1] - a[1]
-                square = x * x + y * y
+            else:  # WALL: a = the fixed place, side; the moving place is data[7:10] of `other`
+                _place(poses, com, other, data[k, 7:10], b, t)
+                x0, y0 = b[0] - a[0], b[1] - a[1]
+                square = x0 * x0 + y0 * y0
                 length = math.sqrt(square)
-                g[0], g[1], g[2] = -a[3] * y / length, a[3] * x / length, 0.0
+                g[0], g[1], g[2] = -a[3] * y0 / length, a[3] * x0 / length, 0.0
                 d = g[0] * (p[0] - a[0]) + g[1] * (p[1] - a[1])
-                along = (x * (p[0] - a[0]) + y * (p[1] - a[1])) / square
+                along = (x0 * (p[0] - a[0]) + y0 * (p[1] - a[1])) / square
                 _pull(row, 1.0, g, p, body, lines, J_com, moves)
                 _pull(row, -along, g, b, other, lines, J_com, moves)
-        w[at] = -min(data[k, 0], fastest) * (d - data[k, 1])
+        w[at] = _right(d, data[k], fastest)
 
 
 @jit
-def _tasks(q, poses, lines, com, J_com, moves, index, data, eta, diagonal, c, J, e):  # type: ignore[no-untyped-def]
-    """Fill J (r, n) and e (r,) of the tasks in the table, each times the root of its weight; posture is diagonal."""
+def _com_path(poses, com, up, elapsed, body, other, data, eta, e, wanted):  # type: ignore[no-untyped-def]
+    """Fill error and e' of a CoM path; the goal is the mean of a point on each of two bodies."""
+    p, b, t, goal = np.empty(3), np.empty(3), np.empty(3), np.empty(2)
+    _place(poses, com, body, data[1:4], p, t)
+    _place(poses, com, other, data[4:7], b, t)
+    for k in range(2):
+        goal[k] = 0.5 * (p[k] + b[k])
+    com_path(com, up, elapsed, goal, data[7:9], data[9], eta, data[10], e, wanted)
+
+
+@jit
+def _swing_path(poses, elapsed, body, data, x, r, e, wanted):  # type: ignore[no-untyped-def]
+    """Fill pose, rotation r r_d*, error and e' of a swing path, without the weight of angles."""
+    p_d, r_d, s = np.empty(3), np.empty(4), np.empty(4)
+    swing_path(elapsed, data[9:24], p_d, r_d, wanted)
+    _mul(poses[body], data[1:9], x, s)
+    difference(x, p_d, r_d, e, r)
+    for j in range(6):
+        wanted[j] -= data[24] * e[j]
+
+
+@jit
+def first_error(poses, com, up, elapsed, index, data):  # type: ignore[no-untyped-def]
+    """Return the norm of the error of the first task in the table, a path."""
+    e, wanted, x, r = np.empty(6), np.empty(6), np.empty(8), np.empty(4)
+    body, other = index[0, 1], index[0, 2]
+    if index[0, 0] == COM_PATH:
+        _com_path(poses, com, up, elapsed, body, other, data[0], 0.0, e, wanted)
+        return math.sqrt(e[0] * e[0] + e[1] * e[1])
+    _swing_path(poses, elapsed, body, data[0], x, r, e, wanted)
+    lever = data[0, 25]
+    total = 0.0
+    for j in range(3):
+        total += e[j] * e[j] + (lever * e[3 + j]) ** 2
+    return math.sqrt(total)
+
+
+@jit
+def _tasks(q, poses, lines, com, J_com, up, elapsed, moves, index, data, eta, diagonal, c, J, e):  # type: ignore[no-untyped-def]
+    """Fill J (r, n) and e (r,) of the tasks in the table, each times the root of its weight; posture is diagonal.
+
+    It is -e that is asked for, eta times the error unless the task is a path.
+    """
     n = lines.shape[0]
     p, g, t = np.empty(3), np.empty(3), np.empty(3)
     x, h, line, s = np.empty(8), np.empty(8), np.empty(8), np.empty(4)
+    six, wanted = np.empty(6), np.empty(6)
     at = 0
     for k in range(index.shape[0]):
         kind, body, weight = index[k, 0], index[k, 1], data[k, 0]
@@ -120,8 +211,32 @@ def _tasks(q, poses, lines, com, J_com, moves, index, data, eta, diagonal, c, J,
                 for i in range(n):
                     J[at + j, i] = root * J_com[j, i]
                 _pull(J[at + j], -root, g, p, body, lines, J_com, moves)
-                e[at + j] = root * (com[j] - p[j])
+                e[at + j] = eta * (root * (com[j] - p[j]))
             at += 2
+        elif kind == COM_PATH:
+            _com_path(poses, com, up, elapsed, body, index[k, 2], data[k], eta, six, wanted)
+            for j in range(2):
+                lean = up[j] / up[2]
+                for i in range(n):
+                    J[at + j, i] = root * (J_com[j, i] - lean * J_com[2, i])
+                e[at + j] = -root * wanted[j]
+            at += 2
+        elif kind == SWING_PATH:
+            _swing_path(poses, elapsed, body, data[k], x, s, six, wanted)
+            _translation(x, p)
+            lever = data[k, 25]
+            part = J[at : at + 6]
+            for i in range(n):
+                if moves[body, i]:
+                    difference_row(lines[i], p, s, lever, part, i)
+                    for j in range(6):
+                        part[j, i] *= root
+                else:
+                    for j in range(6):
+                        part[j, i] = 0.0
+            for j in range(6):
+                e[at + j] = -root * (wanted[j] if j < 3 else lever * wanted[j])
+            at += 6
         else:  # FRAME_POSE
             _mul(poses[body], data[k, 1:9], x, s)
             target = data[k, 9:17]
@@ -130,7 +245,7 @@ def _tasks(q, poses, lines, com, J_com, moves, index, data, eta, diagonal, c, J,
                 root = -root
             line[0] = line[4] = 0.0
             for i in range(8):
-                e[at + i] = root * x[i] - abs(root) * target[i]
+                e[at + i] = eta * (root * x[i] - abs(root) * target[i])
             for i in range(n):
                 if moves[body, i]:
                     for j in range(3):
@@ -147,21 +262,22 @@ def _tasks(q, poses, lines, com, J_com, moves, index, data, eta, diagonal, c, J,
 
 @jit
 def evaluate(  # type: ignore[no-untyped-def]
-    q, poses, lines, com, J_com, moves, rows, row_data, tasks, task_data, limits, eta, damping, fastest,
+    q, poses, lines, com, J_com, up, elapsed, moves, rows, row_data, tasks, task_data, limits, eta, damping, fastest,
     H, c, diagonal, J, W, w, lower, upper,
 ):  # fmt: skip
     """Fill the quadratic program (6).
 
-    `fastest` is 1/dt; `limits` (2, n + 2) are the joint limits, eta and bound of (12) and (13).
+    `fastest` is 1/dt; `limits` (2, n + 3) are the joint limits, eta, bound and recovery of (12) and (13).
     """
     n = lines.shape[0]
     e = np.empty(J.shape[0])
     for i in range(n):
         diagonal[i] = damping * damping
         c[i] = 0.0
-        upper[i] = min(limits[0, n], fastest) * (limits[0, i] - q[i] - limits[0, n + 1])
-        lower[i] = -min(limits[1, n], fastest) * (q[i] - limits[1, i] - limits[1, n + 1])
-    _tasks(q, poses, lines, com, J_com, moves, tasks, task_data, eta, diagonal, c, J, e)
+        high = min(limits[0, n], fastest) * (limits[0, i] - q[i] - limits[0, n + 1])
+        low = -min(limits[1, n], fastest) * (q[i] - limits[1, i] - limits[1, n + 1])
+        upper[i], lower[i] = max(high, -limits[0, n + 2]), min(low, limits[1, n + 2])
+    _tasks(q, poses, lines, com, J_com, up, elapsed, moves, tasks, task_data, eta, diagonal, c, J, e)
     r = J.shape[0]
     for i in range(n):
         for j in range(i + 1):
@@ -171,5 +287,5 @@ def evaluate(  # type: ignore[no-untyped-def]
             H[i, j] = H[j, i] = total
         H[i, i] += diagonal[i]
         for k in range(r):
-            c[i] += eta * e[k] * J[k, i]
-    _rows(poses, lines, com, J_com, moves, rows, row_data, fastest, W, w)
+            c[i] += e[k] * J[k, i]
+    _rows(poses, lines, com, J_com, up, moves, rows, row_data, fastest, W, w)

@@ -56,7 +56,8 @@ def com_velocity(kin: Kinematics, state: State, imu: str) -> Array:
     if state.gyro is not None:
         # what the inertial sensor turns besides the joints is the base sole
         turning = kin.direction(imu, state.gyro) - kin.angular_jacobian(imu) @ state.dq
-        v = v + np.cross(turning, kin.com)
+        (a, b, c), (x, y, z) = turning, kin.com
+        v = v + np.array([b * z - c * y, c * x - a * z, a * y - b * x])
     return v
 
 

@@ -162,7 +162,7 @@ class VelocityController:
         elapsed = state.time - self._time0
         kin = Kinematics(self.model, state.q, self.phase.base, elapsed=elapsed)
         if state.up is not None and self._imu in self.model.frames:
-            kin = Kinematics(self.model, state.q, self.phase.base, kin.direction(self._imu, state.up), elapsed)
+            kin = kin.tilted(kin.direction(self._imu, state.up))
         self._error = self.phase.error(kin)
         return kin
 

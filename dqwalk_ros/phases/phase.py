@@ -110,8 +110,7 @@ class Phase:
 
     def error(self, kin: Kinematics) -> float:
         """Norm of the error of the phase's own task."""
-        e = self.tasks[0].error(kin)
-        return float(np.sqrt(e @ e))
+        return self.table(kin.rooted).error(kin, self.tasks[0])
 
     def distances(self, kin: Kinematics) -> dict[str, float]:
         """Every signed distance less its bound, by name; what is kept is >= 0, what is held is 0.
