@@ -38,6 +38,7 @@ LAYERS = (
     "trace",
     "simulation",
     "robustness",
+    "pushes",
     "assessment",
     "bag",
     "analysis",

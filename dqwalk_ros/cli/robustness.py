@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import argparse
 import csv
+import re
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 from dqwalk_ros import robustness
+from dqwalk_ros.analysis.figures.robustness import robustness_figure
+from dqwalk_ros.analysis.figures.style import drawing
 from dqwalk_ros.cli.progress import Progress
 from dqwalk_ros.cli.settings import config_of
 from dqwalk_ros.exceptions import ConfigError
 from dqwalk_ros.robustness import AXES, Cell
 
-__all__ = ["run"]
+__all__ = ["run", "table"]
+
+_NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -27,21 +33,25 @@ def run(args: argparse.Namespace) -> int:
         except ValueError:
             raise ConfigError(f"--axis wants KEY=NUMBER,NUMBER..., not '{text}'") from None
     combinations = robustness.cells(axes, args.sample, args.seed)
-    bar = Progress(quiet=args.quiet)
-    try:
-        done = robustness.run(
-            config,
-            combinations,
-            jobs=args.jobs,
-            progress=lambda count, cell: bar(count / len(combinations), f"{count} of {len(combinations)} cells"),
-        )
-    finally:
-        bar.close()
     out = Path(args.out)
     out.mkdir(parents=True, exist_ok=True)
+    kept = robustness.Kept(out / "cells.jsonl", config, force=args.force)
+    bar, stood = Progress(quiet=args.quiet), 0
+
+    def progress(count: int, cell: Cell) -> None:
+        nonlocal stood
+        stood += cell.stood
+        bar(count / len(combinations), f"{count} of {len(combinations)} cells, {stood} of these stood")
+
+    try:
+        done = robustness.run(config, combinations, jobs=args.jobs, kept=kept, progress=progress)
+    finally:
+        bar.close()
     _write(out / "robustness.csv", done, list(axes))
     text = table(done, axes)
     (out / "robustness.txt").write_text(text + "\n", encoding="utf-8")
+    with drawing():
+        robustness_figure(done, axes, args.steps).savefig(out / "robustness.png")
     print(text)
     return 0 if all(cell.stood for cell in done) else 1
 
@@ -59,16 +69,21 @@ def table(done: Sequence[Cell], axes: dict[str, tuple[float, ...]]) -> str:
             if part:
                 good = sum(cell.stood for cell in part)
                 lines.append(f"  {name + ' = ' + format(value, 'g'):28s} {good:3d} of {len(part):3d}")
+    reasons = Counter(_NUMBER.sub("#", cell.reason) for cell in done if not cell.stood)
+    if reasons:
+        lines += ["", "why the others did not:", *(f"  {count:3d} x {why}" for why, count in reasons.most_common()), ""]
     for cell in done:
         if not cell.stood:
             where = ", ".join(f"{name.partition('.')[2]} {value:g}" for name, value in cell.values.items())
-            lines.append(f"  failed at {cell.time:5.1f} s: {where}: {cell.reason}")
+            lines.append(f"  failed at {cell.time:5.1f} s, after {cell.steps} steps: {where}: {cell.reason}")
     return "\n".join(lines)
 
 
 def _write(path: Path, done: Sequence[Cell], names: list[str]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow([*names, "stood", "time", "reason"])
+        writer.writerow([*names, "stood", "time", "steps", "reason"])
         for cell in done:
-            writer.writerow([*(cell.values[name] for name in names), int(cell.stood), cell.time, cell.reason])
+            writer.writerow(
+                [*(cell.values[name] for name in names), int(cell.stood), cell.time, cell.steps, cell.reason]
+            )
