@@ -14,6 +14,7 @@ examples:
   dqwalk reach                              walk where the hand wants to go (whole body)
   dqwalk report walk/bag                    judge and draw any recorded walk
   dqwalk view walk/bag                      look at it in the browser: play, pause, scrub
+  dqwalk robustness, dqwalk pushes          what the walk that stands survives in physics
   dqwalk study studies/step_length.yaml     walk many times over with parameters varied
   dqwalk config                             every parameter with its unit, range and meaning
 
@@ -55,12 +56,39 @@ examples:
 """
 
 _ROBUSTNESS = """\
-Walks every combination of friction, mass, servo stiffness, backlash, output rate and latency (432 of them), prints
-the fraction that stood and what failed, and writes robustness.csv and robustness.txt. Needs dqwalk_ros[sim].
+Walks every combination of friction, mass, servo stiffness, backlash, output rate and latency (432 of them, about
+six seconds of one core each) and prints the fraction that stood and why the others did not. Needs dqwalk_ros[sim].
+
+writes to the folder of --out:
+  cells.jsonl             a line per finished cell; a run that was stopped or killed goes on from here
+  robustness.csv, .txt    all cells in order, and the table that is printed
+  robustness.png          the matrix: what stood, and after how many steps the rest fell
 
 examples:
+  dqwalk robustness --jobs 4 --set qp.solver=daqp          daqp gives the same answers in less time
   dqwalk robustness --sample 40
   dqwalk robustness --axis servo.stiffness=60 --axis servo.latency=0,0.06 --steps 4
+"""
+
+_PUSHES = """\
+Pushes the pelvis of a walking robot in physics, in eight directions, standing on both feet and in the middle of a
+step on either foot, harder and harder until it falls, and prints the largest impulse survived. Needs dqwalk_ros[sim].
+
+writes to the folder of --out:
+  pushes.csv, .txt, .png
+
+examples:
+  dqwalk pushes --jobs 4 --set qp.solver=daqp
+  dqwalk pushes --moment standing --directions 16 --set standing.balance=1.0
+"""
+
+_FOOTSTEPS = """\
+A footprint that is asked for is moved to the nearest one that can be reached with both soles flat and the centre of
+mass over either of them. This prints what comes of steps ahead, aside and round.
+
+examples:
+  dqwalk footsteps
+  dqwalk footsteps --config my_biped.yaml --support right
 """
 
 _REPORT = """\
@@ -96,6 +124,16 @@ examples:
   dqwalk view walk/bag --open                              and open the browser
   dqwalk simulate --view                                   a walk while it is computed
   dqwalk_viewer                                            a walk on ROS 2, live (or: ros2 run dqwalk_ros viewer)
+"""
+
+_MOVIE = """\
+Draws the robot with its collision shapes, by MuJoCo, without a display: set MUJOCO_GL=egl (or osmesa) where there is
+none. A bag of a walk in physics has the true pose of the pelvis, otherwise it is that of the odometry.
+Needs dqwalk_ros[sim].
+
+examples:
+  MUJOCO_GL=egl dqwalk movie walk/bag --out walk.gif --speed 4
+  MUJOCO_GL=egl dqwalk movie walk/bag --out strip.png --strip 9 --between 0,7.5
 """
 
 _STUDY = """\
@@ -162,8 +200,25 @@ def build() -> argparse.ArgumentParser:
     robust.add_argument("--seed", type=int, default=0, help="of the draw [0]")
     robust.add_argument("--jobs", metavar="N", type=int, default=2, help="processes at a time [2]")
     robust.add_argument("--out", metavar="DIR", default="robustness", help="where the results go [robustness]")
+    robust.add_argument("--force", action="store_true", help="replace an earlier matrix that is there")
     robust.add_argument("--quiet", action="store_true", help="no progress")
     _add_set(robust)
+
+    feet = _command(commands, "footsteps", "which steps the legs of a robot reach", _FOOTSTEPS)
+    feet.add_argument("--config", metavar="CONFIG", default="poppy", help="name or path of a configuration [poppy]")
+    feet.add_argument("--support", choices=("left", "right"), default="left", help="foot that stands [left]")
+    _add_set(feet)
+
+    push = _command(commands, "pushes", "find the largest push the robot survives", _PUSHES)
+    push.add_argument("--config", metavar="CONFIG", default="poppy", help="name or path of a configuration [poppy]")
+    push.add_argument("--moment", choices=("all", "standing", "left", "right"), default="all", help="when [all]")
+    push.add_argument("--directions", metavar="N", type=int, default=8, help="evenly spread [8]")
+    push.add_argument("--duration", metavar="S", type=float, default=0.1, help="of each push [0.1]")
+    push.add_argument("--tolerance", metavar="NS", type=float, default=0.02, help="of each impulse [0.02]")
+    push.add_argument("--jobs", metavar="N", type=int, default=2, help="processes at a time [2]")
+    push.add_argument("--out", metavar="DIR", default="pushes", help="where the results go [pushes]")
+    push.add_argument("--quiet", action="store_true", help="no progress")
+    _add_set(push)
 
     walk = _command(commands, "walk", "walk through ROS 2: four nodes, lockstep", _WALK)
     _add_walk(walk)
@@ -196,6 +251,16 @@ def build() -> argparse.ArgumentParser:
     view.add_argument("--port", type=int, help="port of the page; 0: any [8080, or the next free one]")
     view.add_argument("--open", action="store_true", help="open the page in the browser of this machine")
     view.add_argument("--play", action="store_true", help="begin to play at once")
+
+    movie = _command(commands, "movie", "draw a recorded walk as a movie or a strip of pictures", _MOVIE)
+    movie.add_argument("bag", metavar="BAG", help="folder of a rosbag2, or one .mcap or .db3 file")
+    movie.add_argument("--namespace", metavar="NAME", help="of the robot, where the bag holds several")
+    movie.add_argument("--out", metavar="FILE", default="walk.gif", help=".gif, .webp, or .png for a strip [walk.gif]")
+    movie.add_argument("--speed", type=float, default=2.0, help="so many times as fast as it was walked [2]")
+    movie.add_argument("--rate", type=float, default=12.5, help="pictures per second [12.5]")
+    movie.add_argument("--strip", metavar="N", type=int, default=8, help="pictures of a strip [8]")
+    movie.add_argument("--between", metavar="A,B", help="first and last time of a strip [s] [the whole walk]")
+    movie.add_argument("--quiet", action="store_true", help="no progress")
 
     study = _command(commands, "study", "walk many times over with parameters varied", _STUDY)
     study.add_argument("study", metavar="STUDY.yaml", help="what is varied, as below")

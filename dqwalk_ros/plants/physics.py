@@ -21,7 +21,7 @@ from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot, RobotModel
 from dqwalk_ros.plants.servos import Servos
 
-__all__ = ["PhysicsPlant", "Truth"]
+__all__ = ["PhysicsPlant", "Truth", "compiled"]
 
 Array = NDArray[np.float64]
 
@@ -77,7 +77,7 @@ class PhysicsPlant:
         self.config, self.model = config, model
         c = config.physics
         q = np.zeros(model.n) if q0 is None else np.array(q0, dtype=np.float64)
-        self.mj, self._stiffness = _compiled(config, model)
+        self.mj = compiled(config, model)
         self.data: Any = mujoco.MjData(self.mj)
         self._substeps = max(1, round(config.dt / self.mj.opt.timestep))
         joints = [self.mj.joint(name) for name in model.joint_names]
@@ -138,24 +138,6 @@ class PhysicsPlant:
         return Truth(
             self._pose(self.mj.body(self.model.pelvis).id), soles, wrenches, np.array(self.data.subtree_com[self._root])
         )
-
-    def picture(self, width: int = 360, height: int = 480, azimuth: float = 130.0) -> NDArray[np.uint8]:
-        """Return an image of the robot now, shape (height, width, 3); set MUJOCO_GL=egl or osmesa without a display.
-
-        Parameters
-        ----------
-        width, height : int
-            Up to 640 and 480.
-        azimuth : float
-            Of the camera [degrees].
-        """
-        camera = mujoco.MjvCamera()
-        camera.lookat[:] = self.data.subtree_com[self._root] * [1.0, 0.0, 0.0] + [0.0, 0.0, 0.4]
-        camera.distance, camera.azimuth, camera.elevation = 1.5, azimuth, -12.0
-        with mujoco.Renderer(self.mj, height, width) as renderer:
-            renderer.update_scene(self.data, camera)
-            image: NDArray[np.uint8] = renderer.render()
-        return image
 
     @property
     def fallen(self) -> bool:
@@ -218,8 +200,14 @@ class PhysicsPlant:
         return out
 
 
-def _compiled(config: Config, model: RobotModel) -> tuple[Any, Array]:
-    """Return the compiled MuJoCo model and the stiffness of each servo."""
+def compiled(config: Config, model: RobotModel) -> Any:
+    """Return the MuJoCo model of the robot, its servos and the floor.
+
+    Raises
+    ------
+    PlantError
+        If MuJoCo refuses the robot.
+    """
     c, s = config.physics, config.servo
     spec = mujoco.MjSpec.from_string(model.urdf)
     spec.compiler.inertiafromgeom = 0  # the soles have no mass; none may be made up
@@ -269,12 +257,12 @@ def _compiled(config: Config, model: RobotModel) -> tuple[Any, Array]:
         act.biasprm[1], act.biasprm[2] = -stiffness, -s.damping * stiffness
         act.forcelimited, act.forcerange = True, [-torque, torque]
     try:
-        compiled = spec.compile()
+        made = spec.compile()
     except ValueError as error:
         raise PlantError(f"MuJoCo refuses the robot: {error}") from error
-    compiled.body_mass *= c.mass_scale
-    compiled.body_inertia *= c.mass_scale
-    return compiled, np.full(model.n, s.stiffness)
+    made.body_mass *= c.mass_scale
+    made.body_inertia *= c.mass_scale
+    return made
 
 
 _THICK = 0.008
