@@ -1,17 +1,23 @@
-"""The controller node in a process of its own, over DDS: round trips from state to command.
+"""The controller node in a process of its own, over DDS. This process is the plant. Needs ROS 2.
 
-    python -m benchmark.nodes [--ticks 3000]
+    python -m benchmark.nodes [--ticks 3000] [--seconds 60]
 
-This process is the plant: in lockstep, it sends the next state when the command to the last one is there. Needs ROS 2.
+In lockstep, the next state is sent when the command to the last one is there. By the clock, states go out at a fixed
+rate, a loop that does nothing but sleep to the same schedule is timed in the same minute, and a period is missed whose
+command was not there when the next state was due.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
@@ -22,76 +28,198 @@ from benchmark.timing import machine, table
 from dqwalk_ros.config import find_share, load
 from dqwalk_ros.model import load_model
 
-
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--ticks", type=int, default=3000)
-    args = parser.parse_args()
-    print(f"{machine()}\n")
-    rows = [_run(solver, args.ticks) for solver in ("clarabel", "daqp")]
-    print(table(["solver", "ticks", "ticks/s", "round trip [us]", "p99 [us]", "controller, CPU per tick [us]"], rows))
+RATES = {200: 60.0, 500: 20.0, 1000: 20.0}
+"""By the clock: states per second, and for how long [s], of a minute in all."""
 
 
-def _run(solver: str, ticks: int) -> list[str]:
+@dataclass
+class Plant:
+    """The other side of a controller: publishes states, and keeps what comes back."""
+
+    node: object
+    controller: psutil.Process
+    send: Callable[[int, np.ndarray], None]
+    spin: Callable[[float], None]
+    n: int
+    answers: dict[int, tuple[float, np.ndarray]] = field(default_factory=dict)  # by stamp: when, velocity
+    computed: list[float] = field(default_factory=list)  # what the controller says of itself [s]
+
+    def spent(self) -> float:
+        """CPU time of the controller so far [s]."""
+        return sum(self.controller.cpu_times()[:2])
+
+
+@contextmanager
+def plant(solver: str, *, lockstep: bool, dt: float) -> Iterator[Plant]:
+    """Start a controller and stand opposite to it."""
     import rclpy
+    from diagnostic_msgs.msg import DiagnosticArray
     from sensor_msgs.msg import JointState
 
     from dqwalk_ros.nodes import messages as ros
 
-    config = load("paper")
-    model = load_model(config.robot)
-    options = ["-p", "plant.lockstep:=true", "-p", f"qp.solver:={solver}"]
+    model = load_model(load("paper").robot)
+    values = {"plant.lockstep": str(lockstep).lower(), "qp.solver": solver, "dt": dt, "monitor.rate": 20.0}
+    options = [word for key, value in values.items() for word in ("-p", f"{key}:={value}")]
     code = "import sys; from dqwalk_ros.nodes.controller import main; sys.exit(main(sys.argv[1:]))"
     params = ["--ros-args", "--params-file", str(find_share("config", "paper.yaml"))]
-    controller = subprocess.Popen([sys.executable, "-c", code, *params, *options], stderr=subprocess.DEVNULL)
+    process = subprocess.Popen([sys.executable, "-c", code, *params, *options], stderr=subprocess.DEVNULL)
     rclpy.init()
     try:
         node = rclpy.create_node("benchmark_plant")
-        pub = node.create_publisher(JointState, "joint_states", ros.stream(1, reliable=True))
-        answers: dict[int, np.ndarray] = {}
-        reader = {name: i for i, name in enumerate(model.joint_names)}
+        states = node.create_publisher(JointState, "joint_states", ros.stream(1, reliable=lockstep))
+        write, index = ros.JointWriter(model.joint_names), {name: i for i, name in enumerate(model.joint_names)}
+        made = Plant(
+            node=node,
+            controller=psutil.Process(process.pid),
+            send=lambda stamp, q: states.publish(write(stamp, position=q)),
+            spin=lambda timeout: rclpy.spin_once(node, timeout_sec=timeout),
+            n=model.n,
+        )
 
         def on_command(msg: JointState) -> None:
-            velocity = np.empty(model.n)
+            now, velocity = time.perf_counter(), np.empty(model.n)
             for name, value in zip(msg.name, msg.velocity, strict=True):
-                velocity[reader[name]] = value
-            answers[ros.nanoseconds(msg.header.stamp)] = velocity
+                velocity[index[name]] = value
+            made.answers[ros.nanoseconds(msg.header.stamp)] = now, velocity
 
-        node.create_subscription(JointState, "joint_velocity_commands", on_command, ros.stream(1, reliable=True))
-        write, q, period = ros.JointWriter(model.joint_names), np.zeros(model.n), round(config.dt * 1e9)
-        process, trips = psutil.Process(controller.pid), []
-        spent = 0.0
-        for tick in range(ticks):
+        def on_diagnostics(msg: DiagnosticArray) -> None:
+            for status in msg.status:
+                made.computed += [float(pair.value) for pair in status.values if pair.key == "compute time"]
+
+        node.create_subscription(JointState, "joint_velocity_commands", on_command, ros.stream(1, reliable=lockstep))
+        node.create_subscription(DiagnosticArray, "diagnostics", on_diagnostics, 10)
+        wait_for(made, lambda: states.get_subscription_count() and node.count_publishers("joint_velocity_commands"))
+        yield made
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.wait(10.0)
+        rclpy.shutdown()
+
+
+def wait_for(made: Plant, condition: Callable[[], object]) -> None:
+    """Spin until something is so."""
+    deadline = time.monotonic() + 60.0
+    while not condition():
+        if not made.controller.is_running() or time.monotonic() > deadline:
+            raise SystemExit("the controller does not answer")
+        made.spin(0.05)
+
+
+def in_lockstep(solver: str, ticks: int) -> list[str]:
+    """Measure round trips."""
+    dt = load("paper").dt
+    with plant(solver, lockstep=True, dt=dt) as made:
+        q, trips, spent, period = np.zeros(made.n), [], 0.0, round(dt * 1e9)
+        for tick in range(ticks + 1):
             stamp = (tick + 1) * period
             began = sent = time.perf_counter()
-            pub.publish(write(stamp, position=q))
-            while stamp not in answers:
-                rclpy.spin_once(node, timeout_sec=0.2)
-                if time.perf_counter() - sent > 1.0:  # nobody listened yet
-                    if controller.poll() is not None or time.perf_counter() - began > 60.0:
+            made.send(stamp, q)
+            while stamp not in made.answers:
+                made.spin(0.2)
+                if time.perf_counter() - sent > 1.0:  # it was not heard
+                    if time.perf_counter() - began > 60.0:
                         raise SystemExit("the controller does not answer")
                     sent = time.perf_counter()
-                    pub.publish(write(stamp, position=q))
+                    made.send(stamp, q)
             if tick == 0:
-                spent = sum(process.cpu_times()[:2])
+                spent = made.spent()
             else:
                 trips.append(time.perf_counter() - began)
-            q = q + config.dt * answers.pop(stamp)
-        spent = sum(process.cpu_times()[:2]) - spent
-    finally:
-        controller.terminate()
-        controller.wait(10.0)
-        rclpy.shutdown()
+            q = q + dt * made.answers.pop(stamp)[1]
+        spent = made.spent() - spent
     micro = 1e6 * np.array(trips)
+    middle, high = np.percentile(micro, [50, 99])
     return [
         solver,
         str(ticks),
         f"{1e6 / micro.mean():.0f}",
-        f"{np.median(micro):.0f}",
-        f"{np.percentile(micro, 99):.0f}",
-        f"{1e6 * spent / len(trips):.0f}",
+        f"{middle:.0f}",
+        f"{high:.0f}",
+        f"{1e6 * spent / ticks:.0f}",
     ]
+
+
+def on_schedule(rate: float, seconds: float, at_each: Callable[[int, float], None], wait: Callable[[float], None]):
+    """Call something at a fixed rate; return how late each call was [s]."""
+    start, late = time.perf_counter() + 0.01, []
+    for k in range(int(rate * seconds)):
+        due = start + k / rate
+        while (left := due - time.perf_counter()) > 0.0:
+            wait(left)
+        late.append(time.perf_counter() - due)
+        at_each(k, due)
+    return np.array(late)
+
+
+def bare(rate: float, seconds: float) -> np.ndarray:
+    """Return how late a loop that only sleeps is [s]."""
+    return on_schedule(rate, seconds, lambda k, due: None, time.sleep)
+
+
+def by_the_clock(solver: str, rate: int, seconds: float) -> list[str]:
+    """Measure latency, lateness, and missed periods."""
+    alone = [bare(rate, 0.25 * seconds)]
+    with plant(solver, lockstep=False, dt=1.0 / rate) as made:
+        q, sent, first = np.zeros(made.n), {}, time.time_ns()
+        latency, missed = [], 0
+
+        def tick(k: int, due: float) -> None:
+            nonlocal q, missed
+            if sent:
+                stamp, when = sent.popitem()
+                answer = made.answers.pop(stamp, None)
+                made.answers.clear()
+                if answer is None:
+                    missed += 1
+                else:
+                    latency.append(answer[0] - when)
+                    q = q + answer[1] / rate
+            stamp = first + round(k * 1e9 / rate)
+            sent[stamp] = time.perf_counter()
+            made.send(stamp, q)
+
+        on_schedule(rate, 2.0, tick, made.spin)  # the first command is the slowest
+        sent.clear()
+        latency.clear()
+        made.computed.clear()
+        first, missed = time.time_ns(), 0
+        spent, began = made.spent(), time.perf_counter()
+        late = on_schedule(rate, seconds, tick, made.spin)
+        share = (made.spent() - spent) / (time.perf_counter() - began)
+        computed = np.array(made.computed)
+    alone.append(bare(rate, 0.25 * seconds))
+    lateness, lone = np.percentile(late, 99), np.percentile(np.concatenate(alone), 99)
+    middle, high = np.percentile(latency, [50, 99])
+    return [
+        f"{rate} Hz, {solver}",
+        f"{1e3 * np.median(computed):.2f}",
+        f"{1e3 * middle:.2f}",
+        f"{1e3 * high:.2f}",
+        f"{100 * missed / (rate * seconds):.2f}",
+        f"{1e3 * lateness:.2f}",
+        f"{1e3 * lone:.2f}",
+        f"{lateness / lone:.2f}",
+        f"{100 * share:.0f}",
+    ]
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--ticks", type=int, default=3000, help="in lockstep")
+    parser.add_argument(
+        "--seconds", type=float, default=60.0, help="by the clock at 200 Hz, a third of it at the others"
+    )
+    args = parser.parse_args()
+    print(f"{machine()}\n\n### In lockstep\n")
+    rows = [in_lockstep(solver, args.ticks) for solver in ("clarabel", "daqp")]
+    print(table(["solver", "ticks", "ticks/s", "round trip [us]", "p99 [us]", "controller, CPU per tick [us]"], rows))
+    print("\n### By the clock\n", flush=True)
+    rows = [by_the_clock("clarabel", rate, args.seconds * share / 60.0) for rate, share in RATES.items()]
+    rows.append(by_the_clock("daqp", 1000, args.seconds / 3.0))
+    header = ["rate", "computes [ms]", "state to command [ms]", "p99 [ms]", "missed [%]"]
+    print(table([*header, "late, p99 [ms]", "bare loop, p99 [ms]", "ratio", "controller, CPU [%]"], rows))
 
 
 if __name__ == "__main__":

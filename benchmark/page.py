@@ -17,8 +17,9 @@ TEXT = """\
 Written by `python -m benchmark.page` on {date}; do not edit. Times are medians of single calls of an interleaved
 run on a machine that other programs used as well: compare figures of one table only, and ratios rather than times.
 A peer's tick is its own kinematics, the rows in numpy as one writes them by hand, and its usual solver; its error is
-that of u relative to the largest joint velocity. The robots are made up (`benchmark/robots.py`). placo knows no task but its
-own: its error says how far another program's answer is. Clarabel "in place" is at its default tolerances, unscaled.
+that of u relative to the largest joint velocity. The robots are made up (`benchmark/robots.py`). placo knows no task
+but its own: its error says how far another program's answer is. Clarabel "in place" is at its default tolerances,
+unscaled.
 
 """
 

@@ -114,8 +114,9 @@ class Chain:
         return "".join([*parts, "</body>" * (self.n + 1), "</worldbody></mujoco>"])
 
     def moving(self) -> tuple[float, Array]:
-        """Return the share of the mass that moves, and what the base at rest adds to the CoM [m]: Pinocchio leaves
-        out what is at rest.
+        """Return the share of the mass that moves, and what the base at rest adds to the CoM [m].
+
+        Pinocchio leaves out what is at rest.
         """
         return self.mass[1:].sum() / self.mass.sum(), self.mass[0] * self.com[0] / self.mass.sum()
 
@@ -222,9 +223,7 @@ class InPlace:
     def __init__(self) -> None:
         self.solver: Any = None
 
-    def __call__(
-        self, H: Array, c: Array, E: Array, e: Array, G: Array, h: Array, lower: Array, upper: Array
-    ) -> Array:
+    def __call__(self, H: Array, c: Array, E: Array, e: Array, G: Array, h: Array, lower: Array, upper: Array) -> Array:
         """Solve."""
         n = c.size
         eye = np.eye(n)
@@ -362,4 +361,3 @@ def _own(name: str) -> Callable[[Case], Callable[[Array], Array]]:
     from benchmark import inverse_kinematics  # which needs what is above
 
     return getattr(inverse_kinematics, name)
-

@@ -170,6 +170,8 @@ class Rivals:
 def outside_limits(q: Array, model: RobotModel, slack: float) -> str:
     """Return which joints are beyond their limits by more than `slack` [rad], and by how much; empty if none is."""
     beyond = np.maximum(model.q_min - q, q - model.q_max)
+    if (beyond <= slack).all():
+        return ""
     return ", ".join(f"{model.joint_names[i]} by {beyond[i]:.3g} rad" for i in np.flatnonzero(~(beyond <= slack)))
 
 
@@ -270,7 +272,8 @@ class StateGate:
                 passed = max(passed, self.watchdog.age)
             reach = self._model.velocity_max * (max(passed, 0.0) + self._dt)
             moved = np.abs(q - self._q)
-            if far := list(np.flatnonzero(~(moved <= reach))):
+            if not (moved <= reach).all():
+                far = np.flatnonzero(~(moved <= reach))
                 names = ", ".join(f"{self._model.joint_names[i]} by {moved[i]:.3g} rad" for i in far)
                 why = f"a jump that the velocity limits do not allow: {names}"
                 if self.jumped.fault(f"{why}; {self.jumped.limit} in a row, refused until ~/reset"):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import enum
 import sys
+import time
 import traceback
 from typing import Any
 
@@ -88,6 +89,7 @@ class ControllerNode(Worker):
         self._stale = False
         self._ticks = self._rejected = self._ignored = 0
         self._phase_index = -1
+        self._compute_time = 0.0  # from the last state in to its command out [s]
 
         self._pub = {name: ros.publisher(node, name) for name in TOPICS if name != "joint_states"}
         self._tf = self._make_tf()
@@ -117,6 +119,7 @@ class ControllerNode(Worker):
     # ------------------------------------------------------------------ the loop
 
     def _on_state(self, msg: JointState) -> None:
+        began = time.perf_counter()
         stamp = ros.nanoseconds(msg.header.stamp)
         try:
             state = self._reader.state(msg)
@@ -139,6 +142,7 @@ class ControllerNode(Worker):
         if velocity is not None:
             self._stamp, self._velocity = stamp, velocity
             self._publish_command()
+            self._compute_time = time.perf_counter() - began
             self._ticks += 1
             if self._phase_index >= 0:
                 self._publish_pose(stamp)
@@ -341,6 +345,7 @@ class ControllerNode(Worker):
         }
         if last is not None:
             values |= {"error": last.error, "solve time": last.solve_time, "iterations": last.iterations}
+            values["compute time"] = self._compute_time
             values["active rows"] = ", ".join(last.active)
         if not level:
             trouble = self._problem or (f"two plants: {self._rivals}" if self._rivals else "")
