@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import enum
 import fnmatch
-import io
 import pathlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +21,7 @@ from dqwalk_ros.config import RobotConfig, find_share
 from dqwalk_ros.description import MAX_BYTES, checked
 from dqwalk_ros.dq import DQ
 from dqwalk_ros.exceptions import ConfigError, ModelError
-
-if TYPE_CHECKING:
-    import yourdfpy
+from dqwalk_ros.parsed import Joint, Link, Robot, parse
 
 __all__ = ["Body", "Foot", "Frame", "RobotModel", "Sole", "find_urdf", "load_model"]
 
@@ -198,7 +195,7 @@ def load_model(config: RobotConfig) -> RobotModel:
     dropped = _matching(config.drop, joints, "robot.drop", path)
     locked = _matching(config.lock, joints, "robot.lock", path)
 
-    children: dict[str, list[Any]] = {}
+    children: dict[str, list[Joint]] = {}
     for joint in robot.joints:
         children.setdefault(joint.parent, []).append(joint)
     roots = set(links) - {joint.child for joint in robot.joints}
@@ -209,7 +206,7 @@ def load_model(config: RobotConfig) -> RobotModel:
         joint, body, pose = stack.pop()  # of the joint's parent link: its body, and its pose there
         if joint.name in dropped:
             continue
-        origin = (pose * _pose(joint.origin)) if joint.origin is not None else pose
+        origin = pose * _pose(joint.origin)
         if joint.type == "fixed" or joint.name in locked:
             tree.attach(links[joint.child], body, origin)
             after = body, origin
@@ -222,23 +219,17 @@ def load_model(config: RobotConfig) -> RobotModel:
 _IDENTITY = DQ(1.0)
 
 
-def _parse(path: pathlib.Path) -> tuple[yourdfpy.Robot, str]:
+def _parse(path: pathlib.Path) -> tuple[Robot, str]:
     """Return the robot of a file, and its text, both from the same bytes."""
-    import yourdfpy
-
     try:
         with path.open("rb") as file:
             data = checked(file.read(MAX_BYTES + 1), str(path))
     except OSError as error:
         raise ModelError(f"cannot read '{path}': {error.strerror}") from error
-    try:
-        loaded = yourdfpy.URDF.load(io.BytesIO(data), load_meshes=False, build_scene_graph=False, mesh_dir="")
-    except Exception as error:  # lxml, yourdfpy and numpy each have their own
-        raise ModelError(f"{path}: not a URDF: {' '.join(str(error).split())[:300]}") from error
-    return loaded.robot, data.decode("utf-8")
+    return parse(data, str(path)), data.decode("utf-8")
 
 
-def _matching(patterns: Sequence[str], joints: Mapping[str, Any], key: str, path: pathlib.Path) -> set[str]:
+def _matching(patterns: Sequence[str], joints: Mapping[str, Joint], key: str, path: pathlib.Path) -> set[str]:
     found: set[str] = set()
     for pattern in patterns:
         hits = fnmatch.filter(joints, pattern)
@@ -259,38 +250,36 @@ class _Tree:
         self.path = path
         self.bodies: list[dict[str, Any]] = []
         self.frames: dict[str, Frame] = {}
-        self.joints: list[Any] = []
+        self.joints: list[Joint] = []
 
-    def add_root(self, link: Any) -> None:
+    def add_root(self, link: Link) -> None:
         root = {"parent": -1, "joint": -1, "origin": _IDENTITY.vec8(), "axis": np.zeros(3), "parts": []}
         self.bodies.append(root)
         self.attach(link, 0, _IDENTITY)
 
-    def add(self, link: Any, parent: int, origin: DQ, joint: Any) -> int:
+    def add(self, link: Link, parent: int, origin: DQ, joint: Joint) -> int:
         if joint.type not in ("revolute", "continuous"):
             raise ModelError(
                 f"{self.path}: joint '{joint.name}' is {joint.type}; lock or drop it, only revolute ones move"
             )
-        if joint.mimic is not None:
-            raise ModelError(f"{self.path}: joint '{joint.name}' mimics '{joint.mimic.joint}'; lock or drop it")
-        axis = np.asarray(joint.axis, dtype=np.float64)
-        if not np.isclose(np.linalg.norm(axis), 1.0, atol=1e-3):
-            raise ModelError(f"{self.path}: joint '{joint.name}' has the axis {axis}, not a unit vector")
-        axis = axis / np.linalg.norm(axis)
+        if joint.mimic:
+            raise ModelError(f"{self.path}: joint '{joint.name}' mimics '{joint.mimic}'; lock or drop it")
+        length = np.linalg.norm(joint.axis)
+        if not np.isclose(length, 1.0, atol=1e-3):
+            raise ModelError(f"{self.path}: joint '{joint.name}' has the axis {joint.axis}, not a unit vector")
+        axis = joint.axis / length
         body = {"parent": parent, "joint": len(self.joints), "origin": origin.vec8(), "axis": axis, "parts": []}
         self.bodies.append(body)
         self.joints.append(joint)
         self.attach(link, len(self.bodies) - 1, _IDENTITY)
         return len(self.bodies) - 1
 
-    def attach(self, link: Any, body: int, pose: DQ) -> None:
+    def attach(self, link: Link, body: int, pose: DQ) -> None:
         self.frames[link.name] = Frame(body, pose.vec8())
-        inertial = link.inertial
-        if inertial is not None and inertial.mass:
-            origin = np.zeros(3) if inertial.origin is None else inertial.origin[:3, 3]
-            self.bodies[body]["parts"].append((float(inertial.mass), pose.transform_point(origin)))
+        if link.mass:
+            self.bodies[body]["parts"].append((link.mass, pose.transform_point(link.com)))
 
-    def model(self, name: str, config: RobotConfig, links: Mapping[str, Any], urdf: str) -> RobotModel:
+    def model(self, name: str, config: RobotConfig, links: Mapping[str, Link], urdf: str) -> RobotModel:
         for key in ("pelvis", "left_sole", "right_sole"):
             link = getattr(config, key)
             if link not in self.frames:
@@ -318,30 +307,26 @@ class _Tree:
             urdf=urdf,
         )
 
-    def _limit(self, joint: Any, what: str, default: float) -> float:
-        value = getattr(joint.limit, what, None) if joint.limit is not None else None
+    def _limit(self, joint: Joint, what: str, default: float) -> float:
+        value = joint.limits.get(what)
         if value is None or (joint.type == "continuous" and what in ("lower", "upper")):
             return default
         if not np.isfinite(value):
             raise ModelError(f"{self.path}: joint '{joint.name}' has the {what} limit {value}")
-        return float(value)
+        return value
 
-    def _sole(self, config: RobotConfig, link: Any, bodies: Sequence[Body]) -> Sole:
+    def _sole(self, config: RobotConfig, link: Link, bodies: Sequence[Body]) -> Sole:
         frame = self.frames[link.name]
         center = np.zeros(3)
         length, width = config.sole_length, config.sole_width
-        boxes = [c for c in link.collisions if c.geometry.box is not None]
         if not (length and width):
-            if not boxes:
+            if not link.boxes:
                 raise ModelError(
                     f"{self.path}: link '{link.name}' has no collision box; give robot.sole_length and sole_width"
                 )
-            length, width = (
-                length or float(boxes[0].geometry.box.size[0]),
-                width or float(boxes[0].geometry.box.size[1]),
-            )
-        if boxes and boxes[0].origin is not None:
-            center[:2] = boxes[0].origin[:2, 3]
+            length, width = length or float(link.boxes[0].size[0]), width or float(link.boxes[0].size[1])
+        if link.boxes:
+            center[:2] = link.boxes[0].origin[:2, 3]
         if config.sole_center == "foot_com":
             center[:2] = DQ(frame.pose).conj().transform_point(bodies[frame.body].com)[:2]
         return Sole(link.name, center, length, width)

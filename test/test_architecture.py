@@ -17,6 +17,7 @@ LAYERS = (
     "dq",
     "geometry",
     "description",
+    "parsed",
     "model",
     "kernels",
     "kinematics",
@@ -62,7 +63,7 @@ HOMES = {
     "pypot": {"plants"},
     "rclpy": {"nodes"},
     "viser": {"viewer"},
-    "yourdfpy": {"model"},
+    "yourdfpy": {"parsed"},
 }
 """The only layers that may import what is heavy or may be missing."""
 
