@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros import origin
 from dqwalk_ros.config import Config
 from dqwalk_ros.controllers import Command, Controller, State
 from dqwalk_ros.model import Foot, RobotModel
@@ -70,6 +72,8 @@ class Trace:
         Whether the walk came to its end.
     notes : tuple of str
         What is missing or went wrong.
+    origin : mapping of str to str
+        Versions and machine that walked it (`dqwalk_ros.origin`); empty where nobody wrote that down.
     """
 
     config: Config
@@ -81,6 +85,7 @@ class Trace:
     solve_time: Array
     finished: bool
     notes: tuple[str, ...] = ()
+    origin: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return int(self.time.shape[0])
@@ -98,6 +103,7 @@ class Recorder:
         self._phases: list[PhaseRecord] = []
         self._finished = False
         self._notes: list[str] = []
+        self._origin = origin.here()
 
     def add(self, state: State, command: Command | None, controller: Controller) -> None:
         """Record a state and its answer; `command` is None where the controller failed."""
@@ -139,4 +145,5 @@ class Recorder:
             solve_time=np.array(self._solve_time),
             finished=self._finished,
             notes=tuple(self._notes),
+            origin=self._origin,
         )

@@ -12,6 +12,7 @@ PACKAGE = ROOT / "dqwalk_ros"
 
 LAYERS = (
     "exceptions",
+    "origin",
     "strict_yaml",
     "config",
     "dq",

@@ -77,6 +77,19 @@ def test_the_replay_stands_where_the_walk_did():
             np.testing.assert_allclose(shown, there, atol=2e-5)
 
 
+def test_it_says_who_walked_and_who_reports(path, tmp_path):
+    walked = {"began": "2020-02-20 20:20:20 UTC", "numpy": "1.2.3", "host": "the <lab>"}
+    bag.write(dataclasses.replace(short_walk(), origin=walked), tmp_path / "old", diagnostics=False)
+    assert bag.read(tmp_path / "old").origin == walked
+    cli.main(["report", str(tmp_path / "old"), "--html", "--no-figures", "--quiet", "--out", str(tmp_path / "out")])
+    text = (tmp_path / "out/report.html").read_text()
+    assert "<tr><td>at</td><td>2020-02-20 20:20:20 UTC</td>" in text
+    assert f"<tr><td>numpy</td><td>1.2.3</td><td>{np.__version__}</td></tr>" in text
+    assert "the &lt;lab&gt;" in text
+    nobody = rewrite(tmp_path / "old", tmp_path / "older", rename=lambda t: None if t == "/walk_origin" else t)
+    assert bag.read(nobody).origin == {}
+
+
 def test_two_walks_side_by_side(path, tmp_path):
     trace = short_walk()
     other = tmp_path / "wider"

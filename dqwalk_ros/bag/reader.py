@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros import config as configuration
+from dqwalk_ros import origin
 from dqwalk_ros.bag import messages, storage
 from dqwalk_ros.bag.messages import JointColumn
 from dqwalk_ros.bag.starts import first_base, records, starts, texts
@@ -92,6 +93,7 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
         solve_time=np.full(len(stamps), np.nan),
         finished=finished,
         notes=tuple(notes),
+        origin=_origin(columns),
     )
 
 
@@ -142,6 +144,14 @@ def _model(path: Path, config: Config, columns: Mapping[str, Column], notes: lis
         return model_of(texts(columns["robot_description"])[-1], config.robot)
     except ModelError as error:
         raise BagError(f"'{path}' is of another robot than its walk_config: {error}") from error
+
+
+def _origin(columns: Mapping[str, Column]) -> dict[str, str]:
+    """Return the versions and the machine that walked, where the bag says and can be read."""
+    try:
+        return origin.from_text(texts(columns["walk_origin"])[-1]) if "walk_origin" in columns else {}
+    except BagError:
+        return {}
 
 
 def model_of(urdf: str, robot: RobotConfig) -> RobotModel:

@@ -89,6 +89,7 @@ _ALL = (
     Topic("support_foot", "std_msgs/msg/String", True, _PHASES, "left or right: the foot the phase name gives"),
     Topic("base_pose", "geometry_msgs/msg/PoseStamped", False, _HISTORY, "pelvis in odom"),
     Topic("walk_config", "std_msgs/msg/String", True, 1, "every parameter, as the text of a parameter file"),
+    Topic("walk_origin", "std_msgs/msg/String", True, 1, "versions and machine of who walks, a line each"),
     Topic("robot_description", "std_msgs/msg/String", True, 1, "URDF"),
     Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", False, 10, "every distance, error and margin"),
 )

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 
+from dqwalk_ros import origin
 from dqwalk_ros.assessment import Assessor
 from dqwalk_ros.bag import messages
 from dqwalk_ros.bag.topics import FINISHED, ODOM, TOPICS
@@ -24,7 +25,7 @@ from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.phases import make_phase
 from dqwalk_ros.trace import PhaseRecord, Trace
 
-__all__ = ["qos", "stamps_of", "write"]
+__all__ = ["flush", "qos", "stamps_of", "write"]
 
 Stamps = NDArray[np.int64]
 _Entry = tuple[str, bytes]
@@ -50,6 +51,14 @@ def qos(name: str) -> Qos:
         liveliness_lease_duration=_FOREVER,
         avoid_ros_namespace_conventions=False,
     )
+
+
+def flush(writer: Writer) -> None:
+    """Hand to the system what an open MCAP writer holds back, so that it can be read even if nobody ends the bag."""
+    storage: Any = writer.storage  # rosbags holds up to a megabyte back, which is many seconds of walking
+    if storage is not None and storage.chunk.msgs:
+        storage.close_chunk()
+        storage.bio.flush()
 
 
 def write(
@@ -142,6 +151,8 @@ def _fill(writer: Writer, trace: Trace, diagnostics: bool) -> None:
 
 def _opening(trace: Trace) -> Iterator[_Entry]:
     yield "walk_config", messages.text(to_yaml(trace.config))
+    if trace.origin:
+        yield "walk_origin", messages.text(origin.to_text(trace.origin))
     yield "robot_description", messages.text(trace.model.urdf)
 
 

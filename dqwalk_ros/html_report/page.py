@@ -6,18 +6,16 @@ import base64
 import io
 import json
 import os
-import platform
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
-from importlib import metadata, resources
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dqwalk_ros import __version__
+from dqwalk_ros import origin
 from dqwalk_ros.analysis.figures import FIGURES
 from dqwalk_ros.analysis.figures.style import drawing
 from dqwalk_ros.analysis.series import Series
@@ -32,7 +30,6 @@ _CAPTIONS = {
     "figure9": "Figure 9: joint angles, with their limits in red.",
     "top_view": "From above: footsteps, the way of the centre of mass, and how far inside its support it was.",
 }
-_PARTS = ("numpy", "numba", "clarabel", "rosbags", "mcap", "matplotlib", "rclpy")
 
 
 @dataclass(frozen=True)
@@ -328,17 +325,12 @@ def _configuration(subjects: Sequence[Subject]) -> str:
 
 
 def _origin(subjects: Sequence[Subject]) -> str:
-    versions = []
-    for part in _PARTS:
-        try:
-            versions.append(f"{part} {metadata.version(part)}")
-        except metadata.PackageNotFoundError:
-            continue
-    system = f"{platform.system()} {platform.release()} {platform.machine()}"
-    host = f"{platform.node()}, {system}, {os.cpu_count()} processors"
-    rows = [
-        ("reported", time.strftime("%Y-%m-%d %H:%M:%S %Z")),
-        ("by", f"dqwalk_ros {__version__}, Python {platform.python_version()}, {', '.join(versions)}"),
-        ("on", escape(host)),
-    ]
-    return f"<h2>Where this comes from</h2><div class='card scroll'>{_table(('', ''), rows)}</div>"
+    """Who walked, as the bag says, beside who made this report."""
+    walked = [dict(s.series.trace.origin) for s in subjects]
+    made = origin.here()
+    head = ("", *(f"walked: {escape(s.name)}" if len(subjects) > 1 else "walked" for s in subjects), "reported")
+    rows = []
+    for key in dict.fromkeys(key for entry in (*walked, made) for key in entry):
+        cells = [escape(entry.get(key, "")) if entry else "not recorded" for entry in (*walked, made)]
+        rows.append((escape("at" if key == "began" else key), *cells))
+    return f"<h2>Where this comes from</h2><div class='card scroll'>{_table(head, rows)}</div>"

@@ -20,6 +20,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from dqwalk_ros import origin
 from dqwalk_ros.bag.topics import FINISHED, ODOM, TOPICS
 from dqwalk_ros.config import Config, to_yaml
 from dqwalk_ros.controllers import State, make_controller
@@ -94,6 +95,7 @@ class ControllerNode(Worker):
         self._pub = {name: ros.publisher(node, name) for name in TOPICS if name != "joint_states"}
         self._tf = self._make_tf()
         self._pub["walk_config"].publish(String(data=to_yaml(config)))
+        self._pub["walk_origin"].publish(String(data=origin.to_text(origin.here())))
         self._pub["robot_description"].publish(String(data=self._model.urdf))
         self._say_phase()
 

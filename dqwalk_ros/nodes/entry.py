@@ -50,6 +50,7 @@ HELP = {
             "com_target, swing_target geometry_msgs/PointStamped, PoseStamped, latched, in the support sole's frame",
             "base_pose                geometry_msgs/PoseStamped: the pelvis in odom (and /tf where tf2_msgs exists)",
             "walk_config              std_msgs/String, latched: all parameters in force",
+            "walk_origin              std_msgs/String, latched: versions and machine",
             "robot_description        std_msgs/String, latched: URDF",
             "/diagnostics             diagnostic_msgs/DiagnosticArray",
             "~/start ~/pause ~/reset  std_srvs/Trigger services",
@@ -72,6 +73,7 @@ HELP = {
         gets=("joint_velocity_commands  sensor_msgs/JointState [rad/s]",),
         gives=(
             "joint_states             sensor_msgs/JointState of all 25 motors, once the first pose is reached",
+            "joint_goals              sensor_msgs/JointState: the angles they were told with that state [rad]",
             "/diagnostics             temperature, voltage and load of every motor",
             "~/compliant              std_srvs/SetBool: true switches the torque off, false on again",
         ),
@@ -97,7 +99,7 @@ HELP = {
         what="Record a walk as a rosbag2 (MCAP), byte for byte; report how much came and whether anything is missing.",
         gets=(
             "every topic of the walk: joint_states, joint_velocity_commands, phase, phase_start, com_target,",
-            "swing_target, support_foot, base_pose, walk_config, robot_description, /diagnostics",
+            "swing_target, support_foot, base_pose, walk_config, walk_origin, robot_description, /diagnostics",
         ),
         gives=("the folder --bag: an .mcap file and metadata.yaml, for ros2 bag, Foxglove and `dqwalk report`",),
         sections=("plant",),
@@ -124,7 +126,10 @@ HELP = {
             "joint_effort_commands    sensor_msgs/JointState [N m]",
             "push                     geometry_msgs/WrenchStamped: its force times 1 s hits the torso [N s], in odom",
         ),
-        gives=("joint_states, base_pose, base_twist   one state in three messages with one stamp, from 0 s on",),
+        gives=(
+            "joint_states, base_pose, base_twist   one state in three messages with one stamp, from 0 s on",
+            "/diagnostics             diagnostic_msgs/DiagnosticArray",
+        ),
         sections=("dt", "robot", "plant", "whole_body"),
         example="-p plant.lockstep:=true",
     ),

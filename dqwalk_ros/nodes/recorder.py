@@ -20,17 +20,19 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 
 from dqwalk_ros.bag.messages import typestore
 from dqwalk_ros.bag.topics import TOPICS, Topic
-from dqwalk_ros.bag.writer import qos
+from dqwalk_ros.bag.writer import flush, qos
 from dqwalk_ros.exceptions import BagError
 from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.parameters import Parameters
-from dqwalk_ros.nodes.runtime import Life, Worker, run, say
+from dqwalk_ros.nodes.runtime import STEADY, Life, Worker, run, say
 
 __all__ = ["RecorderNode", "main"]
 
 _DEPTH = 50_000
 """Messages that may wait here: minutes of real time, most of a minute of lockstep at full speed."""
+_FLUSH = 1.0
+"""A recorder that is killed loses what came within so long at most [s]."""
 _LINGER = {True: 3.0, False: 0.5}
 """Longest time for what is still under way when the end is asked for [s], in lockstep and in real time."""
 _EACH_TICK = ("joint_states", "joint_velocity_commands", "base_pose")
@@ -74,6 +76,7 @@ class RecorderNode(Worker):
             profile = ros.latched(topic.depth) if topic.latched else ros.stream(_DEPTH)
             kind = ros.message_type(topic.type)
             node.create_subscription(kind, topic.name, partial(self._on_message, name, topic), profile, raw=True)
+        node.create_timer(_FLUSH, self._flush, clock=STEADY)
         node.get_logger().info(f"recording to {self._path}")
 
     def _open(self) -> None:
@@ -125,6 +128,13 @@ class RecorderNode(Worker):
     def _write(self, name: str, stamp: int, raw: bytes) -> None:
         self._writer.write(self._connections[name], stamp, raw)
         self._counts[name] += 1
+
+    def _flush(self) -> None:
+        try:
+            flush(self._writer)
+        except (OSError, WriterError) as error:
+            self.node.get_logger().error(f"cannot write '{self._path}': {error}")
+            self.life.end(1)
 
     def _note_gap(self, name: str, own: int) -> None:
         last, self._last[name] = self._last[name], own

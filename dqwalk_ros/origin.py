@@ -1,0 +1,59 @@
+"""Where a walk comes from: the versions and the machine that walked it, to be kept with its recording."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from collections.abc import Mapping
+from functools import cache
+from importlib import metadata
+
+from dqwalk_ros import __version__
+
+__all__ = ["from_text", "here", "to_text"]
+
+_PARTS = ("numpy", "numba", "clarabel", "daqp", "rosbags", "mcap", "rclpy", "mujoco", "pypot")
+
+
+def here() -> dict[str, str]:
+    """Return what this machine is and what is installed on it, and the time of day, as words by name."""
+    return {"began": time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime()), **_machine()}
+
+
+@cache
+def _machine() -> Mapping[str, str]:
+    out = {"dqwalk_ros": __version__, "python": platform.python_version()}
+    for part in _PARTS:
+        try:
+            out[part] = metadata.version(part)
+        except metadata.PackageNotFoundError:
+            continue
+    if distribution := os.environ.get("ROS_DISTRO"):
+        out["ros"] = distribution
+    out["host"] = platform.node() or "unknown"
+    out["system"] = f"{platform.system()} {platform.release()} {platform.machine()}"
+    out["processor"] = f"{_processor()}, {os.cpu_count()} of them"
+    return out
+
+
+def _processor() -> str:
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as info:
+            for line in info:
+                if line.startswith("model name"):
+                    return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def to_text(origin: Mapping[str, str]) -> str:
+    """Return a line per entry, which is YAML as well."""
+    return "".join(f"{key}: {' '.join(value.split())}\n" for key, value in origin.items())
+
+
+def from_text(text: str) -> dict[str, str]:
+    """Return the entries of a text; what is no entry is passed over."""
+    lines = (line.partition(": ") for line in text.splitlines())
+    return {key.strip(): value.strip() for key, colon, value in lines if colon and key.strip()}
