@@ -17,7 +17,17 @@ from numpy.typing import ArrayLike, NDArray
 from dqwalk_ros.exceptions import StateError
 from dqwalk_ros.model import RobotModel
 
-__all__ = ["CommandGate", "JointOrder", "Latch", "Rivals", "StateGate", "Watchdog", "clamp_velocity", "outside_limits"]
+__all__ = [
+    "CommandGate",
+    "JointOrder",
+    "Latch",
+    "Rivals",
+    "StateGate",
+    "Watchdog",
+    "clamp_effort",
+    "clamp_velocity",
+    "outside_limits",
+]
 
 Array = NDArray[np.float64]
 Clock = Callable[[], float]
@@ -198,6 +208,11 @@ def clamp_velocity(u: Array, q: Array, model: RobotModel, dt: float) -> Array:
     return np.clip(u, low, high)
 
 
+def clamp_effort(effort: Array, model: RobotModel) -> Array:
+    """Return the torques (n,) [N m] within the effort limits of the joints."""
+    return np.clip(effort, -model.effort_max, model.effort_max)
+
+
 class StateGate:
     """Decide which measured states a controller may act on.
 
@@ -346,7 +361,7 @@ class CommandGate:
         stamp : int
             Of the state it answers [ns].
         u : ndarray, shape (n,)
-            Velocities [rad/s], finite.
+            Velocities [rad/s], or torques [N m] for a plant that takes those; finite.
         now : int
             Stamp of the state that the plant published last [ns]: a command that answers an older one by more than
             the timeout, or one that does not exist yet, is ignored.

@@ -12,7 +12,16 @@ from hypothesis import strategies as st
 from dqwalk_ros.config import load
 from dqwalk_ros.exceptions import StateError
 from dqwalk_ros.model import RobotModel, load_model
-from dqwalk_ros.safety import CommandGate, JointOrder, Latch, StateGate, Watchdog, clamp_velocity, outside_limits
+from dqwalk_ros.safety import (
+    CommandGate,
+    JointOrder,
+    Latch,
+    StateGate,
+    Watchdog,
+    clamp_effort,
+    clamp_velocity,
+    outside_limits,
+)
 
 DT = 0.005
 MS = 1_000_000
@@ -315,3 +324,13 @@ def test_a_joint_without_a_velocity_limit_is_clamped_by_its_range(model: RobotMo
     free = dataclasses.replace(model, velocity_max=np.full(model.n, np.inf))
     v = clamp_velocity(np.full(model.n, 1e9), np.zeros(model.n), free, DT)
     np.testing.assert_allclose(DT * v, free.q_max)
+
+
+def test_torques_stay_within_the_limits(model: RobotModel) -> None:
+    limited = dataclasses.replace(model, effort_max=np.arange(1.0, model.n + 1.0))
+    asked = np.linspace(-30.0, 30.0, model.n)
+    given = clamp_effort(asked, limited)
+    assert (np.abs(given) <= limited.effort_max).all()
+    np.testing.assert_array_equal(
+        given[np.abs(asked) <= limited.effort_max], asked[np.abs(asked) <= limited.effort_max]
+    )

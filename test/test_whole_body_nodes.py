@@ -78,6 +78,20 @@ def test_it_walks_over_topics(live: Live) -> None:
 
     live.until(jump, 30.0, "the velocity after it")
     assert all(s.level == b"\x00" for s in live.statuses("whole_body_controller"))
+    assert live.statuses("rigid")[-1].message == "in step"
+
+    stranger = live.node.create_publisher(JointState, "joint_effort_commands", 10)  # a second one, out of its mind
+    names = list(model.joint_names)
+
+    def mad() -> bool:
+        stranger.publish(JointState(name=names, effort=[float("nan")] * len(names)))
+        return "two controllers: /test, /whole_body_controller" in live.statuses("rigid")[-1].message
+
+    live.until(mad, 20.0, "the plant holding still and naming both")
+    assert live.processes.exit_code("rigid") is None
+    live.node.destroy_publisher(stranger)
+    ticks = len(efforts)
+    live.until(lambda: len(efforts) > ticks + 5, 40.0, "the walk going on")
 
 
 def test_the_launch_file_starts_what_is_installed() -> None:

@@ -1,4 +1,4 @@
-"""joint_velocity_commands as every plant takes them: checked, watched, and clamped at last."""
+"""Commands as every plant takes them, velocities or torques: checked, watched, and clamped at last."""
 
 from __future__ import annotations
 
@@ -29,14 +29,18 @@ class Commands:
     node : rclpy.node.Node
     model : RobotModel
     parameters : Parameters
+    topic : str
+        ``joint_velocity_commands``, or ``joint_effort_commands`` for a plant that takes torques.
 
     Attributes
     ----------
     gate : CommandGate
     """
 
-    def __init__(self, node: Node, model: RobotModel, parameters: Parameters) -> None:
-        self._node, self._parameters = node, parameters
+    def __init__(
+        self, node: Node, model: RobotModel, parameters: Parameters, topic: str = "joint_velocity_commands"
+    ) -> None:
+        self._node, self._parameters, self._topic = node, parameters, topic
         self.gate = CommandGate(model, lambda: parameters.config.plant.command_timeout)
         self._reader = ros.JointReader(model.joint_names)
         self._rivals = Rivals()
@@ -53,7 +57,7 @@ class Commands:
 
     def _look(self) -> None:
         """Hold where two controllers command."""
-        names = ros.others(self._node, "joint_velocity_commands")
+        names = ros.others(self._node, self._topic)
         rivals = self._rivals.judge(names)
         if not rivals and self.gate.contradicted:
             rivals = ", ".join(names)
@@ -64,15 +68,14 @@ class Commands:
             log.error(f"holding still: {reason}") if reason else log.info("commands count")
 
     def checked(self, msg: JointState) -> NDArray[Any] | None:
-        """Return the velocities of a message; None where it is rejected, which leaves everything as it was."""
+        """Return the numbers of a message; None where it is rejected, which leaves everything as it was."""
         try:
-            return self._reader.command(msg).velocity
+            effort = self._topic == "joint_effort_commands"
+            return self._reader.effort(msg) if effort else self._reader.command(msg).velocity
         except StateError as error:
             self.gate.rejected += 1
             if self._warn_now():
-                self._node.get_logger().error(
-                    f"joint_velocity_commands rejected ({self.gate.rejected} so far): {error}"
-                )
+                self._node.get_logger().error(f"{self._topic} rejected ({self.gate.rejected} so far): {error}")
             return None
 
     def take(self, msg: JointState, now: int) -> None:

@@ -138,7 +138,7 @@ class IntegratorNode(Worker):
     def _diagnose(self) -> None:
         level, text = self._commands.level()
         if self._lockstep and level == "WARN":
-            waits = time.monotonic() - self._asked
+            waits = self._commands.gate.watchdog.age
             level, text = ("OK", "lockstep") if waits < 2.0 else ("WARN", "waiting for a command")
         counts = {**self._counts, **self._commands.counts()}
         entry_ = ros.status(f"{self.node.get_name()}: plant", self._hardware, level, text, counts)

@@ -132,6 +132,16 @@ class JointReader:
         velocity = self._order(msg.name, msg.velocity, "velocity")
         return Command(time=nanoseconds(msg.header.stamp) * 1e-9, velocity=velocity)
 
+    def effort(self, msg: JointState) -> Array:
+        """Return the commanded torques (n,) [N m].
+
+        Raises
+        ------
+        StateError
+            As `state`.
+        """
+        return self._order(msg.name, msg.effort, "effort")
+
 
 class JointWriter:
     """Make JointState messages of one set of joints; the message is reused, so publish it before the next.

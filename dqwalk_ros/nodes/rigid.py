@@ -21,10 +21,12 @@ from dqwalk_ros.exceptions import DqwalkError
 from dqwalk_ros.model import Foot, load_model
 from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.commands import Commands
 from dqwalk_ros.nodes.parameters import Parameters
 from dqwalk_ros.nodes.runtime import LAST_WORDS, STEADY, Life, Worker, run
 from dqwalk_ros.plants.rigid import RigidPlant
 from dqwalk_ros.preview import Stepping
+from dqwalk_ros.safety import clamp_effort
 
 __all__ = ["RigidNode", "main"]
 
@@ -45,35 +47,40 @@ class RigidNode(Worker):
 
     def __init__(self, node: Node, life: Life, options: Any) -> None:
         self.node, self.life = node, life
-        config = Parameters(node, options.argv).config
+        self._parameters = Parameters(node, options.argv)
+        config = self._parameters.config
         self._dt, self._lockstep = config.dt, config.plant.lockstep
         self.last_words = LAST_WORDS[self._lockstep]
-        model = load_model(config.robot)
+        self._model = model = load_model(config.robot)
         self._stepping = Stepping.of(config.whole_body, Foot(config.gait.first_support))
         start = WholeBodyController(config, model).start  # where a walk begins
         damping = config.whole_body.contact_damping
         self._plant = RigidPlant(model, start, pushed=config.whole_body.torso, damping=damping)
-        self._names = {name: i for i, name in enumerate(model.joint_names)}
+        self._commands = Commands(node, model, self._parameters, "joint_effort_commands")
         self._write = ros.JointWriter(model.joint_names)
         self._pelvis = config.robot.pelvis
         self._command: BodyCommand | None = None
         self._stamp, self._ticks, self._asked = 0, 0, -float("inf")
+        self._diagnostics = ros.publisher(node, "diagnostics")
         self._states = ros.publisher(node, "joint_states")
         self._poses = ros.publisher(node, "base_pose")
         self._twists = node.create_publisher(TwistStamped, "base_twist", ros.stream(10))
         node.create_subscription(JointState, "joint_effort_commands", self._on_command, ros.stream(1))
         node.create_subscription(WrenchStamped, "push", self._on_push, ros.stream(10))
         node.create_timer(self._dt, self._on_period, clock=STEADY)
+        node.create_timer(1.0 / config.monitor.rate, self._diagnose, clock=STEADY)
         mode = "lockstep" if self._lockstep else f"at most {1.0 / self._dt:g} Hz"
         node.get_logger().info(f"{model.name}: {model.n} joints, rigid, {mode}")
 
     def _on_command(self, msg: JointState) -> None:
-        if ros.nanoseconds(msg.header.stamp) != self._stamp or len(msg.name) != len(msg.effort):
-            return  # the answer to a state that was asked for twice, or no torques
-        effort = np.full(len(self._names), np.nan)
-        for name, torque in zip(msg.name, msg.effort, strict=True):
-            if name in self._names:
-                effort[self._names[name]] = torque
+        gate = self._commands.gate
+        if ros.nanoseconds(msg.header.stamp) != self._stamp:
+            gate.late += 1  # the answer to a state that was asked for twice
+            return
+        effort = self._commands.checked(msg)
+        if effort is None or not gate.accept(self._stamp, effort, self._stamp) or gate.refused:
+            return  # time stands still
+        effort = clamp_effort(effort, self._model)
         now = self._ticks * self._dt
         swing = self._stepping.swing(now)
         ends = swing is not None and swing.remaining <= self._dt + 1e-9
@@ -128,6 +135,15 @@ class RigidNode(Worker):
         linear.x, linear.y, linear.z, angular.x, angular.y, angular.z = s.v_base.tolist()
         self._twists.publish(twist)
         self._states.publish(self._write(self._stamp, position=s.q, velocity=s.dq))
+
+    def _diagnose(self) -> None:
+        level, text = self._commands.level()
+        if level == "WARN" and not self._commands.gate.rejected:  # time is the simulation's: it waits, and that is fine
+            waits = self._commands.gate.watchdog.age
+            level, text = ("OK", "in step") if waits < 2.0 else ("WARN", "waiting for a command")
+        counts = {"ticks": self._ticks, **self._commands.counts()}
+        status = ros.status(f"{self.node.get_name()}: plant", self._model.name, level, text, counts)
+        self._diagnostics.publish(ros.diagnostics(self._stamp, status))
 
 
 def main(argv: list[str] | None = None) -> int:
