@@ -12,6 +12,7 @@ import time
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
@@ -33,7 +34,7 @@ _COOLER = 5.0
 
 
 class PoppyDriverNode(Worker):
-    """joint_velocity_commands -> servos; their angles -> joint_states.
+    """joint_velocity_commands -> servos; their angles -> joint_states, what they were told -> joint_goals.
 
     Parameters
     ----------
@@ -66,6 +67,7 @@ class PoppyDriverNode(Worker):
         self._plant = PoppyPlant(model, config.poppy)
         self._commands = Commands(node, model, self._parameters)
         self._state_msg = ros.JointWriter(self._plant.names)
+        self._goal_msg = ros.JointWriter(self._plant.names)
         self._hardware = f"{model.name}{' (dummy motors)' if config.poppy.dummy else ''}"
         self._zero = np.zeros(model.n)
         self._stamp = -1
@@ -73,8 +75,10 @@ class PoppyDriverNode(Worker):
         self._stepped = time.monotonic()
         self._counts = {"ticks": 0, "periods missed": 0}
         self._left = 0.0
+        self._lag = np.zeros(len(self._plant.names))  # largest since it was told last [rad]
         self._too_hot = False
         self._states = ros.publisher(node, "joint_states")
+        self._goals = node.create_publisher(JointState, "joint_goals", ros.stream(10))
         self._diagnostics = ros.publisher(node, "diagnostics")
         self._say_now = Throttle(2.0)
         node.create_subscription(JointState, "joint_velocity_commands", self._on_command, ros.stream(1))
@@ -95,6 +99,7 @@ class PoppyDriverNode(Worker):
         if passed > 2.0 * self._period:
             self._counts["periods missed"] += int(passed / self._period) - 1
         dt = min(passed, 2.0 * self._period)
+        told = self._plant.goal
         try:
             if self._plant.ready or self._plant.compliant:
                 u = self._commands.gate.velocity(self._plant.state.q, dt)
@@ -102,7 +107,7 @@ class PoppyDriverNode(Worker):
                 self._commands.note_motion()
             else:
                 self._approach(dt)
-            self._publish(passed)
+            self._publish(passed, told)
         except DqwalkError as error:
             self.node.get_logger().error(f"the robot failed: {error}")
             self.life.end(1)
@@ -116,7 +121,8 @@ class PoppyDriverNode(Worker):
         elif self._say_now():
             self.node.get_logger().info(f"on the way to the first pose: {self._left:.2f} rad left")
 
-    def _publish(self, passed: float) -> None:
+    def _publish(self, passed: float, told: NDArray[np.float64]) -> None:
+        """Say where the joints are; `told` are the goals that they had since the last time."""
         q, before = self._plant.q, self._q
         self._q = q
         self._counts["ticks"] += 1
@@ -124,6 +130,8 @@ class PoppyDriverNode(Worker):
             self._stamp = self.node.get_clock().now().nanoseconds
             velocity = (q - before) / max(passed, 1e-3)
             self._states.publish(self._state_msg(self._stamp, position=q, velocity=velocity))
+            self._goals.publish(self._goal_msg(self._stamp, position=self._plant.goal))
+            self._lag = np.maximum(self._lag, np.abs(q - told))
 
     def _set_compliant(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         try:
@@ -159,6 +167,9 @@ class PoppyDriverNode(Worker):
             level, text = "WARN", f"on the way to the first pose: {self._left:.2f} rad left"
         name, hottest = health.hottest
         values = {**self._counts, **self._commands.counts(), "hottest motor": name, "hottest temperature": hottest}
+        i = int(self._lag.argmax())
+        values |= {"lagging joint": self._plant.names[i], "lag": float(self._lag[i])}
+        self._lag[:] = 0.0
         plant = ros.status(f"{self.node.get_name()}: plant", self._hardware, level, text, values)
         each: dict[str, object] = {}
         for joint in self._plant.names:

@@ -1,0 +1,192 @@
+"""The Poppy driver walks on pypot's dummy motors, over topics and by the clock.
+
+Does it keep its rate, and do the angles follow?
+
+    python -m benchmark.driver [--full]
+
+Commanded angles are those of `joint_goals`, read-back ones those of `joint_states`. A servo follows a goal as a ramp,
+one or two periods behind, so an angle that is read back should be one that the goal had a few periods ago: the table
+says how many periods that takes. The period is that of the stamps, beside a bare loop that sleeps in a process of its
+own. Exit code 1 where the walk did not finish, the rate was not held, or an angle did not follow.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+import numpy as np
+import yaml
+
+from benchmark.timing import machine
+from dqwalk_ros.config import Config, find_share, load, to_yaml
+from dqwalk_ros.plants.poppy import load_motors
+from dqwalk_ros.runner import Processes, private_domain
+
+FAST = {"gait.step_length": 0.02, "task.eta": 0.5, "ssp.threshold": 0.02}
+"""A cycle in 70 s instead of five minutes."""
+CLOSE = 0.1
+"""A read-back angle is a goal's to this much [deg]: the servo's own step is 0.088."""
+PERIODS = 5
+"""Within so many periods a read-back angle must be one that the goal had."""
+
+
+def config_for(full: bool) -> Config:
+    """Return the paper's walk with what the plant asks for, as the launch file puts them together."""
+    asked = yaml.safe_load(find_share("config/plants", "poppy.yaml").read_text(encoding="utf-8"))
+    values = flat(asked["/**"]["ros__parameters"])
+    return load("paper").updated({**values, **({} if full else FAST), "poppy.dummy": True, "node.exit_when_done": True})
+
+
+def flat(tree: Any, prefix: str = "") -> dict[str, Any]:
+    """Return the values of a tree by their dotted names."""
+    if not isinstance(tree, dict):
+        return {prefix: tree}
+    parts = (flat(value, f"{prefix}.{key}" if prefix else str(key)) for key, value in tree.items())
+    return {name: value for part in parts for name, value in part.items()}
+
+
+def bare_loop(period: float, stop: Any, answer: Any) -> None:
+    """Sleep in periods, as a loop that does nothing else, until told to stop; send the times."""
+    times, due = [], time.monotonic()
+    while not stop.is_set():
+        due = max(due + period, time.monotonic())
+        time.sleep(max(0.0, due - time.monotonic()))
+        times.append(time.monotonic())
+    answer.send(times)
+
+
+class Listener:
+    """A node that keeps what the others say."""
+
+    def __init__(self, domain: int) -> None:
+        import rclpy
+        from diagnostic_msgs.msg import DiagnosticArray
+        from rclpy.context import Context
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.node import Node
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+        from sensor_msgs.msg import JointState
+        from std_msgs.msg import String
+
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=domain)
+        self.node = Node("listener", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        deep = QoSProfile(depth=10_000)
+        latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.got: dict[str, list[Any]] = {}
+        for name, kind, profile in (
+            ("joint_states", JointState, deep),
+            ("joint_goals", JointState, deep),
+            ("phase", String, latched),
+            ("/diagnostics", DiagnosticArray, deep),
+        ):
+            box = self.got.setdefault(name.strip("/"), [])
+            self.node.create_subscription(kind, name, box.append, profile)
+
+    def spin(self) -> None:
+        """Listen for a moment."""
+        self._executor.spin_once(timeout_sec=0.2)
+
+    def close(self) -> None:
+        """End."""
+        self.node.destroy_node()
+        self._executor.shutdown()
+        self._context.try_shutdown()
+
+
+def walked(config: Config, timeout: float) -> tuple[dict[str, list[Any]], np.ndarray, str]:
+    """Walk; return what was said, the times of a bare loop [s], and how the controller ended."""
+    spawn = multiprocessing.get_context("spawn")
+    stop, (mine, other) = spawn.Event(), spawn.Pipe()
+    loop = spawn.Process(target=bare_loop, args=(1.0 / config.poppy.rate, stop, other), daemon=True)
+    with tempfile.TemporaryDirectory() as folder, private_domain() as domain:
+        params = Path(folder) / "params.yaml"
+        params.write_text(to_yaml(config), encoding="utf-8")
+        listener = Listener(domain)
+        loop.start()
+        try:
+            with Processes(Path(folder), domain) as processes:
+                for name in ("poppy_driver", "phase_monitor", "controller"):
+                    processes.start(name, ["--ros-args", "--params-file", str(params)])
+                deadline = time.monotonic() + timeout
+                while processes.exit_code("controller") is None and time.monotonic() < deadline:
+                    listener.spin()
+                    if processes.exit_code("poppy_driver") is not None:
+                        raise SystemExit(f"the driver ended: {processes.last_words('poppy_driver')}")
+                end = processes.last_words("controller")
+            stop.set()
+            times = mine.recv() if mine.poll(10.0) else []
+        finally:
+            stop.set()
+            listener.close()
+    return listener.got, np.array(times), end
+
+
+def periods(times: np.ndarray) -> str:
+    """Say what the periods of a loop were."""
+    ms = 1e3 * np.diff(times)
+    most = f"longest {ms.max():.1f} ms after {times[ms.argmax()] - times[0]:.1f} s"
+    return f"median {np.median(ms):.2f} ms, p99 {np.percentile(ms, 99):.2f} ms, {most}"
+
+
+def main() -> int:
+    """Walk, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--full", action="store_true", help="the paper's own cycle, some five minutes")
+    args = parser.parse_args()
+    config = config_for(args.full)
+    print(machine(("numpy", "pypot")), flush=True)
+    got, bare, end = walked(config, 900.0 if args.full else 240.0)
+    return 0 if report(config, got, bare, end) else 1
+
+
+def report(config: Config, got: dict[str, list[Any]], bare: np.ndarray, end: str) -> bool:
+    """Print the figures; return whether they are as they should be."""
+    motors = load_motors(config.poppy.motors)
+    states = {m.header.stamp.sec * 10**9 + m.header.stamp.nanosec: m for m in got["joint_states"]}
+    goals = {m.header.stamp.sec * 10**9 + m.header.stamp.nanosec: m for m in got["joint_goals"]}
+    stamps = sorted(states.keys() & goals.keys())
+    q = np.degrees([list(states[s].position) for s in stamps])
+    goal = np.degrees([list(goals[s].position) for s in stamps])
+    names = list(states[stamps[0]].name)
+    phases = [m.data for m in got["phase"]]
+    finished = "finished" in phases
+    phases = [name for name in phases if "/" in name]
+    at = 1e-9 * np.array(stamps)
+    print(f"motors           {len(names)}, dummies of pypot, at {config.poppy.rate:g} Hz")
+    print(f"walk             {'finished' if finished else end}: {', '.join(phases)}; {at[-1] - at[0]:.1f} s")
+    print(f"joint_states     {periods(at)}, {len(stamps)} of them")
+    print(f"a bare loop      {periods(bare)}, beside it")
+    low, high = np.array([motors[name].limits for name in names]).T
+    inside = bool((q >= low - CLOSE).all() and (q <= high + CLOSE).all())
+    behind = np.abs(q[1:] - goal[:-1])
+    moving = int((np.ptp(goal, axis=0) > 1.0).sum())
+    median, p99 = np.percentile(behind.max(axis=1), [50, 99])
+    print(f"goal - read back median {median:.3f} deg, p99 {p99:.3f} deg, largest {behind.max():.3f} deg")
+    share = 0.0
+    for n in range(1, PERIODS + 1):
+        past = np.stack([goal[PERIODS - k : len(goal) - k] for k in range(1, n + 1)])
+        there = (q[PERIODS:] >= past.min(axis=0) - CLOSE) & (q[PERIODS:] <= past.max(axis=0) + CLOSE)
+        share = 100.0 * float(there.all(axis=1).mean())
+        print(f"                 {share:6.2f} % of the states are where the goals of the last {n} periods were")
+    print(f"limits           {'all 25 motors inside theirs' if inside else 'LEFT'}; {moving} joints moved by a degree")
+    period = 1e3 / config.poppy.rate
+    held = abs(float(np.median(1e3 * np.diff(at))) - period) < 0.02 * period
+    ok = finished and inside and held and share > 99.0
+    print("as it should be" if ok else "NOT as it should be")
+    return ok
+
+
+if __name__ == "__main__":
+    sys.exit(main())
