@@ -89,6 +89,10 @@ class PhaseLog:
         kind = PhaseKind.SINGLE_SUPPORT if swings else PhaseKind.DOUBLE_SUPPORT
         _keep(self._targets, ros.nanoseconds(msg.header.stamp), (kind, ros.pose_dq(msg) if swings else None))
 
+    def begun(self, after: int, until: int) -> list[int]:
+        """Return when phases began, after one stamp and up to another [ns], in order."""
+        return sorted(key for key in self._starts if after < key <= until)
+
     def forget_after(self, stamp: int) -> None:
         """Drop the phases that began after a stamp [ns]: time went back."""
         for table in (self._starts, self._targets, self._assessors):
