@@ -36,8 +36,11 @@ STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 _SLICE = 0.1
 """Longest time before a signal is seen [s]: Python runs its handlers only between two slices."""
-LAST_WORDS = {True: 10.0, False: 1.0}
-"""Longest wait for acknowledgements in lockstep, where nothing may be missing from the bag, and in real time [s]."""
+LAST_WORDS = {True: 10.0, False: 0.25}
+"""Longest wait for acknowledgements in lockstep, where nothing may be missing from the bag, and in real time [s].
+
+A subscriber acknowledges when the middleware asks it, every 3 s. In real time that is too long to wait for: what was
+published is on its way already, and where it was lost, the plant's watchdog does the same."""
 _HANG = 5.0
 """Longest time the middleware may take to end [s]."""
 _PATIENCE = 20
@@ -84,7 +87,7 @@ class Worker:
     node: Node
     rest = 0.0
     handled = 0
-    last_words = 1.0
+    last_words = LAST_WORDS[False]
 
     def drained(self) -> bool:
         """Tell, once the end is asked for, whether what is still under way may be left."""
@@ -139,10 +142,11 @@ def run(name: str, make: Callable[[Node, Life], Worker], options: Any) -> int:
         _end_with_parent()
     try:
         rclpy.init(args=options.argv, signal_handler_options=SignalHandlerOptions.NO)
-    except Exception as error:  # rclpy raises its own, undocumented types for bad ROS arguments
+        node = Node(name)
+    except Exception as error:  # rclpy raises its own, undocumented types: bad ROS arguments, security without keys
         print(f"{name}: {_first_line(error)}", file=sys.stderr)
+        rclpy.try_shutdown()
         return 2
-    node = Node(name)
     worker: Worker | None = None
     try:
         worker = make(node, life)
