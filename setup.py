@@ -70,6 +70,7 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", sorted(glob("config/*.*"))),
         (f"share/{NAME}/config/motors", sorted(glob("config/motors/*.yaml"))),
+        (f"share/{NAME}/config/security", sorted(glob("config/security/*.xml"))),
         (f"share/{NAME}/config/plants", sorted(glob("config/plants/*.yaml"))),
         (f"share/{NAME}/urdf", sorted(glob("urdf/*.urdf"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),

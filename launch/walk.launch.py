@@ -53,6 +53,12 @@ def generate_launch_description() -> LaunchDescription:
             description="who can see the nodes: LOCALHOST this machine only, SUBNET the network as well",
         ),
         DeclareLaunchArgument(
+            "view",
+            default_value="false",
+            choices=["true", "false"],
+            description="show the walk in the browser, on 127.0.0.1; the address is logged (needs viser)",
+        ),
+        DeclareLaunchArgument(
             "bag", default_value="", description="record to this folder, which must not be there yet; empty: do not"
         ),
     ]
@@ -67,7 +73,15 @@ def generate_launch_description() -> LaunchDescription:
     ]
 
     def node(name: str, **options: object) -> Node:
-        return Node(package="dqwalk_ros", executable=name, name=name, parameters=parameters, output="screen", **options)
+        return Node(
+            package="dqwalk_ros",
+            executable=name,
+            name=name,
+            parameters=parameters,
+            output="screen",
+            ros_arguments=["--enclave", f"/dqwalk/{name}"],  # see docs/security.md; nothing without SROS 2
+            **options,
+        )
 
     controller = node("controller")
     return LaunchDescription(
@@ -77,6 +91,7 @@ def generate_launch_description() -> LaunchDescription:
             SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery")),
             node("recorder", arguments=["--bag", bag], condition=IfCondition(recorded)),
             node("phase_monitor"),
+            node("viewer", condition=IfCondition(LaunchConfiguration("view"))),
             node("integrator", condition=IfCondition(EqualsSubstitution(plant, "integrator"))),
             node("poppy_driver", condition=IfCondition(EqualsSubstitution(plant, "poppy"))),
             controller,

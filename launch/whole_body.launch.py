@@ -6,10 +6,10 @@ ros2 topic pub --once /push geometry_msgs/WrenchStamped '{wrench: {force: {y: 15
 """
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler
+from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler, SetEnvironmentVariable
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
@@ -18,7 +18,14 @@ def generate_launch_description() -> LaunchDescription:
     parameters = [LaunchConfiguration("config"), {"plant.lockstep": LaunchConfiguration("lockstep")}]
 
     def node(name: str) -> Node:
-        return Node(package="dqwalk_ros", executable=name, name=name, parameters=parameters, output="screen")
+        return Node(
+            package="dqwalk_ros",
+            executable=name,
+            name=name,
+            parameters=parameters,
+            output="screen",
+            ros_arguments=["--enclave", f"/dqwalk/{name}"],  # see docs/security.md; nothing without SROS 2
+        )
 
     controller = node("whole_body_controller")
     over = EmitEvent(event=Shutdown(reason="the controller has ended"))
@@ -35,6 +42,14 @@ def generate_launch_description() -> LaunchDescription:
                 choices=["true", "false"],
                 description="true: as fast as the machine; false: at most in real time",
             ),
+            DeclareLaunchArgument(
+                "discovery",
+                default_value=EnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", default_value="LOCALHOST"),
+                choices=["LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT"],
+                description="who can see the nodes: LOCALHOST this machine only, SUBNET the network as well",
+            ),
+            # nothing leaves this machine unless somebody asks for it
+            SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery")),
             node("rigid"),
             controller,
             RegisterEventHandler(OnProcessExit(target_action=controller, on_exit=[over])),

@@ -23,7 +23,7 @@ def constant(node: Any) -> Any:
 
 def test_every_argument_is_described() -> None:
     found = {constant(call.args[0]): {k.arg: k.value for k in call.keywords} for call in calls("DeclareLaunchArgument")}
-    assert set(found) == {"config", "plant", "lockstep", "discovery", "bag"}
+    assert set(found) == {"config", "plant", "lockstep", "discovery", "view", "bag"}
     for name, keywords in found.items():
         assert constant(keywords["description"]), name
         assert "default_value" in keywords, name
@@ -31,7 +31,7 @@ def test_every_argument_is_described() -> None:
 
 def test_every_node_it_starts_is_installed() -> None:
     started = {constant(call.args[0]) for call in calls("node")}
-    assert started == {"controller", "integrator", "poppy_driver", "phase_monitor", "recorder"}
+    assert started == {"controller", "integrator", "poppy_driver", "phase_monitor", "recorder", "viewer"}
     for name in started:
         script = ROOT / "scripts" / name
         assert script.stat().st_mode & 0o111, f"{script} cannot be executed"
@@ -46,4 +46,4 @@ def test_launch_reads_it() -> None:
 
     description = PythonLaunchDescriptionSource(str(FILE)).get_launch_description(launch.LaunchContext())
     arguments = {argument.name: argument for argument in description.get_launch_arguments()}
-    assert set(arguments) == {"config", "plant", "lockstep", "discovery", "bag"}
+    assert set(arguments) == {"config", "plant", "lockstep", "discovery", "view", "bag"}

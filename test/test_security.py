@@ -1,0 +1,161 @@
+"""The policy for SROS 2 says exactly what the nodes do, and nothing is heard beyond this machine unless asked for."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import importlib.util
+import re
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from dqwalk_ros.config import find_share, load, to_yaml
+from dqwalk_ros.nodes import entry
+
+ROOT = Path(__file__).resolve().parent.parent
+WAYS = ("publish", "subscribe", "reply", "request")
+Rights = dict[str, set[str]]
+
+
+def resolved(name: str, node: str) -> str:
+    """Return a name of the policy in full, as sros2 takes it: absolute, private or in the namespace `/`."""
+    if name.startswith("~/"):
+        return f"/{node}/{name[2:]}"
+    return name if name.startswith("/") else f"/{name}"
+
+
+def policy() -> dict[str, Rights]:
+    """Return what each node may do."""
+    out: dict[str, Rights] = {}
+    for enclave in ElementTree.parse(find_share("config/security", "policy.xml")).getroot().iter("enclave"):
+        (profile,) = enclave.iter("profile")
+        node = profile.get("node", "")
+        assert enclave.get("path") == f"/dqwalk/{node}"
+        rights = out[node] = {way: set() for way in WAYS}
+        for group in profile:
+            ((way, qualifier),) = group.attrib.items()
+            assert qualifier == "ALLOW"
+            assert way in (("publish", "subscribe") if group.tag == "topics" else ("reply", "request"))
+            names = [resolved(item.text or "", node) for item in group]
+            assert {item.tag for item in group} == {group.tag[:-1]}
+            assert len(names) == len(set(names)), f"{node}: a name stands twice"
+            rights[way] |= set(names)
+    return out
+
+
+def test_the_file_is_a_policy() -> None:
+    """Elements, attributes and their order as the schema of sros2 has them [REP-2022, version 0.2.0]."""
+    root = ElementTree.parse(ROOT / "config/security/policy.xml").getroot()
+    assert (root.tag, root.attrib) == ("policy", {"version": "0.2.0"})
+    assert [child.tag for child in root] == ["enclaves"]
+    for enclave in root[0]:
+        assert (enclave.tag, set(enclave.attrib)) == ("enclave", {"path"})
+        (profiles,) = enclave
+        (profile,) = profiles
+        assert (profiles.tag, profile.tag, set(profile.attrib)) == ("profiles", "profile", {"ns", "node"})
+        assert {group.tag for group in profile} == {"topics", "services"}
+        assert all(re.fullmatch(r"[~/]?[a-z_/]+", item.text or "") for group in profile for item in group)
+
+
+def test_every_node_has_an_enclave_and_a_person_may_call_every_service() -> None:
+    rights = policy()
+    assert set(rights) == {*entry.HELP, "operator"}
+    ours = {s for node in entry.HELP for s in rights[node]["reply"] if "parameter" not in s and "type_desc" not in s}
+    assert rights["operator"]["request"] == ours
+
+
+@pytest.mark.parametrize(
+    "group",
+    [
+        ("controller", "poppy_driver"),
+        ("integrator", "phase_monitor", "recorder", "viewer"),
+        ("whole_body_controller", "rigid"),
+    ],
+    ids="+".join,
+)
+def test_the_nodes_do_exactly_what_the_policy_says(
+    group: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Started in one process and asked what they publish, subscribe to and serve: nothing more, and nothing less."""
+    pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
+    import rclpy
+    from rclpy.context import Context
+    from rclpy.node import Node
+
+    from dqwalk_ros.nodes.runtime import Life
+    from dqwalk_ros.runner import private_domain
+
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    paper = load("paper").updated({"dt": 0.02, "poppy.dummy": True})
+    expected = policy()
+    with private_domain() as domain:
+        context = Context()
+        rclpy.init(context=context, domain_id=domain)
+        try:
+            for name in group:
+                params = tmp_path / f"{name}.yaml"
+                params.write_text(to_yaml(load("whole_body") if len(group) == 2 and "rigid" in group else paper))
+                own = {"recorder": ["--bag", str(tmp_path / "bag")], "viewer": ["--port", "0"]}.get(name, [])
+                ros = ["--ros-args", "--params-file", str(params)]
+                options = entry.parse(name, [*own, *ros])
+                node = Node(name, context=context, cli_args=ros, use_global_arguments=False)
+                module = importlib.import_module(f"dqwalk_ros.nodes.{name}")
+                (kind,) = [v for k, v in vars(module).items() if k.endswith("Node") and k != "Node"]
+                worker = kind(node, Life(), options)
+                try:
+                    found = {
+                        "publish": node.get_publisher_names_and_types_by_node(name, "/"),
+                        "subscribe": node.get_subscriber_names_and_types_by_node(name, "/"),
+                        "reply": node.get_service_names_and_types_by_node(name, "/"),
+                        "request": node.get_client_names_and_types_by_node(name, "/"),
+                    }
+                    does = {way: {topic for topic, _ in names} for way, names in found.items()}
+                    if importlib.util.find_spec("tf2_msgs") is None and name == "controller":
+                        expected[name]["publish"].discard("/tf")  # the wheels of ROS have no tf2_msgs
+                    assert does == expected[name], name
+                finally:
+                    worker.close()
+                    node.destroy_node()
+        finally:
+            context.try_shutdown()
+
+
+def test_a_node_asked_for_security_does_not_start_without_its_keys(tmp_path: Path) -> None:
+    """It says so, and exits."""
+    pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
+    from dqwalk_ros.runner import environment, private_domain
+
+    asked = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce", "ROS_SECURITY_KEYSTORE": str(tmp_path)}
+    with private_domain() as domain:
+        done = subprocess.run(
+            [sys.executable, "-m", "dqwalk_ros.nodes.integrator", "--ros-args", "--enclave", "/dqwalk/integrator"],
+            env={**environment(domain), **asked},
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+    assert done.returncode == 2
+    assert "SECURITY ERROR" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("file", sorted((ROOT / "launch").glob("*.launch.py")), ids=lambda file: file.name)
+def test_a_launch_file_stays_on_this_machine(file: Path) -> None:
+    """ROS_AUTOMATIC_DISCOVERY_RANGE is set, to LOCALHOST unless the environment or an argument says otherwise."""
+    text = file.read_text(encoding="utf-8")
+    names = {getattr(n.func, "id", "") for n in ast.walk(ast.parse(text)) if isinstance(n, ast.Call)}
+    assert "SetEnvironmentVariable" in names
+    assert 'EnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", default_value="LOCALHOST")' in text
+    assert '"--enclave"' in text
+
+
+def test_nodes_started_by_us_stay_on_this_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    from dqwalk_ros.runner import environment
+
+    monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE", raising=False)
+    assert environment(None)["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
