@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 import random
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -93,8 +93,8 @@ class Chaos(Live):
         When a state of the plant came, and its angles.
     """
 
-    def __init__(self, folder: Path, domain: int, config: Config) -> None:
-        super().__init__(folder, domain, config)
+    def __init__(self, folder: Path, domain: int, config: Config, environment: Mapping[str, str] | None = None) -> None:
+        super().__init__(folder, domain, config, environment)
         self.on_states: Policy = passing
         self.on_commands: Policy = passing
         self.moved: list[tuple[float, np.ndarray]] = []
@@ -107,6 +107,7 @@ class Chaos(Live):
         self.node.create_timer(0.005, self._send_late)
 
     def _state(self, msg: JointState) -> None:
+        assert np.isfinite(msg.position).all(), "a state that is not finite left the plant"
         self.moved.append((time.monotonic(), np.array(msg.position)))
         self._relay(self.on_states, self.to_controller, msg)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import signal
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,7 +24,9 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
+from dqwalk_ros import bag
 from dqwalk_ros.config import load
+from dqwalk_ros.model import load_model
 from dqwalk_ros.runner import private_domain
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
@@ -31,6 +34,7 @@ pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
 RESUMED = "walk resumed"
 HELD = "safely held"
 UNDISTURBED = "walk undisturbed"
+NODES = ("integrator", "phase_monitor", "controller")
 BUSY = 2.0
 """A reaction that must take 0.1 s may take this long where seven people share two processors [s]."""
 
@@ -45,7 +49,7 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chaos]:
     with private_domain() as domain:
         one = Chaos(tmp_path_factory.mktemp("chaos"), domain, config)
         try:
-            for name in ("integrator", "phase_monitor", "controller"):
+            for name in NODES:
                 one.begin(name)
             one.walks(120.0)
             yield one
@@ -55,6 +59,15 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chaos]:
                     one.processes.signal(name, signal.SIGCONT)
             one.close()
             patch.undo()
+
+
+@pytest.fixture(autouse=True)
+def _nobody_died(walk: Chaos, request: pytest.FixtureRequest) -> Iterator[None]:
+    """No fault ends a node, but for the ones whose end is the fault."""
+    yield
+    if not request.node.originalname.startswith("test_signals"):
+        dead = {name: walk.processes.exit_code(name) for name in NODES}
+        assert dead == dict.fromkeys(NODES), walk.logs()
 
 
 # ---------------------------------------------------------------------- the network
@@ -272,7 +285,13 @@ def test_commands_from_the_future(walk: Chaos) -> None:
 # ---------------------------------------------------------------------- processes
 
 
-def test_the_controller_is_killed_and_restarted(walk: Chaos) -> None:
+@pytest.mark.parametrize("phase", ["double_support", "single_support"])
+def test_the_controller_is_killed_and_restarted(walk: Chaos, phase: str) -> None:
+    """Also in mid-swing, a foot in the air: the new one walks from where the robot stands."""
+    seen = len(walk.phases())
+    walk.until(lambda: walk.phases()[-1].startswith(phase) and len(walk.phases()) > seen, 60.0, f"the next {phase}")
+    walk.spin(0.4)
+    assert walk.phases()[-1].startswith(phase)
     walk.processes.signal("controller", signal.SIGKILL)
     took = walk.stands()
     assert took < BUSY
@@ -282,7 +301,7 @@ def test_the_controller_is_killed_and_restarted(walk: Chaos) -> None:
     steps = [np.abs(b - a).max() for (_, a), (_, b) in zip(walk.moved[-2000:], walk.moved[-1999:], strict=False)]
     assert max(steps) < 8.2 * 0.04 + 1e-9
     assert np.abs(walk.moved[-1][1] - q).max() < 1.0
-    row("controller: SIGKILL, restarted", "the plant holds", took, "walks anew from there")
+    row(f"controller: SIGKILL in {phase}, restarted", "the plant holds", took, "walks anew from there")
 
 
 def test_the_controller_is_frozen(walk: Chaos) -> None:
@@ -312,6 +331,32 @@ def test_the_monitor_dies_and_comes_back(walk: Chaos) -> None:
     walk.begin("phase_monitor")
     walk.until(lambda: walk.statuses("phase_monitor")[-1:], 60.0, "the monitor")
     row("monitor: SIGKILL, restarted", "it is not in the loop", None, UNDISTURBED)
+
+
+def test_the_recorder_dies(walk: Chaos, tmp_path: Path) -> None:
+    """The walk goes on, and what was recorded can be read."""
+    walk.processes.start("recorder", ["--bag", str(tmp_path / "bag"), "--ros-args", "--params-file", str(walk.params)])
+    walk.until_up("recorder")
+    walk.spin(5.0)
+    until = walk.got["joint_states"][-1].header.stamp.sec
+    walk.processes.signal("recorder", signal.SIGKILL)
+    walk.processes.wait("recorder", 10.0)
+    walk.spin(1.0)
+    assert walk.walking()
+    recorded = bag.read(tmp_path / "bag")
+    assert recorded.time[-1] > until - 1.0 - BUSY
+    assert any("metadata.yaml is missing" in note for note in recorded.notes)
+    row("recorder: SIGKILL", f"{len(recorded)} states can be read", None, UNDISTURBED)
+
+
+def test_the_viewer_dies(walk: Chaos) -> None:
+    walk.processes.start("viewer", ["--port", "0", "--ros-args", "--params-file", str(walk.params)])
+    walk.until(lambda: "the page is" in walk.processes.log("viewer"), 60.0, "the page")
+    walk.spin(1.0)
+    walk.processes.signal("viewer", signal.SIGKILL)
+    walk.spin(1.0)
+    assert walk.walking()
+    row("viewer: SIGKILL", "it is not in the loop", None, UNDISTURBED)
 
 
 @pytest.mark.parametrize(
@@ -434,7 +479,7 @@ def test_pause_and_start(walk: Chaos) -> None:
 
 def test_jumps_that_stay_are_latched_until_reset(walk: Chaos) -> None:
     def shift(msg: JointState) -> None:
-        msg.position[msg.name.index("l_knee_y")] += 1.5  # further than it turns in five periods
+        msg.position[msg.name.index("l_knee_y")] = 2.3  # further than it turns in five periods, even late ones
 
     walk.on_states = chaos.changing(shift)
     try:
@@ -448,7 +493,48 @@ def test_jumps_that_stay_are_latched_until_reset(walk: Chaos) -> None:
     assert walk.call("controller/reset").success
     assert walk.call("controller/start").success
     walk.walks()
-    row("a knee jumps by 1.5 rad and stays there", "latched: failed until ~/reset", took, "walks after ~/reset")
+    row("a knee jumps to 2.3 rad and stays there", "latched: failed until ~/reset", took, "walks after ~/reset")
+
+
+def test_a_program_without_an_answer(walk: Chaos) -> None:
+    """The controller is told of a robot with a leg up in the air, which does as it is told until there is no answer."""
+    model = load_model(walk.config.robot)
+    q, answers = np.zeros(model.n), []
+    leg = model.joint_names.index("l_hip_y")
+    q[leg] = model.q_min[leg]
+
+    def told(msg: JointState) -> Iterator[tuple[float, JointState]]:
+        out = JointState(header=msg.header, name=list(model.joint_names), position=q.tolist())
+        yield 0.0, out
+
+    def does(msg: JointState) -> Iterator[tuple[float, JointState]]:
+        answers.append(np.array(msg.velocity))
+        q[:] += walk.config.dt * answers[-1]
+        yield from ()
+
+    assert walk.call("controller/pause").success
+    walk.stands()
+    walk.on_states, walk.on_commands = told, does
+    walk.spin(0.3)
+    assert walk.call("controller/reset").success
+    assert walk.call("controller/start").success
+    began = len(answers)
+    try:
+        took = walk.said("controller", "is short by", 60.0)
+        walk.until(lambda: walk.phases()[-1] == "failed", 20.0, "the latch")
+        assert walk.standing()
+        assert walk.config.safety.failures < len(answers) - began
+        assert all(np.isfinite(u).all() for u in answers)
+        assert any(u.any() for u in answers[began:])  # it did as it was told, until
+        assert not any(u.any() for u in answers[-walk.config.safety.failures :])
+    finally:
+        walk.on_states, walk.on_commands = chaos.passing, chaos.passing
+    assert walk.call("controller/reset").success
+    assert walk.call("controller/start").success
+    walk.walks()
+    row(
+        "a program without an answer", "zeros; says which rows fight; failed until ~/reset", took, "walks after ~/reset"
+    )
 
 
 def test_the_walk_goes_through_a_whole_cycle_after_all_that(walk: Chaos) -> None:
@@ -461,13 +547,20 @@ def test_the_walk_goes_through_a_whole_cycle_after_all_that(walk: Chaos) -> None
     row("after all of it", "a whole cycle, every constraint kept", None, RESUMED)
 
 
-@pytest.mark.parametrize(("name", "number"), [("controller", signal.SIGINT), ("integrator", signal.SIGTERM)])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("name", ["controller", "phase_monitor", "integrator"])
 def test_signals(walk: Chaos, name: str, number: signal.Signals) -> None:
+    for dead in [node for node in NODES if walk.processes.exit_code(node) is not None]:
+        walk.begin(dead)
+        walk.until_up(dead)
+    walk.walks(90.0)
     began = time.monotonic()
     walk.processes.signal(name, number)
     assert walk.processes.wait(name, 15.0) == 0
     took = time.monotonic() - began
+    assert took < 2.0 + BUSY
     if name == "controller":
         walk.stands()
         walk.until(lambda: not any(walk.got["joint_velocity_commands"][-1].velocity), 5.0, "a last word of zeros")
-    row(f"{name}: {number.name}", "zeros as last word, exit code 0", took, HELD)
+    said = "zeros as last word, exit code 0" if name == "controller" else "exit code 0"
+    row(f"{name}: {number.name}", said, took, UNDISTURBED if name == "phase_monitor" else HELD)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
+import clarabel
 import numpy as np
 import pytest
 from test_assembly import DT, KINDS, phase_of, setting
@@ -13,7 +15,7 @@ from dqwalk_ros.exceptions import QPError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.phases import assemble
 from dqwalk_ros.plants.kinematic import KinematicPlant
-from dqwalk_ros.qp import Problem, make_solver
+from dqwalk_ros.qp import Problem, interior_point, make_solver
 from dqwalk_ros.qp.active_set import DaqpSolver
 from dqwalk_ros.qp.interior_point import ClarabelSolver
 
@@ -85,6 +87,27 @@ def test_numbers_that_are_none_are_refused(name):
         assert caught.value.status == "NotFinite"
 
 
+@pytest.mark.parametrize("lie", ["a bad status with good numbers", "a good status with bad numbers"])
+def test_an_answer_counts_only_with_its_status_and_its_residuals(lie, monkeypatch):
+    """A solver that ran out of time has plausible numbers, and one that says Solved may be wrong."""
+    problem = random_problem(np.random.default_rng(5))
+    whole = interior_point._InPlace._answer
+
+    def lying(self):
+        true = whole(self)
+        x = np.array(true.x)
+        if lie.startswith("a bad status"):
+            return SimpleNamespace(status=clarabel.SolverStatus.MaxTime, x=x, z=true.z, iterations=true.iterations)
+        return SimpleNamespace(status=true.status, x=x + 1e-3, z=true.z, iterations=true.iterations)
+
+    solver = SOLVERS["dense"]()
+    assert solver.solve(problem).residuals(problem).largest < 1e-7
+    monkeypatch.setattr(interior_point._InPlace, "_answer", lying)
+    with pytest.raises(QPError) as caught:
+        solver.solve(problem)
+    assert ("MaxTime" in caught.value.status) is lie.startswith("a bad status")
+
+
 def test_walks_do_not_depend_on_the_solver():
     config, model = setting()
     ways = []
@@ -105,5 +128,3 @@ def test_daqp_answers_itself():
         for problem in walked(kind, foot, 5):
             solver.solve(problem)
     assert solver.fallbacks == 0
-
-

@@ -43,11 +43,13 @@ class Processes:
         Folder for ``NAME.log``.
     domain : int, optional
         ROS domain; None leaves the environment's.
+    extra : mapping of str to str
+        Variables beside those of the environment.
     """
 
-    def __init__(self, logs: Path, domain: int | None = None) -> None:
+    def __init__(self, logs: Path, domain: int | None = None, extra: Mapping[str, str] | None = None) -> None:
         self._logs = logs
-        self._environment = environment(domain)
+        self._environment = {**environment(domain), **(extra or {})}
         self._running: dict[str, _Process] = {}
         self._news = threading.Event()
 

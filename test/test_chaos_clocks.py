@@ -1,0 +1,151 @@
+"""The system's clock is set, and simulated time steps: real clocks of real nodes (part of `make chaos`).
+
+libfaketime steps the clock of the nodes' processes by 100 s while they walk; their steady clock goes on. `make chaos`
+installs it.
+"""
+
+from __future__ import annotations
+
+import ctypes.util
+import itertools
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
+
+from builtin_interfaces.msg import Time
+from chaos import Chaos, row
+from live import SHORT
+from rosgraph_msgs.msg import Clock
+
+from dqwalk_ros.config import load
+from dqwalk_ros.runner import private_domain
+
+pytestmark = [pytest.mark.long, pytest.mark.timeout(300), pytest.mark.xdist_group("chaos")]
+
+CONFIG = {**SHORT, "dt": 0.02, "dsp.eta_ground": 25.0, "gait.cycles": 1000, "monitor.tolerance": 1e-3}
+BUSY = 2.0
+"""A reaction that must take 0.1 s may take this long where seven people share two processors [s]."""
+
+
+def faketime() -> str:
+    """Return the library that steps the clock of a process."""
+    for folder in (*Path("/usr/lib").glob("*/faketime"), Path("/usr/local/lib/faketime"), Path("/usr/lib/faketime")):
+        if (folder / "libfaketime.so.1").exists():
+            return str(folder / "libfaketime.so.1")
+    found = ctypes.util.find_library("faketime")
+    assert found, "these tests need libfaketime: make chaos installs it (apt install faketime)"
+    return found
+
+
+@contextmanager
+def walking(folder: Path, environment: dict[str, str], *plant: str) -> Iterator[Chaos]:
+    patch = pytest.MonkeyPatch()
+    patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with private_domain() as domain:
+        one = Chaos(folder, domain, load("paper").updated(CONFIG), environment)
+        try:
+            one.begin("integrator", *plant)
+            one.begin("controller")
+            yield one
+        finally:
+            one.close()
+            patch.undo()
+
+
+def stamp(one: Chaos) -> float:
+    """Return the stamp of the last state [s]."""
+    header = one.got["joint_states"][-1].header.stamp
+    return header.sec + 1e-9 * header.nanosec
+
+
+def disturbance(one: Chaos, since: float) -> float:
+    """Return for how long the robot did not move, at most, from a time on [s]."""
+    moved = [(at, q) for at, q in one.moved if at >= since]
+    going = [a for (a, p), (_, q) in itertools.pairwise(moved) if (p != q).any()]
+    return float(np.diff([since, *going, moved[-1][0]]).max())
+
+
+@pytest.fixture(scope="module")
+def set_clock(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Chaos, Callable[[int], None]]]:
+    folder = tmp_path_factory.mktemp("clocks")
+    offset = folder / "offset"
+
+    def set_to(seconds: int) -> None:
+        new = folder / "new"
+        new.write_text(f"{seconds:+d}\n", encoding="utf-8")
+        new.replace(offset)
+
+    set_to(0)
+    environment = {
+        "LD_PRELOAD": faketime(),
+        "FAKETIME_TIMESTAMP_FILE": str(offset),
+        "FAKETIME_NO_CACHE": "1",
+        "FAKETIME_DONT_FAKE_MONOTONIC": "1",
+        "DONT_FAKE_MONOTONIC": "1",  # its name before 0.9.11
+    }
+    with walking(folder, environment) as one:
+        one.walks(120.0)
+        yield one, set_to
+
+
+@pytest.mark.parametrize("seconds", [-100, 100, -3600, 0])
+def test_the_systems_clock_is_set(set_clock: tuple[Chaos, Callable[[int], None]], seconds: int) -> None:
+    """One after the other, from 0: back, ahead, far back, and right again."""
+    one, set_to = set_clock
+    one.walks()
+    one.spin(0.5)
+    before, began = stamp(one), time.monotonic()
+    set_to(seconds)
+    one.until(lambda: abs(stamp(one) - before) > 50.0, 20.0, "the step of the clock")
+    one.spin(1.0)
+    one.walks()
+    one.spin(0.5)
+    took = disturbance(one, began)
+    assert took < BUSY + 1.0
+    assert all(one.processes.exit_code(name) is None for name in ("integrator", "controller"))
+    step = stamp(one) - before - (time.monotonic() - began)
+    row(
+        f"the system's clock is set by {step:+.0f} s",
+        "one silence at most: timers are on the steady clock",
+        took,
+        "walk resumed",
+    )
+
+
+def test_simulated_time_steps_and_stops(tmp_path: Path) -> None:
+    """The plant's stamps are /clock's: it goes back by 100 s, and then it stops and goes on."""
+    with walking(tmp_path, {}, "use_sim_time:=true") as one:
+        clock = one.node.create_publisher(Clock, "/clock", 10)
+        offset, stopped = [1000.0 - time.monotonic()], [0.0]
+
+        def tick() -> None:
+            now = stopped[0] or time.monotonic() + offset[0]
+            clock.publish(Clock(clock=Time(sec=int(now), nanosec=int(1e9 * (now % 1.0)))))
+
+        one.node.create_timer(0.01, tick)
+        one.walks(120.0)
+        one.spin(1.0)
+        began = time.monotonic()
+        offset[0] -= 100.0
+        one.until(lambda: stamp(one) < time.monotonic() + offset[0] + 50.0, 20.0, "the step")
+        one.spin(1.0)
+        one.walks()
+        took = disturbance(one, began)
+        assert took < BUSY + 1.0
+        row("/clock steps back by 100 s", "one silence at most", took, "walk resumed")
+
+        stopped[0] = time.monotonic() + offset[0]
+        took = one.stands()
+        assert took < BUSY
+        one.spin(0.5)
+        assert one.standing()
+        offset[0] = stopped[0] - time.monotonic()
+        stopped[0] = 0.0
+        one.walks()
+        row("/clock stops", "states of one stamp are no news: zeros, the plant holds", took, "walk resumed")
