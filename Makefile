@@ -21,7 +21,7 @@ ROS_EXTRA    := ros,
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help venv walk simulate reach test test-long browser docs chaos fuzz lint colcon clean
+.PHONY: help venv walk simulate reach test test-long browser docs chaos fuzz soak driver see lint colcon clean
 
 help:  ## show this
 	@echo "usage: make TARGET [CYCLES=$(CYCLES)] [CONFIG=$(CONFIG)] [OUT=$(OUT)]"
@@ -54,10 +54,21 @@ docs: $(VENV)/.installed  ## build the documentation as a website in site/
 	$(BIN)/mkdocs build --strict
 
 chaos: $(VENV)/.installed-test  ## put a live walk through every fault of docs/faults.md, and print what it did
-	PYTHONPATH=test $(BIN)/python -m pytest -q -p chaos -m long --timeout 900 test/test_chaos.py $(ARGS)
+	ls /usr/lib/*/faketime/libfaketime.so.1 >/dev/null 2>&1 || { $(SUDO) apt-get update -qq && \
+	    $(SUDO) apt-get install -y -qq --no-install-recommends faketime; }
+	PYTHONPATH=test $(BIN)/python -m pytest -q -p chaos -m long --timeout 900 test/test_chaos.py test/test_chaos_clocks.py $(ARGS)
 
 fuzz: $(VENV)/.installed-test  ## 10 000 hostile robots, parameter files and messages
 	DQWALK_FUZZ=10000 $(BIN)/python -m pytest --timeout 3000 --durations 6 test/test_fuzz.py $(ARGS)
+
+soak: $(VENV)/.installed-test  ## an hour of walking in lockstep, recorded: memory, files, gaps (ARGS='--minutes 60')
+	$(BIN)/python -m benchmark.soak $(ARGS)
+
+driver: $(VENV)/.installed-test  ## the Poppy driver on dummy motors: rate, angles, limits (ARGS=--full for the paper's cycle)
+	$(BIN)/python -m benchmark.driver $(ARGS)
+
+see: $(VENV)/.installed-test  ## how soon the page is there, how smooth, what it costs the walk, how long a report takes
+	$(BIN)/python -m benchmark.see $(ARGS)
 
 lint: $(VENV)/.installed-dev  ## ruff and mypy
 	$(BIN)/ruff check .

@@ -1,0 +1,212 @@
+"""What it takes to look at a walk.
+
+How soon the page is there, how smooth it is, what it costs the walk, and how long a report takes.
+
+    python -m benchmark.see [open] [rate] [cost] [report]
+
+Needs Chromium, with WebGL in software: what a browser draws here says little of one with a graphics card, what the
+page sends does not depend on it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+os.environ.setdefault("DQWALK_PICTURES", tempfile.gettempdir())
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "test"))
+
+import numpy as np
+from browser import chromium, dark_share, picture
+from recorded import short_config, short_walk
+
+from benchmark.timing import machine, table
+from dqwalk_ros import bag
+from dqwalk_ros.config import Config, load, to_yaml
+from dqwalk_ros.controllers import make_controller
+from dqwalk_ros.model import load_model
+from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.runner import Processes, private_domain, run_walk
+from dqwalk_ros.simulation import simulate
+
+MIDDLE = slice(500, 950)
+"""Columns of a picture between the panels."""
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
+
+
+@contextlib.contextmanager
+def viewing(path: Path) -> Iterator[tuple[str, float]]:
+    """Run ``dqwalk view``; yield the address and the time when it was started."""
+    began = time.monotonic()
+    words = [sys.executable, "-m", "dqwalk_ros.cli", "view", str(path), "--port", "0"]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT)
+    assert process.stdout is not None  # it is a pipe
+    try:
+        yield next(m.group() for line in process.stdout if (m := re.search(r"http://[\d.:]+", line))), began
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.stdout.close()
+        process.wait(20)
+
+
+def until_seen(page: Any, timeout: float = 60.0) -> float:
+    """Return when the robot was seen."""
+    deadline = time.monotonic() + timeout
+    while time.monotonic() < deadline:
+        if dark_share(picture(page, "see"), MIDDLE) > 0.005:
+            return time.monotonic()
+    raise SystemExit("no robot was seen on the page")
+
+
+def opening(folder: Path, rounds: int = 5) -> None:
+    """Print how long it takes from the command to the address, and to the robot in a browser that is there already."""
+    path = folder / "walk"
+    bag.write(short_walk(), path)
+    times = []
+    with chromium(folder) as page:
+        for _ in range(rounds):
+            with viewing(path) as (url, began):
+                printed = time.monotonic()
+                page.goto(url)
+                loaded = time.monotonic()
+                seen = until_seen(page)
+                times.append((printed - began, loaded - began, seen - began))
+                page.goto("about:blank")
+    rows = []
+    for name, column in zip(("address printed", "page loaded", "robot seen"), np.array(times).T, strict=True):
+        rows.append([f"dqwalk view: {name}", f"{np.median(column):.2f}", f"{column.min():.2f}", f"{column.max():.2f}"])
+    print(table([f"after the command [s], {rounds} times", "median", "least", "most"], rows), flush=True)
+
+
+@contextlib.contextmanager
+def walking(folder: Path, config: Config) -> Iterator[str]:
+    """Walk on ROS by the clock, with the viewer; yield the address of the page."""
+    params = folder / "params.yaml"
+    params.write_text(to_yaml(config), encoding="utf-8")
+    with private_domain() as domain, Processes(folder, domain) as processes:
+        url = viewer(processes, params)
+        for name in ("phase_monitor", "integrator", "controller"):
+            processes.start(name, ["--ros-args", "--params-file", str(params)])
+        yield url
+
+
+def viewer(processes: Processes, params: Path) -> str:
+    """Start the viewer; return the address of its page."""
+    processes.start("viewer", ["--port", "0", "--ros-args", "--params-file", str(params)])
+    deadline = time.monotonic() + 60.0
+    while not (found := re.search(r"http://[\d.:]+", processes.log("viewer"))):
+        if time.monotonic() > deadline or processes.exit_code("viewer") is not None:
+            raise SystemExit(f"no page: {processes.last_words('viewer')}")
+        time.sleep(0.05)
+    return found.group()
+
+
+def smoothness(folder: Path, seconds: float = 15.0) -> None:
+    """Print how many pictures the page sends, and a browser draws, while a walk goes on."""
+    config = short_config(**{"gait.cycles": 50, "plant.lockstep": False})
+    with walking(folder, config) as url, chromium(folder) as page:
+        page.goto(url)
+        page.wait_for_selector("[data-dqwalk=margins]", timeout=60_000)
+        until_seen(page)
+        page.evaluate(
+            "() => { window.drawn = 0; const tick = () => { window.drawn++; requestAnimationFrame(tick); }; tick(); }"
+        )
+        sent, began = [], time.monotonic()
+        while time.monotonic() - began < seconds:
+            time.sleep(1.0)
+            found = re.search(r"(\d+) pictures per second", page.inner_text("[data-dqwalk=status]"))
+            sent.append(int(found.group(1)) if found else 0)
+        drawn = page.evaluate("window.drawn") / (time.monotonic() - began)
+        errors = page.errors
+    print(
+        f"page of a walk by the clock: {np.median(sent):.0f} pictures per second sent (least {min(sent)}), {drawn:.0f} "
+        f"frames drawn by Chromium in software, {len(errors)} errors in its console",
+        flush=True,
+    )
+
+
+def cost(folder: Path, rounds: int = 3) -> None:
+    """Print what a page costs the walk, in lockstep, where everything goes as fast as it can."""
+    config = load("paper").updated({"gait.cycles": 1, "task.eta": 1.0, "ssp.threshold": 4e-3})
+    cases: dict[str, list[float]] = {"no viewer": [], "viewer": [], "viewer and open page": []}
+    for k in range(rounds):
+        for name, paces in cases.items():
+            with contextlib.ExitStack() as stack:
+                domain = stack.enter_context(private_domain())
+                if name != "no viewer":
+                    logs = folder / f"viewer{k}{len(paces)}{len(name)}"
+                    logs.mkdir()
+                    params = logs / "params.yaml"
+                    params.write_text(to_yaml(config), encoding="utf-8")
+                    url = viewer(stack.enter_context(Processes(logs, domain)), params)
+                if name == "viewer and open page":
+                    page = stack.enter_context(chromium(folder))
+                    page.goto(url)
+                outcome = run_walk(config, folder / f"bag{k}{len(name)}", logs=folder / "log", domain=domain)
+            if not outcome.finished:
+                raise SystemExit(f"the walk failed: {outcome.reason}")
+            paces.append(outcome.ticks / outcome.took)
+    base = np.array(cases["no viewer"])
+    rows = [
+        [
+            name,
+            f"{np.median(paces):.0f}",
+            f"{np.median(np.array(paces) / base):.2f}",
+            ", ".join(f"{p:.0f}" for p in paces),
+        ]
+        for name, paces in cases.items()
+    ]
+    print(table(["walk in lockstep with", "ticks/s", "ratio", "each"], rows), flush=True)
+
+
+def reporting(folder: Path, states: int = 120_000) -> None:
+    """Print what a report of ten minutes of the paper's walk takes."""
+    path, config = folder / "long", load("paper").updated({"gait.cycles": 10})
+    model = load_model(config.robot)
+    trace = simulate(make_controller(config, model), KinematicPlant(model), max_time=(states - 1) * config.dt)
+    bag.write(trace, path)
+    out = folder / "out"
+    words = ["report", str(path), "--html", "--no-figures", "--quiet", "--out", str(out)]
+    began = time.monotonic()
+    done = subprocess.Popen([sys.executable, "-m", "dqwalk_ros.cli", *words], env=ENVIRONMENT)
+    _, status, used = os.wait4(done.pid, 0)
+    took = time.monotonic() - began
+    if not (out / "report.html").exists():
+        raise SystemExit(f"no report (exit code {os.waitstatus_to_exitcode(status)})")
+    size = (out / "report.html").stat().st_size / 1e6
+    spent = used.ru_utime + used.ru_stime
+    print(
+        f"report of {len(trace)} states: {took:.1f} s ({spent:.1f} s of processor time), at most "
+        f"{used.ru_maxrss / 1024:.0f} MiB; the HTML has {size:.2f} MB",
+        flush=True,
+    )
+
+
+PARTS = {"open": opening, "rate": smoothness, "cost": cost, "report": reporting}
+
+
+def main() -> None:
+    """Print all figures, or those that are asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("parts", nargs="*", choices=[[], *PARTS], help="all of them by default")
+    args = parser.parse_args()
+    print(f"{machine(('viser', 'numpy', 'matplotlib'))}\n", flush=True)
+    for name in args.parts or PARTS:
+        with tempfile.TemporaryDirectory() as folder:
+            PARTS[name](Path(folder))
+
+
+if __name__ == "__main__":
+    main()

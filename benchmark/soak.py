@@ -1,0 +1,163 @@
+"""An hour of walking through ROS in lockstep, recorded.
+
+Does a node grow, leak handles, or lose a message?
+
+    python -m benchmark.soak [--minutes 60] [--out results/soak]
+
+Walks as many whole cycles of the paper as fill the time. Memory is the resident set of each node, after the first
+minute of the clock and at the end. Exit code 1 where one grew by 5 MB, opened more files, or the bag has a gap.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import shutil
+import struct
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from benchmark.timing import machine, table  # first: it sets the number of threads
+from dqwalk_ros.cli.progress import Progress
+from dqwalk_ros.config import Config, load
+from dqwalk_ros.controllers import make_controller
+from dqwalk_ros.model import load_model
+from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.runner import run_walk
+from dqwalk_ros.simulation import simulate
+
+GROWTH = 5.0
+"""A node may grow by so much after the first minute [MB]."""
+FIRST = 60.0
+"""When the first sample is taken [s]."""
+STREAMS = ("/joint_states", "/joint_velocity_commands", "/base_pose")
+
+
+class Watched:
+    """Samples memory and handles of the nodes while they walk.
+
+    Attributes
+    ----------
+    first, last : dict of str to (float, int)
+        Resident set [MB] and open files of each node.
+    """
+
+    def __init__(self, quiet: bool) -> None:
+        self._progress = Progress(quiet=quiet)
+        self._began = 0.0
+        self._due = 0.0
+        self.first: dict[str, tuple[float, int]] = {}
+        self.last: dict[str, tuple[float, int]] = {}
+        self.at: list[float] = []
+        self.curve: list[dict[str, float]] = []
+
+    def __call__(self, fraction: float, text: str) -> None:
+        """Take a sample every two seconds; what `run_walk` calls with its progress."""
+        self._progress(fraction, text)
+        now = time.monotonic()
+        if "support" not in text or now < self._due:
+            return
+        self._began, self._due = self._began or now, now + 2.0
+        found = sample()
+        if len(found) == 4:
+            self.last = found
+            if not self.first and now - self._began >= FIRST:
+                self.first = found
+            self.at.append(now - self._began)
+            self.curve.append({name: memory for name, (memory, _) in found.items()})
+
+    def close(self) -> None:
+        """End the line of the progress."""
+        self._progress.close()
+
+
+def sample() -> dict[str, tuple[float, int]]:
+    """Return resident set [MB] and open files of every node."""
+    out = {}
+    for process in psutil.Process().children(recursive=True):
+        try:
+            words = process.cmdline()
+            if len(words) > 2 and words[2].startswith("dqwalk_ros.nodes."):
+                out[words[2].rpartition(".")[2]] = (process.memory_info().rss / 1e6, process.num_fds())
+        except psutil.Error:
+            continue
+    return out
+
+
+def cycles_for(minutes: float, config: Config) -> tuple[int, float]:
+    """Return how many cycles fill the time, and how long one takes [s]."""
+    model = load_model(config.robot)
+    one = simulate(make_controller(config.updated({"gait.cycles": 1}), model), KinematicPlant(model))
+    length = float(one.time[-1])
+    return max(1, math.ceil(60.0 * minutes / length)), length
+
+
+def gaps(bag: Path, period: int) -> dict[str, tuple[int, int]]:
+    """Return how many messages each stream of a bag has, and how many stamps are missing between them."""
+    from rosbags.rosbag2 import Reader
+
+    found = {topic: [0, 0, -1] for topic in STREAMS}
+    with Reader(bag) as reader:
+        chosen = [c for c in reader.connections if c.topic in found]
+        for connection, _, raw in reader.messages(chosen):
+            sec, nanosec = struct.unpack_from("<iI", raw, 4)
+            stamp, entry = sec * 10**9 + nanosec, found[connection.topic]
+            expected = entry[2] + period if entry[2] >= 0 else 0
+            entry[0], entry[1], entry[2] = entry[0] + 1, entry[1] + (stamp != expected), stamp
+    return {topic: (count, missing) for topic, (count, missing, _) in found.items()}
+
+
+def main() -> int:
+    """Walk, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--minutes", type=float, default=60.0, help="of walking, simulated time")
+    parser.add_argument("--out", type=Path, default=Path("results/soak"), help="made anew")
+    parser.add_argument("--keep", action="store_true", help="keep the bag")
+    parser.add_argument("--quiet", action="store_true")
+    args = parser.parse_args()
+    config = load("paper")
+    print(machine(), flush=True)
+    cycles, length = cycles_for(args.minutes, config)
+    config = config.updated({"gait.cycles": cycles})
+    print(f"{cycles} cycles of {length:.1f} s, {cycles * length / 60.0:.1f} min of walking\n", flush=True)
+    shutil.rmtree(args.out, ignore_errors=True)
+    watched = Watched(args.quiet)
+    try:
+        outcome = run_walk(config, args.out / "bag", progress=watched)
+    finally:
+        watched.close()
+    print(outcome)
+    ok = report(watched, outcome, config)
+    if not args.keep:
+        shutil.rmtree(args.out / "bag", ignore_errors=True)
+    return 0 if ok else 1
+
+
+def report(watched: Watched, outcome: Any, config: Config) -> bool:
+    """Print what grew and what is missing; return whether nothing did and nothing is."""
+    if not watched.first:
+        print(f"the walk was over before {FIRST:.0f} s: there is nothing to compare")
+        return False
+    rows, ok = [], bool(outcome.finished)
+    for name, (memory, files) in watched.last.items():
+        memory0, files0 = watched.first[name]
+        most = max(at[name] for at in watched.curve)
+        ok &= memory - memory0 < GROWTH and files <= files0
+        cells = (f"{memory0:.1f}", f"{memory:.1f}", f"{memory - memory0:+.1f}", f"{most:.1f}", f"{files0}", f"{files}")
+        rows.append([name, *cells])
+    head = ["node", "after 1 min [MB]", "at the end [MB]", "growth [MB]", "most [MB]", "files, 1 min", "files, end"]
+    print("\n" + table(head, rows))
+    size = sum(file.stat().st_size for file in outcome.bag.iterdir()) / 1e6
+    for topic, (count, missing) in gaps(outcome.bag, round(config.dt * 1e9)).items():
+        ok &= missing == 0 and count >= outcome.ticks
+        print(f"{topic}: {count} messages, {missing} missing")
+    print(f"bag of {size:.0f} MB; {watched.at[-1] / 60.0:.1f} min of the clock\n{'flat' if ok else 'NOT flat'}")
+    return ok
+
+
+if __name__ == "__main__":
+    sys.exit(main())
