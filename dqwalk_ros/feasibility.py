@@ -53,8 +53,9 @@ class Conflict:
 
 def within_velocity(problem: Problem, limit: Array) -> Problem:
     """Return the problem with the velocity limits (n,) [rad/s] in its bounds."""
-    lower = np.maximum(np.minimum(problem.lower, limit), -limit)
-    upper = np.maximum(np.minimum(problem.upper, limit), -limit)
+    least = -limit
+    lower = np.maximum(np.minimum(problem.lower, limit), least)
+    upper = np.maximum(np.minimum(problem.upper, limit), least)
     H, c, E, e, G, h, _, _ = problem.arrays
     return Problem(H, c, E, e, G, h, lower, upper, problem.names, problem.diagonal, problem.J)
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.assembly import forms
-from dqwalk_ros.assembly.compiled import COM_PATH, SWING_PATH, evaluate, first_error
+from dqwalk_ros.assembly.compiled import POSTURE, evaluate, first_error
 from dqwalk_ros.constraints import (
     Constraint,
     FrameHeld,
@@ -96,7 +96,7 @@ class Table:
         index, data = [], []
         self._other_tasks: list[Task] = []
         self._residuals = 0
-        self._path_first = False
+        self._first = False  # whether the first task is in the table
         for task in tasks:
             whole = forms.TASKS.get(type(task))
             made = whole(task, rooted) if whole is not None else None
@@ -108,7 +108,7 @@ class Table:
             data.append([task.weight, *numbers])
             self._residuals += forms.HEIGHT[kind]
             if task is tasks[0]:
-                self._path_first = kind in (COM_PATH, SWING_PATH)
+                self._first = kind != POSTURE
         self._task_index, self._task_data = _table(index, 3, np.int64), _table(data, max(26, n + 1), np.float64)
 
         above, below = limits
@@ -154,7 +154,7 @@ class Table:
 
     def error(self, kin: Kinematics, task: Task) -> float:
         """Return the norm of the error of the first task, which is `task`, at one configuration."""
-        if self._path_first:
+        if self._first:
             _, poses, _, com, _ = kin.arrays
             return float(first_error(poses, com, kin.up, kin.elapsed, self._task_index, self._task_data))
         e = task.error(kin)

@@ -171,10 +171,21 @@ def _swing_path(poses, elapsed, body, data, x, r, e, wanted):  # type: ignore[no
 
 @jit
 def first_error(poses, com, up, elapsed, index, data):  # type: ignore[no-untyped-def]
-    """Return the norm of the error of the first task in the table, a path."""
+    """Return the norm of the error of the first task in the table."""
     e, wanted, x, r = np.empty(6), np.empty(6), np.empty(8), np.empty(4)
-    body, other = index[0, 1], index[0, 2]
-    if index[0, 0] == COM_PATH:
+    kind, body, other = index[0, 0], index[0, 1], index[0, 2]
+    if kind == COM_OVER_FOOT:
+        _place(poses, com, body, data[0, 1:4], e, wanted)
+        return math.hypot(com[0] - e[0], com[1] - e[1])
+    if kind == FRAME_POSE:
+        _mul(poses[body], data[0, 1:9], x, r)
+        target = data[0, 9:17]
+        near = x[0] * target[0] + x[1] * target[1] + x[2] * target[2] + x[3] * target[3]
+        square = 0.0
+        for i in range(8):
+            square += ((x[i] if near >= 0.0 else -x[i]) - target[i]) ** 2
+        return math.sqrt(square)
+    if kind == COM_PATH:
         _com_path(poses, com, up, elapsed, body, other, data[0], 0.0, e, wanted)
         return math.sqrt(e[0] * e[0] + e[1] * e[1])
     _swing_path(poses, elapsed, body, data[0], x, r, e, wanted)

@@ -42,6 +42,7 @@ class VelocityController:
         self.config = config
         self.model = model
         self._imu = config.physics.imu
+        self._limit = np.minimum(model.velocity_max, config.joints.velocity or np.inf)
         self._solver = make_solver(config.qp.solver)
         self.reset()
 
@@ -137,13 +138,13 @@ class VelocityController:
         self._kin = kin
         if self._finished:
             return Command(state.time, np.zeros(self.model.n))
-        limit = np.minimum(self.model.velocity_max, self.config.joints.velocity or np.inf)
+        limit = self._limit
         self.problem = within_velocity(assemble(self.phase, kin, dt), limit)
         self.solution = self._solved(self.problem)
         effort = None
         if state.up is not None and self._imu in self.model.frames:
             effort = balance_torques(self.phase, kin, state, self.config.standing, self._imu)
-        return Command(state.time, np.clip(self.solution.u, -limit, limit), effort)
+        return Command(state.time, np.minimum(np.maximum(self.solution.u, -limit), limit), effort)
 
     def _solved(self, problem: Problem) -> Solution:
         """Return the answer of (6); where the robot is outside and cannot return at the wanted rate, a slower one."""
@@ -169,7 +170,7 @@ class VelocityController:
     def _checked(self, state: State) -> Array:
         if state.q.shape != (self.model.n,):
             raise StateError(f"the state has {state.q.size} joints, the model {self.model.n}")
-        if not np.isfinite(state.q).all():
+        if not (math.isfinite(state.q @ state.q) or np.isfinite(state.q).all()):  # quick first
             bad = [name for name, angle in zip(self.model.joint_names, state.q, strict=True) if not np.isfinite(angle)]
             raise StateError(f"the angle of {', '.join(bad)} is not finite")
         return state.q

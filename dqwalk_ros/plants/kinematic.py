@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -53,9 +55,10 @@ class KinematicPlant:
             If the command is not finite or does not fit.
         """
         u = np.asarray(command.velocity, dtype=np.float64)
-        if u.shape != self._state.q.shape or not np.isfinite(u).all():
+        # the square is finite but for numbers that are not, or are beyond all measure: asked first, it is quick
+        if u.shape != self._state.q.shape or not (math.isfinite(u @ u) or np.isfinite(u).all()):
             raise PlantError(f"the command must have {self._state.q.size} finite velocities, got {u}")
-        u = np.clip(u, -self._limit, self._limit)
+        u = np.minimum(np.maximum(u, -self._limit), self._limit)
         self._periods += 1
         # counted, not summed up: a million periods later the time is still exact
         self._state = State(self._time0 + self._periods * dt, self._state.q + dt * u, u)
