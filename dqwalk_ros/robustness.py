@@ -136,6 +136,11 @@ class Kept:
         """Return the cell of a combination; None if it was not walked."""
         return self._done.get(tuple(values.items()))
 
+    def stood(self, values: Mapping[str, float]) -> bool:
+        """Return whether a combination was walked and stood."""
+        cell = self.get(values)
+        return cell is not None and cell.stood
+
     def add(self, cell: Cell) -> None:
         """Keep a cell."""
         self._done[tuple(cell.values.items())] = cell
@@ -152,6 +157,8 @@ def run(
     progress: Callable[[int, Cell], None] | None = None,
 ) -> list[Cell]:
     """Walk every combination, `jobs` at a time in processes of their own, and return the cells in order.
+
+    They are walked in a random order, so that what is there when the run is stopped, by Ctrl-C, is a fair sample.
 
     Parameters
     ----------
@@ -170,6 +177,7 @@ def run(
         if kept is not None and (cell := kept.get(values)) is not None:
             out[k] = cell
     missing = [k for k in range(len(combinations)) if k not in out]
+    random.Random(0).shuffle(missing)
     if missing:
         with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
             asked = {pool.submit(walk, config, combinations[k]): k for k in missing}
@@ -180,7 +188,6 @@ def run(
                         kept.add(cell)
                     if progress is not None:
                         progress(len(out), cell)
-            except BaseException:
+            except KeyboardInterrupt:
                 pool.shutdown(wait=False, cancel_futures=True)
-                raise
     return [out[k] for k in sorted(out)]

@@ -137,17 +137,13 @@ class ComPath(Task):
     duration: float
     saturation: float
 
-    def velocity(self, kin: Kinematics) -> Array:
-        """Velocity of the path, shape (2,) [m/s]."""
-        _, slope = minimum_jerk(kin.elapsed / self.duration)
-        velocity: Array = slope / self.duration * (self.goal(kin) - self.start)
-        return velocity
-
-    def acceleration(self, kin: Kinematics) -> Array:
-        """Acceleration of the path, shape (2,) [m/s^2]."""
+    def reference(self, kin: Kinematics) -> tuple[Array, Array, Array]:
+        """Return place [m], velocity [m/s] and acceleration [m/s^2] of the path, shape (2,) each."""
         s = min(max(kin.elapsed / self.duration, 0.0), 1.0)
+        place, slope = minimum_jerk(s)
         bend = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
-        return bend / self.duration**2 * (self.goal(kin) - self.start)
+        way = self.goal(kin) - self.start
+        return self.start + place * way, slope / self.duration * way, bend / self.duration**2 * way
 
     def goal(self, kin: Kinematics) -> Array:
         """Where the CoM is to arrive, shape (2,) [m]."""
@@ -158,8 +154,7 @@ class ComPath(Task):
 
     def error(self, kin: Kinematics) -> Array:
         """Error, shape (k,)."""
-        place, _ = minimum_jerk(kin.elapsed / self.duration)
-        return kin.com_on_ground - (self.start + place * (self.goal(kin) - self.start))
+        return kin.com_on_ground - self.reference(kin)[0]
 
     def jacobian(self, kin: Kinematics) -> Array:
         """Jacobian, shape (k, n)."""
@@ -168,7 +163,8 @@ class ComPath(Task):
 
     def wanted(self, kin: Kinematics, eta: float) -> Array:
         """Return the e' asked for: the path's velocity and the way back to it."""
-        return self.velocity(kin) - eta * _capped(self.error(kin), self.saturation)
+        place, velocity, _ = self.reference(kin)
+        return velocity - eta * _capped(kin.com_on_ground - place, self.saturation)
 
 
 @dataclass(frozen=True, kw_only=True)

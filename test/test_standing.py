@@ -14,7 +14,7 @@ from dqwalk_ros.cli.footsteps import reached
 from dqwalk_ros.cli.robustness import table
 from dqwalk_ros.constraints import ComInsideEdges, FrameHeld, PointsOverPlane, hold_rows
 from dqwalk_ros.controllers import State, make_controller
-from dqwalk_ros.controllers.balance import com_velocity, gravity_torques
+from dqwalk_ros.controllers.balance import balance_torques, com_velocity, gravity_torques
 from dqwalk_ros.dq import DQ
 from dqwalk_ros.exceptions import ConfigError
 from dqwalk_ros.gait.footsteps import Footsteps
@@ -142,6 +142,41 @@ def test_gravity_torques_are_the_derivative_of_the_potential() -> None:
     height = differences(lambda k: k.com[2:], q, Foot.LEFT, kin.up, np.inf)[0]
     tau = gravity_torques(kin, PhaseKind.SINGLE_SUPPORT)
     assert tau == pytest.approx(MODEL.mass * 9.80665 * height, abs=1e-5)
+
+
+@pytest.mark.parametrize("kind", [PhaseKind.DOUBLE_SUPPORT, PhaseKind.SINGLE_SUPPORT])
+def test_balance_torques_draw_the_com_to_its_path_with_the_pressure_inside(kind: PhaseKind) -> None:
+    """The formula of the docstring, in numpy, on a tilted sole; far off the pressure it needs is cut to the soles."""
+    goal = Footsteps(CONFIG, MODEL).step(Foot.LEFT, 0.05, 0.0, 0.0)
+    phase = make_phase(CONFIG, MODEL, kind, Foot.LEFT, posture(CONFIG, MODEL), goal)
+    path = next(task for task in phase.tasks if isinstance(task, ComPath))
+    polygon = phase.rows[0].polygon
+    n, d = polygon.edges()
+    s, cut = CONFIG.standing, 0
+    for seed in range(8):
+        kin = Kinematics(MODEL, somewhere(seed, 0.1), phase.base, TILTED, 0.6)
+        state = State(0.6, kin.q, 0.2 * np.random.default_rng(seed).normal(size=MODEL.n), up=TILTED)
+        h, c, v = float(TILTED @ kin.com), kin.com_on_ground, (kin.com_jacobian @ state.dq)[:2]
+        w, k = np.sqrt(9.80665 / h), s.balance
+        a = path.reference(kin)[2] - w**2 * k * path.error(kin) - w * (1.0 + k) * (v - path.reference(kin)[1])
+        p = c - a / w**2
+        cut += polygon.distance(p) < s.pressure_margin
+        for _ in range(3):
+            p = p + np.maximum(d + s.pressure_margin - n @ p, 0.0) @ n
+        wanted = MODEL.mass * w**2 * (c - p) @ kin.com_on_ground_jacobian
+        tau = balance_torques(phase, kin, state, s, "imu")
+        assert tau - gravity_torques(kin, kind) == pytest.approx(wanted, rel=1e-9, abs=1e-10)
+    assert cut > 0
+
+
+@pytest.mark.parametrize("over", [(Point("l_sole"),), (Point("l_sole"), Point("r_sole"))])
+def test_the_path_of_the_com_is_smooth(over: tuple[Point, ...]) -> None:
+    path = ComPath(name="com", start=np.array([0.02, -0.1]), over=over, duration=1.2, saturation=1.0)
+    q, h = somewhere(6), 1e-4
+    for t in (0.2, 0.6, 1.1):
+        before, now, after = (path.reference(Kinematics(MODEL, q, Foot.RIGHT, None, t + k * h)) for k in (-1, 0, 1))
+        assert now[1] == pytest.approx((after[0] - before[0]) / (2 * h), abs=1e-6)
+        assert now[2] == pytest.approx((after[1] - before[1]) / (2 * h), abs=1e-6)
 
 
 def test_com_velocity_counts_a_sole_that_tips() -> None:

@@ -36,12 +36,12 @@ def run(args: argparse.Namespace) -> int:
     out = Path(args.out)
     out.mkdir(parents=True, exist_ok=True)
     kept = robustness.Kept(out / "cells.jsonl", config, force=args.force)
-    bar, stood = Progress(quiet=args.quiet), 0
+    bar, stood = Progress(quiet=args.quiet), sum(kept.stood(values) for values in combinations)
 
     def progress(count: int, cell: Cell) -> None:
         nonlocal stood
         stood += cell.stood
-        bar(count / len(combinations), f"{count} of {len(combinations)} cells, {stood} of these stood")
+        bar(count / len(combinations), f"{count} of {len(combinations)} cells, {stood} of them stood")
 
     try:
         done = robustness.run(config, combinations, jobs=args.jobs, kept=kept, progress=progress)
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     with drawing():
         robustness_figure(done, axes, args.steps).savefig(out / "robustness.png")
     print(text)
-    return 0 if all(cell.stood for cell in done) else 1
+    return 0 if len(done) == len(combinations) and all(cell.stood for cell in done) else 1
 
 
 def table(done: Sequence[Cell], axes: dict[str, tuple[float, ...]]) -> str:

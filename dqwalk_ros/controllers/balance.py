@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dqwalk_ros.config import StandingConfig
 from dqwalk_ros.constraints import ComInsideEdges
 from dqwalk_ros.controllers import State
+from dqwalk_ros.kernels import jit
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.phases import Phase, PhaseKind
 from dqwalk_ros.tasks import ComPath
@@ -72,17 +73,37 @@ def balance_torques(phase: Phase, kin: Kinematics, state: State, config: Standin
     path = next((task for task in phase.tasks if isinstance(task, ComPath)), None)
     if path is None or config.balance <= 0.0:
         return tau
-    w = math.sqrt(GRAVITY / max(float(kin.up @ kin.com), 0.05))
-    k = config.balance
-    e, v_d, a_d = path.error(kin), path.velocity(kin), path.acceleration(kin)
-    v = com_velocity(kin, state, imu)[:2]
-    a = a_d - w**2 * k * e - w * (1.0 + k) * (v - v_d)
-    pressure = kin.com_on_ground - a / w**2
     edges = next((row for row in phase.rows if isinstance(row, ComInsideEdges)), None)
-    if edges is not None:
-        n, d = edges.polygon.edges()
-        for _ in range(3):  # towards the inside, edge by edge
-            short = d + config.pressure_margin - n @ pressure
-            pressure = pressure + np.maximum(short, 0.0) @ n
-    a = w**2 * (kin.com_on_ground - pressure)
-    return tau + kin.model.mass * (a @ kin.com_on_ground_jacobian)
+    n, d = edges.polygon.edges() if edges is not None else _NO_EDGES
+    v = com_velocity(kin, state, imu)
+    drawn: Array = _drawn(
+        kin.com, kin.com_jacobian, kin.up, v, *path.reference(kin), n, d, config.balance, config.pressure_margin
+    )
+    return tau + kin.model.mass * drawn
+
+
+_NO_EDGES = np.empty((0, 2)), np.empty(0)
+
+
+@jit
+def _drawn(com, J, up, v, c_d, v_d, a_d, n, d, k, margin):  # type: ignore[no-untyped-def]
+    """Return a' J of the CoM on the ground, the torques (n,) per mass of the acceleration `a` that draws it back."""
+    w2 = GRAVITY / max(up[0] * com[0] + up[1] * com[1] + up[2] * com[2], 0.05)
+    w = math.sqrt(w2)
+    c, pressure = np.empty(2), np.empty(2)
+    for i in range(2):
+        c[i] = com[i] - com[2] * (up[i] / up[2])
+        a = a_d[i] - w2 * k * (c[i] - c_d[i]) - w * (1.0 + k) * (v[i] - v_d[i])
+        pressure[i] = c[i] - a / w2
+    for _ in range(3):  # towards the inside, all edges at once
+        x, y = pressure[0], pressure[1]
+        for j in range(d.shape[0]):
+            short = max(d[j] + margin - (n[j, 0] * x + n[j, 1] * y), 0.0)
+            pressure[0] += short * n[j, 0]
+            pressure[1] += short * n[j, 1]
+    out = np.empty(J.shape[1])
+    a0, a1 = w2 * (c[0] - pressure[0]), w2 * (c[1] - pressure[1])
+    lean = (a0 * up[0] + a1 * up[1]) / up[2]
+    for i in range(J.shape[1]):
+        out[i] = a0 * J[0, i] + a1 * J[1, i] - lean * J[2, i]
+    return out
