@@ -147,6 +147,10 @@ class GaitConfig:
     step_side: float = _par(0.0, "standing: each step this far to the left", "m", -0.2, 0.2)
     step_turn: float = _par(0.0, "standing: each step turns this far to the left", "rad", -0.8, 0.8)
     step_height: float = _par(0.02, "standing: height of the swing foot's via point", "m", 0.0, 0.2)
+    most_length: float = _par(0.05, "standing, steered: cmd_vel asks for no longer step", "m", 0.0, 0.5)
+    most_side: float = _par(0.05, "standing, steered: nor for one further aside", "m", 0.0, 0.2)
+    most_turn: float = _par(0.1, "standing, steered: nor for one that turns further", "rad", 0.0, 0.8)
+    cmd_vel_timeout: float = _par(0.5, "without a new cmd_vel for this long the feet are put together", "s", 0.0, 60.0)
     phase_timeout: float = _par(900.0, "a phase that takes longer has failed", "s", 0.1, 1e5)
 
 
@@ -280,6 +284,7 @@ class PlantConfig:
     """The other side of the command."""
 
     lockstep: bool = _par(False, "each state waits for its command: exact, and as fast as the machine", structural=True)
+    imu: bool = _par(False, "each state comes with a message on imu; the controller waits for both", structural=True)
     command_timeout: float = _par(0.1, "without a new command for this long the plant holds", "s", 0.0, 10.0)
 
 
@@ -550,8 +555,8 @@ def load(source: str | os.PathLike[str]) -> Config:
     return from_yaml(text, source=str(path))
 
 
-def from_yaml(text: str, *, source: str = "") -> Config:
-    """Read a configuration from the text of a ROS parameter file.
+def from_yaml(text: str, *, source: str = "", onto: Config | None = None) -> Config:
+    """Read a configuration from the text of a ROS parameter file; what it does not name is as in `onto`.
 
     Raises
     ------
@@ -561,7 +566,7 @@ def from_yaml(text: str, *, source: str = "") -> Config:
     tree, lines = strict_yaml.read(text, source=source)
     if not isinstance(tree, dict) or not all(isinstance(node, dict) for node in tree.values()):
         raise ConfigError(f"{_where(source)}expected '/**: {{ros__parameters: {{...}}}}'")
-    config = Config()
+    config = onto or Config()
     for node, body in tree.items():
         if set(body) != {"ros__parameters"} or not isinstance(body["ros__parameters"], dict):
             raise ConfigError(f"{_where(source)}node '{node}' must hold 'ros__parameters' and nothing else")

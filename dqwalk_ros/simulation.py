@@ -23,6 +23,7 @@ def simulate(
     *,
     progress: Callable[[float, str], None] | None = None,
     max_time: float | None = None,
+    pilot: Callable[[float], None] | None = None,
 ) -> Trace:
     """Walk until the controller has finished.
 
@@ -34,6 +35,8 @@ def simulate(
         Called about ten times a second with the fraction of phases done and a line of text.
     max_time : float, optional
         Stop after this time of walking [s].
+    pilot : callable, optional
+        Called before each step with the time of walking [s]; it may steer or stop the controller.
 
     Returns
     -------
@@ -43,19 +46,27 @@ def simulate(
     config = controller.config
     recorder = Recorder(config, controller.model)
     state = plant.state
+    begin = state.time
     end = None if max_time is None else state.time + max_time - 0.5 * config.dt
     total = phase_count(config) or math.inf
     due = 0.0
     try:
         while True:
             command: Command | None
+            truth, inertial = getattr(plant, "truth", None), getattr(plant, "inertial", None)
+            seen = None if truth is None or inertial is None else (truth, inertial)
             try:
+                if pilot is not None:
+                    pilot(state.time - begin)
                 command = controller.step(state, config.dt)
             except DqwalkError as error:
                 recorder.note(str(error))
                 command = None
-            recorder.add(state, command, controller)
+            recorder.add(state, command, controller, seen)
             if command is None or controller.finished or (end is not None and state.time >= end):
+                break
+            if getattr(plant, "fallen", False):
+                recorder.note(f"the robot fell in {controller.phase.name} at {state.time:.2f} s")
                 break
             if progress is not None and time.monotonic() >= due:
                 due = time.monotonic() + _REPORT_EVERY

@@ -14,8 +14,9 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.controllers import Command, Controller, State
 from dqwalk_ros.model import Foot, RobotModel
 from dqwalk_ros.phases import PhaseKind
+from dqwalk_ros.plants.truth import Inertial, Truth
 
-__all__ = ["PhaseRecord", "Recorder", "Trace"]
+__all__ = ["PhaseRecord", "PhysicsRecord", "Recorder", "Trace"]
 
 Array = NDArray[np.float64]
 
@@ -52,6 +53,46 @@ class PhaseRecord:
 
 
 @dataclass(frozen=True)
+class PhysicsRecord:
+    """What a physics engine knew at each state; nan where it was not recorded.
+
+    Attributes
+    ----------
+    pelvis : ndarray, shape (N, 8)
+        True pose in the world.
+    wrenches : dict of Foot to ndarray, shape (N, 6)
+        Force [N] and torque [N m] of the ground on each sole, about its origin, in its axes.
+    cop : ndarray, shape (N, 3)
+        Centre of pressure in the world [m]; nan in the air, too.
+    orientation : ndarray, shape (N, 4)
+        Of the inertial sensor in the world, a unit quaternion, real part first.
+    gyro, acceleration : ndarray, shape (N, 3)
+        In the sensor's frame [rad/s, m/s^2].
+    """
+
+    pelvis: Array
+    wrenches: dict[Foot, Array]
+    cop: Array
+    orientation: Array
+    gyro: Array
+    acceleration: Array
+
+    @classmethod
+    def of(cls, seen: list[tuple[Truth, Inertial]]) -> PhysicsRecord:
+        """Gather what was seen at each state."""
+        none = np.full(3, math.nan)
+        centers = [truth.cop for truth, _ in seen]
+        return cls(
+            pelvis=np.array([truth.pelvis for truth, _ in seen]),
+            wrenches={foot: np.array([truth.wrenches[foot] for truth, _ in seen]) for foot in Foot},
+            cop=np.array([none if center is None else center for center in centers]),
+            orientation=np.array([sensor.orientation for _, sensor in seen]),
+            gyro=np.array([sensor.gyro for _, sensor in seen]),
+            acceleration=np.array([sensor.acceleration for _, sensor in seen]),
+        )
+
+
+@dataclass(frozen=True)
 class Trace:
     """A walk.
 
@@ -74,6 +115,8 @@ class Trace:
         What is missing or went wrong.
     origin : mapping of str to str
         Versions and machine that walked it (`dqwalk_ros.origin`); empty where nobody wrote that down.
+    physics : PhysicsRecord or None
+        Where the walk went through a physics engine.
     """
 
     config: Config
@@ -86,6 +129,7 @@ class Trace:
     finished: bool
     notes: tuple[str, ...] = ()
     origin: Mapping[str, str] = field(default_factory=dict)
+    physics: PhysicsRecord | None = None
 
     def __len__(self) -> int:
         return int(self.time.shape[0])
@@ -104,9 +148,28 @@ class Recorder:
         self._finished = False
         self._notes: list[str] = []
         self._origin = origin.here()
+        self._seen: list[tuple[Truth, Inertial]] = []
 
-    def add(self, state: State, command: Command | None, controller: Controller) -> None:
-        """Record a state and its answer; `command` is None where the controller failed."""
+    def add(
+        self,
+        state: State,
+        command: Command | None,
+        controller: Controller,
+        seen: tuple[Truth, Inertial] | None = None,
+    ) -> None:
+        """Record a state and its answer.
+
+        Parameters
+        ----------
+        state : State
+        command : Command or None
+            None where the controller failed.
+        controller : Controller
+        seen : (Truth, Inertial), optional
+            What the plant knew at that state; with every state or with none.
+        """
+        if seen is not None:
+            self._seen.append(seen)
         if controller.phase_index >= len(self._phases) and not controller.finished:
             phase = controller.phase
             self._phases.append(
@@ -146,4 +209,5 @@ class Recorder:
             finished=self._finished,
             notes=tuple(self._notes),
             origin=self._origin,
+            physics=PhysicsRecord.of(self._seen) if self._seen else None,
         )

@@ -7,7 +7,8 @@ round, the numbers are cut out of all messages at once wherever nothing else dif
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import struct
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -24,12 +25,15 @@ __all__ = [
     "diagnostics",
     "joint_states",
     "point",
+    "pose_numbers",
     "pose_of",
     "poses",
+    "stream",
     "text",
     "typestore",
     "unpack",
     "unpack_joint_states",
+    "unpack_stream",
 ]
 
 Array = NDArray[np.float64]
@@ -123,18 +127,92 @@ def joint_states(
 
 def poses(stamps: Stamps, frame: str, x: Array) -> list[bytes]:
     """Return PoseStamped messages of unit dual quaternions `x` (N, 8); position is 2 D(x) P(x)*, (1)."""
-    types = typestore().types
-    zero = types["geometry_msgs/msg/Pose"](
-        position=types["geometry_msgs/msg/Point"](x=0.0, y=0.0, z=0.0),
-        orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
-    )
-    example = _pack("geometry_msgs/msg/PoseStamped", header=_header(int(stamps[0]), frame), pose=zero)
-    numbers = np.concatenate(
-        [DQ(x).translation(), x[:, 1:4], x[:, :1]], axis=1
-    )  # (N, 7) p, then i j k, then the real part
+    return stream("geometry_msgs/msg/PoseStamped", stamps, frame, pose_numbers(x))
+
+
+@dataclass(frozen=True)
+class _Stream:
+    """A type whose messages end in a fixed count of numbers, all of them doubles: a header comes before."""
+
+    count: int
+    empty: Callable[[Any], dict[str, Any]]
+    """Its fields besides the header, of the types of a typestore."""
+
+
+def _zeros(types: Any, name: str) -> Any:
+    return types[f"geometry_msgs/msg/{name}"](x=0.0, y=0.0, z=0.0)
+
+
+def _empty_imu(types: Any) -> dict[str, Any]:
+    unsure = np.zeros(9)
+    return {
+        "orientation": types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
+        "orientation_covariance": unsure,
+        "angular_velocity": _zeros(types, "Vector3"),
+        "angular_velocity_covariance": unsure,
+        "linear_acceleration": _zeros(types, "Vector3"),
+        "linear_acceleration_covariance": unsure,
+    }
+
+
+def _empty_wrench(types: Any) -> dict[str, Any]:
+    force, torque = _zeros(types, "Vector3"), _zeros(types, "Vector3")
+    return {"wrench": types["geometry_msgs/msg/Wrench"](force=force, torque=torque)}
+
+
+def _empty_pose(types: Any) -> dict[str, Any]:
+    turned = types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
+    return {"pose": types["geometry_msgs/msg/Pose"](position=_zeros(types, "Point"), orientation=turned)}
+
+
+_STREAMS = {
+    "sensor_msgs/msg/Imu": _Stream(37, _empty_imu),
+    "geometry_msgs/msg/WrenchStamped": _Stream(6, _empty_wrench),
+    "geometry_msgs/msg/PoseStamped": _Stream(7, _empty_pose),
+    "geometry_msgs/msg/PointStamped": _Stream(3, lambda types: {"point": _zeros(types, "Point")}),
+}
+
+
+def stream(kind: str, stamps: Stamps, frame: str, numbers: Array) -> list[bytes]:
+    """Return messages of a type that ends in doubles.
+
+    Parameters
+    ----------
+    kind : str
+        Imu, WrenchStamped, PoseStamped or PointStamped, with its package.
+    stamps : ndarray of int64, shape (N,) [ns]
+    frame : str
+    numbers : ndarray, shape (N, k)
+        Every double behind the header, in the order of the message.
+    """
+    of = _STREAMS[kind]
+    example = _pack(kind, header=_header(int(stamps[0]), frame), **of.empty(typestore().types))
     block = _copies(example, stamps)
-    block[:, -56:] = _as_bytes(numbers, len(stamps))
+    block[:, -8 * of.count :] = _as_bytes(numbers, len(stamps))
     return [row.tobytes() for row in block]
+
+
+def unpack_stream(kind: str, raws: Sequence[bytes]) -> tuple[Stamps, Array]:
+    """Return stamps [ns] and numbers (N, k) of what `stream` makes; who cannot be read is left out."""
+    count = _STREAMS[kind].count
+    stamps, numbers = [], []
+    for raw in raws:
+        order = "<" if len(raw) > 1 and raw[1] & 1 else ">"
+        if len(raw) < 16:
+            continue
+        sec, nanosec, length = struct.unpack_from(order + "iII", raw, 4)
+        at = 16 + length
+        at += -(at - 4) % 8  # eight bytes align to the body, which begins at 4
+        if len(raw) < at + 8 * count:
+            continue
+        stamps.append(sec * _NS + nanosec)
+        numbers.append(np.frombuffer(raw, order + "f8", count, at))
+    return np.array(stamps, np.int64), np.array(numbers, np.float64).reshape(-1, count)
+
+
+def pose_numbers(x: Array) -> Array:
+    """Return position and quaternion, real part last, of unit dual quaternions (N, 8), shape (N, 7)."""
+    return np.concatenate([DQ(x).translation(), x[:, 1:4], x[:, :1]], axis=1)
 
 
 def pose_of(message: Any) -> Array:

@@ -19,9 +19,10 @@ from dqwalk_ros.bag.starts import first_base, records, starts, texts
 from dqwalk_ros.bag.storage import Column, Content
 from dqwalk_ros.bag.topics import FAILED, FINISHED, REQUIRED, TOPICS
 from dqwalk_ros.config import Config, RobotConfig
+from dqwalk_ros.dq import DQ
 from dqwalk_ros.exceptions import BagError, ConfigError, ModelError
-from dqwalk_ros.model import RobotModel, load_model
-from dqwalk_ros.trace import Trace
+from dqwalk_ros.model import Foot, RobotModel, load_model
+from dqwalk_ros.trace import PhysicsRecord, Trace
 
 __all__ = ["model_of", "read"]
 
@@ -94,6 +95,7 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
         finished=finished,
         notes=tuple(notes),
         origin=_origin(columns),
+        physics=_physics(stamps, columns),
     )
 
 
@@ -227,3 +229,29 @@ def _commands(
     if stray := int(np.count_nonzero(~match)):
         notes.append(f"{stray} commands answer a state the bag does not hold")
     return u, ~np.isnan(u).any(axis=1)
+
+
+def _physics(stamps: NDArray[np.int64], columns: Mapping[str, Column]) -> PhysicsRecord | None:
+    """Return what a physics engine said at each state, nan where it did not; None where there was none."""
+    if "true_base_pose" not in columns:
+        return None
+
+    def column(name: str, width: int) -> Array:
+        out = np.full((len(stamps), width), np.nan)
+        if name in columns:
+            when, numbers = messages.unpack_stream(columns[name].type, columns[name].raws)
+            place = np.searchsorted(stamps, when)
+            place[place == len(stamps)] = 0
+            match = stamps[place] == when
+            out[place[match]] = numbers[match]
+        return out
+
+    imu, pose = column("imu", 37), column("true_base_pose", 7)
+    return PhysicsRecord(
+        pelvis=DQ.from_pose(pose[:, :3], pose[:, [6, 3, 4, 5]]).vec8(),
+        wrenches={foot: column(f"{foot.value}_foot_wrench", 6) for foot in Foot},
+        cop=column("center_of_pressure", 3),
+        orientation=imu[:, [3, 0, 1, 2]],
+        gyro=imu[:, 13:16],
+        acceleration=imu[:, 25:28],
+    )

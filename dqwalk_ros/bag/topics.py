@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["FAILED", "FINISHED", "ODOM", "REQUIRED", "TOPICS", "Topic"]
+__all__ = ["FAILED", "FINISHED", "ODOM", "REQUIRED", "TOPICS", "WORLD", "Topic"]
 
 ODOM = "odom"
 """Frame of the base sole at the very start of the walk [REP-105]."""
+
+WORLD = "world"
+"""Frame of a physics engine's floor; what is told in it no robot knows."""
 
 FINISHED = "finished"
 """What `phase` says once the walk is over."""
@@ -31,6 +34,8 @@ class Topic:
     depth : int
         History kept by the publisher.
     meaning : str
+    source : str
+        ``"plant"``, ``"controller"``, ``"physics"`` (the plant of that name alone) or ``"all"``.
     """
 
     name: str
@@ -38,6 +43,7 @@ class Topic:
     latched: bool
     depth: int
     meaning: str
+    source: str = "controller"
 
 
 _HISTORY = 20_000
@@ -56,13 +62,14 @@ _ALL = (
         False,
         _HISTORY,
         "positions [rad] and velocities [rad/s], by name",
+        "plant",
     ),
     Topic(
         "joint_velocity_commands",
         "sensor_msgs/msg/JointState",
         False,
         _HISTORY,
-        "velocities [rad/s]; the stamp is that of the state they answer",
+        "velocities [rad/s], with an inertial sensor torques [N m]; the stamp is that of the state they answer",
     ),
     Topic("phase", "std_msgs/msg/String", True, _PHASES, "such as double_support/left, at the start of each phase"),
     Topic(
@@ -91,7 +98,23 @@ _ALL = (
     Topic("walk_config", "std_msgs/msg/String", True, 1, "every parameter, as the text of a parameter file"),
     Topic("walk_origin", "std_msgs/msg/String", True, 1, "versions and machine of who walks, a line each"),
     Topic("robot_description", "std_msgs/msg/String", True, 1, "URDF"),
-    Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", False, 10, "every distance, error and margin"),
+    Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", False, 10, "every distance, error and margin", "all"),
+    Topic("imu", "sensor_msgs/msg/Imu", False, _HISTORY, "inertial sensor of the pelvis", "physics"),
+    Topic("true_base_pose", "geometry_msgs/msg/PoseStamped", False, _HISTORY, "pelvis in the world", "physics"),
+    *(
+        Topic(
+            f"{side}_foot_wrench",
+            "geometry_msgs/msg/WrenchStamped",
+            False,
+            _HISTORY,
+            f"ground on the {side} sole, about its origin, in its axes [N, N m]",
+            "physics",
+        )
+        for side in ("left", "right")
+    ),
+    Topic(
+        "center_of_pressure", "geometry_msgs/msg/PointStamped", False, _HISTORY, "of both feet in the world", "physics"
+    ),
 )
 
 TOPICS: dict[str, Topic] = {topic.name.lstrip("/"): topic for topic in _ALL}

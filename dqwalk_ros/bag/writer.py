@@ -17,12 +17,13 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from dqwalk_ros import origin
 from dqwalk_ros.assessment import Assessor
 from dqwalk_ros.bag import messages
-from dqwalk_ros.bag.topics import FINISHED, ODOM, TOPICS
+from dqwalk_ros.bag.topics import FINISHED, ODOM, TOPICS, WORLD
 from dqwalk_ros.config import to_yaml
 from dqwalk_ros.dq import DQ
 from dqwalk_ros.exceptions import BagError
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.phases import make_phase
+from dqwalk_ros.model import Foot
+from dqwalk_ros.phases import com_target, make_phase
 from dqwalk_ros.trace import PhaseRecord, Trace
 
 __all__ = ["flush", "qos", "stamps_of", "write"]
@@ -117,7 +118,7 @@ def write(
 def _fill(writer: Writer, trace: Trace, diagnostics: bool) -> None:
     connections: dict[str, Any] = {}
     for name, topic in TOPICS.items():
-        if name != "diagnostics" or diagnostics:
+        if (name != "diagnostics" or diagnostics) and (topic.source != "physics" or trace.physics is not None):
             connections[name] = writer.add_connection(
                 "/" + name, topic.type, typestore=messages.typestore(), offered_qos_profiles=[qos(name)]
             )
@@ -131,11 +132,15 @@ def _fill(writer: Writer, trace: Trace, diagnostics: bool) -> None:
     pelvis = messages.poses(stamps, ODOM, _pelvis_in_odom(trace))
     starts = {record.start: record for record in trace.phases}
     status = _Status(trace) if diagnostics else None
+    physics = _physics(trace, stamps)
 
     stamp = int(stamps[0])
     for name, raw in _opening(trace):
         writer.write(connections[name], stamp, raw)
     for tick, stamp in enumerate(stamps.tolist()):
+        for name, column in physics.items():
+            if column[tick]:
+                writer.write(connections[name], stamp, column[tick])
         writer.write(connections["joint_states"], stamp, states[tick])
         if tick in starts:
             for name, raw in _phase_start(trace, starts[tick], stamp):
@@ -149,6 +154,29 @@ def _fill(writer: Writer, trace: Trace, diagnostics: bool) -> None:
         writer.write(connections["phase"], stamp, messages.text(FINISHED))
 
 
+def _physics(trace: Trace, stamps: Stamps) -> dict[str, list[bytes]]:
+    """Return the messages of a physics engine by topic, one per tick, empty where there is none."""
+    known = trace.physics
+    if known is None:
+        return {}
+    unsure = np.zeros((len(stamps), 9))
+    turned = np.concatenate([known.orientation[:, 1:], known.orientation[:, :1]], axis=1)
+    numbers = {
+        "imu": np.concatenate([turned, unsure, known.gyro, unsure, known.acceleration, unsure], axis=1),
+        "true_base_pose": messages.pose_numbers(known.pelvis),
+        **{f"{foot.value}_foot_wrench": known.wrenches[foot] for foot in Foot},
+        "center_of_pressure": known.cop,
+    }
+    frames = {"imu": trace.config.physics.imu, "true_base_pose": WORLD, "center_of_pressure": WORLD}
+    frames |= {f"{foot.value}_foot_wrench": trace.model.soles[foot].frame for foot in Foot}
+    out: dict[str, list[bytes]] = {}
+    for name, column in numbers.items():
+        raws = messages.stream(TOPICS[name].type, stamps, frames[name], column)
+        whole = np.isfinite(column).all(axis=1)
+        out[name] = [raw if there else b"" for raw, there in zip(raws, whole, strict=True)]
+    return out
+
+
 def _opening(trace: Trace) -> Iterator[_Entry]:
     yield "walk_config", messages.text(to_yaml(trace.config))
     if trace.origin:
@@ -158,7 +186,7 @@ def _opening(trace: Trace) -> Iterator[_Entry]:
 
 def _phase_start(trace: Trace, record: PhaseRecord, stamp: int) -> Iterator[_Entry]:
     model = trace.model
-    base, end = model.soles[record.base], model.soles[record.base.other]
+    base = model.soles[record.base]
     when = np.array([stamp])
     yield "phase", messages.text(record.name)
     yield "support_foot", messages.text(record.support.value)
@@ -169,8 +197,8 @@ def _phase_start(trace: Trace, record: PhaseRecord, stamp: int) -> Iterator[_Ent
     if record.swing_target is not None:
         yield "swing_target", messages.poses(when, base.frame, record.swing_target[None])[0]
     else:
-        target = Kinematics(model, record.q_start, record.base).point(end.frame, end.center)
-        yield "com_target", messages.point(stamp, base.frame, target * [1.0, 1.0, 0.0])
+        target = com_target(model, record.kind, record.base, record.q_start)
+        yield "com_target", messages.point(stamp, base.frame, target)
 
 
 def _pelvis_in_odom(trace: Trace) -> NDArray[np.float64]:

@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 from dqwalk_ros.config import Config
 from dqwalk_ros.model import Foot, RobotModel
 from dqwalk_ros.phases import paper, standing
-from dqwalk_ros.phases.phase import Phase, PhaseKind, assemble
+from dqwalk_ros.phases.phase import Phase, PhaseKind, assemble, com_target
 
-__all__ = ["Phase", "PhaseKind", "assemble", "make_phase"]
+__all__ = ["Phase", "PhaseKind", "assemble", "com_target", "make_phase"]
 
 
 def make_phase(

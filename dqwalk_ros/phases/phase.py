@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from dqwalk_ros.assembly import Table
 from dqwalk_ros.constraints import Constraint, JointMaximum, JointMinimum
 from dqwalk_ros.kinematics import Kinematics, Rooted
-from dqwalk_ros.model import Foot
+from dqwalk_ros.model import Foot, RobotModel
 from dqwalk_ros.qp import Problem
 from dqwalk_ros.tasks import Task
 
-__all__ = ["Phase", "PhaseKind", "assemble"]
+__all__ = ["Phase", "PhaseKind", "assemble", "com_target"]
 
 Array = NDArray[np.float64]
 
@@ -124,6 +124,18 @@ class Phase:
 
 def _largest(d: Array) -> float:
     return float(d[np.argmax(np.abs(d))])
+
+
+def com_target(model: RobotModel, kind: PhaseKind, base: Foot, q_start: Array) -> Array:
+    """Return where on the ground the CoM goes with both feet down, shape (3,) [m], as seen where the phase begins.
+
+    To the other sole's centre, in a stance halfway to it.
+    """
+    end = model.soles[base.other]
+    there = Kinematics(model, q_start, base).point(end.frame, end.center)
+    if kind is PhaseKind.STANCE:
+        there = 0.5 * (there + model.soles[base].center)
+    return np.array([there[0], there[1], 0.0])
 
 
 def assemble(phase: Phase, kin: Kinematics, dt: float) -> Problem:

@@ -6,7 +6,6 @@ pelvis floats. What a real robot cannot measure (`PhysicsPlant.truth`) is for an
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -20,6 +19,7 @@ from dqwalk_ros.exceptions import PlantError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot, RobotModel
 from dqwalk_ros.plants.servos import Servos
+from dqwalk_ros.plants.truth import Inertial, Truth, upward
 
 __all__ = ["PhysicsPlant", "Truth", "compiled"]
 
@@ -27,39 +27,6 @@ Array = NDArray[np.float64]
 
 _HELD = 300.0
 """Stiffness of the joints that the model does not move [N m/rad]."""
-
-
-@dataclass(frozen=True)
-class Truth:
-    """What no sensor of the robot measures.
-
-    Attributes
-    ----------
-    pelvis : ndarray, shape (8,)
-        Its pose in the world.
-    soles : dict of Foot to ndarray, shape (8,)
-        Poses of the soles in the world.
-    wrenches : dict of Foot to ndarray, shape (6,)
-        Force [N] and torque [N m] of the ground on each sole, about its origin, in its axes.
-    com : ndarray, shape (3,)
-        In the world [m].
-    """
-
-    pelvis: Array
-    soles: dict[Foot, Array]
-    wrenches: dict[Foot, Array]
-    com: Array
-
-    @property
-    def cop(self) -> Array | None:
-        """Centre of pressure of both feet in the world, shape (3,) [m]; None in the air."""
-        total, moment = 0.0, np.zeros(3)
-        for foot, w in self.wrenches.items():
-            x = DQ(self.soles[foot])
-            if w[2] > 1e-3:
-                total += w[2]
-                moment += w[2] * x.transform_point([-w[4] / w[2], w[3] / w[2], 0.0])
-        return moment / total if total > 1e-2 else None
 
 
 class PhysicsPlant:
@@ -89,12 +56,15 @@ class PhysicsPlant:
         self._sole_body = {foot: self.mj.body(model.soles[foot].frame).id for foot in Foot}
         self._floor = self.mj.geom("floor").id
         self._imu = self.mj.body(c.imu).id
+        self._pelvis = self.mj.body(model.pelvis).id
         self._seat(q)
         self._servos = Servos(config.servo, q, model.q_min, model.q_max)
         self._bias = np.zeros(model.n)
         self.data.ctrl[self._act] = q
         for _ in range(round(c.settle / self.mj.opt.timestep)):
             mujoco.mj_step(self.mj, self.data)
+        self._seen: Any = mujoco.MjData(self.mj)  # a copy to look at: looking changes nothing of the walk
+        self._seen_at = -1
         self._time0, self._ticks = float(self.data.time), 0
         self._state = self._measured()
 
@@ -114,6 +84,11 @@ class PhysicsPlant:
         u = np.asarray(command.velocity, dtype=np.float64)
         if u.shape != (self.model.n,) or not np.isfinite(u).all():
             raise PlantError(f"the command must have {self.model.n} finite velocities, got {u}")
+        if command.effort is not None:
+            tau = np.asarray(command.effort, dtype=np.float64)
+            if tau.shape != u.shape or not np.isfinite(tau).all():
+                raise PlantError(f"the command must have {self.model.n} finite torques, got {tau}")
+            command = Command(command.time, u, np.clip(tau, -self.model.effort_max, self.model.effort_max))
         now = float(self.data.time)
         self._servos.command(command, self._state.q, now, dt)
         for _ in range(max(1, round(dt / self.mj.opt.timestep))):
@@ -130,14 +105,28 @@ class PhysicsPlant:
         self.data.xfrc_applied[self._root, :3] = np.asarray(force, dtype=np.float64)
 
     @property
+    def commanded(self) -> Array:
+        """Positions that the servos are told, without the sag, shape (n,) [rad]."""
+        return self._servos.wanted
+
+    @property
     def truth(self) -> Truth:
         """What no sensor measures."""
-        mujoco.mj_forward(self.mj, self.data)
-        soles = {foot: self._pose(body) for foot, body in self._sole_body.items()}
-        wrenches = {foot: self._wrench(foot) for foot in Foot}
-        return Truth(
-            self._pose(self.mj.body(self.model.pelvis).id), soles, wrenches, np.array(self.data.subtree_com[self._root])
-        )
+        data = self._look()
+        soles = {foot: self._pose(data, body) for foot, body in self._sole_body.items()}
+        wrenches = {foot: self._wrench(data, foot) for foot in Foot}
+        pelvis = self._pose(data, self._pelvis)
+        return Truth(pelvis, soles, wrenches, np.array(data.subtree_com[self._root]))
+
+    @property
+    def inertial(self) -> Inertial:
+        """What the inertial sensor says, without noise."""
+        data = self._look()
+        acceleration = np.empty(6)
+        mujoco.mj_objectAcceleration(self.mj, data, mujoco.mjtObj.mjOBJ_XBODY, self._imu, acceleration, 1)
+        gyro = self._state.gyro
+        assert gyro is not None  # it is measured with every state
+        return Inertial(self._orientation, gyro, acceleration[3:])
 
     @property
     def fallen(self) -> bool:
@@ -157,14 +146,14 @@ class PhysicsPlant:
         self.data.ctrl[self._act] = position
 
     def _measured(self) -> State:
-        R = self.data.xmat[self._imu].reshape(3, 3)
+        self._orientation = self.data.xquat[self._imu].copy()
         gyro = np.empty(6)
         mujoco.mj_objectVelocity(self.mj, self.data, mujoco.mjtObj.mjOBJ_XBODY, self._imu, gyro, 1)
         return State(
-            time=self._ticks * self.config.dt,
+            time=round(self._ticks * self.config.dt * 1e9) * 1e-9,  # as a stamp of ROS has it
             q=self.data.qpos[self._qadr].copy(),
             dq=self.data.qvel[self._vadr].copy(),
-            up=R[2].copy(),
+            up=upward(*self._orientation.tolist()),
             gyro=gyro[:3].copy(),
         )
 
@@ -180,24 +169,32 @@ class PhysicsPlant:
         mujoco.mj_forward(self.mj, self.data)
         self._height = float(self.data.xpos[self._root][2])
 
-    def _pose(self, body: int) -> Array:
-        return DQ.from_pose(self.data.xpos[body], self.data.xquat[body]).vec8()
+    def _look(self) -> Any:
+        """Return a copy of the world with all forces and accelerations of this very moment."""
+        if self._seen_at != self._ticks:
+            self._seen_at = self._ticks
+            mujoco.mj_copyData(self._seen, self.mj, self.data)
+            mujoco.mj_forward(self.mj, self._seen)
+            mujoco.mj_rnePostConstraint(self.mj, self._seen)
+        return self._seen
 
-    def _wrench(self, foot: Foot) -> Array:
+    def _pose(self, data: Any, body: int) -> Array:
+        return DQ.from_pose(data.xpos[body], data.xquat[body]).vec8()
+
+    def _wrench(self, data: Any, foot: Foot) -> Array:
         geom, body = self._sole[foot], self._sole_body[foot]
-        out, one = np.zeros(6), np.empty(6)
-        R, p = self.data.xmat[body].reshape(3, 3), self.data.xpos[body]
-        for k in range(self.data.ncon):
-            contact = self.data.contact[k]
-            pair = (contact.geom1, contact.geom2)
-            if geom not in pair or self._floor not in pair:
-                continue
-            mujoco.mj_contactForce(self.mj, self.data, k, one)
-            frame = np.asarray(contact.frame).reshape(3, 3)
-            force = frame.T @ one[:3] * (1.0 if pair[0] == self._floor else -1.0)
-            out[:3] += R.T @ force
-            out[3:] += R.T @ np.cross(contact.pos - p, force)
-        return out
+        pairs = data.contact.geom[: data.ncon]
+        mine = (pairs == geom).any(axis=1) & (pairs == self._floor).any(axis=1)
+        force, one = np.zeros((data.ncon, 3)), np.empty(6)
+        for k in np.flatnonzero(mine):
+            mujoco.mj_contactForce(self.mj, data, k, one)
+            force[k] = one[:3]
+        frames = data.contact.frame[: data.ncon].reshape(-1, 3, 3)
+        sign = np.where(pairs[:, 0] == self._floor, 1.0, -1.0)
+        force = sign[:, None] * np.einsum("kij,ki->kj", frames, force)
+        torque = np.cross(data.contact.pos[: data.ncon] - data.xpos[body], force)
+        R = data.xmat[body].reshape(3, 3)
+        return np.concatenate([force.sum(axis=0) @ R, torque.sum(axis=0) @ R])
 
 
 def compiled(config: Config, model: RobotModel) -> Any:

@@ -152,6 +152,9 @@ class _Watched:
         self._feed.offer(self._plant.state, self._controller)
         return self._plant.step(command, dt)
 
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._plant, name)  # what some plants know besides
+
 
 def _serve(news: Any, parent: Any, config: Config, port: int | None) -> None:
     """Show what comes, until the process is terminated."""
