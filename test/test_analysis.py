@@ -14,7 +14,7 @@ from recorded import short_walk
 
 from dqwalk_ros import analysis
 from dqwalk_ros.analysis.batch import Batch, distance, error
-from dqwalk_ros.analysis.figures import FIGURES, FORMATS, figure7, figure8, figure9, top_view
+from dqwalk_ros.analysis.figures import FIGURES, FORMATS, figure7, figure8, figure9, fits, top_view
 from dqwalk_ros.analysis.figures.style import thinned
 from dqwalk_ros.analysis.support import hull_margin
 from dqwalk_ros.constraints import Constraint
@@ -488,8 +488,9 @@ def test_a_walk_cut_off_in_its_first_phase_can_be_drawn(trace, n):
     )
     series = analysis.analyse(part)
     assert analysis.report(series)["ok"] is True
-    for draw in FIGURES.values():
-        assert draw(series).get_axes()
+    for name, draw in FIGURES.items():
+        if fits(name, series):
+            assert draw(series).get_axes()
 
 
 def test_a_single_support_alone_can_be_judged_and_drawn(trace):
@@ -509,8 +510,9 @@ def test_a_single_support_alone_can_be_judged_and_drawn(trace):
     report = analysis.report(series)
     assert report["ok"] is True
     assert "single_support/left (stopped)" in analysis.render(report)
-    for draw in FIGURES.values():
-        assert draw(series).get_axes()
+    for name, draw in FIGURES.items():
+        if fits(name, series):
+            assert draw(series).get_axes()
 
 
 def test_thinning_keeps_every_peak():

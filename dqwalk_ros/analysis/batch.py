@@ -15,17 +15,20 @@ from numpy.typing import NDArray
 from dqwalk_ros import kernels
 from dqwalk_ros.constraints import (
     AxisLevel,
+    ComInsideEdges,
     Constraint,
+    FrameHeld,
     JointMaximum,
     JointMinimum,
     PointInCylinder,
     PointInsideWall,
     PointOverPlane,
+    PointsOverPlane,
 )
 from dqwalk_ros.dq import DQ
 from dqwalk_ros.kinematics import Kinematics, Point, rooted
 from dqwalk_ros.model import Foot, RobotModel
-from dqwalk_ros.tasks import ComOverFoot, FramePose, Task
+from dqwalk_ros.tasks import ComOverFoot, ComPath, FramePose, SwingPath, Task
 
 __all__ = ["Batch", "distance", "error"]
 
@@ -41,14 +44,19 @@ class Batch:
     q : ndarray, shape (N, n)
         [rad]
     base : Foot
+    sensed : (str, ndarray of shape (N, 3)), optional
+        Frame of an inertial sensor and the unit vectors against gravity in it, nan where unknown; the base sole is
+        taken for level without.
 
     Attributes
     ----------
     com : ndarray, shape (N, 3)
         Centre of mass (4) in the base sole's frame [m].
+    up : ndarray, shape (N, 3)
+        Unit vectors against gravity in the base sole's frame.
     """
 
-    def __init__(self, model: RobotModel, q: Array, base: Foot) -> None:
+    def __init__(self, model: RobotModel, q: Array, base: Foot, sensed: tuple[str, Array] | None = None) -> None:
         self.model, self.q, self.base = model, q, base
         self._rooted = rooted(model, base)
         count, n = q.shape
@@ -57,6 +65,11 @@ class Batch:
         lines, jacobian = np.empty((n, 6)), np.empty((3, n))
         for tick in range(count):
             kernels.forward(q[tick], *self._rooted.arrays, self._poses[tick], lines, self.com[tick], jacobian)
+        self.up = np.tile([0.0, 0.0, 1.0], (count, 1))
+        self._sensed = sensed is not None and sensed[0] in self._rooted.frames
+        if sensed is not None and self._sensed:
+            up = self.direction(*sensed)
+            self.up = np.where(np.isfinite(up), up, self.up)
 
     def __len__(self) -> int:
         return len(self.q)
@@ -74,13 +87,21 @@ class Batch:
         """Direction `v` (3,) of a frame, shape (N, 3)."""
         return DQ(self.pose(frame)).P().Ad(DQ(v)).vec3()
 
+    @property
+    def com_on_ground(self) -> Array:
+        """Where the vertical through the CoM meets the base sole's plane, shape (N, 2) [m]."""
+        out: Array = self.com[:, :2] - self.com[:, 2:] / self.up[:, 2:] * self.up[:, :2]
+        return out
+
     def position(self, point: Point) -> Array:
         """Position of a `Point`, shape (N, 3) [m]."""
         return self.point(point.frame, point.offset) if point.frame else self.com
 
     def each(self, tick: int) -> Kinematics:
         """Return one of them."""
-        return Kinematics(self.model, self.q[tick], self.base)
+        if not self._sensed:
+            return Kinematics(self.model, self.q[tick], self.base)
+        return Kinematics(self.model, self.q[tick], self.base, self.up[tick])
 
 
 @singledispatch
@@ -128,9 +149,38 @@ def _(row: JointMinimum, batch: Batch) -> Array:
     return out
 
 
+@distance.register
+def _(row: ComInsideEdges, batch: Batch) -> Array:
+    n, d = row.polygon.edges()
+    out: Array = (batch.com_on_ground @ n.T - d).min(axis=1) - row.bound
+    return out
+
+
+@distance.register
+def _(row: PointsOverPlane, batch: Batch) -> Array:
+    heights = [batch.point(row.frame, p) @ row.plane.n for p in row.points]
+    out: Array = np.min(heights, axis=0) - row.plane.d - row.bound
+    return out
+
+
+@distance.register
+def _(row: FrameHeld, batch: Batch) -> Array:
+    off = _difference(batch.pose(row.frame), row.pose)
+    out: Array = off[np.arange(len(batch)), np.abs(off).argmax(axis=1)] - row.bound
+    return out
+
+
+def _difference(x: Array, x_d: Array) -> Array:
+    """`kinematics.pose_difference` of many poses (N, 8) to one, shape (N, 6)."""
+    a, b = DQ(x), DQ(x_d)
+    r = (a.P() * b.P().conj()).vec4()
+    sign = np.where(r[:, :1] >= 0.0, 2.0, -2.0)
+    return np.concatenate([a.translation() - b.translation(), sign * r[:, 1:]], axis=1)
+
+
 @singledispatch
 def error(task: Task, batch: Batch) -> Array:
-    """Norm of the error of a task, shape (N,)."""
+    """Norm of the error of a task, of one with a path to its end, shape (N,)."""
     return np.array([np.linalg.norm(task.error(batch.each(tick))) for tick in range(len(batch))])
 
 
@@ -145,4 +195,18 @@ def _(task: FramePose, batch: Batch) -> Array:
     x = batch.pose(task.frame)
     sign = np.where(x[:, :4] @ task.target[:4] >= 0.0, 1.0, -1.0)  # x and -x are the same pose
     out: Array = np.linalg.norm(sign[:, None] * x - task.target, axis=1)
+    return out
+
+
+@error.register
+def _(task: ComPath, batch: Batch) -> Array:
+    goal = np.mean([batch.position(point)[:, :2] for point in task.over], axis=0)
+    out: Array = np.linalg.norm(batch.com_on_ground - goal, axis=1)
+    return out
+
+
+@error.register
+def _(task: SwingPath, batch: Batch) -> Array:
+    scale = np.array([1.0, 1.0, 1.0, task.lever, task.lever, task.lever])
+    out: Array = np.linalg.norm(scale * _difference(batch.pose(task.frame), task.goal), axis=1)
     return out

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dqwalk_ros.analysis.ground import COP_INSIDE, FALLEN, LANDING, TILT
 from dqwalk_ros.analysis.series import Ending, Series, Span
 from dqwalk_ros.dq import DQ
 
@@ -63,7 +64,7 @@ class Violation:
 
 def violations(series: Series) -> list[Violation]:
     """Return every promise that was broken, in the order of time within each phase."""
-    return [*_of_the_phases(series), *_of_the_walk(series)]
+    return [*_of_the_phases(series), *_of_the_walk(series), *_of_the_ground(series)]
 
 
 def landing(span: Span, ending: Ending) -> dict[str, float]:
@@ -138,12 +139,12 @@ def _of_the_phases(series: Series) -> Iterator[Violation]:
                 yield broken(f"groenwall/{what}", tick, slack, -tolerance, text)
         if span.double:
             height, tick = settled_height(series, span)
-            if height is not None and abs(height) > GROUND_TOLERANCE:
+            if height is not None and abs(height) > max(GROUND_TOLERANCE, tolerance):
                 yield broken(
                     "ground",
                     tick,
                     height,
-                    GROUND_TOLERANCE,
+                    max(GROUND_TOLERANCE, tolerance),
                     f"the end foot's tip is {1e3 * height:.3f} mm off the ground",
                 )
         if (ending := span.ending) is None:
@@ -171,6 +172,8 @@ def _of_a_landing(series: Series, span: Span, ending: Ending, last: int) -> Iter
     if span.phase.swing_target is None:
         return
     miss, allowed = landing(span, ending)["error"], LANDING_TOLERANCE * series.trace.config.standing.swing_threshold
+    if series.ground is not None:
+        allowed = LANDING
     if miss > allowed:
         name, time = span.phase.name, float(series.time[last])
         text = f"{name} at {time:.3f} s: landed {1e3 * miss:.2f} mm from its target"
@@ -195,6 +198,31 @@ def _of_the_walk(series: Series) -> Iterator[Violation]:
             UNIT_TOLERANCE,
             f"a pose is {error:.2g} off unit norm",
         )
+
+
+def _of_the_ground(series: Series) -> Iterator[Violation]:
+    """Yield where a walk in physics did not stand."""
+    of = series.ground
+    if of is None:
+        return
+
+    def broken(what: str, tick: int, value: float, allowed: float, message: str) -> Violation:
+        time, name = float(series.time[tick]), series.spans[int(series.span_of[tick])].phase.name
+        return Violation(what, name, time, value, allowed, f"{name} at {time:.3f} s: {message}")
+
+    low = of.height < FALLEN * of.height[0]
+    if low.any():
+        tick = int(np.argmax(low))
+        text = f"the robot has fallen: its pelvis is {1e3 * of.height[tick]:.0f} mm high"
+        yield broken("fallen", tick, float(of.height[tick]), float(FALLEN * of.height[0]), text)
+    tick = int(np.nanargmax(of.tilt))
+    if of.tilt[tick] > TILT:
+        text = f"the sole that carries leans by {np.degrees(of.tilt[tick]):.2f} degrees"
+        yield broken("tilt", tick, float(of.tilt[tick]), float(TILT), text)
+    if of.inside < COP_INSIDE:
+        text = f"the centre of pressure is inside the support polygon on {100 * of.inside:.2f} % of ticks only"
+        tick = int(np.argmin(np.nan_to_num(of.cop_margin, nan=-1.0)))
+        yield Violation("cop", "", float(series.time[tick]), of.inside, COP_INSIDE, text)
 
 
 def unit_norm_error(series: Series) -> float:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,9 @@ from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot, RobotModel, Sole
 from dqwalk_ros.phases import Phase, PhaseKind, make_phase
 from dqwalk_ros.trace import PhaseRecord, Trace
+
+if TYPE_CHECKING:
+    from dqwalk_ros.analysis.ground import Ground
 
 __all__ = ["Ending", "Series", "Span", "analyse"]
 
@@ -98,6 +102,8 @@ class Series:
         Pose of the other sole in the base sole's frame.
     pelvis : ndarray, shape (N, 3)
         Pelvis in the base sole's frame [m].
+    com_on_ground : ndarray, shape (N, 2)
+        Where the vertical through the CoM meets the base sole's plane [m]; an inertial sensor tells which way is up.
     """
 
     trace: Trace
@@ -108,6 +114,7 @@ class Series:
     com: Array
     end: Array
     pelvis: Array
+    com_on_ground: Array
 
     @property
     def time(self) -> Array:
@@ -188,6 +195,13 @@ class Series:
         soles = urdf_soles(self.trace)
         return None if soles is None else self._hull_margin(soles)
 
+    @cached_property
+    def ground(self) -> Ground | None:
+        """What the ground says of a walk in physics; None of another."""
+        from dqwalk_ros.analysis.ground import ground
+
+        return ground(self)
+
     def corners(self, tick: int, soles: Mapping[Foot, Sole] | None = None) -> tuple[Array, Array]:
         """Return the corners (4, 3) of the base and of the other sole at a tick, in the base sole's frame [m]."""
         soles = soles or self.trace.model.soles
@@ -218,7 +232,7 @@ class Series:
                 x = DQ(self.end[span.ticks])
                 ends = [x.transform_point(corner)[:, :2] for corner in other.corners]
                 corners = np.concatenate([corners, np.stack(ends, axis=1)], axis=1)
-            out[span.ticks] = hull_margin(corners, self.com[span.ticks, :2])
+            out[span.ticks] = hull_margin(corners, self.com_on_ground[span.ticks])
         return out
 
 
@@ -226,7 +240,9 @@ def analyse(trace: Trace) -> Series:
     """Compute every series of a walk."""
     model, config = trace.model, trace.config
     count = len(trace.time)
-    task_error, com, end, pelvis = (np.full((count, *shape), np.nan) for shape in ((), (3,), (8,), (3,)))
+    shapes = ((), (3,), (8,), (3,), (2,))
+    task_error, com, end, pelvis, ground = (np.full((count, *shape), np.nan) for shape in shapes)
+    up = _up(trace)
     kept: dict[str, Array] = {}
     residuals: dict[str, Array] = {}
     spans: list[Span] = []
@@ -237,16 +253,25 @@ def analyse(trace: Trace) -> Series:
         phase = make_phase(config, model, record.kind, record.support, record.q_start, record.swing_target)
         span = Span(record, phase, record.start, stop, _ending(model, phase, q_end))
         spans.append(span)
-        batch = Batch(model, trace.q[span.ticks], phase.base)
+        sensed = None if up is None else (config.physics.imu, up[span.ticks])
+        batch = Batch(model, trace.q[span.ticks], phase.base, sensed)
         task_error[span.ticks] = error(phase.tasks[0], batch)
         com[span.ticks] = batch.com
+        ground[span.ticks] = batch.com_on_ground
         end[span.ticks] = batch.pose(model.soles[phase.base.other].frame)
         pelvis[span.ticks] = batch.point(model.pelvis, np.zeros(3))
         for table, rows in ((residuals, phase.holds), (kept, phase.constraints)):
             for row in rows:
                 column = table.setdefault(row.name, np.full(count, np.nan))
                 column[span.ticks] = distance(row, batch)
-    return Series(trace, tuple(spans), task_error, kept, residuals, com, end, pelvis)
+    return Series(trace, tuple(spans), task_error, kept, residuals, com, end, pelvis, ground)
+
+
+def _up(trace: Trace) -> Array | None:
+    """Return the unit vectors against gravity in the inertial sensor's frame, shape (N, 3)."""
+    if trace.physics is None:
+        return None
+    return DQ(trace.physics.orientation).conj().Ad(DQ(np.array([0.0, 0.0, 1.0]))).vec3()
 
 
 def _ending(model: RobotModel, phase: Phase, q: Array | None) -> Ending | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -78,6 +79,8 @@ def _walk(report: Mapping[str, Any]) -> str:
     lines.append(("true margin", _margin(margin["true"])))
     if "true_urdf_sole" in margin:
         lines.append(("  URDF's own sole", _margin(margin["true_urdf_sole"])))
+    if report.get("physics") is not None:
+        lines += _physics(report["physics"])
     lines.append(("unit-norm error", f"{walk['unit_norm_error']:.1e}"))
     if (solve := report["solve_time"]) is not None:
         lines.append(
@@ -90,6 +93,31 @@ def _walk(report: Mapping[str, Any]) -> str:
         lines.append(("unanswered", f"{walk['unanswered']} states without a command"))
     lines += [("note", note) for note in report["notes"]]
     return _aligned(lines, right=(), rule=None)
+
+
+def _physics(of: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return what a physics engine says of the walk."""
+    mm, degrees = 1e3, 180.0 / math.pi
+    x, y = of["displacement"]
+    pace = "" if of["seconds_per_step"] is None else f", {of['seconds_per_step']:.2f} s per step"
+    lines = [
+        ("in physics", "the robot FELL" if of["fallen"] else f"it stood{pace}"),
+        ("  true way", f"{of['way']:.3f} m; from start to end {x:+.3f} m ahead, {y:+.3f} m to the left"),
+        ("  turned", f"{degrees * of['turned']:+.1f} degrees"),
+    ]
+    if "circle" in of:
+        circle = of["circle"]
+        lines.append(("  circle", f"radius {circle['radius']:.3f} m, {mm * circle['deviation']:.1f} mm off it (rms)"))
+    tilt = of["tilt"]
+    lines.append(("  tilt of the sole", f"at most {degrees * tilt['value']:.2f} degrees at {tilt['time']:.2f} s"))
+    if of["landing_height"] is not None:
+        height = mm * of["landing_height"]
+        lines.append(("  landing height", f"at most {height:.1f} mm when the foot is taken for down"))
+    margin = "" if of["cop_margin"] is None else f"; at worst {mm * of['cop_margin']:+.1f} mm"
+    inside = 100.0 * of["cop_inside"]
+    lines.append(("  pressure", f"centre inside the support polygon on {inside:.2f} % of ticks{margin}"))
+    lines.append(("  odometry", f"{mm * of['odometry_drift']:.1f} mm off at the end"))
+    return lines
 
 
 def _margin(least: Mapping[str, float]) -> str:

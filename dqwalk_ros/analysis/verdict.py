@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros import __version__
+from dqwalk_ros.analysis.ground import numbers
 from dqwalk_ros.analysis.promises import groenwall, landing, settled_height, unit_norm_error, violations
 from dqwalk_ros.analysis.series import Series
 from dqwalk_ros.dq import DQ
@@ -25,18 +26,19 @@ def report(series: Series) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``ok``, ``violations`` (see `promises.Violation`), ``walk``, ``phases`` (a list), ``solve_time``,
-        ``robot``, ``config`` and ``notes``. Lengths in metres, angles in radians, times in seconds.
+        ``ok``, ``violations`` (see `promises.Violation`), ``walk``, ``physics`` (None without), ``phases`` (a list),
+        ``solve_time``, ``robot``, ``config`` and ``notes``. Lengths in metres, angles in radians, times in seconds.
     """
     trace = series.trace
     phases = [_phase(series, index) for index in range(len(series.spans))]
-    broken = violations(series)
+    broken, stood = violations(series), series.ground
     return {
         "format": "dqwalk_ros report 1",
         "version": __version__,
         "ok": not broken,
         "violations": [asdict(violation) for violation in broken],
         "walk": _walk(series, phases),
+        "physics": None if stood is None else numbers(series, stood),
         "phases": phases,
         "solve_time": _solve_time(trace.solve_time),
         "robot": {

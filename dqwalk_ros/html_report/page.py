@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from dqwalk_ros import origin
-from dqwalk_ros.analysis.figures import FIGURES
+from dqwalk_ros.analysis.figures import FIGURES, fits
 from dqwalk_ros.analysis.figures.style import drawing
 from dqwalk_ros.analysis.series import Series
 from dqwalk_ros.bag.said import Said, faults
@@ -28,6 +28,7 @@ _CAPTIONS = {
     "figure7": "Figure 7: the task error, and the distances of double support.",
     "figure8": "Figure 8: the same of single support.",
     "figure9": "Figure 9: joint angles, with their limits in red.",
+    "on_the_ground": "In physics, as it truly was: soles, centre of mass, centre of pressure, tilt.",
     "top_view": "From above: footsteps, the way of the centre of mass, and how far inside its support it was.",
 }
 
@@ -205,6 +206,8 @@ def _figures(subjects: Sequence[Subject]) -> str:
     for name, draw in FIGURES.items():
         shown = []
         for s in subjects:
+            if not fits(name, s.series):
+                continue
             image = io.BytesIO()
             with drawing():
                 draw(s.series).savefig(image, format="svg")
@@ -214,7 +217,8 @@ def _figures(subjects: Sequence[Subject]) -> str:
                 f"<figure><img alt='{escape(caption)}' src='data:image/svg+xml;base64,{text}'>"
                 f"<figcaption>{caption}</figcaption></figure>"
             )
-        out.append(f"<div class='two'>{''.join(shown)}</div>")
+        if shown:
+            out.append(f"<div class='two'>{''.join(shown)}</div>")
     return "".join(out)
 
 

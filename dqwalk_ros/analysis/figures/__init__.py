@@ -6,15 +6,29 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from dqwalk_ros.analysis.figures.on_the_ground import on_the_ground
 from dqwalk_ros.analysis.figures.paper import figure7, figure8, figure9
 from dqwalk_ros.analysis.figures.style import drawing
 from dqwalk_ros.analysis.figures.top_view import top_view
 from dqwalk_ros.analysis.series import Series
 
-__all__ = ["FIGURES", "FORMATS", "figure7", "figure8", "figure9", "save", "top_view"]
+__all__ = ["FIGURES", "FORMATS", "figure7", "figure8", "figure9", "fits", "on_the_ground", "save", "top_view"]
 
-FIGURES = {"figure7": figure7, "figure8": figure8, "figure9": figure9, "top_view": top_view}
+FIGURES = {
+    "figure7": figure7,
+    "figure8": figure8,
+    "figure9": figure9,
+    "top_view": top_view,
+    "on_the_ground": on_the_ground,
+}
 FORMATS = ("png", "pdf", "svg")
+
+
+def fits(name: str, series: Series) -> bool:
+    """Tell whether a figure has anything to say of a walk."""
+    if name in ("figure7", "figure8"):
+        return series.trace.config.gait.style == "paper"
+    return name != "on_the_ground" or series.ground is not None
 
 
 def save(series: Series, folder: str | os.PathLike[str], formats: Sequence[str] = ("png",)) -> list[Path]:
@@ -30,9 +44,8 @@ def save(series: Series, folder: str | os.PathLike[str], formats: Sequence[str] 
     out = Path(folder)
     out.mkdir(parents=True, exist_ok=True)
     files = []
-    paper_only = () if series.trace.config.gait.style == "paper" else ("figure7", "figure8")
     for name, draw in FIGURES.items():
-        if name in paper_only:
+        if not fits(name, series):
             continue
         figure = draw(series)
         for kind in formats:
