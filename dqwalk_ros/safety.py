@@ -339,7 +339,16 @@ class CommandGate:
         self.late = self.rejected = 0
         self._zero = np.zeros(model.n)
         self._u = self._zero
+        self._effort: Array | None = None
         self._stamp = -1
+
+    @property
+    def effort(self) -> Array | None:
+        """Torques that the last command asked to be fed forward (n,) [N m]; None where it did not, or the plant holds.
+
+        A drive that holds keeps the torques it had: without them a robot sags.
+        """
+        return None if self.holding else self._effort
 
     @property
     def holding(self) -> bool:
@@ -353,7 +362,7 @@ class CommandGate:
         self._contradicted = [at for at in self._contradicted if now - at < 1.0]
         return len(self._contradicted) >= self.contradictions
 
-    def accept(self, stamp: int, u: Array, now: int) -> bool:
+    def accept(self, stamp: int, u: Array, now: int, effort: Array | None = None) -> bool:
         """Take in a command, or ignore it and change nothing; return which.
 
         Parameters
@@ -365,6 +374,8 @@ class CommandGate:
         now : int
             Stamp of the state that the plant published last [ns]: a command that answers an older one by more than
             the timeout, or one that does not exist yet, is ignored.
+        effort : ndarray, shape (n,), optional
+            Torques to be fed forward [N m], finite.
         """
         if stamp == self._stamp and not np.array_equal(u, self._u):
             # a controller that stops says zero once for a state it has answered already; that is no second one
@@ -373,7 +384,7 @@ class CommandGate:
         if overtaken or stamp > now or now - stamp > self._timeout() * 1e9:
             self.late += 1
             return False
-        self._u, self._stamp = u, stamp
+        self._u, self._stamp, self._effort = u, stamp, effort
         self.watchdog.feed()
         return True
 
@@ -383,5 +394,5 @@ class CommandGate:
 
     def hold(self) -> None:
         """Forget the last command: stand still until the next."""
-        self._u = self._zero
+        self._u, self._effort = self._zero, None
         self.watchdog.starve()

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros.exceptions import DqwalkError
+
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config
     from dqwalk_ros.model import RobotModel
     from dqwalk_ros.phases import Phase
 
-__all__ = ["Command", "Controller", "State", "Tick", "make_controller"]
+__all__ = ["Command", "Controller", "State", "Tick", "make_controller", "warm_up"]
 
 Array = NDArray[np.float64]
 
@@ -124,6 +127,12 @@ class Controller(Protocol):
     def step(self, state: State, dt: float) -> Command:
         """Return what is asked of the joints for the next period `dt` [s]."""
 
+    def steer(self, forward: float, left: float, turn: float) -> tuple[float, float, float]:
+        """Set the velocity of a steered walk [m/s, m/s, rad/s]; return what it walks with."""
+
+    def stop(self) -> None:
+        """Put the feet together after the step under way, and end the walk."""
+
     def odometry(self) -> Array:
         """Pose of the pelvis in the world of the first phase, shape (8,)."""
 
@@ -136,3 +145,13 @@ def make_controller(config: Config, model: RobotModel) -> Controller:
     from dqwalk_ros.controllers.velocity import VelocityController
 
     return VelocityController(config, model)
+
+
+def warm_up(config: Config, model: RobotModel) -> None:
+    """Have everything compiled that a tick needs, before the first state waits for its answer."""
+    from dqwalk_ros.phases.standing import posture
+
+    sensed = {"up": np.array([0.0, 0.0, 1.0]), "gyro": np.zeros(3)} if config.plant.imu else {}
+    with contextlib.suppress(DqwalkError):
+        q = posture(config, model) if config.gait.style == "standing" else np.zeros(model.n)
+        make_controller(config, model).step(State(0.0, q, np.zeros(model.n), **sensed), config.dt)

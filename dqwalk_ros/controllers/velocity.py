@@ -11,12 +11,12 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.controllers import Command, State, Tick
 from dqwalk_ros.controllers.balance import balance_torques
 from dqwalk_ros.dq import DQ
-from dqwalk_ros.exceptions import PhaseError, QPError, StateError
+from dqwalk_ros.exceptions import ConfigError, PhaseError, QPError, StateError
 from dqwalk_ros.feasibility import explained, lead_back, within_velocity
-from dqwalk_ros.gait import EndRule, StandingEnd, make_gait, make_rule
+from dqwalk_ros.gait import EndRule, PaperGait, StandingEnd, StandingGait, make_gait, make_rule
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import RobotModel
-from dqwalk_ros.phases import Phase, assemble, make_phase
+from dqwalk_ros.phases import Phase, PhaseKind, assemble, make_phase
 from dqwalk_ros.qp import Problem, Solution, make_solver
 
 __all__ = ["VelocityController"]
@@ -110,6 +110,35 @@ class VelocityController:
             raise RuntimeError("a walk has no odometry before its first step")
         return (self._x_odom_base * DQ(self._kin.pose(self.model.pelvis))).vec8()
 
+    def steer(self, forward: float, left: float, turn: float) -> tuple[float, float, float]:
+        """Set the velocity of a walk that is steered [m/s, m/s, rad/s]; zero puts the feet together and waits.
+
+        Returns
+        -------
+        tuple of float
+            What it walks with, within what the legs can do.
+
+        Raises
+        ------
+        ConfigError
+            If this walk goes its own way: it has ``gait.style: paper``, or ``gait.steps`` to count.
+        """
+        if isinstance(self._gait, PaperGait) or self.config.gait.steps:
+            raise ConfigError("only a standing walk without a number of steps is steered: gait.steps: 0")
+        return self._gait.steer(forward, left, turn)
+
+    def stop(self) -> None:
+        """Put the feet together after the step under way, and end the walk.
+
+        Raises
+        ------
+        ConfigError
+            If the walk is the paper's, which has no such end.
+        """
+        if isinstance(self._gait, PaperGait):
+            raise ConfigError("the paper's walk does not put its feet together; pause it")
+        self._gait.stop()
+
     def step(self, state: State, dt: float) -> Command:
         """Return the joint velocities for the next period.
 
@@ -177,6 +206,8 @@ class VelocityController:
 
     def _over(self, time: float) -> bool:
         assert self._rule is not None  # set with the phase
+        if self.phase.kind is PhaseKind.STANCE and isinstance(self._gait, StandingGait) and self._gait.waiting:
+            return False
         elapsed = time - self._time0
         try:
             return self._rule.over(self._error, elapsed)

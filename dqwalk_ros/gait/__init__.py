@@ -17,6 +17,7 @@ __all__ = [
     "PHASES_PER_CYCLE",
     "EndRule",
     "Gait",
+    "PaperGait",
     "StandingEnd",
     "StandingGait",
     "footstep",
@@ -24,6 +25,7 @@ __all__ = [
     "make_rule",
     "phase_at",
     "phase_count",
+    "way",
 ]
 
 Array = NDArray[np.float64]
@@ -51,3 +53,11 @@ def phase_count(config: Config) -> int:
     if config.gait.style == "standing":
         return 2 * config.gait.steps + 3 if config.gait.steps else 0
     return PHASES_PER_CYCLE * config.gait.cycles
+
+
+def way(config: Config) -> str:
+    """Return in words how far a walk goes."""
+    gait = config.gait
+    if gait.style != "standing":
+        return f"{gait.cycles} cycle{'s' if gait.cycles > 1 else ''}"
+    return f"{gait.steps} step{'s' if gait.steps > 1 else ''}" if gait.steps else "steered by cmd_vel"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,6 +34,8 @@ class StandingGait:
         self._config, self._model = config, model
         self.footsteps = Footsteps(config, model)
         self._twist = (0.0, 0.0, 0.0)
+        self._stopping = False
+        self._together = False
         self._done = 0
         self._first = Foot(config.gait.first_support)
 
@@ -41,14 +45,39 @@ class StandingGait:
         steps = self._config.gait.steps
         return 2 * steps + 3 if steps else 0
 
-    def steer(self, forward: float, left: float, turn: float) -> None:
-        """Set the velocity of a steered walk [m/s, m/s, rad/s]; zero puts the feet together and waits."""
-        self._twist = (forward, left, turn)
+    def steer(self, forward: float, left: float, turn: float) -> tuple[float, float, float]:
+        """Set the velocity of a steered walk [m/s, m/s, rad/s]; zero puts the feet together and waits.
+
+        Returns
+        -------
+        tuple of float
+            What it walks with: all three made smaller alike until a step keeps within ``gait.most_length``,
+            ``gait.most_side`` and ``gait.most_turn`` together.
+        """
+        gait, period = self._config.gait, self._period
+        asked = (forward * period, left * period, turn * period)
+        most = (gait.most_length, gait.most_side, gait.most_turn)
+        # a direction the legs cannot go is left out; the others share the step
+        parts = [a / m if m else 0.0 for a, m in zip(asked, most, strict=True)]
+        size = max(1.0, math.sqrt(sum(part**2 for part in parts)))
+        x, y, z = (part * m / (size * period) for part, m in zip(parts, most, strict=True))
+        self._twist = (x, y, z)
+        return self._twist
+
+    def stop(self) -> None:
+        """Put the feet together after the step under way, and end the walk."""
+        self._stopping = True
 
     @property
     def waiting(self) -> bool:
         """Whether a stance has nothing to do but wait."""
-        return not self._config.gait.steps and not any(self._twist)
+        return not (self._config.gait.steps or self._stopping or any(self._twist))
+
+    @property
+    def _period(self) -> float:
+        """Time of a step [s]."""
+        s = self._config.standing
+        return s.transfer_duration + s.swing_duration
 
     def following(self, phase: Phase | None) -> tuple[PhaseKind, Foot, Array | None] | None:
         """Return kind, support foot and swing target of the phase after `phase`; None after the last one."""
@@ -56,7 +85,7 @@ class StandingGait:
         if phase is None:
             return (PhaseKind.DOUBLE_SUPPORT, self._first, None) if steps else (PhaseKind.STANCE, self._first, None)
         if phase.kind is PhaseKind.STANCE:
-            return None if steps else (PhaseKind.DOUBLE_SUPPORT, self._leading(), None)
+            return None if steps or self._stopping else (PhaseKind.DOUBLE_SUPPORT, self._leading(), None)
         if phase.kind is PhaseKind.DOUBLE_SUPPORT:
             step = self._step()
             self._together = step is None
@@ -69,14 +98,14 @@ class StandingGait:
 
     def _step(self) -> tuple[float, float, float] | None:
         gait = self._config.gait
+        if self._stopping:
+            return None
         if gait.steps:
             return None if self._done >= gait.steps else (gait.step_length, gait.step_side, gait.step_turn)
         if not any(self._twist):
             return None
-        s = self._config.standing
-        period = s.transfer_duration + s.swing_duration
-        forward, left, turn = self._twist
-        return forward * period, left * period, turn * period
+        forward, left, turn = (v * self._period for v in self._twist)
+        return forward, left, turn
 
     def _leading(self) -> Foot:
         """Return the foot to stand on first: the one on the side the robot turns away from or leaves."""
