@@ -8,6 +8,7 @@ OUT    ?= results/walk
 CYCLES ?= 1
 CONFIG ?= paper
 JOBS   ?= 2
+STEPS  ?= 20
 
 SUDO   := $(if $(filter 0,$(shell id -u)),,sudo)
 BIN    := $(VENV)/bin
@@ -21,16 +22,20 @@ ROS_EXTRA    := ros,
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help venv walk simulate reach test test-long browser docs chaos fuzz soak driver see lint colcon clean
+.PHONY: help venv walk walk-physics simulate reach test test-long browser docs chaos fuzz soak driver see lint colcon clean
 
 help:  ## show this
-	@echo "usage: make TARGET [CYCLES=$(CYCLES)] [CONFIG=$(CONFIG)] [OUT=$(OUT)]"
-	@sed -n 's/^\([a-z-]*\):.*##/  \1\t/p' $(MAKEFILE_LIST) | expand -t 14
+	@echo "usage: make TARGET [CYCLES=$(CYCLES)] [CONFIG=$(CONFIG)] [STEPS=$(STEPS)] [OUT=$(OUT)]"
+	@sed -n 's/^\([a-z-]*\):.*##/  \1\t/p' $(MAKEFILE_LIST) | expand -t 16
 
 venv: $(VENV)/.installed  ## install the package and ROS 2 into .venv (after that: . .venv/bin/activate)
 
 walk: $(VENV)/.installed  ## walk one cycle through ROS 2: bag, figures and report in results/walk
 	$(BIN)/dqwalk walk --config $(CONFIG) --cycles $(CYCLES) --out $(OUT) --force
+
+walk-physics: $(VENV)/.installed-sim  ## walk STEPS steps in MuJoCo through ROS 2: bag, figures, report in results/walk-physics
+	OPENBLAS_NUM_THREADS=1 $(BIN)/dqwalk walk --config poppy --plant physics --set gait.steps=$(STEPS) \
+	    --out results/walk-physics --force $(ARGS)
 
 simulate: $(VENV)/.installed  ## the same walk in one process, without ROS
 	$(BIN)/dqwalk simulate --config $(CONFIG) --cycles $(CYCLES) --out $(OUT) --force
@@ -99,6 +104,10 @@ $(VENV)/.installed: setup.py | $(BIN)/python
 
 $(VENV)/.installed-wholebody: setup.py | $(BIN)/python
 	$(BIN)/python -m pip install --editable '.[$(ROS_EXTRA)wholebody]'
+	@touch $@ $(VENV)/.installed
+
+$(VENV)/.installed-sim: setup.py | $(BIN)/python
+	$(BIN)/python -m pip install --editable '.[$(ROS_EXTRA)sim]'
 	@touch $@ $(VENV)/.installed
 
 $(VENV)/.installed-test: setup.py | $(BIN)/python

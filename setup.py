@@ -9,6 +9,8 @@ NODES = (
     "controller",
     "integrator",
     "phase_monitor",
+    "physics",
+    "pilot",
     "poppy_driver",
     "recorder",
     "rigid",

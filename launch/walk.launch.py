@@ -35,8 +35,8 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             "plant",
             default_value="integrator",
-            choices=["integrator", "poppy"],
-            description="other side of the command: integrator, an ideal robot; poppy, the real one; "
+            choices=["integrator", "physics", "poppy"],
+            description="other side of the command: integrator, an ideal robot; physics, MuJoCo; poppy, the real one; "
             "config/plants/NAME.yaml is what it asks of all nodes",
         ),
         DeclareLaunchArgument(
@@ -93,6 +93,7 @@ def generate_launch_description() -> LaunchDescription:
             node("phase_monitor"),
             node("viewer", condition=IfCondition(LaunchConfiguration("view"))),
             node("integrator", condition=IfCondition(EqualsSubstitution(plant, "integrator"))),
+            node("physics", condition=IfCondition(EqualsSubstitution(plant, "physics"))),
             node("poppy_driver", condition=IfCondition(EqualsSubstitution(plant, "poppy"))),
             controller,
             # in lockstep the controller ends with the walk; without a controller there is nothing left to do

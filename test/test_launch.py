@@ -31,7 +31,7 @@ def test_every_argument_is_described() -> None:
 
 def test_every_node_it_starts_is_installed() -> None:
     started = {constant(call.args[0]) for call in calls("node")}
-    assert started == {"controller", "integrator", "poppy_driver", "phase_monitor", "recorder", "viewer"}
+    assert started == {"controller", "integrator", "physics", "poppy_driver", "phase_monitor", "recorder", "viewer"}
     for name in started:
         script = ROOT / "scripts" / name
         assert script.stat().st_mode & 0o111, f"{script} cannot be executed"

@@ -20,6 +20,8 @@ NODES = (
     "controller",
     "integrator",
     "phase_monitor",
+    "physics",
+    "pilot",
     "poppy_driver",
     "recorder",
     "rigid",

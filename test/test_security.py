@@ -71,8 +71,8 @@ def test_every_node_has_an_enclave_and_a_person_may_call_every_service() -> None
 @pytest.mark.parametrize(
     "group",
     [
-        ("controller", "poppy_driver"),
-        ("integrator", "phase_monitor", "recorder", "viewer"),
+        ("controller", "physics", "pilot"),
+        ("integrator", "phase_monitor", "poppy_driver", "recorder", "viewer"),
         ("whole_body_controller", "rigid"),
     ],
     ids="+".join,
@@ -91,6 +91,8 @@ def test_the_nodes_do_exactly_what_the_policy_says(
 
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     paper = load("paper").updated({"dt": 0.02, "poppy.dummy": True})
+    steered = load("poppy").updated({"dt": 0.02, "gait.steps": 0, "plant.imu": True})
+    config = {"rigid": load("whole_body"), "pilot": steered}.get(group[-1], paper)
     expected = policy()
     with private_domain() as domain:
         context = Context()
@@ -98,8 +100,12 @@ def test_the_nodes_do_exactly_what_the_policy_says(
         try:
             for name in group:
                 params = tmp_path / f"{name}.yaml"
-                params.write_text(to_yaml(load("whole_body") if len(group) == 2 and "rigid" in group else paper))
-                own = {"recorder": ["--bag", str(tmp_path / "bag")], "viewer": ["--port", "0"]}.get(name, [])
+                params.write_text(to_yaml(config))
+                own = {
+                    "recorder": ["--bag", str(tmp_path / "bag")],
+                    "viewer": ["--port", "0"],
+                    "pilot": ["--cmd-vel", "0.01,0,0,1"],
+                }.get(name, [])
                 ros = ["--ros-args", "--params-file", str(params)]
                 options = entry.parse(name, [*own, *ros])
                 node = Node(name, context=context, cli_args=ros, use_global_arguments=False)

@@ -36,6 +36,7 @@ examples:
   dqwalk simulate --config my_robot.yaml --format png,pdf
   dqwalk simulate --view                                   look at it while it is computed
   dqwalk simulate --config poppy --plant physics           the walk that stands, in MuJoCo (dqwalk_ros[sim])
+  dqwalk simulate --config poppy --plant physics --cmd-vel 0.015,0,0,20 --cmd-vel=-0.01,0,0,20    on, and back
 """
 
 _REACH = """\
@@ -105,13 +106,15 @@ examples:
 """
 
 _WALK = """\
-Starts controller, integrator, phase_monitor and recorder in lockstep (each state waits for its command, so the
+Starts controller, plant, phase_monitor and recorder in lockstep (each state waits for its command, so the
 walk is exact and as fast as the machine), records a bag, and reports on it.
 
 examples:
   dqwalk walk --out walk
   dqwalk walk --cycles 2 --set ssp.com_radius=0.045
   dqwalk walk --realtime                                   at 1/dt by the clock instead
+  dqwalk walk --config poppy --plant physics --set gait.steps=20        20 steps in MuJoCo
+  dqwalk walk --config poppy --plant physics --cmd-vel 0.015,0,0.03,30  steered by the node pilot on cmd_vel
 """
 
 _VIEW = """\
@@ -188,6 +191,7 @@ def build() -> argparse.ArgumentParser:
     _add_output(simulate, "walk")
     simulate.add_argument("--view", action="store_true", help="show the walk in the browser, live, then as a replay")
     simulate.add_argument("--port", type=int, help="port of the page; 0: any [8080, or the next free one]")
+    _add_course(simulate)
     simulate.add_argument(
         "--plant", choices=("kinematic", "physics"), default="kinematic", help="joints that obey, or MuJoCo [kinematic]"
     )
@@ -223,6 +227,13 @@ def build() -> argparse.ArgumentParser:
     walk = _command(commands, "walk", "walk through ROS 2: four nodes, lockstep", _WALK)
     _add_walk(walk)
     _add_output(walk, "walk")
+    _add_course(walk)
+    walk.add_argument(
+        "--plant",
+        choices=("integrator", "physics", "poppy"),
+        default="integrator",
+        help="joints that obey, MuJoCo, or the real robot (by the clock) [integrator]",
+    )
     walk.add_argument("--realtime", action="store_true", help="run by the clock, at 1/dt, instead of in lockstep")
 
     reach = _command(commands, "reach", "reach for a target with the whole body, and get pushed", _REACH)
@@ -299,6 +310,16 @@ def _add_walk(command: argparse.ArgumentParser) -> None:
     command.add_argument("--cycles", metavar="N", type=int, help="walking cycles of four phases (gait.cycles)")
     command.add_argument("--first", choices=("left", "right"), help="foot that carries first (gait.first_support)")
     _add_set(command)
+
+
+def _add_course(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--cmd-vel",
+        metavar="X,Y,TURN,S",
+        action="append",
+        default=[],
+        help="steer a standing walk: forward, left [m/s], turn [rad/s], for so long [s]; then the next, or stop",
+    )
 
 
 def _add_set(command: argparse.ArgumentParser) -> None:

@@ -7,10 +7,11 @@ from typing import Any
 
 import yaml
 
-from dqwalk_ros.config import Config, load
+from dqwalk_ros.config import Config, find_share, from_yaml, load
 from dqwalk_ros.exceptions import ConfigError
+from dqwalk_ros.gait.course import Course
 
-__all__ = ["config_of", "parse_overrides"]
+__all__ = ["config_of", "overlaid", "parse_overrides"]
 
 
 def config_of(args: argparse.Namespace) -> Config:
@@ -21,12 +22,25 @@ def config_of(args: argparse.Namespace) -> Config:
     ConfigError
         If any of it cannot be used.
     """
-    values = parse_overrides(args.set)
+    values: dict[str, Any] = {}
+    if getattr(args, "cmd_vel", None):
+        Course.parse(args.cmd_vel)  # what cannot be read is said before anything starts
+        values["gait.steps"] = 0
+    values |= parse_overrides(args.set)
     if getattr(args, "cycles", None) is not None:
         values["gait.cycles"] = args.cycles
     if getattr(args, "first", None) is not None:
         values["gait.first_support"] = args.first
-    return load(args.config).updated(values, source="command line")
+    config = load(args.config)
+    plant = getattr(args, "plant", None)
+    if plant in ("physics", "poppy"):
+        config = overlaid(config, plant)
+    return config.updated(values, source="command line")
+
+
+def overlaid(config: Config, plant: str) -> Config:
+    """Return a configuration with what ``config/plants/NAME.yaml`` asks of all nodes put in."""
+    return from_yaml(find_share("config/plants", f"{plant}.yaml").read_text(encoding="utf-8"), onto=config)
 
 
 def parse_overrides(pairs: list[str]) -> dict[str, Any]:

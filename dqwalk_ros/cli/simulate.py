@@ -18,6 +18,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.controllers import Controller, make_controller
 from dqwalk_ros.exceptions import ViewerError
 from dqwalk_ros.gait import phase_count
+from dqwalk_ros.gait.course import Course
 from dqwalk_ros.model import load_model
 from dqwalk_ros.phases import PhaseKind
 from dqwalk_ros.plants import make_plant
@@ -32,7 +33,7 @@ __all__ = ["run"]
 def run(args: argparse.Namespace) -> int:
     """Do it and return the exit code."""
     config, out = config_of(args), Path(args.out)
-    model = load_model(config.robot)
+    model, course = load_model(config.robot), Course.parse(args.cmd_vel)
     prepare(out, force=args.force)
     controller = make_controller(config, model)
     plant = make_plant(args.plant, config, model)
@@ -40,9 +41,11 @@ def run(args: argparse.Namespace) -> int:
         feed = stack.enter_context(_page(config, args.port)) if args.view else None
         if feed is not None:
             plant = feed.watch(plant, controller)
-        bar, done = Progress(quiet=args.quiet), _Fraction(controller)
+        bar = Progress(quiet=args.quiet)
+        pilot = _Pilot(controller, course) if course.legs else None
+        done = _Fraction(controller) if pilot is None else pilot.fraction
         try:
-            trace = simulate(controller, plant, progress=lambda _, text: bar(done(), text))
+            trace = simulate(controller, plant, progress=lambda _, text: bar(done(), text), pilot=pilot)
         finally:
             bar.close()
         if not trace.finished:
@@ -65,6 +68,25 @@ def _page(config: Config, port: int | None) -> Feed:
     feed = Feed(config, port)
     print(f"{feed.url} shows the walk", flush=True)
     return feed
+
+
+class _Pilot:
+    """Steers along a course, then stops."""
+
+    def __init__(self, controller: Controller, course: Course) -> None:
+        self._controller, self._course, self._time = controller, course, 0.0
+
+    def fraction(self) -> float:
+        """Return how much of the course is done."""
+        return min(1.0, self._time / self._course.duration)
+
+    def __call__(self, time: float) -> None:
+        self._time = time
+        asked = self._course.at(time)
+        if asked is None:
+            self._controller.stop()
+        else:
+            self._controller.steer(*asked)
 
 
 class _Fraction:

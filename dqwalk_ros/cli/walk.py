@@ -22,7 +22,14 @@ def run(args: argparse.Namespace) -> int:
     prepare(out, force=args.force)
     progress = Progress(quiet=args.quiet)
     try:
-        outcome = run_walk(config, out / "bag", lockstep=not args.realtime, progress=progress)
+        outcome = run_walk(
+            config,
+            out / "bag",
+            plant=args.plant,
+            course=args.cmd_vel,
+            lockstep=not args.realtime and args.plant != "poppy",  # a robot does not wait
+            progress=progress,
+        )
     finally:
         progress.close()
     if not args.quiet or not outcome.finished:

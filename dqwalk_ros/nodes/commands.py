@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
+from dqwalk_ros.controllers import Command
 from dqwalk_ros.exceptions import StateError
 from dqwalk_ros.model import RobotModel
 from dqwalk_ros.nodes import messages as ros
@@ -67,22 +65,24 @@ class Commands:
             log = self._node.get_logger()
             log.error(f"holding still: {reason}") if reason else log.info("commands count")
 
-    def checked(self, msg: JointState) -> NDArray[Any] | None:
-        """Return the numbers of a message; None where it is rejected, which leaves everything as it was."""
+    def checked(self, msg: JointState) -> Command | None:
+        """Return what a message asks for; None where it is rejected, which leaves everything as it was."""
         try:
-            effort = self._topic == "joint_effort_commands"
-            return self._reader.effort(msg) if effort else self._reader.command(msg).velocity
+            if self._topic == "joint_effort_commands":
+                return self._reader.torques(msg)
+            return self._reader.command(msg)
         except StateError as error:
             self.gate.rejected += 1
             if self._warn_now():
                 self._node.get_logger().error(f"{self._topic} rejected ({self.gate.rejected} so far): {error}")
             return None
 
-    def take(self, msg: JointState, now: int) -> None:
-        """Take in a message by the clock; `now` is the stamp of the state published last [ns]."""
-        u = self.checked(msg)
-        if u is not None:
-            self.gate.accept(ros.nanoseconds(msg.header.stamp), u, now)
+    def take(self, msg: JointState, now: int) -> bool:
+        """Take in a message; `now` is the stamp of the state published last [ns]. Return whether it counts."""
+        command = self.checked(msg)
+        if command is None:
+            return False
+        return self.gate.accept(ros.nanoseconds(msg.header.stamp), command.velocity, now, command.effort)
 
     def note_motion(self) -> bool:
         """Log when the plant begins to move or to hold; return whether it holds."""

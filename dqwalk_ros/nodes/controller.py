@@ -7,7 +7,6 @@ topics that say what is going on.
 
 from __future__ import annotations
 
-import contextlib
 import enum
 import sys
 import time
@@ -21,16 +20,20 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from dqwalk_ros import origin
-from dqwalk_ros.bag.topics import FINISHED, ODOM, TOPICS
-from dqwalk_ros.config import Config, to_yaml
-from dqwalk_ros.controllers import State, make_controller
+from dqwalk_ros.bag.topics import FINISHED, TOPICS
+from dqwalk_ros.config import to_yaml
+from dqwalk_ros.controllers import Command, State, make_controller, warm_up
 from dqwalk_ros.exceptions import DqwalkError, QPError, StateError
-from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.gait import way
 from dqwalk_ros.model import load_model
 from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.inertial import InertialSensor
+from dqwalk_ros.nodes.odometry import Odometry
 from dqwalk_ros.nodes.parameters import Parameters
+from dqwalk_ros.nodes.phase_log import phase_messages
 from dqwalk_ros.nodes.runtime import LAST_WORDS, STEADY, Life, Throttle, Worker, run, say
+from dqwalk_ros.nodes.steering import Steering
 from dqwalk_ros.safety import Latch, Rivals, StateGate
 
 __all__ = ["ControllerNode", "main"]
@@ -62,7 +65,7 @@ class ControllerNode(Worker):
         self._parameters = Parameters(node, options.argv)
         config = self._parameters.config
         self._model = load_model(config.robot)
-        self._warm_up(config)
+        warm_up(config, self._model)
         self._controller = make_controller(config, self._model)
         self._lockstep, self._dt = config.plant.lockstep, config.dt
         self.last_words = LAST_WORDS[self._lockstep]
@@ -72,9 +75,8 @@ class ControllerNode(Worker):
 
         self._reader = ros.JointReader(self._model.joint_names)
         self._command_msg = ros.JointWriter(self._model.joint_names)
-        self._zero = np.zeros(self._model.n)
+        self._still = self._said = Command(0.0, np.zeros(self._model.n))
         self._stamp = self._stamp0 = -1  # of the last and the first state answered [ns]
-        self._velocity = self._zero
         safety = config.safety
         self._gate = StateGate(
             self._model,
@@ -92,8 +94,8 @@ class ControllerNode(Worker):
         self._phase_index = -1
         self._compute_time = 0.0  # from the last state in to its command out [s]
 
-        self._pub = {name: ros.publisher(node, name) for name in TOPICS if name != "joint_states"}
-        self._tf = self._make_tf()
+        self._pub = {name: ros.publisher(node, name) for name in TOPICS if TOPICS[name].source in ("controller", "all")}
+        self._odometry = Odometry(node, self._pub["base_pose"])
         self._pub["walk_config"].publish(String(data=to_yaml(config)))
         self._pub["walk_origin"].publish(String(data=origin.to_text(origin.here())))
         self._pub["robot_description"].publish(String(data=self._model.urdf))
@@ -101,7 +103,10 @@ class ControllerNode(Worker):
 
         # Only the newest state counts, and a late one is worthless, except in lockstep, where each counts.
         node.create_subscription(JointState, "joint_states", self._on_state, ros.stream(1, reliable=self._lockstep))
-        for name in ("start", "pause", "reset"):
+        self._sensor = self._make_sensor() if config.plant.imu else None
+        steered = config.gait.style == "standing" and not config.gait.steps
+        self._steering = Steering(node, config, self._controller) if steered else None
+        for name in ("start", "pause", "stop", "reset"):
             node.create_service(Trigger, f"~/{name}", getattr(self, f"_{name}"))
         node.create_timer(0.02, self._watch, clock=STEADY)
         self._diagnose_now = Throttle(1.0 / config.monitor.rate)
@@ -109,14 +114,17 @@ class ControllerNode(Worker):
         self._report_now = Throttle(0.5)
         self._look_now = Throttle(0.25)
         node.get_logger().info(
-            f"{self._model.name}: {self._model.n} joints, {config.gait.cycles} cycle(s), "
+            f"{self._model.name}: {self._model.n} joints, {way(config)}, "
             f"{'lockstep' if self._lockstep else f'real time, dt {config.dt} s'}, {self._mode.value}"
         )
 
-    def _warm_up(self, config: Config) -> None:
-        """Have everything compiled before the first state waits for an answer; on a fresh machine it takes a while."""
-        with contextlib.suppress(DqwalkError):
-            make_controller(config, self._model).step(State(time=0.0, q=np.zeros(self._model.n)), config.dt)
+    def _make_sensor(self) -> InertialSensor:
+        return InertialSensor(
+            self.node,
+            lockstep=self._lockstep,
+            timeout=lambda: self._parameters.config.plant.command_timeout,
+            again=self._on_state,
+        )
 
     # ------------------------------------------------------------------ the loop
 
@@ -124,8 +132,10 @@ class ControllerNode(Worker):
         began = time.perf_counter()
         stamp = ros.nanoseconds(msg.header.stamp)
         try:
-            state = self._reader.state(msg)
-            if not self._is_new(stamp):
+            state: State | None = self._reader.state(msg)
+            if state is not None and self._sensor is not None:
+                state = self._sensor.joined(msg, state)
+            if state is None or not self._is_new(stamp):
                 return
             self._gate.accept(stamp, state.q)
         except StateError as error:
@@ -136,18 +146,18 @@ class ControllerNode(Worker):
             return
         before = self._mode
         if self._mode is Mode.WALKING and not self._rivals:
-            velocity = self._step(state, stamp)
+            answer: Command | None = self._step(state, stamp)
         elif self._lockstep:
-            velocity = None  # no answer: simulated time stands still
+            answer = None  # no answer: simulated time stands still
         else:
-            velocity = self._zero
-        if velocity is not None:
-            self._stamp, self._velocity = stamp, velocity
+            answer = self._still
+        if answer is not None:
+            self._stamp, self._said = stamp, answer
             self._publish_command()
             self._compute_time = time.perf_counter() - began
             self._ticks += 1
             if self._phase_index >= 0:
-                self._publish_pose(stamp)
+                self._odometry.publish(stamp, self._controller)
         if self._mode is not before:
             self._done()
         elif self._diagnose_now():
@@ -160,7 +170,7 @@ class ControllerNode(Worker):
         if self._warn_now():
             self.node.get_logger().error(f"joint_states rejected ({self._rejected} so far): {error}")
         if self._gate.jumped and self._mode is Mode.WALKING:
-            self._velocity = self._fail(self._gate.jumped.reason)
+            self._said = self._fail(self._gate.jumped.reason)
             self._publish_zero()
             self._done()
         else:
@@ -192,9 +202,11 @@ class ControllerNode(Worker):
         streams = ("joint_velocity_commands", "base_pose")
         return all(ros.is_heard_by(self.node, self._pub[name], "recorder") for name in streams)
 
-    def _step(self, state: State, stamp: int) -> Any:
-        """Return the velocities; whatever goes wrong, zeros."""
+    def _step(self, state: State, stamp: int) -> Command:
+        """Return the answer; whatever goes wrong, zeros."""
         try:
+            if self._steering is not None:
+                self._steering.apply()
             command = self._controller.step(state, self._dt)
             self._failures.good()
         except QPError as error:
@@ -202,7 +214,7 @@ class ControllerNode(Worker):
                 return self._fail(f"{error} ({self._failures.limit} times in a row)")
             if self._warn_now():
                 self.node.get_logger().error(f"standing still for a tick: {error}")
-            return self._zero
+            return self._still
         except DqwalkError as error:
             return self._fail(str(error))
         except Exception as error:  # a fault of ours must stop the robot like any other
@@ -217,12 +229,12 @@ class ControllerNode(Worker):
             self._publish_phase()
         if self._controller.finished:
             self._mode = Mode.DONE
-            return self._zero
-        return command.velocity
+            return self._still
+        return command
 
-    def _fail(self, reason: str) -> Any:
+    def _fail(self, reason: str) -> Command:
         self._mode, self._problem = Mode.FAILED, reason
-        return self._zero
+        return self._still
 
     def _done(self) -> None:
         """Say once how the walk ended."""
@@ -259,7 +271,7 @@ class ControllerNode(Worker):
 
     def _publish_zero(self) -> None:
         if not self._lockstep and self._stamp >= 0:
-            self._velocity = self._zero
+            self._said = self._still
             self._publish_command()
 
     # ------------------------------------------------------------------ services
@@ -281,11 +293,20 @@ class ControllerNode(Worker):
         self._say_phase()
         return self._answer(response, True, "paused: holding still; ~/start goes on")
 
+    def _stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._mode is not Mode.WALKING:
+            return self._answer(response, False, f"not walking: {self._mode.value}")
+        try:
+            self._controller.stop()
+        except DqwalkError as error:
+            return self._answer(response, False, str(error))
+        return self._answer(response, True, "stopping: the feet are put together after the step under way")
+
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._controller.reset()
         self._mode, self._problem, self._phase_index = Mode.IDLE, "", -1
         self._stamp = self._stamp0 = -1
-        self._velocity = self._zero
+        self._said = self._still
         self._gate.reset()
         self._failures.reset()
         self._say_phase()
@@ -299,7 +320,8 @@ class ControllerNode(Worker):
     # ------------------------------------------------------------------ topics
 
     def _publish_command(self) -> None:
-        self._pub["joint_velocity_commands"].publish(self._command_msg(self._stamp, velocity=self._velocity))
+        msg = self._command_msg(self._stamp, velocity=self._said.velocity, effort=self._said.effort)
+        self._pub["joint_velocity_commands"].publish(msg)
 
     def _say_phase(self) -> None:
         walking = self._mode is Mode.WALKING and self._phase_index >= 0
@@ -308,35 +330,11 @@ class ControllerNode(Worker):
             self._pub["phase"].publish(String(data=name))
 
     def _publish_phase(self) -> None:
-        phase, model = self._controller.phase, self._model
-        stamp = round(self._controller.phase_time0 * 1e9)
-        base, end = model.soles[phase.base], model.soles[phase.base.other]
-        start = ros.JointWriter(model.joint_names, base.frame)(stamp, position=phase.q_start)
-        self._pub["phase_start"].publish(start)
+        phase, stamp = self._controller.phase, round(self._controller.phase_time0 * 1e9)
+        for name, msg in phase_messages(self._model, phase, stamp):
+            self._pub[name].publish(msg)
         self._say_phase()
-        self._pub["support_foot"].publish(String(data=phase.support.value))
-        if phase.swing_target is not None:
-            self._pub["swing_target"].publish(ros.pose(stamp, base.frame, phase.swing_target))
-        else:
-            target = Kinematics(model, phase.q_start, phase.base).point(end.frame, end.center)
-            self._pub["com_target"].publish(ros.point(stamp, base.frame, target * [1.0, 1.0, 0.0]))
         self.node.get_logger().info(f"{(stamp - self._stamp0) * 1e-9:8.3f} s  phase {self._phase_index}: {phase.name}")
-
-    def _publish_pose(self, stamp: int) -> None:
-        if self._tf is None and not self._pub["base_pose"].get_subscription_count():
-            return
-        msg = ros.pose(stamp, ODOM, self._controller.odometry())
-        self._pub["base_pose"].publish(msg)
-        if self._tf is not None:
-            self._tf(msg, self._model.pelvis)
-
-    def _make_tf(self) -> Any:
-        """Return what sends odom -> pelvis, where tf2_msgs is installed."""
-        try:
-            from dqwalk_ros.nodes.transform import TransformSender
-        except ImportError:  # the PyPI wheels of ROS have no tf2_msgs
-            return None
-        return TransformSender(self.node)
 
     def _diagnose(self, level: str = "", message: str = "") -> None:
         last = self._controller.last if self._phase_index >= 0 else None
@@ -349,6 +347,8 @@ class ControllerNode(Worker):
             values |= {"error": last.error, "solve time": last.solve_time, "iterations": last.iterations}
             values["compute time"] = self._compute_time
             values["active rows"] = ", ".join(last.active)
+        if self._steering is not None:
+            values |= self._steering.values()
         if not level:
             trouble = self._problem or (f"two plants: {self._rivals}" if self._rivals else "")
             level = "ERROR" if trouble or self._failures.count else "OK"
@@ -375,7 +375,7 @@ class ControllerNode(Worker):
     def close(self) -> None:
         """Command zero velocity; in lockstep the plant stands still without an answer."""
         if self._stamp >= 0 and not self._lockstep:
-            self._velocity = self._zero
+            self._said = self._still
             self._publish_command()
 
 

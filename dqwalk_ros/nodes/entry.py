@@ -20,6 +20,8 @@ __all__ = [
     "integrator",
     "parse",
     "phase_monitor",
+    "physics",
+    "pilot",
     "poppy_driver",
     "recorder",
     "rigid",
@@ -42,9 +44,14 @@ class Help:
 HELP = {
     "controller": Help(
         what="Walk: answer each measured state with joint velocities, from one quadratic program per tick.",
-        gets=("joint_states        sensor_msgs/JointState [rad, rad/s], joints matched by name",),
+        gets=(
+            "joint_states             sensor_msgs/JointState [rad, rad/s], joints matched by name",
+            "imu                      sensor_msgs/Imu with plant.imu: roll and pitch, and angular velocity",
+            "cmd_vel                  geometry_msgs/Twist, standing walk with gait.steps: 0: linear x, y, angular z",
+        ),
         gives=(
-            "joint_velocity_commands  sensor_msgs/JointState [rad/s]; stamp: that of the state it answers",
+            "joint_velocity_commands  sensor_msgs/JointState [rad/s]; stamp: that of the state it answers;",
+            "                         with an imu also torques that hold the robot [N m]",
             "phase, support_foot      std_msgs/String, latched; at the end 'finished' or 'failed'",
             "phase_start              sensor_msgs/JointState, latched: the posture in which the phase began",
             "com_target, swing_target geometry_msgs/PointStamped, PoseStamped, latched, in the support sole's frame",
@@ -54,8 +61,12 @@ HELP = {
             "robot_description        std_msgs/String, latched: URDF",
             "/diagnostics             diagnostic_msgs/DiagnosticArray",
             "~/start ~/pause ~/reset  std_srvs/Trigger services",
+            "~/stop                   std_srvs/Trigger: a standing walk puts its feet together and is over",
         ),
-        sections=("dt", "robot", "gait", "task", "dsp", "ssp", "pelvis", "joints", "qp", "plant", "monitor", "node"),
+        sections=(
+            *("dt", "robot", "gait", "task", "dsp", "ssp", "standing", "pelvis", "joints", "qp", "plant", "monitor"),
+            "node",
+        ),
         example="-p gait.step_length:=0.04",
     ),
     "integrator": Help(
@@ -67,6 +78,21 @@ HELP = {
         ),
         sections=("dt", "robot", "plant", "node"),
         example="-p plant.lockstep:=true",
+    ),
+    "physics": Help(
+        what="Stand in for the robot: MuJoCo, true soles, servos, an inertial sensor; real time or lockstep.",
+        gets=("joint_velocity_commands  sensor_msgs/JointState [rad/s]; its efforts are fed forward [N m]",),
+        gives=(
+            "joint_states             sensor_msgs/JointState [rad, rad/s]",
+            "imu                      sensor_msgs/Imu of the link physics.imu, the same stamp as the state's",
+            "true_base_pose           geometry_msgs/PoseStamped: the pelvis in the world; for analysis, as the rest:",
+            "left_foot_wrench, right_foot_wrench   geometry_msgs/WrenchStamped: ground on the sole, in its frame",
+            "center_of_pressure       geometry_msgs/PointStamped: of both feet in the world; none in the air",
+            "/diagnostics             diagnostic_msgs/DiagnosticArray: ERROR when the robot has fallen",
+            "~/reset                  std_srvs/Trigger: puts the robot back on its feet (real time)",
+        ),
+        sections=("dt", "robot", "plant", "physics", "servo", "node"),
+        example="-p plant.imu:=true",
     ),
     "poppy_driver": Help(
         what="Drive a real Poppy Humanoid through pypot; poppy.dummy:=true tries it without one.",
@@ -95,11 +121,19 @@ HELP = {
         sections=("monitor",),
         example="-p monitor.rate:=20.0",
     ),
+    "pilot": Help(
+        what="Steer a standing walk along a course: velocities on cmd_vel, one after the other, then ~/stop.",
+        gets=("joint_states             sensor_msgs/JointState: the walk's own time, in which the course is measured",),
+        gives=("cmd_vel                  geometry_msgs/Twist, ten times a second",),
+        sections=("gait", "node"),
+        example="--cmd-vel 0.015,0,0,20 --cmd-vel 0,0,0.03,20",
+    ),
     "recorder": Help(
         what="Record a walk as a rosbag2 (MCAP), byte for byte; report how much came and whether anything is missing.",
         gets=(
             "every topic of the walk: joint_states, joint_velocity_commands, phase, phase_start, com_target,",
-            "swing_target, support_foot, base_pose, walk_config, walk_origin, robot_description, /diagnostics",
+            "swing_target, support_foot, base_pose, walk_config, walk_origin, robot_description, /diagnostics,",
+            "and those of the node physics where it runs",
         ),
         gives=("the folder --bag: an .mcap file and metadata.yaml, for ros2 bag, Foxglove and `dqwalk report`",),
         sections=("plant",),
@@ -168,6 +202,11 @@ def parse(name: str, argv: Sequence[str]) -> argparse.Namespace:
     )
     if name == "recorder":
         parser.add_argument("--bag", metavar="DIR", required=True, help="the folder to make; it must not be there yet")
+    if name == "pilot":
+        parser.add_argument(
+            "--cmd-vel", metavar="X,Y,TURN,S", action="append", required=True,
+            help="walk so [m/s, m/s, rad/s] for so long [s]; several are walked in order",
+        )  # fmt: skip
     if name == "viewer":
         parser.add_argument("--port", type=int, help="port of the page; 0: any [8080, or the next free one]")
     own = list(argv)
@@ -203,11 +242,18 @@ def _epilog(name: str) -> str:
         "",
         "example:",
         f"  dqwalk_{name} {about.example if about.example.startswith('--') else ''}".rstrip()
-        + f" --ros-args --params-file config/{'whole_body' if 'whole_body' in about.sections else 'paper'}.yaml"
+        + f" --ros-args --params-file config/{_config(name)}.yaml"
         + (f" {about.example}" if not about.example.startswith("--") else ""),
         f"  ros2 run dqwalk_ros {name} --help",
     ]
     return "\n".join(lines)
+
+
+def _config(name: str) -> str:
+    """Return the configuration that fits a node."""
+    if name in ("physics", "pilot"):
+        return "poppy"
+    return "whole_body" if "whole_body" in HELP[name].sections else "paper"
 
 
 def _run(name: str) -> int:
@@ -220,6 +266,9 @@ def _run(name: str) -> int:
             raise
         if error.name == "pinocchio":
             print(f"{name}: needs pinocchio: pip install 'dqwalk_ros[wholebody]'", file=sys.stderr)
+            return 2
+        if error.name == "mujoco":
+            print(f"{name}: needs MuJoCo: pip install 'dqwalk_ros[sim]'", file=sys.stderr)
             return 2
         if error.name == "viser":
             print("viewer: the page needs viser: pip install 'dqwalk_ros[view]'", file=sys.stderr)
@@ -247,6 +296,16 @@ def integrator() -> int:
 def phase_monitor() -> int:
     """Console script ``dqwalk_phase_monitor``."""
     return _run("phase_monitor")
+
+
+def physics() -> int:
+    """Console script ``dqwalk_physics``."""
+    return _run("physics")
+
+
+def pilot() -> int:
+    """Console script ``dqwalk_pilot``."""
+    return _run("pilot")
 
 
 def poppy_driver() -> int:

@@ -4,28 +4,32 @@ from __future__ import annotations
 
 import array
 import importlib
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped
+from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped, WrenchStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
 
 from dqwalk_ros.bag.topics import TOPICS
 from dqwalk_ros.controllers import Command, State
 from dqwalk_ros.dq import DQ
+from dqwalk_ros.exceptions import StateError
+from dqwalk_ros.plants.truth import Inertial, upward
 from dqwalk_ros.safety import JointOrder
 
 __all__ = [
     "JointReader",
     "JointWriter",
     "diagnostics",
+    "imu",
     "is_heard_by",
     "latched",
     "nanoseconds",
@@ -36,6 +40,8 @@ __all__ = [
     "status",
     "stream",
     "time_msg",
+    "up_and_gyro",
+    "wrench",
 ]
 
 Array = NDArray[np.float64]
@@ -122,7 +128,7 @@ class JointReader:
         return State(time=nanoseconds(msg.header.stamp) * 1e-9, q=q, dq=dq)
 
     def command(self, msg: JointState) -> Command:
-        """Return the commanded velocities.
+        """Return the commanded velocities, and the torques to be fed forward where there are any.
 
         Raises
         ------
@@ -130,17 +136,19 @@ class JointReader:
             As `state`.
         """
         velocity = self._order(msg.name, msg.velocity, "velocity")
-        return Command(time=nanoseconds(msg.header.stamp) * 1e-9, velocity=velocity)
+        effort = self._order(msg.name, msg.effort, "effort") if len(msg.effort) else None
+        return Command(nanoseconds(msg.header.stamp) * 1e-9, velocity, effort)
 
-    def effort(self, msg: JointState) -> Array:
-        """Return the commanded torques (n,) [N m].
+    def torques(self, msg: JointState) -> Command:
+        """Return the commanded torques; the velocities are zero.
 
         Raises
         ------
         StateError
             As `state`.
         """
-        return self._order(msg.name, msg.effort, "effort")
+        effort = self._order(msg.name, msg.effort, "effort")
+        return Command(nanoseconds(msg.header.stamp) * 1e-9, np.zeros_like(effort), effort)
 
 
 class JointWriter:
@@ -157,13 +165,21 @@ class JointWriter:
         self._msg = JointState(name=list(joint_names))
         self._msg.header.frame_id = frame
 
-    def __call__(self, stamp: int, *, position: Array | None = None, velocity: Array | None = None) -> JointState:
-        """Return the message of a stamp [ns], positions [rad] and velocities [rad/s]."""
+    def __call__(
+        self,
+        stamp: int,
+        *,
+        position: Array | None = None,
+        velocity: Array | None = None,
+        effort: Array | None = None,
+    ) -> JointState:
+        """Return the message of a stamp [ns], positions [rad], velocities [rad/s] and torques [N m]."""
         msg = self._msg
         msg.header.stamp.sec, msg.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
         # an array of doubles is the one type which rclpy takes without looking at each number
         msg.position = array.array("d", b"" if position is None else position.tobytes())
         msg.velocity = array.array("d", b"" if velocity is None else velocity.tobytes())
+        msg.effort = array.array("d", b"" if effort is None else effort.tobytes())
         return msg
 
 
@@ -203,6 +219,49 @@ def point(stamp: int, frame: str, p: Array) -> PointStamped:
     """Return a PointStamped of a vector (3,) [m]."""
     msg = PointStamped(point=xyz(p))
     msg.header.stamp, msg.header.frame_id = time_msg(stamp), frame
+    return msg
+
+
+# ---------------------------------------------------------------------- inertial sensor, ground
+
+
+def imu(stamp: int, frame: str, said: Inertial) -> Imu:
+    """Return what an inertial sensor says."""
+    msg = Imu()
+    msg.header.stamp, msg.header.frame_id = time_msg(stamp), frame
+    r, w, a = msg.orientation, msg.angular_velocity, msg.linear_acceleration
+    r.w, r.x, r.y, r.z = said.orientation.tolist()
+    w.x, w.y, w.z = said.gyro.tolist()
+    a.x, a.y, a.z = said.acceleration.tolist()
+    return msg
+
+
+def up_and_gyro(msg: Imu) -> tuple[Array, Array]:
+    """Return the unit vector against gravity and the angular velocity [rad/s], (3,) each, in the sensor's frame.
+
+    Only roll and pitch of the orientation count: what a sensor without a compass says of its yaw makes no difference.
+
+    Raises
+    ------
+    StateError
+        If there is no orientation, or a number is not finite.
+    """
+    if msg.orientation_covariance[0] < 0.0:
+        raise StateError("imu: it has no orientation (its covariance begins with -1)")
+    r, w = msg.orientation, msg.angular_velocity
+    size = math.sqrt(r.w * r.w + r.x * r.x + r.y * r.y + r.z * r.z)
+    gyro = np.array([w.x, w.y, w.z])
+    if not (abs(size - 1.0) < 1e-3 and np.isfinite(gyro).all()):
+        raise StateError(f"imu: not a unit quaternion (its norm is {size:g}), or not a finite angular velocity")
+    return upward(r.w, r.x, r.y, r.z), gyro
+
+
+def wrench(stamp: int, frame: str, w: Array) -> WrenchStamped:
+    """Return a WrenchStamped of force and torque (6,) [N, N m]."""
+    msg = WrenchStamped()
+    msg.header.stamp, msg.header.frame_id = time_msg(stamp), frame
+    f, t = msg.wrench.force, msg.wrench.torque
+    f.x, f.y, f.z, t.x, t.y, t.z = w.tolist()
     return msg
 
 

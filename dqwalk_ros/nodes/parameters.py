@@ -28,6 +28,8 @@ NODES = (
     "controller",
     "integrator",
     "phase_monitor",
+    "physics",
+    "pilot",
     "poppy_driver",
     "recorder",
     "rigid",

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
 from dqwalk_ros.assessment import Assessor
 from dqwalk_ros.bag.reader import model_of
@@ -14,11 +17,30 @@ from dqwalk_ros.config import Config, from_yaml
 from dqwalk_ros.exceptions import DqwalkError
 from dqwalk_ros.model import Foot, RobotModel
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.phases import PhaseKind, make_phase
+from dqwalk_ros.phases import Phase, PhaseKind, com_target, make_phase
 
-__all__ = ["PhaseLog"]
+__all__ = ["PhaseLog", "phase_messages"]
 
 _KEPT = 100
+
+
+def phase_messages(model: RobotModel, phase: Phase, stamp: int) -> Iterator[tuple[str, Any]]:
+    """Yield topic and message of what is said where a phase begins, from which a `PhaseLog` builds it again.
+
+    Parameters
+    ----------
+    model : RobotModel
+    phase : Phase
+    stamp : int
+        Of its first state [ns].
+    """
+    frame = model.soles[phase.base].frame
+    yield "phase_start", ros.JointWriter(model.joint_names, frame)(stamp, position=phase.q_start)
+    yield "support_foot", String(data=phase.support.value)
+    if phase.swing_target is not None:
+        yield "swing_target", ros.pose(stamp, frame, phase.swing_target)
+    else:
+        yield "com_target", ros.point(stamp, frame, com_target(model, phase.kind, phase.base, phase.q_start))
 
 
 class PhaseLog:
@@ -85,9 +107,11 @@ class PhaseLog:
 
     def add_target(self, msg: PointStamped | PoseStamped) -> None:
         """Take in `com_target` or `swing_target`."""
-        swings = isinstance(msg, PoseStamped)
-        kind = PhaseKind.SINGLE_SUPPORT if swings else PhaseKind.DOUBLE_SUPPORT
-        _keep(self._targets, ros.nanoseconds(msg.header.stamp), (kind, ros.pose_dq(msg) if swings else None))
+        if isinstance(msg, PoseStamped):
+            target = PhaseKind.SINGLE_SUPPORT, ros.pose_dq(msg)
+        else:
+            target = PhaseKind.DOUBLE_SUPPORT, np.array([msg.point.x, msg.point.y])
+        _keep(self._targets, ros.nanoseconds(msg.header.stamp), target)
 
     def begun(self, after: int, until: int) -> list[int]:
         """Return when phases began, after one stamp and up to another [ns], in order."""
@@ -123,7 +147,11 @@ class PhaseLog:
             return None
         support = base if kind is PhaseKind.SINGLE_SUPPORT else base.other
         try:
-            phase = make_phase(self.config, self.model, kind, support, self.reader.state(start).q, target)
+            q = self.reader.state(start).q
+            if kind is PhaseKind.DOUBLE_SUPPORT:  # a stance is one, too, but for where its CoM goes
+                goal = {k: com_target(self.model, k, base, q)[:2] for k in (kind, PhaseKind.STANCE)}
+                kind, target = min(goal, key=lambda k: float(np.abs(goal[k] - target).max())), None
+            phase = make_phase(self.config, self.model, kind, support, q, target)
             return Assessor(self.config, self.model, phase)
         except DqwalkError as error:
             self._logger.error(f"cannot rebuild the phase: {error}")

@@ -35,7 +35,8 @@ _FLUSH = 1.0
 """A recorder that is killed loses what came within so long at most [s]."""
 _LINGER = {True: 3.0, False: 0.5}
 """Longest time for what is still under way when the end is asked for [s], in lockstep and in real time."""
-_EACH_TICK = ("joint_states", "joint_velocity_commands", "base_pose")
+_PHYSICS = tuple(name for name, topic in TOPICS.items() if topic.source == "physics")
+_EACH_TICK = ("joint_states", "joint_velocity_commands", "base_pose", *_PHYSICS)
 _STAMPED = ("sensor_msgs/", "geometry_msgs/", "diagnostic_msgs/")
 
 
@@ -87,15 +88,18 @@ class RecorderNode(Worker):
             self._writer.open()
         except (OSError, WriterError) as error:
             raise BagError(f"cannot record to '{self._path}': {error}") from error
-        self._connections = {
-            name: self._writer.add_connection(
-                self.node.resolve_topic_name(topic.name),
-                topic.type,
-                typestore=typestore(),
-                offered_qos_profiles=[qos(name)],
-            )
-            for name, topic in TOPICS.items()
-        }
+        self._connections: dict[str, Any] = {}
+        for name in TOPICS:
+            if name not in _PHYSICS:  # those are in the bag where there is anything of them
+                self._connect(name)
+
+    def _connect(self, name: str) -> None:
+        self._connections[name] = self._writer.add_connection(
+            self.node.resolve_topic_name(TOPICS[name].name),
+            TOPICS[name].type,
+            typestore=typestore(),
+            offered_qos_profiles=[qos(name)],
+        )
 
     def _on_message(self, name: str, topic: Topic, raw: bytes) -> None:
         self.handled += 1
@@ -126,6 +130,8 @@ class RecorderNode(Worker):
             self.life.end(1)
 
     def _write(self, name: str, stamp: int, raw: bytes) -> None:
+        if name not in self._connections:
+            self._connect(name)
         self._writer.write(self._connections[name], stamp, raw)
         self._counts[name] += 1
 

@@ -77,10 +77,12 @@ class RigidNode(Worker):
         if ros.nanoseconds(msg.header.stamp) != self._stamp:
             gate.late += 1  # the answer to a state that was asked for twice
             return
-        effort = self._commands.checked(msg)
-        if effort is None or not gate.accept(self._stamp, effort, self._stamp) or gate.refused:
+        command = self._commands.checked(msg)
+        if command is None or command.effort is None:
             return  # time stands still
-        effort = clamp_effort(effort, self._model)
+        if not gate.accept(self._stamp, command.effort, self._stamp) or gate.refused:
+            return
+        effort = clamp_effort(command.effort, self._model)
         now = self._ticks * self._dt
         swing = self._stepping.swing(now)
         ends = swing is not None and swing.remaining <= self._dt + 1e-9

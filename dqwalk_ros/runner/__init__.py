@@ -8,14 +8,19 @@ from __future__ import annotations
 
 import contextlib
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from dqwalk_ros.config import Config, to_yaml
+from dqwalk_ros.gait.course import Course
 from dqwalk_ros.runner.processes import Processes, environment, private_domain
 from dqwalk_ros.runner.watch import Progress, Watch
 
-__all__ = ["Outcome", "Processes", "environment", "private_domain", "run_walk"]
+__all__ = ["PLANTS", "Outcome", "Processes", "environment", "private_domain", "run_walk"]
+
+PLANTS = {"integrator": "integrator", "physics": "physics", "poppy": "poppy_driver"}
+"""The node that is each plant."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +39,8 @@ class Outcome:
     took : float
         Time of the clock, from the first tick to the last [s].
     bag, logs : Path
+    pace : str
+        In real time, what the plant said of its own.
     """
 
     finished: bool
@@ -43,11 +50,14 @@ class Outcome:
     took: float
     bag: Path
     logs: Path
+    pace: str = ""
 
     def __str__(self) -> str:
         pace = f"{self.ticks} ticks, {self.walked:.1f} s of walking in {self.took:.1f} s"
         if self.took > 0.0:
             pace += f" ({self.ticks / self.took:.0f} ticks/s)"
+        if self.pace:
+            pace += f"; plant: {self.pace}"
         return f"finished: {pace}" if self.finished else f"{self.reason} (after {pace}; logs in {self.logs})"
 
 
@@ -55,18 +65,24 @@ def run_walk(
     config: Config,
     bag: str | os.PathLike[str],
     *,
+    plant: str = "integrator",
+    course: Sequence[str] = (),
     lockstep: bool = True,
     progress: Progress | None = None,
     logs: str | os.PathLike[str] | None = None,
     domain: int | None = None,
 ) -> Outcome:
-    """Walk with controller, integrator, phase_monitor and recorder as processes of their own.
+    """Walk with controller, plant, phase_monitor and recorder as processes of their own.
 
     Parameters
     ----------
     config : Config
     bag : path-like
         The folder that the recorder makes; it must not be there yet.
+    plant : {"integrator", "physics", "poppy"}
+        Other side of the command; what ``config/plants/NAME.yaml`` asks for is in `config` already.
+    course : sequence of str
+        Legs for the node pilot, as `gait.course.Course.parse` reads them; `config` has ``gait.steps: 0`` then.
     lockstep : bool
         Each state waits for its command; otherwise the walk goes by the clock.
     progress : callable, optional
@@ -100,12 +116,17 @@ def run_walk(
         processes = stack.enter_context(Processes(folder, domain))
         processes.start("recorder", ["--bag", str(bag), *ros])
         processes.start("phase_monitor", ros)
-        processes.start("integrator", ros)
+        node = PLANTS[plant]
+        processes.start(node, ros)
         processes.start("controller", ros)
-        watch = Watch(config, progress)
+        if course:
+            processes.start("pilot", [*(f"--cmd-vel={leg}" for leg in course), *ros])
+        duration = Course.parse(course).duration
+        watch = Watch(config, progress, plant=node, duration=duration)
         reason = watch.until_the_end(processes)
         processes.stop()
         reason = reason or _incomplete(processes, lockstep)
+        paces = [line["text"] for line in processes.said(node) if line.get("event") == "pace"]
     last = watch.last
     return Outcome(
         finished=not reason,
@@ -115,6 +136,7 @@ def run_walk(
         took=watch.took,
         bag=bag,
         logs=folder,
+        pace=paces[-1] if paces else "",
     )
 
 

@@ -31,6 +31,10 @@ class Watch:
     ----------
     config : Config
     progress : callable or None
+    plant : str
+        Name of its node.
+    duration : float
+        Time that a steered walk takes [s]; 0 where the phases are counted.
 
     Attributes
     ----------
@@ -40,7 +44,10 @@ class Watch:
         Time from its first word to its last [s].
     """
 
-    def __init__(self, config: Config, progress: Progress | None) -> None:
+    def __init__(
+        self, config: Config, progress: Progress | None, *, plant: str = "integrator", duration: float = 0.0
+    ) -> None:
+        self._plant, self._duration = plant, duration
         self.last: dict[str, Any] = {}
         self.took = 0.0
         self._phases = phase_count(config) or math.inf
@@ -75,7 +82,7 @@ class Watch:
             if code == 0 and self.last.get("mode") == "finished":
                 return ""
             return self.last.get("reason") or f"controller ended ({code}): {processes.last_words('controller')}"
-        for name in ("integrator", "recorder"):
+        for name in (self._plant, "recorder"):
             if (code := processes.exit_code(name)) is not None:
                 return f"{name} ended ({code}): {processes.last_words(name)}"
         return None
@@ -107,11 +114,14 @@ class Watch:
             return
         line = self.last
         error = "" if line["error"] is None else f"error {line['error']:.4f}"
-        text = f"phase {line['phase_index'] + 1}/{self._phases} {line['phase']}  {line['time']:7.2f} s  {error}"
+        of = "" if self._phases == math.inf else f"/{self._phases}"
+        text = f"phase {line['phase_index'] + 1}{of} {line['phase']}  {line['time']:7.2f} s  {error}"
         self._progress(self._fraction(), f"{text}  {self._pace:.0f} ticks/s")
 
     def _fraction(self) -> float:
         """Return how much is done; within single support by the decay of its error, which is exponential."""
+        if self._duration:
+            return min(1.0, float(self.last["time"]) / self._duration)
         index, error = int(self.last["phase_index"]), float(self.last["error"] or 0.0)
         within = 0.0
         first = self._error0[1]

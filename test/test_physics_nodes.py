@@ -1,0 +1,269 @@
+"""The physics plant as a real process over DDS: the same walk as in one process, and what it says besides."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
+
+from geometry_msgs.msg import PointStamped, PoseStamped, Twist, Vector3, WrenchStamped
+from live import Live
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import Imu, JointState
+
+from dqwalk_ros import analysis, bag
+from dqwalk_ros.cli.settings import overlaid
+from dqwalk_ros.config import load
+from dqwalk_ros.controllers import State, make_controller
+from dqwalk_ros.exceptions import StateError
+from dqwalk_ros.model import Foot, load_model
+from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.inertial import InertialSensor
+from dqwalk_ros.nodes.steering import Steering
+from dqwalk_ros.plants import make_plant
+from dqwalk_ros.runner import private_domain, run_walk
+from dqwalk_ros.simulation import simulate
+
+CONFIG = overlaid(load("poppy"), "physics")
+DEEP = QoSProfile(depth=10_000)
+pytestmark = pytest.mark.xdist_group("physics_nodes")
+
+
+@pytest.fixture
+def domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with private_domain() as number:
+        yield number
+
+
+def listen(live: Live, kind: Any, topic: str) -> dict[int, Any]:
+    """Return what comes on a topic, by stamp [ns]."""
+    got: dict[int, Any] = {}
+    live.node.create_subscription(kind, topic, lambda m: got.__setitem__(ros.nanoseconds(m.header.stamp), m), DEEP)
+    return got
+
+
+def test_lockstep_is_the_walk_of_one_process_and_says_more(tmp_path: Path, domain: int) -> None:
+    live = Live(tmp_path, domain, CONFIG.updated({"plant.lockstep": True, "gait.steps": 1}))
+    try:
+        states, commands = listen(live, JointState, "joint_states"), listen(live, JointState, "joint_velocity_commands")
+        imus, bases = listen(live, Imu, "imu"), listen(live, PoseStamped, "true_base_pose")
+        wrenches = {foot: listen(live, WrenchStamped, f"{foot.value}_foot_wrench") for foot in Foot}
+        pressures = listen(live, PointStamped, "center_of_pressure")
+        live.start("physics")
+        live.start("controller")
+        live.until(lambda: len(commands) > 320, 120.0, "320 ticks")
+    finally:
+        live.close()
+    config = live.config
+    model = load_model(config.robot)
+    controller, plant = make_controller(config, model), make_plant("physics", config, model)
+    compared = 0
+    for tick in range(300):  # the first single support begins at 300
+        stamp = round(tick * config.dt * 1e9)
+        state, truth = plant.state, plant.truth
+        command = controller.step(state, config.dt)
+        if stamp in states and stamp in commands:  # the first may have come before this test listened
+            compared += 1
+            np.testing.assert_allclose(states[stamp].position, state.q, rtol=0.0, atol=1e-9)
+            np.testing.assert_allclose(commands[stamp].velocity, command.velocity, rtol=0.0, atol=1e-9)
+            np.testing.assert_allclose(commands[stamp].effort, command.effort, rtol=0.0, atol=1e-9)
+        if tick % 20 == 0 and stamp in imus and stamp in bases:
+            up, gyro = ros.up_and_gyro(imus[stamp])
+            np.testing.assert_allclose(up, state.up, atol=1e-9)
+            np.testing.assert_allclose(gyro, state.gyro, atol=1e-9)
+            np.testing.assert_allclose(ros.pose_dq(bases[stamp]), truth.pelvis, atol=1e-9)
+            assert imus[stamp].linear_acceleration.z == pytest.approx(9.81, abs=1.0)
+            weight = sum(wrenches[foot][stamp].wrench.force.z for foot in Foot)
+            assert weight == pytest.approx(sum(w[2] for w in truth.wrenches.values()), abs=1e-9)
+            assert weight == pytest.approx(9.81 * model.mass, rel=0.2)
+            p = pressures[stamp].point
+            np.testing.assert_allclose([p.x, p.y, p.z], truth.cop, atol=1e-9)
+        plant.step(command, config.dt)
+    assert compared > 250
+    assert {m.header.frame_id for m in imus.values()} == {"imu"}
+    assert {m.header.frame_id for m in pressures.values()} == {"world"}
+
+
+class Deaf:
+    """Stands in for a node: what it would hear is given to it by hand."""
+
+    def __init__(self) -> None:
+        self.said: list[str] = []
+
+    def create_subscription(self, kind: Any, topic: str, callback: Any, profile: Any) -> None:
+        setattr(self, topic, callback)
+
+    def get_logger(self) -> Any:
+        return self
+
+    def info(self, text: str) -> None:
+        self.said.append(text)
+
+    error = info
+
+
+def imu_at(stamp: int, **fields: float) -> Imu:
+    msg = Imu()
+    msg.header.stamp = ros.time_msg(stamp)
+    for name, value in fields.items():
+        setattr(msg.orientation, name, value)
+    return msg
+
+
+def state_at(stamp: int) -> tuple[JointState, State]:
+    msg = JointState()
+    msg.header.stamp = ros.time_msg(stamp)
+    return msg, State(1e-9 * stamp, np.zeros(1))
+
+
+def test_in_lockstep_a_state_waits_for_the_imu_of_its_stamp() -> None:
+    node, again = Deaf(), []
+    sensor = InertialSensor(node, lockstep=True, timeout=lambda: 0.1, again=again.append)
+    msg, state = state_at(5_000_000)
+    node.imu(imu_at(0))
+    assert sensor.joined(msg, state) is None
+    node.imu(imu_at(5_000_000, w=0.0, x=1.0))
+    assert again == [msg]
+    joined = sensor.joined(msg, state)
+    assert joined is not None
+    assert joined.up == pytest.approx([0.0, 0.0, -1.0])  # upside down
+
+
+def test_in_real_time_the_newest_imu_counts_until_it_is_too_old() -> None:
+    node = Deaf()
+    sensor = InertialSensor(node, lockstep=False, timeout=lambda: 0.1, again=lambda _: None)
+    with pytest.raises(StateError, match="nothing came yet"):
+        sensor.joined(*state_at(0))
+    node.imu(imu_at(1_000_000_000))
+    joined = sensor.joined(*state_at(1_050_000_000))
+    assert joined is not None
+    assert joined.up == pytest.approx([0.0, 0.0, 1.0])
+    with pytest.raises(StateError, match=r"0\.200 s away"):
+        sensor.joined(*state_at(1_200_000_000))
+
+
+@pytest.mark.parametrize(
+    ("bad", "said"),
+    [
+        (imu_at(0, w=0.0), "unit quaternion"),
+        (imu_at(0, x=float("nan")), "unit quaternion"),
+        (Imu(angular_velocity=Vector3(x=float("inf"))), "finite angular velocity"),
+        (Imu(orientation_covariance=[-1.0] + [0.0] * 8), "no orientation"),
+    ],
+)
+def test_an_imu_that_cannot_be_used_is_refused(bad: Imu, said: str) -> None:
+    node = Deaf()
+    sensor = InertialSensor(node, lockstep=True, timeout=lambda: 0.1, again=lambda _: None)
+    node.imu(bad)
+    with pytest.raises(StateError, match=said):
+        sensor.joined(*state_at(0))
+
+
+def test_cmd_vel_counts_until_it_falls_silent_by_the_time_of_receipt() -> None:
+    class Steered:
+        asked: list[tuple[float, ...]] = []  # noqa: RUF012
+
+        def steer(self, *asked: float) -> tuple[float, ...]:
+            self.asked.append(asked)
+            return min(asked[0], 0.01), *asked[1:]
+
+    node, controller = Deaf(), Steered()
+    steering = Steering(node, CONFIG.updated({"gait.cmd_vel_timeout": 0.05}), controller)
+    msg = Twist()
+    msg.linear.x, msg.linear.y, msg.angular.z = 1.0, 0.5, -0.25
+    steering.apply()
+    node.cmd_vel(msg)
+    steering.apply()
+    assert "steered: 0.0100 m/s forward" in node.said[-1]
+    assert "as far as the legs go" in node.said[-1]
+    msg.linear.x = float("nan")
+    node.cmd_vel(msg)  # changes nothing
+    steering.apply()
+    time.sleep(0.06)
+    node.cmd_vel(msg)  # and does not feed
+    steering.apply()
+    assert controller.asked == [(0.0, 0.0, 0.0), (1.0, 0.5, -0.25), (1.0, 0.5, -0.25), (0.0, 0.0, 0.0)]
+    assert steering.rejected == 2
+    assert any("fell silent" in text for text in node.said)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_a_walk_through_ros_is_recorded_and_judged(tmp_path: Path) -> None:
+    config = CONFIG.updated({"gait.steps": 2})
+    model = load_model(config.robot)
+    expected = simulate(make_controller(config, model), make_plant("physics", config, model))
+    outcome = run_walk(config, tmp_path / "bag", plant="physics")
+    assert outcome.finished, outcome.reason
+    walked = bag.read(tmp_path / "bag")
+    n = len(expected)
+    assert 0 <= len(walked) - n <= 1
+    np.testing.assert_allclose(walked.q[:n], expected.q, rtol=0.0, atol=1e-9)
+    assert walked.physics is not None
+    assert expected.physics is not None
+    np.testing.assert_allclose(walked.physics.pelvis[:n], expected.physics.pelvis, rtol=0.0, atol=1e-9)
+    report = analysis.report(analysis.analyse(walked))
+    assert report["ok"], report["violations"]
+    assert report["physics"]["steps"] == 3
+    assert report["physics"]["cop_inside"] >= 0.99
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_cmd_vel_steers_and_silence_puts_the_feet_together(tmp_path: Path, domain: int) -> None:
+    live = Live(tmp_path, domain, CONFIG.updated({"plant.lockstep": True, "gait.steps": 0}))
+    try:
+        twists = live.node.create_publisher(Twist, "cmd_vel", 1)
+        live.start("physics")
+        live.start("controller")
+        live.until(lambda: "stance/left" in live.phases(), 120.0, "the first stance")
+        live.spin(2.0)
+        assert live.phases()[-1] == "stance/left"  # nobody asks for anything
+        asked = Twist()
+        asked.linear.x, asked.angular.z = 10.0, 0.1
+
+        def step() -> bool:
+            twists.publish(asked)
+            live.spin(0.1)
+            return sum(phase.startswith("single_support") for phase in live.phases()) >= 2
+
+        live.until(step, 120.0, "two steps")
+        assert "as far as the legs go" in live.processes.log("controller")
+        live.until(lambda: live.phases()[-1].startswith("stance"), 120.0, "the feet together")
+        live.spin(2.0)
+        assert live.phases()[-1].startswith("stance")
+        assert "cmd_vel fell silent" in live.processes.log("controller")
+        assert live.call("controller/stop").success
+        live.until(lambda: live.phases()[-1] == "finished", 60.0, "the end")
+        assert "fell at" not in live.processes.log("physics")
+    finally:
+        live.close()
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_real_time_stands(tmp_path: Path) -> None:
+    outcome = run_walk(CONFIG.updated({"gait.steps": 1}), tmp_path / "bag", plant="physics", lockstep=False)
+    assert outcome.finished, outcome.reason
+    assert "% of real time" in outcome.pace
+    walked = bag.read(tmp_path / "bag")
+    report = analysis.report(analysis.analyse(walked))
+    assert not report["physics"]["fallen"]
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_the_pilot_walks_an_arc(tmp_path: Path) -> None:
+    config = CONFIG.updated({"gait.steps": 0})
+    outcome = run_walk(config, tmp_path / "bag", plant="physics", course=["0.0167,0,0.04,12", "-0.01,0,0,6"])
+    assert outcome.finished, outcome.reason
+    report = analysis.report(analysis.analyse(bag.read(tmp_path / "bag")))
+    assert report["ok"], report["violations"]
+    assert report["physics"]["turned"] > np.radians(15.0)

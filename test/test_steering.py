@@ -1,0 +1,225 @@
+"""A walk that is steered: course, limits, waiting, stopping. And what physics knows of a walk, kept and judged."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dqwalk_ros as dq
+from dqwalk_ros import analysis, bag
+from dqwalk_ros.analysis.batch import Batch, distance, error
+from dqwalk_ros.analysis.ground import Circle
+from dqwalk_ros.cli import main
+from dqwalk_ros.cli.settings import overlaid
+from dqwalk_ros.controllers import make_controller
+from dqwalk_ros.dq import DQ
+from dqwalk_ros.exceptions import ConfigError
+from dqwalk_ros.gait import StandingGait
+from dqwalk_ros.gait.course import Course, Leg
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.model import Foot
+from dqwalk_ros.phases import PhaseKind, make_phase
+from dqwalk_ros.phases.standing import posture
+from dqwalk_ros.plants import make_plant
+from dqwalk_ros.plants.truth import upward
+from dqwalk_ros.simulation import simulate
+
+CONFIG = dq.load("poppy").updated({"gait.steps": 0})
+MODEL = dq.load_model(CONFIG.robot)
+PERIOD = CONFIG.standing.transfer_duration + CONFIG.standing.swing_duration
+
+
+def test_a_course_is_read_and_walked_in_order() -> None:
+    course = Course.parse(["0.01,0,0.02,30", "-0.01,0.001,0,5"])
+    assert course.legs == (Leg(0.01, 0.0, 0.02, 30.0), Leg(-0.01, 0.001, 0.0, 5.0))
+    assert course.duration == 35.0
+    assert course.at(29.9) == (0.01, 0.0, 0.02)
+    assert course.at(30.0) == (-0.01, 0.001, 0.0)
+    assert course.at(35.0) is None
+    for text in ("0.01,0,0.02", "a,0,0,1", "0,0,0,0", "0,0,inf,1", "nan,0,0,1", ""):
+        with pytest.raises(ConfigError, match="--cmd-vel wants"):
+            Course.parse([text])
+
+
+@pytest.mark.parametrize("asked", [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 9.0), (0.3, 0.2, -1.0)])
+def test_cmd_vel_is_clamped_to_what_the_legs_can_do(asked: tuple[float, float, float]) -> None:
+    g = CONFIG.gait
+    walked = np.array(StandingGait(CONFIG, MODEL).steer(*asked)) * PERIOD
+    most = np.array([g.most_length, g.most_side, g.most_turn])
+    part = np.divide(walked, most, out=np.zeros(3), where=most > 0.0)
+    assert np.linalg.norm(part) == pytest.approx(1.0)  # as much as they can, and no more
+    assert (np.sign(walked) * np.sign(asked) >= 0.0).all()
+    if most[1] == 0.0:
+        assert walked[1] == 0.0
+
+
+def test_what_the_legs_can_do_is_not_changed() -> None:
+    asked = 0.4 * CONFIG.gait.most_length / PERIOD, 0.0, 0.4 * CONFIG.gait.most_turn / PERIOD
+    assert StandingGait(CONFIG, MODEL).steer(*asked) == pytest.approx(asked)
+
+
+def test_it_waits_walks_and_stops_with_the_feet_together() -> None:
+    controller, plant = make_controller(CONFIG, MODEL), make_plant("kinematic", CONFIG, MODEL)
+    names: list[str] = []
+    poses: list[np.ndarray] = []
+
+    def pilot(time: float) -> None:
+        if controller.phase_index >= len(names):
+            names.append(controller.phase.name)
+        if names:
+            poses.append(DQ(controller.odometry()).translation())
+        if time < 2.0:
+            controller.steer(0.0, 0.0, 0.0)
+        elif len(names) < 3:
+            controller.steer(0.01, 0.0, 0.0)
+        elif names[-1].startswith("stance"):
+            controller.stop()
+        else:
+            controller.steer(0.0, 0.0, 0.0)
+
+    trace = simulate(controller, plant, pilot=pilot, max_time=30.0)
+    assert trace.finished, trace.notes
+    kinds = [record.kind for record in trace.phases]
+    double, single = PhaseKind.DOUBLE_SUPPORT, PhaseKind.SINGLE_SUPPORT
+    assert kinds == [PhaseKind.STANCE, double, single, PhaseKind.STANCE] or kinds == [
+        PhaseKind.STANCE, double, single, double, single, PhaseKind.STANCE,
+    ]  # fmt: skip
+    assert trace.phases[1].time >= 2.0  # it waited, however long a stance takes
+    jumps = np.linalg.norm(np.diff(poses, axis=0), axis=1)
+    assert jumps.max() < 0.2 * CONFIG.dt  # odometry goes on where the base changes
+
+
+def test_a_walk_that_goes_its_own_way_is_not_steered() -> None:
+    counted = make_controller(CONFIG.updated({"gait.steps": 2}), MODEL)
+    with pytest.raises(ConfigError, match=r"gait\.steps: 0"):
+        counted.steer(0.01, 0.0, 0.0)
+    config = dq.load("paper")
+    with pytest.raises(ConfigError, match="pause"):
+        make_controller(config, dq.load_model(config.robot)).stop()
+
+
+def test_up_is_the_third_row_of_the_rotation_whatever_the_yaw() -> None:
+    r = np.random.default_rng(3).normal(size=4)
+    r /= np.linalg.norm(r)
+    up = DQ.from_pose([0.0, 0.0, 0.0], r).rotation_matrix()[2]
+    assert upward(*(1.0001 * r)) == pytest.approx(up, abs=1e-12)
+    yaw = np.array([np.cos(0.4), 0.0, 0.0, np.sin(0.4)])
+    assert upward(*(DQ(yaw) * DQ(r)).vec4()) == pytest.approx(up, abs=1e-12)
+
+
+@pytest.fixture(scope="module")
+def short():
+    """Three hundred ticks in physics, the first double support."""
+    config = overlaid(dq.load("poppy"), "physics").updated({"gait.steps": 1})
+    return simulate(make_controller(config, MODEL), make_plant("physics", config, MODEL), max_time=1.6)
+
+
+def test_looking_at_the_truth_changes_nothing() -> None:
+    config = CONFIG.updated({"gait.steps": 1})
+    ends = []
+    for look in (False, True):
+        controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
+        for _ in range(40):
+            plant.step(controller.step(plant.state, config.dt), config.dt)
+            if look:
+                assert plant.truth.cop is not None
+                assert np.linalg.norm(plant.inertial.acceleration) == pytest.approx(9.81, abs=1.5)
+        ends.append(plant.state.q)
+    assert (ends[0] == ends[1]).all()
+
+
+def test_a_bag_keeps_what_the_physics_knew(short, tmp_path: Path) -> None:
+    bag.write(short, tmp_path / "bag")
+    read = bag.read(tmp_path / "bag")
+    assert read.physics is not None
+    for name in ("pelvis", "cop", "orientation", "gyro", "acceleration"):
+        np.testing.assert_allclose(getattr(read.physics, name), getattr(short.physics, name), rtol=0.0, atol=1e-15)
+    for foot in Foot:
+        assert (read.physics.wrenches[foot] == short.physics.wrenches[foot]).all()
+
+
+def test_the_report_says_how_it_stood(short) -> None:
+    report = analysis.report(analysis.analyse(short))
+    assert report["ok"], report["violations"]
+    of = report["physics"]
+    assert of["cop_inside"] == 1.0
+    assert 0.0 <= of["tilt"]["value"] < np.radians(0.5)
+    assert not of["fallen"]
+    text = analysis.render(report)
+    assert "inside the support polygon on 100.00 % of ticks" in text
+
+
+def test_the_series_of_many_ticks_are_those_of_each() -> None:
+    """The distances of a standing walk on arrays, with the up of the inertial sensor, against the constraints' own."""
+    config = dq.load("poppy")
+    rng = np.random.default_rng(5)
+    q = posture(config, MODEL) + 0.1 * rng.normal(size=(4, MODEL.n))
+    up = np.column_stack([0.05 * rng.normal(size=(4, 2)), np.ones(4)])
+    up /= np.linalg.norm(up, axis=1)[:, None]
+    goal = DQ.from_pose([0.03, 0.1, 0.0]).vec8()
+    for kind, target in ((PhaseKind.DOUBLE_SUPPORT, None), (PhaseKind.SINGLE_SUPPORT, goal), (PhaseKind.STANCE, None)):
+        phase = make_phase(config, MODEL, kind, Foot.RIGHT, posture(config, MODEL), target)
+        batch = Batch(MODEL, q, phase.base, ("imu", up))
+        found = {row.name: distance(row, batch) for row in (*phase.holds, *phase.constraints)}
+        errors = error(phase.tasks[0], batch)
+        for tick in range(4):
+            kin = Kinematics(MODEL, q[tick], phase.base)
+            kin = Kinematics(MODEL, q[tick], phase.base, kin.direction("imu", up[tick]))
+            for name, value in phase.distances(kin).items():
+                assert found[name][tick] == pytest.approx(value, abs=1e-12), name
+            assert errors[tick] == pytest.approx(phase.error(kin), abs=1e-12)
+
+
+def tampered(trace, **changes):
+    return dataclasses.replace(trace, physics=dataclasses.replace(trace.physics, **changes))
+
+
+def violated(trace) -> set[str]:
+    return {violation["what"] for violation in analysis.report(analysis.analyse(trace))["violations"]}
+
+
+def test_the_report_sees_a_robot_that_does_not_stand(short) -> None:
+    """A centre of pressure 20 cm off on 2 % of the ticks, a sole that leans by 3 degrees, a robot that lies."""
+    n = len(short)
+    cop = short.physics.cop.copy()
+    cop[: n // 50 + 1, 0] += 0.2
+    assert violated(tampered(short, cop=cop)) == {"cop"}
+    cop[:] = np.nan
+    assert "cop" in violated(tampered(short, cop=cop))
+    lean = DQ([np.cos(np.radians(1.5)), np.sin(np.radians(1.5)), 0.0, 0.0])
+    pelvis = short.physics.pelvis.copy()
+    pelvis[n // 2] = (lean * DQ(pelvis[n // 2])).vec8()
+    assert "tilt" in violated(tampered(short, pelvis=pelvis))
+    pelvis = short.physics.pelvis.copy()
+    pelvis[-20:] = (DQ.from_pose([0.0, 0.0, -0.3]) * DQ(pelvis[-20:])).vec8()
+    assert "fallen" in violated(tampered(short, pelvis=pelvis))
+
+
+def test_a_circle_is_found() -> None:
+    angles = np.linspace(0.0, 5.0, 40)
+    p = np.array([0.3, -0.2]) + 0.5 * np.column_stack([np.cos(angles), np.sin(angles)])
+    circle = Circle.through(p)
+    assert circle.center == pytest.approx([0.3, -0.2])
+    assert circle.radius == pytest.approx(0.5)
+    assert circle.deviation < 1e-9
+
+
+def test_the_command_line_refuses_a_course_it_cannot_read(tmp_path: Path, capsys) -> None:
+    arguments = ["simulate", "--config", "poppy", "--cmd-vel", "far", "--out", str(tmp_path / "walk")]
+    assert main(arguments) == 2
+    assert "--cmd-vel wants" in capsys.readouterr().err
+    assert not (tmp_path / "walk" / "bag").exists()
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_a_circle_by_cmd_vel_in_physics(tmp_path: Path) -> None:
+    out = tmp_path / "circle"
+    arguments = ["simulate", "--config", "poppy", "--plant", "physics", "--cmd-vel", "0.012,0,0.037,172"]
+    assert main([*arguments, "--out", str(out), "--quiet"]) == 0
+    of = analysis.report(analysis.analyse(bag.read(out / "bag")))["physics"]
+    assert of["turned"] > np.radians(340.0)
+    assert of["circle"]["radius"] == pytest.approx(0.012 / 0.037, rel=0.1)
