@@ -306,6 +306,7 @@ class NodeConfig:
         False, "the controller exits when the walk is over: 0 if it finished, 1 if it failed", structural=True
     )
     wait_for_recorder: bool = _par(False, "the first tick waits until a recorder listens", structural=True)
+    wait_for_monitor: bool = _par(False, "the plant's first tick waits for a phase_monitor too", structural=True)
 
 
 @dataclass(frozen=True)

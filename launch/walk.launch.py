@@ -69,6 +69,7 @@ def generate_launch_description() -> LaunchDescription:
             "plant.lockstep": lockstep,
             "node.exit_when_done": lockstep,
             "node.wait_for_recorder": recorded,
+            "node.wait_for_monitor": lockstep,
         },
     ]
 

@@ -54,6 +54,7 @@ class Live:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self.got: dict[str, list[Any]] = {}
+        self._clients: dict[str, Any] = {}
         self._listen(String, "phase", LATCHED)
         self._listen(JointState, "joint_states", QoSProfile(depth=1000))
         self._listen(JointState, "joint_velocity_commands", QoSProfile(depth=1000))
@@ -102,12 +103,16 @@ class Live:
 
     def call(self, service: str) -> Trigger.Response:
         """Call a Trigger service."""
-        client = self.node.create_client(Trigger, service)
-        self.until(client.service_is_ready, 20.0, f"service {service}")
-        future = client.call_async(Trigger.Request())
+        self.until_ready(service)
+        future = self._clients[service].call_async(Trigger.Request())
         self.until(future.done, 20.0, f"an answer from {service}")
-        self.node.destroy_client(client)
         return future.result()
+
+    def until_ready(self, service: str) -> None:
+        """Wait for a Trigger service."""
+        if service not in self._clients:
+            self._clients[service] = self.node.create_client(Trigger, service)
+        self.until(self._clients[service].service_is_ready, 20.0, f"service {service}")
 
     def statuses(self, name: str) -> list[Any]:
         """Return what a node said on /diagnostics."""

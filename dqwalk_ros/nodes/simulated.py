@@ -132,9 +132,13 @@ class SimulatedPlant(Worker):
 
     def _may_begin(self) -> bool:
         """Tell whether everyone listens who must not miss the first state."""
-        if self._ticks or not self._parameters.config.node.wait_for_recorder:
+        if self._ticks:
             return True
-        return all(ros.is_heard_by(self.node, offered, "recorder") for offered in self._streams.values())
+        wanted, states = self._parameters.config.node, self._streams["joint_states"]
+        if wanted.wait_for_monitor and not ros.is_heard_by(self.node, states, "phase_monitor"):
+            return False
+        recorded = self._streams.values() if wanted.wait_for_recorder else ()
+        return all(ros.is_heard_by(self.node, offered, "recorder") for offered in recorded)
 
     # ------------------------------------------------------------------ real time
 

@@ -70,6 +70,7 @@ class ViewerNode(Worker):
         self._phase: Phase | None = None
         self._index = -1
         self._began = -1  # [ns]
+        self._origin = 0  # of the time shown: where the first phase seen began [ns]
         self._x_odom_base = DQ(1.0).vec8()
         self._raw: bytes | None = None
         self._newest = -1  # [ns]
@@ -137,6 +138,8 @@ class ViewerNode(Worker):
 
     def _enter(self, began: int, model: RobotModel, phase: Phase) -> None:
         self._index += 1
+        if self._index == 0:
+            self._origin = began
         if self._phase is not None and phase.base is not self._phase.base:
             # the world moves to the other sole, as that stood
             kin = Kinematics(model, phase.q_start, self._phase.base)
@@ -189,11 +192,11 @@ class ViewerNode(Worker):
             self._states = {**dict(list(self._states.items())[-50:]), stamp: pelvis}
         self.page.show(
             Moment(
-                time=1e-9 * stamp,
+                time=1e-9 * (stamp - self._origin),
                 q=q,
                 phase=self._phase,
                 index=self._index,
-                began=1e-9 * self._began,
+                began=1e-9 * (self._began - self._origin),
                 x_odom_base=self._x_odom_base,
                 label=self._label,
                 solver=self._solver,

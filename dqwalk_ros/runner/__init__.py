@@ -105,6 +105,7 @@ def run_walk(
             "node.autostart": True,
             "node.exit_when_done": True,
             "node.wait_for_recorder": True,
+            "node.wait_for_monitor": True,
         }
     )
     params = folder / "params.yaml"
