@@ -40,8 +40,8 @@ walk-physics: $(VENV)/.installed-sim  ## walk STEPS steps in MuJoCo through ROS 
 simulate: $(VENV)/.installed  ## the same walk in one process, without ROS
 	$(BIN)/dqwalk simulate --config $(CONFIG) --cycles $(CYCLES) --out $(OUT) --force
 
-reach: $(VENV)/.installed-wholebody  ## Tests 1 and 2 of the whole-body controller: figures and tables in results/reach
-	OPENBLAS_NUM_THREADS=1 $(BIN)/dqwalk reach --out results/reach --force
+reach: $(VENV)/.installed-wholebody  ## everything the whole-body controller must show, asked and got, and figures 2 to 5
+	OPENBLAS_NUM_THREADS=1 $(BIN)/dqwalk reach --all --jobs $(JOBS) --out results/reach --force
 
 test: $(VENV)/.installed-test  ## run all tests (JOBS=2 at a time)
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m 'not colcon and not native and not long and not browser' $(ARGS)

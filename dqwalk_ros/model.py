@@ -147,6 +147,10 @@ class RobotModel:
     pelvis: str
     urdf: str = field(repr=False)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Let it be sent to another process; views of mappings cannot be."""
+        return _sent, (vars(self) | {"frames": dict(self.frames), "soles": dict(self.soles)},)
+
     @property
     def n(self) -> int:
         """Number of joints."""
@@ -161,6 +165,11 @@ class RobotModel:
     def mass(self) -> float:
         """Total mass M of (4) [kg]."""
         return sum(body.mass for body in self.bodies)
+
+
+def _sent(values: dict[str, Any]) -> RobotModel:
+    views = {name: MappingProxyType(values[name]) for name in ("frames", "soles")}
+    return RobotModel(**(values | views))
 
 
 def find_urdf(urdf: str) -> pathlib.Path:

@@ -13,7 +13,7 @@ from dqwalk_ros import __version__
 
 __all__ = ["from_text", "here", "to_text"]
 
-_PARTS = ("numpy", "numba", "clarabel", "daqp", "rosbags", "mcap", "rclpy", "mujoco", "pypot")
+_PARTS = ("numpy", "numba", "clarabel", "daqp", "rosbags", "mcap", "rclpy", "mujoco", "pin", "pypot")
 
 
 def here() -> dict[str, str]:

@@ -1,23 +1,35 @@
-"""Reach with the whole body: controller and rigid plant.
+"""Reach with the whole body: controller, rigid plant and, if asked for, recorder.
 
-ros2 launch dqwalk_ros whole_body.launch.py
+ros2 launch dqwalk_ros whole_body.launch.py bag:=my_walk
 ros2 topic pub --once /hand_target geometry_msgs/PoseStamped '{pose: {position: {x: 1.2, y: -0.8, z: 0.9}}}'
 ros2 topic pub --once /push geometry_msgs/WrenchStamped '{wrench: {force: {y: 15.0}}}'
+dqwalk report my_walk
 """
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler, SetEnvironmentVariable
+from launch.conditions import IfCondition
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
-from launch.substitutions import EnvironmentVariable, LaunchConfiguration, PathJoinSubstitution
+from launch.substitutions import (
+    EnvironmentVariable,
+    LaunchConfiguration,
+    NotEqualsSubstitution,
+    PathJoinSubstitution,
+)
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
 
 def generate_launch_description() -> LaunchDescription:
-    parameters = [LaunchConfiguration("config"), {"plant.lockstep": LaunchConfiguration("lockstep")}]
+    bag = LaunchConfiguration("bag")
+    recorded = NotEqualsSubstitution(bag, "")
+    parameters = [
+        LaunchConfiguration("config"),
+        {"plant.lockstep": LaunchConfiguration("lockstep"), "node.wait_for_recorder": recorded},
+    ]
 
-    def node(name: str) -> Node:
+    def node(name: str, **options: object) -> Node:
         return Node(
             package="dqwalk_ros",
             executable=name,
@@ -25,6 +37,7 @@ def generate_launch_description() -> LaunchDescription:
             parameters=parameters,
             output="screen",
             ros_arguments=["--enclave", f"/dqwalk/{name}"],  # see docs/security.md; nothing without SROS 2
+            **options,
         )
 
     controller = node("whole_body_controller")
@@ -34,7 +47,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "config",
                 default_value=PathJoinSubstitution([FindPackageShare("dqwalk_ros"), "config", "whole_body.yaml"]),
-                description="parameter file of both nodes; `dqwalk config` explains each key",
+                description="parameter file of all nodes; `dqwalk config` explains each key",
             ),
             DeclareLaunchArgument(
                 "lockstep",
@@ -48,8 +61,12 @@ def generate_launch_description() -> LaunchDescription:
                 choices=["LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT"],
                 description="who can see the nodes: LOCALHOST this machine only, SUBNET the network as well",
             ),
+            DeclareLaunchArgument(
+                "bag", default_value="", description="record to this folder, which must not be there yet; empty: do not"
+            ),
             # nothing leaves this machine unless somebody asks for it
             SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery")),
+            node("recorder", arguments=["--bag", bag], condition=IfCondition(recorded)),
             node("rigid"),
             controller,
             RegisterEventHandler(OnProcessExit(target_action=controller, on_exit=[over])),

@@ -14,6 +14,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 
 from dqwalk_ros import bag
 from dqwalk_ros.bag import messages, storage
+from dqwalk_ros.bag.joints import unpack_joint_states
 from dqwalk_ros.dq import DQ
 from dqwalk_ros.exceptions import BagError
 
@@ -154,7 +155,7 @@ def test_diagnostics_come_at_their_rate_and_say_every_distance(path, trace):
 
 
 def column(path, topic):
-    return messages.unpack_joint_states(storage.load(path, lambda name, kind: name == topic).columns[topic].raws)
+    return unpack_joint_states(storage.load(path, lambda name, kind: name == topic).columns[topic].raws)
 
 
 def test_nothing_is_overwritten_unasked(trace, path, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 
 import numpy as np
@@ -38,6 +39,17 @@ def test_the_papers_mechanism():
     assert model.n == 10
     assert set(model.joint_names) == {f"{side}_{joint}" for side in "lr" for joint in leg}
     assert 1.0 < model.mass < 1.2  # legs and pelvis
+
+
+def test_it_can_be_sent_to_another_process():
+    model = poppy()
+    again = pickle.loads(pickle.dumps(model))
+    assert again.joint_names == model.joint_names
+    assert again.q_min.tolist() == model.q_min.tolist()
+    assert set(again.frames) == set(model.frames)
+    assert again.root == model.root
+    with pytest.raises(TypeError):
+        again.frames["more"] = again.frames[again.root]
 
 
 def test_all_of_poppy():

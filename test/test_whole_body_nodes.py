@@ -13,14 +13,17 @@ from live import Live
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
+from dqwalk_ros import bag
+from dqwalk_ros.analysis.reaching import checks
 from dqwalk_ros.config import load
 from dqwalk_ros.controllers.whole_body import WholeBodyController
 from dqwalk_ros.model import load_model
 from dqwalk_ros.plants.rigid import RigidPlant
+from dqwalk_ros.reach import retrace
 from dqwalk_ros.runner import private_domain
 
 ROOT = Path(__file__).resolve().parent.parent
-CONFIG = load("whole_body").updated({"plant.lockstep": True})
+CONFIG = load("whole_body").updated({"plant.lockstep": True, "node.wait_for_recorder": True})
 
 
 @pytest.fixture
@@ -32,8 +35,11 @@ def live(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
         made.close()
 
 
-def test_it_walks_over_topics(live: Live) -> None:
-    """The torques are those of one process, tick by tick; then a target is set and a push is given."""
+def test_it_walks_over_topics(live: Live, tmp_path: Path) -> None:
+    """The torques are those of one process, tick by tick; a target is set and moved, a push is given; all is recorded.
+
+    Solved again from the bag, every torque is that of the nodes: each target and push is in it at the state it was.
+    """
     efforts: dict[int, JointState] = {}
     twists: list[TwistStamped] = []
     profile = QoSProfile(depth=1000)
@@ -45,6 +51,7 @@ def test_it_walks_over_topics(live: Live) -> None:
     live.node.create_subscription(TwistStamped, "base_twist", twists.append, profile)
     target = live.node.create_publisher(PoseStamped, "hand_target", 10)
     push = live.node.create_publisher(WrenchStamped, "push", 10)
+    live.start("recorder", "--bag", str(tmp_path / "bag"))
     live.start("whole_body_controller")
     live.start("rigid")
     live.until(lambda: len(efforts) > 40, 90.0, "forty ticks")
@@ -77,6 +84,10 @@ def test_it_walks_over_topics(live: Live) -> None:
         return len(speeds) > 1 and bool(np.linalg.norm(np.diff(speeds, axis=0), axis=1).max() > 0.05)
 
     live.until(jump, 30.0, "the velocity after it")
+    goal.pose.position.x = 1.6  # while it walks
+    target.publish(goal)
+    moved = len(efforts)
+    live.until(lambda: len(efforts) > moved + 100, 60.0, "half a second more")
     assert all(s.level == b"\x00" for s in live.statuses("whole_body_controller"))
     assert live.statuses("rigid")[-1].level == b"\x00"
 
@@ -93,12 +104,23 @@ def test_it_walks_over_topics(live: Live) -> None:
     ticks = len(efforts)
     live.until(lambda: len(efforts) > ticks + 5, 40.0, "the walk going on")
 
+    live.processes.stop()
+    log = bag.read_body(tmp_path / "bag")
+    assert any("torque commands are incomplete or not finite" in note for note in log.notes)  # the stranger's
+    assert [place for _, place in log.scenario.targets] == [(1.2, -0.8, 0.9), (1.6, -0.8, 0.9)]
+    assert [impulse for _, impulse in log.scenario.pushes] == [(0.0, 10.0, 0.0)]
+    assert len(log.states) > moved
+    walked, off = retrace(log)
+    assert walked.stood
+    assert off < 1e-3
+    assert [check.name for check in checks(walked) if not check.ok] == []
+
 
 def test_the_launch_file_starts_what_is_installed() -> None:
     text = (ROOT / "launch" / "whole_body.launch.py").read_text(encoding="utf-8")
     calls = [n for n in ast.walk(ast.parse(text)) if isinstance(n, ast.Call) and getattr(n.func, "id", "") == "node"]
     started = {call.args[0].value for call in calls}
-    assert started == {"whole_body_controller", "rigid"}
+    assert started == {"whole_body_controller", "rigid", "recorder"}
     for name in started:
         script = ROOT / "scripts" / name
         assert script.stat().st_mode & 0o111

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.reach import Reaching
+from dqwalk_ros.reach import Reaching, Reaction
 
 __all__ = ["Check", "checks", "render_checks", "summary"]
 
@@ -30,6 +30,8 @@ _AUTHORS = {
     "Test 2": {4.0: 0.100, "rms": 0.0076, "max": 0.0161, 2.5: 0.104, 7.0: 0.111},
 }
 """Measured from the vector figures of Sherikov's thesis [m]."""
+_AT = {("Test 1", 4.0): 0.10, ("Test 1", 8.0): 0.14, ("Test 1, the paper's times", 4.0): 0.10}
+"""How close the hand must be at a time [m]."""
 
 
 @dataclass(frozen=True)
@@ -58,15 +60,22 @@ def checks(walked: Reaching, without: Sequence[Reaching] = ()) -> list[Check]:
     found = [Check("stood for", float(walked.time[-1]), "s", "to the end", walked.stood)]
     for when in (4.0, 8.0):
         if walked.time[-1] > when and np.isfinite(walked.error[walked.at(when)]):
-            error, most = float(walked.error[walked.at(when)]), {("Test 1", 4.0): 0.10, ("Test 1", 8.0): 0.14}
-            bound = most.get((name, when), np.inf)
+            error, bound = float(walked.error[walked.at(when)]), _AT.get((name, when), np.inf)
             text = f"<= {bound:g}" if np.isfinite(bound) else ""
             found.append(Check(f"hand from target at {when:g} s", error, "m", text, error <= bound, authors.get(when)))
     late = walked.time > walked.scenario.duration - 3.0
-    if walked.stood and np.isfinite(walked.error[late]).all() and walked.scenario.duration >= 11.0:
-        rms, worst = float(np.sqrt((walked.error[late] ** 2).mean())), float(walked.error[late].max())
-        found.append(Check("the same, rms of the last 3 s", rms, "m", "<= 0.01", rms <= 0.01, authors.get("rms")))
-        found.append(Check("the same, most of the last 3 s", worst, "m", "<= 0.03", worst <= 0.03, authors.get("max")))
+    long = walked.scenario.duration >= 11.0 and bool(late.any())
+    if walked.stood and long and np.isfinite(walked.error[late]).all():
+        # of a target of one's own nobody knows when the hand could have been there
+        must = name.startswith("Test")
+        for what, key, value, limit in (
+            ("rms", "rms", float(np.sqrt((walked.error[late] ** 2).mean())), 0.01),
+            ("most", "max", float(walked.error[late].max()), 0.03),
+        ):
+            asked, ok = f"<= {limit:g}" if must else "", not must or value <= limit
+            found.append(Check(f"hand from target, {what} of the last 3 s", value, "m", asked, ok, authors.get(key)))
+    for jump in walked.reactions:
+        found += _reaction(jump, must=name in _AUTHORS)
     for push, other in zip(walked.scenario.pushes, without, strict=True) if without else ():
         found.append(_shift(walked, other, push, authors.get(push[0])))
     for key, (text, unit) in _LIMITS.items():
@@ -82,6 +91,21 @@ def checks(walked: Reaching, without: Sequence[Reaching] = ()) -> list[Check]:
     found.append(Check("CoM off its height, at most", height, "m", "", True))
     found.append(Check("torso off upright, at most", tilt, "rad", "", True))
     return found
+
+
+def _reaction(jump: Reaction, *, must: bool) -> list[Check]:
+    """Say what the preview did in the tick of a jump of the target.
+
+    The next footstep alone may stay: where it is at the edge of its box before and after, or settled. And beyond the
+    saturation of (17) a target that jumps changes nothing, so outside the paper's tests nothing is demanded.
+    """
+    when = f"in the tick of the jump at {jump.time:g} s, {'in mid-swing' if jump.swinging else 'in double support'}"
+    most = max(jump.moved)
+    bound = ">= 0.001" if must else ""
+    return [
+        Check(f"previewed footsteps moved {when}", most, "m", bound, not must or most >= 0.001),
+        Check(f"the next of them moved {when}", jump.moved[0], "m", "", True),
+    ]
 
 
 def _shift(
@@ -102,6 +126,7 @@ def summary(walked: Reaching, found: Sequence[Check]) -> dict[str, Any]:
         "scenario": walked.scenario.name,
         "ok": all(check.ok for check in found),
         "note": walked.note,
+        "origin": dict(walked.origin),
         "ticks": len(walked.time),
         "checks": {check.name: {k: v for k, v in vars(check).items() if k != "name"} for check in found},
         "footholds": [[round(when, 3), *map(float, place)] for when, place in walked.footholds()],
@@ -133,8 +158,9 @@ def render_checks(walked: Reaching, found: Sequence[Check]) -> str:
     solve, tick = 1e3 * walked.times[:, 2], 1e3 * walked.times[:, 3]
     share = 100.0 * walked.method.count("active set") / len(walked.method)
     times = (
-        f"solving {solve.mean():.2f} ms on average, p99 {np.percentile(solve, 99):.2f}, most {solve.max():.1f}"
-        f" (paper: 0.92, peaks to 20); a whole tick {tick.mean():.2f} ms, p99 {np.percentile(tick, 99):.2f};"
+        f"{'solving again' if walked.again else 'solving'} {solve.mean():.2f} ms on average,"
+        f" p99 {np.percentile(solve, 99):.2f}, most {solve.max():.1f} (paper: 0.92, peaks to 20);"
+        f" a whole tick {tick.mean():.2f} ms, p99 {np.percentile(tick, 99):.2f};"
         f" active set guessed in {share:.1f} % of the ticks"
     )
     return "\n".join([title, "-" * max(map(len, lines)), *lines, times])

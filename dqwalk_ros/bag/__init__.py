@@ -10,15 +10,28 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from dqwalk_ros.bag.topics import FINISHED, ODOM, TOPICS, Topic
+from dqwalk_ros.bag.topics import BODY_TOPICS, FINISHED, ODOM, TOPICS, Topic
 
 if TYPE_CHECKING:
+    from dqwalk_ros.bag.body import read_body, write_body
     from dqwalk_ros.bag.reader import read
+    from dqwalk_ros.bag.robot import is_body
     from dqwalk_ros.bag.writer import write
 
-__all__ = ["FINISHED", "ODOM", "TOPICS", "Topic", "read", "write"]
+__all__ = [
+    "BODY_TOPICS",
+    "FINISHED",
+    "ODOM",
+    "TOPICS",
+    "Topic",
+    "is_body",
+    "read",
+    "read_body",
+    "write",
+    "write_body",
+]
 
-_HOME = {"read": "reader", "write": "writer"}
+_HOME = {"is_body": "robot", "read": "reader", "read_body": "body", "write": "writer", "write_body": "body"}
 
 
 def __getattr__(name: str) -> Any:

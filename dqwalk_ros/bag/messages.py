@@ -1,4 +1,4 @@
-"""Columns of messages of one topic, packed and unpacked together.
+"""Columns of messages of one topic, packed and unpacked together (of JointState, `dqwalk_ros.bag.joints` unpacks).
 
 A walk has some hundred thousand joint states which differ in their stamp and their numbers only. So one
 message is serialised by `rosbags`, the rest are copies of its bytes with stamp and numbers put in; the other way
@@ -21,26 +21,31 @@ from dqwalk_ros.dq import DQ
 from dqwalk_ros.exceptions import BagError
 
 __all__ = [
-    "JointColumn",
+    "NS",
+    "STAMP",
     "diagnostics",
     "joint_states",
+    "number_bytes",
     "point",
     "pose_numbers",
     "pose_of",
     "poses",
+    "six_of",
+    "stamp_of",
     "stream",
     "text",
     "typestore",
     "unpack",
-    "unpack_joint_states",
     "unpack_stream",
 ]
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
-_NS = 1_000_000_000
+NS = 1_000_000_000
+"""Nanoseconds of a second."""
 _LEVELS = ("OK", "WARN", "ERROR", "STALE")
-_STAMP = slice(4, 12)  # bytes of sec and nanosec, behind the four bytes of the CDR encapsulation
+STAMP = slice(4, 12)
+"""Bytes of sec and nanosec, behind the four bytes of the CDR encapsulation."""
 
 
 @cache
@@ -56,7 +61,7 @@ def _pack(type_name: str, **fields: Any) -> bytes:
 
 def _header(stamp: int, frame: str) -> Any:
     types = typestore().types
-    time = types["builtin_interfaces/msg/Time"](sec=stamp // _NS, nanosec=stamp % _NS)
+    time = types["builtin_interfaces/msg/Time"](sec=stamp // NS, nanosec=stamp % NS)
     return types["std_msgs/msg/Header"](stamp=time, frame_id=frame)
 
 
@@ -96,7 +101,13 @@ def point(stamp: int, frame: str, p: Array) -> bytes:
 
 
 def joint_states(
-    stamps: Stamps, names: Sequence[str], position: Array | None, velocity: Array | None, frame: str = ""
+    stamps: Stamps,
+    names: Sequence[str],
+    position: Array | None,
+    velocity: Array | None,
+    frame: str = "",
+    *,
+    effort: Array | None = None,
 ) -> list[bytes]:
     """Return JointState messages.
 
@@ -104,7 +115,8 @@ def joint_states(
     ----------
     stamps : ndarray of int64, shape (N,) [ns]
     names : sequence of str, n of them
-    position, velocity : ndarray, shape (N, n) [rad, rad/s], or None
+    position, velocity, effort : ndarray, shape (N, n) [rad, rad/s, N m], or None
+    frame : str
     """
     count = len(stamps)
     none = np.zeros(0)
@@ -114,14 +126,16 @@ def joint_states(
         name=list(names),
         position=none if position is None else np.ascontiguousarray(position[0]),
         velocity=none if velocity is None else np.ascontiguousarray(velocity[0]),
-        effort=none,
+        effort=none if effort is None else np.ascontiguousarray(effort[0]),
     )
-    at_position, at_velocity, _ = _number_bytes(example)
+    at_position, at_velocity, at_effort = number_bytes(example)
     block = _copies(example, stamps)
     if position is not None:
         block[:, at_position] = _as_bytes(position, count)
     if velocity is not None:
         block[:, at_velocity] = _as_bytes(velocity, count)
+    if effort is not None:
+        block[:, at_effort] = _as_bytes(effort, count)
     return [row.tobytes() for row in block]
 
 
@@ -160,6 +174,11 @@ def _empty_wrench(types: Any) -> dict[str, Any]:
     return {"wrench": types["geometry_msgs/msg/Wrench"](force=force, torque=torque)}
 
 
+def _empty_twist(types: Any) -> dict[str, Any]:
+    linear, angular = _zeros(types, "Vector3"), _zeros(types, "Vector3")
+    return {"twist": types["geometry_msgs/msg/Twist"](linear=linear, angular=angular)}
+
+
 def _empty_pose(types: Any) -> dict[str, Any]:
     turned = types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
     return {"pose": types["geometry_msgs/msg/Pose"](position=_zeros(types, "Point"), orientation=turned)}
@@ -168,6 +187,7 @@ def _empty_pose(types: Any) -> dict[str, Any]:
 _STREAMS = {
     "sensor_msgs/msg/Imu": _Stream(37, _empty_imu),
     "geometry_msgs/msg/WrenchStamped": _Stream(6, _empty_wrench),
+    "geometry_msgs/msg/TwistStamped": _Stream(6, _empty_twist),
     "geometry_msgs/msg/PoseStamped": _Stream(7, _empty_pose),
     "geometry_msgs/msg/PointStamped": _Stream(3, lambda types: {"point": _zeros(types, "Point")}),
 }
@@ -179,13 +199,15 @@ def stream(kind: str, stamps: Stamps, frame: str, numbers: Array) -> list[bytes]
     Parameters
     ----------
     kind : str
-        Imu, WrenchStamped, PoseStamped or PointStamped, with its package.
+        Imu, WrenchStamped, TwistStamped, PoseStamped or PointStamped, with its package.
     stamps : ndarray of int64, shape (N,) [ns]
     frame : str
     numbers : ndarray, shape (N, k)
         Every double behind the header, in the order of the message.
     """
     of = _STREAMS[kind]
+    if not len(stamps):
+        return []
     example = _pack(kind, header=_header(int(stamps[0]), frame), **of.empty(typestore().types))
     block = _copies(example, stamps)
     block[:, -8 * of.count :] = _as_bytes(numbers, len(stamps))
@@ -205,7 +227,7 @@ def unpack_stream(kind: str, raws: Sequence[bytes]) -> tuple[Stamps, Array]:
         at += -(at - 4) % 8  # eight bytes align to the body, which begins at 4
         if len(raw) < at + 8 * count:
             continue
-        stamps.append(sec * _NS + nanosec)
+        stamps.append(sec * NS + nanosec)
         numbers.append(np.frombuffer(raw, order + "f8", count, at))
     return np.array(stamps, np.int64), np.array(numbers, np.float64).reshape(-1, count)
 
@@ -213,6 +235,20 @@ def unpack_stream(kind: str, raws: Sequence[bytes]) -> tuple[Stamps, Array]:
 def pose_numbers(x: Array) -> Array:
     """Return position and quaternion, real part last, of unit dual quaternions (N, 8), shape (N, 7)."""
     return np.concatenate([DQ(x).translation(), x[:, 1:4], x[:, :1]], axis=1)
+
+
+def six_of(message: Any) -> Array:
+    """Return the numbers (6,) of a TwistStamped or a WrenchStamped."""
+    if hasattr(message, "twist"):
+        a, b = message.twist.linear, message.twist.angular
+    else:
+        a, b = message.wrench.force, message.wrench.torque
+    return np.array([a.x, a.y, a.z, b.x, b.y, b.z])
+
+
+def stamp_of(message: Any) -> int:
+    """Return the stamp in a message's header [ns]."""
+    return int(message.header.stamp.sec) * NS + int(message.header.stamp.nanosec)
 
 
 def pose_of(message: Any) -> Array:
@@ -238,8 +274,8 @@ def diagnostics(
 
 def _copies(example: bytes, stamps: Stamps) -> NDArray[np.uint8]:
     block = np.tile(np.frombuffer(example, np.uint8), (len(stamps), 1))
-    parts = np.stack([stamps // _NS, stamps % _NS], axis=1).astype("<u4")
-    block[:, _STAMP] = parts.view(np.uint8).reshape(len(stamps), 8)
+    parts = np.stack([stamps // NS, stamps % NS], axis=1).astype("<u4")
+    block[:, STAMP] = parts.view(np.uint8).reshape(len(stamps), 8)
     return block
 
 
@@ -247,81 +283,7 @@ def _as_bytes(numbers: Array, count: int) -> NDArray[np.uint8]:
     return np.ascontiguousarray(numbers, dtype="<f8").view(np.uint8).reshape(count, -1)
 
 
-# ---------------------------------------------------------------------- unpacking
-
-
-@dataclass(frozen=True)
-class JointColumn:
-    """The JointState messages of one topic.
-
-    Attributes
-    ----------
-    stamps : ndarray of int64, shape (N,) [ns]
-    frames : tuple of str, N
-    names : tuple of str, m
-        Every joint that any message names.
-    position, velocity : ndarray, shape (N, m)
-        nan where a message does not say.
-    """
-
-    stamps: Stamps
-    frames: tuple[str, ...]
-    names: tuple[str, ...]
-    position: Array
-    velocity: Array
-
-    def columns(self, names: Sequence[str]) -> list[int]:
-        """Return the columns of the joints `names`."""
-        return [self.names.index(name) for name in names]
-
-
-def unpack_joint_states(raws: Sequence[bytes]) -> JointColumn:
-    """Return all JointState messages, in any order of their joints.
-
-    Raises
-    ------
-    BagError
-        If every one of them is damaged.
-    """
-    if not raws:
-        return JointColumn(np.zeros(0, np.int64), (), (), np.zeros((0, 0)), np.zeros((0, 0)))
-    return _unpack_alike(raws) or _unpack_each(raws)
-
-
-def _unpack_alike(raws: Sequence[bytes]) -> JointColumn | None:
-    """Cut the numbers out of messages that differ in nothing but stamp and numbers; else return None."""
-    try:
-        first = unpack(raws[0], "sensor_msgs/msg/JointState")
-    except BagError:
-        return None
-    size, n = len(raws[0]), len(first.name)
-    n_position, n_velocity = len(first.position), len(first.velocity)
-    if raws[0][1] != 1 or not {n_position, n_velocity} <= {0, n} or any(len(raw) != size for raw in raws):
-        return None
-    at_position, at_velocity, at_effort = _number_bytes(raws[0])
-    block = np.frombuffer(b"".join(raws), np.uint8).reshape(len(raws), size)
-    same = np.ones(size, bool)
-    same[_STAMP] = same[at_position] = same[at_velocity] = False
-    same[at_effort.start :] = False  # and what may be left over behind it
-    if not (block[:, same] == block[0, same]).all():
-        return None
-
-    def numbers(where: slice, count: int) -> Array:
-        if not count:
-            return np.full((len(raws), n), np.nan)
-        return np.ascontiguousarray(block[:, where]).view("<f8").reshape(len(raws), n).astype(np.float64)
-
-    parts = np.ascontiguousarray(block[:, _STAMP]).view("<u4").astype(np.int64).reshape(len(raws), 2)
-    return JointColumn(
-        stamps=parts[:, 0] * _NS + parts[:, 1],
-        frames=(first.header.frame_id,) * len(raws),
-        names=tuple(first.name),
-        position=numbers(at_position, n_position),
-        velocity=numbers(at_velocity, n_velocity),
-    )
-
-
-def _number_bytes(raw: bytes) -> tuple[slice, slice, slice]:
+def number_bytes(raw: bytes) -> tuple[slice, slice, slice]:
     """Return where positions, velocities and efforts stand in a little-endian JointState."""
     at = 12  # behind encapsulation (4) and stamp (8)
 
@@ -340,34 +302,3 @@ def _number_bytes(raw: bytes) -> tuple[slice, slice, slice]:
     for _ in range(int.from_bytes(raw[at - 4 : at], "little")):
         take(1)  # a name
     return take(8), take(8), take(8)
-
-
-def _unpack_each(raws: Sequence[bytes]) -> JointColumn:
-    """Read messages one by one; a damaged one has the stamp of the one before it, and no numbers."""
-    messages: list[Any] = []
-    damaged: BagError | None = None
-    for raw in raws:
-        try:
-            messages.append(unpack(raw, "sensor_msgs/msg/JointState"))
-        except BagError as error:
-            damaged = error
-            messages.append(None)
-    if damaged is not None and not any(messages):
-        raise damaged
-    names = tuple(dict.fromkeys(name for message in messages if message for name in message.name))
-    column = {name: i for i, name in enumerate(names)}
-    position, velocity = np.full((2, len(messages), len(names)), np.nan)
-    stamps, frames = [-1], [""]
-    for row, message in enumerate(messages):
-        if message is None:
-            stamps.append(stamps[-1])
-            frames.append(frames[-1])
-            continue
-        at = [column[name] for name in message.name]
-        if len(message.position) == len(at):
-            position[row, at] = message.position
-        if len(message.velocity) == len(at):
-            velocity[row, at] = message.velocity
-        stamps.append(message.header.stamp.sec * _NS + message.header.stamp.nanosec)
-        frames.append(message.header.frame_id)
-    return JointColumn(np.array(stamps[1:], np.int64), tuple(frames[1:]), names, position, velocity)

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros import config as configuration
-from dqwalk_ros import origin
 from dqwalk_ros.bag import messages, storage
-from dqwalk_ros.bag.messages import JointColumn
+from dqwalk_ros.bag.joints import unpack_joint_states
+from dqwalk_ros.bag.robot import after_restart, check_same_robot, config_in, model_in, model_of, of_one_robot, origin_in
 from dqwalk_ros.bag.starts import first_base, records, starts, texts
-from dqwalk_ros.bag.storage import Column, Content
+from dqwalk_ros.bag.storage import Column
 from dqwalk_ros.bag.topics import FAILED, FINISHED, REQUIRED, TOPICS
-from dqwalk_ros.config import Config, RobotConfig
 from dqwalk_ros.dq import DQ
-from dqwalk_ros.exceptions import BagError, ConfigError, ModelError
-from dqwalk_ros.model import Foot, RobotModel, load_model
+from dqwalk_ros.exceptions import BagError
+from dqwalk_ros.model import Foot, RobotModel
 from dqwalk_ros.trace import PhysicsRecord, Trace
 
 __all__ = ["model_of", "read"]
@@ -56,13 +52,13 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
     path = Path(path)
     content = storage.load(path, lambda topic, kind: _WANTED.get(topic.rsplit("/", 1)[-1]) == kind)
     notes = list(content.notes)
-    columns = _of_one_robot(path, content, namespace)
-    config = _config(path, columns)
-    model = _model(path, config, columns, notes)
-    states = messages.unpack_joint_states(columns["joint_states"].raws)
-    _same_robot(path, model, states)
+    columns = of_one_robot(path, content, namespace, _WANTED, REQUIRED)
+    config = config_in(path, columns)
+    model = model_in(path, config, columns, notes)
+    states = unpack_joint_states(columns["joint_states"].raws)
+    check_same_robot(path, model, states)
 
-    first = _after_restart(states.stamps, notes)
+    first = after_restart(states.stamps, notes)
     since = columns["joint_states"].times[first] if first else None
     began = starts(path, model, {name: _cut(column, since) for name, column in columns.items()})
     stamps, rows = _ticks(states.stamps, first, began[0].stamp, notes)
@@ -94,7 +90,7 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
         solve_time=np.full(len(stamps), np.nan),
         finished=finished,
         notes=tuple(notes),
-        origin=_origin(columns),
+        origin=origin_in(columns),
         physics=_physics(stamps, columns),
     )
 
@@ -103,95 +99,7 @@ def _too_old(path: Path) -> str:
     return f"'{path}': every joint state is older than the first phase"
 
 
-# ---------------------------------------------------------------------- what the bag is about
-
-
-def _of_one_robot(path: Path, content: Content, namespace: str | None) -> dict[str, Column]:
-    """Return the columns of one namespace by the names of the contract."""
-    found: dict[str, set[str]] = {}
-    for topic, kind in content.topics.items():
-        prefix, _, name = topic.rpartition("/")
-        if _WANTED.get(name) == kind:
-            found.setdefault(prefix, set()).add(name)
-    if namespace is not None:
-        prefix = "/" + namespace.strip("/") if namespace.strip("/") else ""
-    else:
-        prefix = max(sorted(found), key=lambda key: len(found[key] & set(REQUIRED)), default="")
-        rivals = [key for key, names in found.items() if names >= set(REQUIRED)]
-        if len(rivals) > 1:
-            raise BagError(
-                f"'{path}' holds the walks of {len(rivals)} robots; choose a namespace: {', '.join(sorted(rivals))}"
-            )
-    columns = {name: content.columns[key] for name in _WANTED if (key := f"{prefix}/{name}") in content.columns}
-    missing = [name for name in REQUIRED if name not in columns]
-    if missing:
-        have = ", ".join(sorted(content.topics)) or "none"
-        raise BagError(f"'{path}' is not a walk: it has no messages on {', '.join(missing)}; its topics are {have}")
-    return columns
-
-
-def _config(path: Path, columns: Mapping[str, Column]) -> Config:
-    try:
-        return configuration.from_yaml(texts(columns["walk_config"])[-1], source=f"{path} walk_config")
-    except ConfigError as error:
-        raise BagError(str(error)) from error
-
-
-def _model(path: Path, config: Config, columns: Mapping[str, Column], notes: list[str]) -> RobotModel:
-    """Return the robot of the bag; the URDF that is installed serves where the bag has none."""
-    if "robot_description" not in columns:
-        notes.append(f"robot_description is missing: {config.robot.urdf} as installed here was used")
-        return load_model(config.robot)
-    try:
-        return model_of(texts(columns["robot_description"])[-1], config.robot)
-    except ModelError as error:
-        raise BagError(f"'{path}' is of another robot than its walk_config: {error}") from error
-
-
-def _origin(columns: Mapping[str, Column]) -> dict[str, str]:
-    """Return the versions and the machine that walked, where the bag says and can be read."""
-    try:
-        return origin.from_text(texts(columns["walk_origin"])[-1]) if "walk_origin" in columns else {}
-    except BagError:
-        return {}
-
-
-def model_of(urdf: str, robot: RobotConfig) -> RobotModel:
-    """Return the model of a URDF's text.
-
-    Raises
-    ------
-    ModelError
-        As `load_model`.
-    """
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "robot_description"
-        path.write_text(urdf, encoding="utf-8")
-        try:
-            return load_model(dataclasses.replace(robot, urdf=str(path)))
-        except ModelError as error:
-            raise ModelError(str(error).replace(str(path), path.name)) from error
-
-
-def _same_robot(path: Path, model: RobotModel, states: JointColumn) -> None:
-    missing = [name for name in model.joint_names if name not in states.names]
-    if missing:
-        raise BagError(
-            f"'{path}' is of another robot: joint_states lack {', '.join(missing)} of {model.name}; "
-            f"they name {', '.join(states.names)}"
-        )
-
-
 # ---------------------------------------------------------------------- time
-
-
-def _after_restart(stamps: NDArray[np.int64], notes: list[str]) -> int:
-    """Return the first state of the last run: time goes back where the plant was reset."""
-    back = np.flatnonzero(np.diff(stamps) < 0)
-    if not len(back):
-        return 0
-    notes.append(f"time went back {len(back)} times: only the last run is read")
-    return int(back[-1]) + 1
 
 
 def _cut(column: Column, since: int | None) -> Column:
@@ -217,7 +125,7 @@ def _commands(
     model: RobotModel, stamps: NDArray[np.int64], column: Column, notes: list[str]
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Return the velocity that answers each state, shape (N, n), nan where none does; and which are answered."""
-    commands = messages.unpack_joint_states(column.raws)
+    commands = unpack_joint_states(column.raws)
     u = np.full((len(stamps), model.n), np.nan)
     missing = [name for name in model.joint_names if name not in commands.names]
     if missing:

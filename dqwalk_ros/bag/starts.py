@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.bag import messages
+from dqwalk_ros.bag.joints import unpack_joint_states
 from dqwalk_ros.bag.storage import Column
 from dqwalk_ros.dq import DQ
 from dqwalk_ros.exceptions import BagError
@@ -53,7 +54,7 @@ class Start:
 def starts(path: Path, model: RobotModel, columns: Mapping[str, Column]) -> list[Start]:
     """Return every phase in order, its name joined to its start by the time of recording."""
     column = columns["phase_start"]
-    begun = messages.unpack_joint_states(column.raws)
+    begun = unpack_joint_states(column.raws)
     names = [
         (time, text) for time, text in zip(columns["phase"].times, texts(columns["phase"]), strict=True) if "/" in text
     ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["FAILED", "FINISHED", "ODOM", "REQUIRED", "TOPICS", "WORLD", "Topic"]
+__all__ = ["BODY_REQUIRED", "BODY_TOPICS", "FAILED", "FINISHED", "ODOM", "REQUIRED", "TOPICS", "WORLD", "Topic"]
 
 ODOM = "odom"
 """Frame of the base sole at the very start of the walk [REP-105]."""
@@ -121,3 +121,60 @@ TOPICS: dict[str, Topic] = {topic.name.lstrip("/"): topic for topic in _ALL}
 
 REQUIRED = ("joint_states", "joint_velocity_commands", "phase", "phase_start", "walk_config")
 """Without these a bag is not a walk."""
+
+_SHARED = ("joint_states", "base_pose", "walk_config", "walk_origin", "robot_description", "diagnostics")
+_BODY = (
+    Topic(
+        "joint_effort_commands",
+        "sensor_msgs/msg/JointState",
+        False,
+        _HISTORY,
+        "torques [N m]; the stamp is that of the state they answer",
+    ),
+    Topic(
+        "base_twist",
+        "geometry_msgs/msg/TwistStamped",
+        False,
+        _HISTORY,
+        "velocity of the root link in its own axes [m/s, rad/s]",
+        "plant",
+    ),
+    Topic(
+        "left_wrench",
+        "geometry_msgs/msg/WrenchStamped",
+        False,
+        _HISTORY,
+        "ground on the left sole while it stands: about the sole's origin, in the axes of odom [N, N m]; the stamp is "
+        "that of the state before",
+        "plant",
+    ),
+    Topic(
+        "right_wrench",
+        "geometry_msgs/msg/WrenchStamped",
+        False,
+        _HISTORY,
+        "the same of the right sole",
+        "plant",
+    ),
+    Topic(
+        "hand_target_applied",
+        "geometry_msgs/msg/PoseStamped",
+        True,
+        _PHASES,
+        "where the hand should be; the stamp is that of the first state it holds for",
+    ),
+    Topic(
+        "push_applied",
+        "geometry_msgs/msg/WrenchStamped",
+        True,
+        _PHASES,
+        "force times 1 s: an impulse that has hit the torso [N s]; the stamp is that of the first state after it",
+        "plant",
+    ),
+)
+
+BODY_TOPICS: dict[str, Topic] = {name: TOPICS[name] for name in _SHARED} | {topic.name: topic for topic in _BODY}
+"""The topics of a whole-body walk."""
+
+BODY_REQUIRED = ("joint_states", "base_pose", "base_twist", "joint_effort_commands", "walk_config")
+"""Without these a bag is not a whole-body walk."""

@@ -6,6 +6,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from dqwalk_ros import origin
 from dqwalk_ros.assessment import Assessor
 from dqwalk_ros.bag import messages
-from dqwalk_ros.bag.topics import FINISHED, ODOM, TOPICS, WORLD
+from dqwalk_ros.bag.topics import FINISHED, ODOM, TOPICS, WORLD, Topic
 from dqwalk_ros.config import to_yaml
 from dqwalk_ros.dq import DQ
 from dqwalk_ros.exceptions import BagError
@@ -26,7 +27,7 @@ from dqwalk_ros.model import Foot
 from dqwalk_ros.phases import com_target, make_phase
 from dqwalk_ros.trace import PhaseRecord, Trace
 
-__all__ = ["flush", "qos", "stamps_of", "write"]
+__all__ = ["bag_at", "flush", "qos", "stamps_of", "write"]
 
 Stamps = NDArray[np.int64]
 _Entry = tuple[str, bytes]
@@ -38,9 +39,8 @@ def stamps_of(time: NDArray[np.float64]) -> Stamps:
     return np.round(time * 1e9).astype(np.int64)
 
 
-def qos(name: str) -> Qos:
+def qos(topic: Topic) -> Qos:
     """Return the quality of service a topic is offered with, for the bag's metadata."""
-    topic = TOPICS[name]
     return Qos(
         history=QosHistory.KEEP_LAST,
         depth=topic.depth,
@@ -92,9 +92,24 @@ def write(
     BagError
         If there is nothing to write, something is there already, or the disk refuses.
     """
-    target = Path(path)
     if len(trace.time) == 0:
         raise BagError("a walk without a single state makes no bag")
+    with bag_at(path, storage=storage, compress=compress, overwrite=overwrite) as writer:
+        _fill(writer, trace, diagnostics)
+
+
+@contextmanager
+def bag_at(
+    path: str | os.PathLike[str], *, storage: str = "mcap", compress: bool = True, overwrite: bool = False
+) -> Iterator[Writer]:
+    """Give a writer of the bag `path`, which appears only once it is complete.
+
+    Raises
+    ------
+    BagError
+        If something is there already, or the disk refuses.
+    """
+    target = Path(path)
     if target.exists() and not overwrite:
         raise BagError(f"'{target}' is there already; choose another folder, or ask for it to be overwritten")
     try:
@@ -105,7 +120,7 @@ def write(
             if compress and storage == "mcap":
                 writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             with writer:
-                _fill(writer, trace, diagnostics)
+                yield writer
             if target.is_dir():
                 shutil.rmtree(target)
             elif target.exists():
@@ -120,7 +135,7 @@ def _fill(writer: Writer, trace: Trace, diagnostics: bool) -> None:
     for name, topic in TOPICS.items():
         if (name != "diagnostics" or diagnostics) and (topic.source != "physics" or trace.physics is not None):
             connections[name] = writer.add_connection(
-                "/" + name, topic.type, typestore=messages.typestore(), offered_qos_profiles=[qos(name)]
+                "/" + name, topic.type, typestore=messages.typestore(), offered_qos_profiles=[qos(topic)]
             )
     stamps = stamps_of(trace.time)
     names = trace.model.joint_names

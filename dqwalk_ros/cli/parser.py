@@ -44,16 +44,25 @@ A robot of HRP-2's size reaches for a target with its right hand and walks there
 plan. Test 1 moves the target in mid-swing, Test 2 also pushes the torso, 15 N s twice. Needs pinocchio: pip install pin
 
 writes to the folder of --out:
-  figure2 3 4 5        solving time, the walk from above, reactions to target and pushes
-  report.json          every figure of the tables
+  bag/, or bag_1/ and bag_2/   the walks as rosbag2 (MCAP), as the nodes' recorder makes them: `dqwalk report`
+  figure2 3 4 5                solving time, the walk from above, reactions to target and pushes
+  pushes                       --pushes: the hardest push that is survived, all around
+  report.json                  every figure of the tables
+
+--all makes 14 walks (a minute or two of two processors) and prints what is asked of the controller beside what was got:
+exactness of equations and answers, Tests 1 and 2, walking in place, harder pushes, less friction, no balance, times.
+Exit code 1 where a demand is not met; an aim may be missed.
 
 times are CPU time of this process; OPENBLAS_NUM_THREADS=1 keeps it from using threads that do not help here.
 
 examples:
   dqwalk reach                                             both tests of the paper
+  dqwalk reach --all                                       everything it must show, asked and got
+  dqwalk reach --pushes --plant both                       how hard it may be hit, in MuJoCo and on rigid ground
   dqwalk reach --test 1 --target 0.8,-0.3,0.9              a target of your own
   dqwalk reach --test 1 --push 2.5,0,20,0                  hit it harder: 20 N s to the left at 2.5 s
   dqwalk reach --test 1 --set whole_body.capturability=false --duration 3     it falls
+  dqwalk report reach/bag_1 --html                         look at the walk: replay in 3D, figures, table
 """
 
 _ROBUSTNESS = """\
@@ -239,7 +248,14 @@ def build() -> argparse.ArgumentParser:
     reach = _command(commands, "reach", "reach for a target with the whole body, and get pushed", _REACH)
     reach.add_argument("--config", metavar="CONFIG", default="whole_body", help="name or path [whole_body]")
     reach.add_argument("--test", choices=("1", "2", "both"), default="both", help="of the paper [both]")
-    reach.add_argument("--plant", choices=("rigid", "physics"), default="rigid", help="physics: MuJoCo, by torques")
+    reach.add_argument("--all", action="store_true", help="everything the controller must show, asked and got")
+    reach.add_argument("--pushes", action="store_true", help="the hardest push survived, in eight directions")
+    reach.add_argument("--when", metavar="S", type=float, default=2.5, help="--pushes: when the robot is hit [2.5]")
+    reach.add_argument("--exact", metavar="R", type=float, default=1.0, help="--pushes: to so many N s [1]")
+    reach.add_argument("--jobs", metavar="N", type=int, default=2, help="--all, --pushes: processes at a time [2]")
+    reach.add_argument(
+        "--plant", choices=("rigid", "physics", "both"), default="rigid", help="physics: MuJoCo, by torques [rigid]"
+    )
     reach.add_argument("--paper-times", action="store_true", help="the target jumps at 4 and 8 s, not as in the thesis")
     reach.add_argument("--target", metavar="X,Y,Z", help="one target for the hand instead of the test's [m]")
     reach.add_argument("--push", metavar="T,X,Y,Z", action="append", default=[], help="another push [s, N s]")

@@ -22,6 +22,10 @@ def run(args: argparse.Namespace) -> int:
     """Do it and return the exit code."""
     path = Path(args.bag)
     out = Path(args.out) if args.out else path.with_name(path.resolve().name + "_report")
+    if bag.is_body(path):
+        from dqwalk_ros.cli import body
+
+        return body.report(args, path, out, _name(path))
     series = _series(path, args.namespace)
     report = write_results(
         series.trace,
@@ -69,7 +73,7 @@ def _html(args: argparse.Namespace, path: Path, series: Series, report: dict[str
 def _name(path: Path) -> str:
     """Return what to call a bag: its folder, with the folder above where that says nothing."""
     path = path.resolve()
-    return f"{path.parent.name}/{path.name}" if path.name in ("bag", "walk") else path.name
+    return f"{path.parent.name}/{path.name}" if path.name in ("bag", "bag_1", "bag_2", "walk") else path.name
 
 
 def _csv(series: Series, out: Path) -> Path:

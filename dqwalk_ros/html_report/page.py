@@ -6,7 +6,7 @@ import base64
 import io
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib import resources
@@ -22,7 +22,7 @@ from dqwalk_ros.analysis.series import Series
 from dqwalk_ros.bag.said import Said, faults
 from dqwalk_ros.html_report.replay import replay_data
 
-__all__ = ["Subject", "write"]
+__all__ = ["Subject", "document", "origin_table", "replay", "table", "write"]
 
 _CAPTIONS = {
     "figure7": "Figure 7: the task error, and the distances of double support.",
@@ -67,12 +67,10 @@ def write(subjects: Sequence[Subject], path: str | os.PathLike[str]) -> None:
 
 
 def _page(subjects: Sequence[Subject]) -> str:
-    names = " and ".join(escape(s.name) for s in subjects)
-    data = json.dumps([replay_data(s.series) for s in subjects], separators=(",", ":")).replace("</", "<\\/")
     both = len(subjects) > 1
     parts = [
         _heading(subjects),
-        f"<h2>Replay</h2><div class='card'>{_replay(subjects)}</div>",
+        f"<h2>Replay</h2><div class='card'>{replay([s.name for s in subjects])}</div>",
         _comparison(subjects) if both else "",
         _section("Least distance to each bound", _margins, subjects),
         _section("Phases", _phases, subjects),
@@ -82,10 +80,16 @@ def _page(subjects: Sequence[Subject]) -> str:
         _section("Faults seen", _faults, subjects),
         _section("Broken promises and notes", _violations, subjects),
         _configuration(subjects),
-        _origin(subjects),
+        origin_table([(s.name, s.series.trace.origin) for s in subjects]),
     ]
+    return document(" and ".join(s.name for s in subjects), parts, [replay_data(s.series) for s in subjects])
+
+
+def document(name: str, parts: Sequence[str], walks: Sequence[Any]) -> str:
+    """Return the whole of a page: its parts, and the walks that its replay draws."""
+    data = json.dumps(walks, separators=(",", ":")).replace("</", "<\\/")
     return (
-        f"<!doctype html><html lang='en'><head><meta charset='utf-8'><title>dqwalk: {names}</title>"
+        f"<!doctype html><html lang='en'><head><meta charset='utf-8'><title>dqwalk: {escape(name)}</title>"
         "<meta name='viewport' content='width=device-width, initial-scale=1'>"
         "<link rel='icon' href='data:,'>"
         f"<style>{_asset('style.css')}</style></head><body><main>{''.join(parts)}</main>"
@@ -106,7 +110,9 @@ def _label(subject: Subject, subjects: Sequence[Subject]) -> str:
     return f"<p><b>{escape(subject.name)}</b></p>" if len(subjects) > 1 else ""
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: Sequence[int] = ()) -> str:
+def table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: Sequence[int] = ()) -> str:
+    """Return a table; `numbers` are the columns that are set to the right."""
+
     def cells(tag: str, row: Sequence[str]) -> str:
         return "".join(f"<{tag}{' class=n' if c in numbers else ''}>{cell}</{tag}>" for c, cell in enumerate(row))
 
@@ -150,21 +156,22 @@ def _numbers(subject: Subject) -> dict[str, str]:
     }
 
 
-def _replay(subjects: Sequence[Subject]) -> str:
+def replay(names: Sequence[str], more: str = "") -> str:
+    """Return the stage of one walk, or of two side by side; `more` is said of what there is to see."""
     stages = "".join(
-        f"<div><p>{escape(s.name)}: <b id='phase{k}'></b></p><div class='replay'>"
+        f"<div><p>{escape(name)}: <b id='phase{k}'></b></p><div class='replay'>"
         f"<canvas class='stage' id='stage{k}'></canvas><div id='curves{k}'></div></div></div>"
-        for k, s in enumerate(subjects)
+        for k, name in enumerate(names)
     )
     speeds = "".join(f"<option>{v}</option>" for v in ("0.25", "0.5", "1", "2", "5", "10", "20", "50"))
     return (
-        f"<div class='two{' both' if len(subjects) > 1 else ''}'>{stages}</div>"
+        f"<div class='two{' both' if len(names) > 1 else ''}'>{stages}</div>"
         "<div class='bar'><button id='play'>Play</button>"
         "<input id='time' type='range' min='0' value='0' aria-label='time'><span id='clock'></span>"
         f"<label>speed × <select id='speed'>{speeds}</select></label></div>"
         "<p class='muted'>Drag to turn, scroll to come closer, space to play. Red: centre of mass, its projection and "
-        "way; green: support polygon. A click into a curve goes to that time. Margins as distances left, dashed: the "
-        "bound.</p>"
+        f"way; green: support polygon. {more}A click into a curve goes to that time. Margins as distances left, "
+        "dashed: the bound.</p>"
     )
 
 
@@ -180,7 +187,7 @@ def _margins(subject: Subject) -> str:
             cells.append(f"<span class='bad'>{value}</span>" if found and found["value"] < 0.0 else value)
         rows.append((phase["name"], *cells))
     note = "<p class='muted'>[m], cylinders (sliding, com_cylinder) [m²], joints [rad]; at or above zero is kept.</p>"
-    return _table(("phase", *names), rows, range(1, len(names) + 1)) + note
+    return table(("phase", *names), rows, range(1, len(names) + 1)) + note
 
 
 def _phases(subject: Subject) -> str:
@@ -198,7 +205,7 @@ def _phases(subject: Subject) -> str:
         for phase in subject.report["phases"]
     ]
     head = ("phase", "start [s]", "end [s]", "ticks", "first error", "last error", "tightest", "distance")
-    return _table(head, rows, (1, 2, 3, 4, 5, 7))
+    return table(head, rows, (1, 2, 3, 4, 5, 7))
 
 
 def _figures(subjects: Sequence[Subject]) -> str:
@@ -235,7 +242,7 @@ def _joints(subject: Subject) -> str:
         limit = f"{model.velocity_max[i]:.2f}"
         rows.append((name, f"{fastest[i]:.4f}", limit, f"{meter} {100 * share:.1f} %", f"{left:.2f}°"))
     head = ("joint", "fastest [rad/s]", "limit [rad/s]", "share of the limit", "closest to a limit")
-    return _table(head, rows, (1, 2, 4))
+    return table(head, rows, (1, 2, 4))
 
 
 def _tick_times(subject: Subject) -> str:
@@ -287,7 +294,7 @@ def _faults(subject: Subject) -> str:
         )
         for fault in found[:40]
     ]
-    return _table(("level", "who", "what, when it was first said", "first [s]", "last [s]", "times"), rows, (3, 4, 5))
+    return table(("level", "who", "what, when it was first said", "first [s]", "last [s]", "times"), rows, (3, 4, 5))
 
 
 def _violations(subject: Subject) -> str:
@@ -309,7 +316,7 @@ def _comparison(subjects: Sequence[Subject]) -> str:
     a, b = (s.report["config"] for s in subjects)
     changed = [(key, str(a.get(key)), str(b.get(key))) for key in a if a.get(key) != b.get(key)]
     names = [escape(s.name) for s in subjects]
-    config = _table(("parameter", *names), changed) if changed else "<p class='muted'>The same configuration.</p>"
+    config = table(("parameter", *names), changed) if changed else "<p class='muted'>The same configuration.</p>"
     return (
         f"<h2>Side by side</h2><div class='two'><div class='card'><table><tr><th></th><th class=n>{names[0]}</th>"
         f"<th class=n>{names[1]}</th></tr>{rows}</table></div><div class='card scroll'>{config}</div></div>"
@@ -324,17 +331,17 @@ def _configuration(subjects: Sequence[Subject]) -> str:
     for s in subjects:
         rows = [(key, escape(str(value))) for key, value in s.report["config"].items()]
         title = f"<summary>Configuration of {escape(s.name)}</summary>"
-        out.append(f"<details class='card'>{title}{_table(('', ''), rows)}</details>")
+        out.append(f"<details class='card'>{title}{table(('', ''), rows)}</details>")
     return f"<h2>Configuration</h2><div class='two'>{''.join(out)}</div>"
 
 
-def _origin(subjects: Sequence[Subject]) -> str:
-    """Who walked, as the bag says, beside who made this report."""
-    walked = [dict(s.series.trace.origin) for s in subjects]
+def origin_table(walked: Sequence[tuple[str, Mapping[str, str]]]) -> str:
+    """Say who walked, by the name of each walk, beside who made this report."""
     made = origin.here()
-    head = ("", *(f"walked: {escape(s.name)}" if len(subjects) > 1 else "walked" for s in subjects), "reported")
+    head = ("", *(f"walked: {escape(name)}" if len(walked) > 1 else "walked" for name, _ in walked), "reported")
+    columns = [*(dict(entry) for _, entry in walked), made]
     rows = []
-    for key in dict.fromkeys(key for entry in (*walked, made) for key in entry):
-        cells = [escape(entry.get(key, "")) if entry else "not recorded" for entry in (*walked, made)]
+    for key in dict.fromkeys(key for column in columns for key in column):
+        cells = [escape(column.get(key, "")) if column else "not recorded" for column in columns]
         rows.append((escape("at" if key == "began" else key), *cells))
-    return f"<h2>Where this comes from</h2><div class='card scroll'>{_table(head, rows)}</div>"
+    return f"<h2>Where this comes from</h2><div class='card scroll'>{table(head, rows)}</div>"

@@ -67,14 +67,14 @@
         vec3 turn(vec3 v) { vec3 t = 2.0 * cross(r.yzw, v); return v + r.x * t + cross(r.yzw, t); }
         void main() { normal = turn(n / s); place = turn(p * s) + o; gl_Position = view * vec4(place, 1.0); }`));
       gl.attachShader(program, build(gl.FRAGMENT_SHADER, `
-        precision mediump float; varying vec3 normal; varying vec3 place; uniform vec4 color; uniform float lit; uniform vec3 eye;
+        precision mediump float; varying vec3 normal; varying vec3 place; uniform vec4 color; uniform float lit; uniform vec3 eye; uniform float far;
         void main() {
           vec3 n = normalize(normal + vec3(1e-9)); float sun = max(dot(n, normalize(vec3(0.5, 0.35, 0.8))), 0.0);
           float shade = mix(1.0, 0.50 + 0.16 * n.z + 0.46 * sun, lit);
-          float fog = lit > 0.5 ? 0.0 : clamp((distance(place, eye) - 2.0) / 2.5, 0.0, 1.0) * step(color.a, 0.99);
+          float fog = lit > 0.5 ? 0.0 : clamp((distance(place, eye) - far) / (1.25 * far), 0.0, 1.0) * step(color.a, 0.99);
           gl_FragColor = vec4(mix(color.rgb * shade, vec3(1.0), fog), color.a * (1.0 - fog)); }`));
       gl.linkProgram(program); gl.useProgram(program);
-      this.u = {}; for (const k of ["view", "r", "o", "s", "color", "lit", "eye"]) this.u[k] = gl.getUniformLocation(program, k);
+      this.u = {}; for (const k of ["view", "r", "o", "s", "color", "lit", "eye", "far"]) this.u[k] = gl.getUniformLocation(program, k);
       this.mesh = {};
       for (const [k, f] of [["box", box], ["cylinder", cylinder], ["sphere", sphere]]) {
         const v = f(), b = gl.createBuffer(); gl.bindBuffer(gl.ARRAY_BUFFER, b);
@@ -105,7 +105,7 @@
       const V = [[s[0], u[0], -f[0]], [s[1], u[1], -f[1]], [s[2], u[2], -f[2]], [-dot(s, eye), -dot(u, eye), dot(f, eye)]];
       const m = []; for (const col of V) m.push(col[0] * k / a, col[1] * k, col[2] * (z + n) / (n - z), -col[2]);
       m[14] += 2 * z * n / (n - z);
-      this.gl.uniformMatrix4fv(this.u.view, false, m); this.gl.uniform3fv(this.u.eye, eye); this.gl.viewport(0, 0, w, h);
+      this.gl.uniformMatrix4fv(this.u.view, false, m); this.gl.uniform3fv(this.u.eye, eye); this.gl.uniform1f(this.u.far, d); this.gl.viewport(0, 0, w, h);
     }
     solid(kind, pose, size, color) {
       const gl = this.gl, m = this.mesh[kind]; gl.bindBuffer(gl.ARRAY_BUFFER, m.b); this.attributes(24);
@@ -150,6 +150,7 @@
       }
       const id = [1, 0, 0, 0];
       this.solid("sphere", { p: com, r: id }, [0.011, 0.011, 0.011], red);
+      for (const point of w.points) { const p = w.place(point.v, t); if (!p.some(Number.isNaN)) this.solid("sphere", { p, r: id }, [0.022, 0.022, 0.022], [...point.color, 1]); }
       this.solid("cylinder", { p: [com[0], com[1], (com[2] + ground) / 2], r: id }, [0.001, 0.001, com[2] - ground], red);
       this.solid("cylinder", { p: [com[0], com[1], ground + 0.002], r: id }, [0.008, 0.008, 0.002], red);
     }
@@ -160,10 +161,12 @@
       Object.assign(this, d);
       for (const k of ["t", "q", "root", "com"]) this[k] = floats(d[k]);
       this.curves = d.curves.map((c) => ({ ...c, v: floats(c.v) }));
+      this.points = (d.points || []).map((p) => ({ ...p, v: floats(p.v) }));
       this.tightAt = Uint8Array.from(atob(d.tight.at), (c) => c.charCodeAt(0));
       this.end = this.t[this.t.length - 1];
     }
     row(t) { let a = 0, b = this.t.length - 1; while (b - a > 1) { const m = (a + b) >> 1; if (this.t[m] <= t) a = m; else b = m; } return t >= this.t[b] ? b : a; }
+    place(v, t) { const i = this.row(t); return [v[3 * i], v[3 * i + 1], v[3 * i + 2]]; }
     phase(t) { let k = 0; while (k + 1 < this.phases.length && this.phases[k + 1].t <= t + 1e-6) k++; return this.phases[k]; }
     way(t) { const out = [], n = this.row(t); const step = Math.max(1, n >> 9); for (let i = 0; i <= n; i += step) out.push([...this.com.subarray(3 * i, 3 * i + 3)]); return out; }
     state(t) {

@@ -132,8 +132,9 @@ HELP = {
         what="Record a walk as a rosbag2 (MCAP), byte for byte; report how much came and whether anything is missing.",
         gets=(
             "every topic of the walk: joint_states, joint_velocity_commands, phase, phase_start, com_target,",
-            "swing_target, support_foot, base_pose, walk_config, walk_origin, robot_description, /diagnostics,",
-            "and those of the node physics where it runs",
+            "swing_target, support_foot, base_pose, walk_config, walk_origin, robot_description, /diagnostics;",
+            "those of the node physics where it runs; of the whole body: joint_effort_commands, base_twist,",
+            "left_wrench, right_wrench, hand_target_applied, push_applied",
         ),
         gives=("the folder --bag: an .mcap file and metadata.yaml, for ros2 bag, Foxglove and `dqwalk report`",),
         sections=("plant",),
@@ -149,6 +150,10 @@ HELP = {
         ),
         gives=(
             "joint_effort_commands    sensor_msgs/JointState [N m]; stamp: that of the state it answers",
+            "hand_target_applied      geometry_msgs/PoseStamped, latched; stamp: the first state that it holds for",
+            "walk_config              std_msgs/String, latched: all parameters in force",
+            "walk_origin              std_msgs/String, latched: versions and machine",
+            "robot_description        std_msgs/String, latched: URDF",
             "/diagnostics             diagnostic_msgs/DiagnosticArray: WARN where it cannot stop within the preview",
         ),
         sections=("dt", "robot", "gait", "whole_body"),
@@ -162,6 +167,8 @@ HELP = {
         ),
         gives=(
             "joint_states, base_pose, base_twist   one state in three messages with one stamp, from 0 s on",
+            "left_wrench, right_wrench  geometry_msgs/WrenchStamped: ground on a sole that stands, about its origin",
+            "push_applied             geometry_msgs/WrenchStamped, latched; stamp: the first state after it",
             "/diagnostics             diagnostic_msgs/DiagnosticArray",
         ),
         sections=("dt", "robot", "plant", "whole_body"),

@@ -19,7 +19,7 @@ from rclpy.node import Node
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 
 from dqwalk_ros.bag.messages import typestore
-from dqwalk_ros.bag.topics import TOPICS, Topic
+from dqwalk_ros.bag.topics import BODY_TOPICS, TOPICS, Topic
 from dqwalk_ros.bag.writer import flush, qos
 from dqwalk_ros.exceptions import BagError
 from dqwalk_ros.nodes import entry
@@ -35,13 +35,15 @@ _FLUSH = 1.0
 """A recorder that is killed loses what came within so long at most [s]."""
 _LINGER = {True: 3.0, False: 0.5}
 """Longest time for what is still under way when the end is asked for [s], in lockstep and in real time."""
+_ALL = TOPICS | BODY_TOPICS
+"""Those of either kind of walk; the bag has the ones that something was said on."""
 _PHYSICS = tuple(name for name, topic in TOPICS.items() if topic.source == "physics")
-_EACH_TICK = ("joint_states", "joint_velocity_commands", "base_pose", *_PHYSICS)
+_EACH_TICK = ("joint_states", "joint_velocity_commands", "base_pose", "joint_effort_commands", "base_twist", *_PHYSICS)
 _STAMPED = ("sensor_msgs/", "geometry_msgs/", "diagnostic_msgs/")
 
 
 class RecorderNode(Worker):
-    """All topics of a walk -> rosbag2.
+    """All topics of a walk, of phases or of the whole body -> rosbag2.
 
     Parameters
     ----------
@@ -64,7 +66,7 @@ class RecorderNode(Worker):
         self._period, self._linger = round(config.dt * 1e9), _LINGER[config.plant.lockstep]
         self._path = Path(options.bag)
         self._open()
-        self._counts = dict.fromkeys(TOPICS, 0)
+        self._counts = dict.fromkeys(_ALL, 0)
         self._last = dict.fromkeys(_EACH_TICK, -1)
         self._last_raw: dict[str, bytes] = {}
         self._missing = dict.fromkeys(_EACH_TICK, 0)
@@ -73,7 +75,7 @@ class RecorderNode(Worker):
         self.handled = 0
         self._seen = -1
         self._stop_at = float("inf")
-        for name, topic in TOPICS.items():
+        for name, topic in _ALL.items():
             profile = ros.latched(topic.depth) if topic.latched else ros.stream(_DEPTH)
             kind = ros.message_type(topic.type)
             node.create_subscription(kind, topic.name, partial(self._on_message, name, topic), profile, raw=True)
@@ -89,16 +91,14 @@ class RecorderNode(Worker):
         except (OSError, WriterError) as error:
             raise BagError(f"cannot record to '{self._path}': {error}") from error
         self._connections: dict[str, Any] = {}
-        for name in TOPICS:
-            if name not in _PHYSICS:  # those are in the bag where there is anything of them
-                self._connect(name)
 
     def _connect(self, name: str) -> None:
+        topic = _ALL[name]
         self._connections[name] = self._writer.add_connection(
-            self.node.resolve_topic_name(TOPICS[name].name),
-            TOPICS[name].type,
+            self.node.resolve_topic_name(topic.name),
+            topic.type,
             typestore=typestore(),
-            offered_qos_profiles=[qos(name)],
+            offered_qos_profiles=[qos(topic)],
         )
 
     def _on_message(self, name: str, topic: Topic, raw: bytes) -> None:

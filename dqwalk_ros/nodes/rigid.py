@@ -16,7 +16,8 @@ from geometry_msgs.msg import TwistStamped, WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from dqwalk_ros.controllers.whole_body import BodyCommand, WholeBodyController
+from dqwalk_ros.bag.topics import ODOM
+from dqwalk_ros.controllers.whole_body import BodyCommand, WholeBodyController, Wrench
 from dqwalk_ros.exceptions import DqwalkError
 from dqwalk_ros.model import Foot, load_model
 from dqwalk_ros.nodes import entry
@@ -35,7 +36,7 @@ _ASK_AGAIN = 0.5
 
 
 class RigidNode(Worker):
-    """joint_effort_commands, push -> joint_states, base_pose, base_twist.
+    """joint_effort_commands, push -> joint_states, base_pose, base_twist, left_wrench, right_wrench, push_applied.
 
     Parameters
     ----------
@@ -62,9 +63,10 @@ class RigidNode(Worker):
         self._command: BodyCommand | None = None
         self._stamp, self._ticks, self._asked = 0, 0, -float("inf")
         self._diagnostics = ros.publisher(node, "diagnostics")
-        self._states = ros.publisher(node, "joint_states")
-        self._poses = ros.publisher(node, "base_pose")
-        self._twists = node.create_publisher(TwistStamped, "base_twist", ros.stream(10))
+        self._wait = config.node.wait_for_recorder
+        self._pushes: list[WrenchStamped] = []  # that the next state will show
+        streams = ("joint_states", "base_pose", "base_twist", "left_wrench", "right_wrench", "push_applied")
+        self._pub = {name: ros.publisher(node, name) for name in streams}
         node.create_subscription(JointState, "joint_effort_commands", self._on_command, ros.stream(1))
         node.create_subscription(WrenchStamped, "push", self._on_push, ros.stream(10))
         node.create_timer(self._dt, self._on_period, clock=STEADY)
@@ -98,19 +100,28 @@ class RigidNode(Worker):
             self._step()
 
     def _on_push(self, msg: WrenchStamped) -> None:
-        """Take the force times one second as the impulse [N s]; moments are not in (23)."""
-        f = msg.wrench.force
-        try:
-            self._plant.push([f.x, f.y, f.z])
-        except DqwalkError as error:
-            self.node.get_logger().error(f"push rejected: {error}")
-            return
-        self.node.get_logger().info(f"pushed: {f.x:g}, {f.y:g}, {f.z:g} N s")
+        """Hit the robot between this period and the next."""
+        self._pushes.append(msg)
+
+    def _hit(self) -> None:
+        """Take each force times one second as the impulse [N s]; moments are not in (23)."""
+        log = self.node.get_logger()
+        for msg in self._pushes:
+            f = msg.wrench.force
+            try:
+                self._plant.push([f.x, f.y, f.z])
+            except DqwalkError as error:
+                log.error(f"push rejected: {error}")
+                continue
+            msg.header.stamp, msg.header.frame_id = ros.time_msg(self._stamp), ODOM
+            self._pub["push_applied"].publish(msg)
+            log.info(f"pushed: {f.x:g}, {f.y:g}, {f.z:g} N s")
+        self._pushes.clear()
 
     def _on_period(self) -> None:
         if self._command is not None:
             self._step()
-        elif time.monotonic() - self._asked > _ASK_AGAIN:
+        elif time.monotonic() - self._asked > _ASK_AGAIN and self._may_begin():
             self._publish()
 
     def _step(self) -> None:
@@ -123,20 +134,38 @@ class RigidNode(Worker):
             self.node.get_logger().error(f"the plant failed: {error}")
             self.life.end(1)
             return
+        for foot, wrench in self._plant.wrenches.items():
+            self._pub[f"{foot.value}_wrench"].publish(self._wrench(wrench))
         self._ticks += 1
         self._stamp = round(self._ticks * self._dt * 1e9)
+        self._hit()
         self._publish()
+
+    def _wrench(self, wrench: Wrench) -> WrenchStamped:
+        msg = WrenchStamped()
+        msg.header.stamp, msg.header.frame_id = ros.time_msg(self._stamp), ODOM
+        force, torque = msg.wrench.force, msg.wrench.torque
+        force.x, force.y, force.z = wrench.force.tolist()
+        torque.x, torque.y, torque.z = wrench.moment.tolist()
+        return msg
+
+    def _may_begin(self) -> bool:
+        """Hold the first state of a recorded walk until nothing of it can be lost."""
+        if self._ticks or not self._wait:
+            return True
+        streams = ("joint_states", "base_pose", "base_twist", "left_wrench", "right_wrench")
+        return all(ros.is_heard_by(self.node, self._pub[name], "recorder") for name in streams)
 
     def _publish(self) -> None:
         s = self._plant.state
         self._asked = time.monotonic()
-        self._poses.publish(ros.pose(self._stamp, "odom", s.x_base))
+        self._pub["base_pose"].publish(ros.pose(self._stamp, ODOM, s.x_base))
         twist = TwistStamped()
         twist.header.stamp, twist.header.frame_id = ros.time_msg(self._stamp), self._pelvis
         linear, angular = twist.twist.linear, twist.twist.angular
         linear.x, linear.y, linear.z, angular.x, angular.y, angular.z = s.v_base.tolist()
-        self._twists.publish(twist)
-        self._states.publish(self._write(self._stamp, position=s.q, velocity=s.dq))
+        self._pub["base_twist"].publish(twist)
+        self._pub["joint_states"].publish(self._write(self._stamp, position=s.q, velocity=s.dq))
 
     def _diagnose(self) -> None:
         level, text = self._commands.level()

@@ -1,6 +1,8 @@
 """The whole-body controller on topics: a state of joints and base comes in, joint torques go out.
 
 The state is three messages with one stamp, joint_states, base_pose and base_twist; the tick begins when all are there.
+What a recorder needs to tell the walk again is published as well: the configuration, the robot, and from which state
+on which target was in force.
 """
 
 from __future__ import annotations
@@ -13,7 +15,10 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
+from dqwalk_ros.bag.topics import ODOM
+from dqwalk_ros.config import to_yaml
 from dqwalk_ros.controllers.whole_body import BodyState, WholeBodyController
 from dqwalk_ros.dq import DQ
 from dqwalk_ros.exceptions import DqwalkError, StateError
@@ -22,6 +27,7 @@ from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.parameters import Parameters
 from dqwalk_ros.nodes.runtime import LAST_WORDS, Life, Throttle, Worker, run
+from dqwalk_ros.origin import here, to_text
 
 __all__ = ["WholeBodyControllerNode", "main"]
 
@@ -32,7 +38,7 @@ _PARTS = 20
 
 
 class WholeBodyControllerNode(Worker):
-    """joint_states, base_pose, base_twist, hand_target -> joint_effort_commands.
+    """joint_states, base_pose, base_twist, hand_target -> joint_effort_commands, hand_target_applied.
 
     Parameters
     ----------
@@ -57,8 +63,16 @@ class WholeBodyControllerNode(Worker):
         self._failed = ""
         self._counts = {"ticks": 0, "states rejected": 0, "targets rejected": 0, "capturability missed": 0}
         self._warn_now = Throttle(2.0)
-        self._efforts = node.create_publisher(JointState, "joint_effort_commands", ros.stream(10))
-        self._diagnostics = ros.publisher(node, "diagnostics")
+        self._new_target: list[float] | None = None  # of which no state has been told yet
+        said_once = {
+            "walk_config": to_yaml(self._config),
+            "walk_origin": to_text(here()),
+            "robot_description": model.urdf,
+        }
+        streams = ("joint_effort_commands", "hand_target_applied", "diagnostics", *said_once)
+        self._pub = {name: ros.publisher(node, name) for name in streams}
+        for name, text in said_once.items():
+            self._pub[name].publish(String(data=text))
         node.create_subscription(JointState, "joint_states", self._on_joints, ros.stream(10))
         node.create_subscription(PoseStamped, "base_pose", self._on_pose, ros.stream(10))
         node.create_subscription(TwistStamped, "base_twist", self._on_twist, ros.stream(10))
@@ -93,6 +107,7 @@ class WholeBodyControllerNode(Worker):
         p = msg.pose.position
         try:
             self._controller.reach([p.x, p.y, p.z])
+            self._new_target = [p.x, p.y, p.z]
         except StateError as error:
             self._counts["targets rejected"] += 1
             self.node.get_logger().error(f"hand_target rejected: {error}")
@@ -117,6 +132,8 @@ class WholeBodyControllerNode(Worker):
                 del part[min(part)]
         if self._failed or not all(stamp in part for part in (self._joints, self._poses, self._twists)):
             return
+        if not self._may_answer():
+            return  # the plant asks again
         (q, dq), pose, twist = self._joints[stamp], self._poses[stamp], self._twists[stamp]
         for part in (self._joints, self._poses, self._twists):
             for old in [key for key in part if key <= stamp]:
@@ -135,15 +152,25 @@ class WholeBodyControllerNode(Worker):
             self._diagnose(stamp)
             self.life.end(1)
             return
+        if self._new_target is not None:
+            x_target = DQ.from_pose(self._new_target).vec8()
+            self._pub["hand_target_applied"].publish(ros.pose(stamp, ODOM, x_target))
+            self._new_target = None
         msg = JointState()
         msg.header.stamp = ros.time_msg(stamp)
         msg.name = list(self._names)
         msg.effort = command.effort.tolist()
-        self._efforts.publish(msg)
+        self._pub["joint_effort_commands"].publish(msg)
         self._counts["ticks"] += 1
         self._counts["capturability missed"] += self._controller.last.capturability > 1e-6
         if self._counts["ticks"] % self._every == 1:
             self._diagnose(stamp)
+
+    def _may_answer(self) -> bool:
+        """Hold the first answer of a recorded walk until nothing of it can be lost."""
+        if self._counts["ticks"] or not self._config.node.wait_for_recorder:
+            return True
+        return ros.is_heard_by(self.node, self._pub["joint_effort_commands"], "recorder")
 
     def _reject(self, error: StateError) -> None:
         self._counts["states rejected"] += 1
@@ -159,7 +186,7 @@ class WholeBodyControllerNode(Worker):
                 level, text = "WARN", "cannot stop within the preview"
             values |= {"capturability": last.capturability, "solve time": last.times[2], "solver": last.method}
         status = ros.status(f"{self.node.get_name()}: balance", self._hardware, level, text, values)
-        self._diagnostics.publish(ros.diagnostics(stamp, status))
+        self._pub["diagnostics"].publish(ros.diagnostics(stamp, status))
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -1,4 +1,4 @@
-"""The robot in a physics engine: true soles, friction, servos and an inertial sensor; the one importer of mujoco.
+"""The robot in a physics engine (MuJoCo): true soles, friction, position servos and an inertial sensor.
 
 The URDF is loaded as it is: links without mass stay massless, joints that the model does not move are held, the
 pelvis floats. What a real robot cannot measure (`PhysicsPlant.truth`) is for analysis only.

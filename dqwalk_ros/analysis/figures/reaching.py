@@ -38,7 +38,8 @@ def solver(walked: Reaching) -> Figure:
         top.plot(walked.time[~fast], solve[~fast], "o", color=RED, markersize=3.5, label=slow)
         top.axhline(solve.mean(), color=INK, linestyle=DASHED, linewidth=1.1, label=f"mean {solve.mean():.2f} ms")
         top.axhline(0.92, color=GREY, linestyle=(0, (1, 2)), linewidth=1.4, label="the paper's mean, 0.92 ms (2012)")
-        top.set(ylabel="time [ms]", title="Time to solve the hierarchy", yscale="log")
+        title = "Time to solve the hierarchy" + (" (solved again from the record)" if walked.again else "")
+        top.set(ylabel="time [ms]", title=title, yscale="log")
         top.legend(fontsize=8, loc="upper right", ncols=3)
         top.set_ylim(0.5 * solve.min(), 4.0 * solve.max())
         changes = np.where(fast, walked.iterations, np.nan)
@@ -80,7 +81,8 @@ def walk_from_above(walks: Sequence[Reaching]) -> Figure:
                 side = "bottom" if arrow[1] < 0 else "top"
                 ax.annotate(text, at - arrow, color=RED, fontsize=8, ha="center", va=side)
             ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), ylabel="y [m]", aspect="equal")
-            ax.set_title(f"{walked.scenario.name}: {len(walked.footholds()) - 1} steps")
+            steps = max(len(walked.footholds()) - 1, 0)
+            ax.set_title(f"{walked.scenario.name}: {steps} step{'' if steps == 1 else 's'}")
         panels[-1].set_xlabel("x [m]")
         handles = panels[0].get_legend_handles_labels()[0]
         for foot, (face, edge) in _SOLE.items():
@@ -121,9 +123,10 @@ def reactions(walked: Reaching) -> Figure:
 def save_reaching(
     walks: Sequence[Reaching], folder: str | os.PathLike[str], formats: Sequence[str] = ("png",)
 ) -> list[Path]:
-    """Draw every figure of some walks into a folder and return the files."""
+    """Draw every figure of some walks into a folder and return the files; a single walk that is pushed has Figure 5."""
     figures = {"figure2": solver(walks[0]), "figure3": walk_from_above(walks)}
-    figures |= {f"figure{4 + i}": reactions(walked) for i, walked in enumerate(walks)}
+    first = 5 if len(walks) == 1 and walks[0].scenario.pushes else 4
+    figures |= {f"figure{first + i}": reactions(walked) for i, walked in enumerate(walks)}
     files = []
     for name, figure in figures.items():
         for kind in formats:

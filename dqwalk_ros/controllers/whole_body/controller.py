@@ -148,16 +148,38 @@ class WholeBodyController:
         StateError
             If the target is not three finite numbers.
         """
+        self._reach = self._wish(target)
+
+    def footsteps_for(self, target: ArrayLike | None) -> Array:
+        """Return the footsteps previewed had the hand's target been another at the last step, shape (K, 2) [m].
+
+        Raises
+        ------
+        StateError
+            If the target is not three finite numbers.
+        RuntimeError
+            Before the first step.
+        """
+        if self._scene_now is None:
+            raise RuntimeError("no preview before the first step")
+        problem, layout = self._hierarchy(self._scene_now, self._wish(target))
+        x = HierarchySolver(hot=False).solve(problem).x
+        return _footsteps(self._scene_now, layout, x)
+
+    def _wish(self, target: ArrayLike | None) -> FramePosition | None:
         if target is None:
-            self._reach = None
-            return
+            return None
         place = np.asarray(target, dtype=np.float64)
         if place.shape != (3,) or not np.isfinite(place).all():
             raise StateError(f"a target is three finite coordinates, got {target}")
         s = self.config.whole_body
-        self._reach = FramePosition(
+        return FramePosition(
             name="hand", weight=s.hand_weight, kp=s.hand_kp, frame=s.hand, target=place, saturation=s.hand_saturation
         )
+
+    def _hierarchy(self, scene: Scene, reach: FramePosition | None) -> tuple[Hierarchy, Layout]:
+        wanted = [*([reach] if reach else []), self._upright, self._posture, *self._own]
+        return hierarchy(self.config.whole_body, self.model, scene, wanted, self._distances)
 
     def step(self, state: BodyState, dt: float) -> BodyCommand:
         """Return the joint torques for the next period.
@@ -181,8 +203,7 @@ class WholeBodyController:
         modelled = self._clock()
         scene, stance = self._scene(state.time, dynamics)
         self._scene_now = scene
-        wanted = [*([self._reach] if self._reach else []), self._upright, self._posture, *self._own]
-        problem, layout = hierarchy(self.config.whole_body, self.model, scene, wanted, self._distances)
+        problem, layout = self._hierarchy(scene, self._reach)
         assembled = self._clock()
         answer = self._solver.solve(problem)
         self.hierarchy, self.layout, self.answer = problem, layout, answer
@@ -236,8 +257,7 @@ class WholeBodyController:
     ) -> BodyCommand:
         """Read the answer."""
         d, x, settings = scene.dynamics, answer.x, self.config.whole_body
-        steps = np.stack([x[layout.feet(0)], x[layout.feet(1)]], axis=1)
-        footsteps = scene.support + np.cumsum(steps, axis=0)
+        footsteps = _footsteps(scene, layout, x)
         if scene.swing is not None and scene.settled is None:
             self._landing = footsteps[0]
         acceleration = x[: layout.nv]
@@ -275,6 +295,12 @@ class WholeBodyController:
             stance=stance,
             landing=scene.swing.foot if scene.swing is not None and ends else None,
         )
+
+
+def _footsteps(scene: Scene, layout: Layout, x: Array) -> Array:
+    """Return where the feet previewed land, shape (K, 2) [m]."""
+    steps = np.stack([x[layout.feet(0)], x[layout.feet(1)]], axis=1)
+    return scene.support + np.cumsum(steps, axis=0)
 
 
 def _posture(lines: Sequence[str], model: RobotModel) -> Array:

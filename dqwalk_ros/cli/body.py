@@ -1,0 +1,68 @@
+"""What `reach` and `report` leave behind of whole-body walks: bag, report, figures, page."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from dqwalk_ros import bag
+from dqwalk_ros.analysis.figures.reaching import save_reaching
+from dqwalk_ros.analysis.reaching import Check, checks, render_checks, summary
+from dqwalk_ros.cli.progress import Progress
+from dqwalk_ros.exceptions import BagError, ConfigError
+from dqwalk_ros.html_report.body import BodySubject, write
+from dqwalk_ros.reach import Reaching, retrace
+
+__all__ = ["leave", "report"]
+
+
+def leave(
+    args: argparse.Namespace, out: Path, found: Any, walks: Sequence[Reaching], more: Sequence[Path] = ()
+) -> None:
+    """Write ``report.json`` and the figures of some walks, and say what was written."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "report.json").write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+        files = [*more, out / "report.json"]
+        if walks and not args.no_figures:
+            files += save_reaching(walks, out, args.format)
+    except OSError as error:
+        raise BagError(f"cannot write to '{out}': {error}") from error
+    if not args.quiet:
+        print("wrote " + ", ".join(str(file) for file in files))
+
+
+def report(args: argparse.Namespace, path: Path, out: Path, name: str) -> int:
+    """Judge and draw a recorded whole-body walk, to be called `name`; return the exit code."""
+    if args.compare or args.csv:
+        raise ConfigError("--compare and --csv are not there for whole-body walks")
+    log = bag.read_body(path, namespace=args.namespace)
+    bar = Progress(quiet=args.quiet or args.json)
+    try:
+        walked, off = retrace(log, progress=bar)
+    finally:
+        bar.close()
+    found = checks(walked)
+    result = summary(walked, found) | {"torques_differ_by": off, "notes": list(log.notes)}
+    files = []
+    if args.html:
+        out.mkdir(parents=True, exist_ok=True)
+        files.append(out / "report.html")
+        write(BodySubject(name, walked, found, off, log.notes), files[0])
+    if args.json:
+        print(json.dumps(result, indent=2))
+    elif not args.quiet:
+        _say(walked, found, off, log.notes)
+    leave(argparse.Namespace(**{**vars(args), "quiet": args.quiet or args.json}), out, result, [walked], files)
+    return 0 if result["ok"] else 1
+
+
+def _say(walked: Reaching, found: Sequence[Check], off: float, notes: Sequence[str]) -> None:
+    for note in notes:
+        print(f"note: {note}", file=sys.stderr)
+    print(render_checks(walked, found))
+    print(f"torques recorded and solved again differ by at most {off:.2g} N m\n")
