@@ -25,6 +25,8 @@ MOMENTS = ("standing", "left", "right")
 
 _STANDS = 3.0
 """So long it must stand after a push in a stance [s]."""
+_SOON = 5.0
+"""A stance that is not there this long after its time does not come [s]."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ def pushed(config: Config, push: Push) -> str:
     if push_force is None:
         raise PlantError("this plant cannot be pushed")
     force = push.impulse / push.duration * np.array([math.cos(push.direction), math.sin(push.direction), 0.0])
-    state, began, why = plant.state, math.inf, ""
+    state, began, why, s = plant.state, math.inf, "", varied.standing
     while True:
         try:
             command = controller.step(state, varied.dt)
@@ -105,7 +107,7 @@ def pushed(config: Config, push: Push) -> str:
         if getattr(plant, "fallen", False):
             why = f"fell in {controller.phase.name}"
             break
-        if standing and state.time > began + _STANDS:
+        if standing and state.time > min(began, s.transfer_duration + _SOON) + _STANDS:
             break
     if began == math.inf:
         raise PlantError(f"the walk ended before it was pushed{': ' + why if why else ''}")

@@ -9,14 +9,14 @@ import pytest
 import scipy.optimize
 
 import dqwalk_ros as dq
-from dqwalk_ros import pushes, robustness
+from dqwalk_ros import analysis, pushes, robustness
 from dqwalk_ros.cli.footsteps import reached
 from dqwalk_ros.cli.robustness import table
 from dqwalk_ros.constraints import ComInsideEdges, FrameHeld, PointsOverPlane, hold_rows
 from dqwalk_ros.controllers import State, make_controller
 from dqwalk_ros.controllers.balance import balance_torques, com_velocity, gravity_torques
 from dqwalk_ros.dq import DQ
-from dqwalk_ros.exceptions import ConfigError
+from dqwalk_ros.exceptions import ConfigError, PlantError
 from dqwalk_ros.gait.footsteps import Footsteps
 from dqwalk_ros.geometry import ConvexPolygon, Plane
 from dqwalk_ros.kinematics import Kinematics, Point, pose_difference
@@ -29,6 +29,8 @@ from dqwalk_ros.tasks import ComPath, SwingPath
 
 CONFIG = dq.load("poppy")
 MODEL = dq.load_model(CONFIG.robot)
+DATA = pathlib.Path(__file__).parent / "data"
+BIPED12 = dq.load(DATA / "biped12.yaml").updated({"robot.urdf": str(DATA / "biped12.urdf")})
 TILTED = np.array([0.05, -0.08, np.sqrt(1.0 - 0.05**2 - 0.08**2)])
 
 
@@ -230,15 +232,48 @@ def test_one_step_stands_on_its_true_soles(first: str) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    "values",
+    ("values", "ahead", "turned"),
     [
-        {"gait__steps": 20},
-        {"gait__steps": 10, "gait__step_length": -0.05},
+        ({"gait__steps": 20}, 1.0, 0.0),
+        ({"gait__steps": 10, "gait__step_length": -0.05}, -0.5, 0.0),
+        ({"gait__steps": 45, "gait__step_length": 0.0, "gait__step_turn": np.radians(8.0)}, 0.0, 2.0 * np.pi),
     ],
-    ids=["20 ahead", "10 back"],
+    ids=["20 ahead", "10 back", "a full turn"],
 )
-def test_long_walks_stand(values: dict[str, object]) -> None:
-    stands(walked("kinematic", **values)[0])
+def test_long_walks_stand(values: dict[str, object], ahead: float, turned: float) -> None:
+    trace, _ = walked("kinematic", **values)
+    stands(trace)
+    walk = analysis.report(analysis.analyse(trace))["walk"]
+    assert walk["forward"] == pytest.approx(ahead, abs=5e-3)
+    assert walk["turned"] == pytest.approx(turned, abs=np.radians(1.0))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("plant", ["kinematic", "physics"])
+def test_ankles_that_roll_step_aside(plant: str) -> None:
+    config = BIPED12.updated({"gait.steps": 10, "gait.step_length": 0.0, "gait.step_side": 0.03})
+    model = dq.load_model(config.robot)
+    trace = simulate(make_controller(config, model), make_plant(plant, config, model))
+    if plant == "kinematic":
+        stands(trace)
+    report = analysis.report(analysis.analyse(trace))
+    assert trace.finished, trace.notes
+    assert report["walk"]["lateral"] == pytest.approx(0.3, abs=5e-3)
+    assert report["physics"] is None or report["physics"]["displacement"][1] == pytest.approx(0.3, abs=5e-3)
+
+
+@pytest.mark.long
+def test_the_walk_of_the_paper_rests_on_the_foot_that_should_swing() -> None:
+    """The finding: the CoM leaves the true support, and the robot tips onto its other foot as soon as it may."""
+    config = dq.load("paper")
+    model = dq.load_model(config.robot)
+    trace = simulate(make_controller(config, model), make_plant("physics", config, model), max_time=30.0)
+    series = analysis.analyse(trace)
+    report = analysis.report(series)
+    single = series.spans[1]
+    assert report["walk"]["margin"]["true"]["outside_from"] == pytest.approx(series.time[single.start], abs=0.1)
+    assert report["physics"]["swing_load"] > 0.5
+    assert report["physics"]["cop_inside"] < 0.9
 
 
 def test_a_step_in_physics() -> None:
@@ -300,6 +335,19 @@ def test_the_largest_push_is_found_by_bisection(monkeypatch: pytest.MonkeyPatch)
     assert pushes.limit(CONFIG, "standing", 1.0, most=0.7).failed == np.inf
 
 
+def test_a_push_is_survived_or_not() -> None:
+    assert not pushes.pushed(CONFIG, pushes.Push("standing", 0.0, 0.1))
+    assert "fell" in pushes.pushed(CONFIG, pushes.Push("standing", 0.0, 3.0))
+
+
+def test_a_stance_that_never_comes_is_not_pushed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pushes, "_due", lambda controller, time, *, standing: False)
+    monkeypatch.setattr(pushes, "_SOON", -1.0)
+    monkeypatch.setattr(pushes, "_STANDS", 0.1)
+    with pytest.raises(PlantError, match="before it was pushed"):
+        pushes.pushed(CONFIG, pushes.Push("standing", 0.0, 0.1))
+
+
 def test_a_robot_with_weak_servos_that_nothing_holds_falls() -> None:
     """The cell says so: 8 N m/rad per joint are less than the weight of the pendulum asks for."""
     values = {"servo.stiffness": 8.0, "servo.assumed_stiffness": 0.0, "standing.balance": 0.0}
@@ -309,8 +357,7 @@ def test_a_robot_with_weak_servos_that_nothing_holds_falls() -> None:
 
 
 def test_another_biped_walks_in_physics_with_a_configuration_of_its_own() -> None:
-    data = pathlib.Path(__file__).parent / "data"
-    config = dq.load(data / "biped12.yaml").updated({"robot.urdf": str(data / "biped12.urdf"), "gait.steps": 1})
+    config = BIPED12.updated({"gait.steps": 1})
     model = dq.load_model(config.robot)
     plant = make_plant("physics", config, model)
     trace = simulate(make_controller(config, model), plant)

@@ -18,7 +18,7 @@ from dqwalk_ros.analysis.support import hull_margin
 from dqwalk_ros.dq import DQ
 from dqwalk_ros.model import Foot
 
-__all__ = ["COP_INSIDE", "FALLEN", "LANDING", "TILT", "Circle", "Ground", "ground", "numbers"]
+__all__ = ["COP_INSIDE", "FALLEN", "LANDING", "TILT", "TIPPED", "Circle", "Ground", "ground", "numbers"]
 
 Array = NDArray[np.float64]
 
@@ -30,6 +30,8 @@ LANDING = 5e-3
 """A swing foot must land this close to its footprint [m]."""
 FALLEN = 0.6
 """A robot whose pelvis is below this part of its first height has fallen."""
+TIPPED = np.radians(20.0)
+"""And so has one whose soles lean by this, the one that carries [rad]."""
 _TOUCH = 1e-4
 """Contacts are soft: the centre of pressure counts as inside up to here beyond an edge [m]."""
 _TURNED = np.radians(60.0)
@@ -98,6 +100,12 @@ class Ground:
         """Part of the ticks whose centre of pressure is inside; one in the air is not."""
         return float(np.mean(np.nan_to_num(self.cop_margin, nan=-np.inf) >= -_TOUCH))
 
+    @property
+    def fallen(self) -> bool:
+        """Whether the robot fell: its pelvis came down, or it tipped over."""
+        low = np.nanmin(self.height) < FALLEN * self.height[np.isfinite(self.height)][0]
+        return bool(low or np.nanmax(self.tilt) > TIPPED)
+
 
 def ground(series: Series) -> Ground | None:
     """Return what the ground says; None for a walk without physics."""
@@ -156,12 +164,25 @@ def numbers(series: Series, of: Ground) -> dict[str, Any]:
         "cop_inside": of.inside,
         "cop_margin": float(np.nanmin(of.cop_margin)) if np.isfinite(of.cop_margin).any() else None,
         "landing_height": max(landed, default=None),
-        "fallen": bool(np.nanmin(of.height) < FALLEN * of.height[np.isfinite(of.height)][0]),
+        "fallen": of.fallen,
+        "swing_load": _swing_load(series),
         "odometry_drift": _drift(series, of),
     }
     if of.circle is not None:
         out["circle"] = {"radius": of.circle.radius, "deviation": of.circle.deviation}
     return out
+
+
+def _swing_load(series: Series) -> float | None:
+    """Return the part of the weight on the foot that swings, the median of all ticks; None where none swings."""
+    known, parts = series.trace.physics, []
+    assert known is not None  # there is a ground
+    for span in series.spans:
+        if not span.double:
+            swing = known.wrenches[span.phase.support.other][span.ticks, 2]
+            parts.append(swing / np.maximum(swing + known.wrenches[span.phase.support][span.ticks, 2], 1e-3))
+    part = np.concatenate(parts) if parts else np.empty(0)
+    return float(np.nanmedian(part)) if np.isfinite(part).any() else None
 
 
 def _tilt(x: Array) -> Array:

@@ -12,6 +12,10 @@ _EDGE = 1e-5
 """Closer than this to the edge of its support the CoM is on it [m]: what Euler's method may be off."""
 
 
+_TURNED = math.radians(0.5)
+"""A walk that turned less than this went straight on [rad]."""
+
+
 def render(report: Mapping[str, Any]) -> str:
     """Return the report (see `verdict.report`) as aligned text: phases, distances, the walk, the verdict."""
     parts = [_phases(report["phases"]), _minima(report["phases"]), _walk(report), _verdict(report)]
@@ -47,6 +51,9 @@ def _minima(phases: Sequence[Mapping[str, Any]]) -> str:
         )
         for phase in phases
     ]
+    if len(phases) > 1:
+        least = (min(phase["minimum"][name]["value"] for phase in phases if name in phase["minimum"]) for name in names)
+        rows.append(("the whole walk", *(f"{value:.4g}" for value in least)))
     head = ("least distance to the bound", *names)
     return _aligned([head, *rows], right=range(1, len(head)), rule=0)
 
@@ -59,7 +66,8 @@ def _walk(report: Mapping[str, Any]) -> str:
         ("time", f"{walk['duration']:.2f} s, {walk['ticks']} ticks"),
         (
             "steps",
-            f"{walk['steps']}, {mm * walk['forward']:.1f} mm forward, {mm * walk['lateral']:.1f} mm to the left",
+            f"{walk['steps']}, {mm * walk['forward']:.1f} mm forward, {mm * walk['lateral']:.1f} mm to the left"
+            + (f", turned {math.degrees(walk['turned']):+.1f} degrees" if abs(walk["turned"]) > _TURNED else ""),
         ),
     ]
     if walk["landing_error"] is not None:
@@ -116,13 +124,16 @@ def _physics(of: Mapping[str, Any]) -> list[tuple[str, str]]:
     margin = "" if of["cop_margin"] is None else f"; at worst {mm * of['cop_margin']:+.1f} mm"
     inside = 100.0 * of["cop_inside"]
     lines.append(("  pressure", f"centre inside the support polygon on {inside:.2f} % of ticks{margin}"))
+    if (load := of["swing_load"]) is not None:
+        lines.append(("  swing foot", f"carries {100.0 * load:.1f} % of the weight while it swings (median)"))
     lines.append(("  odometry", f"{mm * of['odometry_drift']:.1f} mm off at the end"))
     return lines
 
 
 def _margin(least: Mapping[str, float]) -> str:
     where = "at the edge" if abs(least["value"]) < _EDGE else "outside" if least["value"] < 0.0 else "inside"
-    return f"{1e3 * least['value']:+.2f} mm at {least['time']:.2f} s ({where})"
+    first = f", from {least['outside_from']:.2f} s on" if where == "outside" and "outside_from" in least else ""
+    return f"{1e3 * least['value']:+.2f} mm at {least['time']:.2f} s ({where}{first})"
 
 
 def _verdict(report: Mapping[str, Any]) -> str:

@@ -117,6 +117,9 @@ def _margins(series: Series, ticks: slice) -> dict[str, dict[str, float]]:
     out["true"] = _least(series, series.true_margin, ticks)
     if series.urdf_margin is not None:
         out["true_urdf_sole"] = _least(series, series.urdf_margin, ticks)
+    for name, values in (("true", series.true_margin), ("true_urdf_sole", series.urdf_margin)):
+        if values is not None and (outside := np.flatnonzero(values[ticks] < 0.0)).size:
+            out[name]["outside_from"] = float(series.time[ticks][outside[0]])
     out["joints"] = _least(series, series.joint_margin.min(axis=1), ticks)
     return out
 
@@ -135,6 +138,7 @@ def _walk(series: Series, phases: list[dict[str, Any]]) -> dict[str, Any]:
         "distance": float(np.linalg.norm(end - begin)),
         "forward": float(end[0] - begin[0]),
         "lateral": float(end[1] - begin[1]),
+        "turned": _turned(series),
         "landing_error": max((landing["error"] for landing in landings), default=None),
         "margin": _margins(series, slice(None)),
         "closest_joint": trace.model.joint_names[joint],
@@ -154,6 +158,13 @@ def _between_the_feet(series: Series, tick: int) -> Array:
     there = (x * DQ(series.end[tick])).transform_point(soles[base.other].center)
     middle: Array = 0.5 * (x.transform_point(soles[base].center) + there)[:2]
     return middle
+
+
+def _turned(series: Series) -> float:
+    """Return how far the base soles turned to the left, beyond a full turn too [rad]."""
+    ahead = np.array([DQ(span.record.x_odom_base).rotation_matrix()[:, 0] for span in series.spans])
+    yaw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
+    return float(yaw[-1] - yaw[0])
 
 
 def _solve_time(values: Array) -> dict[str, float] | None:

@@ -6,6 +6,7 @@ pelvis floats. What a real robot cannot measure (`PhysicsPlant.truth`) is for an
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -197,8 +198,15 @@ class PhysicsPlant:
         return np.concatenate([force.sum(axis=0) @ R, torque.sum(axis=0) @ R])
 
 
-def compiled(config: Config, model: RobotModel) -> Any:
+def compiled(config: Config, model: RobotModel, scenery: Callable[[Any], None] | None = None) -> Any:
     """Return the MuJoCo model of the robot, its servos and the floor.
+
+    Parameters
+    ----------
+    config : Config
+    model : RobotModel
+    scenery : callable, optional
+        Called with the `MjSpec` before it is compiled; for what is only seen.
 
     Raises
     ------
@@ -253,6 +261,8 @@ def compiled(config: Config, model: RobotModel) -> Any:
         act.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         act.biasprm[1], act.biasprm[2] = -stiffness, -s.damping * stiffness
         act.forcelimited, act.forcerange = True, [-torque, torque]
+    if scenery is not None:
+        scenery(spec)
     try:
         made = spec.compile()
     except ValueError as error:
