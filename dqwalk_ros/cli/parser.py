@@ -139,7 +139,7 @@ examples:
 """
 
 _MOVIE = """\
-Draws the robot with its collision shapes, by MuJoCo, without a display: set MUJOCO_GL=egl (or osmesa) where there is
+Draws the robot as its URDF shows it, by MuJoCo, without a display: set MUJOCO_GL=egl (or osmesa) where there is
 none. A bag of a walk in physics has the true pose of the pelvis, otherwise it is that of the odometry.
 Needs dqwalk_ros[sim].
 

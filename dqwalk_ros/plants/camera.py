@@ -53,11 +53,13 @@ class Camera:
         distance: float = 1.4,
     ) -> None:
         self._model = model
-        self._mj = compiled(config, model, _scenery)
+        self._mj = compiled(config, model, seen=True)
         self._data: Any = mujoco.MjData(self._mj)
         self._mj.vis.global_.offwidth, self._mj.vis.global_.offheight = width, height
         self._qadr = np.array([int(self._mj.joint(name).qposadr[0]) for name in model.joint_names])
         self._root = self._mj.body(model.root).id
+        self._shown = mujoco.MjvOption()
+        self._shown.geomgroup[0] = 0  # what collides
         self._look = mujoco.MjvCamera()
         self._look.azimuth, self._look.elevation, self._look.distance = azimuth, elevation, distance
         try:
@@ -82,23 +84,6 @@ class Camera:
         mujoco.mj_forward(self._mj, self._data)
         com = self._data.subtree_com[self._root]
         self._look.lookat[:] = [com[0], 0.0, 0.9 * com[2]]
-        self._renderer.update_scene(self._data, self._look)
+        self._renderer.update_scene(self._data, self._look, self._shown)
         image: NDArray[np.uint8] = self._renderer.render()
         return image
-
-
-def _scenery(spec: Any) -> None:
-    """Give the floor tiles of 10 cm and the world a sky."""
-    textures, kinds = mujoco.mjtTexture, mujoco.mjtBuiltin
-    sky = {"rgb1": [0.99, 0.99, 1.0], "rgb2": [0.86, 0.90, 0.95], "width": 64, "height": 384}
-    spec.add_texture(name="sky", type=textures.mjTEXTURE_SKYBOX, builtin=kinds.mjBUILTIN_GRADIENT, **sky)
-    tiles = {"rgb1": [0.93, 0.94, 0.95], "rgb2": [0.86, 0.88, 0.90], "width": 256, "height": 256}
-    spec.add_texture(name="tiles", type=textures.mjTEXTURE_2D, builtin=kinds.mjBUILTIN_CHECKER, **tiles)
-    material = spec.add_material(name="tiles", texrepeat=[_TILES, _TILES], texuniform=True, emission=0.45)
-    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
-    floor = spec.geom("floor")
-    floor.material, floor.rgba = "tiles", [1.0, 1.0, 1.0, 1.0]
-
-
-_TILES = 5
-"""Pairs of tiles in a metre."""

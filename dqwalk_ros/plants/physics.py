@@ -6,7 +6,6 @@ pelvis floats. What a real robot cannot measure (`PhysicsPlant.truth`) is for an
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -19,6 +18,7 @@ from dqwalk_ros.dq import DQ
 from dqwalk_ros.exceptions import PlantError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot, RobotModel
+from dqwalk_ros.plants.scenery import add_scenery, with_visual_shapes
 from dqwalk_ros.plants.servos import Servos
 from dqwalk_ros.plants.truth import Inertial, Truth, upward
 
@@ -198,15 +198,16 @@ class PhysicsPlant:
         return np.concatenate([force.sum(axis=0) @ R, torque.sum(axis=0) @ R])
 
 
-def compiled(config: Config, model: RobotModel, scenery: Callable[[Any], None] | None = None) -> Any:
+def compiled(config: Config, model: RobotModel, *, seen: bool = False) -> Any:
     """Return the MuJoCo model of the robot, its servos and the floor.
 
     Parameters
     ----------
     config : Config
     model : RobotModel
-    scenery : callable, optional
-        Called with the `MjSpec` before it is compiled; for what is only seen.
+    seen : bool
+        For pictures: with the visual shapes of the URDF, a sky and a ruled floor. What the geometry that collides looks
+        like is in group 0 then, all else in group 2.
 
     Raises
     ------
@@ -214,11 +215,10 @@ def compiled(config: Config, model: RobotModel, scenery: Callable[[Any], None] |
         If MuJoCo refuses the robot.
     """
     c, s = config.physics, config.servo
-    spec = mujoco.MjSpec.from_string(model.urdf)
+    spec = mujoco.MjSpec.from_string(with_visual_shapes(model.urdf) if seen else model.urdf)
     spec.compiler.inertiafromgeom = 0  # the soles have no mass; none may be made up
     spec.compiler.fusestatic = False
     spec.compiler.balanceinertia = True
-    spec.compiler.discardvisual = False  # for pictures
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.45] * 3, [0.6] * 3
     spec.option.timestep = c.timestep
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -240,13 +240,15 @@ def compiled(config: Config, model: RobotModel, scenery: Callable[[Any], None] |
         place = [*sole.center[:2], 0.5 * _THICK]
         body.add_geom(
             name=f"sole_{foot.value}", type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=place, mass=0.0,
-            friction=[c.friction, 0.005, 0.0001], contype=1, conaffinity=2, rgba=[0.2, 0.21, 0.23, 1.0], group=0,
+            friction=[c.friction, 0.005, 0.0001], contype=1, conaffinity=2, rgba=[0.2, 0.21, 0.23, 1.0], group=2,
             solref=[c.contact_time, 1.0], solimp=_SOLID,
         )  # fmt: skip
-    spec.worldbody.add_geom(
+    floor = spec.worldbody.add_geom(
         name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[20.0, 20.0, 0.1], friction=[c.friction, 0.005, 0.0001],
-        solref=[c.contact_time, 1.0], solimp=_SOLID, contype=2, conaffinity=1, rgba=[0.86, 0.88, 0.9, 1.0],
+        solref=[c.contact_time, 1.0], solimp=_SOLID, contype=2, conaffinity=1, rgba=[0.86, 0.88, 0.9, 1.0], group=2,
     )  # fmt: skip
+    if seen:
+        add_scenery(spec, floor)
     index = {name: k for k, name in enumerate(model.joint_names)}
     for joint in spec.joints:
         if joint.name == "root":
@@ -261,8 +263,6 @@ def compiled(config: Config, model: RobotModel, scenery: Callable[[Any], None] |
         act.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         act.biasprm[1], act.biasprm[2] = -stiffness, -s.damping * stiffness
         act.forcelimited, act.forcerange = True, [-torque, torque]
-    if scenery is not None:
-        scenery(spec)
     try:
         made = spec.compile()
     except ValueError as error:

@@ -1,0 +1,41 @@
+"""Pictures show the robot's visual shapes; the physics does not know of them."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from dqwalk_ros.config import load
+from dqwalk_ros.model import load_model
+from dqwalk_ros.plants.physics import compiled
+
+
+def test_what_is_only_seen_changes_nothing_that_moves():
+    config = load("poppy")
+    model = load_model(config.robot)
+    plain, seen = compiled(config, model), compiled(config, model, seen=True)
+    assert seen.ngeom > plain.ngeom + 20
+    np.testing.assert_array_equal(seen.body_mass, plain.body_mass)
+    np.testing.assert_array_equal(seen.body_inertia, plain.body_inertia)
+    states = []
+    for m in (plain, seen):
+        data = mujoco.MjData(m)
+        data.qpos[2] = 0.5
+        data.qvel[:] = np.random.default_rng(0).normal(size=m.nv)
+        for _ in range(300):
+            mujoco.mj_step(m, data)
+        assert data.ncon > 0
+        states.append(data.qpos.copy())
+    np.testing.assert_array_equal(*states)
+
+
+def test_pictures_hide_the_shapes_that_collide():
+    """Group 0 is left out of pictures: neither floor nor soles, which are drawn as they collide, may be in it."""
+    config = load("poppy")
+    made = compiled(config, load_model(config.robot), seen=True)
+    for name in ("floor", "sole_left", "sole_right"):
+        assert made.geom(name).group[0] == 2
+    visual = made.geom_group == 1
+    assert visual.sum() > 20
+    assert not made.geom_contype[visual].any()
+    assert not made.geom_conaffinity[visual].any()
