@@ -41,8 +41,9 @@ from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.runner import Processes, private_domain, run_walk
 from dqwalk_ros.simulation import simulate
 
-MIDDLE = slice(500, 950)
-"""Columns of a picture between the panels."""
+SIZE = {"width": 1000, "height": 500}
+MIDDLE = slice(350, 670)
+"""Of a browser window, and the columns of its picture between the panels."""
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
 
 
@@ -75,7 +76,7 @@ def opening(folder: Path, rounds: int = 5) -> None:
     path = folder / "walk"
     bag.write(short_walk(), path)
     times = []
-    with chromium(folder) as page:
+    with chromium(folder, **SIZE) as page:
         for _ in range(rounds):
             with viewing(path) as (url, began):
                 printed = time.monotonic()
@@ -116,7 +117,7 @@ def viewer(processes: Processes, params: Path) -> str:
 def smoothness(folder: Path, seconds: float = 15.0) -> None:
     """Print how many pictures the page sends, and a browser draws, while a walk goes on."""
     config = short_config(**{"gait.cycles": 50, "plant.lockstep": False})
-    with walking(folder, config) as url, chromium(folder) as page:
+    with walking(folder, config) as url, chromium(folder, **SIZE) as page:
         page.goto(url)
         page.wait_for_selector("[data-dqwalk=margins]", timeout=60_000)
         until_seen(page)
@@ -152,7 +153,7 @@ def cost(folder: Path, rounds: int = 3) -> None:
                     params.write_text(to_yaml(config), encoding="utf-8")
                     url = viewer(stack.enter_context(Processes(logs, domain)), params)
                 if name == "viewer and open page":
-                    page = stack.enter_context(chromium(folder))
+                    page = stack.enter_context(chromium(folder, **SIZE))
                     page.goto(url)
                 outcome = run_walk(config, folder / f"bag{k}{len(name)}", logs=folder / "log", domain=domain)
             if not outcome.finished:
