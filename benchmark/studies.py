@@ -16,7 +16,6 @@ from pathlib import Path
 from benchmark.timing import machine, table
 
 STUDY = """\
-name: short_walks
 config: paper
 set: {{gait.cycles: 1, qp.solver: daqp, dsp.stall_rate: 0.003, dsp.eta_ground: 100.0, ssp.threshold: 0.02}}
 sample: latin_hypercube
