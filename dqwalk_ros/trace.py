@@ -117,6 +117,8 @@ class Trace:
         Versions and machine that walked it (`dqwalk_ros.origin`); empty where nobody wrote that down.
     physics : PhysicsRecord or None
         Where the walk went through a physics engine.
+    epoch : int
+        Stamp of time zero [ns]: that of the first state where stamps are the time of day.
     """
 
     config: Config
@@ -130,6 +132,7 @@ class Trace:
     notes: tuple[str, ...] = ()
     origin: Mapping[str, str] = field(default_factory=dict)
     physics: PhysicsRecord | None = None
+    epoch: int = 0
 
     def __len__(self) -> int:
         return int(self.time.shape[0])

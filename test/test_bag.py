@@ -128,6 +128,18 @@ def test_every_command_has_the_stamp_of_its_state(path, trace):
     np.testing.assert_array_equal(commands.stamps, states.stamps)
 
 
+def test_the_time_of_day_counts_from_the_first_state(trace, tmp_path):
+    """Seconds since 1970 in a float are rounded by 0.2 us: stamps are kept as whole numbers, times are small."""
+    epoch = 1_795_248_867_614_370_783
+    bag.write(dataclasses.replace(trace, epoch=epoch), tmp_path / "walk")
+    back = bag.read(tmp_path / "walk")
+    assert back.epoch == epoch
+    assert not any("is missing" in note for note in back.notes)
+    np.testing.assert_allclose(back.time, trace.time, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose([p.time for p in back.phases], [p.time for p in trace.phases], rtol=0.0, atol=1e-12)
+    assert column(tmp_path / "walk", "/joint_states").stamps[0] == epoch
+
+
 def test_velocities_of_the_states_are_those_applied(path, trace):
     velocity = column(path, "/joint_states").velocity
     assert not velocity[0].any()

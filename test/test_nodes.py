@@ -13,7 +13,8 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
 
-from live import SHORT, Live
+from live import LATCHED, SHORT, Live
+from sensor_msgs.msg import JointState
 
 from dqwalk_ros import bag
 from dqwalk_ros.bag.topics import TOPICS
@@ -168,6 +169,8 @@ def test_real_time_walks_by_the_clock(live: Make) -> None:
 
 def test_start_pause_reset(live: Make) -> None:
     one = live(node__autostart=False)
+    began: list[JointState] = []
+    one.node.create_subscription(JointState, "phase_start", began.append, LATCHED)
     one.start("integrator")
     one.start("controller")
     one.until(lambda: len(one.got["joint_velocity_commands"]) > 20, 60.0, "answers")
@@ -185,6 +188,12 @@ def test_start_pause_reset(live: Make) -> None:
     assert not one.call("controller/pause").success
     assert one.call("controller/start").success
     one.until(lambda: one.phases()[-1] == "double_support/left", 10.0, "walking anew")
+    answered = one.got["joint_velocity_commands"]
+
+    def stamps(messages: list[JointState]) -> set[tuple[int, int]]:
+        return {(m.header.stamp.sec, m.header.stamp.nanosec) for m in messages}
+
+    one.until(lambda: len(began) == 2 and stamps(began) <= stamps(answered), 20.0, "phases that began at a state")
 
 
 def test_a_state_that_cannot_be_used_is_rejected_and_the_walk_goes_on(live: Make) -> None:
@@ -246,7 +255,6 @@ def test_a_state_that_cannot_be_used_is_rejected_and_the_walk_goes_on(live: Make
 
 def test_a_command_that_cannot_be_used_moves_nothing(live: Make) -> None:
     from rclpy.qos import QoSProfile
-    from sensor_msgs.msg import JointState
 
     one = live(plant__lockstep=True)
     names = names_of(one.config)

@@ -24,6 +24,8 @@ __all__ = ["model_of", "read"]
 
 Array = NDArray[np.float64]
 _WANTED = {name: topic.type for name, topic in TOPICS.items() if name != "diagnostics"}
+_CLOCK = 10**18
+"""A stamp beyond this [ns], in 2001, is that of a clock; a simulation's time begins by itself."""
 
 
 def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace:
@@ -80,18 +82,20 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
         stamps, q, u, answered = stamps[:last], q[:last], u[:last], answered[:last]
     if not answered.all():
         notes.append(f"{np.count_nonzero(~answered)} of {len(stamps)} states have no command")
+    epoch = int(stamps[0]) if stamps[0] > _CLOCK else 0
     return Trace(
         config=config,
         model=model,
-        time=stamps / 1e9,
+        time=(stamps - epoch) / 1e9,
         q=q,
         u=u,
-        phases=records(model, began, stamps, first_base(model, columns, began[0]), notes),
+        phases=records(model, began, stamps, first_base(model, columns, began[0]), epoch, notes),
         solve_time=np.full(len(stamps), np.nan),
         finished=finished,
         notes=tuple(notes),
         origin=origin_in(columns),
         physics=_physics(stamps, columns),
+        epoch=epoch,
     )
 
 

@@ -122,22 +122,26 @@ def records(
     phases: Sequence[Start],
     stamps: NDArray[np.int64],
     x_odom_base: Array,
+    epoch: int,
     notes: list[str],
 ) -> tuple[PhaseRecord, ...]:
-    """Return the records; odometry goes on where the base changes: x_odom_new = x_odom_old x_old_new(q_start)."""
+    """Return the records; odometry goes on where the base changes: x_odom_new = x_odom_old x_old_new(q_start).
+
+    Their times count from `epoch` [ns].
+    """
     out: list[PhaseRecord] = []
     for start in phases:
         if out and out[-1].base is not start.base:
             step = Kinematics(model, start.q, out[-1].base).pose(model.soles[start.base].frame)
             x_odom_base = (DQ(x_odom_base) * DQ(step)).vec8()
-        tick = int(np.searchsorted(stamps, start.stamp))
+        tick, time = int(np.searchsorted(stamps, start.stamp)), (start.stamp - epoch) / 1e9
         if tick == len(stamps):
-            notes.append(f"{start.name} began at {start.stamp / 1e9:.3f} s, after the last state, and is left out")
+            notes.append(f"{start.name} began at {time:.3f} s, after the last state, and is left out")
             break
         if out and out[-1].start == tick:  # over before the recording began
             out.pop()
         if stamps[tick] != start.stamp:
-            notes.append(f"the state at which {start.name} began, {start.stamp / 1e9:.3f} s, is missing")
+            notes.append(f"the state at which {start.name} began, {time:.3f} s, is missing")
         out.append(
             PhaseRecord(
                 name=start.name,
@@ -145,7 +149,7 @@ def records(
                 support=start.support,
                 base=start.base,
                 start=tick,
-                time=start.stamp / 1e9,
+                time=time,
                 q_start=start.q,
                 swing_target=start.swing_target,
                 x_odom_base=x_odom_base,

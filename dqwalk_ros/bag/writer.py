@@ -137,7 +137,7 @@ def _fill(writer: Writer, trace: Trace, diagnostics: bool) -> None:
             connections[name] = writer.add_connection(
                 "/" + name, topic.type, typestore=messages.typestore(), offered_qos_profiles=[qos(topic)]
             )
-    stamps = stamps_of(trace.time)
+    stamps = stamps_of(trace.time) + trace.epoch
     names = trace.model.joint_names
     applied = np.zeros_like(trace.u)  # the velocity that led to a state is the command before it
     applied[1:] = np.nan_to_num(trace.u[:-1])

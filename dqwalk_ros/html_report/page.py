@@ -283,13 +283,14 @@ def _faults(subject: Subject) -> str:
     found = faults(subject.said)
     if not found:
         return "<p class='muted'>None: no node said anything but OK, or the bag has no /diagnostics.</p>"
+    epoch = subject.series.trace.epoch / 1e9
     rows = [
         (
             f"<span class='level-{fault.level}'>{fault.level}</span>",
             escape(fault.name),
             escape(fault.message[:160]),
-            f"{fault.first:.2f}",
-            f"{fault.last:.2f}",
+            f"{fault.first - epoch:.2f}",
+            f"{fault.last - epoch:.2f}",
             str(fault.count),
         )
         for fault in found[:40]

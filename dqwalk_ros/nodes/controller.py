@@ -226,7 +226,7 @@ class ControllerNode(Worker):
             self._stamp0 = stamp
         if self._controller.phase_index != self._phase_index:
             self._phase_index = self._controller.phase_index
-            self._publish_phase()
+            self._publish_phase(stamp)
         if self._controller.finished:
             self._mode = Mode.DONE
             return self._still
@@ -329,8 +329,9 @@ class ControllerNode(Worker):
         if name != Mode.WALKING.value:  # nothing to tell before the first state
             self._pub["phase"].publish(String(data=name))
 
-    def _publish_phase(self) -> None:
-        phase, stamp = self._controller.phase, round(self._controller.phase_time0 * 1e9)
+    def _publish_phase(self, stamp: int) -> None:
+        """Say where the phase began; `stamp` [ns] is that of the state, which seconds of the clock would round."""
+        phase = self._controller.phase
         for name, msg in phase_messages(self._model, phase, stamp):
             self._pub[name].publish(msg)
         self._say_phase()
