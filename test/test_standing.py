@@ -13,7 +13,7 @@ from dqwalk_ros import analysis, pushes, robustness
 from dqwalk_ros.cli.footsteps import reached
 from dqwalk_ros.cli.robustness import table
 from dqwalk_ros.constraints import ComInsideEdges, FrameHeld, PointsOverPlane, hold_rows
-from dqwalk_ros.controllers import State, make_controller
+from dqwalk_ros.controllers import Command, State, make_controller
 from dqwalk_ros.controllers.balance import balance_torques, com_velocity, gravity_torques
 from dqwalk_ros.dq import DQ
 from dqwalk_ros.exceptions import ConfigError, PlantError
@@ -354,6 +354,44 @@ def test_a_robot_with_weak_servos_that_nothing_holds_falls() -> None:
     cell = robustness.walk(CONFIG.updated({"gait.steps": 1}), values)
     assert not cell.stood
     assert cell.reason
+
+
+def test_a_transfer_that_stood_still_for_a_while_is_begun_anew() -> None:
+    """In the middle of it, taken up at the velocity it had, the path would tip the robot."""
+    config = CONFIG.updated({"gait.steps": 1})
+    model = dq.load_model(config.robot)
+    controller, plant = make_controller(config, model), make_plant("physics", config, model)
+    state, dt = plant.state, config.dt
+    command, still = Command(0.0, np.zeros(model.n)), Command(0.0, np.zeros(model.n))
+    for tick in range(700):
+        if not 150 <= tick < 210:
+            command = controller.step(state, dt)
+        elif tick >= 150 + round(config.plant.command_timeout / dt):
+            command = still  # as every plant does in silence
+        state = plant.step(command, dt)
+        assert not plant.fallen
+        if tick == 210:
+            assert controller.phase_index == 1
+            assert controller.phase.kind is PhaseKind.DOUBLE_SUPPORT
+            assert controller.phase_time0 == pytest.approx(210 * dt)
+    assert controller.phase.kind is PhaseKind.SINGLE_SUPPORT
+
+
+def test_a_swing_that_stood_still_for_a_while_goes_on_where_it_was() -> None:
+    config = CONFIG.updated({"gait.steps": 1})
+    model = dq.load_model(config.robot)
+    controller, plant = make_controller(config, model), make_plant("integrator", config, model)
+    state = plant.state
+    while controller.phase_index < 1 or state.time < controller.phase_time0 + 0.5:
+        command = controller.step(state, config.dt)
+        state = plant.step(command, config.dt)
+    began, speed = controller.phase_time0, np.abs(state.dq).max()
+    for _ in range(round(config.plant.command_timeout / config.dt) - 1):
+        state = plant.step(command, config.dt)
+    command = controller.step(State(state.time + 60.0, state.q), config.dt)
+    assert controller.phase_index == 1
+    assert controller.phase_time0 == pytest.approx(began + 60.0)
+    assert np.abs(command.velocity).max() < 1.2 * speed  # nothing to make up for
 
 
 def test_another_biped_walks_in_physics_with_a_configuration_of_its_own() -> None:

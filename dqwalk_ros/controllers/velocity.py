@@ -56,6 +56,7 @@ class VelocityController:
         self._kin: Kinematics | None = None
         self._index = -1
         self._time0 = math.nan
+        self._answered = math.inf
         self._finished = False
         self._x_odom_base = DQ(1.0)
         self._error = math.nan
@@ -74,7 +75,7 @@ class VelocityController:
 
     @property
     def phase_time0(self) -> float:
-        """Time of the state at which the phase began [s]."""
+        """Time of the state at which the phase began [s], and later by as long as the plant held."""
         return self._time0
 
     @property
@@ -160,6 +161,9 @@ class VelocityController:
         self._checked(state)
         if self._index < 0:
             self._enter(0, state)
+        else:
+            self._resume(state)
+        self._answered = state.time
         kin = self._seen(state)
         while not self._finished and self._over(state.time):
             self._enter(self._index + 1, state, kin)
@@ -174,6 +178,22 @@ class VelocityController:
         if state.up is not None and self._imu in self.model.frames:
             effort = balance_torques(self.phase, kin, state, self.config.standing, self._imu)
         return Command(state.time, np.minimum(np.maximum(self.solution.u, -limit), limit), effort)
+
+    def _resume(self, state: State) -> None:
+        """Go on after states without an answer, when the plant has moved on for its timeout and then held.
+
+        A swing goes on where it was. A CoM that was stopped sets out anew: taken up at the path's velocity it tips the
+        robot.
+        """
+        held = state.time - self._answered - self.config.plant.command_timeout
+        if held <= 0.0:
+            return
+        phase = self.phase
+        if phase.kind is PhaseKind.SINGLE_SUPPORT or isinstance(self._gait, PaperGait):
+            self._time0 += held
+        else:
+            again = make_phase(self.config, self.model, phase.kind, phase.support, state.q, phase.swing_target)
+            self._begin(self._index + 1, again, state.time)
 
     def _solved(self, problem: Problem) -> Solution:
         """Return the answer of (6); where the robot is outside and cannot return at the wanted rate, a slower one."""
@@ -225,6 +245,9 @@ class VelocityController:
         if kin is not None and phase.base is not kin.base:
             # the world moves to the other sole, as that stands now
             self._x_odom_base = (self._x_odom_base * DQ(kin.pose(kin.swing))).normalized()
-        self._phase, self._index, self._time0 = phase, index, state.time
+        self._begin(index, phase, state.time)
+
+    def _begin(self, index: int, phase: Phase, time: float) -> None:
+        self._phase, self._index, self._time0 = phase, index, time
         self._rule = make_rule(self.config, self.model, phase)
         self.problem = self.solution = None
