@@ -59,6 +59,17 @@ def test_lockstep_is_the_walk_of_one_process_and_says_more(tmp_path: Path, domai
         live.start("physics")
         live.start("controller")
         live.until(lambda: len(commands) > 320, 120.0, "320 ticks")
+        pushes = live.node.create_publisher(WrenchStamped, "push", 1)
+        live.until(pushes.get_subscription_count, 20.0, "somebody who pushes")
+        push = WrenchStamped()
+        push.wrench.force.y = float("nan")
+        pushes.publish(push)
+        live.until(lambda: "push rejected" in live.processes.log("physics"), 20.0, "a refusal")
+        push.wrench.force.y = 1.5
+        pushes.publish(push)
+        live.until(lambda: "pushed: 0, 1.5, 0 N s" in live.processes.log("physics"), 20.0, "the push")
+        before = bases[max(bases)].pose.position.y
+        live.until(lambda: bases[max(bases)].pose.position.y > before + 0.02, 60.0, "a robot that was moved")
     finally:
         live.close()
     config = live.config

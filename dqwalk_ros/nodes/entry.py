@@ -81,7 +81,10 @@ HELP = {
     ),
     "physics": Help(
         what="Stand in for the robot: MuJoCo, true soles, servos, an inertial sensor; real time or lockstep.",
-        gets=("joint_velocity_commands  sensor_msgs/JointState [rad/s]; its efforts are fed forward [N m]",),
+        gets=(
+            "joint_velocity_commands  sensor_msgs/JointState [rad/s]; its efforts are fed forward [N m]",
+            "push                     geometry_msgs/WrenchStamped: its force times 1 s hits the pelvis [N s], in world",
+        ),
         gives=(
             "joint_states             sensor_msgs/JointState [rad, rad/s]",
             "imu                      sensor_msgs/Imu of the link physics.imu, the same stamp as the state's",

@@ -11,12 +11,14 @@ import time
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from dqwalk_ros.bag.topics import TOPICS, WORLD
 from dqwalk_ros.config import Config
+from dqwalk_ros.controllers import Command
 from dqwalk_ros.model import Foot, RobotModel
 from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
@@ -28,8 +30,12 @@ from dqwalk_ros.plants.physics import PhysicsPlant
 __all__ = ["PhysicsNode", "main"]
 
 
+_PUSH = 0.1
+"""A push lasts so long [s], of simulated time."""
+
+
 class PhysicsNode(SimulatedPlant):
-    """joint_velocity_commands -> joint_states, imu, and the truth.
+    """joint_velocity_commands -> joint_states, imu, and the truth; push shoves it.
 
     Parameters
     ----------
@@ -56,7 +62,9 @@ class PhysicsNode(SimulatedPlant):
         self._without = 0
         self._began = time.monotonic()
         self._stamp0 = node.get_clock().now().nanoseconds
+        self._pushed_until = -1  # tick
         node.create_service(Trigger, "~/reset", self._reset)
+        node.create_subscription(WrenchStamped, "push", self._on_push, ros.stream(10))
 
     def make_plant(self, config: Config, model: RobotModel) -> Plant:
         """Return the robot on its soles."""
@@ -94,6 +102,22 @@ class PhysicsNode(SimulatedPlant):
             self.node.get_logger().error(self._fell)
             if self._report:  # nobody is there to pick it up
                 self.life.end(1)
+
+    def _on_push(self, msg: WrenchStamped) -> None:
+        """Take the force times one second as the impulse on the pelvis [N s], as the node `rigid` does."""
+        f = msg.wrench.force
+        impulse = np.array([f.x, f.y, f.z])
+        if not np.isfinite(impulse).all():
+            self.node.get_logger().error("push rejected: not finite")
+            return
+        self._plant.push(impulse / _PUSH)
+        self._pushed_until = self._ticks + round(_PUSH / self._dt)
+        self.node.get_logger().info(f"pushed: {f.x:g}, {f.y:g}, {f.z:g} N s within {_PUSH:g} s")
+
+    def _move(self, command: Command, dt: float) -> bool:
+        if self._ticks == self._pushed_until:
+            self._plant.push(np.zeros(3))
+        return super()._move(command, dt)
 
     def trouble(self) -> str:
         """Return that the robot has fallen."""
