@@ -9,7 +9,8 @@ Level 1 holds, level 2 is met as well as level 1 allows, level 3 as well as both
 
 The quadratic program of a tick is hardly different from that of the tick before, so its active set is guessed from
 there and corrected until it repeats: then the answer is a point of Karush, Kuhn and Tucker, exact to rounding.
-Clarabel answers where the guess does not settle.
+Where the guess does not settle at once (the support changes, a push), the dual method answers, exactly as well;
+Clarabel has the last word on what seems to have no answer.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from scipy.linalg import blas, lapack
 
 from dqwalk_ros.exceptions import QPError
 from dqwalk_ros.qp import Problem, Solution
+from dqwalk_ros.qp.dual import solve_dual
 from dqwalk_ros.qp.reference import solve_reference
 
 __all__ = ["ActiveSet", "Answer", "Hierarchy", "HierarchySolver"]
@@ -73,13 +75,13 @@ class Answer:
     ----------
     x : ndarray, shape (n,)
     method : str
-        ``"active set"``, ``"clarabel"``, ``"level 2 relaxed"`` or ``"level 1 relaxed"``.
+        ``"active set"``, ``"dual method"``, ``"clarabel"``, ``"level 2 relaxed"`` or ``"level 1 relaxed"``.
     residual : float
         ||E x - e||: what level 2 misses.
     violation : float
         By how much the soft rows of level 1 had to give way, in the norm of least squares.
     iterations : int
-        Changes of the active set, or the iterations of Clarabel.
+        Guesses of the active set, steps of the dual method, or iterations of Clarabel.
     solve_time : float
         [s], by the clock that the solver was given.
     """
@@ -100,12 +102,15 @@ class HierarchySolver:
     clock : callable
         Measures `solve_time` [s].
     hot : bool
-        Guess the active set; without it every tick goes to Clarabel.
+        Guess the active set, or take the dual method; without it every tick goes to Clarabel.
     """
 
     def __init__(self, *, clock: Callable[[], float] = time.perf_counter, hot: bool = True) -> None:
         self._clock, self._hot = clock, hot
         self._active = ActiveSet()
+        if hot:  # have it compiled before the first state waits for its answer
+            one, none = np.eye(1), np.zeros((0, 1))
+            solve_dual(Problem(one, one[0], none, none[:, 0], none, none[:, 0], -one[0], one[0]))
 
     def solve(self, hierarchy: Hierarchy) -> Answer:
         """Return the answer.
@@ -126,22 +131,33 @@ class HierarchySolver:
         if solution is not None:
             return solution, "active set", 0.0
         try:
-            return self._sure(problem), "clarabel", 0.0
+            return *self._sure(problem), 0.0
         except QPError:
             pass
         try:
             return self._least_residual(hierarchy), "level 2 relaxed", 0.0
         except QPError:
-            relaxed, violation = _relax(hierarchy)
+            relaxed, nearest, violation = _relax(hierarchy)
         try:
-            return self._sure(relaxed.problem()), "level 1 relaxed", violation
+            return self._sure(relaxed.problem())[0], "level 1 relaxed", violation
         except QPError:
+            pass
+        try:
             return self._least_residual(relaxed), "level 1 relaxed", violation
+        except QPError:
+            return nearest, "level 1 relaxed", violation  # levels 2 and 3 have no room left
 
-    def _sure(self, problem: Problem) -> Solution:
-        """Clarabel, and where its active set is clear the exact answer on it."""
-        solution = solve_reference(problem, 1e-8)
-        return (self._active.polish(problem, solution) if self._hot else None) or solution
+    def _sure(self, problem: Problem) -> tuple[Solution, str]:
+        """Ask the dual method and check its answer; where there is none Clarabel has the last word."""
+        if self._hot:
+            try:
+                solution = solve_dual(problem)
+            except QPError:
+                solution = None
+            if solution is not None and _holds(problem, solution.u):
+                self._active.remember(problem, solution)
+                return solution, "dual method"
+        return solve_reference(problem, 1e-8), "clarabel"
 
     def _least_residual(self, hierarchy: Hierarchy) -> Solution:
         p, E = hierarchy.level1, hierarchy.E
@@ -152,8 +168,24 @@ class HierarchySolver:
             return nearest  # the third level has no room left
 
 
-def _relax(hierarchy: Hierarchy) -> tuple[Hierarchy, float]:
-    """Return the hierarchy whose soft rows were moved by the least that makes level 1 hold, and by how much."""
+def _holds(problem: Problem, u: Array) -> bool:
+    """Tell whether every row is kept."""
+    slack = np.concatenate([problem.G @ u - problem.h, problem.upper - u, u - problem.lower])
+    return bool(np.abs(problem.E @ u - problem.e).max(initial=0.0) <= _EQUALITY and slack.min() >= -_PRIMAL)
+
+
+def _relax(hierarchy: Hierarchy) -> tuple[Hierarchy, Solution, float]:
+    """Relax level 1.
+
+    Returns
+    -------
+    relaxed : Hierarchy
+        Its soft rows were moved by the least that makes level 1 hold.
+    nearest : Solution
+        The shortest x that holds them.
+    violation : float
+        By how much they were moved.
+    """
     p = hierarchy.level1
     n = p.c.shape[0]
     soft = (hierarchy.soft_equality, hierarchy.soft_inequality, hierarchy.soft_bound)
@@ -177,7 +209,8 @@ def _relax(hierarchy: Hierarchy) -> tuple[Hierarchy, float]:
     lower[at[1] :] = 0.0
     H = np.diag(np.concatenate([np.full(n, 1e-9), np.ones(size - n)]))
     h = np.concatenate([p.h, p.lower[box], -p.upper[box]])
-    slack = solve_reference(Problem(H, np.zeros(size), E, p.e, G, h, lower, upper), 1e-9).u[n:]
+    found = solve_reference(Problem(H, np.zeros(size), E, p.e, G, h, lower, upper), 1e-9)
+    slack = found.u[n:]
     room = 1e-7 * (1.0 + np.abs(slack))
     s_eq, s_in, s_low, s_high = np.split(slack, np.cumsum(k)[:-1])
     _, r_in, r_low, r_high = np.split(room, np.cumsum(k)[:-1])
@@ -186,7 +219,8 @@ def _relax(hierarchy: Hierarchy) -> tuple[Hierarchy, float]:
     h[ineq] -= s_in + r_in
     lower[box] -= s_low + r_low
     upper[box] += s_high + r_high
-    return replace(hierarchy, level1=replace(p, e=e, h=h, lower=lower, upper=upper)), float(np.linalg.norm(slack))
+    relaxed = replace(hierarchy, level1=replace(p, e=e, h=h, lower=lower, upper=upper))
+    return relaxed, replace(found, u=found.u[:n]), float(np.linalg.norm(slack))
 
 
 class ActiveSet:
@@ -196,8 +230,8 @@ class ActiveSet:
     leaves, all at once, until W repeats. It is given up when it cycles.
     """
 
-    def __init__(self, most: int = 12) -> None:
-        self._most = most
+    def __init__(self, most: int = 2) -> None:
+        self._most = most  # a third guess costs more than the dual method
         self._last: dict[tuple[int, int, int], NDArray[np.bool_]] = {}
 
     def solve(self, problem: Problem) -> Solution | None:
@@ -206,11 +240,9 @@ class ActiveSet:
         guess = self._last.get(problem.shape)
         return self._run(problem, np.zeros(m + 2 * n, dtype=np.bool_) if guess is None else guess)
 
-    def polish(self, problem: Problem, solution: Solution) -> Solution | None:
-        """Return the exact solution near one of an interior point method, or None."""
-        u = solution.u
-        slack = np.concatenate([problem.G @ u - problem.h, problem.upper - u, u - problem.lower])
-        return self._run(problem, solution.z[len(problem.e) :] > slack)
+    def remember(self, problem: Problem, solution: Solution) -> None:
+        """Begin from here the next time."""
+        self._last[problem.shape] = solution.z[len(problem.e) :] > 0.0
 
     def _run(self, problem: Problem, active: NDArray[np.bool_]) -> Solution | None:
         n, l, m = problem.shape  # noqa: E741

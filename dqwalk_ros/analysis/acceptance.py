@@ -106,7 +106,7 @@ def judge(walked: Mapping[str, Reaching], answers: Answers) -> list[Row]:
     rows = _answers(answers)
     for key in ("1", "paper", "2"):
         topic = walked[key].scenario.name
-        shown = [check for check in found[key] if check.bound or check.name.startswith("the next of them")]
+        shown = [check for check in found[key] if check.bound]
         rows += [_row(topic, check) for check in shown if not _every_tick(check)]
         rows += _aims(topic, found[key])
     both = [check for key in ("1", "2") for check in found[key] if _every_tick(check)]
@@ -118,8 +118,8 @@ def judge(walked: Mapping[str, Reaching], answers: Answers) -> list[Row]:
     rows += [_stands("robust", name, walked[name]) for name in _HARD]
     for name in ("no level 2", "no level 2, in place"):
         w = walked[name]
-        end = w.note.partition(":")[0] or "stood"  # it gives up where no motion obeys the laws of contact any more
-        rows.append(Row("negative", w.scenario.name, "no 2 s on its feet", end, not w.stood))
+        end = w.note.partition(":")[0] or "stood"
+        rows.append(Row("negative", w.scenario.name, "falls within 2 s", end, w.note.startswith("fell")))
     return rows + _times([one, two])
 
 
@@ -185,8 +185,7 @@ def _times(walked: Sequence[Reaching]) -> list[Row]:
 
 def _percentile(topic: str, what: str, values: np.ndarray[tuple[int, ...], np.dtype[np.float64]], most: float) -> Row:
     value = float(np.percentile(values, 99))
-    # the slowest ticks are as much the machine's as ours: `python -m benchmark.whole_body` on a quiet one counts
-    return Row(topic, what, f"< {most:g} ms", f"{value:.2f} ms", value < most, must=False)
+    return Row(topic, what, f"< {most:g} ms", f"{value:.2f} ms", value < most)
 
 
 def _stands(topic: str, what: str, w: Reaching) -> Row:

@@ -66,7 +66,17 @@ class _Targets:
         if self._jumped and now > 0.0:
             moved = self._controller.last.footsteps - self._controller.footsteps_for(self._before)
             far = tuple(np.linalg.norm(moved, axis=1).tolist())
-            self._notes.append(Reaction(now, len(command.stance) == 1, far))
+            self._notes.append(Reaction(now, len(command.stance) == 1, far, self._held()))
+
+    def _held(self) -> bool:
+        """Tell whether both coordinates of the next footstep are at a bound of its box."""
+        problem, layout, answer = self._controller.hierarchy, self._controller.layout, self._controller.answer
+        if problem is None or layout is None or answer is None:
+            return False
+        next_one = [layout.feet(axis).start for axis in (0, 1)]
+        step, level1 = answer.x[next_one], problem.level1
+        room = np.minimum(step - level1.lower[next_one], level1.upper[next_one] - step)
+        return bool((room < 1e-6).all())
 
 
 def follow(

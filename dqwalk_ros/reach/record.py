@@ -34,11 +34,14 @@ class Reaction:
     moved : tuple of float
         How far each previewed footstep moved, the next one first: solved with the new target, and from the same
         state with the one before it [m].
+    held : bool
+        Whether the next footstep cannot move: in both coordinates at a bound of its box, or settled.
     """
 
     time: float
     swinging: bool
     moved: tuple[float, ...]
+    held: bool = False
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ def solver(walked: Reaching) -> Figure:
         solve = 1e3 * walked.times[:, 2]
         fast = np.array([method == "active set" for method in walked.method])
         top.plot(walked.time, solve, color=BLUE, linewidth=0.7)
-        slow = "Clarabel, where no guess settles"
+        slow = "where no guess settles"
         top.plot(walked.time[~fast], solve[~fast], "o", color=RED, markersize=3.5, label=slow)
         top.axhline(solve.mean(), color=INK, linestyle=DASHED, linewidth=1.1, label=f"mean {solve.mean():.2f} ms")
         top.axhline(0.92, color=GREY, linestyle=(0, (1, 2)), linewidth=1.4, label="the paper's mean, 0.92 ms (2012)")
