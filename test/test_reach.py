@@ -143,8 +143,17 @@ def test_a_jump_in_mid_swing_moves_the_next_footstep_at_once() -> None:
     assert jump.time == pytest.approx(0.7)
     assert jump.swinging
     assert jump.moved[0] > 1e-3
-    found = {check.name: check for check in checks(walked())}
-    assert found["previewed footsteps moved in the tick of the jump at 0.7 s, in mid-swing"].ok
+    assert not jump.held
+
+    def judged(moved: tuple[float, float], held: bool) -> bool:
+        one = replace(walked(), reactions=(replace(jump, moved=moved, held=held),), scenario=SCENARIOS["1"])
+        (check,) = [check for check in checks(one) if "in the tick of the jump" in check.name]
+        return check.ok
+
+    assert judged(jump.moved, held=False)
+    assert not judged((0.0, 0.1), held=False)
+    assert judged((0.0, 0.1), held=True)  # in the corner of its box
+    assert not judged((0.0, 0.0), held=True)
 
 
 def test_the_equations_are_what_they_should_be() -> None:

@@ -28,6 +28,8 @@ _SOLE = {Foot.LEFT: ("#dbe7f7", BLUE), Foot.RIGHT: ("#dff3e5", GREEN)}
 
 def solver(walked: Reaching) -> Figure:
     """Draw Figure 2: what the hierarchy took to solve, and how often its active set changed."""
+    from matplotlib.ticker import MaxNLocator
+
     with drawing():
         fig = new_figure(9.0, 4.6)
         top, bottom = fig.subplots(2, 1, sharex=True)
@@ -45,6 +47,7 @@ def solver(walked: Reaching) -> Figure:
         changes = np.where(fast, walked.iterations, np.nan)
         bottom.plot(walked.time, changes, color=BLUE, linewidth=0.7)
         bottom.set(xlabel="time [s]", ylabel="iterations", title="Iterations of the active set (1: guessed right)")
+        bottom.yaxis.set_major_locator(MaxNLocator(integer=True))
         bottom.set_xlim(0.0, walked.time[-1])
         _mark_pushes((top, bottom), walked)
         fig.suptitle(f"{walked.scenario.name}: solving", fontweight="bold", x=0.01, ha="left")
