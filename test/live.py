@@ -43,14 +43,21 @@ class Live:
         Messages by topic: phase, joint_states, joint_velocity_commands, diagnostics.
     """
 
-    def __init__(self, folder: Path, domain: int, config: Config, environment: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        domain: int,
+        config: Config,
+        environment: Mapping[str, str] | None = None,
+        name: str = "test",
+    ) -> None:
         self.config = config
         self.processes = Processes(folder, domain, environment)
         self.params = folder / "params.yaml"
         self.params.write_text(to_yaml(config), encoding="utf-8")
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain)
-        self.node = Node("test", context=self._context)
+        self.node = Node(name, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self.got: dict[str, list[Any]] = {}

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import time
+from collections.abc import Callable
 
 from geometry_msgs.msg import Twist
 from rclpy.node import Node
@@ -27,11 +29,15 @@ class Steering:
     config : Config
     controller : Controller
         Of a standing walk without a number of steps.
+    clock : callable
+        Steady time [s].
     """
 
-    def __init__(self, node: Node, config: Config, controller: Controller) -> None:
+    def __init__(
+        self, node: Node, config: Config, controller: Controller, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._node, self._controller = node, controller
-        self._watchdog = Watchdog(lambda: config.gait.cmd_vel_timeout)
+        self._watchdog = Watchdog(lambda: config.gait.cmd_vel_timeout, clock)
         self._asked = self._walked = _STILL
         self._heard = False
         self.rejected = 0
