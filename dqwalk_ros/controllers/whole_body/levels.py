@@ -207,7 +207,7 @@ def _swing_rows(
         E[:2, :nv] = J[:2]
         e[:2] = a * (scene.settled - sole.position[:2]) - b * sole.velocity[:2] - sole.drift[:2]
     up = 0.5 * config.single_support - swing.elapsed
-    rising = up >= 0.5 * 0.01  # to the middle of the step first, then down
+    rising = up >= 0.005 - 1e-9  # to the middle of the step first, then down; rounding decides nothing
     a, b = swing_acceleration(up if rising else swing.remaining)
     E[2, :nv] = J[2]
     e[2] = a * ((config.step_height if rising else 0.0) - sole.position[2]) - b * sole.velocity[2] - sole.drift[2]
