@@ -126,6 +126,15 @@ def test_a_recorder_that_comes_late_still_makes_a_walk(live: Make, tmp_path: Pat
     assert walked.time[0] > 0.0
 
 
+def stands(one: Live) -> bool:
+    """Tell whether nothing moves for 1.5 s; on a busy machine some states are still on their way at first."""
+    before = one.got["joint_states"][-1]
+    one.spin(1.5)
+    after = one.got["joint_states"][-1]
+    lockstep = one.config.plant.lockstep
+    return after.position == before.position and (not lockstep or after.header.stamp == before.header.stamp)
+
+
 def test_pause_stops_the_time_of_lockstep(live: Make) -> None:
     one = live(plant__lockstep=True)
     one.start("integrator")
@@ -133,11 +142,9 @@ def test_pause_stops_the_time_of_lockstep(live: Make) -> None:
     one.until_ready("controller/pause")
     one.until(lambda: len(one.got["joint_states"]) > 200, 60.0, "walking")
     assert one.call("controller/pause").success
-    one.spin(0.5)
+    one.until(lambda: one.phases()[-1] == "paused", 10.0, "the pause")
+    one.until(lambda: stands(one), 20.0, "time standing still")
     before = one.got["joint_states"][-1].header.stamp
-    one.spin(1.5)
-    assert one.got["joint_states"][-1].header.stamp == before
-    assert one.phases()[-1] == "paused"
     assert one.call("controller/start").success
     one.until(lambda: one.got["joint_states"][-1].header.stamp != before, 10.0, "going on")
 
@@ -160,11 +167,8 @@ def test_real_time_walks_by_the_clock(live: Make) -> None:
     assert all(s.level in (b"\x00", b"\x01") for s in watched), [s.message for s in watched if s.level == b"\x02"]
     one.processes.signal("controller", signal.SIGINT)
     assert one.processes.wait("controller", 15.0) == 0
-    one.spin(0.5)
-    assert one.speeds()[-1] == 0.0  # its last word
-    moved = one.got["joint_states"][-1].position
-    one.spin(0.5)
-    assert one.got["joint_states"][-1].position == moved
+    one.until(lambda: one.speeds()[-1] == 0.0, 10.0, "zeros as its last word")
+    one.until(lambda: stands(one), 20.0, "the robot standing still")
 
 
 def test_start_pause_reset(live: Make) -> None:
