@@ -20,7 +20,6 @@ from dqwalk_ros.qp import Problem, make_solver
 DT = 0.005
 WALKS = [
     pytest.param("left", True, 25, id="left-flat"),
-    pytest.param("right", True, 25, id="right-flat"),
     *(
         pytest.param(first, flat, 1, marks=pytest.mark.long, id=name)
         for first in ("left", "right")
