@@ -54,13 +54,14 @@ def names_of(config: Config) -> list[str]:
 # ---------------------------------------------------------------------- lockstep
 
 
-def test_lockstep_walks_exactly_as_in_one_process(tmp_path: Path) -> None:
-    """Twice, and nothing is missing from the bag."""
+@pytest.mark.parametrize("walks", [1, pytest.param(2, marks=pytest.mark.long)])
+def test_lockstep_walks_exactly_as_in_one_process(tmp_path: Path, walks: int) -> None:
+    """Each time, and nothing is missing from the bag."""
     config = load("paper").updated(SHORT)
     model = load_model(config.robot)
     expected = simulate(make_controller(config, model), KinematicPlant(model))
     assert expected.finished
-    for path in (tmp_path / "one" / "bag", tmp_path / "two" / "bag"):
+    for path in [tmp_path / str(k) / "bag" for k in range(walks)]:
         outcome = run_walk(config, path)
         assert outcome.finished, outcome.reason
         walked = bag.read(path)
@@ -72,7 +73,7 @@ def test_lockstep_walks_exactly_as_in_one_process(tmp_path: Path) -> None:
         assert [(p.name, p.start) for p in walked.phases] == [(p.name, p.start) for p in expected.phases]
         for a, b in zip(walked.phases, expected.phases, strict=True):
             np.testing.assert_allclose(a.x_odom_base, b.x_odom_base, rtol=0.0, atol=1e-9)
-    check_that_all_is_there(path, round(config.dt * 1e9))
+        check_that_all_is_there(path, round(config.dt * 1e9))
 
 
 def check_that_all_is_there(path: Path, period: int) -> None:

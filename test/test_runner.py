@@ -64,7 +64,10 @@ def test_progress_is_shown_while_it_walks(tmp_path: Path) -> None:
     assert "lockstep: true" in params
 
 
-@pytest.mark.parametrize("victim", ["integrator", "controller", "phase_monitor"])
+@pytest.mark.parametrize(
+    "victim",
+    ["controller", *(pytest.param(name, marks=pytest.mark.long) for name in ("integrator", "phase_monitor"))],
+)
 def test_a_node_that_dies(tmp_path: Path, victim: str) -> None:
     """Without plant or controller the walk is over; the monitor is not in the loop."""
     killed = False

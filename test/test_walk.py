@@ -18,7 +18,7 @@ TOLERANCE = 1e-5
 
 WALKS = [
     pytest.param("left", True, 1, id="left-flat"),
-    pytest.param("right", True, 1, id="right-flat"),
+    pytest.param("right", True, 1, marks=pytest.mark.long, id="right-flat"),
     *(
         pytest.param(first, flat, cycles, marks=pytest.mark.long, id=name)
         for first in ("left", "right")
