@@ -1,13 +1,17 @@
 """The system's clock is set, and simulated time steps: real clocks of real nodes (part of `make chaos`).
 
-libfaketime steps the clock of the nodes' processes by 100 s while they walk; their steady clock goes on. `make chaos`
-installs it.
+stepped_clock.c steps the clock of the nodes' processes while they walk, and every wait that is measured on it; their
+steady clock goes on. libfaketime will not do: it leaves some waits where they were, so that nodes starve which a set
+clock does not disturb.
 """
 
 from __future__ import annotations
 
-import ctypes.util
 import itertools
+import mmap
+import shutil
+import struct
+import subprocess
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -33,14 +37,13 @@ BUSY = 2.0
 """A reaction that must take 0.1 s may take this long where seven people share two processors [s]."""
 
 
-def faketime() -> str:
-    """Return the library that steps the clock of a process."""
-    for folder in (*Path("/usr/lib").glob("*/faketime"), Path("/usr/local/lib/faketime"), Path("/usr/lib/faketime")):
-        if (folder / "libfaketime.so.1").exists():
-            return str(folder / "libfaketime.so.1")
-    found = ctypes.util.find_library("faketime")
-    assert found, "these tests need libfaketime: make chaos installs it (apt install faketime)"
-    return found
+def stepped_clock(folder: Path) -> Path:
+    """Return the library that gives a process a clock which can be set."""
+    compiler, library = shutil.which("cc") or shutil.which("gcc"), folder / "stepped_clock.so"
+    assert compiler, "these tests need a C compiler: make chaos installs one (apt install gcc libc6-dev)"
+    source = Path(__file__).with_name("stepped_clock.c")
+    subprocess.run([compiler, "-O2", "-shared", "-fPIC", "-o", library, source, "-ldl", "-lpthread"], check=True)
+    return library
 
 
 @contextmanager
@@ -75,23 +78,17 @@ def disturbance(one: Chaos, since: float) -> float:
 def set_clock(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Chaos, Callable[[int], None]]]:
     folder = tmp_path_factory.mktemp("clocks")
     offset = folder / "offset"
+    offset.write_bytes(bytes(8))
 
-    def set_to(seconds: int) -> None:
-        new = folder / "new"
-        new.write_text(f"{seconds:+d}\n", encoding="utf-8")
-        new.replace(offset)
+    with offset.open("r+b") as file, mmap.mmap(file.fileno(), 8) as page:
 
-    set_to(0)
-    environment = {
-        "LD_PRELOAD": faketime(),
-        "FAKETIME_TIMESTAMP_FILE": str(offset),
-        "FAKETIME_NO_CACHE": "1",
-        "FAKETIME_DONT_FAKE_MONOTONIC": "1",
-        "DONT_FAKE_MONOTONIC": "1",  # its name before 0.9.11
-    }
-    with walking(folder, environment) as one:
-        one.walks(120.0)
-        yield one, set_to
+        def set_to(seconds: int) -> None:
+            page[:] = struct.pack("=q", seconds * 1_000_000_000)
+
+        environment = {"LD_PRELOAD": str(stepped_clock(folder)), "STEPPED_CLOCK": str(offset)}
+        with walking(folder, environment) as one:
+            one.walks(120.0)
+            yield one, set_to
 
 
 @pytest.mark.parametrize("seconds", [-100, 100, -3600, 0])

@@ -28,6 +28,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from dqwalk_ros.exceptions import DqwalkError
+from dqwalk_ros.nodes.wake import Wake
 
 __all__ = ["LAST_WORDS", "STEADY", "Life", "Throttle", "Worker", "flush", "run", "say"]
 
@@ -148,10 +149,12 @@ def run(name: str, make: Callable[[Node, Life], Worker], options: Any) -> int:
         rclpy.try_shutdown()
         return 2
     worker: Worker | None = None
+    executor = EventsExecutor()
+    wake = Wake(node, executor)
     try:
         worker = make(node, life)
-        executor = EventsExecutor()
         executor.add_node(node)
+        wake.start()
         while not life.over:
             executor.spin_once(timeout_sec=_SLICE)
             if worker.rest:
@@ -163,6 +166,7 @@ def run(name: str, make: Callable[[Node, Life], Worker], options: Any) -> int:
         print(f"{name}: {error}", file=sys.stderr)
         life.end(2)
     finally:
+        wake.stop()
         _end(node, worker, life)
     return life.exit_code
 

@@ -1,0 +1,42 @@
+"""A thread of their own wakes timers that overslept, and only those."""
+
+from __future__ import annotations
+
+import threading
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
+
+from dqwalk_ros.nodes.wake import Wake
+
+
+class Timer:
+    """Due in so many nanoseconds; reset, it is due in a second."""
+
+    def __init__(self, left: int | None) -> None:
+        self.left, self.resets = left, 0
+
+    def time_until_next_call(self) -> int | None:
+        return self.left
+
+    def reset(self) -> None:
+        self.left, self.resets = 1_000_000_000, self.resets + 1
+
+
+def test_only_what_overslept_is_woken_once_and_the_loop_always() -> None:
+    timers = {"early": Timer(5_000_000), "held up": Timer(-20_000_000), "cancelled": Timer(None)}
+    timers["overslept"] = Timer(-3_600_000_000_000)
+    looks = threading.Semaphore(0)
+    wake = Wake(SimpleNamespace(timers=timers.values()), SimpleNamespace(wake=looks.release))  # type: ignore[arg-type]
+    wake.start()
+    for _ in range(3):
+        assert looks.acquire(timeout=30.0)
+    wake.stop()
+    assert not wake.is_alive()
+    assert {name: timer.resets for name, timer in timers.items()} == {**dict.fromkeys(timers, 0), "overslept": 1}
+
+
+def test_stop_before_it_began_does_nothing() -> None:
+    Wake(SimpleNamespace(timers=()), None).stop()  # type: ignore[arg-type]
