@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.exceptions import QPError
+from dqwalk_ros.kernels import tighten
 from dqwalk_ros.qp import Problem
 
-__all__ = ["Conflict", "conflicts", "explained", "lead_back", "within_velocity"]
+__all__ = ["Conflict", "conflicts", "explained", "lead_back", "limit_velocity"]
 
 Array = NDArray[np.float64]
 
@@ -51,13 +52,9 @@ class Conflict:
         return f"{text}; against {', '.join(self.against[:6])}" if self.against else text
 
 
-def within_velocity(problem: Problem, limit: Array) -> Problem:
-    """Return the problem with the velocity limits (n,) [rad/s] in its bounds."""
-    least = -limit
-    lower = np.maximum(np.minimum(problem.lower, limit), least)
-    upper = np.maximum(np.minimum(problem.upper, limit), least)
-    H, c, E, e, G, h, _, _ = problem.arrays
-    return Problem(H, c, E, e, G, h, lower, upper, problem.names, problem.diagonal, problem.J)
+def limit_velocity(problem: Problem, limit: Array) -> None:
+    """Bring the bounds of a problem within the velocity limits (n,) [rad/s], in place."""
+    tighten(problem.lower, problem.upper, limit)
 
 
 def conflicts(problem: Problem) -> Conflict | None:

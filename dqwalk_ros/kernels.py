@@ -15,7 +15,19 @@ import numpy as np
 from numba.core import event
 from numpy.typing import NDArray
 
-__all__ = ["compose", "forward", "jit", "line_jacobian", "point", "point_jacobian", "pose_jacobian"]
+__all__ = [
+    "advance",
+    "clip",
+    "compose",
+    "finite",
+    "forward",
+    "jit",
+    "line_jacobian",
+    "point",
+    "point_jacobian",
+    "pose_jacobian",
+    "tighten",
+]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -198,3 +210,41 @@ def pose_jacobian(lines, moves, x):  # type: ignore[no-untyped-def]
             for k in range(8):
                 J[k, i] = out[k]
     return J
+
+
+# ---------------------------------------------------------------------- joint velocities
+
+
+@jit
+def finite(q):  # type: ignore[no-untyped-def]
+    """Tell whether every number of an array (n,) is finite."""
+    good = True
+    for i in range(q.shape[0]):
+        good = good and math.isfinite(q[i])
+    return good
+
+
+@jit
+def clip(u, limit, out):  # type: ignore[no-untyped-def]
+    """Write joint velocities (n,) within -limit .. limit to `out`; return whether all of `u` is finite.
+
+    What is not finite becomes nan: no limit makes a velocity of it.
+    """
+    for i in range(u.shape[0]):
+        out[i] = min(max(u[i], -limit[i]), limit[i]) if math.isfinite(u[i]) else math.nan
+    return finite(u)
+
+
+@jit
+def tighten(lower, upper, limit):  # type: ignore[no-untyped-def]
+    """Bring bounds (n,) on joint velocities within -limit .. limit, in place."""
+    for i in range(limit.shape[0]):
+        lower[i] = max(min(lower[i], limit[i]), -limit[i])
+        upper[i] = max(min(upper[i], limit[i]), -limit[i])
+
+
+@jit
+def advance(q, u, dt, out):  # type: ignore[no-untyped-def]
+    """Write the joint angles (n,) one period later to `out`, by Euler's method."""
+    for i in range(q.shape[0]):
+        out[i] = q[i] + dt * u[i]

@@ -118,7 +118,7 @@ def test_heavy_dependencies_have_one_home(package):
 
 
 def test_clarabel_is_imported_once():
-    assert {file.name for file in FILES if "clarabel" in imports(file)} == {"interior_point.py", "reference.py"}
+    assert {file.name for file in FILES if "clarabel" in imports(file)} == {"in_place.py", "reference.py"}
 
 
 def test_files_stay_readable():

@@ -8,7 +8,7 @@ import pytest
 from dqwalk_ros.config import load
 from dqwalk_ros.controllers import make_controller
 from dqwalk_ros.exceptions import QPError
-from dqwalk_ros.feasibility import conflicts, explained, lead_back, within_velocity
+from dqwalk_ros.feasibility import conflicts, explained, lead_back, limit_velocity
 from dqwalk_ros.model import RobotModel, load_model
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.qp import Problem, make_solver
@@ -94,7 +94,8 @@ def test_no_way_back_is_an_error() -> None:
 
 
 def test_velocity_limits_only_tighten() -> None:
-    p = within_velocity(problem([[1.0, 0.0]], [0.0]), np.array([3.0, np.inf]))
+    p = problem([[1.0, 0.0]], [0.0])
+    limit_velocity(p, np.array([3.0, np.inf]))
     np.testing.assert_array_equal(p.upper, [3.0, 7.0])
     np.testing.assert_array_equal(p.lower, [-3.0, -7.0])
 

@@ -15,8 +15,9 @@ from dqwalk_ros.exceptions import QPError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.phases import assemble
 from dqwalk_ros.plants.kinematic import KinematicPlant
-from dqwalk_ros.qp import Problem, interior_point, make_solver
+from dqwalk_ros.qp import Problem, make_solver
 from dqwalk_ros.qp.active_set import DaqpSolver
+from dqwalk_ros.qp.in_place import InPlace
 from dqwalk_ros.qp.interior_point import ClarabelSolver
 
 SOLVERS = {"dense": lambda: ClarabelSolver(False), "lifted": lambda: ClarabelSolver(True), "daqp": DaqpSolver}
@@ -91,21 +92,50 @@ def test_numbers_that_are_none_are_refused(name):
 def test_an_answer_counts_only_with_its_status_and_its_residuals(lie, monkeypatch):
     """A solver that ran out of time has plausible numbers, and one that says Solved may be wrong."""
     problem = random_problem(np.random.default_rng(5))
-    whole = interior_point._InPlace._answer
+    run = InPlace.run
 
-    def lying(self):
-        true = whole(self)
-        x = np.array(true.x)
+    def lying(self, *args):
+        true, spent = run(self, *args)
+        x, status = np.array(true.x), true.status
         if lie.startswith("a bad status"):
-            return SimpleNamespace(status=clarabel.SolverStatus.MaxTime, x=x, z=true.z, iterations=true.iterations)
-        return SimpleNamespace(status=true.status, x=x + 1e-3, z=true.z, iterations=true.iterations)
+            status = clarabel.SolverStatus.MaxTime
+        else:
+            x += 1e-3
+        return SimpleNamespace(status=status, x=x, z=true.z, iterations=true.iterations), spent
 
     solver = SOLVERS["dense"]()
     assert solver.solve(problem).residuals(problem).largest < 1e-7
-    monkeypatch.setattr(interior_point._InPlace, "_answer", lying)
+    monkeypatch.setattr(InPlace, "run", lying)
     with pytest.raises(QPError) as caught:
         solver.solve(problem)
     assert ("MaxTime" in caught.value.status) is lie.startswith("a bad status")
+
+
+@pytest.mark.parametrize("lifted", [False, True])
+def test_a_row_that_seemed_too_far_away_counts(lifted):
+    """A valley takes the answer many gradient steps down, to a wall; the nearer walls say nothing."""
+    J, diagonal = np.array([[1.0, 0.0, 0.0]]), np.full(3, 1e-6)
+    problem = Problem(
+        np.diag(diagonal) + J.T @ J, np.array([-1.0, -1e-2, 0.0]), np.empty((0, 3)), np.empty(0),
+        np.array([[0.0, -1.0, 0.0]]), np.array([-500.0]), np.array([-1e3, -1e3, -1.0]), np.array([1e3, 1e3, 1.0]),
+        ("wall", *(f"{side} {i}" for side in ("upper", "lower") for i in range(3))), diagonal, J,
+    )  # fmt: skip
+    solver = ClarabelSolver(lifted)
+    solution = solver.solve(problem)
+    assert solver.whole == 1
+    np.testing.assert_allclose(solution.u, [1.0 / (1.0 + 1e-6), 500.0, 0.0], atol=1e-6)
+    assert solution.active(problem) == ("wall",)
+    assert solution.residuals(problem).largest < 1e-7
+
+
+def test_a_walk_seldom_asks_for_all_rows():
+    config, model = setting()
+    solver = ClarabelSolver()
+    controller, plant = make_controller(config, model), KinematicPlant(model)
+    controller._solver = solver
+    for _ in range(1000):
+        plant.step(controller.step(plant.state, DT), DT)
+    assert solver.whole <= 10
 
 
 def test_walks_do_not_depend_on_the_solver():

@@ -12,8 +12,9 @@ from dqwalk_ros.controllers import Command, State, Tick
 from dqwalk_ros.controllers.balance import balance_torques
 from dqwalk_ros.dq import DQ
 from dqwalk_ros.exceptions import ConfigError, PhaseError, QPError, StateError
-from dqwalk_ros.feasibility import explained, lead_back, within_velocity
+from dqwalk_ros.feasibility import explained, lead_back, limit_velocity
 from dqwalk_ros.gait import EndRule, PaperGait, StandingEnd, StandingGait, make_gait, make_rule
+from dqwalk_ros.kernels import clip, finite
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import RobotModel
 from dqwalk_ros.phases import Phase, PhaseKind, assemble, make_phase
@@ -172,12 +173,15 @@ class VelocityController:
         if self._finished:
             return Command(state.time, np.zeros(self.model.n))
         limit = self._limit
-        self.problem = within_velocity(assemble(self.phase, kin, dt), limit)
+        self.problem = assemble(self.phase, kin, dt)
+        limit_velocity(self.problem, limit)
         self.solution = self._solved(self.problem)
         effort = None
         if state.up is not None and self._imu in self.model.frames:
             effort = balance_torques(self.phase, kin, state, self.config.standing, self._imu)
-        return Command(state.time, np.minimum(np.maximum(self.solution.u, -limit), limit), effort)
+        velocity = np.empty(self.model.n)
+        clip(self.solution.u, limit, velocity)
+        return Command(state.time, velocity, effort)
 
     def _resume(self, state: State) -> None:
         """Go on after states without an answer, when the plant has moved on for its timeout and then held.
@@ -219,7 +223,7 @@ class VelocityController:
     def _checked(self, state: State) -> Array:
         if state.q.shape != (self.model.n,):
             raise StateError(f"the state has {state.q.size} joints, the model {self.model.n}")
-        if not (math.isfinite(state.q @ state.q) or np.isfinite(state.q).all()):  # quick first
+        if not finite(state.q):
             bad = [name for name, angle in zip(self.model.joint_names, state.q, strict=True) if not np.isfinite(angle)]
             raise StateError(f"the angle of {', '.join(bad)} is not finite")
         return state.q

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dqwalk_ros import kernels
 from dqwalk_ros.controllers import Command, State
 from dqwalk_ros.exceptions import PlantError
 from dqwalk_ros.model import RobotModel
@@ -54,12 +53,13 @@ class KinematicPlant:
         PlantError
             If the command is not finite or does not fit.
         """
-        u = np.asarray(command.velocity, dtype=np.float64)
-        # the square is finite but for numbers that are not, or are beyond all measure: asked first, it is quick
-        if u.shape != self._state.q.shape or not (math.isfinite(u @ u) or np.isfinite(u).all()):
-            raise PlantError(f"the command must have {self._state.q.size} finite velocities, got {u}")
-        u = np.minimum(np.maximum(u, -self._limit), self._limit)
+        wanted = np.asarray(command.velocity, dtype=np.float64)
+        q = self._state.q
+        u, later = np.empty(q.shape), np.empty(q.shape)
+        if wanted.shape != q.shape or not kernels.clip(wanted, self._limit, u):
+            raise PlantError(f"the command must have {q.size} finite velocities, got {wanted}")
+        kernels.advance(q, u, dt, later)
         self._periods += 1
         # counted, not summed up: a million periods later the time is still exact
-        self._state = State(self._time0 + self._periods * dt, self._state.q + dt * u, u)
+        self._state = State(self._time0 + self._periods * dt, later, u)
         return self._state

@@ -1,28 +1,32 @@
-"""Clarabel, scaled and updated in place; the one importer of clarabel."""
+"""The quadratic program (6) by Clarabel.
+
+Most inequalities of a walk are far away most of the time, and an interior point pays for each of them in every
+iteration. So the problem is solved with those within reach alone; if the answer keeps the others too, it is the
+answer. If not, all of them take part.
+"""
 
 from __future__ import annotations
 
-import time
-from types import SimpleNamespace
+from functools import cached_property
 
-import clarabel
 import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.exceptions import QPError
-from dqwalk_ros.qp import Problem, Solution, refuse
-from dqwalk_ros.qp.scaling import pack_interior_point, unpack_interior_point
+from dqwalk_ros.qp import OPTIMAL, PRIMAL, Problem, Solution, refuse
+from dqwalk_ros.qp.in_place import SOLVED, InPlace
+from dqwalk_ros.qp.scaling import pack_interior_point, pack_nearby, unpack_interior_point, unpack_nearby
 
 __all__ = ["ClarabelSolver"]
 
 Array = NDArray[np.float64]
-_Pattern = tuple[NDArray[np.int64], NDArray[np.int64], tuple[int, int]]
 
+_REACH = 10.0
+"""Rows this many gradient steps away are left out at first."""
 _CAP = 100.0
-"""Rows this many gradient steps away start out capped."""
+"""Where all take part, rows this many gradient steps away start out capped."""
 _ACTIVE = 1e-4
 """A capped row with a scaled multiplier above this mattered after all."""
-_SOLVED = clarabel.SolverStatus.Solved
 _DOUBTFUL = ("NotOptimal", "Violated", "AlmostSolved", "InsufficientProgress", "NumericalError", "MaxIterations")
 """What may be answered after all, with its linear systems solved more carefully."""
 _LIFTED = 3
@@ -30,7 +34,7 @@ _LIFTED = 3
 
 
 class ClarabelSolver:
-    """Clarabel, kept and updated in place: one instance per shape of problem.
+    """Clarabel, kept and updated in place for each shape of problem.
 
     Parameters
     ----------
@@ -40,16 +44,16 @@ class ClarabelSolver:
 
     Attributes
     ----------
-    refined : int
-        How often an answer had to be refined.
+    whole, refined : int
+        How often all inequalities had to take part, and how often even that answer had to be refined.
     """
 
     name = "clarabel"
 
     def __init__(self, lifted: bool | None = None) -> None:
         self._lifted = lifted
-        self._kept: dict[tuple[int, ...], _InPlace] = {}
-        self.refined = 0
+        self._kept: dict[tuple[int, ...], _Shape] = {}
+        self.whole = self.refined = 0
 
     def solve(self, problem: Problem) -> Solution:
         """Solve one problem; where the answer fails the check, once more, more carefully.
@@ -63,96 +67,99 @@ class ClarabelSolver:
         kept = self._kept.get(shape)
         if kept is None:
             lifted = shape[0] >= _LIFTED * shape[3] if self._lifted is None else self._lifted
-            kept = self._kept[shape] = _InPlace(*shape[:3], shape[3] if lifted else 0)
+            kept = self._kept[shape] = _Shape(*shape[:3], shape[3] if lifted else 0)
+        solution = kept.nearby(problem)
+        if solution is not None:
+            return solution
+        self.whole += 1
         try:
-            return kept.solve(problem)
+            return kept.whole.solve(problem)
         except QPError as error:
             if error.status not in _DOUBTFUL:
                 raise
         self.refined += 1
-        return _InPlace(*shape[:3], 0, careful=True).solve(problem)
+        return _Whole(*shape[:3], 0, careful=True).solve(problem)
 
 
-class _InPlace:
-    """One Clarabel solver and the patterns of its matrices, as `pack_interior_point` fills them."""
+class _Shape:
+    """The solvers for one shape of problem: one with all inequalities, and one for each number of them in reach."""
 
-    def __init__(self, n: int, equalities: int, inequalities: int, r: int, *, careful: bool = False) -> None:
-        self._careful = careful
-        self.n, self.r, self.first = n, r, r + equalities
-        dense = r + equalities + inequalities
-        rows, columns = dense + 2 * n, n + r
-        index = np.empty((n, dense + 2), dtype=np.int64)
-        index[:, :dense] = np.arange(dense)
-        index[:, dense] = dense + np.arange(n)
-        index[:, dense + 1] = dense + n + np.arange(n)
-        starts = [*(np.arange(n) * (dense + 2)), *(n * (dense + 2) + np.arange(r + 1))]
-        self._A = np.concatenate([index.ravel(), np.arange(r)]), np.array(starts), (rows, columns)
-        self._P: _Pattern
-        if r:
-            self._P = np.arange(columns), np.arange(columns + 1), (columns, columns)
-        else:
-            upper = np.concatenate([np.arange(j + 1) for j in range(n)])
-            self._P = upper, np.concatenate([[0], np.cumsum(np.arange(1, n + 1))]), (n, n)
-        self._cones = [clarabel.NonnegativeConeT(inequalities + 2 * n)]
-        if self.first:
-            self._cones.insert(0, clarabel.ZeroConeT(self.first))
-        ends = np.cumsum([len(self._P[0]), columns, len(self._A[0]), rows])
-        self._sizes = np.array([*ends, 1 if r else 0])
-        self._ends = [int(end) for end in ends]
-        self._out = np.empty(self._ends[-1] + rows)
-        self._full = self._out[self._ends[-1] :]
-        self._none = np.empty((0, n)), np.empty(n)
-        self._solver: clarabel.DefaultSolver | None = None
-        self._spent = 0.0
+    def __init__(self, n: int, equalities: int, inequalities: int, r: int) -> None:
+        self._shape = n, equalities, inequalities, r
+        self._multipliers = equalities + inequalities + 2 * n
+        self._most = (inequalities + 2 * n) // 2
+        self._chosen = np.empty(self._most, dtype=np.int64)
+        self._values = np.empty(InPlace(n, r, equalities, self._most, bounds=False).ends[-1])
+        self._none = np.empty(n), np.empty((0, n))
+        self._few: dict[int, InPlace] = {}
 
-    def solve(self, problem: Problem) -> Solution:
-        J, diagonal = self._none
-        if self.r:
-            assert problem.J is not None  # the shape has it
-            assert problem.diagonal is not None
-            J, diagonal = problem.J, problem.diagonal
-        s, curvature = pack_interior_point(*problem.arrays, diagonal, J, _CAP, self._sizes, self._out)
+    @cached_property
+    def whole(self) -> _Whole:
+        """With all of them."""
+        return _Whole(*self._shape)
+
+    def nearby(self, problem: Problem) -> Solution | None:
+        """Solve with the inequalities in reach; None where that is not the answer, or hardly less work."""
+        n, equalities, _, r = self._shape
+        arrays, chosen, most = problem.arrays, self._chosen, self._most
+        tasks = _tasks(problem) if r else self._none
+        s, curvature, count = pack_nearby(*arrays, *tasks, _REACH, most, chosen, self._values)
         if not s * curvature > 0.0:
             raise QPError("the problem has a number that is not finite", status="NotFinite")
-        self._spent = 0.0
-        answer = self._run()
+        if count > most:
+            return None
+        few = self._few.get(count)
+        if few is None:
+            few = self._few[count] = InPlace(n, r, equalities, count, bounds=False, bold=True)
+        answer, spent = few.run(self._values[: few.ends[-1]].tolist())
+        if answer.status != SOLVED:
+            return None
+        x, scaled = np.array(answer.x), np.array(answer.z)
+        u, z = np.empty(n), np.empty(self._multipliers)
+        violation, _, other, room = unpack_nearby(*arrays, s, curvature, chosen, count, x, scaled, r, u, z)
+        if not (violation <= PRIMAL and other <= OPTIMAL and room >= 0.0):
+            return None
+        return Solution(u, z, answer.iterations, spent)
+
+
+class _Whole:
+    """A solver with all inequalities; the far ones are capped at first."""
+
+    def __init__(self, n: int, equalities: int, inequalities: int, r: int, *, careful: bool = False) -> None:
+        self._n, self._r = n, r
+        self._none = np.empty(n), np.empty((0, n))
+        self._program = InPlace(n, r, equalities, inequalities, bounds=True, careful=careful)
+        *_, c, d = self._program.ends
+        self._sizes = np.array([*self._program.ends, 1 if r else 0])
+        self._values = np.empty(d + d - c)
+        self._full = self._values[d:]
+
+    def solve(self, problem: Problem) -> Solution:
+        """Return the answer; raise `QPError` where there is none."""
+        tasks = _tasks(problem) if self._r else self._none
+        s, curvature = pack_interior_point(*problem.arrays, *tasks, _CAP, self._sizes, self._values)
+        if not s * curvature > 0.0:
+            raise QPError("the problem has a number that is not finite", status="NotFinite")
+        values = self._values.tolist()
+        answer, spent = self._program.run(values)
         scaled = np.array(answer.z)
-        if answer.status != _SOLVED or scaled[self._full > _CAP].max(initial=0.0) > _ACTIVE:
-            answer = self._run(self._full)
-            scaled = np.array(answer.z)
-            if answer.status != _SOLVED:
-                raise _no_answer(problem, str(answer.status), scaled[self.r :])
-        u, z = np.empty(self.n), np.empty(scaled.shape[0] - self.r)
+        if answer.status != SOLVED or scaled[self._full > _CAP].max(initial=0.0) > _ACTIVE:
+            answer, more = self._program.run(values, self._program.ends[-1])
+            scaled, spent = np.array(answer.z), spent + more
+            if answer.status != SOLVED:
+                raise _no_answer(problem, str(answer.status), scaled[self._r :])
+        u, z = np.empty(self._n), np.empty(scaled.shape[0] - self._r)
         x = np.array(answer.x)
-        residuals = unpack_interior_point(*problem.arrays, s, curvature, x, scaled, self.r, u, z)
+        residuals = unpack_interior_point(*problem.arrays, s, curvature, x, scaled, self._r, u, z)
         refuse(problem, *residuals)
-        return Solution(u, z, answer.iterations, self._spent)
-
-    def _run(self, full: Array | None = None) -> clarabel.DefaultSolution:
-        a, b, c, d = self._ends
-        if self._solver is None:
-            P, q, A, right = np.split(self._out[:d], [a, b, c])
-            matrices = _csc(P, self._P), q, _csc(A, self._A)
-            self._solver = clarabel.DefaultSolver(*matrices, right, self._cones, _settings(careful=self._careful))
-            if full is None:
-                return self._answer()
-        values = self._out.tolist()  # lists are taken over faster than arrays
-        at = c if full is None else d
-        self._solver.update(P=values[:a], q=values[a:b], A=values[b:c], b=values[at : at + d - c])
-        return self._answer()
-
-    def _answer(self) -> clarabel.DefaultSolution:
-        assert self._solver is not None
-        began = time.perf_counter()  # Clarabel's own figure has the setup in it
-        answer = self._solver.solve()
-        self._spent += time.perf_counter() - began
-        return answer
+        return Solution(u, z, answer.iterations, spent)
 
 
-def _csc(values: Array, pattern: _Pattern) -> SimpleNamespace:
-    """Return what clarabel reads of a scipy.sparse.csc_matrix, without the half second that scipy takes to import."""
-    rows, starts, shape = pattern
-    return SimpleNamespace(data=values, indices=rows, indptr=starts, shape=shape, has_canonical_format=True)
+def _tasks(problem: Problem) -> tuple[Array, Array]:
+    """Return diagonal and J of the lifted form."""
+    assert problem.J is not None  # the shape has it
+    assert problem.diagonal is not None
+    return problem.diagonal, problem.J
 
 
 def _no_answer(problem: Problem, status: str, z: Array) -> QPError:
@@ -161,13 +168,3 @@ def _no_answer(problem: Problem, status: str, z: Array) -> QPError:
     rows = [problem.names[i] for i in worst if problem.names and abs(z[i]) > 1e-3 * top]
     conflict = f"; rows in conflict: {', '.join(rows)}" if rows else ""
     return QPError(f"the quadratic program has no answer ({status}){conflict}", status=status, rows=rows)
-
-
-def _settings(*, careful: bool) -> clarabel.DefaultSettings:
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.presolve_enable = False  # it would change the pattern
-    settings.equilibrate_enable = careful  # the problem is scaled already
-    settings.iterative_refinement_enable = careful  # dependent rows, such as those of two held feet, may need it
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
-    return settings

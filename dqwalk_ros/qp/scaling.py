@@ -11,7 +11,17 @@ import math
 
 from dqwalk_ros.kernels import jit
 
-__all__ = ["check", "pack_active_set", "pack_interior_point", "scales", "unpack_active_set", "unpack_interior_point"]
+__all__ = [
+    "check",
+    "pack_active_set",
+    "pack_interior_point",
+    "pack_nearby",
+    "scales",
+    "unpack_active_set",
+    "unpack_interior_point",
+    "unpack_nearby",
+]
+
 
 @jit
 def scales(H, c, E, e, G, h, lower, upper):  # type: ignore[no-untyped-def]
@@ -98,6 +108,83 @@ def pack_interior_point(H, c, E, e, G, h, lower, upper, diagonal, J, cap, sizes,
 
 
 @jit
+def _room(j, G, h, lower, upper):  # type: ignore[no-untyped-def]
+    """Return the room of an inequality at u = 0; they are numbered as the rows [G; upper; lower]."""
+    n, m = upper.shape[0], h.shape[0]
+    if j < m:
+        return -h[j]
+    return upper[j - m] if j < m + n else -lower[j - m - n]
+
+
+@jit
+def pack_nearby(H, c, E, e, G, h, lower, upper, diagonal, J, reach, most, chosen, out):  # type: ignore[no-untyped-def]
+    """Fill P, q, A, b as `pack_interior_point` does, with the inequalities within `reach` of u = 0 alone.
+
+    They are dense rows, whichever they are. Their numbers are written to `chosen`, the nearest one at least; beyond
+    `most` of them nothing is filled. With a `diagonal` the form is lifted. Return s, curvature and their count.
+    """
+    s, curvature = scales(H, c, E, e, G, h, lower, upper)
+    n, l, m, r = c.shape[0], e.shape[0], h.shape[0], J.shape[0]  # noqa: E741
+    count, nearest, least = 0, 0, math.inf
+    for j in range(m + 2 * n):
+        room = _room(j, G, h, lower, upper) / s
+        if room <= reach:
+            if count == most:
+                return s, curvature, most + 1
+            chosen[count] = j
+            count += 1
+        if room < least:
+            nearest, least = j, room
+    if count == 0:
+        chosen[0] = nearest
+        count = 1
+    k = 0
+    for i in range(n):
+        if r > 0:
+            out[k] = diagonal[i] / curvature
+            k += 1
+        else:
+            for j in range(i + 1):
+                out[k] = H[i, j] / curvature
+                k += 1
+    for _ in range(r):
+        out[k] = 1.0 / curvature
+        k += 1
+    for i in range(n):
+        out[k] = c[i] / (s * curvature)
+        k += 1
+    for _ in range(r):
+        out[k] = 0.0
+        k += 1
+    for i in range(n):
+        for j in range(r):
+            out[k] = -J[j, i]
+            k += 1
+        for j in range(l):
+            out[k] = E[j, i]
+            k += 1
+        for j in chosen[:count]:
+            if j < m:
+                out[k] = -G[j, i]
+            else:
+                out[k] = (1.0 if j == m + i else 0.0) - (1.0 if j == m + n + i else 0.0)
+            k += 1
+    for _ in range(r):
+        out[k] = 1.0
+        k += 1
+    for _ in range(r):
+        out[k] = 0.0
+        k += 1
+    for j in range(l):
+        out[k] = e[j] / s
+        k += 1
+    for j in chosen[:count]:
+        out[k] = _room(j, G, h, lower, upper) / s
+        k += 1
+    return s, curvature, count
+
+
+@jit
 def pack_active_set(H, c, E, e, G, h, lower, upper, H_out, c_out, A_out, high, low):  # type: ignore[no-untyped-def]
     """Fill H, c, A and the bounds of low <= [v; A v] <= high, scaled; return s and curvature."""
     s, curvature = scales(H, c, E, e, G, h, lower, upper)
@@ -170,6 +257,34 @@ def unpack_interior_point(  # type: ignore[no-untyped-def]
     for k in range(z_out.shape[0]):
         z_out[k] = s * curvature * z[first + k]
     return check(H, c, E, e, G, h, lower, upper, u_out, z_out, s, curvature)
+
+
+@jit
+def unpack_nearby(  # type: ignore[no-untyped-def]
+    H, c, E, e, G, h, lower, upper, s, curvature, chosen, count, x, z, first, u_out, z_out
+):
+    """Scale the answer back into u and z, and `check` it; fourth, the least room that a row left out has [s]."""
+    n, l, m = c.shape[0], e.shape[0], h.shape[0]  # noqa: E741
+    for i in range(n):
+        u_out[i] = s * x[i]
+    for k in range(l):
+        z_out[k] = s * curvature * z[first + k]
+    least, k = math.inf, 0
+    for j in range(m + 2 * n):
+        z_out[l + j] = 0.0
+        if k < count and chosen[k] == j:
+            z_out[l + j] = s * curvature * z[first + l + k]
+            k += 1
+            continue
+        room = _room(j, G, h, lower, upper)
+        if j < m:
+            for i in range(n):
+                room += G[j, i] * u_out[i]
+        else:
+            room += -u_out[j - m] if j < m + n else u_out[j - m - n]
+        least = min(least, room / s)
+    worst, row, other = check(H, c, E, e, G, h, lower, upper, u_out, z_out, s, curvature)
+    return worst, row, other, least
 
 
 @jit
