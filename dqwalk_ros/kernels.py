@@ -16,7 +16,6 @@ from numba.core import event
 from numpy.typing import NDArray
 
 __all__ = [
-    "advance",
     "clip",
     "compose",
     "finite",
@@ -241,10 +240,3 @@ def tighten(lower, upper, limit):  # type: ignore[no-untyped-def]
     for i in range(limit.shape[0]):
         lower[i] = max(min(lower[i], limit[i]), -limit[i])
         upper[i] = max(min(upper[i], limit[i]), -limit[i])
-
-
-@jit
-def advance(q, u, dt, out):  # type: ignore[no-untyped-def]
-    """Write the joint angles (n,) one period later to `out`, by Euler's method."""
-    for i in range(q.shape[0]):
-        out[i] = q[i] + dt * u[i]
