@@ -75,9 +75,9 @@ def test_it_walks_over_topics(live: Live, tmp_path: Path) -> None:
     live.until(lambda: len(efforts) > begun + 200, 60.0, "another second")
     at = len(twists)
     hit = WrenchStamped()
-    hit.wrench.force.y = 10.0
+    hit.wrench.force.y = 4.0  # at a moment nobody chose: 10 N s can be more than a step under way can catch
     push.publish(hit)
-    live.until(lambda: "pushed: 0, 10, 0 N s" in live.processes.log("rigid"), 20.0, "the push")
+    live.until(lambda: "pushed: 0, 4, 0 N s" in live.processes.log("rigid"), 20.0, "the push")
 
     def jump() -> bool:  # within one tick, and far beyond what walking does
         speeds = np.array([[t.twist.linear.x, t.twist.linear.y, t.twist.linear.z] for t in twists[at - 1 :]])
@@ -108,7 +108,7 @@ def test_it_walks_over_topics(live: Live, tmp_path: Path) -> None:
     log = bag.read_body(tmp_path / "bag")
     assert any("torque commands are incomplete or not finite" in note for note in log.notes)  # the stranger's
     assert [place for _, place in log.scenario.targets] == [(1.2, -0.8, 0.9), (1.6, -0.8, 0.9)]
-    assert [impulse for _, impulse in log.scenario.pushes] == [(0.0, 10.0, 0.0)]
+    assert [impulse for _, impulse in log.scenario.pushes] == [(0.0, 4.0, 0.0)]
     assert len(log.states) > moved
     walked, off = retrace(log)
     assert walked.stood
