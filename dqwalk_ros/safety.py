@@ -64,7 +64,7 @@ class JointOrder:
         if given.shape != (len(self._names),):
             raise StateError(f"{len(self._names)} names with {given.size} numbers in '{what}'")
         out: Array = given[self._index]
-        if not (math.isfinite(out.dot(out)) or np.isfinite(out).all()):  # the square is quick
+        if not (math.isfinite(sum(out.tolist())) or np.isfinite(out).all()):  # the sum is quick
             bad = ", ".join(f"{self._joints[i]} = {out[i]}" for i in np.flatnonzero(~np.isfinite(out)))
             raise StateError(f"not a finite {what}: {bad}")
         return out

@@ -55,8 +55,8 @@ class KinematicPlant:
             If the command is not finite or does not fit.
         """
         u = np.asarray(command.velocity, dtype=np.float64)
-        # the square is finite but for numbers that are not, or are beyond all measure: asked first, it is quick
-        if u.shape != self._state.q.shape or not (math.isfinite(u.dot(u)) or np.isfinite(u).all()):
+        # the sum is finite but for numbers that are not, or are beyond all measure: asked first, it is quick
+        if u.shape != self._state.q.shape or not (math.isfinite(sum(u.tolist())) or np.isfinite(u).all()):
             raise PlantError(f"the command must have {self._state.q.size} finite velocities, got {u}")
         u = np.minimum(np.maximum(u, self._least), self._most)
         self._periods += 1
