@@ -19,7 +19,9 @@ run on a machine that other programs used as well: compare figures of one table 
 A peer's tick is its own kinematics, the rows in numpy as one writes them by hand, and its usual solver; its error is
 that of u relative to the largest joint velocity. The robots are made up (`benchmark/robots.py`). placo knows no task
 but its own: its error says how far another program's answer is. Clarabel "in place" is at its default tolerances,
-unscaled.
+unscaled. "Clarabel's own solve" is with the inequalities within reach, as in the tick. A late state of the nodes is one
+that the plant, which is the benchmark here, could not send on time beside a controller at work; the bare loop sleeps
+to the same schedule and does nothing.
 
 """
 
