@@ -21,8 +21,8 @@ __all__ = ["ClarabelSolver"]
 
 Array = NDArray[np.float64]
 
-_REACH = 10.0
-"""Rows this many gradient steps away are left out at first."""
+_REACH = 1.0
+"""Rows further away than this many gradient steps are left out at first."""
 _CAP = 100.0
 """Where all take part, rows this many gradient steps away start out capped."""
 _ACTIVE = 1e-4

@@ -54,6 +54,23 @@ def scales(H, c, E, e, G, h, lower, upper):  # type: ignore[no-untyped-def]
 
 
 @jit
+def _objective(H, c, diagonal, r, s, curvature, P, q):  # type: ignore[no-untyped-def]
+    """Fill P, the upper triangle of H or with r > 0 diag(diagonal, 1), and q."""
+    n, k = c.shape[0], 0
+    for i in range(n):
+        if r > 0:
+            P[i] = diagonal[i] / curvature
+        else:
+            for j in range(i + 1):
+                P[k] = H[i, j] / curvature
+                k += 1
+        q[i] = c[i] / (s * curvature)
+    for j in range(r):
+        P[n + j] = 1.0 / curvature
+        q[n + j] = 0.0
+
+
+@jit
 def pack_interior_point(H, c, E, e, G, h, lower, upper, diagonal, J, cap, sizes, out):  # type: ignore[no-untyped-def]
     """Fill P, q, A, b of min 1/2 v'Pv + q'v, A v + slack = b, column by column, into `out`; return s and curvature.
 
@@ -67,15 +84,7 @@ def pack_interior_point(H, c, E, e, G, h, lower, upper, diagonal, J, cap, sizes,
     r = J.shape[0] if lifted else 0
     P, q, A, b = out[: sizes[0]], out[sizes[0] : sizes[1]], out[sizes[1] : sizes[2]], out[sizes[2] : sizes[3]]
     full = out[sizes[3] :]
-    k = 0
-    for i in range(n):
-        if lifted:
-            P[i] = diagonal[i] / curvature
-        else:
-            for j in range(i + 1):
-                P[k] = H[i, j] / curvature
-                k += 1
-        q[i] = c[i] / (s * curvature)
+    _objective(H, c, diagonal, r, s, curvature, P, q)
     k = 0
     for i in range(n):
         for j in range(r):
@@ -91,8 +100,6 @@ def pack_interior_point(H, c, E, e, G, h, lower, upper, diagonal, J, cap, sizes,
         A[k + 1] = -1.0
         k += 2
     for j in range(r):
-        P[n + j] = 1.0 / curvature
-        q[n + j] = 0.0
         A[k + j] = 1.0
         b[j] = full[j] = 0.0
     for j in range(l):
@@ -138,24 +145,9 @@ def pack_nearby(H, c, E, e, G, h, lower, upper, diagonal, J, reach, most, chosen
     if count == 0:
         chosen[0] = nearest
         count = 1
-    k = 0
-    for i in range(n):
-        if r > 0:
-            out[k] = diagonal[i] / curvature
-            k += 1
-        else:
-            for j in range(i + 1):
-                out[k] = H[i, j] / curvature
-                k += 1
-    for _ in range(r):
-        out[k] = 1.0 / curvature
-        k += 1
-    for i in range(n):
-        out[k] = c[i] / (s * curvature)
-        k += 1
-    for _ in range(r):
-        out[k] = 0.0
-        k += 1
+    p = n + r if r > 0 else n * (n + 1) // 2
+    k = p + n + r
+    _objective(H, c, diagonal, r, s, curvature, out[:p], out[p:k])
     for i in range(n):
         for j in range(r):
             out[k] = -J[j, i]
