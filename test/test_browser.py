@@ -38,12 +38,13 @@ def path(tmp_path_factory):
 
 
 @contextmanager
-def running(*words) -> Iterator[str]:
-    """Run a program that prints the address of its page, and yield that."""
+def running(*words) -> Iterator[tuple[str, subprocess.Popen]]:
+    """Run a program that prints the address of its page; yield that and its process."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
     process = subprocess.Popen([sys.executable, *map(str, words)], stdout=subprocess.PIPE, text=True, env=environment)
     try:
-        yield next(m.group() for line in process.stdout if (m := re.search(r"http://127\.0\.0\.1:\d+", line)))
+        url = next(m.group() for line in process.stdout if (m := re.search(r"http://127\.0\.0\.1:\d+", line)))
+        yield url, process
     finally:
         process.send_signal(signal.SIGINT)
         process.stdout.close()
@@ -91,7 +92,7 @@ def robot_seen(image: np.ndarray) -> bool:
 
 
 def test_a_bag_is_played_and_scrubbed(path, tmp_path):
-    with running("-m", "dqwalk_ros.cli", "view", path, "--port", 0) as url, chromium(tmp_path, **SIZE) as page:
+    with running("-m", "dqwalk_ros.cli", "view", path, "--port", 0) as (url, _), chromium(tmp_path, **SIZE) as page:
         page.goto(url)
         until(page, "margins.includes('TIGHTEST')")
         start = until_drawn(page, "view_start", robot_seen)
@@ -126,12 +127,17 @@ def moved(image: np.ndarray, before: np.ndarray) -> bool:
 def test_a_walk_is_seen_while_it_is_computed(tmp_path):
     words = [word for key, value in SHORT.items() for word in ("--set", f"{key}={value}")]
     command = ("-m", "dqwalk_ros.cli", "simulate", "--view", "--port", 0, "--out", tmp_path / "walk", "--no-figures")
-    with running(*command, "--cycles", 8, *words) as url, chromium(tmp_path, **SIZE) as page:
+    # far longer than the test: however slow the browser, the walk still goes on when it looks
+    with running(*command, "--cycles", 10_000, *words) as (url, walk), chromium(tmp_path, **SIZE) as page:
         page.goto(url)
         until(page, "time >= 0 && status.includes('solved in')")
         until(page, "time > then", then=seconds(page))
+        then = seconds(page)
         until_drawn(page, "simulate", robot_seen)
-        page.get_by_role("button", name="Play").wait_for(timeout=PATIENCE)  # the walk is over: it can be replayed
+        walk.send_signal(signal.SIGINT)  # the walk ends here; what was walked is kept, and can be replayed
+        page.get_by_role("button", name="Play").wait_for(timeout=PATIENCE)
+        kept = bag.read(tmp_path / "walk/bag")
+        assert not kept.finished and kept.time[-1] > then
         assert page.errors == []
 
 
