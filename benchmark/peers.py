@@ -47,11 +47,11 @@ class Chain:
     def __init__(self, of: Case) -> None:
         model, base = of.model, of.phase.base
         root = rooted(model, base)
-        _, joint, origin, axis, mass, com = root.arrays
+        joint, (origin, axis, mass, com) = root.tree[:, 1], np.split(root.links, [8, 11, 12], axis=1)
         self.n = model.n
         self.order = joint[1:]  # of the model's joints along the chain
         self.back = np.argsort(self.order)
-        self.origin, self.axis, self.com, self.mass = origin[1:], axis[1:], com, mass * model.mass
+        self.origin, self.axis, self.com, self.mass = origin[1:], axis[1:], com, mass[:, 0] * model.mass
         self.end = root.frames[model.soles[base.other].frame]
         self.pelvis = root.frames[model.pelvis]
 

@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.exceptions import QPError
-from dqwalk_ros.kernels import tighten
 from dqwalk_ros.qp import Problem
 
-__all__ = ["Conflict", "conflicts", "explained", "lead_back", "limit_velocity"]
+__all__ = ["Conflict", "conflicts", "explained", "lead_back"]
 
 Array = NDArray[np.float64]
 
@@ -50,11 +49,6 @@ class Conflict:
     def __str__(self) -> str:
         text = ", ".join(f"{name} is short by {amount:.3g} /s" for name, amount in self.short.items())
         return f"{text}; against {', '.join(self.against[:6])}" if self.against else text
-
-
-def limit_velocity(problem: Problem, limit: Array) -> None:
-    """Bring the bounds of a problem within the velocity limits (n,) [rad/s], in place."""
-    tighten(problem.lower, problem.upper, limit)
 
 
 def conflicts(problem: Problem) -> Conflict | None:

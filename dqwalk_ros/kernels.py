@@ -25,7 +25,7 @@ __all__ = [
     "point",
     "point_jacobian",
     "pose_jacobian",
-    "tighten",
+    "snapshot",
 ]
 
 Array = NDArray[np.float64]
@@ -95,53 +95,61 @@ def _translation(x, out):  # type: ignore[no-untyped-def]
 
 
 @jit
-def forward(q, parent, joint, origin, axis, mass, com, poses, lines, p_com, J_com):  # type: ignore[no-untyped-def]
-    """Fill poses (b, 8), joint lines (n, 6), the CoM (4) and its Jacobian (5).
+def snapshot(values, bodies, n):  # type: ignore[no-untyped-def]
+    """Return poses (bodies, 8), joint lines (n, 6), the CoM (3,) and its Jacobian (3, n) as views of one buffer."""
+    a, b = 8 * bodies, 8 * bodies + 6 * n
+    poses, lines = values[:a].reshape((bodies, 8)), values[a:b].reshape((n, 6))
+    return poses, lines, values[b : b + 3], values[b + 3 : b + 3 + 3 * n].reshape((3, n))
 
-    Bodies come parents first, body 0 at rest; `mass` is divided by the total. A joint's line l + eps m is that
-    of its axis in the world; a joint turns all that lies after it about this line.
+
+@jit
+def forward(q, tree, links, values):  # type: ignore[no-untyped-def]
+    """Fill poses, joint lines, the CoM (4) and its Jacobian (5) into the buffer that `snapshot` explains.
+
+    Bodies come parents first, body 0 at rest; the columns of `tree` are parent and joint, those of `links` origin
+    (8), axis (3), mass divided by the total, and centre of mass (3). A joint's line l + eps m is that of its axis in
+    the world; a joint turns all that lies after it about this line.
     """
-    bodies = parent.shape[0]
-    t = np.empty(4)
-    half = np.zeros(8)
-    x = np.empty(8)
-    p = np.empty(3)
-    c = np.empty(3)
-    weight = mass.copy()  # of the body and all after it
-    moment = np.empty((bodies, 3))  # sum of mass times position of the same
-    poses[0, :] = 0.0
+    bodies = tree.shape[0]
+    poses, lines, p_com, J_com = snapshot(values, bodies, q.shape[0])
+    scratch = np.empty(26)
+    t, half, x, p, c = scratch[:4], scratch[4:12], scratch[12:20], scratch[20:23], scratch[23:]
+    for k in range(8):
+        half[k] = poses[0, k] = 0.0
     poses[0, 0] = 1.0
+    after = np.empty((bodies, 4))  # of the body and all after it: sum of mass times position, mass
     for b in range(bodies):
+        link = links[b]
         if b > 0:
-            _mul(poses[parent[b]], origin[b], x, t)
-            angle = 0.5 * q[joint[b]]
+            axis = link[8:11]
+            _mul(poses[tree[b, 0]], link[:8], x, t)
+            angle = 0.5 * q[tree[b, 1]]
             s = math.sin(angle)
             half[0] = math.cos(angle)
             for k in range(3):
-                half[1 + k] = s * axis[b, k]
+                half[1 + k] = s * axis[k]
             _mul(x, half, poses[b], t)
-            row = lines[joint[b]]
-            _rotate(poses[b], axis[b], row[:3])
+            row = lines[tree[b, 1]]
+            _rotate(poses[b], axis, row[:3])
             _translation(poses[b], p)
             row[3] = p[1] * row[2] - p[2] * row[1]
             row[4] = p[2] * row[0] - p[0] * row[2]
             row[5] = p[0] * row[1] - p[1] * row[0]
         _translation(poses[b], p)
-        _rotate(poses[b], com[b], c)
+        _rotate(poses[b], link[12:15], c)
+        after[b, 3] = link[11]
         for k in range(3):
-            moment[b, k] = mass[b] * (p[k] + c[k])
+            after[b, k] = link[11] * (p[k] + c[k])
     for b in range(bodies - 1, 0, -1):
-        a = parent[b]
-        weight[a] += weight[b]
-        for k in range(3):
-            moment[a, k] += moment[b, k]
-        i = joint[b]
-        l0, l1, l2 = lines[i, 0], lines[i, 1], lines[i, 2]
-        J_com[0, i] = l1 * moment[b, 2] - l2 * moment[b, 1] + weight[b] * lines[i, 3]
-        J_com[1, i] = l2 * moment[b, 0] - l0 * moment[b, 2] + weight[b] * lines[i, 4]
-        J_com[2, i] = l0 * moment[b, 1] - l1 * moment[b, 0] + weight[b] * lines[i, 5]
+        m, i = after[b], tree[b, 1]
+        for k in range(4):
+            after[tree[b, 0], k] += m[k]
+        l = lines[i]  # noqa: E741
+        J_com[0, i] = l[1] * m[2] - l[2] * m[1] + m[3] * l[3]
+        J_com[1, i] = l[2] * m[0] - l[0] * m[2] + m[3] * l[4]
+        J_com[2, i] = l[0] * m[1] - l[1] * m[0] + m[3] * l[5]
     for k in range(3):
-        p_com[k] = moment[0, k]
+        p_com[k] = after[0, k]
 
 
 @jit
@@ -232,11 +240,3 @@ def clip(u, limit, out):  # type: ignore[no-untyped-def]
     for i in range(u.shape[0]):
         out[i] = min(max(u[i], -limit[i]), limit[i]) if math.isfinite(u[i]) else math.nan
     return finite(u)
-
-
-@jit
-def tighten(lower, upper, limit):  # type: ignore[no-untyped-def]
-    """Bring bounds (n,) on joint velocities within -limit .. limit, in place."""
-    for i in range(limit.shape[0]):
-        lower[i] = max(min(lower[i], limit[i]), -limit[i])
-        upper[i] = max(min(upper[i], limit[i]), -limit[i])

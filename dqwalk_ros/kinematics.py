@@ -34,8 +34,10 @@ class Rooted:
 
     Attributes
     ----------
-    arrays : tuple of ndarray
-        The arguments of `kernels.forward` between the configuration and the results.
+    tree, links : ndarray, shapes (bodies, 2) and (bodies, 15)
+        What `kernels.forward` asks for.
+    size : int
+        How many numbers it fills.
     frames : dict of str to (int, ndarray)
         Body and pose (8,) on it of every frame.
     moves : ndarray of bool, shape (bodies, n)
@@ -70,14 +72,14 @@ class Rooted:
                 visit(b, order.index(body.parent), body.joint, x_old[body.parent] * DQ(body.origin), body.axis)
 
         place = {b: k for k, b in enumerate(order)}
-        self.arrays = (
-            np.array(parent, dtype=np.int64),
-            np.array(joint, dtype=np.int64),
-            np.array([x.vec8() for x in origin]),
-            np.array(axis),
-            np.array([model.bodies[b].mass for b in order]) / model.mass,
-            np.array([x_old[b].transform_point(model.bodies[b].com) for b in order]),
+        self.tree = np.array([parent, joint], dtype=np.int64).T.copy()
+        self.links = np.array(
+            [
+                [*x.vec8(), *a, model.bodies[b].mass / model.mass, *x_old[b].transform_point(model.bodies[b].com)]
+                for x, a, b in zip(origin, axis, order, strict=True)
+            ]
         )
+        self.size = 8 * count + 9 * model.n + 3
         self.moves = np.zeros((count, model.n), dtype=np.bool_)
         for k in range(1, count):
             self.moves[k] = self.moves[parent[k]]
@@ -88,12 +90,13 @@ class Rooted:
         }
 
 
-_CACHE: dict[tuple[int, Foot], tuple[RobotModel, Rooted]] = {}
+_CACHE: dict[tuple[int, bool], tuple[RobotModel, Rooted]] = {}
+_LEFT = Foot.LEFT
 
 
 def rooted(model: RobotModel, base: Foot) -> Rooted:
     """Return the constants of `model` seen from the sole `base`, worked out once per model."""
-    key = (id(model), base)
+    key = (id(model), base is _LEFT)  # hashing a Foot takes longer than everything else here
     entry = _CACHE.get(key)
     if entry is None or entry[0] is not model:
         entry = _CACHE[key] = (model, Rooted(model, base))
@@ -117,15 +120,13 @@ class Kinematics:
 
     Attributes
     ----------
-    com : ndarray, shape (3,)
-        Centre of mass (4), the base foot's mass included [m].
-    com_jacobian : ndarray, shape (3, n)
-        J_CoM of (5) [m/rad].
-    lines : ndarray, shape (n, 6)
-        The joints' Pluecker lines l, m; the joints of the reversed leg point the other way.
+    rooted : Rooted
+        The constants of the model seen from `base`.
+    values : ndarray
+        What `kernels.forward` worked out, for compiled functions.
     """
 
-    __slots__ = ("_poses", "_rooted", "base", "com", "com_jacobian", "elapsed", "lines", "model", "q", "up")
+    __slots__ = ("base", "elapsed", "model", "q", "rooted", "up", "values")
 
     def __init__(
         self, model: RobotModel, q: ArrayLike, base: Foot, up: ArrayLike | None = None, elapsed: float = math.inf
@@ -135,13 +136,9 @@ class Kinematics:
         self.up = _Z if up is None else np.asarray(up, dtype=np.float64)
         self.elapsed = elapsed
         self.q = np.asarray(q, dtype=np.float64)
-        self._rooted = rooted(model, base)
-        n = self.q.shape[0]
-        self._poses = np.empty((len(model.bodies), 8))
-        self.lines = np.empty((n, 6))
-        self.com = np.empty(3)
-        self.com_jacobian = np.empty((3, n))
-        kernels.forward(self.q, *self._rooted.arrays, self._poses, self.lines, self.com, self.com_jacobian)
+        self.rooted = rooted(model, base)
+        self.values = np.empty(self.rooted.size)
+        kernels.forward(self.q, self.rooted.tree, self.rooted.links, self.values)
 
     def tilted(self, up: ArrayLike) -> Kinematics:
         """Return the same snapshot with gravity against `up` (3,), a unit vector in the frame of the base sole."""
@@ -150,14 +147,26 @@ class Kinematics:
         return kin
 
     @property
-    def rooted(self) -> Rooted:
-        """The constants of the model seen from `base`."""
-        return self._rooted
+    def _poses(self) -> Array:
+        return self.values[: 8 * len(self.model.bodies)].reshape(-1, 8)
 
     @property
-    def arrays(self) -> tuple[Array, Array, Array, Array, Array]:
-        """q, poses (bodies, 8) of `rooted`, lines, CoM and its Jacobian, for compiled functions."""
-        return self.q, self._poses, self.lines, self.com, self.com_jacobian
+    def lines(self) -> Array:
+        """The joints' Pluecker lines l, m, shape (n, 6); the joints of the reversed leg point the other way."""
+        n = len(self.q)
+        return self.values[-9 * n - 3 : -3 * n - 3].reshape(n, 6)
+
+    @property
+    def com(self) -> Array:
+        """Centre of mass (4), the base foot's mass included, shape (3,) [m]."""
+        end = len(self.values) - 3 * len(self.q)
+        return self.values[end - 3 : end]
+
+    @property
+    def com_jacobian(self) -> Array:
+        """J_CoM of (5), shape (3, n) [m/rad]."""
+        n = len(self.q)
+        return self.values[-3 * n :].reshape(3, n)
 
     @property
     def com_on_ground(self) -> Array:
@@ -178,7 +187,7 @@ class Kinematics:
         return self.model.soles[self.base.other].frame
 
     def _at(self, frame: str) -> tuple[int, Array]:
-        body, local = self._rooted.frames[frame]
+        body, local = self.rooted.frames[frame]
         pose: Array = kernels.compose(self._poses[body], local)
         return body, pose
 
@@ -189,7 +198,7 @@ class Kinematics:
     def pose_jacobian(self, frame: str) -> Array:
         """J with vec8(x') = J q', shape (8, n); for the other sole it is J_swing of section 3.4."""
         body, x = self._at(frame)
-        J: Array = kernels.pose_jacobian(self.lines, self._rooted.moves[body], x)
+        J: Array = kernels.pose_jacobian(self.lines, self.rooted.moves[body], x)
         return J
 
     def rotation_jacobian(self, frame: str) -> Array:
@@ -204,7 +213,7 @@ class Kinematics:
     def point_jacobian(self, frame: str, offset: Array = _ORIGIN) -> Array:
         """J_p with vec3(p') = J_p q' (section 2.2), shape (3, n) [m/rad]."""
         body, x = self._at(frame)
-        J: Array = kernels.point_jacobian(self.lines, self._rooted.moves[body], kernels.point(x, offset))
+        J: Array = kernels.point_jacobian(self.lines, self.rooted.moves[body], kernels.point(x, offset))
         return J
 
     def direction(self, frame: str, v: Array) -> Array:
@@ -216,13 +225,13 @@ class Kinematics:
     def direction_jacobian(self, frame: str, v: Array) -> Array:
         """Jacobian of `direction`, shape (3, n)."""
         body, _ = self._at(frame)
-        J: Array = kernels.line_jacobian(self.lines, self._rooted.moves[body], self.direction(frame, v))
+        J: Array = kernels.line_jacobian(self.lines, self.rooted.moves[body], self.direction(frame, v))
         return J
 
     def angular_jacobian(self, frame: str) -> Array:
         """Angular velocity of a frame per joint velocity, in world axes, shape (3, n)."""
-        body, _ = self._rooted.frames[frame]
-        return np.where(self._rooted.moves[body], self.lines[:, :3].T, 0.0)
+        body, _ = self.rooted.frames[frame]
+        return np.where(self.rooted.moves[body], self.lines[:, :3].T, 0.0)
 
 
 @dataclass(frozen=True)

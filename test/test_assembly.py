@@ -76,6 +76,18 @@ def test_every_row_is_its_definition(kind, foot):
         assert_equal(phase, Kinematics(setting()[1], q, phase.base))
 
 
+def test_velocity_limits_only_tighten_the_bounds():
+    phase, limit = phase_of(*KINDS[0]), np.linspace(0.0, 3.0, setting()[1].n)
+    limit[-1] = np.inf
+    for q in configurations(5, seed=2):
+        kin = Kinematics(setting()[1], 1.2 * q, phase.base)
+        free, limited = assemble(phase, kin, DT), assemble(phase, kin, DT, limit)
+        np.testing.assert_array_equal(limited.upper, np.clip(free.upper, -limit, limit))
+        np.testing.assert_array_equal(limited.lower, np.clip(free.lower, -limit, limit))
+        np.testing.assert_array_equal(limited.G, free.G)
+        assert (limited.upper < free.upper).any()
+
+
 class Higher(PointOverPlane):
     """A user's own constraint, which the table must not take for its parent."""
 

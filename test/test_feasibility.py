@@ -8,7 +8,7 @@ import pytest
 from dqwalk_ros.config import load
 from dqwalk_ros.controllers import make_controller
 from dqwalk_ros.exceptions import QPError
-from dqwalk_ros.feasibility import conflicts, explained, lead_back, limit_velocity
+from dqwalk_ros.feasibility import conflicts, explained, lead_back
 from dqwalk_ros.model import RobotModel, load_model
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.qp import Problem, make_solver
@@ -91,13 +91,6 @@ def test_the_way_back_keeps_what_is_kept() -> None:
 def test_no_way_back_is_an_error() -> None:
     with pytest.raises(QPError, match="no way back"):
         lead_back(problem([[1.0], [-1.0]], [2.0, 0.0]))
-
-
-def test_velocity_limits_only_tighten() -> None:
-    p = problem([[1.0, 0.0]], [0.0])
-    limit_velocity(p, np.array([3.0, np.inf]))
-    np.testing.assert_array_equal(p.upper, [3.0, 7.0])
-    np.testing.assert_array_equal(p.lower, [-3.0, -7.0])
 
 
 # ---------------------------------------------------------------------- the robot

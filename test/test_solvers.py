@@ -94,14 +94,14 @@ def test_an_answer_counts_only_with_its_status_and_its_residuals(lie, monkeypatc
     problem = random_problem(np.random.default_rng(5))
     run = InPlace.run
 
-    def lying(self, *args):
-        true, spent = run(self, *args)
+    def lying(self, **options):
+        true, spent = run(self, **options)
         x, status = np.array(true.x), true.status
         if lie.startswith("a bad status"):
             status = clarabel.SolverStatus.MaxTime
         else:
             x += 1e-3
-        return SimpleNamespace(status=status, x=x, z=true.z, iterations=true.iterations), spent
+        return SimpleNamespace(status=status, x=x.tolist(), z=true.z, iterations=true.iterations), spent
 
     solver = SOLVERS["dense"]()
     assert solver.solve(problem).residuals(problem).largest < 1e-7

@@ -60,11 +60,13 @@ class Batch:
         self.model, self.q, self.base = model, q, base
         self._rooted = rooted(model, base)
         count, n = q.shape
-        self._poses = np.empty((count, len(model.bodies), 8))
+        bodies, values = len(model.bodies), np.empty(self._rooted.size)
+        self._poses = np.empty((count, bodies, 8))
         self.com = np.empty((count, 3))
-        lines, jacobian = np.empty((n, 6)), np.empty((3, n))
+        poses, _, com, _ = kernels.snapshot(values, bodies, n)
         for tick in range(count):
-            kernels.forward(q[tick], *self._rooted.arrays, self._poses[tick], lines, self.com[tick], jacobian)
+            kernels.forward(q[tick], self._rooted.tree, self._rooted.links, values)
+            self._poses[tick], self.com[tick] = poses, com
         self.up = np.tile([0.0, 0.0, 1.0], (count, 1))
         self._sensed = sensed is not None and sensed[0] in self._rooted.frames
         if sensed is not None and self._sensed:

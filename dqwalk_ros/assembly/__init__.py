@@ -27,6 +27,7 @@ from dqwalk_ros.constraints import (
 )
 from dqwalk_ros.kinematics import Kinematics, Rooted
 from dqwalk_ros.qp import Problem
+from dqwalk_ros.qp.packed import size
 from dqwalk_ros.tasks import Task
 
 __all__ = ["Table"]
@@ -89,13 +90,13 @@ class Table:
                     index.append([kind, body, other, at + j, int(held)])
                     data.append([*side, *numbers])
             at += count
-        self._equalities = sum(len(hold.row_names(joint_names)) for hold in holds)
-        self._height = at
+        equalities = sum(len(hold.row_names(joint_names)) for hold in holds)
+        height = at
         self._row_index, self._row_data = _table(index, 5, np.int64), _table(data, 19, np.float64)
 
         index, data = [], []
         self._other_tasks: list[Task] = []
-        self._residuals = 0
+        residuals = 0
         self._first = False  # whether the first task is in the table
         for task in tasks:
             whole = forms.TASKS.get(type(task))
@@ -106,7 +107,7 @@ class Table:
             kind, body, other, numbers = made
             index.append([kind, body, other])
             data.append([task.weight, *numbers])
-            self._residuals += forms.HEIGHT[kind]
+            residuals += forms.HEIGHT[kind]
             if task is tasks[0]:
                 self._first = kind != POSTURE
         self._task_index, self._task_data = _table(index, 3, np.int64), _table(data, max(26, n + 1), np.float64)
@@ -120,8 +121,12 @@ class Table:
             self._limits[1] = *below.q_min, below.eta, below.bound, below.recovery
         else:
             self._other_limits = above, below
+        self._sizes = n, equalities, height - equalities, residuals
+        self._size = size(*self._sizes)
+        self._free = np.full(n, np.inf)
+        self._mixed = bool(self._others or self._other_tasks or self._other_limits is not None)
 
-    def problem(self, kin: Kinematics, dt: float) -> Problem:
+    def problem(self, kin: Kinematics, dt: float, velocity: Array | None = None) -> Problem:
         """Return the quadratic program at one configuration.
 
         Parameters
@@ -129,34 +134,54 @@ class Table:
         kin : Kinematics
         dt : float
             Control period [s], which caps the rates at 1/dt.
+        velocity : ndarray, shape (n,), optional
+            Limits of the joint velocities, which the bounds are kept within [rad/s].
         """
-        n, l = self._n, self._equalities  # noqa: E741
-        H, c, diagonal = np.empty((n, n)), np.empty(n), np.empty(n)
-        J, W, w = np.empty((self._residuals, n)), np.empty((self._height, n)), np.empty(self._height)
-        lower, upper = np.empty(n), np.empty(n)
+        sizes = self._sizes
+        values = np.empty(self._size)
+        limit = self._free if velocity is None else velocity
         evaluate(
-            *kin.arrays, kin.up, kin.elapsed, self._moves, self._row_index, self._row_data, self._task_index,
-            self._task_data, self._limits, self._eta, self._damping, 1.0 / dt, H, c, diagonal, J, W, w, lower, upper,
+            kin.q, kin.values, kin.up, kin.elapsed, self._moves, self._row_index, self._row_data, self._task_index,
+            self._task_data, self._limits, limit, self._eta, self._damping, 1.0 / dt, *sizes, values,
         )  # fmt: skip
+        problem = Problem.of(values, sizes, self._names)
+        return self._asked(problem, kin, dt, limit) if self._mixed else problem
+
+    def _asked(self, problem: Problem, kin: Kinematics, dt: float, limit: Array) -> Problem:
+        """Return the problem with what is not in the table."""
+        W, w = np.concatenate([problem.E, problem.G]), np.concatenate([problem.e, problem.h])
         for at, constraint, asked in self._others:
             W[at], w[at] = asked(constraint, kin, dt)
+        H, c, J, diagonal = problem.H, problem.c, problem.J, problem.diagonal
+        parts = [] if J is None else [J]
         for task in self._other_tasks:
             root = task.weight**0.5
             part = root * task.jacobian(kin)
             H += part.T @ part
             c -= root * (task.wanted(kin, self._eta) @ part)
-            J = np.concatenate([J, part])
+            parts.append(part)
+        lower, upper = problem.lower, problem.upper
         if self._other_limits is not None:
             above, below = self._other_limits
             upper = np.maximum(gain(above.eta, dt) * (above.distance(kin) - above.bound), -above.recovery)
             lower = np.minimum(-gain(below.eta, dt) * (below.distance(kin) - below.bound), below.recovery)
-        return Problem(H, c, W[:l], w[:l], W[l:], w[l:], lower, upper, self._names, diagonal, J)
+            lower, upper = np.clip(lower, -limit, limit), np.clip(upper, -limit, limit)
+        if parts and diagonal is None:
+            diagonal = H.diagonal() - sum(np.einsum("ij,ij->j", part, part) for part in parts)
+        l = self._sizes[1]  # noqa: E741
+        return Problem(
+            H, c, W[:l], w[:l], W[l:], w[l:], lower, upper, self._names, diagonal,
+            np.concatenate(parts) if parts else None,
+        )  # fmt: skip
 
     def error(self, kin: Kinematics, task: Task) -> float:
         """Return the norm of the error of the first task, which is `task`, at one configuration."""
         if self._first:
-            _, poses, _, com, _ = kin.arrays
-            return float(first_error(poses, com, kin.up, kin.elapsed, self._task_index, self._task_data))
+            bodies = self._moves.shape[0]
+            found: float = first_error(
+                bodies, self._n, kin.values, kin.up, kin.elapsed, self._task_index, self._task_data
+            )
+            return found
         e = task.error(kin)
         return float(np.sqrt(e @ e))
 

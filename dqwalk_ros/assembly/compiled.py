@@ -16,7 +16,8 @@ import numpy as np
 
 from dqwalk_ros.assembly.independent import independent
 from dqwalk_ros.assembly.paths import com_path, difference, difference_row, on_ground, swing_path
-from dqwalk_ros.kernels import _mul, _rotate, _translation, jit
+from dqwalk_ros.kernels import _mul, _rotate, _translation, jit, snapshot
+from dqwalk_ros.qp.packed import split
 
 __all__ = [
     "AXIS",
@@ -170,8 +171,9 @@ def _swing_path(poses, elapsed, body, data, x, r, e, wanted):  # type: ignore[no
 
 
 @jit
-def first_error(poses, com, up, elapsed, index, data):  # type: ignore[no-untyped-def]
-    """Return the norm of the error of the first task in the table."""
+def first_error(bodies, n, seen, up, elapsed, index, data):  # type: ignore[no-untyped-def]
+    """Return the norm of the error of the first task in the table; `seen` is the buffer of `kernels.forward`."""
+    poses, _, com, _ = snapshot(seen, bodies, n)
     e, wanted, x, r = np.empty(6), np.empty(6), np.empty(8), np.empty(4)
     kind, body, other = index[0, 0], index[0, 1], index[0, 2]
     if kind == COM_OVER_FOOT:
@@ -273,23 +275,26 @@ def _tasks(q, poses, lines, com, J_com, up, elapsed, moves, index, data, eta, di
 
 @jit
 def evaluate(  # type: ignore[no-untyped-def]
-    q, poses, lines, com, J_com, up, elapsed, moves, rows, row_data, tasks, task_data, limits, eta, damping, fastest,
-    H, c, diagonal, J, W, w, lower, upper,
+    q, seen, up, elapsed, moves, rows, row_data, tasks, task_data, limits, velocity, eta, damping, fastest,
+    n, l, m, r, out,  # noqa: E741
 ):  # fmt: skip
-    """Fill the quadratic program (6).
+    """Fill the quadratic program (6) into a buffer that `qp.packed` explains.
 
-    `fastest` is 1/dt; `limits` (2, n + 3) are the joint limits, eta, bound and recovery of (12) and (13).
+    `seen` is the buffer of `kernels.forward`, `fastest` is 1/dt; `limits` (2, n + 3) are the joint limits, eta, bound
+    and recovery of (12) and (13), and `velocity` (n,) is what their rows are kept within.
     """
-    n = lines.shape[0]
-    e = np.empty(J.shape[0])
+    poses, lines, com, J_com = snapshot(seen, moves.shape[0], n)
+    H, c, lower, upper, diagonal, W, w, J = split(out, n, l, m, r)
+    e = np.empty(r)
     for i in range(n):
         diagonal[i] = damping * damping
         c[i] = 0.0
         high = min(limits[0, n], fastest) * (limits[0, i] - q[i] - limits[0, n + 1])
         low = -min(limits[1, n], fastest) * (q[i] - limits[1, i] - limits[1, n + 1])
-        upper[i], lower[i] = max(high, -limits[0, n + 2]), min(low, limits[1, n + 2])
+        v = velocity[i]
+        upper[i] = max(min(max(high, -limits[0, n + 2]), v), -v)
+        lower[i] = max(min(min(low, limits[1, n + 2]), v), -v)
     _tasks(q, poses, lines, com, J_com, up, elapsed, moves, tasks, task_data, eta, diagonal, c, J, e)
-    r = J.shape[0]
     for i in range(n):
         for j in range(i + 1):
             total = 0.0

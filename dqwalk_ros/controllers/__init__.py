@@ -21,7 +21,7 @@ __all__ = ["Command", "Controller", "State", "Tick", "make_controller", "warm_up
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True, eq=False)
 class State:
     """What is measured.
 
@@ -46,7 +46,7 @@ class State:
     gyro: Array | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True, eq=False)
 class Command:
     """What is asked of the joints until the next command.
 

@@ -12,7 +12,7 @@ from dqwalk_ros.controllers import Command, State, Tick
 from dqwalk_ros.controllers.balance import balance_torques
 from dqwalk_ros.dq import DQ
 from dqwalk_ros.exceptions import ConfigError, PhaseError, QPError, StateError
-from dqwalk_ros.feasibility import explained, lead_back, limit_velocity
+from dqwalk_ros.feasibility import explained, lead_back
 from dqwalk_ros.gait import EndRule, PaperGait, StandingEnd, StandingGait, make_gait, make_rule
 from dqwalk_ros.kernels import clip, finite
 from dqwalk_ros.kinematics import Kinematics
@@ -173,8 +173,7 @@ class VelocityController:
         if self._finished:
             return Command(state.time, np.zeros(self.model.n))
         limit = self._limit
-        self.problem = assemble(self.phase, kin, dt)
-        limit_velocity(self.problem, limit)
+        self.problem = assemble(self.phase, kin, dt, limit)
         self.solution = self._solved(self.problem)
         effort = None
         if state.up is not None and self._imu in self.model.frames:

@@ -138,7 +138,7 @@ def com_target(model: RobotModel, kind: PhaseKind, base: Foot, q_start: Array) -
     return np.array([there[0], there[1], 0.0])
 
 
-def assemble(phase: Phase, kin: Kinematics, dt: float) -> Problem:
+def assemble(phase: Phase, kin: Kinematics, dt: float, velocity: Array | None = None) -> Problem:
     """Return the quadratic program (6) of a phase at one configuration.
 
     Parameters
@@ -148,5 +148,7 @@ def assemble(phase: Phase, kin: Kinematics, dt: float) -> Problem:
         Seen from ``phase.base``.
     dt : float
         Control period [s], which caps the rates at 1/dt.
+    velocity : ndarray, shape (n,), optional
+        Limits of the joint velocities, which the bounds are kept within [rad/s].
     """
-    return phase.table(kin.rooted).problem(kin, dt)
+    return phase.table(kin.rooted).problem(kin, dt, velocity)

@@ -6,13 +6,14 @@ Either way the problem is scaled first and the answer checked against the Karush
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, field
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.exceptions import QPError
+from dqwalk_ros.qp.packed import size, views
 
 __all__ = ["OPTIMAL", "PRIMAL", "Problem", "Residuals", "Solution", "Solver", "make_solver", "refuse"]
 
@@ -24,9 +25,11 @@ OPTIMAL = 1e-7
 """Largest relative residual of the other Karush-Kuhn-Tucker conditions that is accepted."""
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True, eq=False)
 class Problem:
     """min 1/2 u'Hu + c'u  subject to  E u = e,  G u >= h,  lower <= u <= upper.
+
+    Made of arrays or, by `of`, of one buffer with all of them; either is worked out from the other when asked for.
 
     Attributes
     ----------
@@ -44,6 +47,8 @@ class Problem:
         Of the rows: equalities, inequalities, upper and lower limits.
     diagonal, J : ndarray, shapes (n,) and (r, n), or None
         The same H as diag(diagonal) + J'J, for large robots.
+    values : ndarray
+        All of it, as `qp.packed` says; from then on the arrays are views of it.
     """
 
     H: Array
@@ -57,6 +62,43 @@ class Problem:
     names: tuple[str, ...] = ()
     diagonal: Array | None = None
     J: Array | None = None
+    values: Array = field(init=False, repr=False)
+    _sizes: tuple[int, int, int, int] = field(init=False, repr=False)
+
+    @classmethod
+    def of(cls, values: Array, sizes: tuple[int, int, int, int], names: tuple[str, ...] = ()) -> Self:
+        """Return the problem in a buffer, with n variables, l equalities, m inequalities and r rows of J."""
+        problem = cls.__new__(cls)
+        problem.values, problem._sizes, problem.names = values, sizes, names
+        return problem
+
+    def __getattr__(self, name: str) -> Any:
+        # what has no value yet
+        if name == "_sizes":
+            r = 0 if self.J is None or self.diagonal is None else len(self.J)
+            self._sizes = len(self.c), len(self.e), len(self.h), r
+        elif name == "values":
+            self._pack()
+        elif name in _ARRAYS:
+            self._unpack()
+        else:
+            raise AttributeError(f"a Problem has no {name}")
+        return getattr(self, name)
+
+    def _unpack(self) -> None:
+        _, l, m, r = self._sizes  # noqa: E741
+        self.H, self.c, self.lower, self.upper, diagonal, W, w, J = views(self.values, *self._sizes)
+        self.E, self.e, self.G, self.h = W[:l], w[:l], W[l : l + m], w[l : l + m]
+        self.diagonal, self.J = (diagonal, J) if r else (None, None)
+
+    def _pack(self) -> None:
+        arrays, diagonal, J = self.arrays, self.diagonal, self.J
+        self.values = np.empty(size(*self._sizes))
+        self._unpack()
+        for part, given in zip(self.arrays, arrays, strict=True):
+            part[:] = given
+        if self.J is not None and self.diagonal is not None:
+            self.diagonal[:], self.J[:] = diagonal, J
 
     @property
     def arrays(self) -> tuple[Array, ...]:
@@ -66,7 +108,15 @@ class Problem:
     @property
     def shape(self) -> tuple[int, int, int]:
         """n, number of equalities, number of inequalities."""
-        return self.c.shape[0], self.e.shape[0], self.h.shape[0]
+        return self._sizes[:3]
+
+    @property
+    def sizes(self) -> tuple[int, int, int, int]:
+        """The `shape`, and the number of rows of J, 0 without."""
+        return self._sizes
+
+
+_ARRAYS = frozenset(("H", "c", "E", "e", "G", "h", "lower", "upper", "diagonal", "J"))
 
 
 @dataclass(frozen=True)
@@ -84,7 +134,7 @@ class Residuals:
         return max(self.stationarity, self.primal, self.dual, self.complementarity)
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True, eq=False)
 class Solution:
     """An accepted answer.
 

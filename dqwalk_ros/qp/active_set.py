@@ -42,7 +42,7 @@ class DaqpSolver:
     name = "daqp"
 
     def __init__(self) -> None:
-        self._kept: dict[tuple[int, int, int], _Warm] = {}
+        self._kept: dict[tuple[int, int, int, int], _Warm] = {}
         self._second = ClarabelSolver()
         self.fallbacks = 0
 
@@ -54,13 +54,14 @@ class DaqpSolver:
         QPError
             If there is no answer; the rows in conflict are named.
         """
-        kept = self._kept.get(problem.shape)
+        shape = problem.sizes
+        kept = self._kept.get(shape)
         if kept is None:
-            kept = self._kept[problem.shape] = _Warm(*problem.shape)
+            kept = self._kept[shape] = _Warm(*shape[:3])
         solution = kept.solve(problem)
         if solution is None:
             self.fallbacks += 1
-            del self._kept[problem.shape]  # its working set led nowhere
+            del self._kept[shape]  # its working set led nowhere
             return self._second.solve(problem)
         return solution
 
@@ -79,7 +80,7 @@ class _Warm:
 
     def solve(self, problem: Problem) -> Solution | None:
         H, c, A, high, low = self.H, self.c, self.A, self.high, self.low
-        s, curvature = pack_active_set(*problem.arrays, H, c, A, high, low)
+        s, curvature = pack_active_set(problem.values, *problem.sizes, H, c, A, high, low)
         if not s * curvature > 0.0:
             raise QPError("the problem has a number that is not finite", status="NotFinite")
         began = time.perf_counter()
@@ -93,7 +94,9 @@ class _Warm:
         if flag != 1:
             return None
         u, z = np.empty(self.n), np.empty(self.n + high.shape[0])
-        violation, _, other = unpack_active_set(*problem.arrays, s, curvature, v, info["lam"], u, z)
+        violation, _, other = unpack_active_set(
+            problem.values, *problem.sizes, s, curvature, v, info["lam"], u, z
+        )
         if not (violation <= PRIMAL and other <= OPTIMAL):
             return None
         return Solution(u, z, info["iterations"], time.perf_counter() - began)

@@ -24,6 +24,9 @@ class InPlace:
 
     Parameters
     ----------
+    values : ndarray
+        Where P, q, A and b are to be found, one after the other, column by column; after them, where there is room,
+        another b.
     n, r, equalities, dense : int
     bounds : bool
     bold : bool
@@ -34,12 +37,21 @@ class InPlace:
 
     Attributes
     ----------
-    ends : tuple of int
-        Where the values of P, q, A and b end that `run` takes.
+    other : ndarray
+        The other b.
     """
 
     def __init__(
-        self, n: int, r: int, equalities: int, dense: int, *, bounds: bool, bold: bool = False, careful: bool = False
+        self,
+        values: NDArray[np.float64],
+        n: int,
+        r: int,
+        equalities: int,
+        dense: int,
+        *,
+        bounds: bool,
+        bold: bool = False,
+        careful: bool = False,
     ) -> None:
         self._settings = _settings(bold=bold, careful=careful)
         first = r + equalities
@@ -60,18 +72,12 @@ class InPlace:
         self._cones = [clarabel.NonnegativeConeT(rows - first)]
         if first:
             self._cones.insert(0, clarabel.ZeroConeT(first))
-        a, b, c, d = (int(end) for end in np.cumsum([len(self._P[0]), columns, len(self._A[0]), rows]))
-        self.ends = a, b, c, d
+        ends = np.cumsum([len(self._P[0]), columns, len(self._A[0]), rows, rows])
+        self._left, self._cost, self._rows, self._right, self.other, _ = np.split(values, ends)
         self._solver: clarabel.DefaultSolver | None = None
 
-    def run(self, values: list[float], at: int | None = None) -> tuple[clarabel.DefaultSolution, float]:
-        """Solve for the values of P, q, A and b, column by column; lists are taken over faster than arrays.
-
-        Parameters
-        ----------
-        values : list of float
-        at : int, optional
-            Where b begins, if not after A.
+    def run(self, *, other: bool = False) -> tuple[clarabel.DefaultSolution, float]:
+        """Solve for the values as they are now, with the `other` b where that is wanted.
 
         Returns
         -------
@@ -79,14 +85,14 @@ class InPlace:
         float
             What the solution took [s]; Clarabel's own figure has the setup in it.
         """
-        a, b, c, d = self.ends
-        at = c if at is None else at
-        P, q, A, right = values[:a], values[a:b], values[b:c], values[at : at + d - c]
+        # lists are taken over faster than arrays
+        P, q, A = self._left.tolist(), self._cost.tolist(), self._rows.tolist()
+        b = (self.other if other else self._right).tolist()
         if self._solver is None:
-            matrices = _csc(P, *self._P), q, _csc(A, *self._A), right
+            matrices = _csc(P, *self._P), q, _csc(A, *self._A), b
             self._solver = clarabel.DefaultSolver(*matrices, self._cones, self._settings)
         else:
-            self._solver.update(P=P, q=q, A=A, b=right)
+            self._solver.update(P=P, q=q, A=A, b=b)
         began = time.perf_counter()
         answer = self._solver.solve()
         return answer, time.perf_counter() - began

@@ -20,6 +20,7 @@ from dqwalk_ros.qp.scaling import pack_interior_point, pack_nearby, unpack_inter
 __all__ = ["ClarabelSolver"]
 
 Array = NDArray[np.float64]
+_Sizes = tuple[int, int, int, int]
 
 _REACH = 1.0
 """Rows further away than this many gradient steps are left out at first."""
@@ -52,7 +53,7 @@ class ClarabelSolver:
 
     def __init__(self, lifted: bool | None = None) -> None:
         self._lifted = lifted
-        self._kept: dict[tuple[int, ...], _Shape] = {}
+        self._kept: dict[_Sizes, _Shape] = {}
         self.whole = self.refined = 0
 
     def solve(self, problem: Problem) -> Solution:
@@ -63,11 +64,11 @@ class ClarabelSolver:
         QPError
             If the solver's status is anything but ``Solved``, or its answer violates a row.
         """
-        shape = (*problem.shape, 0 if problem.J is None else problem.J.shape[0])
-        kept = self._kept.get(shape)
+        sizes = problem.sizes
+        kept = self._kept.get(sizes)
         if kept is None:
-            lifted = shape[0] >= _LIFTED * shape[3] if self._lifted is None else self._lifted
-            kept = self._kept[shape] = _Shape(*shape[:3], shape[3] if lifted else 0)
+            lifted = sizes[0] >= _LIFTED * sizes[3] if self._lifted is None else self._lifted
+            kept = self._kept[sizes] = _Shape(sizes, lifted=lifted and sizes[3] > 0)
         solution = kept.nearby(problem)
         if solution is not None:
             return solution
@@ -78,45 +79,47 @@ class ClarabelSolver:
             if error.status not in _DOUBTFUL:
                 raise
         self.refined += 1
-        return _Whole(*shape[:3], 0, careful=True).solve(problem)
+        return _Whole(sizes, lifted=False, careful=True).solve(problem)
 
 
 class _Shape:
     """The solvers for one shape of problem: one with all inequalities, and one for each number of them in reach."""
 
-    def __init__(self, n: int, equalities: int, inequalities: int, r: int) -> None:
-        self._shape = n, equalities, inequalities, r
+    def __init__(self, sizes: _Sizes, *, lifted: bool) -> None:
+        n, equalities, inequalities, r = sizes
+        self._sizes, self._lifted, self._r = sizes, lifted, r if lifted else 0
         self._multipliers = equalities + inequalities + 2 * n
         self._most = (inequalities + 2 * n) // 2
         self._chosen = np.empty(self._most, dtype=np.int64)
-        self._values = np.empty(InPlace(n, r, equalities, self._most, bounds=False).ends[-1])
-        self._none = np.empty(n), np.empty((0, n))
+        self._values = np.empty(_room(sizes, self._r, equalities + self._most))
         self._few: dict[int, InPlace] = {}
 
     @cached_property
     def whole(self) -> _Whole:
         """With all of them."""
-        return _Whole(*self._shape)
+        return _Whole(self._sizes, lifted=self._lifted)
 
     def nearby(self, problem: Problem) -> Solution | None:
         """Solve with the inequalities in reach; None where that is not the answer, or hardly less work."""
-        n, equalities, _, r = self._shape
-        arrays, chosen, most = problem.arrays, self._chosen, self._most
-        tasks = _tasks(problem) if r else self._none
-        s, curvature, count = pack_nearby(*arrays, *tasks, _REACH, most, chosen, self._values)
+        sizes, chosen, most = self._sizes, self._chosen, self._most
+        values = problem.values
+        s, curvature, count = pack_nearby(values, *sizes, self._lifted, _REACH, most, chosen, self._values)
         if not s * curvature > 0.0:
             raise QPError("the problem has a number that is not finite", status="NotFinite")
         if count > most:
             return None
+        n, r = sizes[0], self._r
         few = self._few.get(count)
         if few is None:
-            few = self._few[count] = InPlace(n, r, equalities, count, bounds=False, bold=True)
-        answer, spent = few.run(self._values[: few.ends[-1]].tolist())
+            few = self._few[count] = InPlace(self._values, n, r, sizes[1], count, bounds=False, bold=True)
+        answer, spent = few.run()
         if answer.status != SOLVED:
             return None
-        x, scaled = np.array(answer.x), np.array(answer.z)
+        found = np.array(answer.x + answer.z)
         u, z = np.empty(n), np.empty(self._multipliers)
-        violation, _, other, room = unpack_nearby(*arrays, s, curvature, chosen, count, x, scaled, r, u, z)
+        violation, _, other, room = unpack_nearby(
+            values, *sizes, s, curvature, chosen, count, found, n + r, r, u, z
+        )
         if not (violation <= PRIMAL and other <= OPTIMAL and room >= 0.0):
             return None
         return Solution(u, z, answer.iterations, spent)
@@ -125,41 +128,37 @@ class _Shape:
 class _Whole:
     """A solver with all inequalities; the far ones are capped at first."""
 
-    def __init__(self, n: int, equalities: int, inequalities: int, r: int, *, careful: bool = False) -> None:
-        self._n, self._r = n, r
-        self._none = np.empty(n), np.empty((0, n))
-        self._program = InPlace(n, r, equalities, inequalities, bounds=True, careful=careful)
-        *_, c, d = self._program.ends
-        self._sizes = np.array([*self._program.ends, 1 if r else 0])
-        self._values = np.empty(d + d - c)
-        self._full = self._values[d:]
+    def __init__(self, sizes: _Sizes, *, lifted: bool, careful: bool = False) -> None:
+        n, equalities, inequalities, r = sizes
+        self._sizes, self._lifted, self._r = sizes, lifted, r if lifted else 0
+        rows = equalities + inequalities + 2 * n
+        self._multipliers = rows
+        self._values = np.empty(_room(sizes, self._r, rows) + self._r + rows)
+        self._program = InPlace(self._values, n, self._r, equalities, inequalities, bounds=True, careful=careful)
 
     def solve(self, problem: Problem) -> Solution:
         """Return the answer; raise `QPError` where there is none."""
-        tasks = _tasks(problem) if self._r else self._none
-        s, curvature = pack_interior_point(*problem.arrays, *tasks, _CAP, self._sizes, self._values)
+        values, sizes, r = problem.values, self._sizes, self._r
+        s, curvature = pack_interior_point(values, *sizes, self._lifted, _CAP, self._values)
         if not s * curvature > 0.0:
             raise QPError("the problem has a number that is not finite", status="NotFinite")
-        values = self._values.tolist()
-        answer, spent = self._program.run(values)
+        answer, spent = self._program.run()
         scaled = np.array(answer.z)
-        if answer.status != SOLVED or scaled[self._full > _CAP].max(initial=0.0) > _ACTIVE:
-            answer, more = self._program.run(values, self._program.ends[-1])
+        if answer.status != SOLVED or scaled[self._program.other > _CAP].max(initial=0.0) > _ACTIVE:
+            answer, more = self._program.run(other=True)
             scaled, spent = np.array(answer.z), spent + more
             if answer.status != SOLVED:
-                raise _no_answer(problem, str(answer.status), scaled[self._r :])
-        u, z = np.empty(self._n), np.empty(scaled.shape[0] - self._r)
-        x = np.array(answer.x)
-        residuals = unpack_interior_point(*problem.arrays, s, curvature, x, scaled, self._r, u, z)
+                raise _no_answer(problem, str(answer.status), scaled[r:])
+        u, z = np.empty(sizes[0]), np.empty(self._multipliers)
+        residuals = unpack_interior_point(values, *sizes, s, curvature, np.array(answer.x), scaled, r, u, z)
         refuse(problem, *residuals)
         return Solution(u, z, answer.iterations, spent)
 
 
-def _tasks(problem: Problem) -> tuple[Array, Array]:
-    """Return diagonal and J of the lifted form."""
-    assert problem.J is not None  # the shape has it
-    assert problem.diagonal is not None
-    return problem.diagonal, problem.J
+def _room(sizes: _Sizes, r: int, rows: int) -> int:
+    """Return how many numbers P, q, A and b have at most, with so many rows below those of the lifted form."""
+    n = sizes[0]
+    return max(n * (n + 1) // 2, n + r) + (n + r) + n * (r + rows) + r + (r + rows)
 
 
 def _no_answer(problem: Problem, status: str, z: Array) -> QPError:

@@ -16,7 +16,7 @@ __all__ = ["BodyCommand", "BodyState", "BodyTick", "Wrench"]
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(slots=True, eq=False, kw_only=True)
 class BodyState(State):
     """A state of the whole body: the joints, and the root link in the world.
 
@@ -40,7 +40,7 @@ class BodyState(State):
         return np.concatenate([self.v_base, self.dq])
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(slots=True, eq=False, kw_only=True)
 class BodyCommand(Command):
     """Joint torques for the next period, and the motion they are expected to make.
 
