@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 __all__ = [
     "clip",
     "compose",
-    "finite",
     "forward",
+    "integrate",
     "jit",
     "line_jacobian",
     "point",
@@ -106,6 +106,8 @@ def snapshot(values, bodies, n):  # type: ignore[no-untyped-def]
 def forward(q, tree, links, values):  # type: ignore[no-untyped-def]
     """Fill poses, joint lines, the CoM (4) and its Jacobian (5) into the buffer that `snapshot` explains.
 
+    Return whether all of q is finite.
+
     Bodies come parents first, body 0 at rest; the columns of `tree` are parent and joint, those of `links` origin
     (8), axis (3), mass divided by the total, and centre of mass (3). A joint's line l + eps m is that of its axis in
     the world; a joint turns all that lies after it about this line.
@@ -150,6 +152,10 @@ def forward(q, tree, links, values):  # type: ignore[no-untyped-def]
         J_com[2, i] = l[0] * m[1] - l[1] * m[0] + m[3] * l[5]
     for k in range(3):
         p_com[k] = after[0, k]
+    good = True
+    for i in range(q.shape[0]):
+        good = good and math.isfinite(q[i])
+    return good
 
 
 @jit
@@ -223,20 +229,23 @@ def pose_jacobian(lines, moves, x):  # type: ignore[no-untyped-def]
 
 
 @jit
-def finite(q):  # type: ignore[no-untyped-def]
-    """Tell whether every number of an array (n,) is finite."""
-    good = True
-    for i in range(q.shape[0]):
-        good = good and math.isfinite(q[i])
-    return good
-
-
-@jit
 def clip(u, limit, out):  # type: ignore[no-untyped-def]
     """Write joint velocities (n,) within -limit .. limit to `out`; return whether all of `u` is finite.
 
     What is not finite becomes nan: no limit makes a velocity of it.
     """
+    good = True
     for i in range(u.shape[0]):
-        out[i] = min(max(u[i], -limit[i]), limit[i]) if math.isfinite(u[i]) else math.nan
-    return finite(u)
+        known = math.isfinite(u[i])
+        out[i] = min(max(u[i], -limit[i]), limit[i]) if known else math.nan
+        good = good and known
+    return good
+
+
+@jit
+def integrate(q, u, limit, dt, q_out, u_out):  # type: ignore[no-untyped-def]
+    """Write joint angles (n,) a period `dt` later by Euler's method, and velocities as `clip`; return as it does."""
+    good = clip(u, limit, u_out)
+    for i in range(u.shape[0]):
+        q_out[i] = q[i] + dt * u_out[i]
+    return good

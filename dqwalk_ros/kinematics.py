@@ -124,9 +124,11 @@ class Kinematics:
         The constants of the model seen from `base`.
     values : ndarray
         What `kernels.forward` worked out, for compiled functions.
+    finite : bool
+        Whether every angle is a finite number.
     """
 
-    __slots__ = ("base", "elapsed", "model", "q", "rooted", "up", "values")
+    __slots__ = ("base", "elapsed", "finite", "model", "q", "rooted", "up", "values")
 
     def __init__(
         self, model: RobotModel, q: ArrayLike, base: Foot, up: ArrayLike | None = None, elapsed: float = math.inf
@@ -135,10 +137,10 @@ class Kinematics:
         self.base = base
         self.up = _Z if up is None else np.asarray(up, dtype=np.float64)
         self.elapsed = elapsed
-        self.q = np.asarray(q, dtype=np.float64)
-        self.rooted = rooted(model, base)
-        self.values = np.empty(self.rooted.size)
-        kernels.forward(self.q, self.rooted.tree, self.rooted.links, self.values)
+        self.q: Array = np.asarray(q, dtype=np.float64)
+        self.rooted = root = rooted(model, base)
+        self.values = values = np.empty(root.size)
+        self.finite: bool = kernels.forward(self.q, root.tree, root.links, values)
 
     def tilted(self, up: ArrayLike) -> Kinematics:
         """Return the same snapshot with gravity against `up` (3,), a unit vector in the frame of the base sole."""

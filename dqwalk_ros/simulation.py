@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from typing import Any
 
 from dqwalk_ros.controllers import Command, Controller
 from dqwalk_ros.exceptions import DqwalkError
@@ -43,7 +44,9 @@ def simulate(
     Trace
         Up to the end, to `max_time`, to Ctrl-C, or to an error of the controller, which is in its notes.
     """
-    config = controller.config
+    config, dt = controller.config, controller.config.dt
+    body: Any = plant if hasattr(plant, "truth") and hasattr(plant, "inertial") else None
+    falls: Any = plant if hasattr(plant, "fallen") else None
     recorder = Recorder(config, controller.model)
     state = plant.state
     begin = state.time
@@ -53,19 +56,18 @@ def simulate(
     try:
         while True:
             command: Command | None
-            truth, inertial = getattr(plant, "truth", None), getattr(plant, "inertial", None)
-            seen = None if truth is None or inertial is None else (truth, inertial)
+            seen = None if body is None else (body.truth, body.inertial)
             try:
                 if pilot is not None:
                     pilot(state.time - begin)
-                command = controller.step(state, config.dt)
+                command = controller.step(state, dt)
             except DqwalkError as error:
                 recorder.note(str(error))
                 command = None
             recorder.add(state, command, controller, seen)
             if command is None or controller.finished or (end is not None and state.time >= end):
                 break
-            if getattr(plant, "fallen", False):
+            if falls is not None and falls.fallen:
                 recorder.note(f"the robot fell in {controller.phase.name} at {state.time:.2f} s")
                 break
             if progress is not None and time.monotonic() >= due:
@@ -74,7 +76,7 @@ def simulate(
                     controller.phase_index / total,
                     f"{controller.phase.name}  t = {state.time:.1f} s  error {controller.error:.4f}",
                 )
-            state = plant.step(command, config.dt)
+            state = plant.step(command, dt)
     except KeyboardInterrupt:
         recorder.note(f"interrupted at {state.time:.3f} s")
     return recorder.trace()

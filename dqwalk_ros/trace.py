@@ -173,7 +173,8 @@ class Recorder:
         """
         if seen is not None:
             self._seen.append(seen)
-        if controller.phase_index >= len(self._phases) and not controller.finished:
+        self._finished = finished = controller.finished
+        if controller.phase_index >= len(self._phases) and not finished:
             phase = controller.phase
             self._phases.append(
                 PhaseRecord(
@@ -188,11 +189,10 @@ class Recorder:
                     x_odom_base=controller.x_odom_base,
                 )
             )
-        self._finished = controller.finished
         self._time.append(state.time)
         self._q.append(state.q)
         self._u.append(command.velocity if command is not None else np.full(state.q.shape, math.nan))
-        self._solve_time.append(math.nan if controller.finished or command is None else controller.solve_time)
+        self._solve_time.append(math.nan if finished or command is None else controller.solve_time)
 
     def note(self, text: str) -> None:
         """Add to the notes."""

@@ -14,7 +14,7 @@ from dqwalk_ros.dq import DQ
 from dqwalk_ros.exceptions import ConfigError, PhaseError, QPError, StateError
 from dqwalk_ros.feasibility import explained, lead_back
 from dqwalk_ros.gait import EndRule, PaperGait, StandingEnd, StandingGait, make_gait, make_rule
-from dqwalk_ros.kernels import clip, finite
+from dqwalk_ros.kernels import clip
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import RobotModel
 from dqwalk_ros.phases import Phase, PhaseKind, assemble, make_phase
@@ -45,6 +45,7 @@ class VelocityController:
         self._imu = config.physics.imu
         self._limit = np.minimum(model.velocity_max, config.joints.velocity or np.inf)
         self._solver = make_solver(config.qp.solver)
+        self._shape, self._timeout = (model.n,), config.plant.command_timeout
         self.reset()
 
     def reset(self) -> None:
@@ -54,6 +55,7 @@ class VelocityController:
         self._phase: Phase | None = None
         self._gait = make_gait(self.config, self.model)
         self._rule: EndRule | StandingEnd | None = None
+        self._may_wait = False
         self._kin: Kinematics | None = None
         self._index = -1
         self._time0 = math.nan
@@ -159,38 +161,37 @@ class VelocityController:
         QPError
             If the quadratic program has no answer.
         """
-        self._checked(state)
+        time = state.time
         if self._index < 0:
+            self._refuse_nonsense(state)
             self._enter(0, state)
-        else:
-            self._resume(state)
-        self._answered = state.time
+        elif (held := time - self._answered - self._timeout) > 0.0:
+            self._refuse_nonsense(state)
+            self._resume(state, held)
         kin = self._seen(state)
-        while not self._finished and self._over(state.time):
+        self._answered = time
+        while not self._finished and self._over(time):
             self._enter(self._index + 1, state, kin)
             kin = self._seen(state)
         self._kin = kin
         if self._finished:
-            return Command(state.time, np.zeros(self.model.n))
+            return Command(time, np.zeros(self.model.n))
         limit = self._limit
-        self.problem = assemble(self.phase, kin, dt, limit)
-        self.solution = self._solved(self.problem)
+        self.problem = problem = assemble(self.phase, kin, dt, limit)
+        self.solution = solution = self._solved(problem)
         effort = None
         if state.up is not None and self._imu in self.model.frames:
             effort = balance_torques(self.phase, kin, state, self.config.standing, self._imu)
         velocity = np.empty(self.model.n)
-        clip(self.solution.u, limit, velocity)
-        return Command(state.time, velocity, effort)
+        clip(solution.u, limit, velocity)
+        return Command(time, velocity, effort)
 
-    def _resume(self, state: State) -> None:
-        """Go on after states without an answer, when the plant has moved on for its timeout and then held.
+    def _resume(self, state: State, held: float) -> None:
+        """Go on after states without an answer, when the plant has moved on for its timeout and then `held` [s].
 
         A swing goes on where it was. A CoM that was stopped sets out anew: taken up at the path's velocity it tips the
         robot.
         """
-        held = state.time - self._answered - self.config.plant.command_timeout
-        if held <= 0.0:
-            return
         phase = self.phase
         if phase.kind is PhaseKind.SINGLE_SUPPORT or isinstance(self._gait, PaperGait):
             self._time0 += held
@@ -212,24 +213,27 @@ class VelocityController:
                 raise explained(error, problem) from error
 
     def _seen(self, state: State) -> Kinematics:
-        elapsed = state.time - self._time0
-        kin = Kinematics(self.model, state.q, self.phase.base, elapsed=elapsed)
+        phase, q = self.phase, state.q
+        if q.shape != self._shape:
+            self._refuse_nonsense(state)
+        kin = Kinematics(self.model, q, phase.base, elapsed=state.time - self._time0)
+        if not kin.finite:
+            self._refuse_nonsense(state)
         if state.up is not None and self._imu in self.model.frames:
             kin = kin.tilted(kin.direction(self._imu, state.up))
-        self._error = self.phase.error(kin)
+        self._error = phase.error(kin)
         return kin
 
-    def _checked(self, state: State) -> Array:
+    def _refuse_nonsense(self, state: State) -> None:
         if state.q.shape != (self.model.n,):
             raise StateError(f"the state has {state.q.size} joints, the model {self.model.n}")
-        if not finite(state.q):
-            bad = [name for name, angle in zip(self.model.joint_names, state.q, strict=True) if not np.isfinite(angle)]
+        bad = [name for name, angle in zip(self.model.joint_names, state.q, strict=True) if not math.isfinite(angle)]
+        if bad:
             raise StateError(f"the angle of {', '.join(bad)} is not finite")
-        return state.q
 
     def _over(self, time: float) -> bool:
         assert self._rule is not None  # set with the phase
-        if self.phase.kind is PhaseKind.STANCE and isinstance(self._gait, StandingGait) and self._gait.waiting:
+        if self._may_wait and isinstance(self._gait, StandingGait) and self._gait.waiting:
             return False
         elapsed = time - self._time0
         try:
@@ -253,4 +257,5 @@ class VelocityController:
     def _begin(self, index: int, phase: Phase, time: float) -> None:
         self._phase, self._index, self._time0 = phase, index, time
         self._rule = make_rule(self.config, self.model, phase)
+        self._may_wait = phase.kind is PhaseKind.STANCE
         self.problem = self.solution = None

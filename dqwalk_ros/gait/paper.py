@@ -77,7 +77,7 @@ class EndRule:
     """
 
     def __init__(self, config: Config, model: RobotModel, phase: Phase) -> None:
-        self._config, self._phase = config, phase
+        self._phase = phase
         window = max(1, round(config.dsp.stall_window / config.dt))
         self._errors: deque[float] = deque(maxlen=window + 1)
         self._window = window * config.dt
@@ -85,6 +85,7 @@ class EndRule:
         # the error of the double support is the distance of the CoM from the end foot's centre
         self._goal = config.ssp.com_radius if self._double else config.ssp.threshold
         self._hopeless = 0
+        self._stall, self._timeout, self._dt = config.dsp.stall_rate, config.gait.phase_timeout, config.dt
 
     def over(self, error: float, elapsed: float, active: tuple[str, ...] = ()) -> bool:
         """Return whether the phase ends at the state with this error.
@@ -108,18 +109,18 @@ class EndRule:
         full = len(errors) == errors.maxlen
         fall = errors[0] - error
         if self._double:
-            if full and fall < self._config.dsp.stall_rate and error < self._goal:
+            if full and fall < self._stall and error < self._goal:
                 return True
         elif error < self._goal:
             return True
-        timeout = self._config.gait.phase_timeout
+        timeout = self._timeout
         if elapsed > timeout:
             raise self._failed(f"is not over after {timeout:g} s", error, active)
         if full:
             # at the rate of the last window the goal is further away than the time limit
             hopeless = fall * timeout < (error - self._goal) * self._window
             self._hopeless = self._hopeless + 1 if hopeless else 0
-            if self._hopeless * self._config.dt > _STALLED_WINDOWS * self._window:
+            if self._hopeless * self._dt > _STALLED_WINDOWS * self._window:
                 raise self._failed("has stalled", error, active)
         return False
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dqwalk_ros.controllers import Command, State
 from dqwalk_ros.exceptions import PlantError
+from dqwalk_ros.kernels import integrate
 from dqwalk_ros.model import RobotModel
 
 __all__ = ["KinematicPlant"]
@@ -37,7 +36,7 @@ class KinematicPlant:
         q = np.zeros(model.n) if q0 is None else np.array(q0, dtype=np.float64)
         if q.shape != (model.n,) or not np.isfinite(q).all():
             raise PlantError(f"the first state must have {model.n} finite angles, got {q}")
-        self._least, self._most = -model.velocity_max, model.velocity_max
+        self._limit = model.velocity_max
         self._time0, self._periods = time0, 0
         self._state = State(time0, q, np.zeros(model.n))
 
@@ -54,12 +53,11 @@ class KinematicPlant:
         PlantError
             If the command is not finite or does not fit.
         """
-        u = np.asarray(command.velocity, dtype=np.float64)
-        # the sum is finite but for numbers that are not, or are beyond all measure: asked first, it is quick
-        if u.shape != self._state.q.shape or not (math.isfinite(sum(u.tolist())) or np.isfinite(u).all()):
-            raise PlantError(f"the command must have {self._state.q.size} finite velocities, got {u}")
-        u = np.minimum(np.maximum(u, self._least), self._most)
+        wanted, before = np.asarray(command.velocity, dtype=np.float64), self._state.q
+        q, u = np.empty(len(before)), np.empty(len(before))
+        if wanted.shape != before.shape or not integrate(before, wanted, self._limit, dt, q, u):
+            raise PlantError(f"the command must have {before.size} finite velocities, got {wanted}")
         self._periods += 1
         # counted, not summed up: a million periods later the time is still exact
-        self._state = State(self._time0 + self._periods * dt, self._state.q + dt * u, u)
+        self._state = State(self._time0 + self._periods * dt, q, u)
         return self._state

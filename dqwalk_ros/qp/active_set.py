@@ -94,9 +94,7 @@ class _Warm:
         if flag != 1:
             return None
         u, z = np.empty(self.n), np.empty(self.n + high.shape[0])
-        violation, _, other = unpack_active_set(
-            problem.values, *problem.sizes, s, curvature, v, info["lam"], u, z
-        )
+        violation, _, other = unpack_active_set(problem.values, *problem.sizes, s, curvature, v, info["lam"], u, z)
         if not (violation <= PRIMAL and other <= OPTIMAL):
             return None
         return Solution(u, z, info["iterations"], time.perf_counter() - began)

@@ -117,9 +117,7 @@ class _Shape:
             return None
         found = np.array(answer.x + answer.z)
         u, z = np.empty(n), np.empty(self._multipliers)
-        violation, _, other, room = unpack_nearby(
-            values, *sizes, s, curvature, chosen, count, found, n + r, r, u, z
-        )
+        violation, _, other, room = unpack_nearby(values, *sizes, s, curvature, chosen, count, found, n + r, r, u, z)
         if not (violation <= PRIMAL and other <= OPTIMAL and room >= 0.0):
             return None
         return Solution(u, z, answer.iterations, spent)

@@ -239,8 +239,8 @@ def check(values, n, l, m, rows, u, z, s, curvature):  # type: ignore[no-untyped
 
 @jit
 def unpack_interior_point(  # type: ignore[no-untyped-def]
-    values, n, l, m, rows, s, curvature, x, z, first, u_out, z_out  # noqa: E741
-):
+    values, n, l, m, rows, s, curvature, x, z, first, u_out, z_out,  # noqa: E741
+):  # fmt: skip
     """Scale the answer back into u and z, and `check` it; the multipliers begin at `first`."""
     for i in range(n):
         u_out[i] = s * x[i]
@@ -251,8 +251,8 @@ def unpack_interior_point(  # type: ignore[no-untyped-def]
 
 @jit
 def unpack_nearby(  # type: ignore[no-untyped-def]
-    values, n, l, m, rows, s, curvature, chosen, count, answer, columns, first, u_out, z_out  # noqa: E741
-):
+    values, n, l, m, rows, s, curvature, chosen, count, answer, columns, first, u_out, z_out,  # noqa: E741
+):  # fmt: skip
     """Scale the answer back into u and z, and `check` it; fourth, the least room that a row left out has [s].
 
     In `answer` the multipliers come after so many `columns`, and of them the first are those of the lifted form.
