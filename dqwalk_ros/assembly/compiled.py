@@ -84,8 +84,9 @@ def _rows(poses, lines, com, J_com, up, moves, index, data, fastest, W, w):  # t
     body, second body, the first row, and 1 where several rows are to be made independent.
     """
     n = lines.shape[0]
-    p, b, g, t = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    e, x, r = np.empty(6), np.empty(8), np.empty(4)
+    scratch = np.empty(30)
+    p, b, g, t = scratch[:3], scratch[3:6], scratch[6:9], scratch[9:12]
+    e, x, r = scratch[12:18], scratch[18:26], scratch[26:]
     for k in range(index.shape[0]):
         kind, body, other, at = index[k, 0], index[k, 1], index[k, 2], index[k, 3]
         a = data[k, 10:17]
@@ -174,7 +175,8 @@ def _swing_path(poses, elapsed, body, data, x, r, e, wanted):  # type: ignore[no
 def first_error(bodies, n, seen, up, elapsed, index, data):  # type: ignore[no-untyped-def]
     """Return the norm of the error of the first task in the table; `seen` is the buffer of `kernels.forward`."""
     poses, _, com, _ = snapshot(seen, bodies, n)
-    e, wanted, x, r = np.empty(6), np.empty(6), np.empty(8), np.empty(4)
+    scratch = np.empty(24)
+    e, wanted, x, r = scratch[:6], scratch[6:12], scratch[12:20], scratch[20:]
     kind, body, other = index[0, 0], index[0, 1], index[0, 2]
     if kind == COM_OVER_FOOT:
         _place(poses, com, body, data[0, 1:4], e, wanted)
@@ -205,9 +207,10 @@ def _tasks(q, poses, lines, com, J_com, up, elapsed, moves, index, data, eta, di
     It is -e that is asked for, eta times the error unless the task is a path.
     """
     n = lines.shape[0]
-    p, g, t = np.empty(3), np.empty(3), np.empty(3)
-    x, h, line, s = np.empty(8), np.empty(8), np.empty(8), np.empty(4)
-    six, wanted = np.empty(6), np.empty(6)
+    scratch = np.empty(49)
+    p, g, t = scratch[:3], scratch[3:6], scratch[6:9]
+    x, h, line, s = scratch[9:17], scratch[17:25], scratch[25:33], scratch[33:37]
+    six, wanted = scratch[37:43], scratch[43:]
     at = 0
     for k in range(index.shape[0]):
         kind, body, weight = index[k, 0], index[k, 1], data[k, 0]
