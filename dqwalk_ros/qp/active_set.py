@@ -72,15 +72,16 @@ class _Warm:
     def __init__(self, n: int, equalities: int, inequalities: int) -> None:
         rows = equalities + inequalities
         self.n = n
-        self.H, self.c, self.A = np.empty((n, n)), np.empty(n), np.empty((rows, n))
-        self.high, self.low = np.full(n + rows, _FAR), np.empty(n + rows)
+        self.values = np.full(n * (n + 1) + rows * n + 2 * (n + rows), _FAR)
+        H, self.c, A, self.high, self.low = np.split(self.values, np.cumsum([n * n, n, rows * n, n + rows]))
+        self.H, self.A = H.reshape(n, n), A.reshape(rows, n)
         self.sense = np.zeros(n + rows, dtype=np.int32)
         self.sense[n : n + equalities] = _EQUALITY
         self.model: daqp.Model | None = None
 
     def solve(self, problem: Problem) -> Solution | None:
         H, c, A, high, low = self.H, self.c, self.A, self.high, self.low
-        s, curvature = pack_active_set(problem.values, *problem.sizes, H, c, A, high, low)
+        s, curvature = pack_active_set(problem.values, *problem.sizes, self.values)
         if not s * curvature > 0.0:
             raise QPError("the problem has a number that is not finite", status="NotFinite")
         began = time.perf_counter()

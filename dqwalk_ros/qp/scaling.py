@@ -172,8 +172,14 @@ def pack_nearby(values, n, l, m, rows, lifted, reach, most, chosen, out):  # typ
 
 
 @jit
-def pack_active_set(values, n, l, m, rows, H_out, c_out, A_out, high, low):  # type: ignore[no-untyped-def] # noqa: E741
-    """Fill H, c, A and the bounds of low <= [v; A v] <= high, scaled; return s and curvature."""
+def pack_active_set(values, n, l, m, rows, out):  # type: ignore[no-untyped-def] # noqa: E741
+    """Fill H, c, A, high and low of low <= [v; A v] <= high, scaled, into `out`; return s and curvature.
+
+    What has no upper bound is left as it is.
+    """
+    at, k = n * (n + 1), l + m
+    H_out, c_out, A_out = out[: n * n].reshape((n, n)), out[n * n : at], out[at : at + k * n].reshape((k, n))
+    high, low = out[at + k * n : at + k * n + n + k], out[at + k * n + n + k :]
     H, c, lower, upper, _, W, w, _ = split(values, n, l, m, rows)
     s, curvature = _scales(H, c, lower, upper, W, w, l)
     for i in range(n):
