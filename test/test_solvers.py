@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
 from types import SimpleNamespace
 
 import clarabel
@@ -43,6 +44,27 @@ def random_problem(rng, n=8, equalities=2, inequalities=12, scale=1.0):
     c = scale * rng.normal(size=n) * 10.0
     names = tuple(f"row{k}" for k in range(equalities + inequalities + 2 * n))
     return Problem(H, c, E, E @ u, G, G @ u - slack, u - margin[0], u + margin[1], names, np.full(n, 0.01), A)
+
+
+@pytest.mark.parametrize("lifted", [True, False])
+def test_a_problem_is_the_same_in_one_buffer_and_in_arrays(lifted):
+    made = random_problem(np.random.default_rng(2))
+    made = made if lifted else dataclasses.replace(made, J=None, diagonal=None)
+    given = [array.copy() for array in made.arrays]
+    packed = Problem.of(made.values.copy(), made.sizes, made.names)
+    for problem in (made, packed, pickle.loads(pickle.dumps(packed)), dataclasses.replace(packed, names=("a",))):
+        assert problem.sizes == (8, 2, 12, 3 if lifted else 0)
+        for array, same in zip(problem.arrays, given, strict=True):
+            np.testing.assert_array_equal(array, same)
+        if lifted:
+            np.testing.assert_allclose(np.diag(problem.diagonal) + problem.J.T @ problem.J, problem.H, rtol=1e-12)
+        else:
+            assert problem.J is problem.diagonal is None
+        np.testing.assert_array_equal(problem.values, made.values)
+    packed.lower[3] = -0.25  # what is written to an array is in the buffer, and the other way round
+    assert np.count_nonzero(packed.values != made.values) == 1
+    with pytest.raises(AttributeError, match="no slack"):
+        packed.slack  # noqa: B018
 
 
 @pytest.mark.parametrize("name", SOLVERS)

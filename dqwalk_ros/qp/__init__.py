@@ -93,7 +93,7 @@ class Problem:
 
     def _pack(self) -> None:
         arrays, diagonal, J = self.arrays, self.diagonal, self.J
-        self.values = np.empty(size(*self._sizes))
+        self.values = np.zeros(size(*self._sizes))
         self._unpack()
         for part, given in zip(self.arrays, arrays, strict=True):
             part[:] = given
