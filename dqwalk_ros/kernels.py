@@ -6,8 +6,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import math
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -16,6 +19,7 @@ from numba.core import event
 from numpy.typing import NDArray
 
 __all__ = [
+    "COMPILED",
     "clip",
     "compose",
     "forward",
@@ -50,8 +54,40 @@ class _Notice(event.Listener):
 
 event.register("numba:compile", _Notice())  # type: ignore[no-untyped-call]
 
-jit: Any = numba.njit(cache=True, fastmath=False, error_model="numpy")
-"""How every function of this package is compiled: once per machine, IEEE arithmetic as written."""
+COMPILED = (
+    "assembly/compiled.py",
+    "assembly/independent.py",
+    "assembly/paths.py",
+    "controllers/balance.py",
+    "kernels.py",
+    "qp/dual.py",
+    "qp/packed.py",
+    "qp/scaling.py",
+)
+"""Files with compiled functions."""
+
+
+def _digest() -> str:
+    found = hashlib.sha256()
+    for name in COMPILED:
+        found.update((Path(__file__).parent / name).read_bytes())
+    return found.hexdigest()
+
+
+_DIGEST = _digest()
+
+
+def jit(function: Callable[..., Any]) -> Any:
+    """Return the function compiled: once per machine, IEEE arithmetic as written.
+
+    Compiled functions contain those they call, but numba takes what it kept for current while the file of the
+    function itself is unchanged. Here all files with compiled functions must be.
+    """
+    compiled: Any = numba.njit(cache=True, fastmath=False, error_model="numpy")(function)
+    kept = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
+    if kept is not None:
+        kept._source_stamp = kept._source_stamp, _DIGEST
+    return compiled
 
 
 @jit

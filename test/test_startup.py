@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import os
+import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from dqwalk_ros.kernels import COMPILED
+
 ROOT = Path(__file__).resolve().parent.parent
 HEAVY = ("numpy", "scipy", "numba", "clarabel", "matplotlib", "yourdfpy", "rclpy")
 
 
-def python(code: str, **env: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT, env=os.environ | env
-    )
+def python(code: str, here: Path = ROOT, **env: str) -> subprocess.CompletedProcess[str]:
+    words = [sys.executable, "-c", code]
+    return subprocess.run(words, capture_output=True, text=True, check=True, cwd=here, env=os.environ | env)
 
 
 @pytest.mark.parametrize("code", ["import dqwalk_ros", "from dqwalk_ros.cli import parser; parser.build()"])
@@ -43,3 +46,25 @@ def test_compiling_is_announced_once_per_machine(tmp_path):
     words = "compiling for this machine"
     assert python(code, NUMBA_CACHE_DIR=str(tmp_path), NUMBA_DISABLE_JIT="0").stderr.count(words) == 1
     assert words not in python(code, NUMBA_CACHE_DIR=str(tmp_path), NUMBA_DISABLE_JIT="0").stderr
+
+
+def test_a_compiled_function_is_compiled_anew_when_what_it_calls_has_changed(tmp_path):
+    """numba itself looks at no file but the function's own."""
+    package = tmp_path / "dqwalk_ros"
+    shutil.copytree(ROOT / "dqwalk_ros", package, ignore=shutil.ignore_patterns("__pycache__"))
+    code = "import numpy as np\nfrom dqwalk_ros.assembly.paths import swing_path\nfrom dqwalk_ros.kernels import jit\n"
+    code += "v = np.zeros(6)\nswing_path(0.5, np.ones(15), v[:3], np.zeros(4), v)\nprint(v[2])"
+    here = {"NUMBA_DISABLE_JIT": "0", "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
+    words = "compiling for this machine"
+    assert words in python(code, tmp_path, **here).stderr
+    assert words not in python(code, tmp_path, **here).stderr
+    kernels = package / "kernels.py"
+    kernels.write_text(kernels.read_text() + "# another version\n")
+    assert words in python(code, tmp_path, **here).stderr
+
+
+def test_every_file_with_compiled_functions_is_known():
+    files = (
+        path for path in (ROOT / "dqwalk_ros").rglob("*.py") if re.search(r"^@jit|= jit\(", path.read_text(), re.M)
+    )
+    assert sorted(str(path.relative_to(ROOT / "dqwalk_ros")) for path in files) == sorted(COMPILED)
