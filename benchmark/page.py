@@ -1,12 +1,14 @@
 """Write docs/benchmarks.md: run every benchmark and keep what it prints.
 
 python -m benchmark.page [--peers PYTHON] [--out docs/benchmarks.md]
+python -m benchmark.page --only tick cycle       these anew, the others as they stand
 """
 
 from __future__ import annotations
 
 import argparse
 import datetime
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -14,7 +16,7 @@ from pathlib import Path
 TEXT = """\
 # Benchmarks
 
-Written by `python -m benchmark.page` on {date}; do not edit. Times are medians of single calls of an interleaved
+Written by `python -m benchmark.page`; do not edit. Times are medians of single calls of an interleaved
 run on a machine that other programs used as well: compare figures of one table only, and ratios rather than times.
 A peer's tick is its own kinematics, the rows in numpy as one writes them by hand, and its usual solver; its error is
 that of u relative to the largest joint velocity. The robots are made up (`benchmark/robots.py`). placo knows no task
@@ -25,6 +27,16 @@ to the same schedule and does nothing.
 
 """
 
+TITLES = {
+    "tick": "One tick",
+    "growth": "Growth",
+    "cycle": "A long walk",
+    "nodes": "The controller as a node (ROS 2)",
+    "startup": "Start-up",
+    "studies": "A thousand walks",
+}
+"""Of the sections, each by the benchmark that fills it."""
+
 
 def main() -> None:
     """Run and write."""
@@ -32,22 +44,26 @@ def main() -> None:
     parser.add_argument("--peers", metavar="PYTHON", help="Python of an environment with benchmark/requirements.txt")
     parser.add_argument("--ticks", type=int, default=100_000, help="of the long walk")
     parser.add_argument("--out", type=Path, default=Path(__file__).resolve().parent.parent / "docs" / "benchmarks.md")
+    parser.add_argument("--only", nargs="+", choices=TITLES, metavar="NAME", help=f"of {', '.join(TITLES)}")
     args = parser.parse_args()
-    runs = [
-        ("One tick", ["benchmark.tick", *(["--peers"] if args.peers else [])]),
-        ("Growth", ["benchmark.growth"]),
-        ("A long walk", ["benchmark.cycle", "--ticks", str(args.ticks)]),
-        ("The controller as a node (ROS 2)", ["benchmark.nodes"]),
-        ("Start-up", ["benchmark.startup"]),
-        ("A thousand walks", ["benchmark.studies"]),
-    ]
-    parts = [TEXT.format(date=datetime.date.today().isoformat())]
-    for title, command in runs:
+    options = {"tick": ["--peers"] if args.peers else [], "cycle": ["--ticks", str(args.ticks)]}
+    before = (
+        dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", args.out.read_text("utf-8"), re.M | re.S)) if args.only else {}
+    )
+    parts = [TEXT]
+    for name, title in TITLES.items():
+        if args.only and name not in args.only:
+            if title not in before:
+                parser.error(f"{args.out} has no section {title!r} to keep: run without --only")
+            parts.append(f"## {title}\n{before[title].rstrip()}\n\n")
+            continue
+        command = [f"benchmark.{name}", *options.get(name, [])]
         shown = f"python -m {' '.join(command)}"
         print(f"{shown} ...", file=sys.stderr, flush=True)
         python = args.peers if "--peers" in command else sys.executable
         out = subprocess.run([python, "-m", *command], capture_output=True, text=True, check=True).stdout
-        parts.append(f"## {title}\n\n`{shown}`\n\n{out.strip()}\n\n")
+        date = datetime.date.today().isoformat()
+        parts.append(f"## {title}\n\n`{shown}` on {date}\n\n{out.strip()}\n\n")
     args.out.write_text("".join(parts).rstrip() + "\n", encoding="utf-8")
     print(f"wrote {args.out}", file=sys.stderr)
 

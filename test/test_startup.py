@@ -40,6 +40,13 @@ def test_a_controller_is_ready_without_the_slow_parts_of_scipy():
     assert python(code).stdout.strip() == "False False"
 
 
+def test_the_integrator_node_is_spared_numba():
+    code = "import sys\nfrom dqwalk_ros.nodes import integrator\nfrom dqwalk_ros.model import load_model\n"
+    code += "from dqwalk_ros.config import load\nfrom dqwalk_ros.plants.kinematic import KinematicPlant\n"
+    code += "KinematicPlant(load_model(load('paper').robot), compiled=False)\nprint('numba' in sys.modules)"
+    assert python(code).stdout.strip() == "False"
+
+
 def test_compiling_is_announced_once_per_machine(tmp_path):
     code = "import numpy as np\nfrom dqwalk_ros.kernels import compose, point\nx = np.eye(8)[0]\n"
     code += "compose(x, x), point(x, x[:3])"

@@ -20,7 +20,7 @@ class IntegratorNode(SimulatedPlant):
 
     def make_plant(self, config: Config, model: RobotModel) -> Plant:
         """Return the integrator."""
-        return KinematicPlant(model)
+        return KinematicPlant(model, compiled=False)  # the node is spared numba
 
 
 def main(argv: list[str] | None = None) -> int:

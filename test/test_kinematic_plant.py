@@ -1,0 +1,77 @@
+"""The integrator: Euler's method to the last bit, within the limits, refusing what is no velocity."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from dqwalk_ros.config import load
+from dqwalk_ros.controllers import Command
+from dqwalk_ros.exceptions import PlantError
+from dqwalk_ros.model import load_model
+from dqwalk_ros.plants.kinematic import KinematicPlant
+
+DT = 0.005
+MODEL = load_model(load("paper").robot)
+EITHER = pytest.mark.parametrize("compiled", [True, False])
+
+
+def test_compiled_or_not_it_goes_the_same_way_to_the_last_bit():
+    rng = np.random.default_rng(1)
+    q = rng.normal(size=MODEL.n)
+    one, other = KinematicPlant(MODEL, q), KinematicPlant(MODEL, q, compiled=False)
+    for _ in range(200):
+        command = Command(0.0, 20.0 * rng.normal(size=MODEL.n))
+        a, b = one.step(command, DT), other.step(command, DT)
+        np.testing.assert_array_equal(a.q, b.q)
+        np.testing.assert_array_equal(a.dq, b.dq)
+
+
+@EITHER
+def test_it_is_eulers_method_within_the_limits(compiled):
+    plant = KinematicPlant(MODEL, time0=3.0, compiled=compiled)
+    u = np.linspace(-2.0, 2.0, MODEL.n) * MODEL.velocity_max
+    for k in range(1, 1001):
+        before, state = plant.state, plant.step(Command(0.0, u), DT)
+        assert plant.state is state
+        assert state.time == 3.0 + k * DT
+        np.testing.assert_array_equal(state.dq, np.clip(u, -MODEL.velocity_max, MODEL.velocity_max))
+        np.testing.assert_array_equal(state.q, before.q + DT * state.dq)
+    assert (np.abs(u) > MODEL.velocity_max).any()
+
+
+@EITHER
+def test_a_state_is_left_alone_by_the_next_one(compiled):
+    plant, u = KinematicPlant(MODEL, compiled=compiled), np.full(MODEL.n, 0.1)
+    first = plant.step(Command(0.0, u), DT)
+    kept = first.q.copy(), first.dq.copy()
+    u[:] = 0.3  # the command's own array, too
+    plant.step(Command(0.0, u), DT)
+    np.testing.assert_array_equal(first.q, kept[0])
+    np.testing.assert_array_equal(first.dq, kept[1])
+
+
+@EITHER
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_what_is_no_velocity_moves_nothing(compiled, bad):
+    plant = KinematicPlant(MODEL, compiled=compiled)
+    before, u = plant.state, np.zeros(MODEL.n)
+    u[3] = bad
+    for velocity in (u, np.zeros(MODEL.n - 1), np.zeros((MODEL.n, 1))):
+        with pytest.raises(PlantError, match="finite velocities"):
+            plant.step(Command(0.0, velocity), DT)
+        assert plant.state is before
+
+
+def test_a_start_that_does_not_fit_is_refused():
+    for q in (np.zeros(MODEL.n + 1), np.full(MODEL.n, np.nan)):
+        with pytest.raises(PlantError, match="finite angles"):
+            KinematicPlant(MODEL, q)
+
+
+def test_a_robot_without_limits_is_integrated_too():
+    free = dataclasses.replace(MODEL, velocity_max=np.full(MODEL.n, np.inf))
+    u = np.full(MODEL.n, 1e3)
+    np.testing.assert_array_equal(KinematicPlant(free).step(Command(0.0, u), DT).q, DT * u)
