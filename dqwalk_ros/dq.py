@@ -22,17 +22,15 @@ _SMALL = 1e-12
 
 def qmul(a: Array, b: Array) -> Array:
     """Hamilton's product of quaternions, shapes (..., 4)."""
-    a1, a2, a3, a4 = np.moveaxis(a, -1, 0)
-    b1, b2, b3, b4 = np.moveaxis(b, -1, 0)
-    return np.stack(
-        [
-            a1 * b1 - a2 * b2 - a3 * b3 - a4 * b4,
-            a1 * b2 + a2 * b1 + a3 * b4 - a4 * b3,
-            a1 * b3 - a2 * b4 + a3 * b1 + a4 * b2,
-            a1 * b4 + a2 * b3 - a3 * b2 + a4 * b1,
-        ],
-        axis=-1,
-    )
+    a1, a2, a3, a4 = a[..., 0], a[..., 1], a[..., 2], a[..., 3]
+    b1, b2, b3, b4 = b[..., 0], b[..., 1], b[..., 2], b[..., 3]
+    real = a1 * b1 - a2 * b2 - a3 * b3 - a4 * b4
+    out = np.empty((*real.shape, 4))
+    out[..., 0] = real
+    out[..., 1] = a1 * b2 + a2 * b1 + a3 * b4 - a4 * b3
+    out[..., 2] = a1 * b3 - a2 * b4 + a3 * b1 + a4 * b2
+    out[..., 3] = a1 * b4 + a2 * b3 - a3 * b2 + a4 * b1
+    return out
 
 
 def qconj(a: Array) -> Array:

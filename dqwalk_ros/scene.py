@@ -5,7 +5,7 @@ Nothing here draws. The live page (`dqwalk_ros.viewer`) and the replay in a repo
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import singledispatch
 from xml.etree import ElementTree
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros import kernels
-from dqwalk_ros.assessment import Assessor, support_polygon
+from dqwalk_ros.assessment import Assessment, Assessor, support_polygon
 from dqwalk_ros.config import Config
 from dqwalk_ros.constraints import (
     Constraint,
@@ -30,7 +30,7 @@ from dqwalk_ros.model import Foot, RobotModel
 from dqwalk_ros.phases import Phase, make_phase
 from dqwalk_ros.trace import Trace
 
-__all__ = ["Gauge", "Moment", "Region", "Scene", "Shape", "View", "moment_of", "region", "shapes_of"]
+__all__ = ["Gauge", "Moment", "Region", "Scene", "Shape", "View", "moment_of", "region", "shapes_of", "tightest"]
 
 Array = NDArray[np.float64]
 Rgba = tuple[float, float, float, float]
@@ -293,7 +293,12 @@ class View:
     @property
     def tightest(self) -> Gauge:
         """The inequality with the least share left."""
-        return min((g for g in self.gauges if g.role == "kept"), key=lambda gauge: gauge.share)
+        return tightest(self.gauges)
+
+
+def tightest(gauges: Iterable[Gauge]) -> Gauge:
+    """Return the inequality with the least share left."""
+    return min((g for g in gauges if g.role == "kept"), key=lambda gauge: gauge.share)
 
 
 @dataclass
@@ -316,13 +321,23 @@ class Scene:
         links = {f.body: name for name, f in self.model.frames.items() if np.array_equal(f.pose, identity)}
         self._links = tuple(links[body] for body in range(len(self.model.bodies)))
 
-    def look(self, moment: Moment) -> View:
-        """Return what is to be seen at a moment."""
+    @property
+    def root(self) -> str:
+        """The link of the first body."""
+        return self._links[0]
+
+    def judge(self, moment: Moment) -> tuple[Kinematics, Assessment]:
+        """Return the robot at a moment, in the frame of its base sole, and what is to be said of it."""
         phase, model = moment.phase, self.model
         if self._assess is None or self._assess.phase is not phase:
             self._assess = Assessor(self.config, model, phase)
         kin = Kinematics(model, moment.q, phase.base)
-        found = self._assess(kin, moment.time - moment.began)
+        return kin, self._assess(kin, moment.time - moment.began)
+
+    def look(self, moment: Moment) -> View:
+        """Return what is to be seen at a moment."""
+        phase, model = moment.phase, self.model
+        kin, found = self.judge(moment)
         x = np.asarray(moment.x_odom_base)
         polygon = support_polygon(model, phase, kin).vertices
         regions = [r for c in phase.rows if (r := region(c, kin)) is not None]
@@ -337,19 +352,20 @@ class Scene:
             polygon=np.array([kernels.point(x, np.append(vertex, 0.0)) for vertex in polygon]),
             target=None if phase.swing_target is None else kernels.compose(x, phase.swing_target),
             regions=tuple(Region(r.name, r.kind, kernels.compose(x, r.pose), r.size) for r in regions),
-            gauges=tuple(self._gauges(phase, found.values)),
+            gauges=self.gauges(phase, found),
             error=found.values["error"],
         )
 
-    def _gauges(self, phase: Phase, values: object) -> Iterator[Gauge]:
-        assert isinstance(values, dict)
-        for constraint in phase.constraints:
-            yield _gauge(constraint, values[f"distance/{constraint.name}"], self.model)
-        for hold in phase.holds:
-            yield Gauge(hold.name, 1e3 * values[f"residual/{hold.name}"], "10⁻³", 0.0, "held")
-        margin = values["margin/polygon"]
+    def gauges(self, phase: Phase, found: Assessment) -> tuple[Gauge, ...]:
+        """Return every margin against its threshold."""
+        values = found.values
         half = 0.5 * self.model.soles[Foot.LEFT].width
-        yield Gauge("support_polygon", 1e3 * margin, "mm", margin / half, "watched")
+        margin = values["margin/polygon"]
+        return (
+            *(_gauge(row, values[f"distance/{row.name}"], self.model) for row in phase.constraints),
+            *(Gauge(hold.name, 1e3 * values[f"residual/{hold.name}"], "10⁻³", 0.0, "held") for hold in phase.holds),
+            Gauge("support_polygon", 1e3 * margin, "mm", margin / half, "watched"),
+        )
 
 
 def moment_of(trace: Trace, tick: int, phases: dict[int, Phase], label: str = "", solver: str = "") -> Moment:

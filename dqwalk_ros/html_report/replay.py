@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros import kernels
 from dqwalk_ros.analysis.series import Series
 from dqwalk_ros.dq import DQ
 from dqwalk_ros.model import Foot, RobotModel
-from dqwalk_ros.scene import Scene, moment_of, shapes_of
+from dqwalk_ros.scene import Scene, moment_of, shapes_of, tightest
 
 __all__ = ["FRAMES", "packed", "replay_data", "robot_data", "rounded"]
 
@@ -30,11 +31,13 @@ def replay_data(series: Series) -> dict[str, Any]:
     scene, phases = Scene(trace.config, model), {}  # type: ignore[var-annotated]
     root, com, curves, tight = [], [], {}, []  # type: ignore[var-annotated]
     for row, tick in enumerate(ticks.tolist()):
-        view = scene.look(moment_of(trace, tick, phases))
-        root.append(view.bodies[0])
-        com.append(view.com)
-        tight.append(view.tightest.name)
-        for gauge in view.gauges:
+        moment = moment_of(trace, tick, phases)
+        kin, found = scene.judge(moment)
+        gauges = scene.gauges(moment.phase, found)
+        root.append(kernels.compose(moment.x_odom_base, kin.pose(scene.root)))
+        com.append(kernels.point(moment.x_odom_base, kin.com))
+        tight.append(tightest(gauges).name)
+        for gauge in gauges:
             if gauge.role != "held":
                 curve = curves.setdefault(gauge.name, {"unit": gauge.unit, "v": np.full(len(ticks), np.nan)})
                 curve["v"][row] = gauge.value
