@@ -148,10 +148,20 @@ def report(watched: Watched, outcome: Any, config: Config) -> bool:
     for name, (memory, files) in watched.last.items():
         memory0, files0 = watched.first[name]
         most = max(at[name] for at in watched.curve)
+        half = watched.curve[len(watched.curve) // 2][name]
         ok &= memory - memory0 < GROWTH and files <= files0
-        cells = (f"{memory0:.1f}", f"{memory:.1f}", f"{memory - memory0:+.1f}", f"{most:.1f}", f"{files0}", f"{files}")
-        rows.append([name, *cells])
-    head = ["node", "after 1 min [MB]", "at the end [MB]", "growth [MB]", "most [MB]", "files, 1 min", "files, end"]
+        sizes = (f"{memory0:.1f}", f"{half:.1f}", f"{memory:.1f}", f"{memory - memory0:+.1f}", f"{most:.1f}")
+        rows.append([name, *sizes, f"{files0}", f"{files}"])
+    head = [
+        "node",
+        "after 1 min [MB]",
+        "half way [MB]",
+        "at the end [MB]",
+        "growth [MB]",
+        "most [MB]",
+        "files, 1 min",
+        "files, end",
+    ]
     print("\n" + table(head, rows))
     size = sum(file.stat().st_size for file in outcome.bag.iterdir()) / 1e6
     for topic, (count, missing) in gaps(outcome.bag, round(config.dt * 1e9)).items():
