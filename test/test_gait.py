@@ -161,6 +161,15 @@ def test_a_simulation_notes_why_it_ended():
     ],
 )
 def test_states_that_are_none(q, message):
-    controller = make_controller(PAPER, legs())
+    controller, plant = make_controller(PAPER, legs()), KinematicPlant(legs())
     with pytest.raises(StateError, match=message):
         controller.step(State(0.0, q), 0.005)
+    for _ in range(3):  # on the way, too, also after a pause; the walk goes on from the next good one
+        plant.step(controller.step(plant.state, 0.005), 0.005)
+    for time in (plant.state.time, plant.state.time + 10.0):
+        with pytest.raises(StateError, match=message):
+            controller.step(State(time, q), 0.005)
+    again, same = make_controller(PAPER, legs()), KinematicPlant(legs())
+    for _ in range(3):
+        same.step(again.step(same.state, 0.005), 0.005)
+    np.testing.assert_array_equal(controller.step(plant.state, 0.005).velocity, again.step(same.state, 0.005).velocity)
