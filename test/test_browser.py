@@ -48,7 +48,11 @@ def running(*words) -> Iterator[tuple[str, subprocess.Popen]]:
     finally:
         process.send_signal(signal.SIGINT)
         process.stdout.close()
-        process.wait(20)
+        try:
+            process.wait(20)
+        except subprocess.TimeoutExpired:  # a walk that was interrupted shows its page until it is told again
+            process.send_signal(signal.SIGINT)
+            process.wait(20)
 
 
 def status(page) -> str:

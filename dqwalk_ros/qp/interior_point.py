@@ -91,7 +91,7 @@ class _Shape:
         self._multipliers = equalities + inequalities + 2 * n
         self._most = (inequalities + 2 * n) // 2
         self._chosen = np.empty(self._most, dtype=np.int64)
-        self._values = np.empty(_room(sizes, self._r, equalities + self._most))
+        self._values = np.empty(_capacity(sizes, self._r, equalities + self._most))
         self._few: dict[int, InPlace] = {}
 
     @cached_property
@@ -131,7 +131,7 @@ class _Whole:
         self._sizes, self._lifted, self._r = sizes, lifted, r if lifted else 0
         rows = equalities + inequalities + 2 * n
         self._multipliers = rows
-        self._values = np.empty(_room(sizes, self._r, rows) + self._r + rows)
+        self._values = np.empty(_capacity(sizes, self._r, rows) + self._r + rows)
         self._program = InPlace(self._values, n, self._r, equalities, inequalities, bounds=True, careful=careful)
 
     def solve(self, problem: Problem) -> Solution:
@@ -153,7 +153,7 @@ class _Whole:
         return Solution(u, z, answer.iterations, spent)
 
 
-def _room(sizes: _Sizes, r: int, rows: int) -> int:
+def _capacity(sizes: _Sizes, r: int, rows: int) -> int:
     """Return how many numbers P, q, A and b have at most, with so many rows below those of the lifted form."""
     n = sizes[0]
     return max(n * (n + 1) // 2, n + r) + (n + r) + n * (r + rows) + r + (r + rows)
