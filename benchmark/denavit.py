@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dqwalk_ros.dq import DQ
+from dqwalk_ros.dual_quaternions import DQ
 
 __all__ = ["parameters"]
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmark.peers import Chain, Places, Poses, Program, ordered
 from benchmark.robots import Case
-from dqwalk_ros.dq import DQ
+from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.tasks import ComOverFoot
 
 __all__ = ["mink", "pink", "placo"]

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmark.robots import Case
 from dqwalk_ros.constraints import AxisLevel, PointInCylinder, PointInsideWall, PointOverPlane
-from dqwalk_ros.dq import DQ
+from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import rooted
 from dqwalk_ros.tasks import ComOverFoot
 

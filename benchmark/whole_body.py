@@ -18,10 +18,9 @@ from dataclasses import replace
 import numpy as np
 
 from dqwalk_ros.config import load
-from dqwalk_ros.controllers.whole_body import WholeBodyController
 from dqwalk_ros.model import load_model
-from dqwalk_ros.plants.rigid import RigidPlant
-from dqwalk_ros.reach import SCENARIOS, follow
+from dqwalk_ros.whole_body import SCENARIOS, WholeBodyController, follow
+from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 
 STAGES = ("model", "assembly", "solution", "whole tick")
 PAPER = "the paper, 2012: solution 0.92 ms on average, peaks to 20 ms"

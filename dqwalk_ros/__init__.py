@@ -13,7 +13,7 @@ __version__ = "0.1.0"
 _HOME = {
     "Config": "config",
     "load": "config",
-    "DQ": "dq",
+    "DQ": "dual_quaternions",
     "Foot": "model",
     "RobotModel": "model",
     "load_model": "model",

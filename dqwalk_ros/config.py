@@ -24,7 +24,7 @@ from typing import Any
 import yaml
 
 from dqwalk_ros import strict_yaml
-from dqwalk_ros.exceptions import ConfigError
+from dqwalk_ros.errors import ConfigError
 
 __all__ = [
     "Config",

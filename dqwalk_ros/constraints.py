@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.dq import DQ
+from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.geometry import (
     ConvexPolygon,
     Cylinder,

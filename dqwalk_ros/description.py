@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from lxml import etree
 
-from dqwalk_ros.exceptions import ModelError
+from dqwalk_ros.errors import ModelError
 
 __all__ = ["MAX_BYTES", "MAX_LINKS", "checked"]
 

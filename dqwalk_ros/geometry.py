@@ -14,7 +14,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dqwalk_ros.dq import DQ
+from dqwalk_ros.dual_quaternions import DQ
 
 __all__ = [
     "ConvexPolygon",

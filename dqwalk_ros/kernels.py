@@ -57,8 +57,8 @@ event.register("numba:compile", _Notice())  # type: ignore[no-untyped-call]
 COMPILED = (
     "assembly/compiled.py",
     "assembly/independent.py",
-    "assembly/paths.py",
-    "controllers/balance.py",
+    "standing/paths.py",
+    "standing/balance.py",
     "kernels.py",
     "qp/dual.py",
     "qp/packed.py",

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dqwalk_ros import kernels
-from dqwalk_ros.dq import DQ
+from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.model import Foot, RobotModel
 
 __all__ = ["Kinematics", "Point", "Rooted", "pose_difference", "pose_difference_jacobian", "rooted"]

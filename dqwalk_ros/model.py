@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.config import RobotConfig, find_share
 from dqwalk_ros.description import MAX_BYTES, checked
-from dqwalk_ros.dq import DQ
-from dqwalk_ros.exceptions import ConfigError, ModelError
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import ConfigError, ModelError
 from dqwalk_ros.parsed import Joint, Link, Robot, parse
 
 __all__ = ["Body", "Foot", "Frame", "RobotModel", "Sole", "find_urdf", "load_model"]

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.exceptions import ModelError
+from dqwalk_ros.errors import ModelError
 
 __all__ = ["Box", "Joint", "Link", "Robot", "parse"]
 

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dqwalk_ros.exceptions import StateError
+from dqwalk_ros.errors import StateError
 from dqwalk_ros.model import RobotModel
 
 __all__ = [

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from dqwalk_ros.controllers import Command, Controller
-from dqwalk_ros.exceptions import DqwalkError
+from dqwalk_ros.errors import DqwalkError
 from dqwalk_ros.gait import phase_count
 from dqwalk_ros.plants import Plant
 from dqwalk_ros.trace import Recorder, Trace

@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from dqwalk_ros.exceptions import ConfigError
+from dqwalk_ros.errors import ConfigError
 
 __all__ = ["MAX_BYTES", "read"]
 

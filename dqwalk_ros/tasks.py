@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.dq import DQ
+from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics, Point, pose_difference, pose_difference_jacobian
 
 __all__ = ["ComOverFoot", "ComPath", "FramePose", "Posture", "SwingPath", "Task"]

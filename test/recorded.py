@@ -10,9 +10,9 @@ from typing import Any
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from dqwalk_ros import load, load_model, make_controller, simulate
-from dqwalk_ros.bag.messages import typestore
 from dqwalk_ros.config import Config
 from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.report.bag.messages import typestore
 from dqwalk_ros.trace import Trace
 
 SHORT = {"task.eta": 0.4, "dsp.eta_ground": 20.0, "ssp.threshold": 4e-3, "dsp.stall_rate": 1e-3}

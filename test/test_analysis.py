@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 from recorded import short_walk
 
-from dqwalk_ros import analysis
-from dqwalk_ros.analysis.batch import Batch, distance, error
-from dqwalk_ros.analysis.figures import FIGURES, FORMATS, figure7, figure8, figure9, fits, top_view
-from dqwalk_ros.analysis.figures.style import thinned
-from dqwalk_ros.analysis.support import hull_margin
+from dqwalk_ros import report as reporting
 from dqwalk_ros.constraints import Constraint
-from dqwalk_ros.dq import DQ
+from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.geometry import ConvexPolygon
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot
 from dqwalk_ros.phases import PhaseKind
+from dqwalk_ros.report.batch import Batch, distance, error
+from dqwalk_ros.report.figures import FIGURES, FORMATS, figure7, figure8, figure9, fits, top_view
+from dqwalk_ros.report.figures.style import thinned
+from dqwalk_ros.report.support import hull_margin
 from dqwalk_ros.tasks import Posture
 
 RED = "#d1242f"
@@ -35,16 +35,16 @@ def trace():
 
 @pytest.fixture(scope="module")
 def series(trace):
-    return analysis.analyse(trace)
+    return reporting.analyse(trace)
 
 
 @pytest.fixture(scope="module")
 def report(series):
-    return analysis.report(series)
+    return reporting.report(series)
 
 
 def spoilt(trace, **changes):
-    return analysis.report(analysis.analyse(dataclasses.replace(trace, **changes)))
+    return reporting.report(reporting.analyse(dataclasses.replace(trace, **changes)))
 
 
 def names(report):
@@ -62,7 +62,7 @@ def test_spans_are_the_phases(trace, series):
 
 
 def test_series_are_what_the_core_says_tick_by_tick(trace, series):
-    """The array forms of `analysis.batch` against `Phase.distances` and `Phase.error`."""
+    """The array forms of `report.batch` against `Phase.distances` and `Phase.error`."""
     rng = np.random.default_rng(5)
     for span in series.spans:
         for tick in (span.start, *rng.integers(span.start, span.end, 30), span.end - 1):
@@ -286,7 +286,7 @@ def test_states_without_a_command(trace):
 
 
 def test_the_table_says_it_all(report):
-    text = analysis.render(report)
+    text = reporting.render(report)
     for phase in report["phases"]:
         assert phase["name"] in text
     for what in (
@@ -316,7 +316,7 @@ def test_a_joint_beyond_its_limit(trace):
     assert found["value"] == pytest.approx(-1e-3, abs=1e-12)
     assert found["time"] == trace.time[tick]
     assert "l_knee_y" in found["message"]
-    assert "VIOLATED" in analysis.render(report)
+    assert "VIOLATED" in reporting.render(report)
 
 
 def test_within_the_tolerance_is_no_violation(trace):
@@ -438,7 +438,7 @@ def test_later_cycles_fade(trace):
     from matplotlib.colors import rgb_to_hsv, to_rgb
 
     long = two_cycles(trace)
-    ax = figure7(analysis.analyse(long)).get_axes()[0]
+    ax = figure7(reporting.analyse(long)).get_axes()[0]
     curves = lines_of(ax, dashed=False)[::-1]
     assert len(curves) == 4
     shade = [rgb_to_hsv(to_rgb(line.get_color()))[1] for line in curves]
@@ -463,8 +463,8 @@ def two_cycles(trace):
 def test_figures_are_saved_in_every_format(series, tmp_path, monkeypatch):
     from matplotlib.image import imread
 
-    monkeypatch.setattr("dqwalk_ros.analysis.figures.FIGURES", {"figure8": figure8})
-    files = analysis.save(series, tmp_path / "new" / "folder", FORMATS)
+    monkeypatch.setattr("dqwalk_ros.report.figures.FIGURES", {"figure8": figure8})
+    files = reporting.save(series, tmp_path / "new" / "folder", FORMATS)
     assert [file.name for file in files] == ["figure8.png", "figure8.pdf", "figure8.svg"]
     assert files[0].read_bytes()[:4] == b"\x89PNG"
     assert files[1].read_bytes()[:4] == b"%PDF"
@@ -486,8 +486,8 @@ def test_a_walk_cut_off_in_its_first_phase_can_be_drawn(trace, n):
         phases=trace.phases[:1],
         finished=False,
     )
-    series = analysis.analyse(part)
-    assert analysis.report(series)["ok"] is True
+    series = reporting.analyse(part)
+    assert reporting.report(series)["ok"] is True
     for name, draw in FIGURES.items():
         if fits(name, series):
             assert draw(series).get_axes()
@@ -506,10 +506,10 @@ def test_a_single_support_alone_can_be_judged_and_drawn(trace):
         phases=(dataclasses.replace(record, start=0),),
         finished=False,
     )
-    series = analysis.analyse(part)
-    report = analysis.report(series)
+    series = reporting.analyse(part)
+    report = reporting.report(series)
     assert report["ok"] is True
-    assert "single_support/left (stopped)" in analysis.render(report)
+    assert "single_support/left (stopped)" in reporting.render(report)
     for name, draw in FIGURES.items():
         if fits(name, series):
             assert draw(series).get_axes()
@@ -528,7 +528,7 @@ def test_thinning_keeps_every_peak():
 
 
 def test_a_report_needs_no_matplotlib():
-    code = "import sys, dqwalk_ros.analysis as a; a.report, a.analyse, a.render; sys.exit('matplotlib' in sys.modules)"
+    code = "import sys, dqwalk_ros.report as a; a.report, a.analyse, a.render; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -12,12 +12,12 @@ import pytest
 from dqwalk_ros.assembly.independent import independent
 from dqwalk_ros.config import load
 from dqwalk_ros.constraints import DEPENDENT, PointOverPlane, gain, hold_rows, vfi_rows
-from dqwalk_ros.dq import DQ
+from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.gait import footstep
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot, load_model
 from dqwalk_ros.phases import PhaseKind, assemble, make_phase
-from dqwalk_ros.phases.standing import posture
+from dqwalk_ros.standing.phases import posture
 from dqwalk_ros.tasks import Posture
 
 DT = 0.005

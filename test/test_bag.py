@@ -12,11 +12,11 @@ from mcap.reader import make_reader
 from recorded import rewrite, short_walk
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 
-from dqwalk_ros import bag
-from dqwalk_ros.bag import messages, storage
-from dqwalk_ros.bag.joints import unpack_joint_states
-from dqwalk_ros.dq import DQ
-from dqwalk_ros.exceptions import BagError
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import BagError
+from dqwalk_ros.report import bag
+from dqwalk_ros.report.bag import messages, storage
+from dqwalk_ros.report.bag.joints import unpack_joint_states
 
 
 @pytest.fixture(scope="module")
@@ -184,7 +184,7 @@ def test_an_interrupted_write_leaves_nothing(trace, tmp_path, monkeypatch):
     def stop(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("dqwalk_ros.bag.writer._opening", stop)
+    monkeypatch.setattr("dqwalk_ros.report.bag.writer._opening", stop)
     with pytest.raises(KeyboardInterrupt):
         bag.write(trace, tmp_path / "walk")
     assert list(tmp_path.iterdir()) == []

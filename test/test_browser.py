@@ -17,7 +17,8 @@ import pytest
 from browser import chromium, dark_share, picture
 from recorded import SHORT, short_config, short_walk
 
-from dqwalk_ros import bag, cli
+from dqwalk_ros import cli
+from dqwalk_ros.report import bag
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]
 

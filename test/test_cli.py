@@ -14,12 +14,13 @@ from pathlib import Path
 import pytest
 from recorded import SHORT, short_walk
 
-from dqwalk_ros import __version__, bag, cli
-from dqwalk_ros.analysis.figures import figure8
+from dqwalk_ros import __version__, cli
 from dqwalk_ros.cli.progress import Progress
 from dqwalk_ros.cli.settings import parse_overrides
 from dqwalk_ros.config import Config, from_yaml, load
-from dqwalk_ros.exceptions import ConfigError
+from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.report import bag
+from dqwalk_ros.report.figures import figure8
 
 FAST = [word for key, value in SHORT.items() for word in ("--set", f"{key}={value}")]
 
@@ -202,7 +203,7 @@ def test_report_of_the_bag_is_the_report_of_simulate(walked, tmp_path, capsys):
 
 def test_report_goes_beside_the_bag_in_every_format(walked, capsys, monkeypatch):
     out, _ = walked
-    monkeypatch.setattr("dqwalk_ros.analysis.figures.FIGURES", {"figure8": figure8})
+    monkeypatch.setattr("dqwalk_ros.report.figures.FIGURES", {"figure8": figure8})
     assert cli.main(["report", str(out / "bag"), "--format", "svg,pdf"]) == 0
     assert {path.suffix for path in (out / "bag_report").iterdir()} == {".json", ".svg", ".pdf"}
 

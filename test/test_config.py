@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from dqwalk_ros.config import Config, find_share, from_yaml, load, to_yaml
-from dqwalk_ros.exceptions import ConfigError
+from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot
 from dqwalk_ros.phases import PhaseKind, make_phase

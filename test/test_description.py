@@ -10,7 +10,7 @@ import pytest
 
 from dqwalk_ros.config import load
 from dqwalk_ros.description import MAX_LINKS, checked
-from dqwalk_ros.exceptions import ModelError
+from dqwalk_ros.errors import ModelError
 from dqwalk_ros.model import load_model
 
 ROOT = Path(__file__).resolve().parent.parent

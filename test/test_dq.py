@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from dqwalk_ros.dq import DQ, E, i, j, k, qconj, qmul
+from dqwalk_ros.dual_quaternions import DQ, E, i, j, k, qconj, qmul
 from dqwalk_ros.geometry import Cylinder, Line, Plane
 
 settings.register_profile("dqwalk", deadline=None, derandomize=True, max_examples=40, database=None)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from dqwalk_ros.config import load
-from dqwalk_ros.dq import DQ
-from dqwalk_ros.dynamics import GRAVITY, Multibody, rotation_error
-from dqwalk_ros.exceptions import ModelError
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import ModelError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot, load_model
+from dqwalk_ros.whole_body.dynamics import GRAVITY, Multibody, rotation_error
 
 MODEL = load_model(load("whole_body").robot)
 FRAMES = ("L_sole", "R_sole", "chest", "R_hand", "head")

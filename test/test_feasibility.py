@@ -7,7 +7,7 @@ import pytest
 
 from dqwalk_ros.config import load
 from dqwalk_ros.controllers import make_controller
-from dqwalk_ros.exceptions import QPError
+from dqwalk_ros.errors import QPError
 from dqwalk_ros.feasibility import conflicts, explained, lead_back
 from dqwalk_ros.model import RobotModel, load_model
 from dqwalk_ros.plants.kinematic import KinematicPlant

@@ -18,7 +18,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dqwalk_ros.config import from_yaml, load, to_yaml
-from dqwalk_ros.exceptions import ConfigError, ModelError, StateError
+from dqwalk_ros.errors import ConfigError, ModelError, StateError
 from dqwalk_ros.model import load_model
 from dqwalk_ros.safety import JointOrder, StateGate
 

@@ -9,8 +9,8 @@ from walks import walk
 
 from dqwalk_ros.config import load
 from dqwalk_ros.controllers import State, make_controller
-from dqwalk_ros.dq import DQ
-from dqwalk_ros.exceptions import PhaseError, StateError
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import PhaseError, StateError
 from dqwalk_ros.gait import EndRule, footstep, phase_at
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot

@@ -13,13 +13,14 @@ import numpy as np
 import pytest
 from recorded import rewrite, short_config, short_walk
 
-from dqwalk_ros import analysis, bag, cli
-from dqwalk_ros.bag import messages
-from dqwalk_ros.bag.said import LEVELS, _level, diagnostics_of, faults
-from dqwalk_ros.dq import DQ
-from dqwalk_ros.html_report.replay import replay_data
+from dqwalk_ros import cli, report
+from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot
+from dqwalk_ros.report import bag
+from dqwalk_ros.report.bag import messages
+from dqwalk_ros.report.bag.said import LEVELS, _level, diagnostics_of, faults
+from dqwalk_ros.report.html.replay import replay_data
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +60,7 @@ def test_the_page_says_what_the_report_says(page):
 def test_the_replay_stands_where_the_walk_did():
     """The tree of the replay, put together as `replay.js` does it, has its soles where the kinematics has them."""
     trace = short_walk()
-    data = replay_data(analysis.analyse(trace))
+    data = replay_data(report.analyse(trace))
     t, q, root = (np.frombuffer(b64decode(data[k]), "<f4") for k in ("t", "q", "root"))
     q, root = q.reshape(len(t), -1), root.reshape(len(t), 7)
     for row in np.linspace(0, len(t) - 1, 25).astype(int):

@@ -12,7 +12,7 @@ from robots import central_difference, configurations, legs
 
 import dqwalk_ros
 from dqwalk_ros.constraints import Constraint
-from dqwalk_ros.dq import DQ
+from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.geometry import ConvexPolygon, Cylinder, Line, Plane
 from dqwalk_ros.kinematics import Kinematics, Point
 from dqwalk_ros.model import Foot

@@ -9,7 +9,7 @@ import pytest
 
 from dqwalk_ros.config import load
 from dqwalk_ros.controllers import Command
-from dqwalk_ros.exceptions import PlantError
+from dqwalk_ros.errors import PlantError
 from dqwalk_ros.model import load_model
 from dqwalk_ros.plants.kinematic import KinematicPlant
 

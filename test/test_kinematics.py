@@ -14,7 +14,7 @@ from dqrobotics.robot_modeling import DQ_SerialManipulatorDH
 from robots import biped12, central_difference, configurations, legs, mirrored, poppy
 
 from dqwalk_ros.config import RobotConfig
-from dqwalk_ros.dq import DQ
+from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics, Point
 from dqwalk_ros.model import Foot, load_model
 

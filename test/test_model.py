@@ -11,8 +11,8 @@ import yourdfpy
 from robots import DATA, biped12, biped12_config, legs, mirrored, poppy
 
 from dqwalk_ros.config import RobotConfig, find_share, load
-from dqwalk_ros.dq import DQ
-from dqwalk_ros.exceptions import ModelError
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import ModelError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot, load_model
 

@@ -16,12 +16,12 @@ pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[
 from live import LATCHED, SHORT, Live
 from sensor_msgs.msg import JointState
 
-from dqwalk_ros import bag
-from dqwalk_ros.bag.topics import TOPICS
 from dqwalk_ros.config import Config, load, to_yaml
 from dqwalk_ros.controllers import make_controller
 from dqwalk_ros.model import load_model
 from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.report import bag
+from dqwalk_ros.report.bag.topics import TOPICS
 from dqwalk_ros.runner import environment, private_domain, run_walk
 from dqwalk_ros.simulation import simulate
 

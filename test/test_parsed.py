@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from dqwalk_ros import parsed
-from dqwalk_ros.exceptions import ModelError
+from dqwalk_ros.errors import ModelError
 
 ROOT = Path(__file__).resolve().parent.parent
 ROBOTS = [ROOT / "urdf" / "poppy.urdf", ROOT / "urdf" / "hrp2_like.urdf", ROOT / "test" / "data" / "biped12.urdf"]

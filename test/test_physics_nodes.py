@@ -18,17 +18,18 @@ from live import Live
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu, JointState
 
-from dqwalk_ros import analysis, bag
+from dqwalk_ros import report as reporting
 from dqwalk_ros.cli.settings import overlaid
 from dqwalk_ros.config import load
 from dqwalk_ros.controllers import State, make_controller
-from dqwalk_ros.exceptions import StateError
+from dqwalk_ros.errors import StateError
 from dqwalk_ros.model import Foot, load_model
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.inertial import InertialSensor
 from dqwalk_ros.nodes.odometry import Odometry
 from dqwalk_ros.nodes.steering import Steering
 from dqwalk_ros.plants import make_plant
+from dqwalk_ros.report import bag
 from dqwalk_ros.runner import private_domain, run_walk
 from dqwalk_ros.simulation import simulate
 
@@ -231,7 +232,7 @@ def test_a_walk_through_ros_is_recorded_and_judged(tmp_path: Path) -> None:
     assert walked.physics is not None
     assert expected.physics is not None
     np.testing.assert_allclose(walked.physics.pelvis[:n], expected.physics.pelvis, rtol=0.0, atol=1e-9)
-    report = analysis.report(analysis.analyse(walked))
+    report = reporting.report(reporting.analyse(walked))
     assert report["ok"], report["violations"]
     assert report["physics"]["steps"] == 3
     assert report["physics"]["cop_inside"] >= 0.99
@@ -276,7 +277,7 @@ def test_real_time_stands(tmp_path: Path) -> None:
     assert outcome.finished, outcome.reason
     assert "% of real time" in outcome.pace
     walked = bag.read(tmp_path / "bag")
-    report = analysis.report(analysis.analyse(walked))
+    report = reporting.report(reporting.analyse(walked))
     assert not report["physics"]["fallen"]
 
 
@@ -286,7 +287,7 @@ def test_the_pilot_walks_an_arc(tmp_path: Path) -> None:
     config = CONFIG.updated({"gait.steps": 0})
     outcome = run_walk(config, tmp_path / "bag", plant="physics", course=["0.0167,0,0.04,12", "-0.01,0,0,6"])
     assert outcome.finished, outcome.reason
-    report = analysis.report(analysis.analyse(bag.read(tmp_path / "bag")))
+    report = reporting.report(reporting.analyse(bag.read(tmp_path / "bag")))
     assert report["ok"], report["violations"]
     assert report["physics"]["turned"] > np.radians(15.0)
 

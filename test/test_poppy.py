@@ -14,7 +14,7 @@ import pytest
 
 from dqwalk_ros.config import Config, find_share, load
 from dqwalk_ros.controllers import Command, State, make_controller
-from dqwalk_ros.exceptions import ConfigError, PlantError
+from dqwalk_ros.errors import ConfigError, PlantError
 from dqwalk_ros.model import RobotModel, load_model
 from dqwalk_ros.plants.poppy import MIN_SPEED, Motor, PoppyPlant, load_motors, register_speed
 

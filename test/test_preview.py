@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from dqwalk_ros.config import WholeBodyConfig
 from dqwalk_ros.model import Foot
-from dqwalk_ros.preview import PointMass, Stepping, previewed, swing_acceleration, swing_jerk
+from dqwalk_ros.whole_body.preview import PointMass, Stepping, previewed, swing_acceleration, swing_jerk
 
 CONFIG = WholeBodyConfig()
 STEPPING = Stepping.of(CONFIG, Foot.RIGHT)

@@ -11,7 +11,7 @@ from robots import legs
 from walks import paper_walk
 
 from dqwalk_ros.config import load
-from dqwalk_ros.exceptions import QPError
+from dqwalk_ros.errors import QPError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot
 from dqwalk_ros.phases import PhaseKind, assemble, make_phase

@@ -10,19 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dqwalk_ros import bag, cli
-from dqwalk_ros.analysis import acceptance
-from dqwalk_ros.analysis.figures.reach_pushes import save_pushes
-from dqwalk_ros.analysis.figures.reaching import reactions, save_reaching
-from dqwalk_ros.analysis.reaching import checks, render_checks, summary
+from dqwalk_ros import cli
 from dqwalk_ros.config import load
-from dqwalk_ros.controllers.whole_body import WholeBodyController
-from dqwalk_ros.exceptions import BagError
+from dqwalk_ros.errors import BagError
 from dqwalk_ros.model import Foot, load_model
-from dqwalk_ros.plants.rigid import RigidPlant
-from dqwalk_ros.reach import SCENARIOS, Reaching, Scenario, follow, pushes, retrace
-from dqwalk_ros.reach.exactness import Answers
-from dqwalk_ros.reach.pushes import PushLimit, limit
+from dqwalk_ros.report import acceptance, bag
+from dqwalk_ros.report.figures.reach_pushes import save_pushes
+from dqwalk_ros.report.figures.reaching import reactions, save_reaching
+from dqwalk_ros.whole_body import SCENARIOS, Reaching, Scenario, WholeBodyController, follow, pushes, retrace
+from dqwalk_ros.whole_body.exactness import Answers
+from dqwalk_ros.whole_body.pushes import PushLimit, limit
+from dqwalk_ros.whole_body.reaching import checks, render_checks, summary
+from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 
 
 @cache

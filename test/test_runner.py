@@ -18,8 +18,8 @@ pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[
 import psutil
 from live import SHORT
 
-from dqwalk_ros import bag
 from dqwalk_ros.config import load
+from dqwalk_ros.report import bag
 from dqwalk_ros.runner import environment, private_domain, run_walk
 
 

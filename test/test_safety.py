@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dqwalk_ros.config import load
-from dqwalk_ros.exceptions import StateError
+from dqwalk_ros.errors import StateError
 from dqwalk_ros.model import RobotModel, load_model
 from dqwalk_ros.safety import (
     CommandGate,

@@ -12,7 +12,7 @@ import pytest
 from test_assembly import DT, KINDS, phase_of, setting
 
 from dqwalk_ros.controllers import State, make_controller
-from dqwalk_ros.exceptions import QPError
+from dqwalk_ros.errors import QPError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.phases import assemble
 from dqwalk_ros.plants.kinematic import KinematicPlant

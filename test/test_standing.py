@@ -9,22 +9,23 @@ import pytest
 import scipy.optimize
 
 import dqwalk_ros as dq
-from dqwalk_ros import analysis, pushes, robustness
+from dqwalk_ros import report as reporting
 from dqwalk_ros.cli.footsteps import reached
 from dqwalk_ros.cli.robustness import table
 from dqwalk_ros.constraints import ComInsideEdges, FrameHeld, PointsOverPlane, hold_rows
 from dqwalk_ros.controllers import Command, State, make_controller
-from dqwalk_ros.controllers.balance import balance_torques, com_velocity, gravity_torques
-from dqwalk_ros.dq import DQ
-from dqwalk_ros.exceptions import ConfigError, PlantError
-from dqwalk_ros.gait.footsteps import Footsteps
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import ConfigError, PlantError
 from dqwalk_ros.geometry import ConvexPolygon, Plane
 from dqwalk_ros.kinematics import Kinematics, Point, pose_difference
 from dqwalk_ros.model import Foot
 from dqwalk_ros.phases import PhaseKind, make_phase
-from dqwalk_ros.phases.standing import posture
 from dqwalk_ros.plants import make_plant
 from dqwalk_ros.simulation import simulate
+from dqwalk_ros.standing.balance import balance_torques, com_velocity, gravity_torques
+from dqwalk_ros.standing.footsteps import Footsteps
+from dqwalk_ros.standing.phases import posture
+from dqwalk_ros.studies import pushes, robustness
 from dqwalk_ros.tasks import ComPath, SwingPath
 
 CONFIG = dq.load("poppy")
@@ -243,7 +244,7 @@ def test_one_step_stands_on_its_true_soles(first: str) -> None:
 def test_long_walks_stand(values: dict[str, object], ahead: float, turned: float) -> None:
     trace, _ = walked("kinematic", **values)
     stands(trace)
-    walk = analysis.report(analysis.analyse(trace))["walk"]
+    walk = reporting.report(reporting.analyse(trace))["walk"]
     assert walk["forward"] == pytest.approx(ahead, abs=5e-3)
     assert walk["turned"] == pytest.approx(turned, abs=np.radians(1.0))
 
@@ -256,7 +257,7 @@ def test_ankles_that_roll_step_aside(plant: str) -> None:
     trace = simulate(make_controller(config, model), make_plant(plant, config, model))
     if plant == "kinematic":
         stands(trace)
-    report = analysis.report(analysis.analyse(trace))
+    report = reporting.report(reporting.analyse(trace))
     assert trace.finished, trace.notes
     assert report["walk"]["lateral"] == pytest.approx(0.3, abs=5e-3)
     assert report["physics"] is None or report["physics"]["displacement"][1] == pytest.approx(0.3, abs=5e-3)
@@ -268,8 +269,8 @@ def test_the_walk_of_the_paper_rests_on_the_foot_that_should_swing() -> None:
     config = dq.load("paper")
     model = dq.load_model(config.robot)
     trace = simulate(make_controller(config, model), make_plant("physics", config, model), max_time=30.0)
-    series = analysis.analyse(trace)
-    report = analysis.report(series)
+    series = reporting.analyse(trace)
+    report = reporting.report(series)
     single = series.spans[1]
     assert report["walk"]["margin"]["true"]["outside_from"] == pytest.approx(series.time[single.start], abs=0.1)
     assert report["physics"]["swing_load"] > 0.25

@@ -59,7 +59,7 @@ def test_a_compiled_function_is_compiled_anew_when_what_it_calls_has_changed(tmp
     """numba itself looks at no file but the function's own."""
     package = tmp_path / "dqwalk_ros"
     shutil.copytree(ROOT / "dqwalk_ros", package, ignore=shutil.ignore_patterns("__pycache__"))
-    code = "import numpy as np\nfrom dqwalk_ros.assembly.paths import swing_path\nfrom dqwalk_ros.kernels import jit\n"
+    code = "import numpy as np\nfrom dqwalk_ros.standing.paths import swing_path\nfrom dqwalk_ros.kernels import jit\n"
     code += "v = np.zeros(6)\nswing_path(0.5, np.ones(15), v[:3], np.zeros(4), v)\nprint(v[2])"
     here = {"NUMBA_DISABLE_JIT": "0", "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
     words = "compiling for this machine"

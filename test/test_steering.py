@@ -9,23 +9,24 @@ import numpy as np
 import pytest
 
 import dqwalk_ros as dq
-from dqwalk_ros import analysis, bag
-from dqwalk_ros.analysis.batch import Batch, distance, error
-from dqwalk_ros.analysis.ground import Circle
+from dqwalk_ros import report as reporting
 from dqwalk_ros.cli import main
 from dqwalk_ros.cli.settings import overlaid
 from dqwalk_ros.controllers import make_controller
-from dqwalk_ros.dq import DQ
-from dqwalk_ros.exceptions import ConfigError
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.gait import StandingGait
-from dqwalk_ros.gait.course import Course, Leg
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot
 from dqwalk_ros.phases import PhaseKind, make_phase
-from dqwalk_ros.phases.standing import posture
 from dqwalk_ros.plants import make_plant
 from dqwalk_ros.plants.truth import upward
+from dqwalk_ros.report import bag
+from dqwalk_ros.report.batch import Batch, distance, error
+from dqwalk_ros.report.ground import Circle
 from dqwalk_ros.simulation import simulate
+from dqwalk_ros.standing.course import Course, Leg
+from dqwalk_ros.standing.phases import posture
 
 CONFIG = dq.load("poppy").updated({"gait.steps": 0})
 MODEL = dq.load_model(CONFIG.robot)
@@ -142,13 +143,13 @@ def test_a_bag_keeps_what_the_physics_knew(short, tmp_path: Path) -> None:
 
 
 def test_the_report_says_how_it_stood(short) -> None:
-    report = analysis.report(analysis.analyse(short))
+    report = reporting.report(reporting.analyse(short))
     assert report["ok"], report["violations"]
     of = report["physics"]
     assert of["cop_inside"] == 1.0
     assert 0.0 <= of["tilt"]["value"] < np.radians(0.5)
     assert not of["fallen"]
-    text = analysis.render(report)
+    text = reporting.render(report)
     assert "inside the support polygon on 100.00 % of ticks" in text
 
 
@@ -178,7 +179,7 @@ def tampered(trace, **changes):
 
 
 def violated(trace) -> set[str]:
-    return {violation["what"] for violation in analysis.report(analysis.analyse(trace))["violations"]}
+    return {violation["what"] for violation in reporting.report(reporting.analyse(trace))["violations"]}
 
 
 def test_the_report_sees_a_robot_that_does_not_stand(short) -> None:
@@ -220,6 +221,6 @@ def test_a_circle_by_cmd_vel_in_physics(tmp_path: Path) -> None:
     out = tmp_path / "circle"
     arguments = ["simulate", "--config", "poppy", "--plant", "physics", "--cmd-vel", "0.012,0,0.037,172"]
     assert main([*arguments, "--out", str(out), "--quiet"]) == 0
-    of = analysis.report(analysis.analyse(bag.read(out / "bag")))["physics"]
+    of = reporting.report(reporting.analyse(bag.read(out / "bag")))["physics"]
     assert of["turned"] > np.radians(340.0)
     assert of["circle"]["radius"] == pytest.approx(0.012 / 0.037, rel=0.1)

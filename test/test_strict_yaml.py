@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from dqwalk_ros.config import Config, from_yaml, load, to_yaml
-from dqwalk_ros.exceptions import ConfigError
+from dqwalk_ros.errors import ConfigError
 
 HEAD = "/**:\n  ros__parameters:\n"
 BOMB = "a: &a [x, x]\n" + "".join(f"{b}: &{b} [*{a}, *{a}]\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True))

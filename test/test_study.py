@@ -16,8 +16,8 @@ from distributed import LocalCluster
 from pyarrow import parquet
 
 from dqwalk_ros import cli
-from dqwalk_ros.exceptions import ConfigError
-from dqwalk_ros.study import read, run
+from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.studies import read, run
 
 ROOT = Path(__file__).resolve().parent.parent
 SHORT = (

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from dqwalk_ros.config import load
-from dqwalk_ros.controllers.whole_body import WholeBodyController
-from dqwalk_ros.exceptions import PlantError
+from dqwalk_ros.errors import PlantError
 from dqwalk_ros.model import load_model
-from dqwalk_ros.plants.torque import TorquePlant
-from dqwalk_ros.reach import SCENARIOS, Reaching, Scenario, follow
+from dqwalk_ros.whole_body import SCENARIOS, Reaching, Scenario, WholeBodyController, follow
+from dqwalk_ros.whole_body.torque_plant import TorquePlant
 
 CONFIG = load("whole_body")
 MODEL = load_model(CONFIG.robot)
@@ -44,7 +43,7 @@ def test_a_push_is_an_impulse() -> None:
     plant.push([0.0, 15.0, 0.0])
     for _ in range(12):
         state = plant.step(still, CONFIG.dt)
-    from dqwalk_ros.dynamics import Multibody
+    from dqwalk_ros.whole_body.dynamics import Multibody
 
     body = Multibody(MODEL)
     d = body.at(state.x_base, state.q, state.v)

@@ -12,15 +12,15 @@ import pytest
 import yourdfpy
 from recorded import short_walk
 
-from dqwalk_ros.dq import DQ
-from dqwalk_ros.exceptions import ViewerError
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import ViewerError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot
 from dqwalk_ros.phases import PhaseKind
-from dqwalk_ros.scene import Scene, moment_of, shapes_of
-from dqwalk_ros.viewer.gauges import History, margins_html, status_html
-from dqwalk_ros.viewer.page import HOST, Page
-from dqwalk_ros.viewer.player import Player
+from dqwalk_ros.report.scene import Scene, moment_of, shapes_of
+from dqwalk_ros.report.viewer.gauges import History, margins_html, status_html
+from dqwalk_ros.report.viewer.page import HOST, Page
+from dqwalk_ros.report.viewer.player import Player
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from robots import biped12, biped12_config, legs, mirrored
 from walks import Stretch, paper_stretches, paper_walk, stretches, walk
 
 from dqwalk_ros.config import load
-from dqwalk_ros.dq import DQ
+from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot
 from dqwalk_ros.phases import PhaseKind

@@ -9,16 +9,15 @@ import numpy as np
 import pytest
 
 from dqwalk_ros.config import load
-from dqwalk_ros.controllers.whole_body import BodyState, WholeBodyController
-from dqwalk_ros.controllers.whole_body.levels import friction_edges, joint_bounds
-from dqwalk_ros.dynamics import Multibody
-from dqwalk_ros.exceptions import ConfigError, ModelError, PlantError, StateError
-from dqwalk_ros.hierarchy import HierarchySolver
+from dqwalk_ros.errors import ConfigError, ModelError, PlantError, StateError
 from dqwalk_ros.model import load_model
-from dqwalk_ros.objectives import FrameOutsideSphere, FramePosition
-from dqwalk_ros.plants.rigid import RigidPlant
 from dqwalk_ros.qp.reference import solve_reference
-from dqwalk_ros.reach import PAPER_TIMES, SCENARIOS, Reaching, Scenario, follow
+from dqwalk_ros.whole_body import PAPER_TIMES, SCENARIOS, BodyState, Reaching, Scenario, WholeBodyController, follow
+from dqwalk_ros.whole_body.dynamics import Multibody
+from dqwalk_ros.whole_body.equations import friction_edges, joint_bounds
+from dqwalk_ros.whole_body.hierarchy import HierarchySolver
+from dqwalk_ros.whole_body.objectives import FrameOutsideSphere, FramePosition
+from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 
 CONFIG = load("whole_body")
 MODEL = load_model(CONFIG.robot)

@@ -13,14 +13,13 @@ from live import Live
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
-from dqwalk_ros import bag
-from dqwalk_ros.analysis.reaching import checks
 from dqwalk_ros.config import load
-from dqwalk_ros.controllers.whole_body import WholeBodyController
 from dqwalk_ros.model import load_model
-from dqwalk_ros.plants.rigid import RigidPlant
-from dqwalk_ros.reach import retrace
+from dqwalk_ros.report import bag
 from dqwalk_ros.runner import private_domain
+from dqwalk_ros.whole_body import WholeBodyController, retrace
+from dqwalk_ros.whole_body.reaching import checks
+from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIG = load("whole_body").updated({"plant.lockstep": True, "node.wait_for_recorder": True})

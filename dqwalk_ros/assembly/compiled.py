@@ -15,9 +15,9 @@ import math
 import numpy as np
 
 from dqwalk_ros.assembly.independent import independent
-from dqwalk_ros.assembly.paths import com_path, difference, difference_row, on_ground, swing_path
 from dqwalk_ros.kernels import _mul, _rotate, _translation, jit, snapshot
 from dqwalk_ros.qp.packed import split
+from dqwalk_ros.standing.paths import com_path, difference, difference_row, on_ground, swing_path
 
 __all__ = [
     "AXIS",

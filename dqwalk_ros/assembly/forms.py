@@ -37,7 +37,7 @@ from dqwalk_ros.constraints import (
     PointOverPlane,
     PointsOverPlane,
 )
-from dqwalk_ros.dq import DQ
+from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Point, Rooted
 from dqwalk_ros.tasks import ComOverFoot, ComPath, FramePose, Posture, SwingPath, Task
 

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Sequence
 
 from dqwalk_ros.cli import parser
-from dqwalk_ros.exceptions import ConfigError, DqwalkError, ModelError
+from dqwalk_ros.errors import ConfigError, DqwalkError, ModelError
 
 __all__ = ["FAILED", "OK", "USAGE", "main"]
 

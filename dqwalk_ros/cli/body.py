@@ -9,13 +9,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from dqwalk_ros import bag
-from dqwalk_ros.analysis.figures.reaching import save_reaching
-from dqwalk_ros.analysis.reaching import Check, checks, render_checks, summary
 from dqwalk_ros.cli.progress import Progress
-from dqwalk_ros.exceptions import BagError, ConfigError
-from dqwalk_ros.html_report.body import BodySubject, write
-from dqwalk_ros.reach import Reaching, retrace
+from dqwalk_ros.errors import BagError, ConfigError
+from dqwalk_ros.report import bag
+from dqwalk_ros.report.figures.reaching import save_reaching
+from dqwalk_ros.report.html.body import BodySubject, write
+from dqwalk_ros.whole_body.loop import retrace
+from dqwalk_ros.whole_body.reaching import Check, checks, render_checks, summary
+from dqwalk_ros.whole_body.trace import Reaching
 
 __all__ = ["leave", "report"]
 

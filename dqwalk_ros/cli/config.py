@@ -7,7 +7,7 @@ import textwrap
 
 from dqwalk_ros.cli.settings import config_of, parse_overrides
 from dqwalk_ros.config import Config, Spec, to_yaml
-from dqwalk_ros.exceptions import ConfigError
+from dqwalk_ros.errors import ConfigError
 
 __all__ = ["run"]
 

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.cli.settings import config_of
-from dqwalk_ros.dq import DQ
-from dqwalk_ros.exceptions import ConfigError
-from dqwalk_ros.gait.footsteps import Footsteps
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.kinematics import pose_difference
 from dqwalk_ros.model import Foot, load_model
+from dqwalk_ros.standing.footsteps import Footsteps
 
 __all__ = ["reached", "run"]
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from dqwalk_ros import bag
-from dqwalk_ros.analysis.movie import save_movie, save_strip
 from dqwalk_ros.cli.progress import Progress
-from dqwalk_ros.exceptions import ConfigError
+from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.report import bag
+from dqwalk_ros.report.movie import save_movie, save_strip
 
 __all__ = ["run"]
 

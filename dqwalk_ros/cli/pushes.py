@@ -8,14 +8,14 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from dqwalk_ros import pushes
-from dqwalk_ros.analysis.figures.pushes import pushes_figure
-from dqwalk_ros.analysis.figures.style import drawing
 from dqwalk_ros.cli.progress import Progress
 from dqwalk_ros.cli.settings import config_of
-from dqwalk_ros.exceptions import ConfigError
+from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.model import load_model
-from dqwalk_ros.pushes import Limit
+from dqwalk_ros.report.figures.pushes import pushes_figure
+from dqwalk_ros.report.figures.style import drawing
+from dqwalk_ros.studies import pushes
+from dqwalk_ros.studies.pushes import Limit
 
 __all__ = ["run", "table"]
 

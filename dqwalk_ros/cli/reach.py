@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 from dqwalk_ros.cli.progress import Progress
 from dqwalk_ros.cli.settings import config_of
 from dqwalk_ros.config import Config
-from dqwalk_ros.exceptions import BagError, ConfigError
+from dqwalk_ros.errors import BagError, ConfigError
 
 if TYPE_CHECKING:
-    from dqwalk_ros.reach import Reaching, Scenario
+    from dqwalk_ros.whole_body.scenario import Scenario
+    from dqwalk_ros.whole_body.trace import Reaching
 
 __all__ = ["run"]
 
@@ -40,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _scenarios(args: argparse.Namespace) -> list[Scenario]:
     """Return the tests that were asked for, changed as was asked for."""
-    from dqwalk_ros.reach import PAPER_TIMES, SCENARIOS
+    from dqwalk_ros.whole_body.scenario import PAPER_TIMES, SCENARIOS
 
     targets = [(0.0, _numbers(args.target, 3, "--target X,Y,Z"))] if args.target else None
     extra = [(t, (x, y, z)) for t, x, y, z in (_numbers(text, 4, "--push T,X,Y,Z") for text in args.push)]
@@ -58,9 +59,9 @@ def _scenarios(args: argparse.Namespace) -> list[Scenario]:
 
 def _tests(args: argparse.Namespace, config: Config, scenarios: Sequence[Scenario], out: Path) -> int:
     """Walk, one after the other."""
-    from dqwalk_ros.analysis.reaching import checks, render_checks, summary
     from dqwalk_ros.cli.body import leave
-    from dqwalk_ros.reach.batch import Walk, walk
+    from dqwalk_ros.whole_body.batch import Walk, walk
+    from dqwalk_ros.whole_body.reaching import checks, render_checks, summary
 
     def make(scenario: Scenario) -> Reaching:
         bar = Progress(quiet=args.quiet)
@@ -89,10 +90,10 @@ def _tests(args: argparse.Namespace, config: Config, scenarios: Sequence[Scenari
 
 def _all(args: argparse.Namespace, config: Config, out: Path) -> int:
     """Make every walk that something must be shown by, and print what was asked and what was got."""
-    from dqwalk_ros.analysis.acceptance import judge, render, unit_rows, walks
-    from dqwalk_ros.analysis.reaching import checks, summary
     from dqwalk_ros.cli.body import leave
-    from dqwalk_ros.reach.batch import each, walk
+    from dqwalk_ros.whole_body.acceptance import judge, render, unit_rows, walks
+    from dqwalk_ros.whole_body.batch import each, walk
+    from dqwalk_ros.whole_body.reaching import checks, summary
 
     wanted = walks()
     total, done = sum(one.scenario.duration for one in wanted.values()), 0.0
@@ -116,12 +117,12 @@ def _all(args: argparse.Namespace, config: Config, out: Path) -> int:
 
 def _pushes(args: argparse.Namespace, config: Config, out: Path) -> int:
     """Look for the hardest push in every direction."""
-    from dqwalk_ros.analysis.figures.reach_pushes import save_pushes
     from dqwalk_ros.cli.body import leave
     from dqwalk_ros.model import Foot
-    from dqwalk_ros.preview import Stepping
-    from dqwalk_ros.reach.batch import each
-    from dqwalk_ros.reach.pushes import DIRECTIONS, PushLimit, limit
+    from dqwalk_ros.report.figures.reach_pushes import save_pushes
+    from dqwalk_ros.whole_body.batch import each
+    from dqwalk_ros.whole_body.preview import Stepping
+    from dqwalk_ros.whole_body.pushes import DIRECTIONS, PushLimit, limit
 
     plants = ("physics", "rigid") if args.plant == "both" else (args.plant,)
     asked = {
@@ -156,7 +157,7 @@ def _pushes(args: argparse.Namespace, config: Config, out: Path) -> int:
 
 def _bags(args: argparse.Namespace, walks: Sequence[Reaching], out: Path) -> list[Path]:
     """Write the bag of each walk."""
-    from dqwalk_ros import bag
+    from dqwalk_ros.report import bag
 
     paths = [out / ("bag" if len(walks) == 1 else f"bag_{k + 1}") for k in range(len(walks))]
     for walked, path in zip(walks, paths, strict=True):

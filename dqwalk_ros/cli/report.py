@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dqwalk_ros import bag
 from dqwalk_ros.cli.results import write_results
-from dqwalk_ros.exceptions import BagError
+from dqwalk_ros.errors import BagError
+from dqwalk_ros.report import bag
 
 if TYPE_CHECKING:
-    from dqwalk_ros.analysis import Series
+    from dqwalk_ros.report import Series
 
 __all__ = ["run"]
 
@@ -50,23 +50,24 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _series(path: Path, namespace: str | None) -> Series:
-    from dqwalk_ros import analysis
+    from dqwalk_ros import report
 
-    return analysis.analyse(bag.read(path, namespace=namespace))
+    return report.analyse(bag.read(path, namespace=namespace))
 
 
 def _html(args: argparse.Namespace, path: Path, series: Series, report: dict[str, Any], out: Path) -> Path:
     """Write the page, of one walk or of two, and return its file."""
-    from dqwalk_ros import analysis, html_report
-    from dqwalk_ros.bag.said import diagnostics_of
+    from dqwalk_ros import report
+    from dqwalk_ros.report import html
+    from dqwalk_ros.report.bag.said import diagnostics_of
 
-    subjects = [html_report.Subject(_name(path), series, report, diagnostics_of(path))]
+    subjects = [html.Subject(_name(path), series, report, diagnostics_of(path))]
     if args.compare:
         other = Path(args.compare)
         found = _series(other, args.namespace)
-        subjects.append(html_report.Subject(_name(other), found, analysis.report(found), diagnostics_of(other)))
+        subjects.append(html.Subject(_name(other), found, report.report(found), diagnostics_of(other)))
     file = out / "report.html"
-    html_report.write(subjects, file)
+    html.write(subjects, file)
     return file
 
 

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dqwalk_ros.exceptions import BagError
+from dqwalk_ros.errors import BagError
 from dqwalk_ros.trace import Trace
 
 if TYPE_CHECKING:
-    from dqwalk_ros.analysis import Series
+    from dqwalk_ros.report import Series
 
 __all__ = ["prepare", "write_results"]
 
@@ -55,22 +55,22 @@ def write_results(
     dict
         The report.
     """
-    from dqwalk_ros import analysis
+    from dqwalk_ros import report
 
-    series = series or analysis.analyse(trace)
-    report = analysis.report(series)
+    series = series or report.analyse(trace)
+    report = report.report(series)
     text = json.dumps(report, indent=2, allow_nan=False)
     try:
         out.mkdir(parents=True, exist_ok=True)
         (out / "report.json").write_text(text + "\n", encoding="utf-8")
         files = [out / "report.json"]
         if figures:
-            files += analysis.save(series, out, formats)
+            files += report.save(series, out, formats)
     except OSError as error:
         raise BagError(f"cannot write to '{out}': {error}") from error
     if as_json:
         print(text)
     elif not quiet:
-        print(analysis.render(report))
+        print(report.render(report))
         print("wrote " + ", ".join(str(file) for file in files))
     return report

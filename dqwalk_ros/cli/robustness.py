@@ -9,13 +9,13 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from dqwalk_ros import robustness
-from dqwalk_ros.analysis.figures.robustness import robustness_figure
-from dqwalk_ros.analysis.figures.style import drawing
 from dqwalk_ros.cli.progress import Progress
 from dqwalk_ros.cli.settings import config_of
-from dqwalk_ros.exceptions import ConfigError
-from dqwalk_ros.robustness import AXES, Cell
+from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.report.figures.robustness import robustness_figure
+from dqwalk_ros.report.figures.style import drawing
+from dqwalk_ros.studies import robustness
+from dqwalk_ros.studies.robustness import AXES, Cell
 
 __all__ = ["run", "table"]
 

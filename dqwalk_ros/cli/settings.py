@@ -8,8 +8,8 @@ from typing import Any
 import yaml
 
 from dqwalk_ros.config import Config, find_share, from_yaml, load
-from dqwalk_ros.exceptions import ConfigError
-from dqwalk_ros.gait.course import Course
+from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.standing.course import Course
 
 __all__ = ["config_of", "overlaid", "parse_overrides"]
 

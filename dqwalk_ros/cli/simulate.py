@@ -10,22 +10,22 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dqwalk_ros import bag
 from dqwalk_ros.cli.progress import Progress
 from dqwalk_ros.cli.results import prepare, write_results
 from dqwalk_ros.cli.settings import config_of
 from dqwalk_ros.config import Config
 from dqwalk_ros.controllers import Controller, make_controller
-from dqwalk_ros.exceptions import ViewerError
+from dqwalk_ros.errors import ViewerError
 from dqwalk_ros.gait import phase_count
-from dqwalk_ros.gait.course import Course
 from dqwalk_ros.model import load_model
 from dqwalk_ros.phases import PhaseKind
 from dqwalk_ros.plants import make_plant
+from dqwalk_ros.report import bag
 from dqwalk_ros.simulation import simulate
+from dqwalk_ros.standing.course import Course
 
 if TYPE_CHECKING:
-    from dqwalk_ros.viewer.feed import Feed
+    from dqwalk_ros.report.viewer.feed import Feed
 
 __all__ = ["run"]
 
@@ -63,7 +63,7 @@ def _page(config: Config, port: int | None) -> Feed:
     """Return a page in a process of its own."""
     if importlib.util.find_spec("viser") is None:
         raise ViewerError("--view needs viser: pip install 'dqwalk_ros[view]'")
-    from dqwalk_ros.viewer.feed import Feed
+    from dqwalk_ros.report.viewer.feed import Feed
 
     feed = Feed(config, port)
     print(f"{feed.url} shows the walk", flush=True)

@@ -9,8 +9,8 @@ from typing import Any
 
 from dqwalk_ros.cli.progress import Progress
 from dqwalk_ros.config import Config
-from dqwalk_ros.study import Study, read
-from dqwalk_ros.study import run as run_study
+from dqwalk_ros.studies import Study, read
+from dqwalk_ros.studies import run as run_study
 
 __all__ = ["run"]
 
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _draw(study: Study, rows: list[dict[str, Any]], out: Path, formats: tuple[str, ...]) -> list[Path]:
-    from dqwalk_ros.analysis.figures.study import study_figure
+    from dqwalk_ros.report.figures.study import study_figure
 
     units = {spec.name: spec.unit for spec in Config.specs()}
     units |= {name: "rad" for name in study.vary if name.startswith("start.")}

@@ -8,7 +8,7 @@ import threading
 import webbrowser
 
 from dqwalk_ros.cli.progress import Progress
-from dqwalk_ros.exceptions import ViewerError
+from dqwalk_ros.errors import ViewerError
 from dqwalk_ros.trace import Trace
 
 __all__ = ["run"]
@@ -17,7 +17,7 @@ __all__ = ["run"]
 def run(args: argparse.Namespace) -> int:
     """Do it and return the exit code."""
     try:
-        from dqwalk_ros.viewer.page import Page
+        from dqwalk_ros.report.viewer.page import Page
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "viser":
             raise
@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
         if args.open:
             webbrowser.open(page.url)
         trace = _read(args)
-        from dqwalk_ros.viewer.player import Player
+        from dqwalk_ros.report.viewer.player import Player
 
         player = Player(page, trace)
         if args.play:
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _read(args: argparse.Namespace) -> Trace:
     """Read the bag, and say so where it takes long."""
-    from dqwalk_ros import bag
+    from dqwalk_ros.report import bag
 
     bar, done = Progress(), threading.Event()
     waiting = threading.Thread(target=_tick, args=(bar, done), daemon=True)

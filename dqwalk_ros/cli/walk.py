@@ -6,11 +6,11 @@ import argparse
 import sys
 from pathlib import Path
 
-from dqwalk_ros import bag
 from dqwalk_ros.cli.progress import Progress
 from dqwalk_ros.cli.results import prepare, write_results
 from dqwalk_ros.cli.settings import config_of
-from dqwalk_ros.exceptions import BagError
+from dqwalk_ros.errors import BagError
+from dqwalk_ros.report import bag
 from dqwalk_ros.runner import run_walk
 
 __all__ = ["run"]

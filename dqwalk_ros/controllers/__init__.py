@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.exceptions import DqwalkError
+from dqwalk_ros.errors import DqwalkError
 
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config
@@ -149,7 +149,7 @@ def make_controller(config: Config, model: RobotModel) -> Controller:
 
 def warm_up(config: Config, model: RobotModel) -> None:
     """Have everything compiled that a tick needs, before the first state waits for its answer."""
-    from dqwalk_ros.phases.standing import posture
+    from dqwalk_ros.standing.phases import posture
 
     sensed = {"up": np.array([0.0, 0.0, 1.0]), "gyro": np.zeros(3)} if config.plant.imu else {}
     with contextlib.suppress(DqwalkError):

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.controllers import Command, State, Tick
-from dqwalk_ros.controllers.balance import balance_torques
-from dqwalk_ros.dq import DQ
-from dqwalk_ros.exceptions import ConfigError, PhaseError, QPError, StateError
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import ConfigError, PhaseError, QPError, StateError
 from dqwalk_ros.feasibility import explained, lead_back
 from dqwalk_ros.gait import EndRule, PaperGait, StandingEnd, StandingGait, make_gait, make_rule
 from dqwalk_ros.kernels import clip
@@ -19,6 +18,7 @@ from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import RobotModel
 from dqwalk_ros.phases import Phase, PhaseKind, assemble, make_phase
 from dqwalk_ros.qp import Problem, Solution, make_solver
+from dqwalk_ros.standing.balance import balance_torques
 
 __all__ = ["VelocityController"]
 

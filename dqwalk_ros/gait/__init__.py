@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.gait.paper import PHASES_PER_CYCLE, EndRule, PaperGait, footstep, phase_at
-from dqwalk_ros.gait.standing import StandingEnd, StandingGait
 from dqwalk_ros.model import Foot, RobotModel
 from dqwalk_ros.phases import Phase, PhaseKind
+from dqwalk_ros.standing.gait import StandingEnd, StandingGait
 
 __all__ = [
     "PHASES_PER_CYCLE",

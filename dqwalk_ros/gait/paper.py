@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.dq import DQ
-from dqwalk_ros.exceptions import PhaseError
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import PhaseError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot, RobotModel
 from dqwalk_ros.phases import Phase, PhaseKind

@@ -6,7 +6,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from dqwalk_ros.controllers import Command
-from dqwalk_ros.exceptions import StateError
+from dqwalk_ros.errors import StateError
 from dqwalk_ros.model import RobotModel
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.parameters import Parameters

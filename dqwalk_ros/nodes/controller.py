@@ -20,10 +20,9 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from dqwalk_ros import origin
-from dqwalk_ros.bag.topics import FINISHED, TOPICS
 from dqwalk_ros.config import to_yaml
 from dqwalk_ros.controllers import Command, State, make_controller, warm_up
-from dqwalk_ros.exceptions import DqwalkError, QPError, StateError
+from dqwalk_ros.errors import DqwalkError, QPError, StateError
 from dqwalk_ros.gait import way
 from dqwalk_ros.model import load_model
 from dqwalk_ros.nodes import entry
@@ -34,6 +33,7 @@ from dqwalk_ros.nodes.parameters import Parameters
 from dqwalk_ros.nodes.phase_log import phase_messages
 from dqwalk_ros.nodes.runtime import LAST_WORDS, STEADY, Life, Throttle, Worker, run, say
 from dqwalk_ros.nodes.steering import Steering
+from dqwalk_ros.report.bag.topics import FINISHED, TOPICS
 from dqwalk_ros.safety import Latch, Rivals, StateGate
 
 __all__ = ["ControllerNode", "main"]

@@ -9,7 +9,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu, JointState
 
 from dqwalk_ros.controllers import State
-from dqwalk_ros.exceptions import StateError
+from dqwalk_ros.errors import StateError
 from dqwalk_ros.nodes import messages as ros
 
 __all__ = ["InertialSensor"]

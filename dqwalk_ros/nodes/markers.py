@@ -10,7 +10,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.dq import DQ
+from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot, RobotModel, Sole
 from dqwalk_ros.nodes.messages import pose_fields, time_msg, xyz

@@ -20,7 +20,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from dqwalk_ros.config import Config, Spec
-from dqwalk_ros.exceptions import ConfigError
+from dqwalk_ros.errors import ConfigError
 
 __all__ = ["NODES", "Parameters", "check_sections"]
 

@@ -11,13 +11,13 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from dqwalk_ros.assessment import Assessor
-from dqwalk_ros.bag.reader import model_of
 from dqwalk_ros.config import Config, from_yaml
-from dqwalk_ros.exceptions import DqwalkError
+from dqwalk_ros.errors import DqwalkError
 from dqwalk_ros.model import Foot, RobotModel
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.phases import Phase, PhaseKind, com_target, make_phase
+from dqwalk_ros.report.assessment import Assessor
+from dqwalk_ros.report.bag.reader import model_of
 
 __all__ = ["PhaseLog", "phase_messages"]
 

@@ -22,10 +22,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
-from dqwalk_ros.assessment import Assessor, support_polygon
-from dqwalk_ros.bag.topics import FINISHED, TOPICS
 from dqwalk_ros.config import Config
-from dqwalk_ros.exceptions import DqwalkError, StateError
+from dqwalk_ros.errors import DqwalkError, StateError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot, load_model
 from dqwalk_ros.nodes import entry
@@ -34,6 +32,8 @@ from dqwalk_ros.nodes.markers import markers
 from dqwalk_ros.nodes.parameters import Parameters
 from dqwalk_ros.nodes.phase_log import PhaseLog
 from dqwalk_ros.nodes.runtime import LAST_WORDS, STEADY, Life, Throttle, Worker, run
+from dqwalk_ros.report.assessment import Assessor, support_polygon
+from dqwalk_ros.report.bag.topics import FINISHED, TOPICS
 
 __all__ = ["PhaseMonitorNode", "main"]
 

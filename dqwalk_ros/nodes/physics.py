@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from dqwalk_ros.bag.topics import TOPICS, WORLD
 from dqwalk_ros.config import Config
 from dqwalk_ros.controllers import Command
 from dqwalk_ros.model import Foot, RobotModel
@@ -26,6 +25,7 @@ from dqwalk_ros.nodes.runtime import Life, run, say
 from dqwalk_ros.nodes.simulated import SimulatedPlant
 from dqwalk_ros.plants import Plant, make_plant
 from dqwalk_ros.plants.physics import PhysicsPlant
+from dqwalk_ros.report.bag.topics import TOPICS, WORLD
 
 __all__ = ["PhysicsNode", "main"]
 

@@ -16,11 +16,11 @@ from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from dqwalk_ros.gait.course import Course
 from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.parameters import Parameters
 from dqwalk_ros.nodes.runtime import STEADY, Life, Worker, run
+from dqwalk_ros.standing.course import Course
 
 __all__ = ["PilotNode", "main"]
 

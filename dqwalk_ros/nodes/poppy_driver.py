@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
 from dqwalk_ros.controllers import Command
-from dqwalk_ros.exceptions import ConfigError, DqwalkError
+from dqwalk_ros.errors import ConfigError, DqwalkError
 from dqwalk_ros.model import load_model
 from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros

@@ -18,14 +18,14 @@ from typing import Any
 from rclpy.node import Node
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 
-from dqwalk_ros.bag.messages import typestore
-from dqwalk_ros.bag.topics import BODY_TOPICS, TOPICS, Topic
-from dqwalk_ros.bag.writer import flush, qos
-from dqwalk_ros.exceptions import BagError
+from dqwalk_ros.errors import BagError
 from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.parameters import Parameters
 from dqwalk_ros.nodes.runtime import STEADY, Life, Worker, run, say
+from dqwalk_ros.report.bag.messages import typestore
+from dqwalk_ros.report.bag.topics import BODY_TOPICS, TOPICS, Topic
+from dqwalk_ros.report.bag.writer import flush, qos
 
 __all__ = ["RecorderNode", "main"]
 

@@ -16,18 +16,19 @@ from geometry_msgs.msg import TwistStamped, WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from dqwalk_ros.bag.topics import ODOM
-from dqwalk_ros.controllers.whole_body import BodyCommand, WholeBodyController, Wrench
-from dqwalk_ros.exceptions import DqwalkError
+from dqwalk_ros.errors import DqwalkError
 from dqwalk_ros.model import Foot, load_model
 from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.commands import Commands
 from dqwalk_ros.nodes.parameters import Parameters
 from dqwalk_ros.nodes.runtime import LAST_WORDS, STEADY, Life, Worker, run
-from dqwalk_ros.plants.rigid import RigidPlant
-from dqwalk_ros.preview import Stepping
+from dqwalk_ros.report.bag.topics import ODOM
 from dqwalk_ros.safety import clamp_effort
+from dqwalk_ros.whole_body.controller import WholeBodyController
+from dqwalk_ros.whole_body.preview import Stepping
+from dqwalk_ros.whole_body.records import BodyCommand, Wrench
+from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 
 __all__ = ["RigidNode", "main"]
 

@@ -28,7 +28,7 @@ from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from dqwalk_ros.exceptions import DqwalkError
+from dqwalk_ros.errors import DqwalkError
 from dqwalk_ros.nodes.wake import Wake
 
 __all__ = ["LAST_WORDS", "STEADY", "Life", "Throttle", "Worker", "flush", "run", "say"]

@@ -16,7 +16,7 @@ from sensor_msgs.msg import JointState
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.controllers import Command
-from dqwalk_ros.exceptions import DqwalkError
+from dqwalk_ros.errors import DqwalkError
 from dqwalk_ros.model import RobotModel, load_model
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.commands import Commands

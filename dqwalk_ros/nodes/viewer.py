@@ -20,9 +20,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from dqwalk_ros import kernels
-from dqwalk_ros.bag.topics import TOPICS
-from dqwalk_ros.dq import DQ
-from dqwalk_ros.exceptions import DqwalkError, StateError
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import DqwalkError, StateError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import RobotModel
 from dqwalk_ros.nodes import entry
@@ -31,8 +30,9 @@ from dqwalk_ros.nodes.parameters import Parameters
 from dqwalk_ros.nodes.phase_log import PhaseLog
 from dqwalk_ros.nodes.runtime import STEADY, Life, Throttle, Worker, run
 from dqwalk_ros.phases import Phase
-from dqwalk_ros.scene import Moment, Scene
-from dqwalk_ros.viewer.page import FRAME, Page
+from dqwalk_ros.report.bag.topics import TOPICS
+from dqwalk_ros.report.scene import Moment, Scene
+from dqwalk_ros.report.viewer.page import FRAME, Page
 
 __all__ = ["ViewerNode", "main"]
 

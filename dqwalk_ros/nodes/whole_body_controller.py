@@ -17,17 +17,18 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from dqwalk_ros.bag.topics import ODOM
 from dqwalk_ros.config import to_yaml
-from dqwalk_ros.controllers.whole_body import BodyState, WholeBodyController
-from dqwalk_ros.dq import DQ
-from dqwalk_ros.exceptions import DqwalkError, StateError
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import DqwalkError, StateError
 from dqwalk_ros.model import load_model
 from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.parameters import Parameters
 from dqwalk_ros.nodes.runtime import LAST_WORDS, Life, Throttle, Worker, run
 from dqwalk_ros.origin import here, to_text
+from dqwalk_ros.report.bag.topics import ODOM
+from dqwalk_ros.whole_body.controller import WholeBodyController
+from dqwalk_ros.whole_body.records import BodyState
 
 __all__ = ["WholeBodyControllerNode", "main"]
 

@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.model import Foot, RobotModel
-from dqwalk_ros.phases import paper, standing
+from dqwalk_ros.phases import paper
 from dqwalk_ros.phases.phase import Phase, PhaseKind, assemble, com_target
+from dqwalk_ros.standing import phases as standing
 
 __all__ = ["Phase", "PhaseKind", "assemble", "com_target", "make_phase"]
 

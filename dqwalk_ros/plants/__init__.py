@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 from dqwalk_ros.controllers import Command, State
-from dqwalk_ros.exceptions import PlantError
+from dqwalk_ros.errors import PlantError
 
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config
@@ -45,6 +45,6 @@ def make_plant(name: str, config: Config, model: RobotModel) -> Plant:
         raise PlantError("the physics engine is not installed: pip install 'dqwalk_ros[sim]'") from error
     if config.gait.style != "standing":
         return PhysicsPlant(config, model)
-    from dqwalk_ros.phases.standing import posture
+    from dqwalk_ros.standing.phases import posture
 
     return PhysicsPlant(config, model, posture(config, model))

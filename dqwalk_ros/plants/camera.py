@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.dq import DQ
-from dqwalk_ros.exceptions import PlantError
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import PlantError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot, RobotModel
 from dqwalk_ros.plants.physics import compiled

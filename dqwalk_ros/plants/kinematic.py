@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dqwalk_ros.controllers import Command, State
-from dqwalk_ros.exceptions import PlantError
+from dqwalk_ros.errors import PlantError
 from dqwalk_ros.model import RobotModel
 
 __all__ = ["KinematicPlant"]

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.controllers import Command, State
-from dqwalk_ros.dq import DQ
-from dqwalk_ros.exceptions import PlantError
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import PlantError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot, RobotModel
 from dqwalk_ros.plants.scenery import add_scenery, with_visual_shapes

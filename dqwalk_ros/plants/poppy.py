@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from dqwalk_ros import strict_yaml
 from dqwalk_ros.config import PoppyConfig, find_share
 from dqwalk_ros.controllers import Command, State
-from dqwalk_ros.exceptions import ConfigError, PlantError
+from dqwalk_ros.errors import ConfigError, PlantError
 from dqwalk_ros.model import RobotModel
 
 __all__ = ["Health", "Motor", "PoppyPlant", "load_motors", "register_speed"]

@@ -12,7 +12,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.exceptions import QPError
+from dqwalk_ros.errors import QPError
 from dqwalk_ros.qp.packed import size, views
 
 __all__ = ["OPTIMAL", "PRIMAL", "Problem", "Residuals", "Solution", "Solver", "make_solver", "refuse"]

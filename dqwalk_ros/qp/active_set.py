@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 
-from dqwalk_ros.exceptions import QPError
+from dqwalk_ros.errors import QPError
 from dqwalk_ros.qp import OPTIMAL, PRIMAL, Problem, Solution
 from dqwalk_ros.qp.interior_point import ClarabelSolver
 from dqwalk_ros.qp.scaling import pack_active_set, unpack_active_set

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import lapack
 
-from dqwalk_ros.exceptions import QPError
+from dqwalk_ros.errors import QPError
 from dqwalk_ros.kernels import jit
 from dqwalk_ros.qp import Problem, Solution
 

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.exceptions import QPError
+from dqwalk_ros.errors import QPError
 from dqwalk_ros.qp import OPTIMAL, PRIMAL, Problem, Solution, refuse
 from dqwalk_ros.qp.in_place import SOLVED, InPlace
 from dqwalk_ros.qp.scaling import pack_interior_point, pack_nearby, unpack_interior_point, unpack_nearby

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dqwalk_ros.config import Config, to_yaml
-from dqwalk_ros.gait.course import Course
 from dqwalk_ros.runner.processes import Processes, environment, private_domain
 from dqwalk_ros.runner.watch import Progress, Watch
+from dqwalk_ros.standing.course import Course
 
 __all__ = ["PLANTS", "Outcome", "Processes", "environment", "private_domain", "run_walk"]
 

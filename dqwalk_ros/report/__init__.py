@@ -1,0 +1,33 @@
+"""What a recorded walk was worth: series, report, figures.
+
+`analyse` recomputes every distance from the joint angles, `report` judges them, `save` draws them.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dqwalk_ros.report.figures import save
+    from dqwalk_ros.report.promises import Violation
+    from dqwalk_ros.report.series import Series, analyse
+    from dqwalk_ros.report.table import render
+    from dqwalk_ros.report.verdict import report
+
+__all__ = ["Series", "Violation", "analyse", "render", "report", "save"]
+
+_HOME = {
+    "Series": "series",
+    "Violation": "promises",
+    "analyse": "series",
+    "render": "table",
+    "report": "verdict",
+    "save": "figures",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)

@@ -1,0 +1,56 @@
+"""The figures of a walk; the only place that imports matplotlib, and only when one is drawn."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from dqwalk_ros.report.figures.on_the_ground import on_the_ground
+from dqwalk_ros.report.figures.paper import figure7, figure8, figure9
+from dqwalk_ros.report.figures.style import drawing
+from dqwalk_ros.report.figures.top_view import top_view
+from dqwalk_ros.report.series import Series
+
+__all__ = ["FIGURES", "FORMATS", "figure7", "figure8", "figure9", "fits", "on_the_ground", "save", "top_view"]
+
+FIGURES = {
+    "figure7": figure7,
+    "figure8": figure8,
+    "figure9": figure9,
+    "top_view": top_view,
+    "on_the_ground": on_the_ground,
+}
+FORMATS = ("png", "pdf", "svg")
+
+
+def fits(name: str, series: Series) -> bool:
+    """Tell whether a figure has anything to say of a walk."""
+    if name in ("figure7", "figure8"):
+        return series.trace.config.gait.style == "paper"
+    return name != "on_the_ground" or series.ground is not None
+
+
+def save(series: Series, folder: str | os.PathLike[str], formats: Sequence[str] = ("png",)) -> list[Path]:
+    """Draw every figure into a folder and return the files.
+
+    Parameters
+    ----------
+    series : Series
+    folder : path-like
+        Made where it does not exist.
+    formats : sequence of {"png", "pdf", "svg"}
+    """
+    out = Path(folder)
+    out.mkdir(parents=True, exist_ok=True)
+    files = []
+    for name, draw in FIGURES.items():
+        if not fits(name, series):
+            continue
+        figure = draw(series)
+        for kind in formats:
+            files.append(out / f"{name}.{kind}")
+            with drawing():  # resolution and fonts are settings of the moment of saving
+                figure.savefig(files[-1])
+            figure.set_layout_engine("none")  # the layout is found once
+    return files

@@ -1,0 +1,259 @@
+"""Figures 7, 8 and 9 of the paper: the same panels, colours and thresholds, over any number of cycles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros.report.figures.style import (
+    BLUE,
+    DASHED,
+    GREEN,
+    RED,
+    drawing,
+    mark_phases,
+    name_phases,
+    new_figure,
+    set_time_limits,
+    thinned,
+    tone,
+)
+from dqwalk_ros.report.series import Series, Span
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["figure7", "figure8", "figure9"]
+
+Array = NDArray[np.float64]
+
+
+class _Panel(NamedTuple):
+    """One panel: its title, the label of its axis, what it shows, and where it must not go."""
+
+    title: str
+    label: str
+    values: Array
+    bound: float | None = None
+    bound_label: str = ""
+
+
+def _curves(series: Series, double: bool) -> list[tuple[Span, tuple[float, float, float], str]]:
+    """Return the phases of one kind, their colours and legends; the first comes last, so that it lies on top."""
+    spans = [span for span in series.spans if span.double is double and span.end > span.start]
+    cycles = (len(spans) + 1) // 2
+    out = []
+    for i, span in enumerate(spans):
+        foot = span.phase.support.value
+        what = f"to the {foot} foot" if double else f"{span.phase.support.other.value} foot swings"
+        cycle = f", cycle {i // 2 + 1}" if cycles > 1 else ""
+        out.append(
+            (
+                span,
+                tone((BLUE, GREEN)[i % 2], i // 2, cycles),
+                f"{_ordinal(i)} {'DSP' if double else 'SSP'}: {what}{cycle}",
+            )
+        )
+    return out[::-1]
+
+
+def _ordinal(i: int) -> str:
+    return ("first", "second", "third", "fourth", "fifth", "sixth")[i] if i < 6 else f"{i + 1}th"
+
+
+def _time_response(series: Series, panels: Sequence[_Panel], axes: Sequence[Axes], double: bool) -> None:
+    """Draw panels over the time since the beginning of each phase."""
+    curves = _curves(series, double)
+    for letter, panel, ax in zip("ABCDEFGH", panels, axes, strict=False):
+        low, high = np.inf, -np.inf
+        for span, color, _ in curves:
+            x, y = thinned(series.time[span.ticks] - series.time[span.start], panel.values[span.ticks])
+            ax.plot(x, y, color=color)
+            if np.isfinite(y).any():
+                low, high = min(low, float(np.nanmin(y))), max(high, float(np.nanmax(y)))
+        if panel.bound is not None:
+            ax.axhline(panel.bound, color=RED, linestyle=DASHED, linewidth=1.3)
+            low, high = min(low, panel.bound), max(high, panel.bound)
+        if np.isfinite(low):
+            room = 0.08 * (high - low) or 0.05 * abs(high) or 1.0
+            ax.set_ylim(low - room, high + room)
+        ax.set_xlim(left=0.0)
+        ax.margins(x=0.01)
+        if panel.bound is not None:
+            _name_bound(ax, panel.bound, panel.bound_label)
+        ax.set_title(f"{letter}   {panel.title}")
+        ax.set_ylabel(panel.label)
+    for ax in axes[-3:]:
+        ax.set_xlabel(f"time since the {'double' if double else 'single'} support began [s]")
+
+
+def _name_bound(ax: Axes, bound: float, label: str) -> None:
+    """Write the name of a bound beside its line, where no curve runs."""
+    from matplotlib.patheffects import withStroke
+
+    (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
+    inside = 1 if bound < 0.5 * (low + high) else -1  # above the line or below it
+    places = [(side, way) for way in (inside, -inside) for side in ("right", "left")]
+
+    def crowd(place: tuple[str, int]) -> int:
+        side, way = place
+        edges = (left + 0.55 * (right - left), right) if side == "right" else (left, left + 0.45 * (right - left))
+        reach = sorted((bound + 0.004 * way * (high - low), bound + 0.09 * way * (high - low)))
+        count = 0
+        for line in ax.get_lines():
+            x, y = (np.asarray(values) for values in line.get_data())
+            count += int(np.count_nonzero((x > edges[0]) & (x < edges[1]) & (y > reach[0]) & (y < reach[1])))
+        return count + 10_000 * (not low < reach[0] < reach[1] < high)
+
+    side, way = min(places, key=crowd)
+    ax.annotate(
+        label,
+        (1.0 if side == "right" else 0.0, bound),
+        xycoords=("axes fraction", "data"),
+        xytext=(-3 if side == "right" else 4, 3 * way),
+        textcoords="offset points",
+        ha=side,
+        va="bottom" if way > 0 else "top",
+        color=RED,
+        fontsize=8,
+        path_effects=[withStroke(linewidth=2.5, foreground="white")],
+        zorder=5,
+    )
+
+
+def _legend(fig: Figure, series: Series, double: bool, bound: str) -> None:
+    from matplotlib.lines import Line2D
+
+    curves = _curves(series, double)[::-1]
+    if len(curves) > 6:
+        curves = curves[:2] + curves[-2:]
+    handles = [Line2D([], [], color=color, label=label) for _, color, label in curves]
+    handles.append(Line2D([], [], color=RED, linestyle=DASHED, linewidth=1.3, label=bound))
+    fig.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 3), fontsize=9)
+
+
+def figure7(series: Series) -> Figure:
+    """Draw Fig. 7: the double supports, A to F."""
+    config = series.trace.config
+    mm = 1e3
+    panels = [
+        _Panel(
+            "CoM to the end foot's centre",
+            "error norm [mm]",
+            mm * series.error,
+            mm * config.ssp.com_radius,
+            "cylinder of the next SSP",
+        ),
+        _Panel(
+            "End-foot tip to the sliding axis",
+            "distance [mm]",
+            mm * series.slide,
+            mm * config.dsp.sliding_radius,
+            "sliding cylinder",
+        ),
+        _Panel("End-foot tip to the ground", "height [mm]", mm * series.tip_height),
+        _Panel("CoM to the tip plane", "distance [mm]", mm * series.distance("tip_plane"), 0.0, "tip plane"),
+        _Panel("CoM to the back plane", "distance [mm]", mm * series.distance("back_plane"), 0.0, "back plane"),
+        _Panel(
+            "Pelvis to its plane",
+            "distance [mm]",
+            mm * (series.pelvis[:, 2] - config.pelvis.height),
+            0.0,
+            "pelvis plane",
+        ),
+    ]
+    with drawing():
+        fig = new_figure(11.0, 6.2)
+        axes = fig.subplots(2, 3).flat
+        _time_response(series, panels, list(axes), double=True)
+        fig.suptitle("Double support: the CoM moves over the next support foot", fontsize=12, fontweight="bold")
+        _legend(fig, series, True, "bound")
+    return fig
+
+
+def figure8(series: Series) -> Figure:
+    """Draw Fig. 8: the single supports."""
+    config = series.trace.config
+    mm = 1e3
+    panels = [
+        _Panel(
+            "Pose error of the swing foot",
+            r"$\|\mathrm{vec}_8(\underline{x} - \underline{x}_d)\|$",
+            series.error,
+            config.ssp.threshold,
+            "end of the phase",
+        ),
+        _Panel(
+            "CoM to the axis of the cylinder",
+            "distance [mm]",
+            mm * series.com_to_axis,
+            mm * config.ssp.com_radius,
+            "boundary of the SP",
+        ),
+        _Panel(
+            "Pelvis to its plane",
+            "distance [mm]",
+            mm * (series.pelvis[:, 2] - config.pelvis.height),
+            0.0,
+            "pelvis plane",
+        ),
+    ]
+    with drawing():
+        fig = new_figure(11.0, 3.7)
+        _time_response(series, panels, list(fig.subplots(1, 3)), double=False)
+        fig.suptitle("Single support: the swing foot goes to its place", fontsize=12, fontweight="bold")
+        _legend(fig, series, False, "bound")
+    return fig
+
+
+def figure9(series: Series) -> Figure:
+    """Draw Fig. 9: the joint angles, with the limits and the changes of phase."""
+    model = series.trace.model
+    names = model.joint_names
+    left = [i for i, name in enumerate(names) if name.startswith("l_")]
+    right = [i for i, name in enumerate(names) if name.startswith("r_")]
+    others = [i for i in range(model.n) if i not in left + right]
+    order = [i for pair in zip(left, right, strict=False) for i in pair] if len(left) == len(right) else [*left, *right]
+    order += others
+    rows = (len(order) + 1) // 2
+    with drawing():
+        fig = new_figure(11.0, 1.55 * rows + 1.3)
+        grid = fig.subplots(rows, 2, sharex=True, squeeze=False)
+        for ax, i in zip(grid.flat, order, strict=False):
+            _joint(ax, series, i)
+        for ax in list(grid.flat)[len(order) :]:
+            ax.remove()
+        for ax in grid[-1]:
+            ax.set_xlabel("time [s]")
+        for ax in grid[0]:
+            low, high = ax.get_ylim()
+            ax.set_ylim(low, high + 0.2 * (high - low))
+            name_phases(ax, series)
+        fig.suptitle("Joint angles over the walk, with their limits", fontsize=12, fontweight="bold")
+    return fig
+
+
+def _joint(ax: Axes, series: Series, i: int) -> None:
+    model = series.trace.model
+    q = np.degrees(series.trace.q[:, i])
+    low, high = np.degrees([model.q_min[i], model.q_max[i]])
+    mark_phases(ax, series)
+    ax.plot(*thinned(series.time, q), color=BLUE)
+    for limit in (low, high):
+        ax.axhline(limit, color=RED, linestyle=DASHED, linewidth=1.2)
+    room = 0.1 * (high - low)
+    ax.set_ylim(low - room, high + room)
+    set_time_limits(ax, series)
+    ax.set_ylabel("angle [°]")
+    closest = float(np.degrees(series.joint_margin[:, i].min()))
+    ax.set_title(_joint_title(model.joint_names[i]))
+    ax.set_title(f"closest to a limit: {closest:.1f}°", loc="right", fontsize=8, fontweight="normal", color="#57606a")
+
+
+def _joint_title(name: str) -> str:
+    side = {"l": "left ", "r": "right "}.get(name.split("_")[0], "")
+    return (side + name.split("_", 1)[1] if side else name).replace("_", " ")

@@ -1,0 +1,141 @@
+"""How every figure looks: colours, type, and what they share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros.report.series import Series
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "BLUE",
+    "DASHED",
+    "GREEN",
+    "GREY",
+    "INK",
+    "RED",
+    "drawing",
+    "mark_phases",
+    "name_phases",
+    "new_figure",
+    "set_time_limits",
+    "thinned",
+    "tone",
+]
+
+Array = NDArray[np.float64]
+
+BLUE, GREEN, RED, INK, GREY = "#1f5fb4", "#1d9a4e", "#d1242f", "#24292f", "#8c959f"
+_STYLE: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9.0,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": "#57606a",
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#e4e8ec",
+    "grid.linewidth": 0.7,
+    "text.color": INK,
+    "xtick.color": "#57606a",
+    "ytick.color": "#57606a",
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "lines.linewidth": 1.7,
+    "lines.solid_capstyle": "round",
+    "legend.frameon": False,
+    "svg.fonttype": "none",
+    "pdf.fonttype": 42,
+    "savefig.dpi": 160,
+    "savefig.facecolor": "white",
+}
+DASHED = (0, (5, 3))
+_MOST_POINTS = 1500
+
+
+@contextmanager
+def drawing() -> Iterator[None]:
+    """Draw in this style, and leave matplotlib's settings as they were."""
+    import matplotlib as mpl
+
+    with mpl.rc_context(_STYLE):
+        yield
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure of a width and height [inch]."""
+    from matplotlib.figure import Figure  # not pyplot: no global state, no display
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def thinned(x: Array, y: Array) -> tuple[Array, Array]:
+    """Return the least and the greatest point of each of some hundred slices of a curve, and its ends."""
+    size = len(x) // (_MOST_POINTS // 2)
+    if size < 2:
+        return x, y
+    whole = len(x) // size * size
+    rows = y[:whole].reshape(-1, size)
+    first = np.arange(0, whole, size)
+    with np.errstate(invalid="ignore"):
+        filled = np.nan_to_num(rows, nan=0.0)
+    at = np.unique(np.concatenate([[0, len(x) - 1], first + filled.argmin(axis=1), first + filled.argmax(axis=1)]))
+    return x[at], y[at]
+
+
+def tone(color: str, cycle: int, cycles: int) -> tuple[float, float, float]:
+    """Return the colour of a cycle: the first one full, later ones fading."""
+    from matplotlib.colors import to_rgb
+
+    fade = 0.0 if cycles < 2 else 0.65 * cycle / (cycles - 1)
+    r, g, b = (channel + (1.0 - channel) * fade for channel in to_rgb(color))
+    return r, g, b
+
+
+def set_time_limits(ax: Axes, series: Series) -> None:
+    """Show the whole walk, be it a single tick."""
+    ax.set_xlim(series.time[0], max(series.time[-1], series.time[0] + series.trace.config.dt))
+
+
+def mark_phases(ax: Axes, series: Series) -> None:
+    """Shade double support and put a dashed line at every change of phase."""
+    for span in series.spans:
+        if span.double:
+            ax.axvspan(series.time[span.start], series.time[span.end - 1], color="#f1f4f7", zorder=0, linewidth=0)
+    for span in series.spans[1:]:
+        ax.axvline(series.time[span.start], color=GREY, linestyle=(0, (3, 3)), linewidth=0.9)
+
+
+def name_phases(ax: Axes, series: Series) -> None:
+    """Write the name of each phase at the top of the axes, as much of it as there is room for."""
+    total = series.time[-1] - series.time[0]
+    for span in series.spans:
+        begin, end = series.time[span.start], series.time[span.end - 1]
+        short = "DSP" if span.double else "SSP"
+        long = f"{short} {'to' if span.double else 'on'} {span.phase.support.value}"
+        if end - begin < 0.05 * total:
+            continue
+        ax.annotate(
+            long if end - begin > 0.16 * total else short,
+            (0.5 * (begin + end), 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(0, -3),
+            textcoords="offset points",
+            ha="center",
+            va="top",
+            fontsize=7.5,
+            color="#57606a",
+        )

@@ -1,0 +1,348 @@
+"""The HTML of a report, for one walk or for two side by side."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dqwalk_ros import origin
+from dqwalk_ros.report.bag.said import Said, faults
+from dqwalk_ros.report.figures import FIGURES, fits
+from dqwalk_ros.report.figures.style import drawing
+from dqwalk_ros.report.html.replay import replay_data
+from dqwalk_ros.report.series import Series
+
+__all__ = ["Subject", "document", "origin_table", "replay", "table", "write"]
+
+_CAPTIONS = {
+    "figure7": "Figure 7: the task error, and the distances of double support.",
+    "figure8": "Figure 8: the same of single support.",
+    "figure9": "Figure 9: joint angles, with their limits in red.",
+    "on_the_ground": "In physics, as it truly was: soles, centre of mass, centre of pressure, tilt.",
+    "top_view": "From above: footsteps, the way of the centre of mass, and how far inside its support it was.",
+}
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A walk to report on.
+
+    Attributes
+    ----------
+    name : str
+        Of the bag.
+    series : Series
+    report : dict
+        As `analysis.report` gives it.
+    said : list of Said
+        What the nodes said of themselves.
+    """
+
+    name: str
+    series: Series
+    report: dict[str, Any]
+    said: list[Said]
+
+
+def write(subjects: Sequence[Subject], path: str | os.PathLike[str]) -> None:
+    """Write the report of one walk, or of two side by side.
+
+    Parameters
+    ----------
+    subjects : sequence of Subject
+    path : path-like
+        The HTML file.
+    """
+    Path(path).write_text(_page(subjects), encoding="utf-8")
+
+
+def _page(subjects: Sequence[Subject]) -> str:
+    both = len(subjects) > 1
+    parts = [
+        _heading(subjects),
+        f"<h2>Replay</h2><div class='card'>{replay([s.name for s in subjects])}</div>",
+        _comparison(subjects) if both else "",
+        _section("Least distance to each bound", _margins, subjects),
+        _section("Phases", _phases, subjects),
+        _figures(subjects),
+        _section("Joint speeds and limits", _joints, subjects),
+        _section("Time of a tick", _tick_times, subjects),
+        _section("Faults seen", _faults, subjects),
+        _section("Broken promises and notes", _violations, subjects),
+        _configuration(subjects),
+        origin_table([(s.name, s.series.trace.origin) for s in subjects]),
+    ]
+    return document(" and ".join(s.name for s in subjects), parts, [replay_data(s.series) for s in subjects])
+
+
+def document(name: str, parts: Sequence[str], walks: Sequence[Any]) -> str:
+    """Return the whole of a page: its parts, and the walks that its replay draws."""
+    data = json.dumps(walks, separators=(",", ":")).replace("</", "<\\/")
+    return (
+        f"<!doctype html><html lang='en'><head><meta charset='utf-8'><title>dqwalk: {escape(name)}</title>"
+        "<meta name='viewport' content='width=device-width, initial-scale=1'>"
+        "<link rel='icon' href='data:,'>"
+        f"<style>{_asset('style.css')}</style></head><body><main>{''.join(parts)}</main>"
+        f"<script id='data' type='application/json'>{data}</script><script>{_asset('replay.js')}</script></body></html>"
+    )
+
+
+def _asset(name: str) -> str:
+    return resources.files("dqwalk_ros.report.html").joinpath(name).read_text(encoding="utf-8")
+
+
+def _section(title: str, body: Callable[[Subject], str], subjects: Sequence[Subject]) -> str:
+    cards = "".join(f"<div class='card scroll'>{_label(s, subjects)}{body(s)}</div>" for s in subjects)
+    return f"<h2>{title}</h2><div class='two'>{cards}</div>"
+
+
+def _label(subject: Subject, subjects: Sequence[Subject]) -> str:
+    return f"<p><b>{escape(subject.name)}</b></p>" if len(subjects) > 1 else ""
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: Sequence[int] = ()) -> str:
+    """Return a table; `numbers` are the columns that are set to the right."""
+
+    def cells(tag: str, row: Sequence[str]) -> str:
+        return "".join(f"<{tag}{' class=n' if c in numbers else ''}>{cell}</{tag}>" for c, cell in enumerate(row))
+
+    body = "".join(f"<tr>{cells('td', row)}</tr>" for row in rows)
+    return f"<table><tr>{cells('th', head)}</tr>{body}</table>"
+
+
+# ---------------------------------------------------------------------- what was walked
+
+
+def _heading(subjects: Sequence[Subject]) -> str:
+    out = []
+    for s in subjects:
+        ok, walk = s.report["ok"], s.report["walk"]
+        word = "every promise kept" if ok else f"{len(s.report['violations'])} promises broken"
+        if not walk["finished"]:
+            word += ", stopped before its end"
+        numbers = _numbers(s).items()
+        tiles = "".join(f"<div class='tile'><span>{key}</span><b>{value}</b></div>" for key, value in numbers)
+        out.append(
+            f"<div><h1>{escape(s.name)}<span class='badge {'ok' if ok else 'violated'}'>{word}</span></h1>"
+            f"<p class='muted'>{escape(s.report['robot']['name'])}, {len(s.report['robot']['joints'])} joints, "
+            f"{s.report['robot']['mass']:.2f} kg</p><div class='tiles'>{tiles}</div></div>"
+        )
+    return f"<div class='two'>{''.join(out)}</div>"
+
+
+def _numbers(subject: Subject) -> dict[str, str]:
+    walk = subject.report["walk"]
+    margin = walk["margin"]
+    error = walk["landing_error"]
+    return {
+        "time walked": f"{walk['duration']:.1f} s",
+        "steps": str(walk["steps"]),
+        "way": f"{1e3 * walk['distance']:.1f} mm",
+        "landing error, at most": "–" if error is None else f"{1e3 * error:.2f} mm",
+        "paper's margin, least": f"{1e3 * margin['paper']['value']:+.2f} mm",
+        "CoM in the soles, least": f"{1e3 * margin['true']['value']:+.2f} mm",
+        "joint limits, least": f"{np.degrees(margin['joints']['value']):.2f}°",
+        "joint speed, at most": f"{walk['joint_speed']['largest']:.3f} rad/s",
+    }
+
+
+def replay(names: Sequence[str], more: str = "") -> str:
+    """Return the stage of one walk, or of two side by side; `more` is said of what there is to see."""
+    stages = "".join(
+        f"<div><p>{escape(name)}: <b id='phase{k}'></b></p><div class='replay'>"
+        f"<canvas class='stage' id='stage{k}'></canvas><div id='curves{k}'></div></div></div>"
+        for k, name in enumerate(names)
+    )
+    speeds = "".join(f"<option>{v}</option>" for v in ("0.25", "0.5", "1", "2", "5", "10", "20", "50"))
+    return (
+        f"<div class='two{' both' if len(names) > 1 else ''}'>{stages}</div>"
+        "<div class='bar'><button id='play'>Play</button>"
+        "<input id='time' type='range' min='0' value='0' aria-label='time'><span id='clock'></span>"
+        f"<label>speed × <select id='speed'>{speeds}</select></label></div>"
+        "<p class='muted'>Drag to turn, scroll to come closer, space to play. Red: centre of mass, its projection and "
+        f"way; green: support polygon. {more}A click into a curve goes to that time. Margins as distances left, "
+        "dashed: the bound.</p>"
+    )
+
+
+def _margins(subject: Subject) -> str:
+    phases = subject.report["phases"]
+    names = list(dict.fromkeys(name for phase in phases for name in phase["minimum"]))
+    rows = []
+    for phase in phases:
+        cells = []
+        for name in names:
+            found = phase["minimum"].get(name)
+            value = "" if found is None else f"{found['value']:.4g}"
+            cells.append(f"<span class='bad'>{value}</span>" if found and found["value"] < 0.0 else value)
+        rows.append((phase["name"], *cells))
+    note = "<p class='muted'>[m], cylinders (sliding, com_cylinder) [m²], joints [rad]; at or above zero is kept.</p>"
+    return table(("phase", *names), rows, range(1, len(names) + 1)) + note
+
+
+def _phases(subject: Subject) -> str:
+    rows = [
+        (
+            phase["name"] + ("" if phase["ended"] else " (stopped)"),
+            f"{phase['start']:.2f}",
+            f"{phase['end']:.2f}",
+            str(phase["ticks"]),
+            f"{phase['error']['first']:.5f}",
+            f"{phase['error']['last']:.5f}",
+            phase["worst"]["name"],
+            f"{phase['worst']['value']:.2e}",
+        )
+        for phase in subject.report["phases"]
+    ]
+    head = ("phase", "start [s]", "end [s]", "ticks", "first error", "last error", "tightest", "distance")
+    return table(head, rows, (1, 2, 3, 4, 5, 7))
+
+
+def _figures(subjects: Sequence[Subject]) -> str:
+    out = ["<h2>Figures</h2>"]
+    for name, draw in FIGURES.items():
+        shown = []
+        for s in subjects:
+            if not fits(name, s.series):
+                continue
+            image = io.BytesIO()
+            with drawing():
+                draw(s.series).savefig(image, format="svg")
+            text = base64.b64encode(image.getvalue()).decode()
+            caption = _CAPTIONS.get(name, name)
+            shown.append(
+                f"<figure><img alt='{escape(caption)}' src='data:image/svg+xml;base64,{text}'>"
+                f"<figcaption>{caption}</figcaption></figure>"
+            )
+        if shown:
+            out.append(f"<div class='two'>{''.join(shown)}</div>")
+    return "".join(out)
+
+
+def _joints(subject: Subject) -> str:
+    series = subject.series
+    model = series.trace.model
+    known = np.isfinite(series.trace.u).all(axis=1)
+    fastest = np.abs(series.trace.u[known]).max(axis=0, initial=0.0)
+    rows = []
+    for i, name in enumerate(model.joint_names):
+        share = float(fastest[i] / model.velocity_max[i])
+        meter = f"<span class='meter'><i style='width:{100 * min(1.0, share):.1f}%'></i></span>"
+        left = float(np.degrees(series.joint_margin[:, i].min()))
+        limit = f"{model.velocity_max[i]:.2f}"
+        rows.append((name, f"{fastest[i]:.4f}", limit, f"{meter} {100 * share:.1f} %", f"{left:.2f}°"))
+    head = ("joint", "fastest [rad/s]", "limit [rad/s]", "share of the limit", "closest to a limit")
+    return table(head, rows, (1, 2, 4))
+
+
+def _tick_times(subject: Subject) -> str:
+    times = subject.series.trace.solve_time
+    times = times[np.isfinite(times)]
+    where = "every tick"
+    if not len(times):
+        values = [s.values["solve time"] for s in subject.said if "solve time" in s.values]
+        times, where = np.array([float(v) for v in values]), "as the controller said on /diagnostics"
+        times = times[np.isfinite(times)]
+    if not len(times):
+        return "<p class='muted'>The bag does not say how long the solver took.</p>"
+    micro = 1e6 * times
+    edges = np.linspace(0.0, float(np.percentile(micro, 99)) * 1.1 + 1e-9, 41)
+    counts, _ = np.histogram(micro, edges)
+    bars = "".join(
+        f"<rect x='{12 * k}' y='{100 - 96 * n / counts.max():.1f}' width='10' height='{96 * n / counts.max():.1f}'/>"
+        for k, n in enumerate(counts)
+    )
+    text = ", ".join(f"{k} {v:.0f} µs" for k, v in _quantiles(micro).items())
+    return (
+        f"<p>Solver, {where} ({len(micro)} of them): {text}.</p>"
+        "<svg viewBox='0 0 480 118' style='width:100%;max-width:640px'>"
+        f"<g fill='#1f5fb4'>{bars}</g><text x='0' y='115' font-size='11' fill='#57606a'>0</text>"
+        f"<text x='480' y='115' font-size='11' fill='#57606a' text-anchor='end'>{edges[-1]:.0f} µs</text></svg>"
+    )
+
+
+def _quantiles(micro: Any) -> dict[str, float]:
+    return {
+        "median": float(np.median(micro)),
+        "99 %": float(np.percentile(micro, 99)),
+        "at most": float(micro.max()),
+    }
+
+
+def _faults(subject: Subject) -> str:
+    found = faults(subject.said)
+    if not found:
+        return "<p class='muted'>None: no node said anything but OK, or the bag has no /diagnostics.</p>"
+    epoch = subject.series.trace.epoch / 1e9
+    rows = [
+        (
+            f"<span class='level-{fault.level}'>{fault.level}</span>",
+            escape(fault.name),
+            escape(fault.message[:160]),
+            f"{fault.first - epoch:.2f}",
+            f"{fault.last - epoch:.2f}",
+            str(fault.count),
+        )
+        for fault in found[:40]
+    ]
+    return table(("level", "who", "what, when it was first said", "first [s]", "last [s]", "times"), rows, (3, 4, 5))
+
+
+def _violations(subject: Subject) -> str:
+    items = [f"<li class='bad'>{escape(v['message'])}</li>" for v in subject.report["violations"][:50]]
+    items += [f"<li>{escape(note)}</li>" for note in subject.report["notes"]]
+    return f"<ul>{''.join(items)}</ul>" if items else "<p class='muted'>None.</p>"
+
+
+# ---------------------------------------------------------------------- two walks
+
+
+def _comparison(subjects: Sequence[Subject]) -> str:
+    one, other = (_numbers(s) for s in subjects)
+    rows = "".join(
+        f"<tr{'' if one[key] == other[key] else ' class=differs'}><td>{key}</td><td class=n>{one[key]}</td>"
+        f"<td class=n>{other[key]}</td></tr>"
+        for key in one
+    )
+    a, b = (s.report["config"] for s in subjects)
+    changed = [(key, str(a.get(key)), str(b.get(key))) for key in a if a.get(key) != b.get(key)]
+    names = [escape(s.name) for s in subjects]
+    config = table(("parameter", *names), changed) if changed else "<p class='muted'>The same configuration.</p>"
+    return (
+        f"<h2>Side by side</h2><div class='two'><div class='card'><table><tr><th></th><th class=n>{names[0]}</th>"
+        f"<th class=n>{names[1]}</th></tr>{rows}</table></div><div class='card scroll'>{config}</div></div>"
+    )
+
+
+# ---------------------------------------------------------------------- where it comes from
+
+
+def _configuration(subjects: Sequence[Subject]) -> str:
+    out = []
+    for s in subjects:
+        rows = [(key, escape(str(value))) for key, value in s.report["config"].items()]
+        title = f"<summary>Configuration of {escape(s.name)}</summary>"
+        out.append(f"<details class='card'>{title}{table(('', ''), rows)}</details>")
+    return f"<h2>Configuration</h2><div class='two'>{''.join(out)}</div>"
+
+
+def origin_table(walked: Sequence[tuple[str, Mapping[str, str]]]) -> str:
+    """Say who walked, by the name of each walk, beside who made this report."""
+    made = origin.here()
+    head = ("", *(f"walked: {escape(name)}" if len(walked) > 1 else "walked" for name, _ in walked), "reported")
+    columns = [*(dict(entry) for _, entry in walked), made]
+    rows = []
+    for key in dict.fromkeys(key for column in columns for key in column):
+        cells = [escape(column.get(key, "")) if column else "not recorded" for column in columns]
+        rows.append((escape("at" if key == "began" else key), *cells))
+    return f"<h2>Where this comes from</h2><div class='card scroll'>{table(head, rows)}</div>"

@@ -1,0 +1,104 @@
+"""What the replay in a report is drawn from: bodies, shapes, joint angles and curves, packed small."""
+
+from __future__ import annotations
+
+import base64
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros import kernels
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.model import Foot, RobotModel
+from dqwalk_ros.report.scene import Scene, moment_of, shapes_of, tightest
+from dqwalk_ros.report.series import Series
+
+__all__ = ["FRAMES", "packed", "replay_data", "robot_data", "rounded"]
+
+Array = NDArray[np.float64]
+FRAMES = 2400
+"""Pictures kept of a walk; between two of them the replay interpolates."""
+_ROUND = 5
+
+
+def replay_data(series: Series) -> dict[str, Any]:
+    """Return plain data for `replay.js`; arrays of numbers as base64 of little-endian float32."""
+    trace, model = series.trace, series.trace.model
+    starts = [span.start for span in series.spans]
+    ticks = np.linspace(0, len(trace) - 1, min(FRAMES, len(trace))).astype(int)
+    ticks = np.unique(np.concatenate([ticks, starts]))
+    scene, phases = Scene(trace.config, model), {}  # type: ignore[var-annotated]
+    root, com, curves, tight = [], [], {}, []  # type: ignore[var-annotated]
+    for row, tick in enumerate(ticks.tolist()):
+        moment = moment_of(trace, tick, phases)
+        kin, found = scene.judge(moment)
+        gauges = scene.gauges(moment.phase, found)
+        root.append(kernels.compose(moment.x_odom_base, kin.pose(scene.root)))
+        com.append(kernels.point(moment.x_odom_base, kin.com))
+        tight.append(tightest(gauges).name)
+        for gauge in gauges:
+            if gauge.role != "held":
+                curve = curves.setdefault(gauge.name, {"unit": gauge.unit, "v": np.full(len(ticks), np.nan)})
+                curve["v"][row] = gauge.value
+    x = DQ(np.array(root))
+    began = float(trace.time[0])
+    prints = []
+    for span in series.spans:
+        corners = DQ(span.record.x_odom_base).transform_point(model.soles[span.phase.base].corners)
+        start = float(trace.time[span.start])
+        prints.append({"t": start - began, "foot": span.phase.base.value, "c": [rounded(c) for c in corners]})
+    names = list(dict.fromkeys(tight))
+    return {
+        **robot_data(model),
+        "t": packed(trace.time[ticks] - trace.time[0]),
+        "q": packed(trace.q[ticks]),
+        "root": packed(np.concatenate([x.translation(), np.array(root)[:, :4]], axis=1)),
+        "com": packed(np.array(com)),
+        "prints": prints,
+        "phases": [
+            {
+                "name": span.phase.name,
+                "t": float(trace.time[span.start]) - began,
+                "double": span.double,
+                "base": span.phase.base.value,
+            }
+            for span in series.spans
+        ],
+        "curves": [{"name": name, "unit": c["unit"], "v": packed(c["v"])} for name, c in curves.items()],
+        "tight": {"names": names, "at": base64.b64encode(bytes(names.index(t) for t in tight)).decode()},
+    }
+
+
+def robot_data(model: RobotModel) -> dict[str, Any]:
+    """Return what stays the same: bodies, their shapes, and where the soles are."""
+    soles = {}
+    for foot in Foot:
+        frame = model.frames[model.soles[foot].frame]
+        corners = [rounded(DQ(frame.pose).transform_point(c)) for c in model.soles[foot].corners]
+        soles[foot.value] = {"b": frame.body, "corners": corners}
+    return {
+        "robot": model.name,
+        "bodies": [
+            {"parent": b.parent, "joint": b.joint, **_pose(b.origin), "axis": rounded(b.axis)} for b in model.bodies
+        ],
+        "shapes": [
+            {"b": s.body, "k": s.kind, "s": list(s.size), "c": list(s.color), **_pose(s.pose)} for s in shapes_of(model)
+        ],
+        "n": model.n,
+        "soles": soles,
+    }
+
+
+def _pose(x: Array) -> dict[str, list[float]]:
+    return {"p": rounded(DQ(x).translation()), "r": [float(v) for v in x[:4]]}
+
+
+def rounded(values: Array) -> list[float]:
+    """Return numbers for JSON, none longer than it must be."""
+    return [round(float(v), _ROUND + 2) for v in values]
+
+
+def packed(values: Array) -> str:
+    """Return numbers as base64 of little-endian float32."""
+    return base64.b64encode(np.ascontiguousarray(values, "<f4").tobytes()).decode()

@@ -1,0 +1,140 @@
+"""A walk as a movie and as a strip of pictures."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.trace import Trace
+
+__all__ = ["frames", "pelvis_poses", "save_movie", "save_strip"]
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+
+def pelvis_poses(trace: Trace) -> Array:
+    """Return the pelvis in the world at every tick, shape (N, 8): the true one where the physics engine told it."""
+    physics = getattr(trace, "physics", None)
+    if physics is not None:
+        out: Array = physics.pelvis
+        return out
+    out = np.full((len(trace), 8), math.nan)
+    ends = [record.start for record in trace.phases[1:]] + [len(trace)]
+    for record, end in zip(trace.phases, ends, strict=True):
+        x_base = DQ(record.x_odom_base)
+        for tick in range(record.start, end):
+            kin = Kinematics(trace.model, trace.q[tick], record.base)
+            out[tick] = (x_base * DQ(kin.pose(trace.model.pelvis))).vec8()
+    return out
+
+
+def frames(
+    trace: Trace,
+    times: Array,
+    *,
+    width: int,
+    height: int,
+    progress: Callable[[float, str], None] | None = None,
+) -> Iterator[Image]:
+    """Yield a picture of the robot at each time [s], with the time and the phase written on it.
+
+    Raises
+    ------
+    PlantError
+        If nothing can be drawn here.
+    """
+    from dqwalk_ros.plants.camera import Camera
+
+    pelvis = pelvis_poses(trace)
+    known = np.flatnonzero(np.isfinite(pelvis).all(axis=1))
+    starts = np.array([record.time for record in trace.phases])
+    with Camera(trace.config, trace.model, width, height) as camera:
+        for k, time in enumerate(times):
+            tick = known[min(int(np.searchsorted(trace.time[known], time)), len(known) - 1)]
+            picture = camera.picture(trace.q[tick], pelvis[tick])
+            record = trace.phases[max(int(np.searchsorted(starts, trace.time[tick], side="right")) - 1, 0)]
+            yield _labelled(picture, f"{trace.time[tick]:.1f} s", record.name.replace("_", " "))
+            if progress is not None:
+                progress((k + 1) / len(times), f"{k + 1} of {len(times)} pictures")
+
+
+def save_movie(
+    trace: Trace,
+    path: str | os.PathLike[str],
+    *,
+    speed: float = 2.0,
+    rate: float = 12.5,
+    width: int = 360,
+    height: int = 400,
+    progress: Callable[[float, str], None] | None = None,
+) -> Path:
+    """Write the walk as an animated picture, a .gif or a .webp.
+
+    Parameters
+    ----------
+    trace : Trace
+    path : path-like
+    speed : float
+        So many times as fast as it was walked.
+    rate : float
+        Pictures per second.
+    width, height : int
+        [pixels]
+    progress : callable, optional
+        Called with the fraction done and a line of text.
+    """
+    from PIL import Image as pillow
+
+    times = np.arange(trace.time[0], trace.time[-1] + 1e-9, speed / rate)
+    made = [pillow.fromarray(one) for one in frames(trace, times, width=width, height=height, progress=progress)]
+    out = Path(path)
+    options: dict[str, Any] = {"quality": 70, "method": 4}
+    if out.suffix.lower() == ".gif":
+        palette = made[len(made) // 2].quantize(64)
+        made = [one.quantize(palette=palette, dither=pillow.Dither.NONE) for one in made]
+        options = {"optimize": True}
+    made[0].save(out, save_all=True, append_images=made[1:], duration=round(1e3 / rate), loop=0, **options)
+    return out
+
+
+def save_strip(
+    trace: Trace,
+    path: str | os.PathLike[str],
+    *,
+    count: int = 8,
+    between: tuple[float, float] | None = None,
+    width: int = 240,
+    height: int = 400,
+    progress: Callable[[float, str], None] | None = None,
+) -> Path:
+    """Write some pictures of the walk side by side, evenly spread over it, or `between` two times [s]."""
+    from PIL import Image as pillow
+
+    first, last = between or (float(trace.time[0]), float(trace.time[-1]))
+    times = np.linspace(first, last, count)
+    made = list(frames(trace, times, width=width, height=height, progress=progress))
+    gap = np.full((height, 4, 3), 255, dtype=np.uint8)
+    row = [part for one in made for part in (one, gap)][:-1]
+    out = Path(path)
+    pillow.fromarray(np.concatenate(row, axis=1)).quantize(128).save(out, optimize=True)
+    return out
+
+
+def _labelled(picture: Image, *lines: str) -> Image:
+    from PIL import Image as pillow
+    from PIL import ImageDraw, ImageFont
+
+    image = pillow.fromarray(picture)
+    draw, font = ImageDraw.Draw(image), ImageFont.load_default(13)
+    for k, line in enumerate(lines):
+        draw.text((8, 6 + 17 * k), line, fill=(36, 41, 47), font=font)
+    return np.asarray(image)

@@ -1,0 +1,389 @@
+"""What there is to see of a walk at one moment: bodies, soles, constraints as shapes, and every margin.
+
+Nothing here draws. The live page (`dqwalk_ros.report.viewer`) and the replay in a report show the same `View`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import singledispatch
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros import kernels
+from dqwalk_ros.config import Config
+from dqwalk_ros.constraints import (
+    Constraint,
+    JointMaximum,
+    JointMinimum,
+    PointInCylinder,
+    PointInsideWall,
+    PointOverPlane,
+)
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.model import Foot, RobotModel
+from dqwalk_ros.phases import Phase, make_phase
+from dqwalk_ros.report.assessment import Assessment, Assessor, support_polygon
+from dqwalk_ros.trace import Trace
+
+__all__ = ["Gauge", "Moment", "Region", "Scene", "Shape", "View", "moment_of", "region", "shapes_of", "tightest"]
+
+Array = NDArray[np.float64]
+Rgba = tuple[float, float, float, float]
+_GREY: Rgba = (0.7, 0.72, 0.75, 1.0)
+_MARGIN = 1.25
+"""Regions are drawn this much taller than the point they hold is high."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One primitive of the robot's looks.
+
+    Attributes
+    ----------
+    body : int
+        Index of the body that carries it.
+    kind : str
+        ``box`` (size: x, y, z), ``cylinder`` (radius, length; along z) or ``sphere`` (radius).
+    size : tuple of float [m]
+    pose : ndarray, shape (8,)
+        In the frame of the body.
+    color : tuple of four float
+        Red, green, blue, opacity.
+    """
+
+    body: int
+    kind: str
+    size: tuple[float, ...]
+    pose: Array
+    color: Rgba
+
+
+def shapes_of(model: RobotModel) -> tuple[Shape, ...]:
+    """Return the visual shapes of the model's URDF; meshes are left out, the robot is drawn from primitives."""
+    robot = ElementTree.fromstring(model.urdf.encode())
+    named = {m.get("name", ""): _rgba(m, {}) for m in robot.findall("material")}
+    out = []
+    for link in robot.findall("link"):
+        frame = model.frames.get(link.get("name", ""))
+        for visual in link.findall("visual") if frame is not None else ():
+            found = _primitive(visual.find("geometry"))
+            if found is not None and frame is not None:
+                pose = (DQ(frame.pose) * _origin(visual.find("origin"))).vec8()
+                out.append(Shape(frame.body, *found, pose, _rgba(visual.find("material"), named)))
+    return tuple(out)
+
+
+def _primitive(geometry: ElementTree.Element | None) -> tuple[str, tuple[float, ...]] | None:
+    for kind, keys in (("box", ("size",)), ("cylinder", ("radius", "length")), ("sphere", ("radius",))):
+        element = geometry.find(kind) if geometry is not None else None
+        if element is not None:
+            return kind, tuple(x for key in keys for x in _numbers(element.get(key, "")))
+    return None
+
+
+def _origin(element: ElementTree.Element | None) -> DQ:
+    """Return the pose of a URDF origin, whose angles turn about the fixed axes x, y, z one after the other."""
+    if element is None:
+        return DQ(1.0)
+    x, y, z = (DQ.rotation_about(a, n) for a, n in zip(_numbers(element.get("rpy", "0 0 0")), np.eye(3), strict=True))
+    r = z * y * x
+    return DQ.from_pose(_numbers(element.get("xyz", "0 0 0")), r.vec4())
+
+
+def _rgba(material: ElementTree.Element | None, named: Mapping[str, Rgba]) -> Rgba:
+    color = material.find("color") if material is not None else None
+    if color is None:
+        return named.get(material.get("name", ""), _GREY) if material is not None else _GREY
+    r, g, b, a = _numbers(color.get("rgba", "0.7 0.72 0.75 1"))
+    return r, g, b, a
+
+
+def _numbers(text: str) -> list[float]:
+    return [float(word) for word in text.split()]
+
+
+@dataclass(frozen=True)
+class Region:
+    """A constraint as a shape.
+
+    Attributes
+    ----------
+    name : str
+        Of the constraint.
+    kind : str
+        ``cylinder`` (size: radius, height; along z), ``plane`` (x, y; normal z) or ``wall`` (x, z; normal y).
+    pose : ndarray, shape (8,)
+        Of its centre.
+    size : tuple of float [m]
+    """
+
+    name: str
+    kind: str
+    pose: Array
+    size: tuple[float, float]
+
+
+@singledispatch
+def region(constraint: Constraint, kin: Kinematics) -> Region | None:
+    """Return where a constraint is, in the base frame; register a function for a constraint of your own."""
+    return None
+
+
+@region.register
+def _(constraint: PointInCylinder, kin: Kinematics) -> Region | None:
+    axis, p = constraint.cylinder.axis, constraint.point.position(kin)
+    foot = np.cross(axis.l, axis.m)  # the axis' point closest to the origin
+    height = max(0.012, _MARGIN * abs(float((p - foot) @ axis.l)))
+    center = foot + 0.5 * height * axis.l
+    return Region(constraint.name, "cylinder", _turned(center, axis.l), (constraint.cylinder.radius, height))
+
+
+@region.register
+def _(constraint: PointOverPlane, kin: Kinematics) -> Region | None:
+    plane, p = constraint.plane, constraint.point.position(kin)
+    center = p - (float(plane.n @ p) - plane.d) * plane.n
+    return Region(constraint.name, "plane", _turned(center, plane.n), (0.26, 0.26))
+
+
+@region.register
+def _(constraint: PointInsideWall, kin: Kinematics) -> Region | None:
+    a, b = constraint.fixed, constraint.moving.position(kin)
+    t = (b - a)[:2]
+    height = max(0.02, _MARGIN * float(constraint.point.position(kin)[2]))
+    center = np.append(0.5 * (a + b)[:2], 0.5 * height)
+    yaw = float(np.arctan2(t[1], t[0]))
+    pose = DQ.from_pose(center, [np.cos(0.5 * yaw), 0.0, 0.0, np.sin(0.5 * yaw)]).vec8()
+    return Region(constraint.name, "wall", pose, (float(np.hypot(*t)) + 0.12, height))
+
+
+def _turned(p: Array, z: Array) -> Array:
+    """Return a pose at `p` whose z axis is the unit vector `z`."""
+    r = np.array([1.0 + z[2], -z[1], z[0], 0.0])
+    norm = float(np.linalg.norm(r))
+    return DQ.from_pose(p, r / norm if norm > 1e-9 else [0.0, 1.0, 0.0, 0.0]).vec8()
+
+
+@dataclass(frozen=True)
+class Gauge:
+    """One margin against its threshold.
+
+    Attributes
+    ----------
+    name : str
+    value : float
+        Distance left to the threshold, which is at zero, in `unit`.
+    unit : str
+        ``mm`` or ``°``.
+    share : float
+        `value` as a share of what there can be of it; by this the tightest is found.
+    role : str
+        ``kept`` (an inequality), ``held`` (an equality: how far off it is) or ``watched`` (nobody keeps it).
+    """
+
+    name: str
+    value: float
+    unit: str
+    share: float
+    role: str
+
+
+@singledispatch
+def _gauge(constraint: Constraint, d: float, model: RobotModel) -> Gauge:
+    return Gauge(constraint.name, 1e3 * d, "mm", d / 0.1, "kept")
+
+
+@_gauge.register
+def _(constraint: PointInCylinder, d: float, model: RobotModel) -> Gauge:
+    r = constraint.cylinder.radius
+    left = r - float(np.sqrt(max(r * r - d, 0.0)))
+    return Gauge(constraint.name, 1e3 * left, "mm", left / r, "kept")
+
+
+@_gauge.register
+def _(constraint: PointOverPlane, d: float, model: RobotModel) -> Gauge:
+    return Gauge(constraint.name, 1e3 * d, "mm", d / max(abs(constraint.plane.d), 0.05), "kept")
+
+
+@_gauge.register
+def _(constraint: PointInsideWall, d: float, model: RobotModel) -> Gauge:
+    return Gauge(constraint.name, 1e3 * d, "mm", d / (0.5 * model.soles[Foot.LEFT].length), "kept")
+
+
+@_gauge.register(JointMaximum)
+@_gauge.register(JointMinimum)
+def _(constraint: Constraint, d: float, model: RobotModel) -> Gauge:
+    half = 0.5 * float(np.min(model.q_max - model.q_min))
+    return Gauge(constraint.name, float(np.degrees(d)), "°", d / half, "kept")
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A state of a walk and the phase it belongs to.
+
+    Attributes
+    ----------
+    time : float [s]
+    q : ndarray, shape (n,) [rad]
+    phase : Phase
+    index : int
+        Of the phase, 0, 1, ... from the beginning of the walk.
+    began : float
+        Time at which the phase began [s].
+    x_odom_base : ndarray, shape (8,)
+        Pose of the phase's base sole in odom.
+    label : str
+        What the walk says of itself: the phase's name, ``finished``, ``failed``, ...
+    solver : str
+        What the solver of the quadratic program last said.
+    """
+
+    time: float
+    q: Array
+    phase: Phase
+    index: int
+    began: float
+    x_odom_base: Array
+    label: str = ""
+    solver: str = ""
+
+
+@dataclass(frozen=True)
+class View:
+    """Everything to be drawn of a `Moment`; places are in odom [m].
+
+    Attributes
+    ----------
+    moment : Moment
+    level, message : str
+        Of the `Assessment`.
+    bodies : ndarray, shape (B, 8)
+        Pose of each body of the model.
+    soles : dict of Foot to ndarray, shape (8,)
+    com : ndarray, shape (3,)
+    ground : float
+        Height of the ground.
+    polygon : ndarray, shape (m, 3)
+        Support polygon, counter-clockwise.
+    target : ndarray, shape (8,), or None
+        Where the swing sole shall land.
+    regions : tuple of Region
+    gauges : tuple of Gauge
+    error : float
+        Norm of the task error.
+    """
+
+    moment: Moment
+    level: str
+    message: str
+    bodies: Array
+    soles: dict[Foot, Array]
+    com: Array
+    ground: float
+    polygon: Array
+    target: Array | None
+    regions: tuple[Region, ...]
+    gauges: tuple[Gauge, ...]
+    error: float
+
+    @property
+    def tightest(self) -> Gauge:
+        """The inequality with the least share left."""
+        return tightest(self.gauges)
+
+
+def tightest(gauges: Iterable[Gauge]) -> Gauge:
+    """Return the inequality with the least share left."""
+    return min((g for g in gauges if g.role == "kept"), key=lambda gauge: gauge.share)
+
+
+@dataclass
+class Scene:
+    """Turns moments of one walk into views.
+
+    Parameters
+    ----------
+    config : Config
+    model : RobotModel
+    """
+
+    config: Config
+    model: RobotModel
+    _assess: Assessor | None = field(default=None, repr=False)
+    _links: tuple[str, ...] = field(default=(), repr=False)
+
+    def __post_init__(self) -> None:
+        identity = DQ(1.0).vec8()
+        links = {f.body: name for name, f in self.model.frames.items() if np.array_equal(f.pose, identity)}
+        self._links = tuple(links[body] for body in range(len(self.model.bodies)))
+
+    @property
+    def root(self) -> str:
+        """The link of the first body."""
+        return self._links[0]
+
+    def judge(self, moment: Moment) -> tuple[Kinematics, Assessment]:
+        """Return the robot at a moment, in the frame of its base sole, and what is to be said of it."""
+        phase, model = moment.phase, self.model
+        if self._assess is None or self._assess.phase is not phase:
+            self._assess = Assessor(self.config, model, phase)
+        kin = Kinematics(model, moment.q, phase.base)
+        return kin, self._assess(kin, moment.time - moment.began)
+
+    def look(self, moment: Moment) -> View:
+        """Return what is to be seen at a moment."""
+        phase, model = moment.phase, self.model
+        kin, found = self.judge(moment)
+        x = np.asarray(moment.x_odom_base)
+        polygon = support_polygon(model, phase, kin).vertices
+        regions = [r for c in phase.rows if (r := region(c, kin)) is not None]
+        return View(
+            moment=moment,
+            level=found.level,
+            message=found.message,
+            bodies=np.array([kernels.compose(x, kin.pose(link)) for link in self._links]),
+            soles={foot: kernels.compose(x, kin.pose(model.soles[foot].frame)) for foot in Foot},
+            com=kernels.point(x, kin.com),
+            ground=float(kernels.point(x, np.zeros(3))[2]),
+            polygon=np.array([kernels.point(x, np.append(vertex, 0.0)) for vertex in polygon]),
+            target=None if phase.swing_target is None else kernels.compose(x, phase.swing_target),
+            regions=tuple(Region(r.name, r.kind, kernels.compose(x, r.pose), r.size) for r in regions),
+            gauges=self.gauges(phase, found),
+            error=found.values["error"],
+        )
+
+    def gauges(self, phase: Phase, found: Assessment) -> tuple[Gauge, ...]:
+        """Return every margin against its threshold."""
+        values = found.values
+        half = 0.5 * self.model.soles[Foot.LEFT].width
+        margin = values["margin/polygon"]
+        return (
+            *(_gauge(row, values[f"distance/{row.name}"], self.model) for row in phase.constraints),
+            *(Gauge(hold.name, 1e3 * values[f"residual/{hold.name}"], "10⁻³", 0.0, "held") for hold in phase.holds),
+            Gauge("support_polygon", 1e3 * margin, "mm", margin / half, "watched"),
+        )
+
+
+def moment_of(trace: Trace, tick: int, phases: dict[int, Phase], label: str = "", solver: str = "") -> Moment:
+    """Return a tick of a recorded walk; `phases` keeps what was rebuilt."""
+    starts = [record.start for record in trace.phases]
+    index = max(int(np.searchsorted(starts, tick, side="right")) - 1, 0)
+    record = trace.phases[index]
+    if index not in phases:
+        phases[index] = make_phase(
+            trace.config, trace.model, record.kind, record.support, record.q_start, record.swing_target
+        )
+    return Moment(
+        time=float(trace.time[tick]),
+        q=trace.q[tick],
+        phase=phases[index],
+        index=index,
+        began=record.time,
+        x_odom_base=record.x_odom_base,
+        label=label or record.name,
+        solver=solver,
+    )

@@ -1,0 +1,185 @@
+"""The margins as the page shows them: a bar, a number and a curve each, the tightest one marked."""
+
+from __future__ import annotations
+
+from html import escape
+
+import numpy as np
+
+from dqwalk_ros.report.scene import Gauge, View
+from dqwalk_ros.report.viewer import colors
+
+__all__ = ["History", "margins_html", "status_html"]
+
+_MOST = 900
+"""Points kept of a curve; then every second one is dropped."""
+_WIDTH, _HEIGHT = 300.0, 34.0
+_MUTED = "#6e7781"
+_FONT = "font:13px/1.35 system-ui,-apple-system,'Segoe UI',sans-serif;color:#24292f"
+
+
+class History:
+    """Every margin over time, thinned where it grows long."""
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+        self.rows: list[dict[str, float]] = []
+        self.marks: list[float] = []
+        self._step = 0.0
+
+    def add(self, view: View) -> None:
+        """Take in a view; time that goes back begins anew."""
+        time = view.moment.time
+        if self.times and time < self.times[-1]:
+            self.__init__()  # type: ignore[misc]
+        if self.times and time - self.times[-1] < self._step:
+            return
+        self.times.append(time)
+        self.rows.append({gauge.name: gauge.value for gauge in view.gauges if gauge.role != "held"})
+        if not self.marks or view.moment.began > self.marks[-1]:
+            self.marks.append(view.moment.began)
+        if len(self.times) > _MOST:
+            self.times, self.rows = self.times[::2], self.rows[::2]
+            self._step = 1.5 * (self.times[-1] - self.times[0]) / len(self.times)
+
+    def span(self, now: float) -> tuple[float, float]:
+        """Return the time shown, which holds `now`."""
+        first = self.times[0] if self.times else now
+        last = max(self.times[-1] if self.times else now, now)
+        return first, max(last, first + 1.0)
+
+
+def margins_html(view: View, history: History) -> str:
+    """Return all margins of a view; those of other phases stay, greyed out, so that nothing jumps."""
+    now = {gauge.name: gauge for gauge in view.gauges if gauge.role != "held"}
+    rows = history.rows[:: max(1, len(history.rows) // 60)]
+    names = sorted({*now, *(name for row in rows for name in row)}, key=_order)
+    tightest = view.tightest.name
+    first, last = history.span(view.moment.time)
+    parts = [_row(name, now.get(name), name == tightest, history, (first, last), view.moment.time) for name in names]
+    held = [gauge for gauge in view.gauges if gauge.role == "held"]
+    tail = ""
+    if held:
+        cells = " &nbsp; ".join(f"{escape(_title(g.name))} <b>{abs(g.value):.2g}</b>" for g in held)
+        tail = f'<div style="color:{_MUTED};padding:4px 10px">held at zero, off by [10⁻³]: {cells}</div>'
+    axis = (
+        f'<div style="display:flex;justify-content:space-between;color:{_MUTED};font-size:11px;padding:0 10px">'
+        f"<span>{first:.1f} s</span><span>{last:.1f} s</span></div>"
+    )
+    return f'<div data-dqwalk="margins" style="{_FONT}">{"".join(parts)}{axis}{tail}</div>'
+
+
+_ORDER = ("sliding", "tip_plane", "back_plane", "com_cylinder", "pelvis", "joint_min", "joint_max")
+_TITLES = {
+    "sliding": "sliding (7)",
+    "tip_plane": "tip plane (9)",
+    "back_plane": "back plane (10)",
+    "com_cylinder": "CoM cylinder (14)",
+    "pelvis": "pelvis plane (11)",
+    "joint_max": "upper joint limits (12)",
+    "joint_min": "lower joint limits (13)",
+    "support_polygon": "CoM in the soles (watched)",
+}
+
+
+def _order(name: str) -> tuple[int, str]:
+    last = name == "support_polygon"
+    return (_ORDER.index(name) if name in _ORDER else 90 + last), name
+
+
+def _title(name: str) -> str:
+    return _TITLES.get(name, name.replace("_", " "))
+
+
+def _row(
+    name: str, gauge: Gauge | None, tight: bool, history: History, span: tuple[float, float], now: float
+) -> str:
+    color = colors.hexed(colors.of_region(name)) if gauge is None or gauge.value >= 0.0 else colors.hexed(colors.BAD)
+    if tight:
+        color = colors.hexed(colors.TIGHT)
+    value = "–" if gauge is None else f"{gauge.value:.2f} {gauge.unit}"
+    fade = "opacity:.38;" if gauge is None else ""
+    mark = "background:#fff4e0;box-shadow:inset 3px 0 0 #e67e00;" if tight else ""
+    badge = ' <span style="color:#b35900;font-weight:700;font-size:11px">TIGHTEST</span>' if tight else ""
+    share = 0.0 if gauge is None else float(np.clip(gauge.share, 0.0, 1.0))
+    bar = (
+        '<div style="height:4px;background:#e4e8ec;border-radius:2px;margin:1px 0 2px">'
+        f'<div style="height:4px;border-radius:2px;width:{100 * share:.0f}%;background:{color}"></div></div>'
+    )
+    return (
+        f'<div style="padding:4px 10px 2px;{fade}{mark}"><div style="display:flex;justify-content:space-between">'
+        f"<span>{escape(_title(name))}{badge}</span>"
+        f'<b style="font-variant-numeric:tabular-nums;color:{color}">{value}</b></div>'
+        f"{bar}{_curve(name, color, history, span, now)}</div>"
+    )
+
+
+def _curve(name: str, color: str, history: History, span: tuple[float, float], now: float) -> str:
+    """Return a curve as SVG, with the threshold as a dashed red line and the current time as a thin one."""
+    known = [(t, row[name]) for t, row in zip(history.times, history.rows, strict=True) if name in row]
+    values = np.array([v for _, v in known]) if known else np.zeros(1)
+    low, high = min(0.0, float(values.min())), max(float(values.max()), 1e-6)
+    room = 0.08 * (high - low)
+    low, high = low - room, high + room
+
+    def x(t: float) -> float:
+        return _WIDTH * (t - span[0]) / (span[1] - span[0])
+
+    def y(v: float) -> float:
+        return _HEIGHT * (1.0 - (v - low) / (high - low))
+
+    gap = 3.0 * (span[1] - span[0]) / max(len(history.times), 1)
+    path, before = [], -np.inf
+    for t, v in known:
+        path.append(f"{'M' if t - before > gap else 'L'}{x(t):.1f} {y(v):.1f}")
+        before = t
+    marks = "".join(f"M{x(t):.1f} 0V{_HEIGHT}" for t in history.marks[1:])
+    return (
+        f'<svg viewBox="0 0 {_WIDTH:.0f} {_HEIGHT:.0f}" preserveAspectRatio="none" '
+        f'style="width:100%;height:{_HEIGHT:.0f}px;display:block">'
+        f'<path d="{marks}" stroke="#d0d7de" fill="none" vector-effect="non-scaling-stroke"/>'
+        f'<path d="M0 {y(0.0):.1f}H{_WIDTH:.0f}" stroke="#d1242f" stroke-dasharray="4 3" fill="none" '
+        'vector-effect="non-scaling-stroke"/>'
+        f'<path data-curve="{escape(name)}" d="{"".join(path)}" stroke="{color}" stroke-width="1.6" fill="none" '
+        'stroke-linejoin="round" vector-effect="non-scaling-stroke"/>'
+        f'<path d="M{x(now):.1f} 0V{_HEIGHT}" stroke="#24292f" stroke-width="1" fill="none" '
+        'vector-effect="non-scaling-stroke"/></svg>'
+    )
+
+
+_LEVEL = {"OK": colors.hexed(colors.GOOD), "WARN": colors.hexed(colors.TIGHT), "ERROR": colors.hexed(colors.BAD)}
+
+
+def status_html(view: View, *, steps: int, total: int, note: str) -> str:
+    """Return phase, time, steps, level and solver of a view."""
+    moment = view.moment
+    kind, _, foot = moment.phase.name.partition("/")
+    base = moment.phase.base.value
+    double = kind.startswith("double")
+    doing = f"the CoM goes over the {foot} foot" if double else f"the {foot} foot carries, the other swings"
+    title = escape(kind.replace("_", " "))
+    over = moment.label if moment.label in ("finished", "failed", "paused", "idle") else ""
+    badge = _LEVEL.get(view.level, _MUTED)
+    step = f"{steps} of {total}" if total else str(steps)
+    solver = escape(moment.solver) or "not recorded"
+    rows = [
+        ("time", f"{moment.time:.2f} s"),
+        ("step", step),
+        ("task error", f"{view.error:.5f}"),
+        ("solver", solver),
+        ("page", escape(note)),
+    ]
+    cells = "".join(
+        f'<tr><td style="color:{_MUTED};padding:1px 10px 1px 0;vertical-align:top">{key}</td>'
+        f'<td style="font-variant-numeric:tabular-nums">{value}</td></tr>'
+        for key, value in rows
+    )
+    return (
+        f'<div data-dqwalk="status" style="{_FONT};padding:2px 10px 6px">'
+        f'<div style="display:flex;justify-content:space-between;align-items:center;margin-bottom:2px">'
+        f'<span style="font-size:17px;font-weight:700">{title}{": " + over if over else ""}</span>'
+        f'<span style="background:{badge};color:white;border-radius:9px;padding:1px 9px;font-weight:700;'
+        f'font-size:12px">{escape(view.level)}</span></div>'
+        f'<div style="color:{_MUTED};margin-bottom:6px">{escape(doing)} (world: {base} sole)</div>'
+        f'<table style="border-spacing:0">{cells}</table></div>'
+    )

@@ -1,0 +1,162 @@
+"""A recorded walk on the page: play, pause, scrub, speed."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from dqwalk_ros import kernels
+from dqwalk_ros.errors import DqwalkError
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.phases import Phase, assemble
+from dqwalk_ros.qp import make_solver
+from dqwalk_ros.report.scene import Scene, moment_of
+from dqwalk_ros.report.viewer.gauges import History
+from dqwalk_ros.report.viewer.page import FRAME, Page, prints_of
+from dqwalk_ros.trace import Trace
+
+__all__ = ["Player"]
+
+Array = NDArray[np.float64]
+_SPEEDS = ("0.25", "0.5", "1", "2", "5", "10", "20", "50")
+_CURVE = 400
+"""Points of each curve."""
+_WAY = 1500
+"""Points of the way of the centre of mass."""
+_IDLE = 0.1
+"""Time between two looks at the controls while nothing moves [s]."""
+
+
+class Player:
+    """Plays a walk on a page.
+
+    Parameters
+    ----------
+    page : Page
+    trace : Trace
+        With a state at least.
+    """
+
+    def __init__(self, page: Page, trace: Trace) -> None:
+        self._page, self._trace = page, trace
+        self._phases: dict[int, Phase] = {}
+        self._solver = make_solver(trace.config.qp.solver)
+        self._first, self._last = float(trace.time[0]), float(trace.time[-1])
+        self._at = self._first
+        self._moved = threading.Event()
+        self._changed_at = 0.0
+        scene = Scene(trace.config, trace.model)
+        page.set_scene(scene)
+        page.total_steps = 2 * trace.config.gait.cycles
+        history = History()
+        for tick in np.unique(np.linspace(0, len(trace) - 1, min(_CURVE, len(trace))).astype(int)).tolist():
+            history.add(scene.look(moment_of(trace, tick, self._phases)))
+        prints = ((i, r.base, r.x_odom_base) for i, r in enumerate(trace.phases))
+        page.replay_of(history, prints_of(prints))
+        self._way_ticks = np.unique(np.linspace(0, len(trace) - 1, min(_WAY, len(trace))).astype(int))
+        self._way = np.array([self._com(tick) for tick in self._way_ticks.tolist()])
+        self._add_controls()
+        self.show()
+
+    def _com(self, tick: int) -> Array:
+        moment = moment_of(self._trace, tick, self._phases)
+        kin = Kinematics(self._trace.model, moment.q, moment.phase.base)
+        place: Array = kernels.point(moment.x_odom_base, kin.com)
+        return place
+
+    def _add_controls(self) -> None:
+        gui = self._page.server.gui
+        self._page.controls.visible = True
+        length = self._last - self._first
+        with self._page.controls:
+            self._play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
+            step = 10.0 ** np.floor(np.log10(max(length, 1e-2) / 1000.0))
+            self._slider = gui.add_slider("time [s]", self._first, self._last, float(step), self._first)
+            speed = "10" if length > 90.0 else "1"
+            self._speed = gui.add_dropdown("speed ×", _SPEEDS, initial_value=speed)
+            self._jump = gui.add_button_group("phase", ("start", "‹", "›", "end"))
+        self.playing = False
+        self._play.on_click(lambda _: self.toggle())
+        self._slider.on_update(self._on_slider)
+        self._jump.on_click(lambda event: self._on_jump(event.target.value))
+
+    def toggle(self) -> None:
+        """Play or pause."""
+        if not self.playing and self._at >= self._last:
+            self._at = self._first
+        self.playing = not self.playing
+        self._play.label = "Pause" if self.playing else "Play"
+        self._play.icon = viser.Icon.PLAYER_PAUSE if self.playing else viser.Icon.PLAYER_PLAY
+        self._moved.set()
+
+    def seek(self, at: float) -> None:
+        """Go to a time [s]."""
+        self._at = min(max(at, self._first), self._last)
+        self._moved.set()
+
+    def _on_slider(self, event: viser.GuiEvent[viser.GuiSliderHandle[float]]) -> None:
+        if event.client is not None:  # moved by a person, not by us
+            self._changed_at = time.monotonic()
+            self.seek(float(event.target.value))
+
+    def _on_jump(self, key: str) -> None:
+        starts = [float(self._trace.time[record.start]) for record in self._trace.phases]
+        before = [t for t in starts if t < self._at - 1e-3]
+        after = [t for t in starts if t > self._at + 1e-3]
+        at = {"start": self._first, "‹": before[-1] if before else self._first, "end": self._last}
+        self.seek(at.get(key, after[0] if after else self._last))
+
+    def show(self) -> None:
+        """Draw the current time."""
+        tick = min(int(np.searchsorted(self._trace.time, self._at)), len(self._trace) - 1)
+        over = "finished" if self._trace.finished and tick == len(self._trace) - 1 else ""
+        moment = moment_of(self._trace, tick, self._phases, over, self._solved(tick))
+        way = self._way[: int(np.searchsorted(self._way_ticks, tick)) + 1]
+        self._page.show(moment, way=way, force=not self.playing)
+
+    def _solved(self, tick: int) -> str:
+        """Solve the quadratic program of a tick again and say how that went."""
+        moment = moment_of(self._trace, tick, self._phases)
+        try:
+            kin = Kinematics(self._trace.model, moment.q, moment.phase.base)
+            problem = assemble(moment.phase, kin, self._trace.config.dt)
+            found = self._solver.solve(problem)
+        except DqwalkError as error:
+            return f"failed: {error}"
+        active = ", ".join(found.active(problem)[:3]) or "none"
+        return f"solved again, {found.iterations} iterations; active: {active}"
+
+    def run(self, going: Callable[[], bool] = lambda: True) -> None:
+        """Play until `going` says no."""
+        last = time.monotonic()
+        while going():
+            began = time.monotonic()
+            elapsed, last = began - last, began
+            if self.playing:
+                self._at = min(self._at + elapsed * float(self._speed.value), self._last)
+                if self._at >= self._last:
+                    self.toggle()
+                self._moved.clear()
+                self.show()
+                self._follow()
+                time.sleep(max(0.0, FRAME - (time.monotonic() - began)))
+            elif self._moved.wait(_IDLE):
+                self._moved.clear()
+                self.show()
+                self._follow()
+
+    def _follow(self) -> None:
+        """Move the slider along, but not under a person's hand."""
+        now = time.monotonic()
+        if now - self._changed_at > 0.3 and (not self.playing or now - self._slid_at > 0.1):
+            self._slid_at = now
+            self._slider.value = self._at  # type: ignore[misc]
+
+    _slid_at = 0.0
+
+

@@ -1,0 +1,261 @@
+"""The robot as a free-floating multibody system: H, h, Jacobians and their drifts (1) [Sherikov2014].
+
+Coordinates are those of the package: the joints in the order of the model, and before them the six of the base,
+which the paper writes last. A velocity is v = (v_base, q'), where v_base is the linear and angular velocity of the
+root link in its own axes; a wrench or a velocity of a frame is (linear, angular) in world axes, at the frame's origin.
+
+This is the one importer of pinocchio (the extra ``[wholebody]``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import ModelError
+from dqwalk_ros.model import Foot, RobotModel
+
+__all__ = ["GRAVITY", "Dynamics", "FrameMotion", "Multibody", "rotation_error"]
+
+Array = NDArray[np.float64]
+
+GRAVITY = 9.81
+"""g [m/s^2]."""
+_WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+
+
+@dataclass(frozen=True)
+class FrameMotion:
+    """Where a frame is, how it moves, and how its acceleration depends on that of the coordinates.
+
+    Attributes
+    ----------
+    position : ndarray, shape (3,)
+        [m]
+    rotation : ndarray, shape (3, 3)
+    velocity : ndarray, shape (6,)
+        J v, linear and angular [m/s, rad/s].
+    jacobian : ndarray, shape (6, nv)
+        J.
+    drift : ndarray, shape (6,)
+        J' v, so that the acceleration is J v' + J' v [m/s^2, rad/s^2].
+    """
+
+    position: Array
+    rotation: Array
+    velocity: Array
+    jacobian: Array
+    drift: Array
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """A read-only snapshot of (1) at one state.
+
+    Attributes
+    ----------
+    q : ndarray, shape (n,)
+        Joint angles [rad].
+    v : ndarray, shape (6 + n,)
+        Velocity of the base and of the joints.
+    H : ndarray, shape (nv, nv)
+        Generalized inertia.
+    h : ndarray, shape (nv,)
+        Coriolis, centrifugal and gravity effects.
+    com, com_velocity, com_drift : ndarray, shape (3,)
+        c, c' and J'_com v [m, m/s, m/s^2].
+    com_jacobian : ndarray, shape (3, nv)
+    frames : mapping of str to FrameMotion
+        The frames that were asked for.
+    """
+
+    q: Array
+    v: Array
+    H: Array
+    h: Array
+    com: Array
+    com_velocity: Array
+    com_jacobian: Array
+    com_drift: Array
+    frames: Mapping[str, FrameMotion]
+
+    @property
+    def nv(self) -> int:
+        """6 + n."""
+        return int(self.v.shape[0])
+
+
+class Multibody:
+    """Evaluates (1) for a model.
+
+    Parameters
+    ----------
+    model : RobotModel
+    frames : iterable of str
+        Links whose motion every snapshot carries.
+
+    Raises
+    ------
+    ModelError
+        If pinocchio cannot read the robot, or a frame is not there.
+    """
+
+    def __init__(self, model: RobotModel, frames: Iterable[str] = ()) -> None:
+        self.model = model
+        self._pin = _build(model)
+        self._data = self._pin.createData()
+        self.mass = float(pin.computeTotalMass(self._pin))
+        missing = [name for name in frames if not self._pin.existFrame(name)]
+        if missing:
+            raise ModelError(f"the robot '{model.name}' has no link '{missing[0]}'")
+        self._frames = {name: self._pin.getFrameId(name) for name in frames}
+        joints = [self._pin.joints[self._pin.getJointId(name)] for name in model.joint_names]
+        self._iq = np.array([joint.idx_q for joint in joints])
+        self._iv = np.concatenate([np.arange(6), [joint.idx_v for joint in joints]])
+        self._ivv = np.ix_(self._iv, self._iv)
+        self._zero = np.zeros(self._pin.nv)
+
+    @property
+    def nv(self) -> int:
+        """6 + n."""
+        return int(self._pin.nv)
+
+    def at(self, x_base: ArrayLike, q: Array, v: Array) -> Dynamics:
+        """Return the snapshot at a state.
+
+        Parameters
+        ----------
+        x_base : array_like, shape (8,)
+            Pose of the root link in the world.
+        q : ndarray, shape (n,)
+            [rad]
+        v : ndarray, shape (6 + n,)
+        """
+        model, data, zero = self._pin, self._data, self._zero
+        full = self._configuration(x_base, q)
+        speed = np.empty(self.nv)
+        speed[self._iv] = v
+        pin.forwardKinematics(model, data, full, speed, zero)
+        pin.computeJointJacobians(model, data, full)
+        pin.updateFramePlacements(model, data)
+        upper = np.triu(pin.crba(model, data, full))
+        inertia = upper + np.triu(upper, 1).T
+        effects = pin.nonLinearEffects(model, data, full, speed)
+        pin.centerOfMass(model, data, full, speed, zero)
+        com, com_velocity, com_drift = data.com[0].copy(), data.vcom[0].copy(), data.acom[0].copy()
+        com_jacobian = pin.jacobianCenterOfMass(model, data, full, False)
+        frames = {}
+        for name, at in self._frames.items():
+            jacobian = pin.getFrameJacobian(model, data, at, _WORLD)[:, self._iv]
+            frames[name] = FrameMotion(
+                position=data.oMf[at].translation.copy(),
+                rotation=data.oMf[at].rotation.copy(),
+                velocity=jacobian @ v,
+                jacobian=jacobian,
+                drift=pin.getFrameClassicalAcceleration(model, data, at, _WORLD).vector.copy(),
+            )
+        return Dynamics(
+            q=q,
+            v=v,
+            H=inertia[self._ivv],
+            h=effects[self._iv],
+            com=com,
+            com_velocity=com_velocity,
+            com_jacobian=com_jacobian[:, self._iv],
+            com_drift=com_drift,
+            frames=frames,
+        )
+
+    def integrate(self, x_base: ArrayLike, q: Array, step: Array) -> tuple[Array, Array]:
+        """Return the pose of the base (8,) and the joints (n,) after a displacement v dt, shape (6 + n,)."""
+        moved = np.empty(self.nv)
+        moved[self._iv] = step
+        full = pin.integrate(self._pin, self._configuration(x_base, q), moved)
+        return DQ.from_pose(full[:3], full[[6, 3, 4, 5]]).vec8(), full[self._iq]
+
+    def stand(self, posture: Array, feet: Mapping[Foot, ArrayLike], upright: str) -> tuple[Array, Array]:
+        """Return a state at rest: both soles flat at places on the ground, the CoM above their middle.
+
+        Parameters
+        ----------
+        posture : ndarray, shape (n,)
+            The joints the arms keep and the legs begin from [rad].
+        feet : mapping of Foot to array_like, shape (2,)
+            Where the soles' links are [m].
+        upright : str
+            The link that is upright.
+
+        Returns
+        -------
+        x_base : ndarray, shape (8,)
+        q : ndarray, shape (n,)
+
+        Raises
+        ------
+        ModelError
+            If the robot cannot stand so.
+        """
+        soles = {foot: self.model.soles[foot].frame for foot in feet}
+        body = Multibody(self.model, (*soles.values(), upright))
+        middle = np.mean([np.asarray(place, dtype=np.float64) for place in feet.values()], axis=0)
+        x_base, q, still = DQ.from_pose([*middle, 0.7]).vec8(), posture.copy(), np.zeros(self.nv)
+        for _ in range(200):
+            dynamics = body.at(x_base, q, still)
+            rows, errors = [dynamics.com_jacobian[:2]], [middle - dynamics.com[:2]]
+            for foot, frame in soles.items():
+                motion = dynamics.frames[frame]
+                rows.append(motion.jacobian)
+                errors.append(np.append(feet[foot], 0.0) - motion.position)
+                errors.append(-rotation_error(motion.rotation))
+            rows.append(dynamics.frames[upright].jacobian[3:])
+            errors.append(-rotation_error(dynamics.frames[upright].rotation))
+            J, error = np.vstack(rows), np.concatenate(errors)
+            inverse = np.linalg.pinv(J, rcond=1e-6)
+            back = np.concatenate([np.zeros(6), 0.2 * (posture - q)])
+            step = inverse @ error + back - inverse @ (J @ back)
+            if np.abs(error).max() < 1e-10 and np.abs(step).max() < 1e-6:
+                return x_base, q
+            x_base, q = body.integrate(x_base, q, np.clip(step, -0.2, 0.2))
+        off = float(np.abs(error).max())
+        raise ModelError(f"'{self.model.name}' cannot stand with its soles at {dict(feet)}, but off by {off:.2g}")
+
+    def _configuration(self, x_base: ArrayLike, q: Array) -> Array:
+        w, x, y, z, w_, x_, y_, z_ = np.asarray(x_base, dtype=np.float64).tolist()
+        full = np.empty(self._pin.nq)
+        # p = 2 D(x) P(x)*, written out: this runs every tick
+        full[0] = 2.0 * (x_ * w - w_ * x - y_ * z + z_ * y)
+        full[1] = 2.0 * (y_ * w - w_ * y - z_ * x + x_ * z)
+        full[2] = 2.0 * (z_ * w - w_ * z - x_ * y + y_ * x)
+        full[3:7] = x, y, z, w
+        full[self._iq] = q
+        return full
+
+
+def rotation_error(rotation: Array, desired: Array | None = None) -> Array:
+    """Return the rotation vector from `desired` (upright without it) to `rotation`, in world axes, (3,) [rad]."""
+    error: Array = pin.log3(rotation if desired is None else rotation @ desired.T)
+    return error
+
+
+def _build(model: RobotModel) -> pin.Model:
+    """Return pinocchio's model of the joints that move: dropped links are cut out, locked joints are fixed at zero."""
+    robot = ElementTree.fromstring(model.urdf)
+    for element in list(robot):
+        link = element.get("name") if element.tag == "link" else None
+        child = element.find("child") if element.tag == "joint" else None
+        name = link if link is not None else child.get("link") if child is not None else None
+        if element.tag in ("link", "joint") and name not in model.frames:
+            robot.remove(element)
+    try:
+        whole = pin.buildModelFromXML(ElementTree.tostring(robot, encoding="unicode"), pin.JointModelFreeFlyer())
+    except ValueError as error:
+        raise ModelError(f"pinocchio cannot read '{model.name}': {error}") from error
+    moving = {"universe", "root_joint", *model.joint_names}
+    locked = [i for i, name in enumerate(whole.names) if name not in moving]
+    return pin.buildReducedModel(whole, locked, pin.neutral(whole)) if locked else whole

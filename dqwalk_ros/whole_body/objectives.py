@@ -1,0 +1,227 @@
+"""Objectives and distances of the second order: what is wanted and what is kept, section V [Sherikov2014].
+
+An `Objective` is to the second order what a `Task` is to the first: ||J v' + J' v - pi||^2 instead of
+||J u + eta e||^2. A `Distance` is a vector-field inequality of the second order. To add one of your own, write a
+frozen dataclass with its two or three methods and hand it to the controller::
+
+    WholeBodyController(config, model, objectives=[...], distances=[...])
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros.whole_body.dynamics import Dynamics, rotation_error
+
+__all__ = ["Distance", "FrameOrientation", "FrameOutsideSphere", "FramePosition", "JointPosture", "Objective"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Objective(ABC):
+    """An acceleration J v' + J' v that should be pi; its cost is 1/2 weight ||J v' + J' v - pi||^2.
+
+    Attributes
+    ----------
+    name : str
+    weight : float
+    kp : float
+        Stiffness [1/s^2]; the damping is critical, 2 sqrt(kp).
+    """
+
+    name: str
+    weight: float = 1.0
+    kp: float = 100.0
+
+    @property
+    def kd(self) -> float:
+        """Critical damping [1/s]."""
+        return 2.0 * math.sqrt(self.kp)
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Links the snapshot must carry."""
+        return ()
+
+    @abstractmethod
+    def jacobian(self, dynamics: Dynamics) -> Array:
+        """J, shape (k, nv)."""
+
+    @abstractmethod
+    def acceleration(self, dynamics: Dynamics) -> Array:
+        """Return what J v' should be: pi - J' v, shape (k,)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FramePosition(Objective):
+    """A link's origin at a place, by a saturated PD controller (17).
+
+    Attributes
+    ----------
+    frame : str
+    target : ndarray, shape (3,)
+        In the world [m].
+    saturation : float
+        Greatest pull along each axis [m/s^2].
+    """
+
+    frame: str
+    target: Array
+    saturation: float = math.inf
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """The link."""
+        return (self.frame,)
+
+    def jacobian(self, dynamics: Dynamics) -> Array:
+        """Jacobian of the position, shape (3, nv)."""
+        return dynamics.frames[self.frame].jacobian[:3]
+
+    def acceleration(self, dynamics: Dynamics) -> Array:
+        """Return clip(kp (p* - p)) - kd p' - J' v, shape (3,) [m/s^2]."""
+        motion = dynamics.frames[self.frame]
+        pull = np.clip(self.kp * (self.target - motion.position), -self.saturation, self.saturation)
+        return pull - self.kd * motion.velocity[:3] - motion.drift[:3]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameOrientation(Objective):
+    """A link's orientation (18).
+
+    Attributes
+    ----------
+    frame : str
+    target : ndarray, shape (3, 3), optional
+        Rotation in the world; upright and facing x without it.
+    """
+
+    frame: str
+    target: Array | None = None
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """The link."""
+        return (self.frame,)
+
+    def jacobian(self, dynamics: Dynamics) -> Array:
+        """Jacobian of the angular velocity, shape (3, nv)."""
+        return dynamics.frames[self.frame].jacobian[3:]
+
+    def acceleration(self, dynamics: Dynamics) -> Array:
+        """Return -kp log(R R*^T) - kd w - J' v, shape (3,) [rad/s^2]."""
+        motion = dynamics.frames[self.frame]
+        error = rotation_error(motion.rotation, self.target)
+        return -self.kp * error - self.kd * motion.velocity[3:] - motion.drift[3:]
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointPosture(Objective):
+    """The joints near a posture, or only damped (19); one stiffness and damping per joint.
+
+    Attributes
+    ----------
+    reference, stiffness, damping : ndarray, shape (n,)
+        [rad, 1/s^2, 1/s]
+    """
+
+    reference: Array
+    stiffness: Array
+    damping: Array
+
+    def jacobian(self, dynamics: Dynamics) -> Array:
+        """Jacobian of the joints, shape (n, nv)."""
+        return np.eye(dynamics.nv)[6:]
+
+    def acceleration(self, dynamics: Dynamics) -> Array:
+        """Return kp (q* - q) - kd q', shape (n,) [rad/s^2]."""
+        return self.stiffness * (self.reference - dynamics.q) - self.damping * dynamics.v[6:]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Distance(ABC):
+    """Keep a signed distance d, which grows towards safety, at or above zero: d'' >= -2 eta d' - eta^2 d.
+
+    This is d' >= -eta d twice over: with e = d' + eta d it says e' >= -eta e. Where d and e are not negative at the
+    beginning they never will be.
+
+    Attributes
+    ----------
+    name : str
+    eta : float
+        [1/s]
+    """
+
+    name: str
+    eta: float = 10.0
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Links the snapshot must carry."""
+        return ()
+
+    @abstractmethod
+    def distance(self, dynamics: Dynamics) -> Array:
+        """d, shape (k,)."""
+
+    @abstractmethod
+    def jacobian(self, dynamics: Dynamics) -> Array:
+        """J of d' = J v, shape (k, nv)."""
+
+    @abstractmethod
+    def drift(self, dynamics: Dynamics) -> Array:
+        """J' v of d'' = J v' + J' v, shape (k,)."""
+
+    def rows(self, dynamics: Dynamics) -> tuple[Array, Array]:
+        """Return G (k, nv) and h (k,) of G v' >= h."""
+        J = self.jacobian(dynamics)
+        return J, -2.0 * self.eta * (J @ dynamics.v) - self.eta**2 * self.distance(dynamics) - self.drift(dynamics)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameOutsideSphere(Distance):
+    """A link's origin outside a sphere at rest [m]: obstacle avoidance for any part of the robot.
+
+    Attributes
+    ----------
+    frame : str
+    center : ndarray, shape (3,)
+        In the world [m].
+    radius : float
+        [m]
+    """
+
+    frame: str
+    center: Array
+    radius: float
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """The link."""
+        return (self.frame,)
+
+    def distance(self, dynamics: Dynamics) -> Array:
+        """Distance from the centre less the radius, shape (1,) [m]."""
+        return np.array([np.linalg.norm(dynamics.frames[self.frame].position - self.center) - self.radius])
+
+    def jacobian(self, dynamics: Dynamics) -> Array:
+        """Jacobian of `distance`, shape (1, nv)."""
+        motion = dynamics.frames[self.frame]
+        return (self._normal(motion.position) @ motion.jacobian[:3])[None]
+
+    def drift(self, dynamics: Dynamics) -> Array:
+        """Return n J' v + (|p'|^2 - (n p')^2) / |p - c|, shape (1,) [m/s^2]."""
+        motion = dynamics.frames[self.frame]
+        n, speed = self._normal(motion.position), motion.velocity[:3]
+        away = np.linalg.norm(motion.position - self.center)
+        return np.array([n @ motion.drift[:3] + (speed @ speed - (n @ speed) ** 2) / away])
+
+    def _normal(self, position: Array) -> Array:
+        away: Array = position - self.center
+        return away / np.linalg.norm(away)
