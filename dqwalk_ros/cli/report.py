@@ -50,14 +50,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _series(path: Path, namespace: str | None) -> Series:
-    from dqwalk_ros import report
+    from dqwalk_ros import report as reporting
 
-    return report.analyse(bag.read(path, namespace=namespace))
+    return reporting.analyse(bag.read(path, namespace=namespace))
 
 
 def _html(args: argparse.Namespace, path: Path, series: Series, report: dict[str, Any], out: Path) -> Path:
     """Write the page, of one walk or of two, and return its file."""
-    from dqwalk_ros import report
+    from dqwalk_ros import report as reporting
     from dqwalk_ros.report import html
     from dqwalk_ros.report.bag.said import diagnostics_of
 
@@ -65,7 +65,7 @@ def _html(args: argparse.Namespace, path: Path, series: Series, report: dict[str
     if args.compare:
         other = Path(args.compare)
         found = _series(other, args.namespace)
-        subjects.append(html.Subject(_name(other), found, report.report(found), diagnostics_of(other)))
+        subjects.append(html.Subject(_name(other), found, reporting.report(found), diagnostics_of(other)))
     file = out / "report.html"
     html.write(subjects, file)
     return file

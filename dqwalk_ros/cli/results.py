@@ -55,22 +55,22 @@ def write_results(
     dict
         The report.
     """
-    from dqwalk_ros import report
+    from dqwalk_ros import report as reporting
 
-    series = series or report.analyse(trace)
-    report = report.report(series)
+    series = series or reporting.analyse(trace)
+    report = reporting.report(series)
     text = json.dumps(report, indent=2, allow_nan=False)
     try:
         out.mkdir(parents=True, exist_ok=True)
         (out / "report.json").write_text(text + "\n", encoding="utf-8")
         files = [out / "report.json"]
         if figures:
-            files += report.save(series, out, formats)
+            files += reporting.save(series, out, formats)
     except OSError as error:
         raise BagError(f"cannot write to '{out}': {error}") from error
     if as_json:
         print(text)
     elif not quiet:
-        print(report.render(report))
+        print(reporting.render(report))
         print("wrote " + ", ".join(str(file) for file in files))
     return report

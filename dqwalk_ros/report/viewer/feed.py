@@ -181,13 +181,9 @@ def _serve(news: Any, parent: Any, config: Config, port: int | None) -> None:
         began = time.monotonic()
         key = item.index, item.began
         if key not in phases:
-            phases = {
-                key: make_phase(config, scene.model, item.kind, item.support, item.q_start, item.swing_target)
-            }
+            phases = {key: make_phase(config, scene.model, item.kind, item.support, item.q_start, item.swing_target)}
         phase = phases[key]
-        page.show(
-            Moment(item.time, item.q, phase, item.index, item.began, item.x_odom_base, phase.name, item.solver)
-        )
+        page.show(Moment(item.time, item.q, phase, item.index, item.began, item.x_odom_base, phase.name, item.solver))
         time.sleep(max(0.0, FRAME - (time.monotonic() - began)))
     from dqwalk_ros.report import bag
     from dqwalk_ros.report.viewer.player import Player

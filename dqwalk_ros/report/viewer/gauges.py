@@ -91,9 +91,7 @@ def _title(name: str) -> str:
     return _TITLES.get(name, name.replace("_", " "))
 
 
-def _row(
-    name: str, gauge: Gauge | None, tight: bool, history: History, span: tuple[float, float], now: float
-) -> str:
+def _row(name: str, gauge: Gauge | None, tight: bool, history: History, span: tuple[float, float], now: float) -> str:
     color = colors.hexed(colors.of_region(name)) if gauge is None or gauge.value >= 0.0 else colors.hexed(colors.BAD)
     if tight:
         color = colors.hexed(colors.TIGHT)

@@ -158,5 +158,3 @@ class Player:
             self._slider.value = self._at  # type: ignore[misc]
 
     _slid_at = 0.0
-
-
