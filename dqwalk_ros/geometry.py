@@ -117,12 +117,15 @@ class ConvexPolygon:
     def hull(cls, points: ArrayLike) -> Self:
         """Return the convex hull of points (k, 2), by Andrew's monotone chain; collinear points are left out.
 
+        Points are rounded to a nanometre first: the chain sorts them, and two that differ only by rounding would be
+        taken in an order that cuts corners off.
+
         Raises
         ------
         ValueError
             If the points do not span an area.
         """
-        pts = sorted(set(map(tuple, np.asarray(points, dtype=np.float64)[:, :2].tolist())))
+        pts = sorted(set(map(tuple, np.round(np.asarray(points, dtype=np.float64)[:, :2], 9).tolist())))
 
         def half(points: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
             out: list[tuple[float, ...]] = []

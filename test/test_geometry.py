@@ -222,10 +222,26 @@ def test_hull_leaves_out_what_lies_inside_or_on_an_edge():
     assert (n @ np.array([1.0, 0.5]) - d > 0.0).all()  # counter-clockwise, normals inwards
 
 
+@pytest.mark.parametrize("jitter", [0.0, *(10.0**-k for k in range(6, 18))])
+def test_no_point_is_outside_of_its_hull(jitter):
+    """Two soles beside each other, most corners on common lines but for `jitter` [m]."""
+    rng = np.random.default_rng(0)
+    sole = np.array([[-0.072, -0.023], [0.072, -0.023], [0.072, 0.023], [-0.072, 0.023]])
+    for _ in range(40):
+        ahead, turn = rng.choice([0.0, rng.uniform(-0.06, 0.06)]), rng.choice([0.0, rng.uniform(-np.pi, np.pi)])
+        R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+        points = np.concatenate([sole, sole + np.array([ahead, 0.095])]) @ R.T + jitter * rng.normal(size=(8, 2))
+        n, d = ConvexPolygon.hull(points).edges()
+        distances = points @ n.T - d
+        assert distances.min() > -2e-9  # they are rounded to 1e-9
+        assert distances.min(axis=0).max() < 2e-9  # every edge touches
+
+
 def test_hull_matches_scipy(rng):
     from scipy.spatial import ConvexHull
 
     points = rng.normal(size=(30, 2))
+    points = np.round(points, 9)
     ours, theirs = ConvexPolygon.hull(points).vertices, points[ConvexHull(points).vertices]
     assert {tuple(v) for v in ours} == {tuple(v) for v in theirs}
 

@@ -14,10 +14,19 @@ from dqwalk_ros import cli
 from dqwalk_ros.config import load
 from dqwalk_ros.errors import BagError
 from dqwalk_ros.model import Foot, load_model
-from dqwalk_ros.report import acceptance, bag
+from dqwalk_ros.report import bag
 from dqwalk_ros.report.figures.reach_pushes import save_pushes
 from dqwalk_ros.report.figures.reaching import reactions, save_reaching
-from dqwalk_ros.whole_body import SCENARIOS, Reaching, Scenario, WholeBodyController, follow, pushes, retrace
+from dqwalk_ros.whole_body import (
+    SCENARIOS,
+    Reaching,
+    Scenario,
+    WholeBodyController,
+    acceptance,
+    follow,
+    pushes,
+    retrace,
+)
 from dqwalk_ros.whole_body.exactness import Answers
 from dqwalk_ros.whole_body.pushes import PushLimit, limit
 from dqwalk_ros.whole_body.reaching import checks, render_checks, summary
