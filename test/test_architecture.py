@@ -135,7 +135,7 @@ def test_the_core_does_without_ros_and_extras():
     import sys
 
     optional = ("rclpy", "mujoco", "viser", "pypot", "pinocchio", "daqp", "matplotlib")
-    core = ("controllers.velocity", "plants.kinematic", "simulation", "assessment")
+    core = ("controllers.velocity", "plants.kinematic", "simulation", "report.assessment")
     code = "import sys\n" + "".join(f"import dqwalk_ros.{name}\n" for name in core)
     code += f"print([name for name in {optional!r} if name in sys.modules])"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
