@@ -258,7 +258,7 @@ def test_solve_times(trace):
 
 
 def test_a_walk_that_stopped_early(trace, report):
-    """What is there is judged; what never happened is no violation."""
+    """What is there is judged; it is not OK because it did not finish, and for nothing else."""
     n = trace.phases[2].start - 50
     part = spoilt(
         trace,
@@ -269,7 +269,11 @@ def test_a_walk_that_stopped_early(trace, report):
         phases=trace.phases[:2],
         finished=False,
     )
-    assert part["ok"] is True
+    assert part["ok"] is False
+    (violation,) = part["violations"]
+    assert violation["what"] == "finished"
+    assert "single_support/left" in violation["message"]
+    assert "OK: " not in reporting.render(part)
     assert part["walk"]["finished"] is False
     assert part["walk"]["steps"] == 0
     assert part["walk"]["landing_error"] is None
@@ -316,7 +320,7 @@ def test_a_joint_beyond_its_limit(trace):
     assert found["value"] == pytest.approx(-1e-3, abs=1e-12)
     assert found["time"] == trace.time[tick]
     assert "l_knee_y" in found["message"]
-    assert "VIOLATED" in reporting.render(report)
+    assert "NOT OK" in reporting.render(report)
 
 
 def test_within_the_tolerance_is_no_violation(trace):
@@ -487,7 +491,7 @@ def test_a_walk_cut_off_in_its_first_phase_can_be_drawn(trace, n):
         finished=False,
     )
     series = reporting.analyse(part)
-    assert reporting.report(series)["ok"] is True
+    assert names(reporting.report(series)) == {"finished"}
     for name, draw in FIGURES.items():
         if fits(name, series):
             assert draw(series).get_axes()
@@ -508,7 +512,7 @@ def test_a_single_support_alone_can_be_judged_and_drawn(trace):
     )
     series = reporting.analyse(part)
     report = reporting.report(series)
-    assert report["ok"] is True
+    assert names(report) == {"finished"}
     assert "single_support/left (stopped)" in reporting.render(report)
     for name, draw in FIGURES.items():
         if fits(name, series):

@@ -234,7 +234,7 @@ def test_a_broken_promise_is_exit_1_with_the_reason(tmp_path):
     bag.write(dataclasses.replace(trace, q=q), tmp_path / "b")
     done = run("report", tmp_path / "b", "--no-figures")
     assert done.returncode == 1
-    assert "VIOLATED" in done.stdout
+    assert "NOT OK" in done.stdout
     assert "l_knee_y" in done.stdout
 
 
@@ -263,7 +263,9 @@ def test_too_long_a_step_fails_with_the_reason_and_keeps_what_was_walked(tmp_pat
     assert [record.name for record in trace.phases] == ["double_support/left", "single_support/left"]
     report = json.loads((tmp_path / "w/report.json").read_text())
     assert report["walk"]["finished"] is False
-    assert report["ok"] is True  # it stopped, but never left its constraints
+    assert report["ok"] is False
+    assert [v["what"] for v in report["violations"]] == ["finished"]  # but it never left its constraints
+    assert run("report", tmp_path / "w/bag", "--no-figures").returncode == 1
 
 
 def test_ctrl_c_keeps_what_was_walked(tmp_path):

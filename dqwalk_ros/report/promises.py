@@ -183,6 +183,10 @@ def _of_a_landing(series: Series, span: Span, ending: Ending, last: int) -> Iter
 def _of_the_walk(series: Series) -> Iterator[Violation]:
     """Yield what the walk as a whole broke."""
     tolerance = series.trace.config.monitor.tolerance
+    if not series.trace.finished:
+        last, time = series.spans[-1], float(series.time[-1])
+        text = f"the walk stopped before its end, in {last.phase.name} at {time:.2f} s"
+        yield Violation("finished", last.phase.name, time, 0.0, 1.0, text)
     for i, name in enumerate(series.trace.model.joint_names):
         tick = int(np.argmin(series.joint_margin[:, i]))
         least, time = float(series.joint_margin[tick, i]), float(series.time[tick])

@@ -142,7 +142,8 @@ def _verdict(report: Mapping[str, Any]) -> str:
     violations = report["violations"]
     shown = [f"  {violation['message']}" for violation in violations[:20]]
     more = [f"  and {len(violations) - 20} more"] if len(violations) > 20 else []
-    return "\n".join([f"VIOLATED, {len(violations)} times:", *shown, *more])
+    times = "once" if len(violations) == 1 else f"{len(violations)} times"
+    return "\n".join([f"NOT OK, {times}:", *shown, *more])
 
 
 def _aligned(rows: Sequence[Sequence[str]], right: Sequence[int], rule: int | None) -> str:

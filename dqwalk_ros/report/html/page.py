@@ -127,9 +127,11 @@ def _heading(subjects: Sequence[Subject]) -> str:
     out = []
     for s in subjects:
         ok, walk = s.report["ok"], s.report["walk"]
-        word = "every promise kept" if ok else f"{len(s.report['violations'])} promises broken"
-        if not walk["finished"]:
-            word += ", stopped before its end"
+        violations = [v for v in s.report["violations"] if v["what"] != "finished"]
+        words = [] if walk["finished"] else ["stopped before its end"]
+        if violations:
+            words.append(f"{len(violations)} violation{'s' if len(violations) > 1 else ''}")
+        word = ", ".join(words) or "every constraint kept"
         numbers = _numbers(s).items()
         tiles = "".join(f"<div class='tile'><span>{key}</span><b>{value}</b></div>" for key, value in numbers)
         out.append(
@@ -149,7 +151,7 @@ def _numbers(subject: Subject) -> dict[str, str]:
         "steps": str(walk["steps"]),
         "way": f"{1e3 * walk['distance']:.1f} mm",
         "landing error, at most": "–" if error is None else f"{1e3 * error:.2f} mm",
-        "paper's margin, least": f"{1e3 * margin['paper']['value']:+.2f} mm",
+        "paper's margin, least": f"{1e3 * margin['paper']['value']:+.2f} mm" if "paper" in margin else "–",
         "CoM in the soles, least": f"{1e3 * margin['true']['value']:+.2f} mm",
         "joint limits, least": f"{np.degrees(margin['joints']['value']):.2f}°",
         "joint speed, at most": f"{walk['joint_speed']['largest']:.3f} rad/s",
