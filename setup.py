@@ -93,6 +93,7 @@ setup(
         "lz4>=4.0",
         "matplotlib>=3.6",
         "mcap>=1.1",
+        "msgspec>=0.18",
         "numba>=0.58",
         "numpy>=1.26",
         "pyyaml>=6.0",

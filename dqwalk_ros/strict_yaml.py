@@ -1,98 +1,102 @@
-"""YAML as a parameter file needs it: small, plain, every key once, and every key's line known.
-
-What rcl refuses (anchors and aliases) is refused here too, so that a file means the same to ROS and to Python; what
-YAML would pass over in silence, a key given twice, is an error.
-"""
+"""YAML as rcl reads parameter files, and stricter: no anchors, no key twice, never longer than 1 MiB."""
 
 from __future__ import annotations
 
+import os
+import re
+from collections.abc import Sequence
 from typing import Any
 
 import yaml
 
 from dqwalk_ros.errors import ConfigError
 
-__all__ = ["MAX_BYTES", "read"]
+__all__ = ["MAX_BYTES", "line_of", "read", "read_text"]
 
 MAX_BYTES = 1 << 20
-"""A parameter file is not longer than this."""
-_DEPTH = 20
-"""Nor deeper."""
+"""Longest file."""
 
 
 class _Loader(yaml.SafeLoader):
-    """SafeLoader without aliases, with unique keys, and with the line of every key."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__(text)
-        self.lines: dict[tuple[str, ...], int] = {}
-        self._depth = 0
+    """SafeLoader without anchors, aliases and merge keys, where every key of a table is given once."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         event: Any = self.peek_event()  # type: ignore[no-untyped-call]
-        if isinstance(event, yaml.AliasEvent):
-            raise _at(event.start_mark, "an alias, which ROS parameter files do not have")
         if getattr(event, "anchor", None):
-            raise _at(event.start_mark, "an anchor, which ROS parameter files do not have")
-        self._depth += 1
-        if self._depth > _DEPTH:
-            raise _at(event.start_mark, f"nested deeper than {_DEPTH} levels")
-        try:
-            return super().compose_node(parent, index)
-        finally:
-            self._depth -= 1
+            raise _at(event, "anchors and aliases are not allowed")
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        lines: dict[Any, int] = {}
+        for key, _ in node.value:
+            if key.tag == "tag:yaml.org,2002:merge":
+                raise _at(key, "merge keys are not allowed")
+            text = str(key.value)
+            if text in lines:
+                raise _at(key, f"the key {text!r:.80} was given in line {lines[text]} already")
+            lines[text] = key.start_mark.line + 1
+        return super().construct_mapping(node, deep=deep)
 
 
-def _at(mark: Any, what: str) -> yaml.YAMLError:
-    return yaml.MarkedYAMLError(problem=what, problem_mark=mark)
+# YAML 1.1 takes 1e-3 for a text; rcl and YAML 1.2 take it for a number
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
+)
 
 
-def read(text: str, *, source: str = "") -> tuple[Any, dict[tuple[str, ...], int]]:
-    """Return the tree of a YAML text, and the line (from 1) of every key by its path.
+def _at(place: Any, problem: str) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(problem=problem, problem_mark=place.start_mark)
+
+
+def read_text(path: str | os.PathLike[str]) -> str:
+    """Return the text of a small file.
 
     Raises
     ------
     ConfigError
-        If it is not YAML, or more than a parameter file may be; the message names the line.
+        If it cannot be read, is not UTF-8, or is longer than 1 MiB.
     """
-    where = f"{source}: " if source else ""
-    if len(text) > MAX_BYTES:
-        raise ConfigError(f"{where}not a parameter file: longer than {MAX_BYTES >> 20} MiB")
-    lines: dict[tuple[str, ...], int] = {}
     try:
-        loader = _Loader(text)
-        try:
-            node = loader.get_single_node()
-            if node is None:
-                return None, lines
-            _check_keys(node, (), lines)
-            return loader.construct_document(node), lines
-        finally:
-            loader.dispose()
+        with open(path, encoding="utf-8") as file:
+            text = file.read(MAX_BYTES + 1)
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"cannot read '{path}': {error}") from error
+    if len(text) > MAX_BYTES:
+        raise ConfigError(f"{path}: longer than {MAX_BYTES >> 20} MiB")
+    return text
+
+
+def read(text: str, *, source: str = "text") -> Any:
+    """Return the tree of a YAML text without anchors, each key once.
+
+    Raises
+    ------
+    ConfigError
+        If it is not such a text; the message names the line.
+    """
+    if len(text) > MAX_BYTES:
+        raise ConfigError(f"{source}: longer than {MAX_BYTES >> 20} MiB")
+    try:
+        return yaml.load(text, _Loader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f"line {mark.line + 1}: " if mark is not None else ""
-        raise ConfigError(f"{where}{line}not YAML: {error.problem or error.context}") from error
-    except (yaml.YAMLError, RecursionError, ValueError, OverflowError, KeyError, AttributeError, TypeError) as error:
+        raise ConfigError(f"{source}: {line}not YAML: {error.problem or error.context}") from error
+    except RecursionError as error:
+        raise ConfigError(f"{source}: nested too deeply") from error
+    except (yaml.YAMLError, ValueError, OverflowError, KeyError, AttributeError, TypeError) as error:
         # a date that does not exist, a number with 5000 digits, a control character, ...
-        raise ConfigError(f"{where}not YAML: {' '.join(str(error).split())[:300]}") from error
+        raise ConfigError(f"{source}: not YAML: {' '.join(str(error).split())[:300]}") from error
 
 
-def _check_keys(node: Any, path: tuple[str, ...], lines: dict[tuple[str, ...], int]) -> None:
-    if isinstance(node, yaml.SequenceNode):
-        for item in node.value:
-            _check_keys(item, path, lines)
-    if not isinstance(node, yaml.MappingNode):
-        return
-    seen: dict[str, int] = {}
-    for key, value in node.value:
-        line = key.start_mark.line + 1
-        if not isinstance(key, yaml.ScalarNode):
-            raise _at(key.start_mark, "a key that is no text")
-        if key.tag == "tag:yaml.org,2002:merge":
-            raise _at(key.start_mark, "a merge key, which ROS parameter files do not have")
-        if key.value in seen:
-            raise _at(key.start_mark, f"the key '{key.value}' was given in line {seen[key.value]} already")
-        seen[key.value] = line
-        lines[(*path, key.value)] = line
-        _check_keys(value, (*path, key.value), lines)
+def line_of(text: str, path: Sequence[str]) -> int:
+    """Return the line (from 1) of a key of a YAML text that `read` has read; of the deepest key that it has."""
+    node, left, line = yaml.compose(text, _Loader), ".".join(path), 1
+    while left and isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            if left == key.value or left.startswith(f"{key.value}."):  # a key may be dotted
+                node, left, line = value, left[len(key.value) + 1 :], key.start_mark.line + 1
+                break
+        else:
+            break
+    return line

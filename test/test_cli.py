@@ -121,7 +121,7 @@ def test_config_prints_what_can_be_read_again(capsys, tmp_path):
         (["config", "nowhere.yaml"], "nowhere.yaml"),
         (["config", "paper", "--set", "ssp.com_radios=0.04"], "did you mean 'ssp.com_radius'"),
         (["config", "paper", "--set", "ssp.com_radius=wide"], "must be a number"),
-        (["config", "paper", "--set", "ssp.com_radius=7"], "must lie in"),
+        (["config", "paper", "--set", "ssp.com_radius=7"], "must be a number in [0.0001, 1], got 7"),
         (["config", "paper", "--set", "ssp.com_radius"], "KEY=VALUE"),
         (["config", "--set", "nothing=1"], "unknown parameter"),
         (["simulate", "--cycles", "0"], "gait.cycles"),

@@ -301,8 +301,14 @@ def test_a_signal_ends_a_node_in_order(live: Make, name: str, number: signal.Sig
     ("text", "expected"),
     [
         ("/**: {ros__parameters: {gait: {step_lenght: 0.04}}}", "did you mean 'gait.step_length'"),
-        ("/**: {ros__parameters: {gait: {step_length: far}}}", "'gait.step_length' must be a number"),
-        ("/**: {ros__parameters: {gait: {step_length: 99.0}}}", "'gait.step_length' must lie in"),
+        (
+            "/**: {ros__parameters: {gait: {step_length: far}}}",
+            "'gait.step_length' must be a number in [-0.5, 0.5], got",
+        ),
+        (
+            "/**: {ros__parameters: {gait: {step_length: 99.0}}}",
+            "'gait.step_length' must be a number in [-0.5, 0.5], got 99.0",
+        ),
         ("/**/controler: {ros__parameters: {dt: 0.01}}", "did you mean 'controller'"),
         ("/elsewhere/controller: {ros__parameters: {dt: 0.01}}", "does not reach /controller"),
         ("/somebody: {ros__parameters: {dt: 0.01}}", "no section reaches /controller"),

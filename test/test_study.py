@@ -59,7 +59,7 @@ def test_samples_fill_the_ranges_and_repeat(tmp_path, sample):
     ("text", "words"),
     [
         ("vary: {gait.step_lenght: [0.1]}", "step_lenght.*did you mean"),
-        ("vary: {gait.step_length: {from: 0.1, to: 9.0}}", "gait.step_length.*lie in"),
+        ("vary: {gait.step_length: {from: 0.1, to: 9.0}}", "gait.step_length.*must be a number in"),
         ("vary: {gait.step_length: 0.1}", "list of values"),
         ("vary: {}", "at least one"),
         ("sample: random\nvary: {dt: [0.005]}", "sobol"),

@@ -89,13 +89,14 @@ def load_motors(source: str) -> dict[str, Motor]:
     path = Path(source)
     if not path.is_file():
         path = find_share("config/motors", f"{source}.yaml" if not path.suffix else source)
-    tree, lines = strict_yaml.read(path.read_text(encoding="utf-8"), source=str(path))
+    text = strict_yaml.read_text(path)
+    tree = strict_yaml.read(text, source=str(path))
     table = tree.get("motors") if isinstance(tree, dict) else None
     if not isinstance(table, dict) or not table:
         raise ConfigError(f"{path}: expected 'motors: {{JOINT: {{id, type, bus, direct, offset, raw}}}}'")
     out: dict[str, Motor] = {}
     for name, entry in table.items():
-        where = f"{path}, line {lines.get(('motors', str(name)), 0)}: motor '{name}'"
+        where = f"{path}, line {strict_yaml.line_of(text, ('motors', str(name)))}: motor '{name}'"
         try:
             numbers = {"raw": tuple(map(float, entry["raw"])), "offset": float(entry["offset"])}
             motor = Motor(name=str(name), **{**entry, **numbers})
