@@ -14,6 +14,7 @@ LAYERS = (
     "errors",
     "origin",
     "strict_yaml",
+    "topics",
     "config",
     "dual_quaternions",
     "geometry",

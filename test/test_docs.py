@@ -15,7 +15,7 @@ import yaml
 from dqwalk_ros.cli import parser
 from dqwalk_ros.config import Config
 from dqwalk_ros.nodes.entry import HELP
-from dqwalk_ros.report.bag import TOPICS
+from dqwalk_ros.topics import TOPICS
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])

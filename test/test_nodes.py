@@ -21,9 +21,9 @@ from dqwalk_ros.controllers import make_controller
 from dqwalk_ros.model import load_model
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report import bag
-from dqwalk_ros.report.bag.topics import TOPICS
 from dqwalk_ros.runner import environment, private_domain, run_walk
 from dqwalk_ros.simulation import simulate
+from dqwalk_ros.topics import TOPICS
 
 Make = Callable[..., Live]
 LONG = {**SHORT, "task.eta": 0.3, "ssp.threshold": 1e-3}

@@ -33,8 +33,8 @@ from dqwalk_ros.nodes.parameters import Parameters
 from dqwalk_ros.nodes.phase_log import phase_messages
 from dqwalk_ros.nodes.runtime import LAST_WORDS, STEADY, Life, Throttle, Worker, run, say
 from dqwalk_ros.nodes.steering import Steering
-from dqwalk_ros.report.bag.topics import FINISHED, TOPICS
 from dqwalk_ros.safety import Latch, Rivals, StateGate
+from dqwalk_ros.topics import FINISHED, TOPICS
 
 __all__ = ["ControllerNode", "main"]
 

@@ -22,8 +22,8 @@ from dqwalk_ros.controllers import Command, State
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import StateError
 from dqwalk_ros.plants.truth import Inertial, upward
-from dqwalk_ros.report.bag.topics import BODY_TOPICS, TOPICS
 from dqwalk_ros.safety import JointOrder
+from dqwalk_ros.topics import BODY_TOPICS, TOPICS
 
 __all__ = [
     "JointReader",
@@ -68,7 +68,7 @@ def message_type(name: str) -> Any:
 
 
 def publisher(node: Node, name: str) -> Publisher:
-    """Create the publisher of one of our topics, as the table in `dqwalk_ros.report.bag.topics` says."""
+    """Create the publisher of one of our topics, as the table in `dqwalk_ros.topics` says."""
     topic = (TOPICS | BODY_TOPICS)[name]
     profile = latched(topic.depth) if topic.latched else stream(topic.depth)
     return node.create_publisher(message_type(topic.type), topic.name, profile)

@@ -9,7 +9,7 @@ from rclpy.publisher import Publisher
 
 from dqwalk_ros.controllers import Controller
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.report.bag.topics import ODOM
+from dqwalk_ros.topics import ODOM
 
 __all__ = ["Odometry"]
 

@@ -33,7 +33,7 @@ from dqwalk_ros.nodes.parameters import Parameters
 from dqwalk_ros.nodes.phase_log import PhaseLog
 from dqwalk_ros.nodes.runtime import LAST_WORDS, STEADY, Life, Throttle, Worker, run
 from dqwalk_ros.report.assessment import Assessor, support_polygon
-from dqwalk_ros.report.bag.topics import FINISHED, TOPICS
+from dqwalk_ros.topics import FINISHED, TOPICS
 
 __all__ = ["PhaseMonitorNode", "main"]
 

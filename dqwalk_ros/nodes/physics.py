@@ -25,7 +25,7 @@ from dqwalk_ros.nodes.runtime import Life, run, say
 from dqwalk_ros.nodes.simulated import SimulatedPlant
 from dqwalk_ros.plants import Plant, make_plant
 from dqwalk_ros.plants.physics import PhysicsPlant
-from dqwalk_ros.report.bag.topics import TOPICS, WORLD
+from dqwalk_ros.topics import TOPICS, WORLD
 
 __all__ = ["PhysicsNode", "main"]
 

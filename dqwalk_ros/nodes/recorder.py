@@ -24,8 +24,8 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.parameters import Parameters
 from dqwalk_ros.nodes.runtime import STEADY, Life, Worker, run, say
 from dqwalk_ros.report.bag.messages import typestore
-from dqwalk_ros.report.bag.topics import BODY_TOPICS, TOPICS, Topic
 from dqwalk_ros.report.bag.writer import flush, qos
+from dqwalk_ros.topics import BODY_TOPICS, TOPICS, Topic
 
 __all__ = ["RecorderNode", "main"]
 

@@ -23,8 +23,8 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.commands import Commands
 from dqwalk_ros.nodes.parameters import Parameters
 from dqwalk_ros.nodes.runtime import LAST_WORDS, STEADY, Life, Worker, run
-from dqwalk_ros.report.bag.topics import ODOM
 from dqwalk_ros.safety import clamp_effort
+from dqwalk_ros.topics import ODOM
 from dqwalk_ros.whole_body.controller import WholeBodyController
 from dqwalk_ros.whole_body.preview import Stepping
 from dqwalk_ros.whole_body.records import BodyCommand, Wrench

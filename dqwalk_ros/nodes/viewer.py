@@ -30,9 +30,9 @@ from dqwalk_ros.nodes.parameters import Parameters
 from dqwalk_ros.nodes.phase_log import PhaseLog
 from dqwalk_ros.nodes.runtime import STEADY, Life, Throttle, Worker, run
 from dqwalk_ros.phases import Phase
-from dqwalk_ros.report.bag.topics import TOPICS
 from dqwalk_ros.report.scene import Moment, Scene
 from dqwalk_ros.report.viewer.page import FRAME, Page
+from dqwalk_ros.topics import TOPICS
 
 __all__ = ["ViewerNode", "main"]
 

@@ -26,7 +26,7 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.parameters import Parameters
 from dqwalk_ros.nodes.runtime import LAST_WORDS, Life, Throttle, Worker, run
 from dqwalk_ros.origin import here, to_text
-from dqwalk_ros.report.bag.topics import ODOM
+from dqwalk_ros.topics import ODOM
 from dqwalk_ros.whole_body.controller import WholeBodyController
 from dqwalk_ros.whole_body.records import BodyState
 

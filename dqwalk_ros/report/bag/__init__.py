@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from dqwalk_ros.report.bag.topics import BODY_TOPICS, FINISHED, ODOM, TOPICS, Topic
+from dqwalk_ros.topics import BODY_TOPICS, FINISHED, ODOM, TOPICS, Topic
 
 if TYPE_CHECKING:
     from dqwalk_ros.report.bag.body import read_body, write_body

@@ -18,8 +18,8 @@ from dqwalk_ros.report.bag import messages, storage
 from dqwalk_ros.report.bag.joints import unpack_joint_states
 from dqwalk_ros.report.bag.robot import after_restart, check_same_robot, config_in, model_in, of_one_robot, origin_in
 from dqwalk_ros.report.bag.storage import Column
-from dqwalk_ros.report.bag.topics import BODY_REQUIRED, BODY_TOPICS, ODOM
 from dqwalk_ros.report.bag.writer import bag_at, qos, stamps_of
+from dqwalk_ros.topics import BODY_REQUIRED, BODY_TOPICS, ODOM
 from dqwalk_ros.whole_body.records import BodyState
 from dqwalk_ros.whole_body.scenario import PAPER_TIMES, SCENARIOS, Scenario, Timed
 from dqwalk_ros.whole_body.trace import FEET, BodyLog, Reaching

@@ -25,7 +25,7 @@ from dqwalk_ros.report.bag.robot import (
 )
 from dqwalk_ros.report.bag.starts import first_base, records, starts, texts
 from dqwalk_ros.report.bag.storage import Column
-from dqwalk_ros.report.bag.topics import FAILED, FINISHED, REQUIRED, TOPICS
+from dqwalk_ros.topics import FAILED, FINISHED, REQUIRED, TOPICS
 from dqwalk_ros.trace import PhysicsRecord, Trace
 
 __all__ = ["model_of", "read"]

@@ -24,7 +24,7 @@ from dqwalk_ros.model import Foot
 from dqwalk_ros.phases import com_target, make_phase
 from dqwalk_ros.report.assessment import Assessor
 from dqwalk_ros.report.bag import messages
-from dqwalk_ros.report.bag.topics import FINISHED, ODOM, TOPICS, WORLD, Topic
+from dqwalk_ros.topics import FINISHED, ODOM, TOPICS, WORLD, Topic
 from dqwalk_ros.trace import PhaseRecord, Trace
 
 __all__ = ["bag_at", "flush", "qos", "stamps_of", "write"]
