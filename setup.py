@@ -83,7 +83,7 @@ setup(
     entry_points={
         "console_scripts": [
             "dqwalk = dqwalk_ros.cli:main",
-            *(f"dqwalk_{node} = dqwalk_ros.nodes.entry:{node}" for node in NODES),
+            *(f"dqwalk_{node} = dqwalk_ros.nodes.command_line:script" for node in NODES),
         ]
     },
     install_requires=[

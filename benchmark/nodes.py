@@ -61,7 +61,7 @@ def plant(solver: str, *, lockstep: bool, dt: float) -> Iterator[Plant]:
     model = load_model(load("paper").robot)
     values = {"plant.lockstep": str(lockstep).lower(), "qp.solver": solver, "dt": dt, "monitor.rate": 20.0}
     options = [word for key, value in values.items() for word in ("-p", f"{key}:={value}")]
-    code = "import sys; from dqwalk_ros.nodes.controller import main; sys.exit(main(sys.argv[1:]))"
+    code = "import sys; from dqwalk_ros.nodes.command_line import main; sys.exit(main('controller', sys.argv[1:]))"
     params = ["--ros-args", "--params-file", str(find_share("config", "paper.yaml"))]
     process = subprocess.Popen([sys.executable, "-c", code, *params, *options], stderr=subprocess.DEVNULL)
     rclpy.init()

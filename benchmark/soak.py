@@ -81,8 +81,8 @@ def sample() -> dict[str, tuple[float, int]]:
     for process in psutil.Process().children(recursive=True):
         try:
             words = process.cmdline()
-            if len(words) > 2 and words[2].startswith("dqwalk_ros.nodes."):
-                out[words[2].rpartition(".")[2]] = (process.memory_info().rss / 1e6, process.num_fds())
+            if len(words) > 3 and words[2] == "dqwalk_ros.nodes":
+                out[words[3]] = (process.memory_info().rss / 1e6, process.num_fds())
         except psutil.Error:
             continue
     return out

@@ -28,7 +28,7 @@ config = load("paper")
 model = load_model(config.robot)
 make_controller(config, model).step(State(time=0.0, q=np.zeros(model.n)), config.dt)
 """
-NODE = "import sys; from dqwalk_ros.nodes.controller import main; sys.exit(main(sys.argv[1:]))"
+NODE = "import sys; from dqwalk_ros.nodes.command_line import main; sys.exit(main('controller', sys.argv[1:]))"
 
 
 def run(words: Sequence[str], until: str = "") -> tuple[float, float]:

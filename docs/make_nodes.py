@@ -8,20 +8,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from dqwalk_ros.config import Config, Spec
-from dqwalk_ros.nodes.entry import HELP
+from dqwalk_ros.config import Spec
+from dqwalk_ros.nodes.command_line import NODES, docstring, parameters_of
 
 FOLDER = Path(__file__).resolve().parent / "nodes"
 
 
 def page(name: str) -> str:
     """Return the page of a node."""
-    about = HELP[name]
-    lines = [f"# {name}", "", about.what, ""]
+    what, _, about = docstring(name).partition("\n\n")
+    lines = [f"# {name}", "", what, ""]
     lines += ["```text", f"ros2 run dqwalk_ros {name} --help", f"dqwalk_{name} --help", "```"]
-    lines += ["", "## Subscribes to", "", "```text", *about.gets, "```", ""]
-    lines += ["## Gives", "", "```text", *about.gives, "```", "", "## Parameters", ""]
-    specs = [spec for spec in Config.specs() if spec.name.split(".")[0] in about.sections]
+    lines += ["", "```text", about.replace("::\n", ":\n"), "```", "", "## Parameters", ""]
+    specs = parameters_of(name)
     if not specs:
         lines.append("None of its own; it takes every parameter of the package, so that one file serves all nodes.")
     else:
@@ -43,5 +42,5 @@ def _row(spec: Spec) -> str:
 def on_pre_build(config: Any) -> None:
     """Write docs/nodes/NAME.md; mkdocs calls this."""
     FOLDER.mkdir(exist_ok=True)
-    for node in HELP:
+    for node in NODES:
         (FOLDER / f"{node}.md").write_text(page(node), encoding="utf-8")

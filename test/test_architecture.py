@@ -34,7 +34,6 @@ LAYERS = (
     "controllers",
     "plants",
     "whole_body",
-    "safety",
     "trace",
     "simulation",
     "studies",

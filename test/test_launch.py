@@ -35,7 +35,7 @@ def test_every_node_it_starts_is_installed() -> None:
     for name in started:
         script = ROOT / "scripts" / name
         assert script.stat().st_mode & 0o111, f"{script} cannot be executed"
-        assert f"import {name}" in script.read_text(encoding="utf-8")
+        assert f'main("{name}"' in script.read_text(encoding="utf-8")
 
 
 @pytest.mark.native

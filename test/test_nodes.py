@@ -19,6 +19,7 @@ from sensor_msgs.msg import JointState
 from dqwalk_ros.config import Config, load, to_yaml
 from dqwalk_ros.controllers import make_controller
 from dqwalk_ros.model import load_model
+from dqwalk_ros.nodes.command_line import NODES
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report import bag
 from dqwalk_ros.runner import environment, private_domain, run_walk
@@ -320,7 +321,7 @@ def test_parameters_that_cannot_be_used_end_a_node(tmp_path: Path, text: str, ex
     file.write_text(text)
     with private_domain() as domain:
         done = subprocess.run(
-            [sys.executable, "-m", "dqwalk_ros.nodes.controller", "--ros-args", "--params-file", str(file)],
+            [sys.executable, "-m", "dqwalk_ros.nodes", "controller", "--ros-args", "--params-file", str(file)],
             env=environment(domain),
             capture_output=True,
             text=True,
@@ -362,13 +363,13 @@ def test_parameters_are_described_and_live_ones_can_be_set(live: Make) -> None:
     assert not set_to("gait.step_length", 0.01).successful
 
 
-@pytest.mark.parametrize("name", ["controller", "integrator", "phase_monitor", "poppy_driver", "recorder"])
+@pytest.mark.parametrize("name", NODES)
 def test_help_needs_no_ros(name: str) -> None:
     code = (
-        "import sys; sys.modules['rclpy'] = None; sys.argv = ['x', '--help']\n"
-        f"from dqwalk_ros.nodes.entry import {name}; {name}()"
+        f"import sys; sys.modules['rclpy'] = None; sys.argv = ['bin/dqwalk_{name}', '--help']\n"
+        "from dqwalk_ros.nodes.command_line import script; script()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stderr
-    for word in ("subscribes to:", "example:", f"dqwalk_{name}", f"ros2 run dqwalk_ros {name}", "joint_states"):
+    for word in ("Subscribes to", "Example:", f"dqwalk_{name}", f"ros2 run dqwalk_ros {name}", "joint_states"):
         assert word in done.stdout

@@ -14,27 +14,21 @@ from xml.etree import ElementTree
 import pytest
 
 import dqwalk_ros
+from dqwalk_ros.nodes.command_line import NODES
 
 ROOT = Path(__file__).resolve().parent.parent
-NODES = (
-    "controller",
-    "integrator",
-    "phase_monitor",
-    "physics",
-    "pilot",
-    "poppy_driver",
-    "recorder",
-    "rigid",
-    "viewer",
-    "whole_body_controller",
-)
-
-
 def test_the_version_is_one() -> None:
     version = dqwalk_ros.__version__
     assert ElementTree.parse(ROOT / "package.xml").findtext("version") == version
     assert f'version="{version}"' in (ROOT / "setup.py").read_text(encoding="utf-8")
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+
+
+def test_every_node_is_installed() -> None:
+    """setup.py cannot import the package that it installs."""
+    (listed,) = re.findall(r"^NODES = \((.*?)\)", (ROOT / "setup.py").read_text(), re.M | re.S)
+    assert sorted(re.findall(r'"(\w+)"', listed)) == sorted(NODES)
+    assert sorted(file.name for file in (ROOT / "scripts").iterdir()) == sorted(NODES)
 
 
 def test_package_xml_names_what_the_nodes_import() -> None:
@@ -90,4 +84,4 @@ def test_colcon_builds_and_its_executables_run(tmp_path: Path) -> None:
             check=False,
         )
         assert shown.returncode == 0, shown.stderr
-        assert "subscribes to:" in shown.stdout
+        assert "Example:" in shown.stdout

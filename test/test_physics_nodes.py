@@ -25,9 +25,8 @@ from dqwalk_ros.controllers import State, make_controller
 from dqwalk_ros.errors import StateError
 from dqwalk_ros.model import Foot, load_model
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.inertial import InertialSensor
+from dqwalk_ros.nodes.inputs import InertialSensor, Steering
 from dqwalk_ros.nodes.odometry import Odometry
-from dqwalk_ros.nodes.steering import Steering
 from dqwalk_ros.plants import make_plant
 from dqwalk_ros.report import bag
 from dqwalk_ros.runner import private_domain, run_walk
@@ -117,8 +116,10 @@ def test_lockstep_is_the_walk_of_one_process_and_says_more(tmp_path: Path, domai
 class Deaf:
     """Stands in for a node: what it would hear is given to it by hand."""
 
-    def __init__(self) -> None:
-        self.said: list[str] = []
+    def __init__(self, *, lockstep: bool = False) -> None:
+        self.config = CONFIG
+        self.lockstep = lockstep
+        self.logged: list[str] = []
 
     def create_subscription(self, kind: Any, topic: str, callback: Any, profile: Any) -> None:
         setattr(self, topic, callback)
@@ -126,8 +127,8 @@ class Deaf:
     def get_logger(self) -> Any:
         return self
 
-    def info(self, text: str) -> None:
-        self.said.append(text)
+    def info(self, text: str, **throttle: Any) -> None:
+        self.logged.append(text)
 
     error = info
 
@@ -147,29 +148,29 @@ def state_at(stamp: int) -> tuple[JointState, State]:
 
 
 def test_in_lockstep_a_state_waits_for_the_imu_of_its_stamp() -> None:
-    node, again = Deaf(), []
-    sensor = InertialSensor(node, lockstep=True, timeout=lambda: 0.1, again=again.append)
+    node, again = Deaf(lockstep=True), []
+    sensor = InertialSensor(node, again.append)
     msg, state = state_at(5_000_000)
     node.imu(imu_at(0))
-    assert sensor.joined(msg, state) is None
+    assert sensor.join(msg, state) is None
     node.imu(imu_at(5_000_000, w=0.0, x=1.0))
     assert again == [msg]
-    joined = sensor.joined(msg, state)
+    joined = sensor.join(msg, state)
     assert joined is not None
     assert joined.up == pytest.approx([0.0, 0.0, -1.0])  # upside down
 
 
 def test_in_real_time_the_newest_imu_counts_until_it_is_too_old() -> None:
     node = Deaf()
-    sensor = InertialSensor(node, lockstep=False, timeout=lambda: 0.1, again=lambda _: None)
+    sensor = InertialSensor(node, lambda _: None)
     with pytest.raises(StateError, match="nothing came yet"):
-        sensor.joined(*state_at(0))
+        sensor.join(*state_at(0))
     node.imu(imu_at(1_000_000_000))
-    joined = sensor.joined(*state_at(1_050_000_000))
+    joined = sensor.join(*state_at(1_050_000_000))
     assert joined is not None
     assert joined.up == pytest.approx([0.0, 0.0, 1.0])
     with pytest.raises(StateError, match=r"0\.200 s away"):
-        sensor.joined(*state_at(1_200_000_000))
+        sensor.join(*state_at(1_200_000_000))
 
 
 @pytest.mark.parametrize(
@@ -182,11 +183,11 @@ def test_in_real_time_the_newest_imu_counts_until_it_is_too_old() -> None:
     ],
 )
 def test_an_imu_that_cannot_be_used_is_refused(bad: Imu, said: str) -> None:
-    node = Deaf()
-    sensor = InertialSensor(node, lockstep=True, timeout=lambda: 0.1, again=lambda _: None)
+    node = Deaf(lockstep=True)
+    sensor = InertialSensor(node, lambda _: None)
     node.imu(bad)
     with pytest.raises(StateError, match=said):
-        sensor.joined(*state_at(0))
+        sensor.join(*state_at(0))
 
 
 def test_cmd_vel_counts_until_it_falls_silent_by_the_time_of_receipt() -> None:
@@ -198,14 +199,14 @@ def test_cmd_vel_counts_until_it_falls_silent_by_the_time_of_receipt() -> None:
             return min(asked[0], 0.01), *asked[1:]
 
     node, controller, now = Deaf(), Steered(), [0.0]
-    steering = Steering(node, CONFIG, controller, lambda: now[0])
+    steering = Steering(node, controller, lambda: now[0])
     msg = Twist()
     msg.linear.x, msg.linear.y, msg.angular.z = 1.0, 0.5, -0.25
     steering.apply()
     node.cmd_vel(msg)
     steering.apply()
-    assert "steered: 0.0100 m/s forward" in node.said[-1]
-    assert "as far as the legs go" in node.said[-1]
+    assert "steered: 0.0100 m/s forward" in node.logged[-1]
+    assert "as far as the legs go" in node.logged[-1]
     msg.linear.x = float("nan")
     node.cmd_vel(msg)  # changes nothing
     steering.apply()
@@ -214,7 +215,7 @@ def test_cmd_vel_counts_until_it_falls_silent_by_the_time_of_receipt() -> None:
     steering.apply()
     assert controller.asked == [(0.0, 0.0, 0.0), (1.0, 0.5, -0.25), (1.0, 0.5, -0.25), (0.0, 0.0, 0.0)]
     assert steering.rejected == 2
-    assert any("fell silent" in text for text in node.said)
+    assert any("fell silent" in text for text in node.logged)
 
 
 @pytest.mark.long
@@ -319,15 +320,11 @@ def test_odometry_is_a_transform_too_where_tf2_msgs_is_installed(monkeypatch: py
     message.TFMessage = TFMessage
     monkeypatch.setitem(sys.modules, "tf2_msgs", types.ModuleType("tf2_msgs"))
     monkeypatch.setitem(sys.modules, "tf2_msgs.msg", message)
-    monkeypatch.delitem(sys.modules, "dqwalk_ros.nodes.transform", raising=False)
     config = load("poppy")
     controller = make_controller(config, load_model(config.robot))
     controller.step(State(0.0, np.zeros(controller.model.n)), config.dt)
     poses = Publisher()
-    try:
-        Odometry(Node(), poses).publish(1_500_000_000, controller)
-    finally:
-        sys.modules.pop("dqwalk_ros.nodes.transform", None)  # it knows the stand-in: nobody else may get it
+    Odometry(Node(), poses).publish(1_500_000_000, controller)
     (pose,), (sent,) = poses.sent, Node.tf.sent
     (transform,) = sent.transforms
     assert (transform.header.frame_id, transform.child_frame_id) == ("odom", "pelvis")

@@ -76,7 +76,7 @@ def test_a_node_that_dies(tmp_path: Path, victim: str) -> None:
         nonlocal killed
         if not killed and "support" in text:
             for process in children():
-                if process.cmdline()[2] == f"dqwalk_ros.nodes.{victim}":
+                if process.cmdline()[3] == victim:
                     process.kill()
                     killed = True
 
@@ -130,7 +130,7 @@ def test_a_recorder_that_is_held_up_loses_nothing(tmp_path: Path) -> None:
 
     def hold(fraction: float, text: str) -> None:
         if not held and "support" in text:
-            recorder = next(p for p in children() if p.cmdline()[2] == "dqwalk_ros.nodes.recorder")
+            recorder = next(p for p in children() if p.cmdline()[3] == "recorder")
             recorder.suspend()
             held.append(threading.Timer(4.0, recorder.resume))
             held[0].start()

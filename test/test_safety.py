@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from dqwalk_ros.config import load
 from dqwalk_ros.errors import StateError
 from dqwalk_ros.model import RobotModel, load_model
-from dqwalk_ros.safety import (
+from dqwalk_ros.nodes.safety import (
     CommandGate,
+    FaultCounter,
     JointOrder,
-    Latch,
     StateGate,
     Watchdog,
     clamp_effort,
@@ -95,7 +95,7 @@ def test_the_watchdog_knows_silence_by_receipt_alone(clock: FakeClock) -> None:
 
 
 def test_a_latch_needs_faults_in_a_row_and_a_reset() -> None:
-    latch = Latch(3)
+    latch = FaultCounter(3)
     assert not latch.fault("x")
     assert not latch.fault("x")
     latch.good()

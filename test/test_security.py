@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 import pytest
 
 from dqwalk_ros.config import find_share, load, to_yaml
-from dqwalk_ros.nodes import entry
+from dqwalk_ros.nodes.command_line import NODES, parse
 
 ROOT = Path(__file__).resolve().parent.parent
 WAYS = ("publish", "subscribe", "reply", "request")
@@ -63,8 +63,8 @@ def test_the_file_is_a_policy() -> None:
 
 def test_every_node_has_an_enclave_and_a_person_may_call_every_service() -> None:
     rights = policy()
-    assert set(rights) == {*entry.HELP, "operator"}
-    ours = {s for node in entry.HELP for s in rights[node]["reply"] if "parameter" not in s and "type_desc" not in s}
+    assert set(rights) == {*NODES, "operator"}
+    ours = {s for node in NODES for s in rights[node]["reply"] if "parameter" not in s and "type_desc" not in s}
     assert rights["operator"]["request"] == ours
 
 
@@ -84,9 +84,7 @@ def test_the_nodes_do_exactly_what_the_policy_says(
     pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
     import rclpy
     from rclpy.context import Context
-    from rclpy.node import Node
 
-    from dqwalk_ros.nodes.runtime import Life
     from dqwalk_ros.runner import private_domain
 
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -107,11 +105,9 @@ def test_the_nodes_do_exactly_what_the_policy_says(
                     "pilot": ["--cmd-vel", "0.01,0,0,1"],
                 }.get(name, [])
                 ros = ["--ros-args", "--params-file", str(params)]
-                options = entry.parse(name, [*own, *ros])
-                node = Node(name, context=context, cli_args=ros, use_global_arguments=False)
-                module = importlib.import_module(f"dqwalk_ros.nodes.{name}")
-                (kind,) = [v for k, v in vars(module).items() if k.endswith("Node") and k != "Node"]
-                worker = kind(node, Life(), options)
+                module, _, kind = NODES[name].partition(".")
+                made = getattr(importlib.import_module(f"dqwalk_ros.nodes.{module}"), kind)
+                node = made(parse(name, [*own, *ros]), context=context, cli_args=ros, use_global_arguments=False)
                 try:
                     found = {
                         "publish": node.get_publisher_names_and_types_by_node(name, "/"),
@@ -124,7 +120,7 @@ def test_the_nodes_do_exactly_what_the_policy_says(
                         expected[name]["publish"].discard("/tf")  # the wheels of ROS have no tf2_msgs
                     assert does == expected[name], name
                 finally:
-                    worker.close()
+                    node.close()
                     node.destroy_node()
         finally:
             context.try_shutdown()
@@ -138,7 +134,7 @@ def test_a_node_asked_for_security_does_not_start_without_its_keys(tmp_path: Pat
     asked = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce", "ROS_SECURITY_KEYSTORE": str(tmp_path)}
     with private_domain() as domain:
         done = subprocess.run(
-            [sys.executable, "-m", "dqwalk_ros.nodes.integrator", "--ros-args", "--enclave", "/dqwalk/integrator"],
+            [sys.executable, "-m", "dqwalk_ros.nodes", "integrator", "--ros-args", "--enclave", "/dqwalk/integrator"],
             env={**environment(domain), **asked},
             capture_output=True,
             text=True,

@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
 
-from dqwalk_ros.nodes.wake import Wake
+from dqwalk_ros.nodes.wheels import TimerWaker
 
 
 class Timer:
@@ -29,7 +29,7 @@ def test_only_what_overslept_is_woken_once_and_the_loop_always() -> None:
     timers = {"early": Timer(5_000_000), "held up": Timer(-20_000_000), "cancelled": Timer(None)}
     timers["overslept"] = Timer(-3_600_000_000_000)
     looks = threading.Semaphore(0)
-    wake = Wake(SimpleNamespace(timers=timers.values()), SimpleNamespace(wake=looks.release))  # type: ignore[arg-type]
+    wake = TimerWaker(SimpleNamespace(timers=timers.values()), SimpleNamespace(wake=looks.release))  # type: ignore[arg-type]
     wake.start()
     for _ in range(3):
         assert looks.acquire(timeout=30.0)
@@ -39,4 +39,4 @@ def test_only_what_overslept_is_woken_once_and_the_loop_always() -> None:
 
 
 def test_stop_before_it_began_does_nothing() -> None:
-    Wake(SimpleNamespace(timers=()), None).stop()  # type: ignore[arg-type]
+    TimerWaker(SimpleNamespace(timers=()), None).stop()  # type: ignore[arg-type]

@@ -123,4 +123,4 @@ def test_the_launch_file_starts_what_is_installed() -> None:
     for name in started:
         script = ROOT / "scripts" / name
         assert script.stat().st_mode & 0o111
-        assert f"import {name}" in script.read_text(encoding="utf-8")
+        assert f'main("{name}"' in script.read_text(encoding="utf-8")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import array
 import importlib
 import math
+import struct
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -21,9 +22,8 @@ from sensor_msgs.msg import Imu, JointState
 from dqwalk_ros.controllers import Command, State
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import StateError
+from dqwalk_ros.nodes.safety import JointOrder
 from dqwalk_ros.plants.truth import Inertial, upward
-from dqwalk_ros.safety import JointOrder
-from dqwalk_ros.topics import BODY_TOPICS, TOPICS
 
 __all__ = [
     "JointReader",
@@ -32,11 +32,12 @@ __all__ = [
     "imu",
     "is_heard_by",
     "latched",
+    "message_type",
     "nanoseconds",
-    "others",
+    "other_publishers",
     "point",
     "pose",
-    "publisher",
+    "stamp_of",
     "status",
     "stream",
     "time_msg",
@@ -67,14 +68,7 @@ def message_type(name: str) -> Any:
     return getattr(importlib.import_module(f"{package}.msg"), kind)
 
 
-def publisher(node: Node, name: str) -> Publisher:
-    """Create the publisher of one of our topics, as the table in `dqwalk_ros.topics` says."""
-    topic = (TOPICS | BODY_TOPICS)[name]
-    profile = latched(topic.depth) if topic.latched else stream(topic.depth)
-    return node.create_publisher(message_type(topic.type), topic.name, profile)
-
-
-def others(node: Node, topic: str, own: Sequence[str] = ()) -> tuple[str, ...]:
+def other_publishers(node: Node, topic: str, own: Sequence[str] = ()) -> tuple[str, ...]:
     """Return the nodes that publish a topic, without the named ones."""
     ends = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
     names = [f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends]
@@ -99,6 +93,21 @@ def time_msg(stamp: int) -> Time:
     """Return the message of a stamp [ns]."""
     sec, nanosec = divmod(stamp, 1_000_000_000)
     return Time(sec=sec, nanosec=nanosec)
+
+
+def stamp_of(raw: bytes) -> int:
+    """Return the stamp [ns] of a serialised message that begins with a header.
+
+    Raises
+    ------
+    StateError
+        If it is too short.
+    """
+    if len(raw) < 12:
+        raise StateError(f"a message of {len(raw)} bytes has no header")
+    # four bytes of encapsulation, of which the second tells the byte order
+    sec, nanosec = struct.unpack_from("<iI" if raw[1] & 1 else ">iI", raw, 4)
+    return int(sec * 1_000_000_000 + nanosec)
 
 
 # ---------------------------------------------------------------------- joints

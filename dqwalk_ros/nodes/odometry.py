@@ -1,9 +1,10 @@
-"""base_pose, the odometry of a walk; also on /tf where tf2_msgs is installed."""
+"""Where the robot is: base_pose, and odom -> pelvis on /tf where tf2_msgs is installed (the PyPI wheels lack it)."""
 
 from __future__ import annotations
 
 from typing import Any
 
+from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
@@ -15,29 +16,34 @@ __all__ = ["Odometry"]
 
 
 class Odometry:
-    """Says where the pelvis is, if anybody listens.
+    """Publishes where the pelvis is, if anybody listens.
 
     Parameters
     ----------
     node : rclpy.node.Node
-    publisher : rclpy.publisher.Publisher
+    poses : rclpy.publisher.Publisher
         Of base_pose.
     """
 
-    def __init__(self, node: Node, publisher: Publisher) -> None:
-        self._publisher = publisher
-        self._transform: Any = None
+    def __init__(self, node: Node, poses: Publisher) -> None:
+        self._poses = poses
+        self._transforms: Publisher | None = None
         try:
-            from dqwalk_ros.nodes.transform import TransformSender
-        except ImportError:  # the PyPI wheels of ROS have no tf2_msgs
+            from tf2_msgs.msg import TFMessage
+        except ImportError:
             return
-        self._transform = TransformSender(node)
+        self._make_message: Any = TFMessage
+        self._transforms = node.create_publisher(TFMessage, "/tf", ros.stream(100))
 
     def publish(self, stamp: int, controller: Controller) -> None:
         """Publish the pose of a state's stamp [ns]."""
-        if self._transform is None and not self._publisher.get_subscription_count():
+        if self._transforms is None and not self._poses.get_subscription_count():
             return
         msg = ros.pose(stamp, ODOM, controller.odometry())
-        self._publisher.publish(msg)
-        if self._transform is not None:
-            self._transform(msg, controller.model.pelvis)
+        self._poses.publish(msg)
+        if self._transforms is not None:
+            transform = TransformStamped(header=msg.header, child_frame_id=controller.model.pelvis)
+            moved, p = transform.transform.translation, msg.pose.position
+            moved.x, moved.y, moved.z = p.x, p.y, p.z
+            transform.transform.rotation = msg.pose.orientation
+            self._transforms.publish(self._make_message(transforms=[transform]))

@@ -11,88 +11,63 @@ import fnmatch
 import itertools
 import math
 import pathlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import Any
 
 import yaml
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from dqwalk_ros.config import Config, Spec
 from dqwalk_ros.errors import ConfigError
 
-__all__ = ["NODES", "Parameters", "check_sections"]
-
-NODES = (
-    "controller",
-    "integrator",
-    "phase_monitor",
-    "physics",
-    "pilot",
-    "poppy_driver",
-    "recorder",
-    "rigid",
-    "viewer",
-    "whole_body_controller",
-)
+__all__ = ["changes", "declare"]
 
 LIVE = frozenset({"plant.command_timeout", "monitor.rate", "monitor.warn_margin", "monitor.tolerance"})
 """What may change while a node runs: what shapes the walk is fixed when the walk is built."""
 
-_FOREIGN = ("use_sim_time", "qos_overrides", "start_type_description_service")
+_OF_RCLPY = ("use_sim_time", "qos_overrides", "start_type_description_service")
 """Parameters that rclpy itself declares."""
 
 
-class Parameters:
-    """Declare the whole schema on a node; `config` is what is in force.
+def declare(node: Node, argv: Sequence[str], nodes: Collection[str]) -> Config:
+    """Declare the whole schema on a node; return what the command line and its parameter files say.
 
     Parameters
     ----------
     node : rclpy.node.Node
     argv : sequence of str
         Command line of the process, whose parameter files are checked for sections that reach nobody.
+    nodes : collection of str
+        Names of all nodes of this package.
 
     Raises
     ------
     ConfigError
         For an unknown name, a wrong type or a value out of bounds; the message names the close matches.
     """
-
-    def __init__(self, node: Node, argv: Sequence[str] = ()) -> None:
-        for path in parameter_files(argv):
-            check_sections(path, node.get_fully_qualified_name())
-        given = {
-            name: parameter.value
-            for name, parameter in node._parameter_overrides.items()  # rclpy has no other way to ask for all of them
-            if name.split(".")[0] not in _FOREIGN
+    for path in _parameter_files(argv):
+        check_sections(path, node.get_fully_qualified_name(), nodes)
+    config = Config.from_flat(
+        {
+            name: () if parameter.value is None else parameter.value  # an empty list has no type
+            for name, parameter in node._parameter_overrides.items()  # rclpy has no public way to ask for all of them
+            if name.split(".")[0] not in _OF_RCLPY
         }
-        given = {name: () if value is None else value for name, value in given.items()}  # an empty list has no type
-        self.config = Config.from_flat(given)
-        for spec in Config.specs():
-            value: Any = getattr_dotted(self.config, spec.name)
-            if isinstance(value, tuple):
-                value = list(value) or [""]
-            node.declare_parameter(spec.name, value, descriptor(spec), ignore_override=True)
-        node.add_on_set_parameters_callback(self._set)
-
-    def _set(self, changes: Iterable[Parameter]) -> SetParametersResult:
-        try:
-            wanted = {p.name: p.value for p in changes if p.name.split(".")[0] not in _FOREIGN}
-            self.config = self.config.updated(wanted)
-        except ConfigError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
-
-
-def getattr_dotted(config: Any, name: str) -> Any:
-    """Return the value of a dotted name."""
-    for part in name.split("."):
-        config = getattr(config, part)
+    )
+    for name, value in config.flat().items():
+        given: Any = (list(value) or [""]) if isinstance(value, tuple) else value
+        node.declare_parameter(name, given, _DESCRIPTORS[name], ignore_override=True)
     return config
 
 
-def descriptor(spec: Spec) -> ParameterDescriptor:
+def changes(parameters: Sequence[Parameter]) -> dict[str, Any]:
+    """Return the values of those parameters that are of the schema, for `Config.updated`."""
+    return {p.name: p.value for p in parameters if p.name.split(".")[0] not in _OF_RCLPY}
+
+
+def _descriptor(spec: Spec) -> ParameterDescriptor:
     """Return what ``ros2 param describe`` shows."""
     unit = f" [{spec.unit}]" if spec.unit else ""
     out = ParameterDescriptor(description=f"{spec.meaning}{unit}", read_only=spec.name not in LIVE)
@@ -107,14 +82,17 @@ def descriptor(spec: Spec) -> ParameterDescriptor:
     return out
 
 
-def parameter_files(argv: Sequence[str]) -> Iterator[pathlib.Path]:
+_DESCRIPTORS = {spec.name: _descriptor(spec) for spec in Config.specs()}
+
+
+def _parameter_files(argv: Sequence[str]) -> Iterator[pathlib.Path]:
     """Yield the parameter files of a command line."""
     for key, value in itertools.pairwise(argv):
         if key == "--params-file":
             yield pathlib.Path(value)
 
 
-def check_sections(path: pathlib.Path, node: str) -> None:
+def check_sections(path: pathlib.Path, node: str, nodes: Collection[str]) -> None:
     """Check that the sections of a parameter file reach the nodes they were written for.
 
     Sections of nodes that are not ours are left alone.
@@ -124,6 +102,8 @@ def check_sections(path: pathlib.Path, node: str) -> None:
     path : Path
     node : str
         Full name, such as ``"/poppy/controller"``.
+    nodes : collection of str
+        Names of all nodes of this package.
 
     Raises
     ------
@@ -142,8 +122,8 @@ def check_sections(path: pathlib.Path, node: str) -> None:
         last = section.rpartition("/")[2]
         if last == own and section not in applied:
             raise ConfigError(f"{path}: the section '{section}' does not reach {node}; write '/**/{own}' or '{node}'")
-        close = difflib.get_close_matches(last, NODES, n=1, cutoff=0.8)
-        if close and last not in NODES:
+        close = difflib.get_close_matches(last, nodes, n=1, cutoff=0.8)
+        if close and last not in nodes:
             raise ConfigError(f"{path}: the section '{section}' is for no node of ours; did you mean '{close[0]}'?")
     if not applied:
         found = ", ".join(f"'{section}'" for section in sections) or "none"

@@ -6,17 +6,14 @@ passes over the rest without unpacking them: in lockstep states come several tim
 
 from __future__ import annotations
 
+import argparse
 import contextlib
-import struct
-import sys
 import time
 from collections import deque
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Point32, PointStamped, PolygonStamped, PoseStamped
-from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -26,16 +23,14 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.errors import DqwalkError, StateError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot, load_model
-from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
 from dqwalk_ros.nodes.markers import markers
-from dqwalk_ros.nodes.parameters import Parameters
 from dqwalk_ros.nodes.phase_log import PhaseLog
-from dqwalk_ros.nodes.runtime import LAST_WORDS, STEADY, Life, Throttle, Worker, run
 from dqwalk_ros.report.assessment import Assessor, support_polygon
 from dqwalk_ros.topics import FINISHED, TOPICS
 
-__all__ = ["PhaseMonitorNode", "main"]
+__all__ = ["PhaseMonitor"]
 
 _SILENT = 1.0
 """After this long without a state the walk is stale [s]."""
@@ -46,36 +41,45 @@ _DEPTH = 5000
 """States that may wait: in lockstep a thousand come in the second that reading the robot's description takes."""
 
 
-class PhaseMonitorNode(Worker):
-    """joint_states, phase_start, com_target, swing_target, walk_config, robot_description -> /diagnostics, markers.
+class PhaseMonitor(WalkNode):
+    """Watch a walk from outside: every distance, error and margin, recomputed from the topics alone.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    life : Life
-    options : argparse.Namespace
-        From `entry.parse`.
+    Subscribes to::
+
+        joint_states, phase, phase_start, com_target, swing_target, walk_config, robot_description   as the
+                                 controller publishes them; the parameters of the walk come from walk_config,
+                                 not from this node's own
+
+    Publishes::
+
+        /diagnostics             diagnostic_msgs/DiagnosticArray: OK, WARN or ERROR by the smallest distance
+        com                      geometry_msgs/PointStamped, in the phase's base sole
+        support_polygon          geometry_msgs/PolygonStamped
+        walk_markers             visualization_msgs/MarkerArray: planes, cylinder, CoM, soles (RViz, Foxglove)
+
+    Sections of the schema: monitor.
+
+    Example::
+
+        dqwalk_phase_monitor --ros-args --params-file config/paper.yaml -p monitor.rate:=20.0
     """
 
-    rest = 0.01
+    pause = 0.01
 
-    def __init__(self, node: Node, life: Life, options: Any) -> None:
-        self.node, self.life = node, life
-        self._parameters = Parameters(node, options.argv)
-        self._warm_up(self._parameters.config)
-        self._phases = PhaseLog(node.get_logger())
+    def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
+        super().__init__("phase_monitor", options, **keywords)
+        self._warm_up(self.config)
+        self._phases = PhaseLog(self.get_logger())
         self._label = ""
         self._next = -1  # stamp from which on a state is looked at [ns]
         self._newest = 0
         self._waiting: deque[tuple[float, int, bytes]] = deque()  # when it came [s], stamp [ns], message
         self._heard = time.monotonic()
         self._rejected = 0
-        self._warn_now = Throttle(2.0)
         self._pub = {
-            "diagnostics": ros.publisher(node, "diagnostics"),
-            "com": node.create_publisher(PointStamped, "com", ros.stream(10)),
-            "support_polygon": node.create_publisher(PolygonStamped, "support_polygon", ros.stream(10)),
-            "walk_markers": node.create_publisher(MarkerArray, "walk_markers", ros.stream(10)),
+            "com": self.create_publisher(PointStamped, "com", ros.stream(10)),
+            "support_polygon": self.create_publisher(PolygonStamped, "support_polygon", ros.stream(10)),
+            "walk_markers": self.create_publisher(MarkerArray, "walk_markers", ros.stream(10)),
         }
         for name, kind, callback in (
             ("walk_config", String, lambda msg: self._phases.add_config(msg.data)),
@@ -85,13 +89,13 @@ class PhaseMonitorNode(Worker):
             ("com_target", PointStamped, self._phases.add_target),
             ("swing_target", PoseStamped, self._phases.add_target),
         ):
-            node.create_subscription(kind, name, self._counted(callback), ros.latched(TOPICS[name].depth))
-        node.create_subscription(
-            JointState, "joint_states", self._counted(self._on_state), ros.stream(_DEPTH, reliable=False), raw=True
+            self.create_subscription(kind, name, callback, ros.latched(TOPICS[name].depth))
+        self.create_subscription(
+            JointState, "joint_states", self._on_state, ros.stream(_DEPTH, reliable=False), raw=True
         )
-        node.create_timer(0.1, self._watch, clock=STEADY)
-        self._stale_now = Throttle(0.5 * _SILENT)
-        node.get_logger().info("waiting for a walk")
+        self.create_timer(0.1, self._watch, clock=STEADY)
+        self._told = 0.0  # when that it is silent was told last [s]
+        self.get_logger().info("waiting for a walk")
 
     def _warm_up(self, config: Config) -> None:
         """Have the kinematics compiled before the walk begins."""
@@ -99,21 +103,13 @@ class PhaseMonitorNode(Worker):
             model = load_model(config.robot)
             Kinematics(model, np.zeros(model.n), Foot.LEFT)
 
-    def _counted(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
-        def handle(msg: Any) -> None:
-            self.handled += 1
-            callback(msg)
-
-        return handle
-
     def _on_phase(self, msg: String) -> None:
         self._label = msg.data
 
     # ------------------------------------------------------------------ the states
 
     def _on_state(self, raw: bytes) -> None:
-        sec, nanosec = struct.unpack_from("<iI" if raw[1] & 1 else ">iI", raw, 4)
-        stamp = sec * 1_000_000_000 + nanosec
+        stamp = ros.stamp_of(raw)
         self._heard = time.monotonic()
         if stamp < self._newest:  # a plant that began again, or whose clock was set back
             self._phases.forget_after(stamp)
@@ -121,7 +117,7 @@ class PhaseMonitorNode(Worker):
             self._next = -1
         self._newest = stamp
         if stamp >= self._next:
-            self._next = stamp + round(1e9 / self._parameters.config.monitor.rate)
+            self._next = stamp + round(1e9 / self.config.monitor.rate)
             self._waiting.append((self._heard, stamp, raw))
             self._judge_waiting()
 
@@ -140,15 +136,15 @@ class PhaseMonitorNode(Worker):
             state = self._phases.reader.state(deserialize_message(raw, JointState))
         except StateError as error:
             self._rejected += 1
-            if self._warn_now():
-                self.node.get_logger().error(f"joint_states rejected ({self._rejected} so far): {error}")
-            self._say(stamp, "ERROR", f"joint_states rejected: {error}", {})
+            text = f"joint_states rejected ({self._rejected} so far): {error}"
+            self.get_logger().error(text, **THROTTLE)
+            self._tell(stamp, "ERROR", f"joint_states rejected: {error}", {})
             return
         kin = Kinematics(assess.model, state.q, assess.phase.base)
-        found = assess(kin, 1e-9 * (stamp - began), self._parameters.config.monitor)
+        found = assess(kin, 1e-9 * (stamp - began), self.config.monitor)
         over = "/" not in self._label and not self._waiting
         message = f"{self._label}; {found.message}" if over else found.message
-        self._say(stamp, found.level, message, {"phase": assess.phase.name, **found.values})
+        self._tell(stamp, found.level, message, {"phase": assess.phase.name, **found.values})
         self._draw(stamp, assess, kin)
 
     def _draw(self, stamp: int, assess: Assessor, kin: Kinematics) -> None:
@@ -168,27 +164,22 @@ class PhaseMonitorNode(Worker):
 
     def _watch(self) -> None:
         self._judge_waiting()
-        if time.monotonic() - self._heard > _SILENT and not self._waiting and self._stale_now():
+        now = time.monotonic()
+        if min(now - self._heard, 2.0 * (now - self._told)) > _SILENT and not self._waiting:
+            self._told = now
             label = f"{self._label}; " if self._label else ""
             over = self._label in (FINISHED, "idle", "paused")
-            self._say(self._newest, "OK" if over else "STALE", f"{label}no joint_states", {})
+            self._tell(self._newest, "OK" if over else "STALE", f"{label}no joint_states", {})
 
-    def _say(self, stamp: int, level: str, message: str, values: dict[str, object]) -> None:
+    def _tell(self, stamp: int, level: str, message: str, values: dict[str, object]) -> None:
         name = self._phases.model.name if self._phases.model else ""
-        entry_ = ros.status(f"{self.node.get_name()}: walk", name, level, message, values)
-        self._pub["diagnostics"].publish(ros.diagnostics(stamp, entry_))
+        self.diagnose("walk", name, level, message, values, stamp)
+
+    @property
+    def lockstep(self) -> bool:
+        """Whether the walk that is watched goes in lockstep, whatever the parameters of this node."""
+        return self._phases.lockstep
 
     def close(self) -> None:
         """Judge what is left."""
-        self.last_words = LAST_WORDS[self._phases.lockstep]
         self._judge_waiting(all_of_them=True)
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the node; return the exit code."""
-    options = entry.parse("phase_monitor", sys.argv[1:] if argv is None else argv)
-    return run("phase_monitor", lambda node, life: PhaseMonitorNode(node, life, options), options)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

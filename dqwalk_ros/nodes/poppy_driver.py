@@ -7,41 +7,51 @@ nobody, and takes the robot to the first pose again afterwards.
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
 from dqwalk_ros.controllers import Command
 from dqwalk_ros.errors import ConfigError, DqwalkError
 from dqwalk_ros.model import load_model
-from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.commands import Commands
-from dqwalk_ros.nodes.parameters import Parameters
-from dqwalk_ros.nodes.runtime import STEADY, Life, Throttle, Worker, run
+from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
+from dqwalk_ros.nodes.inputs import VELOCITY, CommandInput
 from dqwalk_ros.plants.poppy import Health, PoppyPlant
 
-__all__ = ["PoppyDriverNode", "main"]
+__all__ = ["PoppyDriver"]
 
 _COOLER = 5.0
 """A robot that got too hot holds still until it is this much cooler [K]."""
 
 
-class PoppyDriverNode(Worker):
-    """joint_velocity_commands -> servos; their angles -> joint_states, what they were told -> joint_goals.
+class PoppyDriver(WalkNode):
+    """Drive a real Poppy Humanoid through pypot; poppy.dummy:=true tries it without one.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    life : Life
-    options : argparse.Namespace
-        From `entry.parse`.
+    Subscribes to::
+
+        joint_velocity_commands  sensor_msgs/JointState [rad/s]
+
+    Publishes::
+
+        joint_states             sensor_msgs/JointState of all 25 motors, once the first pose is reached
+        joint_goals              sensor_msgs/JointState: the angles they were told with that state [rad]
+        /diagnostics             temperature, voltage and load of every motor
+
+    Services::
+
+        ~/compliant              std_srvs/SetBool: true switches the torque off, false on again
+
+    Sections of the schema: dt, robot, plant, poppy.
+
+    Example::
+
+        dqwalk_poppy_driver --ros-args --params-file config/paper.yaml -p dt:=0.02 -p poppy.dummy:=true
 
     Raises
     ------
@@ -51,10 +61,9 @@ class PoppyDriverNode(Worker):
         If the motors do not answer.
     """
 
-    def __init__(self, node: Node, life: Life, options: Any) -> None:
-        self.node, self.life = node, life
-        self._parameters = Parameters(node, options.argv)
-        config = self._parameters.config
+    def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
+        super().__init__("poppy_driver", options, **keywords)
+        config = self.config
         self._period = 1.0 / config.poppy.rate
         if config.plant.lockstep:
             raise ConfigError("'plant.lockstep' must be false: a robot does not wait for its command")
@@ -65,7 +74,7 @@ class PoppyDriverNode(Worker):
             )
         model = load_model(config.robot)
         self._plant = PoppyPlant(model, config.poppy)
-        self._commands = Commands(node, model, self._parameters)
+        self._commands = CommandInput(self, model)
         self._state_msg = ros.JointWriter(self._plant.names)
         self._goal_msg = ros.JointWriter(self._plant.names)
         self._hardware = f"{model.name}{' (dummy motors)' if config.poppy.dummy else ''}"
@@ -77,17 +86,15 @@ class PoppyDriverNode(Worker):
         self._left = 0.0
         self._lag = np.zeros(len(self._plant.names))  # largest since it was told last [rad]
         self._too_hot = False
-        self._states = ros.publisher(node, "joint_states")
-        self._goals = node.create_publisher(JointState, "joint_goals", ros.stream(10))
-        self._diagnostics = ros.publisher(node, "diagnostics")
-        self._say_now = Throttle(2.0)
-        node.create_subscription(JointState, "joint_velocity_commands", self._on_command, ros.stream(1))
-        node.create_service(SetBool, "~/compliant", self._set_compliant)
-        node.create_timer(self._period, self._on_period, clock=STEADY)
-        node.create_timer(1.0 / config.monitor.rate, self._diagnose, clock=STEADY)
+        self._states = self.advertise("joint_states")
+        self._goals = self.create_publisher(JointState, "joint_goals", ros.stream(10))
+        self.create_subscription(JointState, VELOCITY, self._on_command, ros.stream(1))
+        self.create_service(SetBool, "~/compliant", self._set_compliant)
+        self.create_timer(self._period, self._on_period, clock=STEADY)
+        self.create_timer(1.0 / config.monitor.rate, self._diagnose, clock=STEADY)
         self._commands.forbid("on the way to the first pose")
         self._plant.set_compliant(False)
-        node.get_logger().info(f"{self._hardware}: {len(self._plant.names)} motors at {config.poppy.rate:g} Hz")
+        self.get_logger().info(f"{self._hardware}: {len(self._plant.names)} motors at {config.poppy.rate:g} Hz")
 
     def _on_command(self, msg: JointState) -> None:
         self._commands.take(msg, self._stamp)
@@ -104,22 +111,22 @@ class PoppyDriverNode(Worker):
             if self._plant.ready or self._plant.compliant:
                 u = self._commands.gate.velocity(self._plant.state.q, dt)
                 self._plant.step(Command(self._stamp * 1e-9, u), dt)
-                self._commands.note_motion()
+                self._commands.log_motion()
             else:
                 self._approach(dt)
             self._publish(passed, told)
         except DqwalkError as error:
-            self.node.get_logger().error(f"the robot failed: {error}")
-            self.life.end(1)
+            self.get_logger().error(f"the robot failed: {error}")
+            self.stop(1)
 
     def _approach(self, dt: float) -> None:
         self._left = self._plant.approach(dt)
         if self._plant.ready:
             self._commands.gate.hold()
             self._commands.forbid("")
-            self.node.get_logger().info("in the first pose")
-        elif self._say_now():
-            self.node.get_logger().info(f"on the way to the first pose: {self._left:.2f} rad left")
+            self.get_logger().info("in the first pose")
+        else:
+            self.get_logger().info(f"on the way to the first pose: {self._left:.2f} rad left", **THROTTLE)
 
     def _publish(self, passed: float, told: NDArray[np.float64]) -> None:
         """Say where the joints are; `told` are the goals that they had since the last time."""
@@ -127,7 +134,7 @@ class PoppyDriverNode(Worker):
         self._q = q
         self._counts["ticks"] += 1
         if self._plant.ready:
-            self._stamp = self.node.get_clock().now().nanoseconds
+            self._stamp = self.get_clock().now().nanoseconds
             velocity = (q - before) / max(passed, 1e-3)
             self._states.publish(self._state_msg(self._stamp, position=q, velocity=velocity))
             self._goals.publish(self._goal_msg(self._stamp, position=self._plant.goal))
@@ -145,7 +152,7 @@ class PoppyDriverNode(Worker):
             return response
         response.success = True
         response.message = "the torque is off" if request.data else "the torque is on: moving to the first pose, slowly"
-        self.node.get_logger().info(response.message)
+        self.get_logger().info(response.message)
         return response
 
     # ------------------------------------------------------------------ health
@@ -153,7 +160,7 @@ class PoppyDriverNode(Worker):
     def _watch_heat(self, health: Health) -> None:
         """Hold still while a motor is too hot; its own firmware would go limp, which is worse."""
         name, hottest = health.hottest
-        hot = self._parameters.config.poppy.hot
+        hot = self.config.poppy.hot
         if self._too_hot != (hottest > (hot - _COOLER if self._too_hot else hot)):
             self._too_hot = not self._too_hot
             self._commands.forbid(f"{name} is at {hottest:.0f} degC, too hot" if self._too_hot else "")
@@ -170,28 +177,16 @@ class PoppyDriverNode(Worker):
         i = int(self._lag.argmax())
         values |= {"lagging joint": self._plant.names[i], "lag": float(self._lag[i])}
         self._lag[:] = 0.0
-        plant = ros.status(f"{self.node.get_name()}: plant", self._hardware, level, text, values)
+        stamp = max(self._stamp, 0)
+        self.diagnose("plant", self._hardware, level, text, values, stamp)
         each: dict[str, object] = {}
         for joint in self._plant.names:
             each[f"temperature/{joint}"] = health.temperature[joint]
             each[f"voltage/{joint}"] = health.voltage[joint]
             each[f"load/{joint}"] = health.load[joint]
         hot = "ERROR" if self._too_hot else "OK"
-        motors = ros.status(
-            f"{self.node.get_name()}: motors", self._hardware, hot, f"{name} is hottest, {hottest:.0f} degC", each
-        )
-        self._diagnostics.publish(ros.diagnostics(max(self._stamp, 0), plant, motors))
+        self.diagnose("motors", self._hardware, hot, f"{name} is hottest, {hottest:.0f} degC", each, stamp)
 
     def close(self) -> None:
         """Hold, or go limp where that is asked for, and let go of the buses."""
         self._plant.close()
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the node; return the exit code."""
-    options = entry.parse("poppy_driver", sys.argv[1:] if argv is None else argv)
-    return run("poppy_driver", lambda node, life: PoppyDriverNode(node, life, options), options)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

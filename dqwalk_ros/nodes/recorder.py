@@ -8,26 +8,22 @@ its answer was late is recorded once.
 
 from __future__ import annotations
 
-import struct
-import sys
+import argparse
 import time
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rclpy.node import Node
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 
 from dqwalk_ros.errors import BagError
-from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.parameters import Parameters
-from dqwalk_ros.nodes.runtime import STEADY, Life, Worker, run, say
+from dqwalk_ros.nodes.base import STEADY, WalkNode
 from dqwalk_ros.report.bag.messages import typestore
 from dqwalk_ros.report.bag.writer import flush, qos
 from dqwalk_ros.topics import BODY_TOPICS, TOPICS, Topic
 
-__all__ = ["RecorderNode", "main"]
+__all__ = ["Recorder"]
 
 _DEPTH = 50_000
 """Messages that may wait here: minutes of real time, most of a minute of lockstep at full speed."""
@@ -42,15 +38,25 @@ _EACH_TICK = ("joint_states", "joint_velocity_commands", "base_pose", "joint_eff
 _STAMPED = ("sensor_msgs/", "geometry_msgs/", "diagnostic_msgs/")
 
 
-class RecorderNode(Worker):
-    """All topics of a walk, of phases or of the whole body -> rosbag2.
+class Recorder(WalkNode):
+    """Record a walk as a rosbag2 (MCAP), byte for byte; report how much came and whether anything is missing.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    life : Life
-    options : argparse.Namespace
-        From `entry.parse`.
+    Subscribes to every topic of the walk::
+
+        joint_states, joint_velocity_commands, phase, phase_start, com_target, swing_target, support_foot, base_pose,
+        walk_config, walk_origin, robot_description, /diagnostics; those of the node physics where it runs;
+        of the whole body: joint_effort_commands, base_twist, left_wrench, right_wrench, hand_target_applied,
+        push_applied
+
+    Writes::
+
+        the folder --bag: an .mcap file and metadata.yaml, for ros2 bag, Foxglove and `dqwalk report`
+
+    Sections of the schema: plant.
+
+    Example::
+
+        dqwalk_recorder --bag my_walk --ros-args --params-file config/paper.yaml
 
     Raises
     ------
@@ -58,11 +64,12 @@ class RecorderNode(Worker):
         If the folder is there already or cannot be made.
     """
 
-    rest = 0.05
+    pause = 0.05
+    has_diagnostics = False
 
-    def __init__(self, node: Node, life: Life, options: Any) -> None:
-        self.node, self.life, self._report = node, life, options.child
-        config = Parameters(node, options.argv).config
+    def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
+        super().__init__("recorder", options, **keywords)
+        config = self.config
         self._period, self._linger = round(config.dt * 1e9), _LINGER[config.plant.lockstep]
         self._path = Path(options.bag)
         self._open()
@@ -72,15 +79,15 @@ class RecorderNode(Worker):
         self._missing = dict.fromkeys(_EACH_TICK, 0)
         self._newest = -1  # stamp [ns]
         self._early: list[tuple[str, bytes]] = []  # what came before the first stamp
-        self.handled = 0
+        self._handled = 0
         self._seen = -1
         self._stop_at = float("inf")
         for name, topic in _ALL.items():
             profile = ros.latched(topic.depth) if topic.latched else ros.stream(_DEPTH)
             kind = ros.message_type(topic.type)
-            node.create_subscription(kind, topic.name, partial(self._on_message, name, topic), profile, raw=True)
-        node.create_timer(_FLUSH, self._flush, clock=STEADY)
-        node.get_logger().info(f"recording to {self._path}")
+            self.create_subscription(kind, topic.name, partial(self._on_message, name, topic), profile, raw=True)
+        self.create_timer(_FLUSH, self._flush, clock=STEADY)
+        self.get_logger().info(f"recording to {self._path}")
 
     def _open(self) -> None:
         try:
@@ -95,19 +102,17 @@ class RecorderNode(Worker):
     def _connect(self, name: str) -> None:
         topic = _ALL[name]
         self._connections[name] = self._writer.add_connection(
-            self.node.resolve_topic_name(topic.name),
+            self.resolve_topic_name(topic.name),
             topic.type,
             typestore=typestore(),
             offered_qos_profiles=[qos(topic)],
         )
 
     def _on_message(self, name: str, topic: Topic, raw: bytes) -> None:
-        self.handled += 1
+        self._handled += 1
         stamp = self._newest
         if topic.type.startswith(_STAMPED):
-            # the header comes first: four bytes of encapsulation, of which the second tells the byte order
-            sec, nanosec = struct.unpack_from("<iI" if raw[1] & 1 else ">iI", raw, 4)
-            own = sec * 1_000_000_000 + nanosec
+            own = ros.stamp_of(raw)
             if name in self._last:
                 if raw == self._last_raw.get(name):
                     return
@@ -126,8 +131,8 @@ class RecorderNode(Worker):
             self._early.clear()
             self._write(name, stamp, raw)
         except (OSError, WriterError) as error:
-            self.node.get_logger().error(f"cannot write '{self._path}': {error}")
-            self.life.end(1)
+            self.get_logger().error(f"cannot write '{self._path}': {error}")
+            self.stop(1)
 
     def _write(self, name: str, stamp: int, raw: bytes) -> None:
         if name not in self._connections:
@@ -139,40 +144,29 @@ class RecorderNode(Worker):
         try:
             flush(self._writer)
         except (OSError, WriterError) as error:
-            self.node.get_logger().error(f"cannot write '{self._path}': {error}")
-            self.life.end(1)
+            self.get_logger().error(f"cannot write '{self._path}': {error}")
+            self.stop(1)
 
     def _note_gap(self, name: str, own: int) -> None:
         last, self._last[name] = self._last[name], own
         if last >= 0 and own - last > 1.5 * self._period:
             self._missing[name] += round((own - last) / self._period) - 1
 
-    def drained(self) -> bool:
+    def is_drained(self) -> bool:
         """Tell whether nothing more is on its way, or it has taken too long."""
         now = time.monotonic()
         self._stop_at = min(self._stop_at, now + self._linger)
-        seen, self._seen = self._seen, self.handled
+        seen, self._seen = self._seen, self._handled
         return seen == self._seen or now > self._stop_at
 
     def close(self) -> None:
-        """Finish the bag and say what is in it."""
+        """Finish the bag and log what is in it."""
         for name, data in self._early:  # no state ever came: the walk's own messages are still worth keeping
             self._write(name, 0, data)
         self._writer.close()
-        log = self.node.get_logger()
+        log = self.get_logger()
         log.info(f"{self._path}: " + ", ".join(f"{n} {count}" for n, count in self._counts.items() if count))
         missing = {name: count for name, count in self._missing.items() if count}
         if missing:
             log.warning("periods without a message: " + ", ".join(f"{n} {count}" for n, count in missing.items()))
-        if self._report:
-            say("recorded", bag=str(self._path), counts=self._counts, missing=missing)
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the node; return the exit code."""
-    options = entry.parse("recorder", sys.argv[1:] if argv is None else argv)
-    return run("recorder", lambda node, life: RecorderNode(node, life, options), options)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        self.report("recorded", bag=str(self._path), counts=self._counts, missing=missing)

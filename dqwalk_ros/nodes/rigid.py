@@ -7,83 +7,82 @@ plant and the controller read from the same parameters, as in the paper's simula
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import TwistStamped, WrenchStamped
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from dqwalk_ros.errors import DqwalkError
 from dqwalk_ros.model import Foot, load_model
-from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.commands import Commands
-from dqwalk_ros.nodes.parameters import Parameters
-from dqwalk_ros.nodes.runtime import LAST_WORDS, STEADY, Life, Worker, run
-from dqwalk_ros.safety import clamp_effort
+from dqwalk_ros.nodes.base import STEADY, WalkNode
+from dqwalk_ros.nodes.inputs import EFFORT, CommandInput
+from dqwalk_ros.nodes.safety import clamp_effort
 from dqwalk_ros.topics import ODOM
 from dqwalk_ros.whole_body.controller import WholeBodyController
 from dqwalk_ros.whole_body.preview import Stepping
 from dqwalk_ros.whole_body.records import BodyCommand, Wrench
 from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 
-__all__ = ["RigidNode", "main"]
+__all__ = ["Rigid"]
 
 _ASK_AGAIN = 0.5
 """A state without an answer is published again after this long [s]."""
 
 
-class RigidNode(Worker):
-    """joint_effort_commands, push -> joint_states, base_pose, base_twist, left_wrench, right_wrench, push_applied.
+class Rigid(WalkNode):
+    """Stand in for the robot of the whole-body controller: rigid bodies on rigid ground.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    life : Life
-    options : argparse.Namespace
-        From `entry.parse`.
+    Subscribes to::
+
+        joint_effort_commands    sensor_msgs/JointState [N m]
+        push                     geometry_msgs/WrenchStamped: its force times 1 s hits the torso [N s], in odom
+
+    Publishes::
+
+        joint_states, base_pose, base_twist   one state in three messages with one stamp, from 0 s on
+        left_wrench, right_wrench  geometry_msgs/WrenchStamped: ground on a sole that stands, about its origin
+        push_applied             geometry_msgs/WrenchStamped, latched; stamp: the first state after it
+        /diagnostics             diagnostic_msgs/DiagnosticArray
+
+    Sections of the schema: dt, robot, plant, whole_body.
+
+    Example::
+
+        dqwalk_rigid --ros-args --params-file config/whole_body.yaml -p plant.lockstep:=true
     """
 
-    def __init__(self, node: Node, life: Life, options: Any) -> None:
-        self.node, self.life = node, life
-        self._parameters = Parameters(node, options.argv)
-        config = self._parameters.config
-        self._dt, self._lockstep = config.dt, config.plant.lockstep
-        self.last_words = LAST_WORDS[self._lockstep]
+    def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
+        super().__init__("rigid", options, **keywords)
+        config = self.config
+        self._dt = config.dt
         self._model = model = load_model(config.robot)
         self._stepping = Stepping.of(config.whole_body, Foot(config.gait.first_support))
         start = WholeBodyController(config, model).start  # where a walk begins
         damping = config.whole_body.contact_damping
         self._plant = RigidPlant(model, start, pushed=config.whole_body.torso, damping=damping)
-        self._commands = Commands(node, model, self._parameters, "joint_effort_commands")
+        self._commands = CommandInput(self, model, EFFORT)
         self._write = ros.JointWriter(model.joint_names)
         self._pelvis = config.robot.pelvis
         self._command: BodyCommand | None = None
         self._stamp, self._ticks, self._asked = 0, 0, -float("inf")
-        self._diagnostics = ros.publisher(node, "diagnostics")
         self._wait = config.node.wait_for_recorder
         self._pushes: list[WrenchStamped] = []  # that the next state will show
         streams = ("joint_states", "base_pose", "base_twist", "left_wrench", "right_wrench", "push_applied")
-        self._pub = {name: ros.publisher(node, name) for name in streams}
-        node.create_subscription(JointState, "joint_effort_commands", self._on_command, ros.stream(1))
-        node.create_subscription(WrenchStamped, "push", self._on_push, ros.stream(10))
-        node.create_timer(self._dt, self._on_period, clock=STEADY)
-        node.create_timer(1.0 / config.monitor.rate, self._diagnose, clock=STEADY)
-        mode = "lockstep" if self._lockstep else f"at most {1.0 / self._dt:g} Hz"
-        node.get_logger().info(f"{model.name}: {model.n} joints, rigid, {mode}")
+        self._pub = {name: self.advertise(name) for name in streams}
+        self.create_subscription(JointState, EFFORT, self._on_command, ros.stream(1))
+        self.create_subscription(WrenchStamped, "push", self._on_push, ros.stream(10))
+        self.create_timer(self._dt, self._on_period, clock=STEADY)
+        self.create_timer(1.0 / config.monitor.rate, self._diagnose, clock=STEADY)
+        mode = "lockstep" if self.lockstep else f"at most {1.0 / self._dt:g} Hz"
+        self.get_logger().info(f"{model.name}: {model.n} joints, rigid, {mode}")
 
     def _on_command(self, msg: JointState) -> None:
-        gate = self._commands.gate
-        if ros.nanoseconds(msg.header.stamp) != self._stamp:
-            gate.late += 1  # the answer to a state that was asked for twice
-            return
-        command = self._commands.checked(msg)
+        command = self._commands.take_answer(msg, self._stamp)
         if command is None or command.effort is None:
-            return  # time stands still
-        if not gate.accept(self._stamp, command.effort, self._stamp) or gate.refused:
             return
         effort = clamp_effort(command.effort, self._model)
         now = self._ticks * self._dt
@@ -97,7 +96,7 @@ class RigidNode(Worker):
             stance=tuple(Foot) if swing is None else (swing.foot.other,),
             landing=swing.foot if swing is not None and ends else None,
         )
-        if self._lockstep:
+        if self.lockstep:
             self._step()
 
     def _on_push(self, msg: WrenchStamped) -> None:
@@ -106,7 +105,7 @@ class RigidNode(Worker):
 
     def _hit(self) -> None:
         """Take each force times one second as the impulse [N s]; moments are not in (23)."""
-        log = self.node.get_logger()
+        log = self.get_logger()
         for msg in self._pushes:
             f = msg.wrench.force
             try:
@@ -132,8 +131,8 @@ class RigidNode(Worker):
         try:
             self._plant.step(command, self._dt)
         except DqwalkError as error:
-            self.node.get_logger().error(f"the plant failed: {error}")
-            self.life.end(1)
+            self.get_logger().error(f"the plant failed: {error}")
+            self.stop(1)
             return
         for foot, wrench in self._plant.wrenches.items():
             self._pub[f"{foot.value}_wrench"].publish(self._wrench(wrench))
@@ -155,7 +154,7 @@ class RigidNode(Worker):
         if self._ticks or not self._wait:
             return True
         streams = ("joint_states", "base_pose", "base_twist", "left_wrench", "right_wrench")
-        return all(ros.is_heard_by(self.node, self._pub[name], "recorder") for name in streams)
+        return all(ros.is_heard_by(self, self._pub[name], "recorder") for name in streams)
 
     def _publish(self) -> None:
         s = self._plant.state
@@ -174,15 +173,4 @@ class RigidNode(Worker):
             waits = self._commands.gate.watchdog.age
             level, text = ("OK", "in step") if waits < 2.0 else ("WARN", "waiting for a command")
         counts = {"ticks": self._ticks, **self._commands.counts()}
-        status = ros.status(f"{self.node.get_name()}: plant", self._model.name, level, text, counts)
-        self._diagnostics.publish(ros.diagnostics(self._stamp, status))
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the node; return the exit code."""
-    options = entry.parse("rigid", sys.argv[1:] if argv is None else argv)
-    return run("rigid", lambda node, life: RigidNode(node, life, options), options)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        self.diagnose("plant", self._model.name, level, text, counts, self._stamp)

@@ -6,16 +6,13 @@ Nobody waits for it.
 
 from __future__ import annotations
 
-import struct
-import sys
+import argparse
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped
 from numpy.typing import NDArray
-from rclpy.node import Node
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -24,33 +21,37 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import DqwalkError, StateError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import RobotModel
-from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.parameters import Parameters
+from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
 from dqwalk_ros.nodes.phase_log import PhaseLog
-from dqwalk_ros.nodes.runtime import STEADY, Life, Throttle, Worker, run
 from dqwalk_ros.phases import Phase
 from dqwalk_ros.report.scene import Moment, Scene
 from dqwalk_ros.report.viewer.page import FRAME, Page
 from dqwalk_ros.topics import TOPICS
 
-__all__ = ["ViewerNode", "main"]
+__all__ = ["Viewer"]
 
 Array = NDArray[np.float64]
 
 
-class ViewerNode(Worker):
-    """joint_states, phase, phase_start, com_target, swing_target, walk_config, robot_description -> a page.
+class Viewer(WalkNode):
+    """Show the walk in the browser while it goes on: robot, constraints, margins (needs viser).
 
     Where in odom the walk is, follows from the phases: each begins where the one before it has put its foot. Only
     once `base_pose` is asked, for a walk whose first phases nobody keeps any more.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    life : Life
-    options : argparse.Namespace
-        From `entry.parse`.
+    Subscribes to::
+
+        joint_states, phase, phase_start, com_target, swing_target, walk_config, robot_description, /diagnostics;
+        base_pose once           geometry_msgs/PoseStamped: where in odom the first phase seen stands
+
+    Serves::
+
+        a page on 127.0.0.1, whose address is logged; nothing on ROS, and the walk never waits for it
+
+    Example::
+
+        dqwalk_viewer --port 8090 --ros-args --params-file config/paper.yaml
 
     Raises
     ------
@@ -58,13 +59,12 @@ class ViewerNode(Worker):
         If the page's port is taken.
     """
 
-    last_words = 0.0
+    has_diagnostics = False
 
-    def __init__(self, node: Node, life: Life, options: Any) -> None:
-        self.node, self.life = node, life
-        Parameters(node, options.argv)
+    def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
+        super().__init__("viewer", options, **keywords)
         self.page = Page(options.port)
-        self._phases = PhaseLog(node.get_logger())
+        self._phases = PhaseLog(self.get_logger())
         self._shown: RobotModel | None = None
         self._label = ""
         self._phase: Phase | None = None
@@ -72,11 +72,10 @@ class ViewerNode(Worker):
         self._began = -1  # [ns]
         self._origin = 0  # of the time shown: where the first phase seen began [ns]
         self._x_odom_base = DQ(1.0).vec8()
-        self._raw: bytes | None = None
+        self._state: JointState | None = None  # that is to be shown
         self._newest = -1  # [ns]
         self._states: dict[int, Array] = {}  # by stamp [ns], until base_pose has told where in odom they are
         self._solver = ""
-        self._warn_now = Throttle(2.0)
         for name, kind, callback in (
             ("walk_config", String, self._on_config),
             ("robot_description", String, self._on_description),
@@ -85,13 +84,13 @@ class ViewerNode(Worker):
             ("com_target", PointStamped, self._phases.add_target),
             ("swing_target", PoseStamped, self._phases.add_target),
         ):
-            node.create_subscription(kind, name, callback, ros.latched(TOPICS[name].depth))
+            self.create_subscription(kind, name, callback, ros.latched(TOPICS[name].depth))
         newest = ros.stream(1, reliable=False)
-        node.create_subscription(JointState, "joint_states", self._on_state, newest, raw=True)
-        node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, ros.stream(10))
-        self._odometry: Any = node.create_subscription(PoseStamped, "base_pose", self._on_pose, ros.stream(1))
-        node.create_timer(FRAME, self._show, clock=STEADY)
-        node.get_logger().info(f"the page is {self.page.url}")
+        self.create_subscription(JointState, "joint_states", self._on_state, newest)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, ros.stream(10))
+        self._odometry: Any = self.create_subscription(PoseStamped, "base_pose", self._on_pose, ros.stream(1))
+        self.create_timer(FRAME, self._show, clock=STEADY)
+        self.get_logger().info(f"the page is {self.page.url}")
 
     # ------------------------------------------------------------------ what the walk is
 
@@ -110,7 +109,7 @@ class ViewerNode(Worker):
         try:
             self.page.set_scene(Scene(config, model))
         except DqwalkError as error:
-            self.node.get_logger().error(str(error))
+            self.get_logger().error(str(error))
             return
         self._shown = model
         self._restart()
@@ -148,8 +147,8 @@ class ViewerNode(Worker):
 
     # ------------------------------------------------------------------ the states
 
-    def _on_state(self, raw: bytes) -> None:
-        self._raw = raw
+    def _on_state(self, msg: JointState) -> None:
+        self._state = msg
 
     def _on_pose(self, msg: PoseStamped) -> None:
         """Find where the first phase seen stands in odom, from the pelvis at one of its states; then listen no more."""
@@ -157,7 +156,7 @@ class ViewerNode(Worker):
         if x is None or self._odometry is None:
             return
         self._x_odom_base = (DQ(ros.pose_dq(msg)) * DQ(x).conj()).vec8()
-        self.node.destroy_subscription(self._odometry)
+        self.destroy_subscription(self._odometry)
         self._odometry, self._states = None, {}
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
@@ -173,19 +172,17 @@ class ViewerNode(Worker):
 
     def _show(self) -> None:
         """Draw the newest state."""
-        raw, self._raw = self._raw, None
+        msg, self._state = self._state, None
         model, reader = self._phases.model, self._phases.reader
-        if raw is None or model is None or model is not self._shown or reader is None:
+        if msg is None or model is None or model is not self._shown or reader is None:
             return
-        sec, nanosec = struct.unpack_from("<iI" if raw[1] & 1 else ">iI", raw, 4)
-        stamp = sec * 1_000_000_000 + nanosec
+        stamp = ros.nanoseconds(msg.header.stamp)
         if not self._follow(stamp) or self._phase is None:
             return
         try:
-            q = reader.state(deserialize_message(raw, JointState)).q
+            q = reader.state(msg).q
         except StateError as error:
-            if self._warn_now():
-                self.node.get_logger().error(f"joint_states rejected: {error}")
+            self.get_logger().error(f"joint_states rejected: {error}", **THROTTLE)
             return
         if self._odometry is not None:
             pelvis = Kinematics(model, q, self._phase.base).pose(model.pelvis)
@@ -206,13 +203,3 @@ class ViewerNode(Worker):
     def close(self) -> None:
         """End the page."""
         self.page.close()
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the node; return the exit code."""
-    options = entry.parse("viewer", sys.argv[1:] if argv is None else argv)
-    return run("viewer", lambda node, life: ViewerNode(node, life, options), options)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -7,13 +7,12 @@ on which target was in force.
 
 from __future__ import annotations
 
-import sys
+import argparse
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from numpy.typing import NDArray
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -21,16 +20,15 @@ from dqwalk_ros.config import to_yaml
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import DqwalkError, StateError
 from dqwalk_ros.model import load_model
-from dqwalk_ros.nodes import entry
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.parameters import Parameters
-from dqwalk_ros.nodes.runtime import LAST_WORDS, Life, Throttle, Worker, run
+from dqwalk_ros.nodes.base import THROTTLE, WalkNode
+from dqwalk_ros.nodes.inputs import EFFORT
 from dqwalk_ros.origin import here, to_text
 from dqwalk_ros.topics import ODOM
-from dqwalk_ros.whole_body.controller import WholeBodyController
+from dqwalk_ros.whole_body import controller as core
 from dqwalk_ros.whole_body.records import BodyState
 
-__all__ = ["WholeBodyControllerNode", "main"]
+__all__ = ["WholeBodyController"]
 
 Array = NDArray[np.float64]
 
@@ -38,23 +36,36 @@ _PARTS = 20
 """So many messages of each kind wait for the rest of their state."""
 
 
-class WholeBodyControllerNode(Worker):
-    """joint_states, base_pose, base_twist, hand_target -> joint_effort_commands, hand_target_applied.
+class WholeBodyController(WalkNode):
+    """Walk where the hand wants to go, and keep able to stop: answer each state with joint torques.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    life : Life
-    options : argparse.Namespace
-        From `entry.parse`.
+    Subscribes to::
+
+        joint_states, base_pose, base_twist   one state in three messages with one stamp [rad, rad/s, m, m/s]:
+                                 sensor_msgs/JointState; geometry_msgs/PoseStamped of the root link in odom;
+                                 geometry_msgs/TwistStamped of it in its own axes
+        hand_target              geometry_msgs/PoseStamped: where the hand should be in odom; move it at any time
+
+    Publishes::
+
+        joint_effort_commands    sensor_msgs/JointState [N m]; stamp: that of the state it answers
+        hand_target_applied      geometry_msgs/PoseStamped, latched; stamp: the first state that it holds for
+        walk_config              std_msgs/String, latched: all parameters in force
+        walk_origin              std_msgs/String, latched: versions and machine
+        robot_description        std_msgs/String, latched: URDF
+        /diagnostics             diagnostic_msgs/DiagnosticArray: WARN where it cannot stop within the preview
+
+    Sections of the schema: dt, robot, gait, whole_body.
+
+    Example::
+
+        dqwalk_whole_body_controller --ros-args --params-file config/whole_body.yaml -p whole_body.friction:=0.4
     """
 
-    def __init__(self, node: Node, life: Life, options: Any) -> None:
-        self.node, self.life = node, life
-        self._config = Parameters(node, options.argv).config
-        self.last_words = LAST_WORDS[self._config.plant.lockstep]
-        model = load_model(self._config.robot)
-        self._controller = WholeBodyController(self._config, model)
+    def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
+        super().__init__("whole_body_controller", options, **keywords)
+        model = load_model(self.config.robot)
+        self._controller = core.WholeBodyController(self.config, model)
         self._names = {name: i for i, name in enumerate(model.joint_names)}
         self._hardware = model.name
         self._begin: int | None = None  # stamp of the first state [ns]
@@ -63,23 +74,22 @@ class WholeBodyControllerNode(Worker):
         self._twists: dict[int, Array] = {}
         self._failed = ""
         self._counts = {"ticks": 0, "states rejected": 0, "targets rejected": 0, "capturability missed": 0}
-        self._warn_now = Throttle(2.0)
         self._new_target: list[float] | None = None  # of which no state has been told yet
-        said_once = {
-            "walk_config": to_yaml(self._config),
+        latched = {
+            "walk_config": to_yaml(self.config),
             "walk_origin": to_text(here()),
             "robot_description": model.urdf,
         }
-        streams = ("joint_effort_commands", "hand_target_applied", "diagnostics", *said_once)
-        self._pub = {name: ros.publisher(node, name) for name in streams}
-        for name, text in said_once.items():
+        streams = (EFFORT, "hand_target_applied", *latched)
+        self._pub = {name: self.advertise(name) for name in streams}
+        for name, text in latched.items():
             self._pub[name].publish(String(data=text))
-        node.create_subscription(JointState, "joint_states", self._on_joints, ros.stream(10))
-        node.create_subscription(PoseStamped, "base_pose", self._on_pose, ros.stream(10))
-        node.create_subscription(TwistStamped, "base_twist", self._on_twist, ros.stream(10))
-        node.create_subscription(PoseStamped, "hand_target", self._on_target, ros.stream(10))
-        self._every = max(round(1.0 / (self._config.monitor.rate * self._config.dt)), 1)
-        node.get_logger().info(f"{model.name}: {model.n} joints, {model.mass:.1f} kg, no target yet")
+        self.create_subscription(JointState, "joint_states", self._on_joints, ros.stream(10))
+        self.create_subscription(PoseStamped, "base_pose", self._on_pose, ros.stream(10))
+        self.create_subscription(TwistStamped, "base_twist", self._on_twist, ros.stream(10))
+        self.create_subscription(PoseStamped, "hand_target", self._on_target, ros.stream(10))
+        self._every = max(round(1.0 / (self.config.monitor.rate * self.config.dt)), 1)
+        self.get_logger().info(f"{model.name}: {model.n} joints, {model.mass:.1f} kg, no target yet")
 
     def _on_joints(self, msg: JointState) -> None:
         try:
@@ -111,7 +121,7 @@ class WholeBodyControllerNode(Worker):
             self._new_target = [p.x, p.y, p.z]
         except StateError as error:
             self._counts["targets rejected"] += 1
-            self.node.get_logger().error(f"hand_target rejected: {error}")
+            self.get_logger().error(f"hand_target rejected: {error}")
 
     def _read(self, msg: JointState) -> tuple[Array, Array]:
         """Return angles and velocities in the order of the model."""
@@ -143,15 +153,15 @@ class WholeBodyControllerNode(Worker):
             self._begin = stamp
         state = BodyState(1e-9 * (stamp - self._begin), q, dq=dq, x_base=pose, v_base=twist)
         try:
-            command = self._controller.step(state, self._config.dt)
+            command = self._controller.step(state, self.config.dt)
         except StateError as error:
             self._reject(error)
             return
         except DqwalkError as error:
             self._failed = str(error)
-            self.node.get_logger().error(f"no command any more: {error}")
+            self.get_logger().error(f"no command any more: {error}")
             self._diagnose(stamp)
-            self.life.end(1)
+            self.stop(1)
             return
         if self._new_target is not None:
             x_target = DQ.from_pose(self._new_target).vec8()
@@ -161,7 +171,7 @@ class WholeBodyControllerNode(Worker):
         msg.header.stamp = ros.time_msg(stamp)
         msg.name = list(self._names)
         msg.effort = command.effort.tolist()
-        self._pub["joint_effort_commands"].publish(msg)
+        self._pub[EFFORT].publish(msg)
         self._counts["ticks"] += 1
         self._counts["capturability missed"] += self._controller.last.capturability > 1e-6
         if self._counts["ticks"] % self._every == 1:
@@ -169,14 +179,13 @@ class WholeBodyControllerNode(Worker):
 
     def _may_answer(self) -> bool:
         """Hold the first answer of a recorded walk until nothing of it can be lost."""
-        if self._counts["ticks"] or not self._config.node.wait_for_recorder:
+        if self._counts["ticks"] or not self.config.node.wait_for_recorder:
             return True
-        return ros.is_heard_by(self.node, self._pub["joint_effort_commands"], "recorder")
+        return ros.is_heard_by(self, self._pub[EFFORT], "recorder")
 
     def _reject(self, error: StateError) -> None:
         self._counts["states rejected"] += 1
-        if self._warn_now():
-            self.node.get_logger().error(f"state rejected ({self._counts['states rejected']} so far): {error}")
+        self.get_logger().error(f"state rejected ({self._counts['states rejected']} so far): {error}", **THROTTLE)
 
     def _diagnose(self, stamp: int) -> None:
         level, text = ("ERROR", self._failed) if self._failed else ("OK", "in balance")
@@ -186,15 +195,4 @@ class WholeBodyControllerNode(Worker):
             if last.capturability > 1e-6:
                 level, text = "WARN", "cannot stop within the preview"
             values |= {"capturability": last.capturability, "solve time": last.times[2], "solver": last.method}
-        status = ros.status(f"{self.node.get_name()}: balance", self._hardware, level, text, values)
-        self._pub["diagnostics"].publish(ros.diagnostics(stamp, status))
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the node; return the exit code."""
-    options = entry.parse("whole_body_controller", sys.argv[1:] if argv is None else argv)
-    return run("whole_body_controller", lambda node, life: WholeBodyControllerNode(node, life, options), options)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        self.diagnose("balance", self._hardware, level, text, values, stamp)

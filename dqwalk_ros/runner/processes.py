@@ -71,7 +71,7 @@ class Processes:
         log = self._logs / f"{name}.log"
         with log.open("w", encoding="utf-8") as errors:
             popen = subprocess.Popen(
-                [sys.executable, "-m", f"dqwalk_ros.nodes.{name}", "--child", *arguments],
+                [sys.executable, "-m", "dqwalk_ros.nodes", name, "--child", *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=errors,

@@ -20,9 +20,9 @@ from dqwalk_ros.model import RobotModel
 
 __all__ = [
     "CommandGate",
+    "DuplicatePublishers",
+    "FaultCounter",
     "JointOrder",
-    "Latch",
-    "Rivals",
     "StateGate",
     "Watchdog",
     "clamp_effort",
@@ -116,8 +116,8 @@ class Watchdog:
         self._fed = -float("inf")
 
 
-class Latch:
-    """A fault that repeats stays until someone resets it.
+class FaultCounter:
+    """Count faults in a row; so many of them latch, until a reset.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ class Latch:
         return bool(self.reason)
 
 
-class Rivals:
+class DuplicatePublishers:
     """Tell from the publishers of a topic whether there are two where there must be one.
 
     Two different nodes are told at once. Two of one name may be a node and its own ghost, for the middleware remembers
@@ -168,7 +168,7 @@ class Rivals:
         self._doubled = float("inf")
 
     def judge(self, names: Sequence[str]) -> str:
-        """Return who the rivals are, empty for one publisher or none; `names` has one entry per publisher."""
+        """Return who they are, empty for one publisher or none; `names` has one entry per publisher."""
         if len(set(names)) > 1:
             return ", ".join(sorted(set(names)))
         if len(names) < 2:
@@ -236,7 +236,7 @@ class StateGate:
     ----------
     watchdog : Watchdog
         Fed by accepted states alone.
-    jumped : Latch
+    jumped : FaultCounter
     overtaken, rejected : int
         States that were ignored for their stamp, and refused for what they said.
     """
@@ -254,7 +254,7 @@ class StateGate:
     ) -> None:
         self._model, self._dt, self._outside, self._by_stamp = model, dt, outside, by_stamp
         self.watchdog = Watchdog(timeout, clock)
-        self.jumped = Latch(jumps)
+        self.jumped = FaultCounter(jumps)
         self.overtaken = self.rejected = 0
         self._q: Array | None = None
         self._stamp = -1

@@ -1,0 +1,174 @@
+"""What every node of this package is: an rclpy node with the schema as its parameters, diagnostics and an exit code."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import ctypes
+import json
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
+from rclpy.task import Future
+
+from dqwalk_ros.config import Config
+from dqwalk_ros.errors import ConfigError, DqwalkError
+from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes import parameters, wheels
+from dqwalk_ros.nodes.command_line import NODES
+from dqwalk_ros.topics import BODY_TOPICS, TOPICS
+
+__all__ = ["STEADY", "THROTTLE", "WalkNode", "main"]
+
+STEADY = wheels.STEADY
+
+THROTTLE = {"throttle_duration_sec": 2.0, "throttle_time_source_type": STEADY}
+"""For a log that may come at every tick: ``self.get_logger().error(text, **THROTTLE)``."""
+
+_ACKNOWLEDGED = {True: 10.0, False: 0.25}
+"""Longest wait for acknowledgements at the end, in lockstep, where nothing may be missing from the bag, and in real
+time [s]. A subscriber acknowledges when the middleware asks it, every 3 s. In real time that is too long to wait for:
+what was published is on its way already, and where it was lost, the plant's watchdog does the same."""
+
+
+class WalkNode(Node):
+    """An rclpy node whose parameters are the schema of `dqwalk_ros.config`.
+
+    Parameters
+    ----------
+    name : str
+    options : argparse.Namespace
+        From `command_line.parse`.
+    **keywords
+        As rclpy's `Node` takes them.
+
+    Attributes
+    ----------
+    config : Config
+        Parameters in force.
+    done : rclpy.task.Future
+        The node is spun until this has a result, its exit code; see `stop`.
+    pause : float
+        Time between two looks at what has come [s], of a node that is not in the loop of a walk; 0 handles each
+        message as it comes.
+
+    Raises
+    ------
+    ConfigError
+        For parameters that cannot be used.
+    """
+
+    pause = 0.0
+
+    def __init__(self, name: str, options: argparse.Namespace, **keywords: Any) -> None:
+        try:
+            super().__init__(name, **keywords)
+        except Exception as error:  # rclpy raises its own, undocumented types
+            raise ConfigError(wheels.first_line(error)) from error
+        self.config: Config = parameters.declare(self, options.argv, NODES)
+        self.add_on_set_parameters_callback(self._on_parameters)
+        self.done = Future()
+        self.is_child: bool = options.child
+        self._diagnostics = self.advertise("diagnostics") if self.has_diagnostics else None
+
+    has_diagnostics = True
+
+    @property
+    def lockstep(self) -> bool:
+        """Whether each state waits for its command."""
+        return self.config.plant.lockstep
+
+    def _on_parameters(self, wanted: Iterable[Parameter]) -> SetParametersResult:
+        try:
+            self.config = self.config.updated(parameters.changes(list(wanted)))
+        except ConfigError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def advertise(self, name: str) -> Publisher:
+        """Create the publisher of one of our topics, as the table in `dqwalk_ros.topics` says."""
+        topic = (TOPICS | BODY_TOPICS)[name]
+        profile = ros.latched(topic.depth) if topic.latched else ros.stream(topic.depth)
+        return self.create_publisher(ros.message_type(topic.type), topic.name, profile)
+
+    def diagnose(
+        self, what: str, hardware: str, level: str, message: str, values: Mapping[str, object], stamp: int
+    ) -> None:
+        """Publish one status ``NODE: what`` on /diagnostics, with a state's stamp [ns]."""
+        assert self._diagnostics is not None
+        status = ros.status(f"{self.get_name()}: {what}", hardware, level, message, values)
+        self._diagnostics.publish(ros.diagnostics(stamp, status))
+
+    def report(self, event: str, **values: Any) -> None:
+        """Print one line of JSON for the program that started this node (see `dqwalk_ros.runner`)."""
+        if self.is_child:
+            print(json.dumps({"event": event, **values}), flush=True)
+
+    def stop(self, exit_code: int = 0) -> None:
+        """End this node after the current callback."""
+        if not self.done.done():
+            self.done.set_result(exit_code)
+
+    def is_drained(self) -> bool:
+        """Tell, once the end is asked for, whether what is still under way may be left."""
+        return True
+
+    def close(self) -> None:
+        """Do what is left to do at the end; the node can still publish."""
+
+    def wait_for_acknowledgements(self) -> None:
+        """Wait until reliable subscribers have what was published."""
+        deadline = time.monotonic() + _ACKNOWLEDGED[self.lockstep]
+        for publisher in self.publishers:
+            publisher.wait_for_all_acked(Duration(seconds=max(deadline - time.monotonic(), 0.0)))
+
+
+def main(kind: Callable[[argparse.Namespace], WalkNode], options: argparse.Namespace) -> int:
+    """Run one node until it is told to stop; return the exit code.
+
+    Parameters
+    ----------
+    kind : callable
+        Makes the node of `options`; it raises a `DqwalkError` for parameters that cannot be used.
+    options : argparse.Namespace
+        From `command_line.parse`; the ROS arguments of its ``argv`` apply.
+
+    Returns
+    -------
+    int
+        0 after a signal or a node that has done its work, 1 after a failed walk, 2 for arguments that cannot be used.
+    """
+    if options.child:
+        _end_with_parent()
+    node: WalkNode | None = None
+    code = 1
+    try:
+        stopped = wheels.init(options.argv)
+        node = made = kind(options)
+        wheels.spin(made, lambda: (stopped.is_set() or made.done.done()) and made.is_drained(), pause=made.pause)
+        code = made.done.result() if made.done.done() else 0
+    except DqwalkError as error:
+        print(f"{options.argv[0]}: {error}", file=sys.stderr)
+        code = 2
+    finally:
+        try:
+            if node is not None:
+                node.close()
+                node.wait_for_acknowledgements()
+        finally:
+            wheels.shutdown(node, code)
+    return code
+
+
+def _end_with_parent() -> None:
+    """Ask the kernel for SIGTERM when the parent dies: no robot may walk on unwatched."""
+    with contextlib.suppress(OSError, AttributeError):  # not a Linux
+        ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG

@@ -1,0 +1,143 @@
+"""Command line of the nodes: help, options, console scripts.
+
+What ``--help`` teaches is the docstring of the node's class and the schema of the parameters, read without importing
+ROS, so that it is there at once, and also where no ROS is.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import importlib
+import inspect
+import re
+import sys
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+
+from dqwalk_ros.config import Config, Spec
+
+__all__ = ["NODES", "docstring", "main", "parameters_of", "parse", "script"]
+
+NODES = {
+    "controller": "controller.Controller",
+    "integrator": "plant.Integrator",
+    "phase_monitor": "phase_monitor.PhaseMonitor",
+    "physics": "plant.Physics",
+    "pilot": "pilot.Pilot",
+    "poppy_driver": "poppy_driver.PoppyDriver",
+    "recorder": "recorder.Recorder",
+    "rigid": "rigid.Rigid",
+    "viewer": "viewer.Viewer",
+    "whole_body_controller": "whole_body_controller.WholeBodyController",
+}
+"""Module and class of each node."""
+
+
+def docstring(name: str) -> str:
+    """Return the docstring of a node's class."""
+    module, _, kind = NODES[name].partition(".")
+    tree = ast.parse(Path(__file__).with_name(f"{module}.py").read_text(encoding="utf-8"))
+    (found,) = (node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == kind)
+    return inspect.cleandoc(ast.get_docstring(found) or "")
+
+
+def parameters_of(name: str) -> list[Spec]:
+    """Return the parameters that a node looks at: those in the sections that its docstring names."""
+    found = re.search(r"^Sections of the schema: ([^.]*)\.", docstring(name), re.M)
+    sections = re.split(r",\s+", found.group(1)) if found else []
+    return [spec for spec in Config.specs() if spec.name.split(".")[0] in sections]
+
+
+def parse(name: str, argv: Sequence[str]) -> argparse.Namespace:
+    """Read the command line of a node; ``.argv`` is all of it, for rclpy.
+
+    Parameters
+    ----------
+    name : str
+        Which node.
+    argv : sequence of str
+        Without the program's name.
+    """
+    about = docstring(name)
+    parser = argparse.ArgumentParser(
+        prog=f"dqwalk_{name}",
+        usage=f"dqwalk_{name} {'--bag DIR ' if name == 'recorder' else ''}"
+        "[--ros-args --params-file FILE -p NAME:=VALUE ...]",
+        description=about.replace("::\n", ":\n"),
+        epilog=_epilog(name),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "--child", action="store_true", help="for programs: print progress as lines of JSON, end with the parent"
+    )
+    if name == "recorder":
+        parser.add_argument("--bag", metavar="DIR", required=True, help="the folder to make; it must not be there yet")
+    if name == "pilot":
+        parser.add_argument(
+            "--cmd-vel", metavar="X,Y,TURN,S", action="append", required=True,
+            help="walk so [m/s, m/s, rad/s] for so long [s]; several are walked in order",
+        )  # fmt: skip
+    if name == "viewer":
+        parser.add_argument("--port", type=int, help="port of the page; 0: any [8080, or the next free one]")
+    own = list(argv)
+    if "--ros-args" in own:
+        start = own.index("--ros-args")
+        stop = own.index("--", start) + 1 if "--" in own[start:] else len(own)
+        del own[start:stop]
+    options = parser.parse_args(own)
+    options.argv = [name, *argv]
+    return options
+
+
+def _epilog(name: str) -> str:
+    lines = ["parameters (name = default [unit]):"]
+    for spec in parameters_of(name):
+        unit = f" [{spec.unit}]" if spec.unit else ""
+        value = str(spec.default).lower() if spec.type is bool else spec.default
+        head = f"  {spec.name} = {value if value not in ('', ()) else '(none)'}{unit}"
+        lines += textwrap.wrap(spec.meaning, 118, initial_indent=f"{head:42s}  ", subsequent_indent=" " * 44)
+    lines += [
+        "",
+        "  Every node takes every parameter of the package, so that one file serves all (`/**:`); a name that does not",
+        "  exist is an error. Exit code: 0 stopped or finished, 1 the walk failed, 2 arguments that cannot be used.",
+        "",
+        f"with a sourced ROS: ros2 run dqwalk_ros {name} --help",
+    ]
+    return "\n".join(lines)
+
+
+def main(name: str, argv: Sequence[str]) -> int:
+    """Run a node; return the exit code.
+
+    Parameters
+    ----------
+    name : str
+        Which node.
+    argv : sequence of str
+        Without the program's name.
+    """
+    options = parse(name, argv)  # help and wrong options need no ROS
+    module, _, kind = NODES[name].partition(".")
+    try:
+        base = importlib.import_module("dqwalk_ros.nodes.base")
+        made = getattr(importlib.import_module(f"dqwalk_ros.nodes.{module}"), kind)
+    except ModuleNotFoundError as error:
+        missing = (error.name or "").split(".")[0]
+        if missing == "dqwalk_ros":
+            raise
+        extra = {"pinocchio": "wholebody", "mujoco": "sim", "viser": "view"}.get(missing)
+        how = f"pip install 'dqwalk_ros[{extra or 'ros'}]'"
+        how = how if extra else f"source a ROS 2 Jazzy setup file, or install the wheels with: {how}"
+        print(
+            f"{name}: needs {missing if extra else f'ROS 2 (no Python module {error.name!r})'}: {how}", file=sys.stderr
+        )
+        return 2
+    code: int = base.main(made, options)
+    return code
+
+
+def script() -> int:
+    """Run the node that the program is called after: ``controller`` or ``dqwalk_controller``."""
+    return main(Path(sys.argv[0]).stem.removeprefix("dqwalk_"), sys.argv[1:])

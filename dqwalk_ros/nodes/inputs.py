@@ -1,0 +1,228 @@
+"""What comes into a node, checked: states with their inertial sensor, commands, cmd_vel.
+
+What the messages say is read by `messages`, whether it counts is decided by `safety`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable
+
+from geometry_msgs.msg import Twist
+from sensor_msgs.msg import Imu, JointState
+
+from dqwalk_ros.controllers import Command, Controller, State
+from dqwalk_ros.errors import StateError
+from dqwalk_ros.model import RobotModel
+from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
+from dqwalk_ros.nodes.safety import CommandGate, DuplicatePublishers, Watchdog
+
+__all__ = ["EFFORT", "VELOCITY", "CommandInput", "InertialSensor", "Steering"]
+
+VELOCITY, EFFORT = "joint_velocity_commands", "joint_effort_commands"
+_LOOK = 0.25
+"""Time between two looks at who publishes [s]."""
+_STILL = (0.0, 0.0, 0.0)
+
+
+class InertialSensor:
+    """joint_states and imu: two messages that make one state.
+
+    In lockstep a state waits for the imu message of its own stamp; in real time the newest one counts, as long as its
+    stamp is within ``plant.command_timeout`` of the state's.
+
+    Parameters
+    ----------
+    node : WalkNode
+    again : callable
+        Called with a state that had to wait.
+    """
+
+    def __init__(self, node: WalkNode, again: Callable[[JointState], None]) -> None:
+        self._node, self._again = node, again
+        self._newest: Imu | None = None
+        self._waiting: JointState | None = None
+        node.create_subscription(Imu, "imu", self._on_imu, ros.stream(1, reliable=node.lockstep))
+
+    def _on_imu(self, msg: Imu) -> None:
+        self._newest = msg
+        waiting = self._waiting
+        if waiting is not None and waiting.header.stamp == msg.header.stamp:
+            self._waiting = None
+            self._again(waiting)
+
+    def join(self, msg: JointState, state: State) -> State | None:
+        """Return a state with the newest reading; None in lockstep where that is still to come.
+
+        Raises
+        ------
+        StateError
+            If no reading came, it is too old, or it cannot be used.
+        """
+        newest = self._newest
+        if self._node.lockstep:
+            if newest is None or newest.header.stamp != msg.header.stamp:
+                self._waiting = msg
+                return None
+        elif newest is None:
+            raise StateError("imu: nothing came yet (plant.imu is true)")
+        else:
+            age = 1e-9 * abs(ros.nanoseconds(msg.header.stamp) - ros.nanoseconds(newest.header.stamp))
+            if age > self._node.config.plant.command_timeout:
+                raise StateError(f"imu: its stamp is {age:.3f} s away from the state's")
+        up, gyro = ros.up_and_gyro(newest)
+        return dataclasses.replace(state, up=up, gyro=gyro)
+
+
+class Steering:
+    """cmd_vel steers a standing walk; when it stops coming, the walk stops with the feet together.
+
+    Parameters
+    ----------
+    node : WalkNode
+    controller : Controller
+        Of a standing walk without a number of steps.
+    clock : callable
+        Steady time [s].
+    """
+
+    def __init__(self, node: WalkNode, controller: Controller, clock: Callable[[], float] = time.monotonic) -> None:
+        self._node, self._controller = node, controller
+        self._watchdog = Watchdog(lambda: node.config.gait.cmd_vel_timeout, clock)
+        self._asked = self._walked = _STILL
+        self._heard = False
+        self.rejected = 0
+        node.create_subscription(Twist, "cmd_vel", self._on_twist, ros.stream(1))
+
+    def _on_twist(self, msg: Twist) -> None:
+        asked = (msg.linear.x, msg.linear.y, msg.angular.z)
+        if not all(map(math.isfinite, asked)):
+            self.rejected += 1
+            self._node.get_logger().error(f"cmd_vel rejected ({self.rejected} so far): not finite", **THROTTLE)
+            return
+        self._asked = asked
+        self._watchdog.feed()
+
+    def apply(self) -> None:
+        """Steer the walk by what came last, and not at all where that is too old."""
+        silent = self._watchdog.silent
+        if silent and self._heard:
+            self._node.get_logger().info("cmd_vel fell silent: the feet are put together")
+        self._heard = not silent
+        asked = _STILL if silent else self._asked
+        walked = self._controller.steer(*asked)
+        if walked != self._walked:
+            self._walked = walked
+            off = max(abs(a - b) for a, b in zip(asked, walked, strict=True))
+            cut = " (as far as the legs go)" if off > 1e-6 else ""
+            x, y, turn = walked
+            self._node.get_logger().info(f"steered: {x:.4f} m/s forward, {y:.4f} m/s left, {turn:.4f} rad/s{cut}")
+
+    def values(self) -> dict[str, object]:
+        """Return what /diagnostics shows."""
+        names = ("forward", "left", "turn")
+        asked = {f"cmd_vel/{name}": value for name, value in zip(names, self._asked, strict=True)}
+        walked = {f"steered/{name}": value for name, value in zip(names, self._walked, strict=True)}
+        return {**asked, **walked, "cmd_vel rejected": self.rejected}
+
+
+class CommandInput:
+    """The one way from a topic of commands to a plant, the same for the simulated ones and the robot.
+
+    Parameters
+    ----------
+    node : WalkNode
+    model : RobotModel
+    topic : str
+        `VELOCITY`, or `EFFORT` for a plant that takes torques.
+
+    Attributes
+    ----------
+    gate : CommandGate
+    """
+
+    def __init__(self, node: WalkNode, model: RobotModel, topic: str = VELOCITY) -> None:
+        self._node, self._topic = node, topic
+        self.gate = CommandGate(model, lambda: node.config.plant.command_timeout)
+        self._reader = ros.JointReader(model.joint_names)
+        self._duplicates = DuplicatePublishers()
+        self._forbidden = ""
+        self._moving = False
+        node.create_timer(_LOOK, self._look, clock=STEADY)
+
+    def forbid(self, reason: str) -> None:
+        """Hold for a reason of the plant's own, until it is empty."""
+        self._forbidden = reason
+        self.gate.refused = reason or self.gate.refused
+        self._look()
+
+    def _look(self) -> None:
+        """Hold where two controllers command."""
+        names = ros.other_publishers(self._node, self._topic)
+        duplicates = self._duplicates.judge(names)
+        if not duplicates and self.gate.contradicted:
+            duplicates = ", ".join(names)
+        reason = self._forbidden or (f"two controllers: {duplicates}" if duplicates else "")
+        if reason != self.gate.refused:
+            self.gate.refused = reason
+            log = self._node.get_logger()
+            log.error(f"holding still: {reason}") if reason else log.info("commands count")
+
+    def read(self, msg: JointState) -> Command | None:
+        """Return what a message asks for; None where it is rejected, which leaves everything as it was."""
+        try:
+            if self._topic == EFFORT:
+                return self._reader.torques(msg)
+            return self._reader.command(msg)
+        except StateError as error:
+            self.gate.rejected += 1
+            text = f"{self._topic} rejected ({self.gate.rejected} so far): {error}"
+            self._node.get_logger().error(text, **THROTTLE)
+            return None
+
+    def take(self, msg: JointState, now: int) -> bool:
+        """Take in a message; `now` is the stamp of the state published last [ns]. Return whether it counts."""
+        command = self.read(msg)
+        if command is None:
+            return False
+        return self.gate.accept(ros.nanoseconds(msg.header.stamp), command.velocity, now, command.effort)
+
+    def take_answer(self, msg: JointState, now: int) -> Command | None:
+        """Return the command that answers the very state with the stamp `now` [ns]: lockstep; None for any other."""
+        if ros.nanoseconds(msg.header.stamp) != now:
+            self.gate.late += 1  # the answer to a state that was asked for twice
+            return None
+        command = self.read(msg)
+        if command is None:
+            return None  # time stands still
+        asked = command.effort if self._topic == EFFORT else command.velocity
+        assert asked is not None
+        counts = self.gate.accept(now, asked, now, command.effort)
+        return command if counts and not self.gate.refused else None
+
+    def log_motion(self) -> None:
+        """Log when the plant begins to move or to hold."""
+        moving = not self.gate.holding
+        if moving is not self._moving:
+            self._moving = moving
+            log = self._node.get_logger()
+            if moving:
+                log.info("commands arrive: moving")
+            else:
+                timeout = self._node.config.plant.command_timeout
+                log.warning(f"holding still: {self.gate.refused or f'no command for {timeout:g} s'}")
+
+    def level(self) -> tuple[str, str]:
+        """Return level and text for /diagnostics."""
+        if self.gate.refused:
+            return "ERROR", f"holding: {self.gate.refused}"
+        if self.gate.watchdog.silent:
+            return "ERROR" if self.gate.rejected else "WARN", "holding: no commands"
+        return "WARN" if self.gate.rejected else "OK", "moving"
+
+    def counts(self) -> dict[str, object]:
+        """Return what happened so far, for /diagnostics."""
+        return {"commands rejected": self.gate.rejected, "commands late": self.gate.late}

@@ -1,0 +1,328 @@
+"""The simulated robots: joints that obey exactly, and a physics engine.
+
+In lockstep a plant publishes a state, waits for the command with that very stamp, moves, publishes the next: a run is
+exact and as fast as the machine. In real time it publishes at 1/dt whatever comes, as hardware does.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import WrenchStamped
+from numpy.typing import NDArray
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from dqwalk_ros.config import Config
+from dqwalk_ros.controllers import Command
+from dqwalk_ros.errors import DqwalkError
+from dqwalk_ros.model import Foot, RobotModel, load_model
+from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.base import STEADY, WalkNode
+from dqwalk_ros.nodes.inputs import VELOCITY, CommandInput
+from dqwalk_ros.nodes.safety import clamp_velocity
+from dqwalk_ros.plants import Plant, make_plant
+from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.topics import TOPICS, WORLD
+
+__all__ = ["Integrator", "Physics", "SimulatedPlant"]
+
+_ASK_AGAIN = 0.5
+"""A lockstep state without an answer is published again after this long [s]: its command may have been lost."""
+_FIRST_ASK = 0.05
+"""The same before the first answer [s], while the controller may not be up yet."""
+_PUSH = 0.1
+"""A push lasts so long [s], of simulated time."""
+
+
+class SimulatedPlant(WalkNode):
+    """joint_velocity_commands -> joint_states, in lockstep or in real time; a subclass says what is simulated."""
+
+    def __init__(self, name: str, options: argparse.Namespace, **keywords: Any) -> None:
+        super().__init__(name, options, **keywords)
+        self.model = load_model(self.config.robot)
+        self.dt = self.config.dt
+        self.plant = self.make_plant(self.config, self.model)
+        self.commands = CommandInput(self, self.model)
+        self.streams: dict[str, Publisher] = {"joint_states": self.advertise("joint_states")}
+        self.ticks = 0
+        self._missed = 0
+        self._stamp = 0  # of the state published last [ns]
+        self._asked = self._moved = time.monotonic()
+        self._state_msg = ros.JointWriter(self.model.joint_names)
+        if self.lockstep:
+            self.create_subscription(JointState, VELOCITY, self._on_answer, ros.stream(1))
+            self.create_timer(_FIRST_ASK, self._ask, clock=STEADY)
+        else:
+            self.create_subscription(JointState, VELOCITY, self._on_command, ros.stream(1))
+            self.create_timer(self.dt, self._on_period, clock=STEADY)
+        self.create_timer(1.0 / self.config.monitor.rate, self._diagnose, clock=STEADY)
+
+    def log_ready(self) -> None:
+        """Log what this is, once it is ready."""
+        mode = "lockstep" if self.lockstep else f"real time at {1.0 / self.dt:g} Hz"
+        self.get_logger().info(f"{self.model.name}: {self.model.n} joints, {mode}")
+
+    # ------------------------------------------------------------------ what differs between plants
+
+    def make_plant(self, config: Config, model: RobotModel) -> Plant:
+        """Return what is simulated."""
+        raise NotImplementedError
+
+    def reference(self) -> NDArray[Any]:
+        """Return the angles (n,) from which a velocity moves the joints [rad]: limits are kept from there."""
+        return self.plant.state.q
+
+    def period(self, passed: float) -> float:
+        """Return the time to move in real time when `passed` has gone by since the last tick [s].
+
+        Two periods at most: a late tick is never made up for.
+        """
+        return min(passed, 2.0 * self.dt)
+
+    def real_time(self) -> int:
+        """Return the stamp of a state in real time [ns]."""
+        return int(self.get_clock().now().nanoseconds)
+
+    def move(self, command: Command, dt: float) -> bool:
+        """Move for `dt` [s]; return whether that was possible."""
+        try:
+            self.plant.step(command, dt)
+        except DqwalkError as error:
+            self.get_logger().error(f"the plant failed: {error}")
+            self.stop(1)
+            return False
+        self.ticks += 1
+        return True
+
+    def publish(self, stamp: int) -> None:
+        """Publish the state, with its stamp [ns], and what belongs to it."""
+        state = self.plant.state
+        self.streams["joint_states"].publish(self._state_msg(stamp, position=state.q, velocity=state.dq))
+
+    def trouble(self) -> str:
+        """Return what is wrong with the plant, which is an error; empty if nothing is."""
+        return ""
+
+    # ------------------------------------------------------------------ lockstep
+
+    def _on_answer(self, msg: JointState) -> None:
+        command = self.commands.take_answer(msg, self._stamp)
+        if command is None:
+            return
+        u = clamp_velocity(command.velocity, self.reference(), self.model, self.dt)
+        if self.move(Command(self._stamp * 1e-9, u, command.effort), self.dt):
+            self._stamp = round(self.ticks * self.dt * 1e9)
+            self._asked = time.monotonic()
+            self.publish(self._stamp)
+
+    def _ask(self) -> None:
+        """Publish the state again where no answer came."""
+        now = time.monotonic()
+        if now - self._asked < (_ASK_AGAIN if self.ticks else _FIRST_ASK) or not self._may_begin():
+            return
+        self._asked = now
+        self.publish(self._stamp)
+
+    def _may_begin(self) -> bool:
+        """Tell whether everyone listens who must not miss the first state."""
+        if self.ticks:
+            return True
+        wanted, states = self.config.node, self.streams["joint_states"]
+        if wanted.wait_for_monitor and not ros.is_heard_by(self, states, "phase_monitor"):
+            return False
+        recorded = self.streams.values() if wanted.wait_for_recorder else ()
+        return all(ros.is_heard_by(self, offered, "recorder") for offered in recorded)
+
+    # ------------------------------------------------------------------ real time
+
+    def _on_command(self, msg: JointState) -> None:
+        self.commands.take(msg, self._stamp)
+
+    def _on_period(self) -> None:
+        now = time.monotonic()
+        passed, self._moved = now - self._moved, now
+        if passed > 2.0 * self.dt:
+            self._missed += int(passed / self.dt) - 1
+        self.commands.log_motion()
+        dt, gate = self.period(passed), self.commands.gate
+        u = gate.velocity(self.reference(), dt)
+        if self.move(Command(self._stamp * 1e-9, u, gate.effort), dt):
+            self._stamp = self.real_time()
+            self.publish(self._stamp)
+
+    # ------------------------------------------------------------------ both
+
+    def _diagnose(self) -> None:
+        level, text = self.commands.level()
+        if self.lockstep and level == "WARN":
+            waits = self.commands.gate.watchdog.age
+            level, text = ("OK", "lockstep") if waits < 2.0 else ("WARN", "waiting for a command")
+        if trouble := self.trouble():
+            level, text = "ERROR", trouble
+        values = {"ticks": self.ticks, "periods missed": self._missed, **self.commands.counts()}
+        self.diagnose("plant", self.model.name, level, text, values, self._stamp)
+
+
+class Integrator(SimulatedPlant):
+    """Stand in for the robot: integrate the commanded joint velocities (Euler), at 1/dt or in lockstep.
+
+    Subscribes to::
+
+        joint_velocity_commands  sensor_msgs/JointState [rad/s]
+
+    Publishes::
+
+        joint_states             sensor_msgs/JointState [rad, rad/s]
+        /diagnostics             diagnostic_msgs/DiagnosticArray
+
+    Sections of the schema: dt, robot, plant, node.
+
+    Example::
+
+        dqwalk_integrator --ros-args --params-file config/paper.yaml -p plant.lockstep:=true
+    """
+
+    def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
+        super().__init__("integrator", options, **keywords)
+        self.log_ready()
+
+    def make_plant(self, config: Config, model: RobotModel) -> Plant:
+        """Return joints that move exactly as they are told."""
+        return KinematicPlant(model, compiled=False)  # the node is spared numba
+
+
+class Physics(SimulatedPlant):
+    """Stand in for the robot: MuJoCo, true soles, servos, an inertial sensor; real time or lockstep.
+
+    In real time the engine takes one period per tick of the steady clock, so a late machine makes a late simulation,
+    never one that jumps; stamps are the simulation's time, counted from the clock's at its start.
+
+    Subscribes to::
+
+        joint_velocity_commands  sensor_msgs/JointState [rad/s]; its efforts are fed forward [N m]
+        push                     geometry_msgs/WrenchStamped: its force times 1 s hits the pelvis [N s], in world
+
+    Publishes::
+
+        joint_states             sensor_msgs/JointState [rad, rad/s]
+        imu                      sensor_msgs/Imu of the link physics.imu, the same stamp as the state's
+        true_base_pose           geometry_msgs/PoseStamped: the pelvis in the world; for analysis, as the rest:
+        left_foot_wrench, right_foot_wrench   geometry_msgs/WrenchStamped: ground on the sole, in its frame
+        center_of_pressure       geometry_msgs/PointStamped: of both feet in the world; none in the air
+        /diagnostics             diagnostic_msgs/DiagnosticArray: ERROR when the robot has fallen
+        ~/reset                  std_srvs/Trigger: puts the robot back on its feet (real time)
+
+    Sections of the schema: dt, robot, plant, physics, servo, node.
+
+    Example::
+
+        dqwalk_physics --ros-args --params-file config/poppy.yaml -p plant.imu:=true
+
+    Raises
+    ------
+    PlantError
+        If MuJoCo refuses the robot.
+    """
+
+    plant: Any
+
+    def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
+        super().__init__("physics", options, **keywords)
+        self.streams |= {name: self.advertise(name) for name in TOPICS if TOPICS[name].source == "physics"}
+        self._soles = {f"{foot.value}_foot_wrench": self.model.soles[foot].frame for foot in Foot}
+        self._fell = ""
+        self._late: list[float] = []  # behind a period [s], of each tick under way
+        self._stamp0 = self.get_clock().now().nanoseconds
+        self._pushed_until = -1  # tick
+        self.create_service(Trigger, "~/reset", self._reset)
+        self.create_subscription(WrenchStamped, "push", self._on_push, ros.stream(10))
+        self.log_ready()
+
+    def make_plant(self, config: Config, model: RobotModel) -> Plant:
+        """Return the robot on its soles."""
+        return make_plant("physics", config, model)
+
+    def reference(self) -> NDArray[Any]:
+        """Return what the servos are told: velocities are integrated from there."""
+        commanded: NDArray[Any] = self.plant.commanded
+        return commanded
+
+    def period(self, passed: float) -> float:
+        """Return one period, however late the tick is."""
+        if not self.commands.gate.watchdog.silent:
+            self._late.append(passed - self.dt)
+        return self.dt
+
+    def real_time(self) -> int:
+        """Return the time of the simulation, counted from the clock's at its start [ns]."""
+        return self._stamp0 + round(self.ticks * self.dt * 1e9)
+
+    def move(self, command: Command, dt: float) -> bool:
+        """Move for `dt` [s]; a push ends after its time."""
+        if self.ticks == self._pushed_until:
+            self.plant.push(np.zeros(3))
+        return super().move(command, dt)
+
+    def publish(self, stamp: int) -> None:
+        """Publish the sensors first, for the controller waits for them with the state."""
+        streams = self.streams
+        streams["imu"].publish(ros.imu(stamp, self.config.physics.imu, self.plant.inertial))
+        super().publish(stamp)
+        if any(streams[name].get_subscription_count() for name in streams if name not in ("imu", "joint_states")):
+            truth = self.plant.truth
+            streams["true_base_pose"].publish(ros.pose(stamp, WORLD, truth.pelvis))
+            for foot in Foot:
+                name = f"{foot.value}_foot_wrench"
+                streams[name].publish(ros.wrench(stamp, self._soles[name], truth.wrenches[foot]))
+            if (cop := truth.cop) is not None:
+                streams["center_of_pressure"].publish(ros.point(stamp, WORLD, cop))
+        if self.plant.fallen and not self._fell:
+            self._fell = f"the robot fell at {self.ticks * self.dt:.2f} s; ~/reset puts it back on its feet"
+            self.get_logger().error(self._fell)
+            if self.is_child:  # nobody is there to pick it up
+                self.stop(1)
+
+    def trouble(self) -> str:
+        """Return that the robot has fallen."""
+        return self._fell
+
+    def _on_push(self, msg: WrenchStamped) -> None:
+        """Take the force times one second as the impulse on the pelvis [N s], as the node `rigid` does."""
+        f = msg.wrench.force
+        impulse = np.array([f.x, f.y, f.z])
+        if not np.isfinite(impulse).all():
+            self.get_logger().error("push rejected: not finite")
+            return
+        self.plant.push(impulse / _PUSH)
+        self._pushed_until = self.ticks + round(_PUSH / self.dt)
+        self.get_logger().info(f"pushed: {f.x:g}, {f.y:g}, {f.z:g} N s within {_PUSH:g} s")
+
+    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self.lockstep:
+            response.success, response.message = False, "in lockstep time cannot begin again: start the node anew"
+            return response
+        self.plant = self.make_plant(self.config, self.model)
+        self.commands.gate.hold()
+        self._fell = ""
+        response.success, response.message = True, "the robot stands; the controller's ~/reset and ~/start begin anew"
+        self.get_logger().info(response.message)
+        return response
+
+    def close(self) -> None:
+        """Log how much of real time it was."""
+        if self.lockstep or len(self._late) < 2:
+            return
+        late = 1e3 * np.array(self._late)
+        took = float(late.sum()) * 1e-3 + len(late) * self.dt
+        rate = len(late) / took
+        text = (
+            f"{len(late)} ticks at {rate:.1f} Hz, {100.0 * rate * self.dt:.1f} % of real time; late by "
+            f"{np.median(late):.2f} ms (median), {np.percentile(late, 99):.1f} ms (p99), {late.max():.0f} ms at most"
+        )
+        self.get_logger().info(text)
+        self.report("pace", text=text, rate=rate, real_time=rate * self.dt)
