@@ -31,7 +31,7 @@ ROS = [
 DAQP = ["daqp>=0.7"]
 VIEW = ["viser>=1.1"]
 STUDY = ["distributed>=2023.1", "joblib>=1.3", "pyarrow>=12"]
-SIM = ["mujoco>=3.2"]
+SIM = ["mujoco>=3.4"]
 TEST = [
     *DAQP,
     *STUDY,

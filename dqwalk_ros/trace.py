@@ -14,7 +14,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.controllers import Command, Controller, State
 from dqwalk_ros.model import Foot, RobotModel
 from dqwalk_ros.phases import PhaseKind
-from dqwalk_ros.plants.truth import Inertial, Truth
+from dqwalk_ros.plants import Inertial, Truth
 
 __all__ = ["PhaseRecord", "PhysicsRecord", "Recorder", "Trace"]
 

@@ -7,13 +7,14 @@ import numpy as np
 
 from dqwalk_ros.config import load
 from dqwalk_ros.model import load_model
-from dqwalk_ros.plants.physics import compiled
+from dqwalk_ros.plants.camera import add_scenery
+from dqwalk_ros.plants.mujoco import build
 
 
 def test_what_is_only_seen_changes_nothing_that_moves():
     config = load("poppy")
     model = load_model(config.robot)
-    plain, seen = compiled(config, model), compiled(config, model, seen=True)
+    plain, seen = build(config, model), build(config, model, scenery=add_scenery)
     assert seen.ngeom > plain.ngeom + 20
     np.testing.assert_array_equal(seen.body_mass, plain.body_mass)
     np.testing.assert_array_equal(seen.body_inertia, plain.body_inertia)
@@ -32,7 +33,7 @@ def test_what_is_only_seen_changes_nothing_that_moves():
 def test_pictures_hide_the_shapes_that_collide():
     """Group 0 is left out of pictures: neither floor nor soles, which are drawn as they collide, may be in it."""
     config = load("poppy")
-    made = compiled(config, load_model(config.robot), seen=True)
+    made = build(config, load_model(config.robot), scenery=add_scenery)
     for name in ("floor", "sole_left", "sole_right"):
         assert made.geom(name).group[0] == 2
     visual = made.geom_group == 1

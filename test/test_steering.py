@@ -19,8 +19,7 @@ from dqwalk_ros.gait import StandingGait
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot
 from dqwalk_ros.phases import PhaseKind, make_phase
-from dqwalk_ros.plants import make_plant
-from dqwalk_ros.plants.truth import upward
+from dqwalk_ros.plants import make_plant, upward
 from dqwalk_ros.report import bag
 from dqwalk_ros.report.batch import Batch, distance, error
 from dqwalk_ros.report.ground import Circle

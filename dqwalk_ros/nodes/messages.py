@@ -23,7 +23,7 @@ from dqwalk_ros.controllers import Command, State
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import StateError
 from dqwalk_ros.nodes.safety import JointOrder
-from dqwalk_ros.plants.truth import Inertial, upward
+from dqwalk_ros.plants import Inertial, upward
 
 __all__ = [
     "JointReader",

@@ -14,9 +14,9 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import PlantError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot, RobotModel
-from dqwalk_ros.plants.physics import compiled
+from dqwalk_ros.plants.mujoco import build
 
-__all__ = ["Camera"]
+__all__ = ["Camera", "add_scenery"]
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ class Camera:
         distance: float = 1.4,
     ) -> None:
         self._model = model
-        self._mj = compiled(config, model, seen=True)
+        self._mj = build(config, model, scenery=add_scenery)
         self._data: Any = mujoco.MjData(self._mj)
         self._mj.vis.global_.offwidth, self._mj.vis.global_.offheight = width, height
         self._qadr = np.array([int(self._mj.joint(name).qposadr[0]) for name in model.joint_names])
@@ -87,3 +87,31 @@ class Camera:
         self._renderer.update_scene(self._data, self._look, self._shown)
         image: NDArray[np.uint8] = self._renderer.render()
         return image
+
+
+def add_scenery(spec: Any) -> None:
+    """Add a sky, lines on the floor and light that casts shadows; nothing that touches.
+
+    Parameters
+    ----------
+    spec : mujoco.MjSpec
+    """
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.45] * 3, [0.6] * 3
+    kind, built = mujoco.mjtTexture, mujoco.mjtBuiltin
+    spec.add_texture(
+        name="sky", type=kind.mjTEXTURE_SKYBOX, builtin=built.mjBUILTIN_GRADIENT,
+        rgb1=[1.0, 1.0, 1.0], rgb2=[0.78, 0.85, 0.93], width=256, height=1536,
+    )  # fmt: skip
+    ground = [0.93, 0.94, 0.95]
+    spec.add_texture(
+        name="ruled", type=kind.mjTEXTURE_2D, builtin=built.mjBUILTIN_FLAT, mark=mujoco.mjtMark.mjMARK_EDGE,
+        rgb1=ground, rgb2=ground, markrgb=[0.62, 0.66, 0.71], width=256, height=256,
+    )  # fmt: skip
+    material = spec.add_material(name="ruled", texrepeat=[5.0, 5.0], texuniform=True)  # a line every 20 cm
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "ruled"
+    floor = spec.geom("floor")
+    floor.material, floor.rgba = "ruled", [1.0, 1.0, 1.0, 1.0]
+    spec.worldbody.add_light(
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=[0.5, -1.0, 3.0], dir=[-0.2, 0.35, -1.0],
+        castshadow=True, diffuse=[0.45] * 3, specular=[0.1] * 3,
+    )  # fmt: skip

@@ -1,7 +1,7 @@
 """The whole-body controller's robot in a physics engine (MuJoCo), driven by joint torques: soles slip, tilt and bounce.
 
 What the controller takes for rigid contact is here a soft one that the engine finds by itself: which feet stand is not
-taken from the command. `plants.physics` is the other robot in MuJoCo, on position servos.
+taken from the command. `plants.mujoco` is the other robot in MuJoCo, on position servos.
 """
 
 from __future__ import annotations

@@ -1,0 +1,71 @@
+"""The closed loop in physics beside the engine's own steps: the same robot, the same steps, in turn.
+
+python -m benchmark.physics [--ticks 2000]
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import mujoco
+import numpy as np
+
+from benchmark.timing import machine, table  # first: it sets the number of threads
+from dqwalk_ros.config import load
+from dqwalk_ros.controllers import make_controller
+from dqwalk_ros.model import load_model
+from dqwalk_ros.plants.mujoco import PhysicsPlant
+from dqwalk_ros.standing.phases import posture
+
+CHUNK = 100
+
+
+def walk(solver: str, ticks: int) -> tuple[float, float, float]:
+    """Return the CPU time per tick [us] of the engine alone, the plant, and the controller."""
+    config = load("poppy").updated({"qp.solver": solver, "gait.steps": 0})
+    model = load_model(config.robot)
+    controller, plant = make_controller(config, model), PhysicsPlant(config, model, posture(config, model))
+    controller.steer(0.015, 0.0, 0.0)
+    again, steps = mujoco.MjData(plant.mj), round(config.dt / plant.mj.opt.timestep)
+    state = plant.state
+    spent = np.zeros((0, 3))
+    for _ in range(ticks // CHUNK + 1):
+        mujoco.mj_copyData(again, plant.mj, plant.data)
+        controls, in_controller, in_plant = [], 0.0, 0.0
+        for _ in range(CHUNK):
+            t0 = time.process_time()
+            command = controller.step(state, config.dt)
+            t1 = time.process_time()
+            state = plant.step(command, config.dt)
+            t2 = time.process_time()
+            in_controller, in_plant = in_controller + t1 - t0, in_plant + t2 - t1
+            controls.append(plant.data.ctrl.copy())
+        t0 = time.process_time()
+        for control in controls:
+            again.ctrl[:] = control
+            mujoco.mj_step(plant.mj, again, steps)
+        engine = time.process_time() - t0
+        assert np.array_equal(again.qpos, plant.data.qpos), "these are not the same steps"
+        spent = np.vstack([spent, [engine, in_plant, in_controller]])
+    assert not plant.fallen
+    return tuple(1e6 / CHUNK * np.median(spent[1:], axis=0))  # the first chunk compiles
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--ticks", type=int, default=2000)
+    args = parser.parse_args()
+    print(f"{machine()}\n")
+    rows = []
+    for solver in ("clarabel", "daqp"):
+        engine, plant, controller = walk(solver, args.ticks)
+        loop = plant + controller
+        rows.append([solver, *(f"{x:.0f}" for x in (engine, plant, controller, loop)), f"{loop / engine:.2f}"])
+    print(table(["solver", "engine [us]", "plant [us]", "controller [us]", "loop [us]", "loop / engine"], rows))
+    print("\nmedians of CPU time per tick; the engine is mj_step on the same controls, the plant contains it")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,316 @@
+"""The robot in a physics engine (MuJoCo): true soles, friction, position servos and an inertial sensor.
+
+What no joint of the model moves is welded, the pelvis floats, and only the soles touch the ground. The engine's own
+loop takes all steps between two changes of what the servos are told; nothing of Python runs in between.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dqwalk_ros.config import Config
+from dqwalk_ros.controllers import Command, State
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import PlantError
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.model import Foot, RobotModel
+from dqwalk_ros.plants import Inertial, Truth, upward
+from dqwalk_ros.plants.servos import Servos
+
+__all__ = ["PhysicsPlant", "build", "robot_spec"]
+
+Array = NDArray[np.float64]
+
+_THICK = 0.008
+"""Of the boxes of the soles [m]."""
+_SOLID = [0.95, 0.99, 0.0005, 0.5, 2.0]
+"""Impedance of a contact: firm from half a millimetre on."""
+
+
+class PhysicsPlant:
+    """MuJoCo behind the servos.
+
+    Parameters
+    ----------
+    config : Config
+    model : RobotModel
+    q0 : array_like, shape (n,), optional
+        Where it begins, on both soles [rad]; all zero without it.
+    """
+
+    def __init__(self, config: Config, model: RobotModel, q0: ArrayLike | None = None) -> None:
+        self.config, self.model = config, model
+        q = np.zeros(model.n) if q0 is None else np.array(q0, dtype=np.float64)
+        self.mj = build(config, model)
+        self.data: Any = mujoco.MjData(self.mj)
+        joints = [self.mj.joint(name) for name in model.joint_names]
+        self._qadr = np.array([int(j.qposadr[0]) for j in joints])
+        self._vadr = np.array([int(j.dofadr[0]) for j in joints])
+        self._root = self.mj.body(model.root).id
+        self._pelvis = self.mj.body(model.pelvis).id
+        self._imu = self.mj.body(config.physics.imu).id
+        self._soles = {foot: self.mj.body(model.soles[foot].frame).id for foot in Foot}
+        self._ground = {foot: self.mj.sensor(f"ground_{foot.value}").adr[0] for foot in Foot}
+        self._goals = self.data.ctrl.reshape(-1, model.n)  # a view; a second row where there is backlash
+        self._goals[:] = q
+        self._seat(q)
+        self._servos = Servos(config.servo, q, model.q_min, model.q_max)
+        self._ticks = 0
+        mujoco.mj_step(self.mj, self.data, max(1, round(config.physics.settle / self.mj.opt.timestep)))
+        mujoco.mj_step1(self.mj, self.data)
+        self._state = self._measured()
+
+    @property
+    def state(self) -> State:
+        """The state now, as the robot's sensors have it."""
+        return self._state
+
+    def step(self, command: Command, dt: float) -> State:
+        """Return the state one period later.
+
+        Raises
+        ------
+        PlantError
+            If the command does not fit, or the simulation has gone astray.
+        """
+        u = np.asarray(command.velocity, dtype=np.float64)
+        if u.shape != (self.model.n,) or not np.isfinite(u).all():
+            raise PlantError(f"the command must have {self.model.n} finite velocities, got {u}")
+        tau = command.effort
+        if tau is not None:
+            tau = np.asarray(tau, dtype=np.float64)
+            if tau.shape != u.shape or not np.isfinite(tau).all():
+                raise PlantError(f"the command must have {self.model.n} finite torques, got {tau}")
+            tau = np.minimum(np.maximum(tau, -self.model.effort_max), self.model.effort_max)
+        mj, data, h = self.mj, self.data, self.config.physics.timestep
+        now = data.time
+        self._servos.command(u, tau, self._state.q, now, dt)
+        left = max(1, round(dt / h))
+        while left:
+            self._goals[:], until = self._servos.output(now)
+            steps = min(left, max(1, math.ceil((until - now) / h - 1e-6))) if until < math.inf else left
+            # positions and velocities of this moment are there already: only the forces are missing
+            mujoco.mj_step2(mj, data)
+            if steps > 1:
+                mujoco.mj_step(mj, data, steps - 1)
+            mujoco.mj_step1(mj, data)
+            left, now = left - steps, data.time
+        if not math.isfinite(data.qpos.sum()):
+            raise PlantError("the simulation is not finite any more")
+        self._ticks += 1
+        self._state = self._measured()
+        return self._state
+
+    def push(self, force: ArrayLike) -> None:
+        """Push the pelvis with `force` (3,) [N] in world axes until the next call."""
+        self.data.xfrc_applied[self._root, :3] = np.asarray(force, dtype=np.float64)
+
+    @property
+    def commanded(self) -> Array:
+        """Positions that the servos are told, without the sag, shape (n,) [rad]."""
+        return self._servos.wanted
+
+    @property
+    def truth(self) -> Truth:
+        """What no sensor measures; forces are those of the engine's last step."""
+        soles = {foot: self._pose(body) for foot, body in self._soles.items()}
+        return Truth(
+            pelvis=self._pose(self._pelvis),
+            soles=soles,
+            wrenches={foot: self._wrench(foot) for foot in Foot},
+            com=self.data.subtree_com[self._root].copy(),
+            effort=self.data.qfrc_actuator[self._vadr].copy(),
+        )
+
+    @property
+    def inertial(self) -> Inertial:
+        """What the inertial sensor says, without noise."""
+        mujoco.mj_rnePostConstraint(self.mj, self.data)
+        acceleration = np.empty(6)
+        mujoco.mj_objectAcceleration(self.mj, self.data, mujoco.mjtObj.mjOBJ_XBODY, self._imu, acceleration, 1)
+        gyro = self._state.gyro
+        assert gyro is not None  # it is measured with every state
+        return Inertial(self.data.xquat[self._imu].copy(), gyro, acceleration[3:])
+
+    @property
+    def fallen(self) -> bool:
+        """Whether the pelvis has come down to 60 % of its first height or leans by more than 60 degrees."""
+        up = self.data.xmat[self._root, 8]
+        return bool(self.data.xpos[self._root, 2] < 0.6 * self._height or up < 0.5)
+
+    # ------------------------------------------------------------------ inside
+
+    def _measured(self) -> State:
+        gyro = np.empty(6)
+        mujoco.mj_objectVelocity(self.mj, self.data, mujoco.mjtObj.mjOBJ_XBODY, self._imu, gyro, 1)
+        return State(
+            time=round(self._ticks * self.config.dt * 1e9) * 1e-9,  # as a stamp of ROS has it
+            q=self.data.qpos[self._qadr],
+            dq=self.data.qvel[self._vadr],
+            up=upward(*self.data.xquat[self._imu].tolist()),
+            gyro=gyro[:3],
+        )
+
+    def _seat(self, q: Array) -> None:
+        """Put the left sole flat on the floor."""
+        kin = Kinematics(self.model, q, Foot.LEFT)
+        x = DQ(kin.pose(self.model.root))
+        p, r = x.translation(), x.vec8()[:4]
+        other = kin.point(kin.swing)
+        self.data.qpos[:3] = p + np.array([0.0, -0.5 * other[1], 0.0005])
+        self.data.qpos[3:7] = r
+        self.data.qpos[self._qadr] = q
+        mujoco.mj_forward(self.mj, self.data)
+        self._height = float(self.data.xpos[self._root][2])
+
+    def _pose(self, body: int) -> Array:
+        x, p, r = np.empty(8), np.zeros(4), self.data.xquat[body]
+        p[1:] = 0.5 * self.data.xpos[body]
+        x[:4] = r
+        mujoco.mju_mulQuat(x[4:], p, r)  # (U1)
+        return x
+
+    def _wrench(self, foot: Foot) -> Array:
+        """Return the force and torque of the ground about the sole's origin in its axes, shape (6,)."""
+        of_sole = self.data.sensordata[self._ground[foot] :][:9]  # force, torque, and the point where both act
+        out, body = np.empty(6), self._soles[foot]
+        given = -np.concatenate([of_sole[3:6], of_sole[:3]])
+        mujoco.mju_transformSpatial(out, given, 1, self.data.xpos[body], of_sole[6:], self.data.xmat[body])
+        return np.concatenate([out[3:], out[:3]])
+
+
+def robot_spec(model: RobotModel, *, friction: float, contact_time: float, visual: bool = False) -> Any:
+    """Return the robot on a floor as a MuJoCo specification that may still be changed, without actuators.
+
+    Parameters
+    ----------
+    model : RobotModel
+    friction : float
+        Of the soles on the floor.
+    contact_time : float
+        Time constant of the contact between both [s].
+    visual : bool
+        Keep the visual shapes of the URDF. What collides is in group 2 then.
+
+    Raises
+    ------
+    PlantError
+        If the URDF has no such robot.
+    """
+    # MuJoCo drops the visual shapes unless the file itself says otherwise
+    keep = '<mujoco><compiler discardvisual="false"/></mujoco></robot>'
+    spec = mujoco.MjSpec.from_string(model.urdf.replace("</robot>", keep) if visual else model.urdf)
+    spec.compiler.inertiafromgeom = 0  # the soles have no mass; none may be made up
+    spec.compiler.fusestatic = False
+    spec.compiler.balanceinertia = True
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a simulation gone astray is to be seen
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    root = spec.body(model.root)
+    if root is None:
+        raise PlantError(f"the URDF has no link '{model.root}'")
+    for body in list(spec.bodies):  # what the model has dropped is not there
+        if body.name not in ("world", *model.frames) and (
+            body.parent is None or body.parent.name in ("world", *model.frames)
+        ):
+            spec.delete(body)
+    for joint in list(spec.joints):
+        if joint.name not in model.joint_names:
+            spec.delete(joint)  # which welds it
+    root.add_freejoint(name="root")
+    for geom in spec.geoms:
+        geom.contype, geom.conaffinity = 0, 0  # only soles touch
+    touching = {"friction": [friction, 0.005, 0.0001], "solref": [contact_time, 1.0], "solimp": _SOLID, "group": 2}
+    for foot in Foot:
+        sole = model.soles[foot]
+        spec.body(sole.frame).add_geom(
+            name=f"sole_{foot.value}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[0.5 * sole.length, 0.5 * sole.width, 0.5 * _THICK],
+            pos=[*sole.center[:2], 0.5 * _THICK],
+            mass=0.0,
+            contype=1,
+            conaffinity=2,
+            rgba=[0.2, 0.21, 0.23, 1.0],
+            **touching,
+        )
+    spec.worldbody.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[20.0, 20.0, 0.1],
+        contype=2,
+        conaffinity=1,
+        rgba=[0.86, 0.88, 0.9, 1.0],
+        **touching,
+    )
+    return spec
+
+
+def build(config: Config, model: RobotModel, *, scenery: Callable[[Any], None] | None = None) -> Any:
+    """Return the MuJoCo model of the robot, its servos and the floor.
+
+    Parameters
+    ----------
+    config : Config
+    model : RobotModel
+    scenery : callable, optional
+        For pictures: called with the specification to add what is only seen. The visual shapes of the URDF are there.
+
+    Raises
+    ------
+    PlantError
+        If MuJoCo refuses the robot.
+    """
+    c, s = config.physics, config.servo
+    try:
+        spec = robot_spec(model, friction=c.friction, contact_time=c.contact_time, visual=scenery is not None)
+        spec.option.timestep = c.timestep
+        for body in spec.bodies:
+            body.mass *= c.mass_scale
+            body.inertia, body.fullinertia = body.inertia * c.mass_scale, body.fullinertia * c.mass_scale
+        for joint in spec.joints:
+            if joint.name != "root":
+                joint.damping, joint.armature, joint.frictionloss = [0.0, 0.0, 0.0], s.armature, s.friction
+                joint.limited = False
+        torque = np.minimum(s.torque_scale * model.effort_max, 1e3)
+        for name, limit in zip(model.joint_names, torque, strict=True):
+            _add_spring(spec, name, s.stiffness, s.damping * s.stiffness, limit + 0.5 * s.stiffness * s.backlash)
+        if s.backlash > 0.0:
+            # No torque within the play of the gears: K (e - clip(e, -b/2, b/2)) is two springs, one of them negative.
+            for name in model.joint_names:
+                _add_spring(spec, name, -s.stiffness, 0.0, 0.5 * s.stiffness * s.backlash)
+        for foot in Foot:
+            _add_ground_sensor(spec, foot)
+        if scenery is not None:
+            scenery(spec)
+        return spec.compile()
+    except ValueError as error:
+        raise PlantError(f"MuJoCo refuses the robot: {error}") from error
+
+
+def _add_spring(spec: Any, joint: str, stiffness: float, damping: float, limit: float) -> None:
+    """Draw a joint to its control with a torque clip(K e - D dq, -limit, limit)."""
+    act = spec.add_actuator(target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    act.gainprm[0] = stiffness
+    act.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    act.biasprm[1], act.biasprm[2] = -stiffness, -damping
+    act.forcelimited, act.forcerange = True, [-limit, limit]
+
+
+def _add_ground_sensor(spec: Any, foot: Foot) -> None:
+    """Measure the net force, torque and centre of all contacts of a sole, in world axes."""
+    field = mujoco.mjtConDataField
+    wanted = sum(1 << int(f) for f in (field.mjCONDATA_FORCE, field.mjCONDATA_TORQUE, field.mjCONDATA_POS))
+    net_force = 3  # the reduction to a single wrench
+    spec.add_sensor(
+        name=f"ground_{foot.value}",
+        type=mujoco.mjtSensor.mjSENS_CONTACT,
+        objtype=mujoco.mjtObj.mjOBJ_GEOM,
+        objname=f"sole_{foot.value}",
+        intprm=[wanted, net_force, 1],
+    )
