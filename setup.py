@@ -89,6 +89,7 @@ setup(
     install_requires=[
         "setuptools",
         "clarabel>=0.9",
+        "click>=8.1",
         "lxml>=4.8",
         "lz4>=4.0",
         "matplotlib>=3.6",
@@ -99,6 +100,7 @@ setup(
         "pyyaml>=6.0",
         "rosbags>=0.11",
         "scipy>=1.11",
+        "tqdm>=4.60",
         "yourdfpy>=0.0.56",
         "zstandard>=0.18",
     ],

@@ -72,7 +72,7 @@ class Watched:
 
     def close(self) -> None:
         """End the line of the progress."""
-        self._progress.close()
+        self._progress.__exit__()
 
 
 def sample() -> dict[str, tuple[float, int]]:

@@ -1,28 +1,30 @@
-"""Where a walk comes from: the versions and the machine that walked it, to be kept with its recording."""
+"""Where a walk comes from: the versions and the machine that made it, kept with its recording."""
 
 from __future__ import annotations
 
+import functools
 import os
 import platform
 import time
 from collections.abc import Mapping
-from functools import cache
 from importlib import metadata
+from pathlib import Path
 
 from dqwalk_ros import __version__
 
-__all__ = ["from_text", "here", "to_text"]
+__all__ = ["from_text", "here", "machine", "to_text"]
 
-_PARTS = ("numpy", "numba", "clarabel", "daqp", "rosbags", "mcap", "rclpy", "mujoco", "pin", "pypot")
+_PARTS = ("numpy", "numba", "clarabel", "daqp", "yourdfpy", "rosbags", "mcap", "rclpy", "mujoco", "pin", "pypot")
 
 
 def here() -> dict[str, str]:
-    """Return what this machine is and what is installed on it, and the time of day, as words by name."""
-    return {"began": time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime()), **_machine()}
+    """Return what this machine is and what is installed on it, and the time of day, as texts by name."""
+    return {"began": time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime()), **machine()}
 
 
-@cache
-def _machine() -> Mapping[str, str]:
+@functools.cache
+def machine() -> Mapping[str, str]:
+    """Return what this machine is and what is installed on it, as texts by name."""
     out = {"dqwalk_ros": __version__, "python": platform.python_version()}
     for part in _PARTS:
         try:
@@ -39,13 +41,11 @@ def _machine() -> Mapping[str, str]:
 
 def _processor() -> str:
     try:
-        with open("/proc/cpuinfo", encoding="utf-8") as info:
-            for line in info:
-                if line.startswith("model name"):
-                    return line.partition(":")[2].strip()
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
-        pass
-    return platform.processor() or platform.machine()
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
 
 
 def to_text(origin: Mapping[str, str]) -> str:
@@ -54,6 +54,6 @@ def to_text(origin: Mapping[str, str]) -> str:
 
 
 def from_text(text: str) -> dict[str, str]:
-    """Return the entries of a text; what is no entry is passed over."""
+    """Return the entries of a text; lines of another form are left out."""
     lines = (line.partition(": ") for line in text.splitlines())
     return {key.strip(): value.strip() for key, colon, value in lines if colon and key.strip()}

@@ -19,7 +19,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu, JointState
 
 from dqwalk_ros import report as reporting
-from dqwalk_ros.cli.settings import overlaid
+from dqwalk_ros.cli.options import overlaid
 from dqwalk_ros.config import load
 from dqwalk_ros.controllers import State, make_controller
 from dqwalk_ros.errors import StateError

@@ -1,23 +1,77 @@
-"""The command line: ``dqwalk simulate | robustness | walk | report | view | config | version``.
+"""The command line, ``dqwalk``: one module per command.
 
-Only `argparse` is loaded until a command is known, so that help comes at once.
+A module of a command imports nothing heavy until the command runs, so that help comes at once.
 """
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import os
 import signal
 import sys
 from collections.abc import Sequence
 
-from dqwalk_ros.cli import parser
+import click
+
 from dqwalk_ros.errors import ConfigError, DqwalkError, ModelError
 
-__all__ = ["FAILED", "OK", "USAGE", "main"]
+__all__ = ["FAILED", "OK", "USAGE", "dqwalk", "main"]
 
 OK, FAILED, USAGE = 0, 1, 2
+
+COMMANDS = (
+    "simulate",
+    "walk",
+    "reach",
+    "report",
+    "view",
+    "movie",
+    "robustness",
+    "pushes",
+    "footsteps",
+    "study",
+    "config",
+    "version",
+)
+
+_EPILOG = """\b
+examples:
+  dqwalk simulate --cycles 1 --out walk     walk in this process: bag, figures and report in walk/
+  dqwalk walk --cycles 1 --out walk         the same through ROS 2: four nodes, each a process of its own
+  dqwalk reach                              walk where the hand needs to go (whole body)
+  dqwalk report walk/bag                    evaluate and draw any recorded walk
+  dqwalk view walk/bag                      replay it in the browser
+  dqwalk robustness, dqwalk pushes          what the standing walk survives in physics
+  dqwalk study studies/step_length.yaml     walk many times with parameters varied
+  dqwalk config                             every parameter with its unit, range and meaning
+
+exit code: 0 success; 1 the walk failed or violated a constraint; 2 wrong arguments or configuration
+"""
+
+
+class _Commands(click.Group):
+    """Commands by the names of their modules."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        if name not in COMMANDS:
+            return None
+        made: click.Command = getattr(importlib.import_module(f"dqwalk_ros.cli.{name}"), name)
+        return made
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args[0] not in COMMANDS:
+            ctx.fail(f"no command {args[0]!r}; there are {', '.join(COMMANDS)}")
+        return super().resolve_command(ctx, args)
+
+
+@click.command(cls=_Commands, epilog=_EPILOG, no_args_is_help=False, context_settings={"max_content_width": 120})
+def dqwalk() -> None:
+    """Biped walking control with quadratic programming and vector-field inequalities."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -26,12 +80,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 if all went well, 1 if the walk failed or broke a promise, 2 if the arguments or the configuration
+        0 if all went well, 1 if the walk failed or violated a constraint, 2 if the arguments or the configuration
         cannot be used.
     """
-    args = parser.build().parse_args(argv)
+    words = list(sys.argv[1:] if argv is None else argv)
     try:
-        return _run(args)
+        with dqwalk.make_context("dqwalk", words) as context:
+            code: int | None = dqwalk.invoke(context)
+        sys.stdout.flush()
+        return code or OK
+    except click.exceptions.Exit as done:  # of --help
+        return done.exit_code
+    except click.UsageError as error:
+        path = error.ctx.command_path if error.ctx else "dqwalk"
+        return _fail(f"{error.format_message().rstrip('.')}; `{path} --help` shows how", USAGE)
     except (ConfigError, ModelError) as error:
         return _fail(error, USAGE)
     except DqwalkError as error:
@@ -39,21 +101,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] == "dqwalk_ros":
             raise
-        return _fail(f"this needs the Python module '{error.name}', which is not installed", FAILED)
+        return _fail(f"the Python module '{error.name}' is not installed", FAILED)
     except KeyboardInterrupt:
         return _fail("interrupted", FAILED)
+    except MemoryError:
+        return _fail("not enough memory", FAILED)
     except BrokenPipeError:  # `dqwalk config | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
-
-
-def _run(args: argparse.Namespace) -> int:
-    command = importlib.import_module(f"dqwalk_ros.cli.{args.command}")
-    code: int = command.run(args)
-    sys.stdout.flush()
-    return code
+    except OSError as error:  # a full disk, a folder that cannot be written, ...
+        return _fail(f"{error.strerror or error}{f': {error.filename!r}' if error.filename else ''}", FAILED)
 
 
 def _fail(error: object, code: int) -> int:
-    print(f"dqwalk: {error}", file=sys.stderr)
+    """Print what went wrong in one line without control characters, and return the exit code."""
+    line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(error))
+    print(f"dqwalk: {line}", file=sys.stderr)
     return code

@@ -1,14 +1,14 @@
-"""What `reach` and `report` leave behind of whole-body walks: bag, report, figures, page."""
+"""What `reach` and `report` write of whole-body walks: bag, report, figures, page."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from dqwalk_ros.cli.options import Output
 from dqwalk_ros.cli.progress import Progress
 from dqwalk_ros.errors import BagError, ConfigError
 from dqwalk_ros.report import bag
@@ -22,43 +22,50 @@ __all__ = ["leave", "report"]
 
 
 def leave(
-    args: argparse.Namespace, out: Path, found: Any, walks: Sequence[Reaching], more: Sequence[Path] = ()
+    output: Output, out: Path, found: Any, walks: Sequence[Reaching], more: Sequence[Path] = (), *, quiet: bool = False
 ) -> None:
     """Write ``report.json`` and the figures of some walks, and say what was written."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         (out / "report.json").write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
         files = [*more, out / "report.json"]
-        if walks and not args.no_figures:
-            files += save_reaching(walks, out, args.format)
+        if walks and output.figures:
+            files += save_reaching(walks, out, output.formats)
     except OSError as error:
         raise BagError(f"cannot write to '{out}': {error}") from error
-    if not args.quiet:
+    if not (quiet or output.quiet):
         print("wrote " + ", ".join(str(file) for file in files))
 
 
-def report(args: argparse.Namespace, path: Path, out: Path, name: str) -> int:
-    """Judge and draw a recorded whole-body walk, to be called `name`; return the exit code."""
-    if args.compare or args.csv:
-        raise ConfigError("--compare and --csv are not there for whole-body walks")
-    log = bag.read_body(path, namespace=args.namespace)
-    bar = Progress(quiet=args.quiet or args.json)
-    try:
+def report(
+    path: Path,
+    out: Path,
+    name: str,
+    output: Output,
+    *,
+    namespace: str | None,
+    html: bool,
+    as_json: bool,
+    series: bool,
+) -> int:
+    """Evaluate and draw a recorded whole-body walk, to be called `name`; return the exit code."""
+    if series:
+        raise ConfigError("--compare and --csv are not available for whole-body walks")
+    log = bag.read_body(path, namespace=namespace)
+    with Progress(quiet=output.quiet or as_json) as bar:
         walked, off = retrace(log, progress=bar)
-    finally:
-        bar.close()
     found = checks(walked)
     result = summary(walked, found) | {"torques_differ_by": off, "notes": list(log.notes)}
     files = []
-    if args.html:
+    if html:
         out.mkdir(parents=True, exist_ok=True)
         files.append(out / "report.html")
         write(BodySubject(name, walked, found, off, log.notes), files[0])
-    if args.json:
+    if as_json:
         print(json.dumps(result, indent=2))
-    elif not args.quiet:
+    elif not output.quiet:
         _say(walked, found, off, log.notes)
-    leave(argparse.Namespace(**{**vars(args), "quiet": args.quiet or args.json}), out, result, [walked], files)
+    leave(output, out, result, [walked], files, quiet=as_json)
     return 0 if result["ok"] else 1
 
 

@@ -2,51 +2,66 @@
 
 from __future__ import annotations
 
-import argparse
 import textwrap
+from typing import TYPE_CHECKING
 
-from dqwalk_ros.cli.settings import config_of, parse_overrides
-from dqwalk_ros.config import Config, Spec, to_yaml
+import click
+
+from dqwalk_ros.cli.options import command, config_of, parse_overrides, set_option
 from dqwalk_ros.errors import ConfigError
 
-__all__ = ["run"]
+if TYPE_CHECKING:
+    from dqwalk_ros.config import Spec
+
+__all__ = ["config"]
 
 
-def run(args: argparse.Namespace) -> int:
-    """Do it and return the exit code."""
-    if args.config is None:
-        Config.from_flat(parse_overrides(args.set), source="command line")
-        if not args.check:
-            print(_listing(args.section))
+@command("""
+examples:
+  dqwalk config                                            every parameter
+  dqwalk config --section ssp                              those of one section
+  dqwalk config paper > mine.yaml                          start a configuration of your own
+  dqwalk config mine.yaml --check                          is it usable?
+  dqwalk config paper --set gait.step_length=0.04
+""")
+@click.argument("config", required=False)
+@click.option("--section", metavar="NAME", help="List one section only.")
+@click.option("--check", is_flag=True, help="Only say whether it can be used.")
+@set_option
+def config(config: str | None, section: str | None, check: bool, changes: tuple[str, ...]) -> int:
+    """List, check or print parameters.
+
+    Without CONFIG: the list of all parameters. With CONFIG, the name of a shipped configuration or the path of a YAML
+    file: check it and print it in full, as a ROS parameter file.
+    """
+    from dqwalk_ros.config import Config, to_yaml
+
+    if config is not None:
+        made = config_of(config, changes)
+        print(f"{config}: can be used" if check else to_yaml(made), end="\n" if check else "")
         return 0
-    config = config_of(args)
-    print(f"{args.config}: can be used" if args.check else to_yaml(config), end="\n" if args.check else "")
+    Config.from_flat(parse_overrides(changes), source="command line")
+    if not check:
+        print(_listing(section))
     return 0
 
 
 def _listing(section: str | None) -> str:
+    from dqwalk_ros.config import Config
+
     specs = [spec for spec in Config.specs() if section in (None, spec.name.rpartition(".")[0])]
     if not specs:
         known = dict.fromkeys(spec.name.rpartition(".")[0] for spec in Config.specs())
-        raise ConfigError(f"no section '{section}'; there are {', '.join(name for name in known if name)}")
+        raise ConfigError(f"no section {section!r}; there are {', '.join(name for name in known if name)}")
     names = max(len(spec.name) for spec in specs)
     lines = []
     for spec in specs:
-        lines.append(f"{spec.name:<{names}}  {_value(spec)}{'  ' + _range(spec) if _range(spec) else ''}")
+        lines.append(f"{spec.name:<{names}}  {_value(spec)}  ({spec.expects})")
         lines += textwrap.wrap(spec.meaning, 100, initial_indent=" " * (names + 2), subsequent_indent=" " * (names + 2))
     return "\n".join(lines)
 
 
 def _value(spec: Spec) -> str:
     value = spec.default
-    text = str(value).lower() if isinstance(value, bool) else "(none)" if value in ((), "") else str(value)
+    text = str(value).lower() if isinstance(value, bool) else "none" if value in ((), "") else str(value)
     return f"{text} {spec.unit}".rstrip()
-
-
-def _range(spec: Spec) -> str:
-    if spec.choices:
-        return f"one of {', '.join(spec.choices)}"
-    if spec.low is not None or spec.high is not None:
-        low, high = (("" if bound is None else f"{bound:g}") for bound in (spec.low, spec.high))
-        return f"in [{low}, {high}]"
-    return "true or false" if spec.type is bool else "list" if spec.type is tuple else ""

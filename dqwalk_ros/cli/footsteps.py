@@ -2,41 +2,66 @@
 
 from __future__ import annotations
 
-import argparse
 import math
+from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
+import click
 
-from dqwalk_ros.cli.settings import config_of
-from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.cli.options import command, config_of, config_option, set_option
 from dqwalk_ros.errors import ConfigError
-from dqwalk_ros.kinematics import pose_difference
-from dqwalk_ros.model import Foot, load_model
-from dqwalk_ros.standing.footsteps import Footsteps
 
-__all__ = ["reached", "run"]
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
-_ASKED = {
-    "ahead [mm]": [(0.001 * x, 0.0, 0.0) for x in (-100, -75, -50, -25, 0, 25, 50, 75, 100)],
-    "aside, to the left [mm]": [(0.0, 0.001 * y, 0.0) for y in (-60, -40, -20, -10, -5, 0, 5, 10, 20, 40, 60)],
-    "turn, to the left [deg]": [(0.0, 0.0, math.radians(a)) for a in (-30, -20, -15, -10, -5, 0, 5, 10, 15, 20, 30)],
-}
+    from dqwalk_ros.model import Foot
+    from dqwalk_ros.standing.footsteps import Footsteps
+
+__all__ = ["footsteps", "reached"]
+
+_LENGTHS = (-0.24, -0.18, -0.12, -0.06, 0.0, 0.06, 0.12, 0.18, 0.24)
+_SIDES = (-0.14, -0.1, -0.05, -0.025, -0.0125, 0.0, 0.0125, 0.025, 0.05, 0.1, 0.14)
+"""Steps that are asked for, in heights of the pelvis."""
+_TURNS = (-30, -20, -15, -10, -5, 0, 5, 10, 15, 20, 30)
+"""[deg]"""
 
 
-def run(args: argparse.Namespace) -> int:
-    """Do it and return the exit code."""
-    config = config_of(args)
-    if config.gait.style != "standing":
-        raise ConfigError(f"footsteps are those of a standing walk; gait.style of '{args.config}' is not standing")
-    model = load_model(config.robot)
-    steps = Footsteps(config, model)
-    support = Foot(args.support)
-    print(f"{model.name} on its {support.value} foot: where the other one can stand, both flat, the CoM over either\n")
-    for name, asked in _ASKED.items():
+@command("""
+examples:
+  dqwalk footsteps
+  dqwalk footsteps --config my_biped.yaml --support right
+""")
+@config_option("poppy")
+@click.option("--support", type=click.Choice(["left", "right"]), default="left", show_default=True, help="Stance foot.")
+@set_option
+def footsteps(config: str, support: str, changes: tuple[str, ...]) -> int:
+    """Show which steps the legs of a robot reach.
+
+    A footprint is moved to the nearest one that can be reached with both soles flat and the centre of mass over either
+    of them. The table shows the result for steps ahead, to the side and with a turn.
+    """
+    import numpy as np
+
+    from dqwalk_ros.kinematics import Kinematics
+    from dqwalk_ros.model import Foot, load_model
+    from dqwalk_ros.standing.footsteps import Footsteps
+
+    made, foot = config_of(config, changes), Foot(support)
+    if made.gait.style != "standing":
+        raise ConfigError(f"footsteps need a standing walk; gait.style of '{config}' is {made.gait.style}")
+    model = load_model(made.robot)
+    height = float(Kinematics(model, np.zeros(model.n), foot).point(made.robot.pelvis)[2])
+    asked = {
+        "ahead [mm]": [(height * x, 0.0, 0.0) for x in _LENGTHS],
+        "aside, to the left [mm]": [(0.0, height * y, 0.0) for y in _SIDES],
+        "turn, to the left [deg]": [(0.0, 0.0, math.radians(a)) for a in _TURNS],
+    }
+    steps = Footsteps(made, model)
+    print(f"{model.name} on its {foot.value} foot: reachable footprints, both soles flat, the CoM over either sole\n")
+    for name, wanted in asked.items():
         print(f"{name:>26s}   reached: ahead [mm]  aside [mm]  turn [deg]   off by [mm]  [deg]")
-        for one in asked:
-            ahead, aside, turn, off, angle = reached(steps, support, *one)
+        for one in wanted:
+            ahead, aside, turn, off, angle = reached(steps, foot, *one)
             value = math.degrees(one[2]) if "turn" in name else 1e3 * (one[0] or one[1])
             print(
                 f"{value:26.0f} {1e3 * ahead:21.1f} {1e3 * aside:11.1f} {math.degrees(turn):11.1f}"
@@ -47,14 +72,19 @@ def run(args: argparse.Namespace) -> int:
 
 
 def reached(steps: Footsteps, support: Foot, length: float, side: float, turn: float) -> NDArray[np.float64]:
-    """Return what a step that is asked for comes to.
+    """Return the step that a wanted step becomes.
 
     Returns
     -------
     ndarray, shape (5,)
-        How far the body moves ahead, aside, and turns, and how far the footprint is from the one that was asked for
+        How far the body moves ahead, aside, and turns, and how far the footprint is from the wanted one
         [m, m, rad, m, rad].
     """
+    import numpy as np
+
+    from dqwalk_ros.dual_quaternions import DQ
+    from dqwalk_ros.kinematics import pose_difference
+
     x = steps.step(support, length, side, turn)
     moved = DQ(steps.wanted(support, 0.0, 0.0, 0.0)).translation()
     d = pose_difference(x, steps.wanted(support, length, side, turn))

@@ -1,37 +1,68 @@
-"""``dqwalk movie``: a recorded walk as a movie and as a strip of pictures."""
+"""``dqwalk movie``: a recorded walk as a movie or as a strip of pictures."""
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
-from dqwalk_ros.cli.progress import Progress
+import click
+
+from dqwalk_ros.cli.options import command, numbers, quiet_option
 from dqwalk_ros.errors import ConfigError
-from dqwalk_ros.report import bag
-from dqwalk_ros.report.movie import save_movie, save_strip
 
-__all__ = ["run"]
+__all__ = ["movie"]
 
 
-def run(args: argparse.Namespace) -> int:
-    """Do it and return the exit code."""
-    out = Path(args.out)
+@command("""
+examples:
+  MUJOCO_GL=egl dqwalk movie walk/bag --out walk.gif --speed 4
+  MUJOCO_GL=egl dqwalk movie walk/bag --out strip.png --strip 9 --between 0,7.5
+""")
+@click.argument("bag", type=click.Path(path_type=Path))
+@click.option("--namespace", metavar="NAME", help="Namespace of the robot, where the bag holds several.")
+@click.option(
+    "--out",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    default="walk.gif",
+    show_default=True,
+    help=".gif, .webp, or .png for a strip.",
+)
+@click.option(
+    "--speed", type=click.FloatRange(0.0, min_open=True), default=2.0, show_default=True, help="Relative to real time."
+)
+@click.option(
+    "--rate", type=click.FloatRange(0.0, min_open=True), default=12.5, show_default=True, help="Pictures per second."
+)
+@click.option("--strip", metavar="N", type=click.IntRange(1), default=8, show_default=True, help="Pictures of a strip.")
+@click.option("--between", metavar="A,B", callback=numbers(2), help="First and last time of a strip [s]; default: all.")
+@quiet_option
+def movie(
+    bag: Path,
+    namespace: str | None,
+    out: Path,
+    speed: float,
+    rate: float,
+    strip: int,
+    between: tuple[float, float] | None,
+    quiet: bool,
+) -> int:
+    """Draw a recorded walk as a movie or a strip of pictures.
+
+    MuJoCo draws the robot as its URDF shows it, without a display: set MUJOCO_GL=egl (or osmesa) where there is none.
+    Bags of walks in physics have the true pose of the pelvis, otherwise it is that of the odometry.
+    Needs dqwalk_ros[sim].
+    """
     if out.suffix.lower() not in (".gif", ".webp", ".png"):
-        raise ConfigError(f"--out wants a .gif, a .webp, or a .png for a strip, not '{args.out}'")
-    if args.speed <= 0.0 or args.rate <= 0.0 or args.strip < 1:
-        raise ConfigError("--speed, --rate and --strip must be more than zero")
-    trace = bag.read(args.bag, namespace=args.namespace)
-    bar = Progress(quiet=args.quiet)
-    try:
+        raise ConfigError(f"--out needs a .gif, a .webp, or a .png for a strip, not '{out}'")
+    from dqwalk_ros.cli.progress import Progress
+    from dqwalk_ros.report import bag as bags
+    from dqwalk_ros.report.movie import save_movie, save_strip
+
+    trace = bags.read(bag, namespace=namespace)
+    with Progress(quiet=quiet) as bar:
         if out.suffix.lower() == ".png":
-            between = None
-            if args.between:
-                first, _, last = args.between.partition(",")
-                between = float(first), float(last)
-            save_strip(trace, out, count=args.strip, between=between, progress=bar)
+            save_strip(trace, out, count=strip, between=between, progress=bar)
         else:
-            save_movie(trace, out, speed=args.speed, rate=args.rate, progress=bar)
-    finally:
-        bar.close()
+            save_movie(trace, out, speed=speed, rate=rate, progress=bar)
     print(f"wrote {out}")
     return 0

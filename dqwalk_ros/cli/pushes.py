@@ -2,43 +2,91 @@
 
 from __future__ import annotations
 
-import argparse
 import csv
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from dqwalk_ros.cli.progress import Progress
-from dqwalk_ros.cli.settings import config_of
+import click
+
+from dqwalk_ros.cli.options import command, config_of, config_option, jobs_option, quiet_option, set_option
 from dqwalk_ros.errors import ConfigError
-from dqwalk_ros.model import load_model
-from dqwalk_ros.report.figures.pushes import pushes_figure
-from dqwalk_ros.report.figures.style import drawing
-from dqwalk_ros.studies import pushes
-from dqwalk_ros.studies.pushes import Limit
 
-__all__ = ["run", "table"]
+if TYPE_CHECKING:
+    from dqwalk_ros.studies.pushes import Limit
+
+__all__ = ["pushes", "table"]
 
 
-def run(args: argparse.Namespace) -> int:
-    """Do it and return the exit code."""
-    config = config_of(args)
-    if config.gait.style != "standing":
-        raise ConfigError(f"pushes are for a standing walk; gait.style of '{args.config}' is {config.gait.style}")
-    bar = Progress(quiet=args.quiet)
-    try:
-        found = pushes.limits(
-            config,
-            pushes.MOMENTS if args.moment == "all" else (args.moment,),
-            args.directions,
-            duration=args.duration,
-            tolerance=args.tolerance,
-            jobs=args.jobs,
+@command("""
+writes to the folder of --out:
+  pushes.csv, .txt, .png
+
+examples:
+  dqwalk pushes --jobs 4 --set qp.solver=daqp
+  dqwalk pushes --moment standing --directions 16 --set standing.balance=1.0
+""")
+@config_option("poppy")
+@click.option(
+    "--moment",
+    type=click.Choice(["all", "standing", "left", "right"]),
+    default="all",
+    show_default=True,
+    help="Standing, or in the middle of a step on this foot.",
+)
+@click.option(
+    "--directions", metavar="N", type=click.IntRange(1, 360), default=8, show_default=True, help="Evenly spread."
+)
+@click.option("--duration", metavar="S", type=float, default=0.1, show_default=True, help="Of each push [s].")
+@click.option("--tolerance", metavar="NS", type=float, default=0.02, show_default=True, help="Of each impulse [N s].")
+@jobs_option
+@click.option(
+    "--out",
+    metavar="DIR",
+    type=click.Path(path_type=Path),
+    default="pushes",
+    show_default=True,
+    help="Folder of the results.",
+)
+@quiet_option
+@set_option
+def pushes(
+    config: str,
+    moment: str,
+    directions: int,
+    duration: float,
+    tolerance: float,
+    jobs: int,
+    out: Path,
+    quiet: bool,
+    changes: tuple[str, ...],
+) -> int:
+    """Find the largest push the robot survives.
+
+    Pushes the pelvis of a walking robot in physics, in eight directions, standing on both feet and in the middle of a
+    step on either foot, harder and harder until it falls, and prints the largest impulse survived.
+    Needs dqwalk_ros[sim].
+    """
+    from dqwalk_ros.cli.progress import Progress
+    from dqwalk_ros.model import load_model
+    from dqwalk_ros.report.figures.pushes import pushes_figure
+    from dqwalk_ros.report.figures.style import drawing
+    from dqwalk_ros.studies import pushes as study
+
+    made = config_of(config, changes)
+    if made.gait.style != "standing":
+        raise ConfigError(f"pushes need a standing walk; gait.style of '{config}' is {made.gait.style}")
+    with Progress(quiet=quiet) as bar:
+        found = study.limits(
+            made,
+            study.MOMENTS if moment == "all" else (moment,),
+            directions,
+            duration=duration,
+            tolerance=tolerance,
+            jobs=jobs,
             progress=lambda count, total: bar(count / total, f"{count} of {total} directions"),
         )
-    finally:
-        bar.close()
-    out = Path(args.out)
     out.mkdir(parents=True, exist_ok=True)
     with (out / "pushes.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -46,10 +94,10 @@ def run(args: argparse.Namespace) -> int:
         writer.writerows(
             [one.moment, round(math.degrees(one.direction), 3), one.survived, one.failed, one.reason] for one in found
         )
-    text = table(found, args.duration)
+    text = table(found, duration)
     (out / "pushes.txt").write_text(text + "\n", encoding="utf-8")
     with drawing():
-        pushes_figure(found, load_model(config.robot).name).savefig(out / "pushes.png")
+        pushes_figure(found, load_model(made.robot).name).savefig(out / "pushes.png")
     print(text)
     return 0
 

@@ -1,84 +1,114 @@
-"""``dqwalk report``: judge and draw a recorded walk."""
+"""``dqwalk report``: evaluate and draw a recorded walk."""
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
+import click
 
-from dqwalk_ros.cli.results import write_results
+from dqwalk_ros.cli.options import Output, command, output_options
 from dqwalk_ros.errors import BagError
-from dqwalk_ros.report import bag
 
 if TYPE_CHECKING:
     from dqwalk_ros.report import Series
 
-__all__ = ["run"]
+__all__ = ["report"]
 
 
-def run(args: argparse.Namespace) -> int:
-    """Do it and return the exit code."""
-    path = Path(args.bag)
-    out = Path(args.out) if args.out else path.with_name(path.resolve().name + "_report")
-    if bag.is_body(path):
+@command("""
+examples:
+  dqwalk report walk/bag
+  dqwalk report walk/bag --out paper --format pdf
+  dqwalk report walk/bag --html                            report.html: opens offline, with a replay in 3D
+  dqwalk report walk/bag --compare slower/bag              the two side by side
+  dqwalk report walk/bag --json | jq .walk.margin
+  dqwalk report rosbag2_2025_01_31/ --namespace poppy_1
+""")
+@click.argument("bag", type=click.Path(path_type=Path))
+@click.option("--namespace", metavar="NAME", help="Namespace of the robot, where the bag holds several.")
+@click.option("--html", is_flag=True, help="Also write one offline page: replay, figures, tables.")
+@click.option(
+    "--compare", metavar="BAG", type=click.Path(path_type=Path), help="Another walk, side by side on that page."
+)
+@click.option("--csv", is_flag=True, help="Also write every series to series.csv, a line per state.")
+@click.option("--json", "as_json", is_flag=True, help="Print the report as JSON instead of tables.")
+@output_options(None, shown="BAG_report")
+def report(
+    bag: Path, namespace: str | None, html: bool, compare: Path | None, csv: bool, as_json: bool, output: Output
+) -> int:
+    """Evaluate and draw a recorded walk.
+
+    BAG is the folder of a rosbag2, or one .mcap or .db3 file: split or compressed, recorded by `dqwalk` or by
+    `ros2 bag record`, or cut off by a crash; then the report says what is missing. All distances are computed anew
+    from joint_states and the phases.
+    """
+    from dqwalk_ros.cli.results import write_results
+    from dqwalk_ros.report import bag as bags
+
+    out = output.out or bag.with_name(bag.resolve().name + "_report")
+    if bags.is_body(bag):
         from dqwalk_ros.cli import body
 
-        return body.report(args, path, out, _name(path))
-    series = _series(path, args.namespace)
-    report = write_results(
-        series.trace,
-        out,
-        formats=args.format,
-        figures=not args.no_figures,
-        quiet=args.quiet,
-        as_json=args.json,
-        series=series,
-    )
+        return body.report(
+            bag,
+            out,
+            _name(bag),
+            output,
+            namespace=namespace,
+            html=html,
+            as_json=as_json,
+            series=compare is not None or csv,
+        )
+    series = _series(bag, namespace)
+    found = write_results(series.trace, out, output, as_json=as_json, series=series)
     extra = []
     try:
-        if args.html or args.compare:
-            extra.append(_html(args, path, series, report, out))
-        if args.csv:
+        if html or compare:
+            extra.append(_html(bag, compare, namespace, series, found, out))
+        if csv:
             extra.append(_csv(series, out))
     except OSError as error:
         raise BagError(f"cannot write to '{out}': {error}") from error
-    if extra and not (args.quiet or args.json):
+    if extra and not (output.quiet or as_json):
         print("wrote " + ", ".join(str(file) for file in extra))
-    return 0 if report["ok"] else 1
+    return 0 if found["ok"] else 1
 
 
 def _series(path: Path, namespace: str | None) -> Series:
     from dqwalk_ros import report as reporting
+    from dqwalk_ros.report import bag
 
     return reporting.analyse(bag.read(path, namespace=namespace))
 
 
-def _html(args: argparse.Namespace, path: Path, series: Series, report: dict[str, Any], out: Path) -> Path:
+def _html(
+    path: Path, compare: Path | None, namespace: str | None, series: Series, found: dict[str, Any], out: Path
+) -> Path:
     """Write the page, of one walk or of two, and return its file."""
     from dqwalk_ros import report as reporting
     from dqwalk_ros.report import html
     from dqwalk_ros.report.bag.said import diagnostics_of
 
-    subjects = [html.Subject(_name(path), series, report, diagnostics_of(path))]
-    if args.compare:
-        other = Path(args.compare)
-        found = _series(other, args.namespace)
-        subjects.append(html.Subject(_name(other), found, reporting.report(found), diagnostics_of(other)))
+    subjects = [html.Subject(_name(path), series, found, diagnostics_of(path))]
+    if compare:
+        other = _series(compare, namespace)
+        subjects.append(html.Subject(_name(compare), other, reporting.report(other), diagnostics_of(compare)))
     file = out / "report.html"
     html.write(subjects, file)
     return file
 
 
 def _name(path: Path) -> str:
-    """Return what to call a bag: its folder, with the folder above where that says nothing."""
+    """Return what to call a bag: its folder, with the parent folder where the name alone says nothing."""
     path = path.resolve()
     return f"{path.parent.name}/{path.name}" if path.name in ("bag", "bag_1", "bag_2", "walk") else path.name
 
 
 def _csv(series: Series, out: Path) -> Path:
     """Write time, joint angles, commands and every distance, a line per state."""
+    import numpy as np
+
     trace = series.trace
     names = trace.model.joint_names
     columns = {"time [s]": trace.time, "error": series.error}

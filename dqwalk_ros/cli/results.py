@@ -1,13 +1,14 @@
-"""What `simulate`, `walk` and `report` leave behind: the report, the figures, and a line about each."""
+"""What `simulate`, `walk` and `report` write: the report, the figures, and a line about each."""
 
 from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dqwalk_ros import report as reporting
+from dqwalk_ros.cli.options import Output
 from dqwalk_ros.errors import BagError
 from dqwalk_ros.trace import Trace
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["prepare", "write_results"]
 
 
-def prepare(out: Path, *, force: bool) -> None:
+def prepare(output: Output) -> None:
     """Make the folder for a walk's results.
 
     Raises
@@ -25,28 +26,21 @@ def prepare(out: Path, *, force: bool) -> None:
     BagError
         If it cannot be made, or holds an earlier walk that must not be replaced.
     """
-    bag = out / "bag"
-    if bag.exists() and not force:
-        raise BagError(f"'{bag}' is there already; choose another folder with --out, or replace it with --force")
+    bag = output.folder / "bag"
+    if bag.exists() and not output.force:
+        raise BagError(f"'{bag}' exists; choose another folder with --out, or replace it with --force")
     if bag.exists() and not any(bag.glob("*.mcap")) and not any(bag.glob("*.db3")):
-        raise BagError(f"'{bag}' is no bag and will not be replaced; choose another folder with --out")
+        raise BagError(f"'{bag}' is not a bag and will not be replaced; choose another folder with --out")
     try:
         if bag.exists():
             shutil.rmtree(bag)
-        out.mkdir(parents=True, exist_ok=True)
+        output.folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise BagError(f"cannot make the folder '{out}': {error}") from error
+        raise BagError(f"cannot make the folder '{output.folder}': {error}") from error
 
 
 def write_results(
-    trace: Trace,
-    out: Path,
-    *,
-    formats: Sequence[str],
-    figures: bool,
-    quiet: bool,
-    as_json: bool = False,
-    series: Series | None = None,
+    trace: Trace, out: Path, output: Output, *, as_json: bool = False, series: Series | None = None
 ) -> dict[str, Any]:
     """Analyse a walk, unless its `series` are known, write ``report.json`` and the figures, and print the tables.
 
@@ -55,8 +49,6 @@ def write_results(
     dict
         The report.
     """
-    from dqwalk_ros import report as reporting
-
     series = series or reporting.analyse(trace)
     report = reporting.report(series)
     text = json.dumps(report, indent=2, allow_nan=False)
@@ -64,13 +56,13 @@ def write_results(
         out.mkdir(parents=True, exist_ok=True)
         (out / "report.json").write_text(text + "\n", encoding="utf-8")
         files = [out / "report.json"]
-        if figures:
-            files += reporting.save(series, out, formats)
+        if output.figures:
+            files += reporting.save(series, out, output.formats)
     except OSError as error:
         raise BagError(f"cannot write to '{out}': {error}") from error
     if as_json:
         print(text)
-    elif not quiet:
+    elif not output.quiet:
         print(reporting.render(report))
         print("wrote " + ", ".join(str(file) for file in files))
     return report

@@ -2,56 +2,101 @@
 
 from __future__ import annotations
 
-import argparse
 import csv
 import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from dqwalk_ros.cli.progress import Progress
-from dqwalk_ros.cli.settings import config_of
+import click
+
+from dqwalk_ros.cli.options import command, config_of, config_option, jobs_option, quiet_option, set_option
 from dqwalk_ros.errors import ConfigError
-from dqwalk_ros.report.figures.robustness import robustness_figure
-from dqwalk_ros.report.figures.style import drawing
-from dqwalk_ros.studies import robustness
-from dqwalk_ros.studies.robustness import AXES, Cell
 
-__all__ = ["run", "table"]
+if TYPE_CHECKING:
+    from dqwalk_ros.studies.robustness import Cell
+
+__all__ = ["robustness", "table"]
 
 _NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
 
 
-def run(args: argparse.Namespace) -> int:
-    """Do it and return the exit code."""
-    config = config_of(args).updated({"gait.steps": args.steps}, source="command line")
-    axes = dict(AXES)
-    for text in args.axis:
+@command("""
+writes to the folder of --out:
+  cells.jsonl             a line per finished cell; a run that was stopped or killed goes on from here
+  robustness.csv, .txt    all cells in order, and the table that is printed
+  robustness.png          the matrix: what stood, and after how many steps the rest fell
+
+examples:
+  dqwalk robustness --jobs 4 --set qp.solver=daqp          daqp gives the same answers in less time
+  dqwalk robustness --sample 40
+  dqwalk robustness --axis servo.stiffness=60 --axis servo.latency=0,0.06 --steps 4
+""")
+@config_option("poppy")
+@click.option("--steps", metavar="N", type=int, default=10, show_default=True, help="Steps of each walk.")
+@click.option("--axis", metavar="KEY=A,B", multiple=True, help="Vary this parameter over these values instead.")
+@click.option("--sample", metavar="N", type=int, default=0, show_default="all", help="Walk N random combinations.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of --sample.")
+@jobs_option
+@click.option(
+    "--out",
+    metavar="DIR",
+    type=click.Path(path_type=Path),
+    default="robustness",
+    show_default=True,
+    help="Folder of the results.",
+)
+@click.option("--force", is_flag=True, help="Replace earlier results.")
+@quiet_option
+@set_option
+def robustness(
+    config: str,
+    steps: int,
+    axis: tuple[str, ...],
+    sample: int,
+    seed: int,
+    jobs: int,
+    out: Path,
+    force: bool,
+    quiet: bool,
+    changes: tuple[str, ...],
+) -> int:
+    """Walk in physics on robots and floors that differ.
+
+    Walks every combination of friction, mass, servo stiffness, backlash, output rate and latency (432 of them) and
+    prints the fraction that stood and why the others did not. Needs dqwalk_ros[sim].
+    """
+    from dqwalk_ros.cli.progress import Progress
+    from dqwalk_ros.report.figures.robustness import robustness_figure
+    from dqwalk_ros.report.figures.style import drawing
+    from dqwalk_ros.studies import robustness as study
+
+    made = config_of(config, changes, also={"gait.steps": steps})
+    axes = dict(study.AXES)
+    for text in axis:
         name, _, values = text.partition("=")
         try:
             axes[name] = tuple(float(value) for value in values.split(","))
         except ValueError:
-            raise ConfigError(f"--axis wants KEY=NUMBER,NUMBER..., not '{text}'") from None
-    combinations = robustness.cells(axes, args.sample, args.seed)
-    out = Path(args.out)
+            raise ConfigError(f"--axis needs KEY=NUMBER,NUMBER..., not {text!r}") from None
+    combinations = study.cells(axes, sample, seed)
     out.mkdir(parents=True, exist_ok=True)
-    kept = robustness.Kept(out / "cells.jsonl", config, force=args.force)
-    bar, stood = Progress(quiet=args.quiet), sum(kept.stood(values) for values in combinations)
+    kept = study.Kept(out / "cells.jsonl", made, force=force)
+    stood = sum(kept.stood(values) for values in combinations)
+    with Progress(quiet=quiet) as bar:
 
-    def progress(count: int, cell: Cell) -> None:
-        nonlocal stood
-        stood += cell.stood
-        bar(count / len(combinations), f"{count} of {len(combinations)} cells, {stood} of them stood")
+        def progress(count: int, cell: Cell) -> None:
+            nonlocal stood
+            stood += cell.stood
+            bar(count / len(combinations), f"{count} of {len(combinations)} cells, {stood} of them stood")
 
-    try:
-        done = robustness.run(config, combinations, jobs=args.jobs, kept=kept, progress=progress)
-    finally:
-        bar.close()
+        done = study.run(made, combinations, jobs=jobs, kept=kept, progress=progress)
     _write(out / "robustness.csv", done, list(axes))
     text = table(done, axes)
     (out / "robustness.txt").write_text(text + "\n", encoding="utf-8")
     with drawing():
-        robustness_figure(done, axes, args.steps).savefig(out / "robustness.png")
+        robustness_figure(done, axes, steps).savefig(out / "robustness.png")
     print(text)
     return 0 if len(done) == len(combinations) and all(cell.stood for cell in done) else 1
 

@@ -1,59 +1,96 @@
-"""``dqwalk simulate``: walk in this process, write the bag, judge and draw."""
+"""``dqwalk simulate``: walk in this process, write the bag, evaluate and draw."""
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import importlib.util
 import math
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dqwalk_ros.cli.progress import Progress
-from dqwalk_ros.cli.results import prepare, write_results
-from dqwalk_ros.cli.settings import config_of
-from dqwalk_ros.config import Config
-from dqwalk_ros.controllers import Controller, make_controller
+import click
+
+from dqwalk_ros.cli.options import Output, command, config_of, output_options, walk_options
 from dqwalk_ros.errors import ViewerError
-from dqwalk_ros.gait import phase_count
-from dqwalk_ros.model import load_model
-from dqwalk_ros.phases import PhaseKind
-from dqwalk_ros.plants import make_plant
-from dqwalk_ros.report import bag
-from dqwalk_ros.simulation import simulate
-from dqwalk_ros.standing.course import Course
 
 if TYPE_CHECKING:
+    from dqwalk_ros.config import Config
+    from dqwalk_ros.controllers import Controller
     from dqwalk_ros.report.viewer.feed import Feed
+    from dqwalk_ros.standing.course import Course
 
-__all__ = ["run"]
+__all__ = ["simulate"]
 
 
-def run(args: argparse.Namespace) -> int:
-    """Do it and return the exit code."""
-    config, out = config_of(args), Path(args.out)
-    model, course = load_model(config.robot), Course.parse(args.cmd_vel)
-    prepare(out, force=args.force)
-    controller = make_controller(config, model)
-    plant = make_plant(args.plant, config, model)
+@command("""
+writes to the folder of --out:
+  bag/                 the walk as a rosbag2 (MCAP): ros2 bag, Foxglove, PlotJuggler, `dqwalk report`
+  report.json          every phase, distance, margin and violation
+  figure7 8 9, top_view
+
+Ctrl-C stops the walk and keeps what was walked.
+
+examples:
+  dqwalk simulate                                          the paper's walk, one cycle
+  dqwalk simulate --cycles 3 --first right --out walk
+  dqwalk simulate --set gait.step_length=0.03 --set dsp.flat_feet=false
+  dqwalk simulate --config my_robot.yaml --format png,pdf
+  dqwalk simulate --view                                   look at it while it is computed
+  dqwalk simulate --config poppy --plant physics           the walk that stands, in MuJoCo (dqwalk_ros[sim])
+  dqwalk simulate --config poppy --plant physics --cmd-vel 0.015,0,0,20 --cmd-vel=-0.01,0,0,20    on, and back
+""")
+@walk_options
+@click.option(
+    "--plant",
+    type=click.Choice(["kinematic", "physics"]),
+    default="kinematic",
+    show_default=True,
+    help="Ideal joints, or MuJoCo.",
+)
+@click.option("--view", is_flag=True, help="Show the walk in the browser, live, then as a replay.")
+@click.option("--port", type=int, help="Port of the page; 0: any.  [default: 8080, or the next free one]")
+@output_options("walk")
+def simulate(
+    config: str,
+    cycles: int | None,
+    first: str | None,
+    changes: tuple[str, ...],
+    course: tuple[str, ...],
+    plant: str,
+    view: bool,
+    port: int | None,
+    output: Output,
+) -> int:
+    """Walk in this process, without ROS."""
+    also = {"gait.cycles": cycles, "gait.first_support": first}
+    made = config_of(config, changes, plant=plant, course=course, also=also)
+    from dqwalk_ros import simulation
+    from dqwalk_ros.cli.progress import Progress
+    from dqwalk_ros.cli.results import prepare, write_results
+    from dqwalk_ros.controllers import make_controller
+    from dqwalk_ros.model import load_model
+    from dqwalk_ros.plants import make_plant
+    from dqwalk_ros.report import bag
+    from dqwalk_ros.standing.course import Course
+
+    model, legs = load_model(made.robot), Course.parse(course)
+    prepare(output)
+    controller = make_controller(made, model)
+    body = make_plant(plant, made, model)
     with contextlib.ExitStack() as stack:
-        feed = stack.enter_context(_page(config, args.port)) if args.view else None
+        feed = stack.enter_context(_page(made, port)) if view else None
         if feed is not None:
-            plant = feed.watch(plant, controller)
-        bar = Progress(quiet=args.quiet)
-        pilot = _Pilot(controller, course) if course.legs else None
+            body = feed.watch(body, controller)
+        pilot = _Pilot(controller, legs) if course else None
         done = _Fraction(controller) if pilot is None else pilot.fraction
-        try:
-            trace = simulate(controller, plant, progress=lambda _, text: bar(done(), text), pilot=pilot)
-        finally:
-            bar.close()
+        with Progress(quiet=output.quiet) as bar:
+            trace = simulation.simulate(controller, body, progress=lambda _, text: bar(done(), text), pilot=pilot)
         if not trace.finished:
             print(f"dqwalk: {'; '.join(trace.notes)}", file=sys.stderr)
-        bag.write(trace, out / "bag")
-        report = write_results(trace, out, formats=args.format, figures=not args.no_figures, quiet=args.quiet)
+        bag.write(trace, output.folder / "bag")
+        report = write_results(trace, output.folder, output)
         if feed is not None:
-            feed.replay(out / "bag")
+            feed.replay(output.folder / "bag")
             print(f"{feed.url} plays the walk until Ctrl-C", flush=True)
             feed.wait()
     return 0 if trace.finished and report["ok"] else 1
@@ -94,6 +131,8 @@ class _Fraction:
 
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
+        from dqwalk_ros.gait import phase_count
+
         self._total = phase_count(controller.config) or math.inf
         self._threshold = controller.config.ssp.threshold
         self._index, self._first = -1, 0.0
@@ -105,6 +144,6 @@ class _Fraction:
         if index != self._index:
             self._index, self._first = index, error
         within = 0.0
-        if controller.phase.kind is PhaseKind.SINGLE_SUPPORT and self._first > self._threshold:
+        if controller.phase.kind.value == "single_support" and self._first > self._threshold:
             within = math.log(self._first / error) / math.log(self._first / self._threshold)
         return (index + max(0.0, within)) / self._total

@@ -2,45 +2,92 @@
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from dqwalk_ros.cli.progress import Progress
-from dqwalk_ros.config import Config
-from dqwalk_ros.studies import Study, read
-from dqwalk_ros.studies import run as run_study
+import click
 
-__all__ = ["run"]
+from dqwalk_ros.cli.options import command, format_option, quiet_option
+
+if TYPE_CHECKING:
+    from dqwalk_ros.studies import Study
+
+__all__ = ["study"]
 
 
-def run(args: argparse.Namespace) -> int:
-    """Do it and return the exit code: 0 when all walks are there, however they ended."""
-    study, out = read(args.study), Path(args.out or f"{Path(args.study).stem}_study")
-    if args.dry_run:
-        points = study.points()
-        print(f"{study.name}: {len(points)} walks ({study.sample}); the first and the last:")
+@command("""
+a study is a file such as
+  config: paper                     # a name or a path, as of --config
+  set: {gait.cycles: 1}             # the same in every walk
+  sample: grid                      # or latin_hypercube, sobol, with `count: 64` and `seed: 0`
+  vary:
+    gait.step_length: {from: 0.02, to: 0.12, steps: 6}
+    dsp.flat_feet: [true, false]    # a list of values
+    start.l_knee_y: [0.0, 0.2]      # first angle of a joint [rad]
+    mass.pelvis: [1.0, 1.5]         # factor on the mass of the body that carries a link
+    disturbance.velocity: [0.0, 0.01]   # standard deviation, every joint, every tick [rad/s]
+
+writes to the folder of --out:
+  walks.jsonl      a line per finished walk; a study that was stopped or killed goes on from here
+  walks.parquet    all walks in order: parameters, finished, end, duration, error, margins (pandas.read_parquet)
+  study.png        which walks finished, and their margins
+
+needs: pip install 'dqwalk_ros[study]'
+
+examples:
+  dqwalk study studies/step_length.yaml --jobs 2
+  dqwalk study mine.yaml --dry-run
+  dqwalk study mine.yaml --scheduler tcp://127.0.0.1:8786
+""")
+@click.argument("path", metavar="STUDY.yaml", type=click.Path(path_type=Path))
+@click.option(
+    "--out", metavar="DIR", type=click.Path(path_type=Path), show_default="STUDY_study", help="Folder of the results."
+)
+@click.option("--jobs", metavar="N", type=click.IntRange(1), default=1, show_default=True, help="Processes at a time.")
+@click.option("--scheduler", metavar="ADDRESS", help="Address of a Dask scheduler to walk on instead.")
+@click.option("--dry-run", is_flag=True, help="Check the study and say how many walks it has.")
+@format_option
+@quiet_option
+def study(
+    path: Path,
+    out: Path | None,
+    jobs: int,
+    scheduler: str | None,
+    dry_run: bool,
+    formats: tuple[str, ...],
+    quiet: bool,
+) -> int:
+    """Walk many times with parameters varied.
+
+    The exit code is 0 when all walks are there, however they ended.
+    """
+    from dqwalk_ros import studies
+    from dqwalk_ros.cli.progress import Progress
+
+    plan = studies.read(path)
+    if dry_run:
+        points = plan.points()
+        print(f"{plan.name}: {len(points)} walks ({plan.sample}); the first and the last:")
         print(f"  {points[0]}\n  {points[-1]}")
         return 0
-    bar = Progress(quiet=args.quiet)
+    folder = out or Path(f"{path.stem}_study")
+    with Progress(quiet=quiet) as bar:
 
-    def progress(done: int, total: int, rows: list[dict[str, Any]]) -> None:
-        finished = sum(row["finished"] for row in rows)
-        bar(done / total, f"{done} of {total} walks, {finished} finished")
+        def progress(done: int, total: int, rows: list[dict[str, Any]]) -> None:
+            finished = sum(row["finished"] for row in rows)
+            bar(done / total, f"{done} of {total} walks, {finished} finished")
 
-    try:
-        rows = run_study(study, out, jobs=args.jobs, scheduler=args.scheduler, progress=progress)
-    finally:
-        bar.close()
-    figures = _draw(study, rows, out, args.format)
-    if not args.quiet:
-        print(_summary(study, rows))
-        print(f"wrote {', '.join(map(str, [out / 'walks.parquet', *figures]))}")
+        rows = studies.run(plan, folder, jobs=jobs, scheduler=scheduler, progress=progress)
+    figures = _draw(plan, rows, folder, formats)
+    if not quiet:
+        print(_summary(plan, rows))
+        print(f"wrote {', '.join(map(str, [folder / 'walks.parquet', *figures]))}")
     return 0
 
 
 def _draw(study: Study, rows: list[dict[str, Any]], out: Path, formats: tuple[str, ...]) -> list[Path]:
+    from dqwalk_ros.config import Config
     from dqwalk_ros.report.figures.study import study_figure
 
     units = {spec.name: spec.unit for spec in Config.specs()}

@@ -2,20 +2,39 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
-import threading
 import webbrowser
+from pathlib import Path
 
-from dqwalk_ros.cli.progress import Progress
+import click
+
+from dqwalk_ros.cli.options import command
 from dqwalk_ros.errors import ViewerError
-from dqwalk_ros.trace import Trace
 
-__all__ = ["run"]
+__all__ = ["view"]
 
 
-def run(args: argparse.Namespace) -> int:
-    """Do it and return the exit code."""
+@command("""
+examples:
+  dqwalk view walk/bag                                     a recorded walk
+  dqwalk view walk/bag --open                              and open the browser
+  dqwalk simulate --view                                   a walk while it is computed
+  dqwalk_viewer                                            a walk on ROS 2, live (or: ros2 run dqwalk_ros viewer)
+""")
+@click.argument("bag", type=click.Path(path_type=Path))
+@click.option("--namespace", metavar="NAME", help="Namespace of the robot, where the bag holds several.")
+@click.option("--port", type=int, help="Port of the page; 0: any.  [default: 8080, or the next free one]")
+@click.option("--open", "open_browser", is_flag=True, help="Open the page in the browser of this machine.")
+@click.option("--play", is_flag=True, help="Start playing at once.")
+def view(bag: Path, namespace: str | None, port: int | None, open_browser: bool, play: bool) -> int:
+    """Look at a recorded walk in the browser.
+
+    Serves a page on 127.0.0.1 until Ctrl-C: the robot, its soles and support polygon, the planes and cylinders of the
+    current phase, the centre of mass and its path, and every margin over time, the tightest one marked. BAG may be
+    any that `dqwalk report` reads. On another machine, forward the port: ssh -L 8080:127.0.0.1:8080 HOST.
+    """
+    from dqwalk_ros.report import bag as bags
+
     try:
         from dqwalk_ros.report.viewer.page import Page
     except ModuleNotFoundError as error:
@@ -23,17 +42,18 @@ def run(args: argparse.Namespace) -> int:
             raise
         raise ViewerError("the page needs viser: pip install 'dqwalk_ros[view]'") from error
 
-    page = Page(args.port)
+    page = Page(port)
     try:
         print(f"{page.url}  (Ctrl-C ends it)", flush=True)
-        page.say(f"reading {args.bag}")
-        if args.open:
+        print(f"reading {bag}", file=sys.stderr)
+        page.say(f"reading {bag}")
+        if open_browser:
             webbrowser.open(page.url)
-        trace = _read(args)
+        trace = bags.read(bag, namespace=namespace)
         from dqwalk_ros.report.viewer.player import Player
 
         player = Player(page, trace)
-        if args.play:
+        if play:
             player.toggle()
         for note in trace.notes:
             print(f"note: {note}", file=sys.stderr)
@@ -43,23 +63,3 @@ def run(args: argparse.Namespace) -> int:
     finally:
         page.close()
     return 0
-
-
-def _read(args: argparse.Namespace) -> Trace:
-    """Read the bag, and say so where it takes long."""
-    from dqwalk_ros.report import bag
-
-    bar, done = Progress(), threading.Event()
-    waiting = threading.Thread(target=_tick, args=(bar, done), daemon=True)
-    waiting.start()
-    try:
-        return bag.read(args.bag, namespace=args.namespace)
-    finally:
-        done.set()
-        waiting.join()
-        bar.close()
-
-
-def _tick(bar: Progress, done: threading.Event) -> None:
-    while not done.wait(2.0):
-        bar(0.0, "reading the bag")

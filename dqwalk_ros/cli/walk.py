@@ -1,38 +1,68 @@
-"""``dqwalk walk``: walk through ROS 2, record, judge and draw."""
+"""``dqwalk walk``: walk through ROS 2, record, evaluate and draw."""
 
 from __future__ import annotations
 
-import argparse
 import sys
-from pathlib import Path
 
-from dqwalk_ros.cli.progress import Progress
-from dqwalk_ros.cli.results import prepare, write_results
-from dqwalk_ros.cli.settings import config_of
+import click
+
+from dqwalk_ros.cli.options import Output, command, config_of, output_options, walk_options
 from dqwalk_ros.errors import BagError
-from dqwalk_ros.report import bag
-from dqwalk_ros.runner import run_walk
 
-__all__ = ["run"]
+__all__ = ["walk"]
 
 
-def run(args: argparse.Namespace) -> int:
-    """Do it and return the exit code."""
-    config, out = config_of(args), Path(args.out)
-    prepare(out, force=args.force)
-    progress = Progress(quiet=args.quiet)
-    try:
+@command("""
+examples:
+  dqwalk walk --out walk
+  dqwalk walk --cycles 2 --set ssp.com_radius=0.045
+  dqwalk walk --realtime                                   at 1/dt by the clock instead
+  dqwalk walk --config poppy --plant physics --set gait.steps=20        20 steps in MuJoCo
+  dqwalk walk --config poppy --plant physics --cmd-vel 0.015,0,0.03,30  steered by the node pilot on cmd_vel
+""")
+@walk_options
+@click.option(
+    "--plant",
+    type=click.Choice(["integrator", "physics", "poppy"]),
+    default="integrator",
+    show_default=True,
+    help="Ideal joints, MuJoCo, or the real robot (by the clock).",
+)
+@click.option("--realtime", is_flag=True, help="Run by the clock, at 1/dt, instead of in lockstep.")
+@output_options("walk")
+def walk(
+    config: str,
+    cycles: int | None,
+    first: str | None,
+    changes: tuple[str, ...],
+    course: tuple[str, ...],
+    plant: str,
+    realtime: bool,
+    output: Output,
+) -> int:
+    """Walk through ROS 2: four nodes, in lockstep.
+
+    Starts controller, plant, phase_monitor and recorder in lockstep (each state waits for its command, so the walk is
+    exact and as fast as the machine), records a bag, and reports on it.
+    """
+    from dqwalk_ros.cli.progress import Progress
+    from dqwalk_ros.cli.results import prepare, write_results
+    from dqwalk_ros.report import bag
+    from dqwalk_ros.runner import run_walk
+
+    also = {"gait.cycles": cycles, "gait.first_support": first}
+    made = config_of(config, changes, plant=plant, course=course, also=also)
+    prepare(output)
+    with Progress(quiet=output.quiet) as progress:
         outcome = run_walk(
-            config,
-            out / "bag",
-            plant=args.plant,
-            course=args.cmd_vel,
-            lockstep=not args.realtime and args.plant != "poppy",  # a robot does not wait
+            made,
+            output.folder / "bag",
+            plant=plant,
+            course=course,
+            lockstep=not realtime and plant != "poppy",  # a robot does not wait
             progress=progress,
         )
-    finally:
-        progress.close()
-    if not args.quiet or not outcome.finished:
+    if not output.quiet or not outcome.finished:
         print(outcome, file=sys.stderr)
     try:
         trace = bag.read(outcome.bag)
@@ -41,5 +71,5 @@ def run(args: argparse.Namespace) -> int:
             raise
         print(f"dqwalk: no report: {error}", file=sys.stderr)
         return 1
-    report = write_results(trace, out, formats=args.format, figures=not args.no_figures, quiet=args.quiet)
+    report = write_results(trace, output.folder, output)
     return 0 if outcome.finished and report["ok"] else 1

@@ -1,0 +1,232 @@
+"""Options that several commands share, and what is made of them."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from dqwalk_ros.errors import ConfigError
+
+if TYPE_CHECKING:
+    from dqwalk_ros.config import Config
+
+__all__ = [
+    "Output",
+    "command",
+    "config_of",
+    "config_option",
+    "course_option",
+    "format_option",
+    "jobs_option",
+    "numbers",
+    "output_options",
+    "overlaid",
+    "parse_overrides",
+    "quiet_option",
+    "set_option",
+    "walk_options",
+]
+
+Function = Callable[..., Any]
+
+
+def command(epilog: str) -> Callable[[Function], click.Command]:
+    """Return a decorator that makes a command of a function: its docstring, then an epilog, printed as it stands."""
+    kept = "\n\n".join("\b\n" + paragraph for paragraph in epilog.strip("\n").split("\n\n"))
+    return click.command(epilog=kept, context_settings={"max_content_width": 120})
+
+
+def numbers(count: int) -> Callable[[click.Context, click.Parameter, Any], Any]:
+    """Return a callback that reads so many numbers, separated by commas."""
+
+    def read(text: str) -> tuple[float, ...]:
+        try:
+            out = tuple(float(part) for part in text.split(","))
+        except ValueError:
+            out = ()
+        if len(out) != count or not all(map(math.isfinite, out)):
+            raise click.BadParameter(f"{count} numbers separated by commas are needed, not {text!r}")
+        return out
+
+    def callback(_: click.Context, option: click.Parameter, value: Any) -> Any:
+        if option.multiple:
+            return tuple(map(read, value))
+        return None if value is None else read(value)
+
+    return callback
+
+
+def _formats(_: click.Context, __: click.Parameter, text: str) -> tuple[str, ...]:
+    formats = tuple(part.strip().lower() for part in text.split(",") if part.strip())
+    if not formats or not set(formats) <= {"png", "pdf", "svg"}:
+        raise click.BadParameter(f"png, pdf or svg, separated by commas, not {text!r}")
+    return formats
+
+
+def config_option(default: str) -> Callable[[Function], Function]:
+    """Return the option --config."""
+    return click.option(
+        "--config", metavar="CONFIG", default=default, show_default=True, help="Name or path of a configuration."
+    )
+
+
+set_option = click.option(
+    "--set",
+    "changes",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="Change one parameter (`dqwalk config` lists them); may be given several times.",
+)
+quiet_option = click.option("--quiet", is_flag=True, help="Print no progress and no tables.")
+jobs_option = click.option(
+    "--jobs", metavar="N", type=click.IntRange(1), default=2, show_default=True, help="Processes at a time."
+)
+format_option = click.option(
+    "--format", "formats", metavar="LIST", callback=_formats, default="png", show_default=True, help="png, pdf, svg."
+)
+course_option = click.option(
+    "--cmd-vel",
+    "course",
+    metavar="X,Y,TURN,S",
+    multiple=True,
+    help="Steer a standing walk: forward, left [m/s], turn [rad/s], duration [s]; then the next one, or stop.",
+)
+
+
+def walk_options(function: Function) -> Function:
+    """Add --config, --cycles, --first, --set and --cmd-vel."""
+    options = [
+        config_option("paper"),
+        click.option("--cycles", metavar="N", type=int, help="Walking cycles of four phases (gait.cycles)."),
+        click.option("--first", type=click.Choice(["left", "right"]), help="First support foot (gait.first_support)."),
+        set_option,
+        course_option,
+    ]
+    return functools.reduce(lambda made, option: option(made), reversed(options), function)
+
+
+@dataclass(frozen=True)
+class Output:
+    """Where results go, and which.
+
+    Attributes
+    ----------
+    out : Path or None
+    force : bool
+        Replace earlier results.
+    formats : tuple of str
+        Of the figures.
+    figures, quiet : bool
+    """
+
+    out: Path | None
+    force: bool
+    formats: tuple[str, ...]
+    figures: bool
+    quiet: bool
+
+    @property
+    def folder(self) -> Path:
+        """The folder of a command that has a default."""
+        assert self.out is not None
+        return self.out
+
+
+def output_options(default: str | None, shown: str = "") -> Callable[[Function], Function]:
+    """Return a decorator that adds --out and its like; the function gets them as `output`."""
+    options = [
+        click.option(
+            "--out",
+            metavar="DIR",
+            type=click.Path(path_type=Path),
+            default=default,
+            show_default=shown or True,
+            help="Folder of the results.",
+        ),
+        click.option("--force", is_flag=True, help="Replace earlier results.", hidden=default is None),
+        format_option,
+        click.option("--no-figures", is_flag=True, help="Draw nothing."),
+        quiet_option,
+    ]
+
+    def decorate(function: Function) -> Function:
+        @functools.wraps(function)
+        def wrapped(
+            out: Path | None, force: bool, formats: tuple[str, ...], no_figures: bool, quiet: bool, **rest: Any
+        ) -> Any:
+            return function(output=Output(out, force, formats, not no_figures, quiet), **rest)
+
+        return functools.reduce(lambda made, option: option(made), reversed(options), wrapped)
+
+    return decorate
+
+
+def config_of(
+    config: str,
+    changes: Sequence[str] = (),
+    *,
+    plant: str = "",
+    course: Sequence[str] = (),
+    also: Mapping[str, Any] | None = None,
+) -> Config:
+    """Return the configuration that the options of a command describe.
+
+    Parameters
+    ----------
+    config : str
+        Name or path.
+    changes : sequence of str
+        Of --set.
+    plant : str
+        What ``config/plants/NAME.yaml`` asks of all nodes is put in.
+    course : sequence of str
+        Of --cmd-vel; with one the walk takes steps until the course is over.
+    also : mapping of str to value, optional
+        Of options that are short for a parameter; those that are None were not given.
+
+    Raises
+    ------
+    ConfigError
+        If any of it cannot be used.
+    """
+    from dqwalk_ros.config import load
+
+    values: dict[str, Any] = {"gait.steps": 0} if course else {}
+    values |= parse_overrides(changes)
+    values |= {name: value for name, value in (also or {}).items() if value is not None}
+    made = load(config)
+    if plant in ("physics", "poppy"):
+        made = overlaid(made, plant)
+    return made.updated(values, source="command line")
+
+
+def overlaid(config: Config, plant: str) -> Config:
+    """Return a configuration with what ``config/plants/NAME.yaml`` asks of all nodes put in."""
+    from dqwalk_ros.config import find_share, from_yaml
+
+    return from_yaml(find_share("config/plants", f"{plant}.yaml").read_text(encoding="utf-8"), onto=config)
+
+
+def parse_overrides(pairs: Sequence[str]) -> dict[str, Any]:
+    """Return ``{key: value}`` of texts ``key=value``; a value is read as YAML.
+
+    Raises
+    ------
+    ConfigError
+        If a text is not of that form.
+    """
+    from dqwalk_ros import strict_yaml
+
+    values: dict[str, Any] = {}
+    for pair in pairs:
+        key, equals, text = pair.partition("=")
+        if not equals or not key.strip():
+            raise ConfigError(f"--set needs KEY=VALUE, such as gait.step_length=0.04, not {pair[:80]!r}")
+        values[key.strip()] = strict_yaml.read(text, source=f"--set {key.strip()[:80]}")
+    return values
