@@ -123,8 +123,8 @@ def walked(config: Config, timeout: float) -> tuple[dict[str, list[Any]], np.nda
                 while processes.exit_code("controller") is None and time.monotonic() < deadline:
                     listener.spin()
                     if processes.exit_code("poppy_driver") is not None:
-                        raise SystemExit(f"the driver ended: {processes.last_words('poppy_driver')}")
-                end = processes.last_words("controller")
+                        raise SystemExit(f"the driver ended: {processes.last_error('poppy_driver')}")
+                end = processes.last_error("controller")
             stop.set()
             times = mine.recv() if mine.poll(10.0) else []
         finally:

@@ -109,7 +109,7 @@ def viewer(processes: Processes, params: Path) -> str:
     deadline = time.monotonic() + 60.0
     while not (found := re.search(r"http://[\d.:]+", processes.log("viewer"))):
         if time.monotonic() > deadline or processes.exit_code("viewer") is not None:
-            raise SystemExit(f"no page: {processes.last_words('viewer')}")
+            raise SystemExit(f"no page: {processes.last_error('viewer')}")
         time.sleep(0.05)
     return found.group()
 

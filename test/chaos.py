@@ -145,6 +145,11 @@ class Chaos(Live):
         recent = [q for at, q in self.moved if at >= since]
         return float(np.ptp(recent, axis=0).max()) if len(recent) > 1 else float("nan")
 
+    def angles(self) -> np.ndarray:
+        """Return the angles of the plant's last state [rad]."""
+        self.until(lambda: self.moved, 60.0, "a state of the plant")
+        return self.moved[-1][1]
+
     def walking(self) -> bool:
         """Whether the robot moves now."""
         return self.speed() > 1e-5
@@ -166,7 +171,7 @@ class Chaos(Live):
         """Wait until the robot stands; return how long ago it moved last, from now on counted [s]."""
         began = time.monotonic()
         self.until(self.standing, timeout, "standing still")
-        q = self.moved[-1][1]
+        q = self.angles()
         stopped = next((at for at, before in reversed(self.moved) if (before != q).any()), began)
         return max(stopped - began, 0.0)
 

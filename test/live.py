@@ -133,6 +133,31 @@ class Live:
         """Return the largest joint speed of each command, shape (N,) [rad/s]."""
         return np.array([max(map(abs, msg.velocity)) for msg in self.got["joint_velocity_commands"]])
 
+    # What came last. Nothing may have come yet: then it is a value that no test waits for.
+
+    @property
+    def phase(self) -> str:
+        """What `phase` said last, or an empty text."""
+        return (self.phases() or [""])[-1]
+
+    def last(self, topic: str) -> Any:
+        """Return the last message of a topic, or None."""
+        return (self.got[topic] or [None])[-1]
+
+    def stamp(self) -> float:
+        """Return the stamp of the last state [s]; negative if none came."""
+        msg = self.last("joint_states")
+        return -1.0 if msg is None else msg.header.stamp.sec + 1e-9 * msg.header.stamp.nanosec
+
+    def speed_of(self, commands: int = 1) -> float:
+        """Return the largest joint speed of the last commands [rad/s]; not a number before there are so many."""
+        last = self.speeds()[-commands:]
+        return float(last.max()) if len(last) == commands else float("nan")
+
+    def status(self, name: str) -> Any:
+        """Return what a node said last on /diagnostics, or None."""
+        return (self.statuses(name) or [None])[-1]
+
     def close(self) -> None:
         """End everything."""
         self.processes.stop()

@@ -289,18 +289,18 @@ def test_commands_from_the_future(walk: Chaos) -> None:
 def test_the_controller_is_killed_and_restarted(walk: Chaos, phase: str) -> None:
     """Also in mid-swing, a foot in the air: the new one walks from where the robot stands."""
     seen = len(walk.phases())
-    walk.until(lambda: walk.phases()[-1].startswith(phase) and len(walk.phases()) > seen, 60.0, f"the next {phase}")
+    walk.until(lambda: walk.phase.startswith(phase) and len(walk.phases()) > seen, 60.0, f"the next {phase}")
     walk.spin(0.4)
-    assert walk.phases()[-1].startswith(phase)
+    assert walk.phase.startswith(phase)
     walk.processes.signal("controller", signal.SIGKILL)
     took = walk.stands()
     assert took < BUSY
-    q = walk.moved[-1][1].copy()
+    q = walk.angles().copy()
     walk.begin("controller")
     walk.until(lambda: walk.walking(), 90.0, "the new controller walking")
     steps = [np.abs(b - a).max() for (_, a), (_, b) in zip(walk.moved[-2000:], walk.moved[-1999:], strict=False)]
     assert max(steps) < 8.2 * 0.04 + 1e-9
-    assert np.abs(walk.moved[-1][1] - q).max() < 1.0
+    assert np.abs(walk.angles() - q).max() < 1.0
     row(f"controller: SIGKILL in {phase}, restarted", "the plant holds", took, "walks anew from there")
 
 
@@ -318,7 +318,7 @@ def test_the_controller_is_frozen(walk: Chaos) -> None:
 def test_the_plant_is_frozen(walk: Chaos) -> None:
     walk.processes.signal("integrator", signal.SIGSTOP)
     took = walk.said("controller", "fell silent")
-    walk.until(lambda: not any(walk.got["joint_velocity_commands"][-1].velocity), 5.0, "a command of zeros")
+    walk.until(lambda: walk.speed_of() == 0.0, 5.0, "a command of zeros")
     walk.processes.signal("integrator", signal.SIGCONT)
     walk.walks()
     row("plant: SIGSTOP, SIGCONT", "STALE, zeros, then silence", took, RESUMED)
@@ -329,7 +329,7 @@ def test_the_monitor_dies_and_comes_back(walk: Chaos) -> None:
     walk.spin(1.0)
     walk.walks(BUSY)
     walk.begin("phase_monitor")
-    walk.until(lambda: walk.statuses("phase_monitor")[-1:], 60.0, "the monitor")
+    walk.until(lambda: walk.status("phase_monitor"), 60.0, "the monitor")
     row("monitor: SIGKILL, restarted", "it is not in the loop", None, UNDISTURBED)
 
 
@@ -337,9 +337,9 @@ def test_the_recorder_dies(walk: Chaos, tmp_path: Path) -> None:
     """The walk goes on, and what was recorded can be read."""
     walk.processes.start("recorder", ["--bag", str(tmp_path / "bag"), "--ros-args", "--params-file", str(walk.params)])
     walk.until_up("recorder")
-    began = walk.got["joint_states"][-1].header.stamp.sec
+    began = walk.stamp()
     walk.spin(5.0)
-    lasted = walk.got["joint_states"][-1].header.stamp.sec - began
+    lasted = walk.stamp() - began
     walk.processes.signal("recorder", signal.SIGKILL)
     walk.processes.wait("recorder", 10.0)
     walk.spin(1.0)
@@ -484,7 +484,7 @@ def test_jumps_that_stay_are_latched_until_reset(walk: Chaos) -> None:
 
     walk.on_states = chaos.changing(shift)
     try:
-        walk.until(lambda: walk.phases()[-1] == "failed", 10.0, "the latch")
+        walk.until(lambda: walk.phase == "failed", 10.0, "the latch")
     finally:
         walk.on_states = chaos.passing
     took = walk.stands()
@@ -524,7 +524,7 @@ def test_a_program_without_an_answer(walk: Chaos) -> None:
     began = len(answers)
     try:
         took = walk.said("controller", "is short by", 60.0)
-        walk.until(lambda: walk.phases()[-1] == "failed", 20.0, "the latch")
+        walk.until(lambda: walk.phase == "failed", 20.0, "the latch")
         assert walk.standing()
         assert walk.config.safety.failures < len(answers) - began
         assert all(np.isfinite(u).all() for u in answers)
@@ -565,6 +565,6 @@ def test_signals(walk: Chaos, name: str, number: signal.Signals) -> None:
     assert took < 2.0 + BUSY
     if name == "controller":
         walk.stands()
-        walk.until(lambda: not any(walk.got["joint_velocity_commands"][-1].velocity), 5.0, "a last word of zeros")
+        walk.until(lambda: walk.speed_of() == 0.0, 5.0, "a last word of zeros")
     said = "zeros as last word, exit code 0" if name == "controller" else "exit code 0"
     row(f"{name}: {number.name}", said, took, UNDISTURBED if name == "phase_monitor" else HELD)

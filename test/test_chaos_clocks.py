@@ -61,12 +61,6 @@ def walking(folder: Path, environment: dict[str, str], *plant: str) -> Iterator[
             patch.undo()
 
 
-def stamp(one: Chaos) -> float:
-    """Return the stamp of the last state [s]."""
-    header = one.got["joint_states"][-1].header.stamp
-    return header.sec + 1e-9 * header.nanosec
-
-
 def disturbance(one: Chaos, since: float) -> float:
     """Return for how long the robot did not move, at most, from a time on [s]."""
     moved = [(at, q) for at, q in one.moved if at >= since]
@@ -97,16 +91,16 @@ def test_the_systems_clock_is_set(set_clock: tuple[Chaos, Callable[[int], None]]
     one, set_to = set_clock
     one.walks()
     one.spin(0.5)
-    before, began = stamp(one), time.monotonic()
+    before, began = one.stamp(), time.monotonic()
     set_to(seconds)
-    one.until(lambda: abs(stamp(one) - before) > 50.0, 20.0, "the step of the clock")
+    one.until(lambda: abs(one.stamp() - before) > 50.0, 20.0, "the step of the clock")
     one.spin(1.0)
     one.walks()
     one.spin(0.5)
     took = disturbance(one, began)
     assert took < BUSY + 1.0
     assert all(one.processes.exit_code(name) is None for name in ("integrator", "controller"))
-    step = stamp(one) - before - (time.monotonic() - began)
+    step = one.stamp() - before - (time.monotonic() - began)
     row(
         f"the system's clock is set by {step:+.0f} s",
         "one silence at most: timers are on the steady clock",
@@ -130,7 +124,7 @@ def test_simulated_time_steps_and_stops(tmp_path: Path) -> None:
         one.spin(1.0)
         began = time.monotonic()
         offset[0] -= 100.0
-        one.until(lambda: stamp(one) < time.monotonic() + offset[0] + 50.0, 20.0, "the step")
+        one.until(lambda: one.stamp() < time.monotonic() + offset[0] + 50.0, 20.0, "the step")
         one.spin(1.0)
         one.walks()
         took = disturbance(one, began)
