@@ -42,7 +42,7 @@ class VelocityController:
     def __init__(self, config: Config, model: RobotModel) -> None:
         self.config = config
         self.model = model
-        self._imu = config.physics.imu
+        self._imu = model.imu
         self._limit = np.minimum(model.velocity_max, config.joints.velocity or np.inf)
         self._solver = make_solver(config.qp.solver)
         self._shape, self._timeout = (model.n,), config.plant.command_timeout

@@ -13,11 +13,10 @@ from std_msgs.msg import String
 
 from dqwalk_ros.config import Config, from_yaml
 from dqwalk_ros.errors import DqwalkError
-from dqwalk_ros.model import Foot, RobotModel
+from dqwalk_ros.model import Foot, RobotModel, parse_model
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.phases import Phase, PhaseKind, com_target, make_phase
 from dqwalk_ros.report.assessment import Assessor
-from dqwalk_ros.report.bag.reader import model_of
 
 __all__ = ["PhaseLog", "phase_messages"]
 
@@ -93,7 +92,7 @@ class PhaseLog:
         if self.config is None or not self._urdf:
             return
         try:
-            self.model = model_of(self._urdf, self.config.robot)
+            self.model = parse_model(self._urdf, self.config.robot)
         except DqwalkError as error:
             self._logger.error(str(error))
             return

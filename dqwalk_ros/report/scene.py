@@ -5,10 +5,9 @@ Nothing here draws. The live page (`dqwalk_ros.report.viewer`) and the replay in
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import singledispatch
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,12 +28,12 @@ from dqwalk_ros.model import Foot, RobotModel
 from dqwalk_ros.phases import Phase, make_phase
 from dqwalk_ros.report.assessment import Assessment, Assessor, support_polygon
 from dqwalk_ros.trace import Trace
+from dqwalk_ros.urdf import Urdf
 
 __all__ = ["Gauge", "Moment", "Region", "Scene", "Shape", "View", "moment_of", "region", "shapes_of", "tightest"]
 
 Array = NDArray[np.float64]
 Rgba = tuple[float, float, float, float]
-_GREY: Rgba = (0.7, 0.72, 0.75, 1.0)
 _MARGIN = 1.25
 """Regions are drawn this much taller than the point they hold is high."""
 
@@ -65,46 +64,17 @@ class Shape:
 
 def shapes_of(model: RobotModel) -> tuple[Shape, ...]:
     """Return the visual shapes of the model's URDF; meshes are left out, the robot is drawn from primitives."""
-    robot = ElementTree.fromstring(model.urdf.encode())
-    named = {m.get("name", ""): _rgba(m, {}) for m in robot.findall("material")}
-    out = []
-    for link in robot.findall("link"):
-        frame = model.frames.get(link.get("name", ""))
-        for visual in link.findall("visual") if frame is not None else ():
-            found = _primitive(visual.find("geometry"))
-            if found is not None and frame is not None:
-                pose = (DQ(frame.pose) * _origin(visual.find("origin"))).vec8()
-                out.append(Shape(frame.body, *found, pose, _rgba(visual.find("material"), named)))
-    return tuple(out)
+    links = Urdf(model.urdf.encode(), model.name).links
+    return tuple(
+        Shape(frame.body, shape.kind, shape.size, (DQ(frame.pose) * _pose(shape.origin)).vec8(), shape.color)
+        for name, frame in model.frames.items()
+        for shape in links[name].visuals
+        if shape.kind in ("box", "cylinder", "sphere")
+    )
 
 
-def _primitive(geometry: ElementTree.Element | None) -> tuple[str, tuple[float, ...]] | None:
-    for kind, keys in (("box", ("size",)), ("cylinder", ("radius", "length")), ("sphere", ("radius",))):
-        element = geometry.find(kind) if geometry is not None else None
-        if element is not None:
-            return kind, tuple(x for key in keys for x in _numbers(element.get(key, "")))
-    return None
-
-
-def _origin(element: ElementTree.Element | None) -> DQ:
-    """Return the pose of a URDF origin, whose angles turn about the fixed axes x, y, z one after the other."""
-    if element is None:
-        return DQ(1.0)
-    x, y, z = (DQ.rotation_about(a, n) for a, n in zip(_numbers(element.get("rpy", "0 0 0")), np.eye(3), strict=True))
-    r = z * y * x
-    return DQ.from_pose(_numbers(element.get("xyz", "0 0 0")), r.vec4())
-
-
-def _rgba(material: ElementTree.Element | None, named: Mapping[str, Rgba]) -> Rgba:
-    color = material.find("color") if material is not None else None
-    if color is None:
-        return named.get(material.get("name", ""), _GREY) if material is not None else _GREY
-    r, g, b, a = _numbers(color.get("rgba", "0.7 0.72 0.75 1"))
-    return r, g, b, a
-
-
-def _numbers(text: str) -> list[float]:
-    return [float(word) for word in text.split()]
+def _pose(origin: Array) -> DQ:
+    return DQ.from_matrix(origin[:3, :3], origin[:3, 3])
 
 
 @dataclass(frozen=True)

@@ -253,7 +253,7 @@ def analyse(trace: Trace) -> Series:
         phase = make_phase(config, model, record.kind, record.support, record.q_start, record.swing_target)
         span = Span(record, phase, record.start, stop, _ending(model, phase, q_end))
         spans.append(span)
-        sensed = None if up is None else (config.physics.imu, up[span.ticks])
+        sensed = None if up is None else (model.imu, up[span.ticks])
         batch = Batch(model, trace.q[span.ticks], phase.base, sensed)
         task_error[span.ticks] = error(phase.tasks[0], batch)
         com[span.ticks] = batch.com

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.errors import ModelError
-from dqwalk_ros.model import Foot, Sole
-from dqwalk_ros.report.bag.reader import model_of
+from dqwalk_ros.model import Foot, Sole, parse_model
 from dqwalk_ros.trace import Trace
 
 __all__ = ["hull_margin", "urdf_soles"]
@@ -63,7 +62,7 @@ def urdf_soles(trace: Trace) -> Mapping[Foot, Sole] | None:
     """Return the soles as the URDF's own boxes have them; None where there are none, or none but these."""
     robot = dataclasses.replace(trace.config.robot, sole_length=0.0, sole_width=0.0, sole_center="link")
     try:
-        soles = model_of(trace.model.urdf, robot).soles
+        soles = parse_model(trace.model.urdf, robot).soles
     except ModelError:
         return None
     mine = trace.model.soles

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -20,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.model import Foot, RobotModel
+from dqwalk_ros.urdf import without_shapes
 
 __all__ = ["GRAVITY", "Dynamics", "FrameMotion", "Multibody", "rotation_error"]
 
@@ -244,18 +244,8 @@ def rotation_error(rotation: Array, desired: Array | None = None) -> Array:
 
 
 def _build(model: RobotModel) -> pin.Model:
-    """Return pinocchio's model of the joints that move: dropped links are cut out, locked joints are fixed at zero."""
-    robot = ElementTree.fromstring(model.urdf)
-    for element in list(robot):
-        link = element.get("name") if element.tag == "link" else None
-        child = element.find("child") if element.tag == "joint" else None
-        name = link if link is not None else child.get("link") if child is not None else None
-        if element.tag in ("link", "joint") and name not in model.frames:
-            robot.remove(element)
+    """Return pinocchio's model of the joints that move."""
     try:
-        whole = pin.buildModelFromXML(ElementTree.tostring(robot, encoding="unicode"), pin.JointModelFreeFlyer())
+        return pin.buildModelFromXML(without_shapes(model.urdf), pin.JointModelFreeFlyer())
     except ValueError as error:
         raise ModelError(f"pinocchio cannot read '{model.name}': {error}") from error
-    moving = {"universe", "root_joint", *model.joint_names}
-    locked = [i for i, name in enumerate(whole.names) if name not in moving]
-    return pin.buildReducedModel(whole, locked, pin.neutral(whole)) if locked else whole

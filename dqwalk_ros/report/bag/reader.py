@@ -19,7 +19,6 @@ from dqwalk_ros.report.bag.robot import (
     check_same_robot,
     config_in,
     model_in,
-    model_of,
     of_one_robot,
     origin_in,
 )
@@ -28,7 +27,7 @@ from dqwalk_ros.report.bag.storage import Column
 from dqwalk_ros.topics import FAILED, FINISHED, REQUIRED, TOPICS
 from dqwalk_ros.trace import PhysicsRecord, Trace
 
-__all__ = ["model_of", "read"]
+__all__ = ["read"]
 
 Array = NDArray[np.float64]
 _WANTED = {name: topic.type for name, topic in TOPICS.items() if name != "diagnostics"}

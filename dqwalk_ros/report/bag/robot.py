@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -12,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros import config as configuration
-from dqwalk_ros.config import Config, RobotConfig
+from dqwalk_ros.config import Config
 from dqwalk_ros.errors import BagError, ConfigError, ModelError
-from dqwalk_ros.model import RobotModel, load_model
+from dqwalk_ros.model import RobotModel, load_model, parse_model
 from dqwalk_ros.origin import from_text
 from dqwalk_ros.report.bag import storage
 from dqwalk_ros.report.bag.joints import JointColumn
@@ -27,7 +25,6 @@ __all__ = [
     "config_in",
     "is_body",
     "model_in",
-    "model_of",
     "of_one_robot",
     "origin_in",
 ]
@@ -110,7 +107,7 @@ def model_in(path: Path, config: Config, columns: Mapping[str, Column], notes: l
         notes.append(f"robot_description is missing: {config.robot.urdf} as installed here was used")
         return load_model(config.robot)
     try:
-        return model_of(texts(columns["robot_description"])[-1], config.robot)
+        return parse_model(texts(columns["robot_description"])[-1], config.robot)
     except ModelError as error:
         raise BagError(f"'{path}' is of another robot than its walk_config: {error}") from error
 
@@ -121,23 +118,6 @@ def origin_in(columns: Mapping[str, Column]) -> dict[str, str]:
         return from_text(texts(columns["walk_origin"])[-1]) if "walk_origin" in columns else {}
     except BagError:
         return {}
-
-
-def model_of(urdf: str, robot: RobotConfig) -> RobotModel:
-    """Return the model of a URDF's text.
-
-    Raises
-    ------
-    ModelError
-        As `load_model`.
-    """
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "robot_description"
-        path.write_text(urdf, encoding="utf-8")
-        try:
-            return load_model(dataclasses.replace(robot, urdf=str(path)))
-        except ModelError as error:
-            raise ModelError(str(error).replace(str(path), path.name)) from error
 
 
 def check_same_robot(path: Path, model: RobotModel, states: JointColumn) -> None:

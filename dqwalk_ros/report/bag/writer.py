@@ -182,7 +182,7 @@ def _physics(trace: Trace, stamps: Stamps) -> dict[str, list[bytes]]:
         **{f"{foot.value}_foot_wrench": known.wrenches[foot] for foot in Foot},
         "center_of_pressure": known.cop,
     }
-    frames = {"imu": trace.config.physics.imu, "true_base_pose": WORLD, "center_of_pressure": WORLD}
+    frames = {"imu": trace.model.imu, "true_base_pose": WORLD, "center_of_pressure": WORLD}
     frames |= {f"{foot.value}_foot_wrench": trace.model.soles[foot].frame for foot in Foot}
     out: dict[str, list[bytes]] = {}
     for name, column in numbers.items():

@@ -1,0 +1,355 @@
+"""The robot as a tree of rigid bodies, read from a URDF [Urban2020, section 3.4].
+
+A `RobotModel` knows the joints that move, the masses they carry and where the soles are; joints that are locked
+are rigid, joints that are dropped are cut off with all they carry. Its `urdf` describes exactly that robot, so that
+physics and dynamics are of the same one. Nothing here is specific to one robot.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+import pathlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros.config import RobotConfig, find_share
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import ConfigError, ModelError
+from dqwalk_ros.urdf import Joint, Link, Urdf
+
+__all__ = ["Body", "Foot", "Frame", "RobotModel", "Sole", "find_urdf", "load_model", "parse_model"]
+
+Array = NDArray[np.float64]
+
+
+class Foot(enum.Enum):
+    """One of the two feet."""
+
+    LEFT = "left"
+    RIGHT = "right"
+
+    @property
+    def other(self) -> Foot:
+        """The other foot."""
+        return Foot.RIGHT if self is Foot.LEFT else Foot.LEFT
+
+
+@dataclass(frozen=True)
+class Sole:
+    """A rectangular sole; all points in the frame of its link, x forward, z up, ground at z = 0.
+
+    Attributes
+    ----------
+    frame : str
+        The URDF link.
+    center : ndarray, shape (3,)
+        Centre of the rectangle [m].
+    length, width : float
+        Along x and y [m].
+    """
+
+    frame: str
+    center: Array
+    length: float
+    width: float
+
+    @property
+    def tip(self) -> Array:
+        """Middle of the front edge, shape (3,) [m]."""
+        tip: Array = self.center + np.array([0.5 * self.length, 0.0, 0.0])
+        return tip
+
+    @property
+    def heel(self) -> Array:
+        """Middle of the rear edge, shape (3,) [m]."""
+        return self.center - [0.5 * self.length, 0.0, 0.0]
+
+    @property
+    def corners(self) -> Array:
+        """The four corners, counter-clockwise from the front left, shape (4, 3) [m]."""
+        half = 0.5 * np.array([self.length, self.width, 0.0])
+        return self.center + half * [[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]]
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid body: one link with everything locked or fixed to it.
+
+    Attributes
+    ----------
+    parent : int
+        Index of the parent body, -1 for the root.
+    joint : int
+        Index of the joint that moves it, -1 for the root.
+    origin : ndarray, shape (8,)
+        Pose of the joint in the parent body.
+    axis : ndarray, shape (3,)
+        Unit vector of the joint in its own frame, which is the body's.
+    mass : float
+        [kg]
+    com : ndarray, shape (3,)
+        Centre of mass in the body's frame [m].
+    """
+
+    parent: int
+    joint: int
+    origin: Array
+    axis: Array
+    mass: float
+    com: Array
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A place on a body: the body's index and the pose (8,) in its frame."""
+
+    body: int
+    pose: Array
+
+
+@dataclass(frozen=True)
+class RobotModel:
+    """A biped; make one with `load_model`.
+
+    Attributes
+    ----------
+    name : str
+    joint_names : tuple of str
+        The joints that move, parents before children.
+    q_min, q_max, velocity_max, effort_max : ndarray, shape (n,)
+        Limits [rad, rad/s, N m].
+    bodies : tuple of Body
+        Parents before children; body 0 is the root.
+    frames : mapping of str to Frame
+        Every link of the URDF that is left.
+    soles : mapping of Foot to Sole
+    pelvis : str
+        Frame whose height (11) watches.
+    imu : str
+        Frame of the inertial sensor.
+    urdf : str
+        Description of this very robot: repaired, without what was dropped, locked joints fixed where they are held.
+    repairs : tuple of str
+        What in the file no rigid body can be, and what was taken instead.
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    q_min: Array
+    q_max: Array
+    velocity_max: Array
+    effort_max: Array
+    bodies: tuple[Body, ...]
+    frames: Mapping[str, Frame]
+    soles: Mapping[Foot, Sole]
+    pelvis: str
+    imu: str
+    urdf: str = field(repr=False)
+    repairs: tuple[str, ...] = ()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Let it be sent to another process, as views of mappings cannot be."""
+        return _sent, (vars(self) | {"frames": dict(self.frames), "soles": dict(self.soles)},)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joint_names)
+
+    @property
+    def root(self) -> str:
+        """The root link of the URDF, which floats."""
+        return next(iter(self.frames))
+
+    @property
+    def mass(self) -> float:
+        """Total mass M of (4) [kg]."""
+        return sum(body.mass for body in self.bodies)
+
+
+def _sent(values: dict[str, Any]) -> RobotModel:
+    views = {name: MappingProxyType(values[name]) for name in ("frames", "soles")}
+    return RobotModel(**(values | views))
+
+
+def find_urdf(urdf: str) -> pathlib.Path:
+    """Return the path of a URDF: itself, or one shipped in urdf/.
+
+    Raises
+    ------
+    ModelError
+        If there is no such file.
+    """
+    path = pathlib.Path(urdf)
+    if path.is_file():
+        return path
+    try:
+        return find_share("urdf", urdf)
+    except ConfigError as error:
+        raise ModelError(str(error)) from error
+
+
+def load_model(config: RobotConfig) -> RobotModel:
+    """Read the robot that `config` describes.
+
+    Raises
+    ------
+    ModelError
+        If the URDF cannot be read or lacks a link or joint that `config` names; the message names it.
+    """
+    return _model(Urdf.load(find_urdf(config.urdf)), config, published=False)
+
+
+def parse_model(text: str, config: RobotConfig, source: str = "robot_description") -> RobotModel:
+    """Return the robot of a description that was published or recorded: of a file, or a model's `urdf`.
+
+    What `config` drops or locks may be cut off or fixed in it already.
+
+    Raises
+    ------
+    ModelError
+        As `load_model`; `source` is the name of the text in messages.
+    """
+    return _model(Urdf(text.encode(), source), config, published=True)
+
+
+def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
+    urdf.cut(urdf.matching(config.drop, "robot.drop", strict=not published))
+    urdf.weld(_locked(urdf, config, published))
+    if not sum(link.mass for link in urdf.links.values()) > 0.0:
+        raise ModelError(f"{urdf.source}: the robot has no mass, so it has no centre of mass")
+    urdf.give_mass()
+    feet = {}
+    for foot in Foot:
+        key = f"{foot.value}_sole"
+        feet[foot], xyz, rpy = (getattr(config, key + end) for end in ("", "_xyz", "_rpy"))
+        if any((*xyz, *rpy)) and feet[foot] in urdf.links:
+            urdf.add_frame(f"dqwalk_{key}", feet[foot], xyz, rpy)
+            feet[foot] = f"dqwalk_{key}"
+    links = urdf.links
+    for key, name in (
+        ("pelvis", config.pelvis),
+        ("left_sole", feet[Foot.LEFT]),
+        ("right_sole", feet[Foot.RIGHT]),
+        ("imu", config.imu or config.pelvis),
+    ):
+        if name not in links:
+            raise ModelError(f"{urdf.source}: robot.{key} names the link '{name}', which is not there or was dropped")
+    tree = _tree(urdf)
+    return RobotModel(
+        name=urdf.name,
+        **tree,
+        soles=MappingProxyType(
+            {
+                foot: _sole(config, links[name], links[getattr(config, f"{foot.value}_sole")], tree, urdf.source)
+                for foot, name in feet.items()
+            }
+        ),
+        pelvis=config.pelvis,
+        imu=config.imu or config.pelvis,
+        urdf=urdf.text(),
+        repairs=tuple(urdf.repairs),
+    )
+
+
+def _locked(urdf: Urdf, config: RobotConfig, published: bool) -> dict[str, float]:
+    """Return the joints to be fixed and where: zero, or the angle of JOINT=RADIANS; and those that follow others."""
+    angles: dict[str, float] = {}
+    for entry in config.lock:
+        pattern, given, word = entry.partition("=")
+        try:
+            angle = float(word) if given else 0.0
+        except ValueError:
+            angle = math.nan
+        if not math.isfinite(angle):
+            raise ModelError(f"robot.lock has '{entry}'; an entry is JOINT or JOINT=RADIANS")
+        for name in urdf.matching([pattern.strip()], "robot.lock", strict=not published):
+            if given or name not in angles:
+                angles[name] = angle
+    for joint in urdf.joints.values():
+        if joint.mimic and joint.name not in angles and joint.moves:
+            angles[joint.name] = joint.multiplier * angles.get(joint.mimic, 0.0) + joint.offset
+            urdf.repairs.append(f"joint '{joint.name}' mimics '{joint.mimic}': locked at {angles[joint.name]:g}")
+    return angles
+
+
+def _tree(urdf: Urdf) -> dict[str, Any]:
+    """Return the bodies, frames and joints of a description in which everything that moves is a joint of the model."""
+    links, joints = urdf.links, urdf.joints
+    carried: dict[str, list[str]] = {}
+    for joint in joints.values():
+        carried.setdefault(joint.parent, []).append(joint.name)
+    moving: list[Joint] = []
+    frames: dict[str, Frame] = {}
+    parts: list[list[tuple[float, Array]]] = [[]]
+    tree: list[tuple[int, int, DQ, Array]] = [(-1, -1, DQ(1.0), np.zeros(3))]
+
+    def attach(link: Link, body: int, pose: DQ) -> None:
+        frames[link.name] = Frame(body, pose.vec8())
+        if link.mass:
+            parts[body].append((link.mass, pose.transform_point(link.com)))
+
+    attach(links[urdf.root], 0, DQ(1.0))
+    waiting = [(joints[name], 0, DQ(1.0)) for name in reversed(carried.get(urdf.root, []))]
+    while waiting:
+        joint, body, pose = waiting.pop()  # of the joint's parent link: its body, and its pose there
+        origin = pose * DQ.from_matrix(joint.origin[:3, :3], joint.origin[:3, 3])
+        if joint.moves:
+            if joint.type not in ("revolute", "continuous"):
+                raise ModelError(
+                    f"{urdf.source}: joint '{joint.name}' is {joint.type}; lock or drop it, only revolute ones move"
+                )
+            tree.append((body, len(moving), origin, joint.axis))
+            moving.append(joint)
+            parts.append([])
+            body, origin = len(tree) - 1, DQ(1.0)
+        attach(links[joint.child], body, origin)
+        waiting += [(joints[name], body, origin) for name in reversed(carried.get(joint.child, []))]
+
+    bodies = []
+    for (parent, index, origin, axis), heavy in zip(tree, parts, strict=True):
+        mass = sum(m for m, _ in heavy)
+        com = sum((m * c for m, c in heavy), np.zeros(3)) / mass if mass else np.zeros(3)
+        bodies.append(Body(parent, index, origin.vec8(), axis, mass, com))
+    limits = [_range(joint.lower, joint.upper) for joint in moving]
+    return {
+        "joint_names": tuple(joint.name for joint in moving),
+        "q_min": np.array([lower for lower, _ in limits]),
+        "q_max": np.array([upper for _, upper in limits]),
+        "velocity_max": np.array([joint.velocity for joint in moving]),
+        "effort_max": np.array([joint.effort for joint in moving]),
+        "bodies": tuple(bodies),
+        "frames": MappingProxyType(frames),
+    }
+
+
+def _range(lower: float, upper: float) -> tuple[float, float]:
+    """Return finite limits: half a turn to either side where there is none."""
+    if math.isinf(lower) and math.isinf(upper):
+        return -math.pi, math.pi
+    return (upper - math.tau if math.isinf(lower) else lower), (lower + math.tau if math.isinf(upper) else upper)
+
+
+def _sole(config: RobotConfig, link: Link, foot: Link, tree: Mapping[str, Any], source: str) -> Sole:
+    """Return the sole on `link`; `foot` is the link that the configuration names, whose box is the sole."""
+    frame = tree["frames"][link.name]
+    center = np.zeros(3)
+    length, width = config.sole_length, config.sole_width
+    box = next((shape for shape in foot.collisions if shape.kind == "box"), None)
+    if not (length and width):
+        if box is None:
+            raise ModelError(
+                f"{source}: link '{foot.name}' has no collision box; give robot.sole_length and sole_width"
+            )
+        length, width = length or box.size[0], width or box.size[1]
+    if box is not None and link is foot:
+        center[:2] = box.origin[:2, 3]
+    if config.sole_center == "foot_com":
+        center[:2] = DQ(frame.pose).conj().transform_point(tree["bodies"][frame.body].com)[:2]
+    return Sole(link.name, center, length, width)
