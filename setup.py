@@ -47,6 +47,7 @@ TEST = [
     "pytest-timeout>=2.1",
     "pytest-xdist>=3.3",
     "quadprog>=0.1.11",
+    "yourdfpy>=0.0.56",
 ]
 # pinocchio, for the whole-body controller
 WHOLEBODY = ["pin>=2.7"]
@@ -90,7 +91,6 @@ setup(
         "setuptools",
         "clarabel>=0.9",
         "click>=8.1",
-        "lxml>=4.8",
         "lz4>=4.0",
         "matplotlib>=3.6",
         "mcap>=1.1",
@@ -101,7 +101,7 @@ setup(
         "rosbags>=0.11",
         "scipy>=1.11",
         "tqdm>=4.60",
-        "yourdfpy>=0.0.56",
+        "xacro>=2.0",
         "zstandard>=0.18",
     ],
     extras_require={

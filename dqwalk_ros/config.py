@@ -18,6 +18,7 @@ import functools
 import os
 import pathlib
 import sys
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
@@ -48,6 +49,7 @@ __all__ = [
     "StandingConfig",
     "TaskConfig",
     "WholeBodyConfig",
+    "beside",
     "find_share",
     "from_yaml",
     "load",
@@ -66,12 +68,17 @@ def _par(default: Value, meaning: str, unit: str = "", low: float | None = None,
 class RobotConfig:
     """Which robot, and which part of it."""
 
-    urdf: str = _par("poppy.urdf", "URDF file: a path, or the name of one shipped in urdf/")
+    urdf: str = _par("poppy.urdf", "URDF or xacro: a path, relative to this file, or the name of one shipped in urdf/")
     pelvis: str = _par("pelvis", "link whose height (U11) watches")
     left_sole: str = _par("l_sole", "link at the centre of the left sole, x forward, z up")
     right_sole: str = _par("r_sole", "link at the centre of the right sole, x forward, z up")
+    left_sole_xyz: tuple[float, float, float] = _par((0.0, 0.0, 0.0), "centre of the left sole in that link", "m")
+    left_sole_rpy: tuple[float, float, float] = _par((0.0, 0.0, 0.0), "its roll, pitch and yaw there", "rad")
+    right_sole_xyz: tuple[float, float, float] = _par((0.0, 0.0, 0.0), "centre of the right sole in that link", "m")
+    right_sole_rpy: tuple[float, float, float] = _par((0.0, 0.0, 0.0), "its roll, pitch and yaw there", "rad")
+    imu: str = _par("", "link of the inertial sensor; empty: the pelvis")
     drop: tuple[str, ...] = _par((), "joints cut off together with all they carry")
-    lock: tuple[str, ...] = _par((), "joints held at zero; '*' at either end matches any text")
+    lock: tuple[str, ...] = _par((), "joints held at zero, or at an angle: JOINT=RADIANS; '*' matches any text")
     sole_center: Literal["link", "foot_com"] = _par(
         "link",
         "where the sole's centre is: 'link' (the sole link's origin) or 'foot_com' (below the foot's centre of mass)",
@@ -223,7 +230,6 @@ class PhysicsConfig:
     )
     mass_scale: float = _par(1.0, "masses and inertias are multiplied by this", "", 0.1, 10.0)
     settle: float = _par(0.5, "time to come to rest before the walk", "s", 0.0, 60.0)
-    imu: str = _par("imu", "link of the inertial sensor")
 
 
 @dataclass(frozen=True)
@@ -382,6 +388,10 @@ class Config:
 
     def updated(self, values: Mapping[str, Any], *, source: str = "") -> Config:
         """Return a copy with some values replaced, checked as in `from_flat`."""
+        if "physics.imu" in values:
+            values = {"robot.imu" if name == "physics.imu" else name: value for name, value in values.items()}
+            if values["robot.imu"] != "imu":  # its default then, which is in every recorded configuration
+                warnings.warn(f"{source or 'a configuration'}: 'physics.imu' is now 'robot.imu'", stacklevel=2)
         try:
             checked = {name: _checked(name, value) for name, value in values.items()}
         except ConfigError as error:
@@ -517,7 +527,13 @@ def load(source: str | os.PathLike[str]) -> Config:
         if path.suffix or len(path.parts) > 1:
             raise ConfigError(f"no configuration file '{path}'")
         path = find_share("config", f"{path}.yaml")
-    return from_yaml(strict_yaml.read_text(path), source=str(path))
+    return beside(path, from_yaml(strict_yaml.read_text(path), source=str(path)))
+
+
+def beside(path: pathlib.Path, config: Config) -> Config:
+    """Return a configuration whose URDF is found from anywhere: its path is relative to the file that names it."""
+    urdf = path.parent / config.robot.urdf
+    return config.updated({"robot.urdf": str(urdf.resolve())}) if config.robot.urdf and urdf.is_file() else config
 
 
 def from_yaml(text: str, *, source: str = "text", onto: Config | None = None) -> Config:

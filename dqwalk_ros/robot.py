@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from dqwalk_ros.config import RobotConfig, find_share
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ConfigError, ModelError
-from dqwalk_ros.urdf import Joint, Link, Urdf
+from dqwalk_ros.urdf import Joint, Link, Origin, Urdf
 
 __all__ = ["Body", "Foot", "Frame", "RobotModel", "Sole", "find_urdf", "load_model", "parse_model"]
 
@@ -168,6 +168,11 @@ class RobotModel:
         return next(iter(self.frames))
 
     @property
+    def urdf_without_shapes(self) -> str:
+        """The same description, for an engine that needs no shapes or has its own."""
+        return Urdf(self.urdf, self.name).text(shapes=False)
+
+    @property
     def mass(self) -> float:
         """Total mass M of (4) [kg]."""
         return sum(body.mass for body in self.bodies)
@@ -216,7 +221,7 @@ def parse_model(text: str, config: RobotConfig, source: str = "robot_description
     ModelError
         As `load_model`; `source` is the name of the text in messages.
     """
-    return _model(Urdf(text.encode(), source), config, published=True)
+    return _model(Urdf(text, source), config, published=True)
 
 
 def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
@@ -230,7 +235,8 @@ def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
         key = f"{foot.value}_sole"
         feet[foot], xyz, rpy = (getattr(config, key + end) for end in ("", "_xyz", "_rpy"))
         if any((*xyz, *rpy)) and feet[foot] in urdf.links:
-            urdf.add_frame(f"dqwalk_{key}", feet[foot], xyz, rpy)
+            if f"dqwalk_{key}" not in urdf.links:
+                urdf.add_frame(f"dqwalk_{key}", feet[foot], Origin(xyz, rpy))
             feet[foot] = f"dqwalk_{key}"
     links = urdf.links
     for key, name in (
@@ -281,10 +287,7 @@ def _locked(urdf: Urdf, config: RobotConfig, published: bool) -> dict[str, float
 
 def _tree(urdf: Urdf) -> dict[str, Any]:
     """Return the bodies, frames and joints of a description in which everything that moves is a joint of the model."""
-    links, joints = urdf.links, urdf.joints
-    carried: dict[str, list[str]] = {}
-    for joint in joints.values():
-        carried.setdefault(joint.parent, []).append(joint.name)
+    links = urdf.links
     moving: list[Joint] = []
     frames: dict[str, Frame] = {}
     parts: list[list[tuple[float, Array]]] = [[]]
@@ -296,10 +299,10 @@ def _tree(urdf: Urdf) -> dict[str, Any]:
             parts[body].append((link.mass, pose.transform_point(link.com)))
 
     attach(links[urdf.root], 0, DQ(1.0))
-    waiting = [(joints[name], 0, DQ(1.0)) for name in reversed(carried.get(urdf.root, []))]
+    waiting = [(joint, 0, DQ(1.0)) for joint in reversed(urdf.carried_by(urdf.root))]
     while waiting:
         joint, body, pose = waiting.pop()  # of the joint's parent link: its body, and its pose there
-        origin = pose * DQ.from_matrix(joint.origin[:3, :3], joint.origin[:3, 3])
+        origin = pose * _pose(joint.origin)
         if joint.moves:
             if joint.type not in ("revolute", "continuous"):
                 raise ModelError(
@@ -310,7 +313,7 @@ def _tree(urdf: Urdf) -> dict[str, Any]:
             parts.append([])
             body, origin = len(tree) - 1, DQ(1.0)
         attach(links[joint.child], body, origin)
-        waiting += [(joints[name], body, origin) for name in reversed(carried.get(joint.child, []))]
+        waiting += [(child, body, origin) for child in reversed(urdf.carried_by(joint.child))]
 
     bodies = []
     for (parent, index, origin, axis), heavy in zip(tree, parts, strict=True):
@@ -327,6 +330,11 @@ def _tree(urdf: Urdf) -> dict[str, Any]:
         "bodies": tuple(bodies),
         "frames": MappingProxyType(frames),
     }
+
+
+def _pose(origin: Origin) -> DQ:
+    pose = origin.matrix
+    return DQ.from_matrix(pose[:3, :3], pose[:3, 3])
 
 
 def _range(lower: float, upper: float) -> tuple[float, float]:
@@ -349,7 +357,7 @@ def _sole(config: RobotConfig, link: Link, foot: Link, tree: Mapping[str, Any], 
             )
         length, width = length or box.size[0], width or box.size[1]
     if box is not None and link is foot:
-        center[:2] = box.origin[:2, 3]
+        center[:2] = box.origin.xyz[:2]
     if config.sole_center == "foot_com":
         center[:2] = DQ(frame.pose).conj().transform_point(tree["bodies"][frame.body].com)[:2]
     return Sole(link.name, center, length, width)

@@ -168,7 +168,9 @@ def other(spec):
         return spec.default + 1
     if spec.type is float:
         return 0.3 * spec.default + 0.7 * (spec.high if spec.default == spec.low else spec.low)
-    return ("a", "b*") if spec.type is tuple else "something"
+    if spec.type is tuple:
+        return (0.1, 0.2, 0.3) if spec.default else ("a", "b*")
+    return "something"
 
 
 def test_files_keep_everything(tmp_path):

@@ -19,7 +19,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from dqwalk_ros.config import Config, Spec
+from dqwalk_ros.config import Config, Spec, beside
 from dqwalk_ros.errors import ConfigError
 
 __all__ = ["changes", "declare"]
@@ -56,6 +56,8 @@ def declare(node: Node, argv: Sequence[str], nodes: Collection[str]) -> Config:
             if name.split(".")[0] not in _OF_RCLPY
         }
     )
+    for path in _parameter_files(argv):
+        config = beside(path, config)
     for name, value in config.flat().items():
         given: Any = (list(value) or [""]) if isinstance(value, tuple) else value
         node.declare_parameter(name, given, _DESCRIPTORS[name], ignore_override=True)

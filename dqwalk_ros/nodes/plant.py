@@ -210,7 +210,7 @@ class Physics(SimulatedPlant):
     Publishes::
 
         joint_states             sensor_msgs/JointState [rad, rad/s]
-        imu                      sensor_msgs/Imu of the link physics.imu, the same stamp as the state's
+        imu                      sensor_msgs/Imu of the link robot.imu, the same stamp as the state's
         true_base_pose           geometry_msgs/PoseStamped: the pelvis in the world; for analysis, as the rest:
         left_foot_wrench, right_foot_wrench   geometry_msgs/WrenchStamped: ground on the sole, in its frame
         center_of_pressure       geometry_msgs/PointStamped: of both feet in the world; none in the air
@@ -271,7 +271,7 @@ class Physics(SimulatedPlant):
     def publish(self, stamp: int) -> None:
         """Publish the sensors first, for the controller waits for them with the state."""
         streams = self.streams
-        streams["imu"].publish(ros.imu(stamp, self.config.physics.imu, self.plant.inertial))
+        streams["imu"].publish(ros.imu(stamp, self.model.imu, self.plant.inertial))
         super().publish(stamp)
         if any(streams[name].get_subscription_count() for name in streams if name not in ("imu", "joint_states")):
             truth = self.plant.truth

@@ -34,6 +34,7 @@ __all__ = ["Gauge", "Moment", "Region", "Scene", "Shape", "View", "moment_of", "
 
 Array = NDArray[np.float64]
 Rgba = tuple[float, float, float, float]
+_GREY: Rgba = (0.7, 0.72, 0.75, 1.0)
 _MARGIN = 1.25
 """Regions are drawn this much taller than the point they hold is high."""
 
@@ -64,9 +65,15 @@ class Shape:
 
 def shapes_of(model: RobotModel) -> tuple[Shape, ...]:
     """Return the visual shapes of the model's URDF; meshes are left out, the robot is drawn from primitives."""
-    links = Urdf(model.urdf.encode(), model.name).links
+    links = Urdf(model.urdf, model.name).links
     return tuple(
-        Shape(frame.body, shape.kind, shape.size, (DQ(frame.pose) * _pose(shape.origin)).vec8(), shape.color)
+        Shape(
+            frame.body,
+            shape.kind,
+            shape.size,
+            (DQ(frame.pose) * _pose(shape.origin.matrix)).vec8(),
+            shape.color or _GREY,
+        )
         for name, frame in model.frames.items()
         for shape in links[name].visuals
         if shape.kind in ("box", "cylinder", "sphere")

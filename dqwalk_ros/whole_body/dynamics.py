@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.model import Foot, RobotModel
-from dqwalk_ros.urdf import without_shapes
 
 __all__ = ["GRAVITY", "Dynamics", "FrameMotion", "Multibody", "rotation_error"]
 
@@ -246,6 +245,6 @@ def rotation_error(rotation: Array, desired: Array | None = None) -> Array:
 def _build(model: RobotModel) -> pin.Model:
     """Return pinocchio's model of the joints that move."""
     try:
-        return pin.buildModelFromXML(without_shapes(model.urdf), pin.JointModelFreeFlyer())
+        return pin.buildModelFromXML(model.urdf_without_shapes, pin.JointModelFreeFlyer())
     except ValueError as error:
         raise ModelError(f"pinocchio cannot read '{model.name}': {error}") from error

@@ -48,7 +48,7 @@ def inverse_dynamics(
     gravity : float
         [m/s^2]
     """
-    robot = Urdf(model.urdf.encode(), model.name)
+    robot = Urdf(model.urdf, model.name)
     links = robot.links
     w = rotation @ v[3:6]
     # v is in axes that turn: its derivative in the world has w x v besides R v'
@@ -82,8 +82,9 @@ def _links(robot: Urdf, model: RobotModel, root: _Link, q: Array, dq: Array, ddq
 
 def _next(link: _Link, joint: Joint, model: RobotModel, q: Array, dq: Array, ddq: Array) -> _Link:
     """Return the link behind a joint."""
-    r = link.R @ joint.origin[:3, 3]
-    R = link.R @ joint.origin[:3, :3]
+    origin = joint.origin.matrix
+    r = link.R @ origin[:3, 3]
+    R = link.R @ origin[:3, :3]
     at = link.p + r
     p_dotdot = link.p_dotdot + np.cross(link.w_dot, r) + np.cross(link.w, np.cross(link.w, r))
     if not joint.moves:

@@ -1,0 +1,84 @@
+"""Files of other ROS packages: ``package://`` names, and xacro files that include them.
+
+A package is an installed one, or a folder of that name around the file that names it, so that a description that was
+cloned or unpacked serves without being installed.
+"""
+
+from __future__ import annotations
+
+import os
+import pathlib
+
+from dqwalk_ros.errors import ModelError
+
+__all__ = ["expanded", "find_package_file"]
+
+
+def expanded(path: pathlib.Path) -> bytes:
+    """Return the URDF of a xacro file.
+
+    Raises
+    ------
+    ModelError
+        If the package xacro is missing, or refuses it.
+    """
+    try:
+        import xacro
+        from xacro import substitution_args as found
+    except ImportError as error:
+        raise ModelError(
+            f"'{path}' is a xacro file: pip install xacro, or expand it (xacro {path.name} > robot.urdf)"
+        ) from error
+    known = found._eval_find
+    found._eval_find = lambda package: str(_package(package, path)) if _package(package, path) else known(package)
+    try:
+        return str(xacro.process_file(str(path)).toxml()).encode()
+    except (Exception, SystemExit) as error:  # xacro has many of its own, and lets those of XML and of Python pass
+        raise ModelError(f"xacro refuses '{path}': {' '.join(str(error).split())[:300]}") from error
+    finally:
+        found._eval_find = known
+
+
+def _package(name: str, near: pathlib.Path) -> pathlib.Path | None:
+    """Return the folder of a ROS package: an installed one, or a folder of that name around the file `near`."""
+    prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    places = [pathlib.Path(p) / "share" / name for p in prefixes]
+    for folder in near.resolve().parents:
+        places += [folder] if folder.name == name else []
+        places += [folder / name]
+    extra = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
+    places += [pathlib.Path(p) / name for p in extra if p]
+    return next((place for place in places if place.is_dir()), None)
+
+
+def find_package_file(uri: str, near: str | os.PathLike[str]) -> pathlib.Path | None:
+    """Return the file that a URDF names, or None.
+
+    Parameters
+    ----------
+    uri : str
+        ``package://PACKAGE/...``, ``file://...``, or a path, which is relative to the URDF.
+    near : path
+        The URDF. A package is an installed one, or a folder of that name around the URDF.
+    """
+    near = pathlib.Path(near)
+    scheme, separator, rest = uri.partition("://")
+    if not separator:
+        places = [near.parent / uri]
+    elif scheme in ("package", "model"):
+        package, _, inside = rest.partition("/")
+        folder = _package(package, near)
+        places = [folder / inside] if folder else []
+        # a package that was copied under another name
+        places += [above / inside for above in near.resolve().parents[:4]]
+    else:
+        places = [pathlib.Path(rest)]
+    return next((place for place in places if _is_file(place)), None)
+
+
+def _is_file(place: pathlib.Path) -> bool:
+    """Tell whether there is a regular file."""
+    try:
+        return place.is_file()
+    except (OSError, ValueError):
+        return False
