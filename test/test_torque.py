@@ -58,9 +58,6 @@ def test_what_cannot_be_used_is_said() -> None:
     command = controller.step(controller.start, CONFIG.dt)
     with pytest.raises(PlantError, match="torques"):
         plant.step(replace(command, effort=np.full(MODEL.n, np.nan)), CONFIG.dt)
-    locked = load_model(CONFIG.updated({"robot.lock": ["neck_yaw"]}).robot)
-    with pytest.raises(PlantError, match="neck_yaw"):
-        TorquePlant(locked, controller.start, pushed="chest")
 
 
 @pytest.mark.long

@@ -97,7 +97,7 @@ REPAIRED = {
     "turned limits": (robot(A, B, joint(more='<limit lower="1" upper="-1"/>')), "lower 1 above upper -1: exchanged"),
     "equal limits": (robot(A, B, joint(more='<limit lower="1" upper="1"/>')), "no range, .*: fixed there"),
     "no effort": (robot(A, B, joint(more='<limit upper="1" effort="0"/>')), "effort limit 0: taken as none"),
-    "long axis": (robot(A, B, joint(more='<axis xyz="0 0 2"/><limit upper="1"/>')), "an axis of length 2: made a unit vector"),
+    "long axis": (robot(A, B, joint(more='<axis xyz="0 0 2"/><limit upper="1"/>')), "axis of length 2: made a unit"),
     "floating": (robot(A, B, joint(kind="floating")), "is floating: taken as fixed"),
     "no mass": (robot(link("a", '<mass value="0"/>')), "line 2: <link> 'a' has the mass 0 kg: taken as a frame"),
     "no inertia": (
