@@ -54,7 +54,7 @@ class PhysicsPlant:
         self._vadr = np.array([int(j.dofadr[0]) for j in joints])
         self._root = self.mj.body(model.root).id
         self._pelvis = self.mj.body(model.pelvis).id
-        self._imu = self.mj.body(config.physics.imu).id
+        self._imu = self.mj.body(model.imu).id
         self._soles = {foot: self.mj.body(model.soles[foot].frame).id for foot in Foot}
         self._ground = {foot: self.mj.sensor(f"ground_{foot.value}").adr[0] for foot in Foot}
         self._goals = self.data.ctrl.reshape(-1, model.n)  # a view; a second row where there is backlash
@@ -197,32 +197,16 @@ def robot_spec(model: RobotModel, *, friction: float, contact_time: float, visua
         Time constant of the contact between both [s].
     visual : bool
         Keep the visual shapes of the URDF. What collides is in group 2 then.
-
-    Raises
-    ------
-    PlantError
-        If the URDF has no such robot.
     """
     # MuJoCo drops the visual shapes unless the file itself says otherwise
     keep = '<mujoco><compiler discardvisual="false"/></mujoco></robot>'
-    spec = mujoco.MjSpec.from_string(model.urdf.replace("</robot>", keep) if visual else model.urdf)
+    spec = mujoco.MjSpec.from_string(model.urdf.replace("</robot>", keep) if visual else model.urdf_without_shapes)
     spec.compiler.inertiafromgeom = 0  # the soles have no mass; none may be made up
     spec.compiler.fusestatic = False
     spec.compiler.balanceinertia = True
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a simulation gone astray is to be seen
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    root = spec.body(model.root)
-    if root is None:
-        raise PlantError(f"the URDF has no link '{model.root}'")
-    for body in list(spec.bodies):  # what the model has dropped is not there
-        if body.name not in ("world", *model.frames) and (
-            body.parent is None or body.parent.name in ("world", *model.frames)
-        ):
-            spec.delete(body)
-    for joint in list(spec.joints):
-        if joint.name not in model.joint_names:
-            spec.delete(joint)  # which welds it
-    root.add_freejoint(name="root")
+    spec.body(model.root).add_freejoint(name="root")
     for geom in spec.geoms:
         geom.contype, geom.conaffinity = 0, 0  # only soles touch
     touching = {"friction": [friction, 0.005, 0.0001], "solref": [contact_time, 1.0], "solimp": _SOLID, "group": 2}
