@@ -43,6 +43,7 @@ __all__ = [
     "QpConfig",
     "RobotConfig",
     "SafetyConfig",
+    "SensorsConfig",
     "ServoConfig",
     "Spec",
     "SspConfig",
@@ -198,7 +199,15 @@ class QpConfig:
 
 @dataclass(frozen=True)
 class ServoConfig:
-    """Position servos that are told velocities; defaults: Dynamixel MX at 12 V with a raised P gain."""
+    """Position servos that are told velocities; defaults: Dynamixel MX at 12 V with a raised P gain.
+
+    What is assumed is what the controller and the driver are told; the rest is how the servos of the physics are.
+    """
+
+    types: tuple[str, ...] = _par((), "servos of a type of the table, JOINT=TYPE; '*' matches any text")
+    table: str = _par("servos", "table of the types: a path, or the name of one in config/")
+    p_gain: int = _par(254, "P register of the servos of a type that has one", "", 1, 255)
+    voltage: float = _par(12.0, "supply of the servos of a type", "V", 1.0, 60.0)
 
     stiffness: float = _par(
         60.0, "torque per position error; an MX-28 has 6 at its default P gain and 51 at most", "N m/rad", 0.1, 1e4
@@ -215,8 +224,14 @@ class ServoConfig:
     latency: float = _par(0.0, "a written position takes effect this much later", "s", 0.0, 0.5)
     window: float = _par(0.15, "the commanded position stays this close to the measured one", "rad", 1e-3, 3.0)
     assumed_stiffness: float = _par(
-        60.0, "stiffness by which the torque of gravity is fed forward; 0: not at all", "N m/rad", 0.0, 1e4
+        60.0, "stiffness by which torques are fed forward; 0: not at all; a type has its own", "N m/rad", 0.0, 1e4
     )
+    assumed_damping: float = _par(
+        0.02, "damping that is fed forward; more than the servos truly have falls; a type has its own", "s", 0.0, 0.2
+    )
+    assumed_latency: float = _par(0.0, "delay from a measurement to the effect of its answer", "s", 0.0, 0.25)
+    assumed_rate: float = _par(0.0, "positions are written this often; 0: every period", "Hz", 0.0, 1e4)
+    assumed: tuple[str, ...] = _par((), "what `dqwalk identify` found, JOINT=stiffness 49.2, damping 0.009, ...")
 
 
 @dataclass(frozen=True)
@@ -228,8 +243,31 @@ class PhysicsConfig:
     contact_time: float = _par(
         0.005, "time constant of the contact of sole and floor; smaller is harder", "s", 1e-4, 1.0
     )
+    slope: float = _par(0.0, "the floor rises ahead by this angle", "rad", -0.5, 0.5)
+    slope_side: float = _par(0.0, "the floor rises to the left by this angle", "rad", -0.5, 0.5)
+    rubble: float = _par(0.0, "boxes up to this high lie on the floor", "m", 0.0, 0.05)
     mass_scale: float = _par(1.0, "masses and inertias are multiplied by this", "", 0.1, 10.0)
     settle: float = _par(0.5, "time to come to rest before the walk", "s", 0.0, 60.0)
+
+
+@dataclass(frozen=True)
+class SensorsConfig:
+    """What the sensors of the physics get wrong; all are exact by default."""
+
+    encoder: float = _par(0.0, "joint angles are read in steps of this; an MX has 0.001534", "rad", 0.0, 0.1)
+    velocity_filter: float = _par(
+        0.0, "joint velocities are differences of readings, low-passed with this time constant; 0: exact", "s", 0.0, 1.0
+    )
+    rate: float = _par(0.0, "the joints are read this often; 0: every period", "Hz", 0.0, 1e4)
+    age: float = _par(0.0, "a reading is this old when it arrives", "s", 0.0, 0.5)
+    attitude_bias: float = _par(0.0, "error of the inertial sensor's vertical, in a random direction", "rad", 0.0, 0.2)
+    attitude_noise: float = _par(0.0, "standard deviation of its noise", "rad", 0.0, 0.2)
+    gyro_bias: float = _par(0.0, "error of the angular velocity, in a random direction", "rad/s", 0.0, 1.0)
+    gyro_noise: float = _par(0.0, "standard deviation of its noise", "rad/s", 0.0, 1.0)
+    accelerometer_bias: float = _par(0.0, "error of the acceleration, in a random direction", "m/s^2", 0.0, 10.0)
+    accelerometer_noise: float = _par(0.0, "standard deviation of its noise", "m/s^2", 0.0, 10.0)
+    misalignment: float = _par(0.0, "the inertial sensor is mounted askew by this", "rad", 0.0, 0.5)
+    seed: int = _par(0, "of all that is random here and on the floor", "", 0, 2**31 - 1)
 
 
 @dataclass(frozen=True)
@@ -358,6 +396,7 @@ class Config:
     qp: QpConfig = QpConfig()
     servo: ServoConfig = ServoConfig()
     physics: PhysicsConfig = PhysicsConfig()
+    sensors: SensorsConfig = SensorsConfig()
     plant: PlantConfig = PlantConfig()
     monitor: MonitorConfig = MonitorConfig()
     safety: SafetyConfig = SafetyConfig()

@@ -29,7 +29,12 @@ from dqwalk_ros.standing.course import Course
 
 __all__ = ["PLANTS", "Outcome", "Processes", "environment", "private_domain", "run_walk"]
 
-PLANTS = {"integrator": "integrator", "physics": "physics", "poppy": "poppy_driver"}
+PLANTS = {
+    "integrator": "integrator",
+    "physics": "physics",
+    "poppy_as_built": "physics",
+    "poppy": "poppy_driver",
+}
 """The node that is each plant."""
 
 _GRACE = {signal.SIGINT: 20.0, signal.SIGTERM: 3.0, signal.SIGKILL: 2.0}

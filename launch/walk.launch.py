@@ -13,6 +13,7 @@ from launch.substitutions import (
     EqualsSubstitution,
     LaunchConfiguration,
     NotEqualsSubstitution,
+    OrSubstitution,
     PathJoinSubstitution,
 )
 from launch_ros.actions import Node
@@ -22,6 +23,7 @@ from launch_ros.substitutions import FindPackageShare
 def generate_launch_description() -> LaunchDescription:
     config = LaunchConfiguration("config")
     plant = LaunchConfiguration("plant")
+    in_physics = OrSubstitution(EqualsSubstitution(plant, "physics"), EqualsSubstitution(plant, "poppy_as_built"))
     lockstep = LaunchConfiguration("lockstep")
     bag = LaunchConfiguration("bag")
     recorded = NotEqualsSubstitution(bag, "")
@@ -35,8 +37,9 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             "plant",
             default_value="integrator",
-            choices=["integrator", "physics", "poppy"],
-            description="other side of the command: integrator, an ideal robot; physics, MuJoCo; poppy, the real one; "
+            choices=["integrator", "physics", "poppy_as_built", "poppy"],
+            description="other side of the command: integrator, an ideal robot; physics, MuJoCo; "
+            "poppy_as_built, the same with Poppy's own servos, delays and sensors; poppy, the real one; "
             "config/plants/NAME.yaml is what it asks of all nodes",
         ),
         DeclareLaunchArgument(
@@ -94,7 +97,7 @@ def generate_launch_description() -> LaunchDescription:
             node("phase_monitor"),
             node("viewer", condition=IfCondition(LaunchConfiguration("view"))),
             node("integrator", condition=IfCondition(EqualsSubstitution(plant, "integrator"))),
-            node("physics", condition=IfCondition(EqualsSubstitution(plant, "physics"))),
+            node("physics", condition=IfCondition(in_physics)),
             node("poppy_driver", condition=IfCondition(EqualsSubstitution(plant, "poppy"))),
             controller,
             # in lockstep the controller ends with the walk; without a controller there is nothing left to do

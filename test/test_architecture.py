@@ -22,6 +22,7 @@ LAYERS = (
     "urdf",
     "robot",
     "model",
+    "servos",
     "kernels",
     "kinematics",
     "constraints",

@@ -42,7 +42,7 @@ examples:
 @walk_options
 @click.option(
     "--plant",
-    type=click.Choice(["kinematic", "physics"]),
+    type=click.Choice(["kinematic", "physics", "poppy_as_built"]),
     default="kinematic",
     show_default=True,
     help="Ideal joints, or MuJoCo.",

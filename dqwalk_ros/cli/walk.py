@@ -23,7 +23,7 @@ examples:
 @walk_options
 @click.option(
     "--plant",
-    type=click.Choice(["integrator", "physics", "poppy"]),
+    type=click.Choice(["integrator", "physics", "poppy_as_built", "poppy"]),
     default="integrator",
     show_default=True,
     help="Ideal joints, MuJoCo, or the real robot (by the clock).",

@@ -21,7 +21,12 @@ from dqwalk_ros.errors import PlantError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot, RobotModel
 from dqwalk_ros.plants import Inertial, Truth, upward
-from dqwalk_ros.plants.servos import Servos
+from dqwalk_ros.plants.bus import Bus
+from dqwalk_ros.plants.sensors import Reading, Sensors
+from dqwalk_ros.servos import Drive, Servos
+
+GRAVITY = 9.80665
+"""[m/s^2]"""
 
 __all__ = ["PhysicsPlant", "build", "robot_spec"]
 
@@ -60,7 +65,11 @@ class PhysicsPlant:
         self._goals = self.data.ctrl.reshape(-1, model.n)  # a view; a second row where there is backlash
         self._goals[:] = q
         self._seat(q)
-        self._servos = Servos(config.servo, q, model.q_min, model.q_max)
+        servos, drive = Servos.of(config, model), Drive.of(config, model)
+        self._back_emf = servos.back_emf
+        self._bus = Bus(config.servo, servos, drive, q, model.q_min, model.q_max)
+        self._sensors = Sensors(config.sensors)
+        self._level = _level(config)
         self._ticks = 0
         mujoco.mj_step(self.mj, self.data, max(1, round(config.physics.settle / self.mj.opt.timestep)))
         mujoco.mj_step1(self.mj, self.data)
@@ -90,10 +99,10 @@ class PhysicsPlant:
             tau = np.minimum(np.maximum(tau, -self.model.effort_max), self.model.effort_max)
         mj, data, h = self.mj, self.data, self.config.physics.timestep
         now = data.time
-        self._servos.command(u, tau, self._state.q, now, dt)
+        self._bus.command(u, tau, self._state.q, now, dt)
         left = max(1, round(dt / h))
         while left:
-            self._goals[:], until = self._servos.output(now)
+            self._goals[:], until = self._bus.output(now)
             steps = min(left, max(1, math.ceil((until - now) / h - 1e-6))) if until < math.inf else left
             # positions and velocities of this moment are there already: only the forces are missing
             mujoco.mj_step2(mj, data)
@@ -114,7 +123,7 @@ class PhysicsPlant:
     @property
     def commanded(self) -> Array:
         """Positions that the servos are told, without the sag, shape (n,) [rad]."""
-        return self._servos.wanted
+        return self._bus.wanted
 
     @property
     def truth(self) -> Truth:
@@ -125,18 +134,14 @@ class PhysicsPlant:
             soles=soles,
             wrenches={foot: self._wrench(foot) for foot in Foot},
             com=self.data.subtree_com[self._root].copy(),
-            effort=self.data.qfrc_actuator[self._vadr].copy(),
+            effort=self.data.qfrc_actuator[self._vadr] - self._back_emf * self.data.qvel[self._vadr],
         )
 
     @property
     def inertial(self) -> Inertial:
-        """What the inertial sensor says, without noise."""
-        mujoco.mj_rnePostConstraint(self.mj, self.data)
-        acceleration = np.empty(6)
-        mujoco.mj_objectAcceleration(self.mj, self.data, mujoco.mjtObj.mjOBJ_XBODY, self._imu, acceleration, 1)
-        gyro = self._state.gyro
-        assert gyro is not None  # it is measured with every state
-        return Inertial(self.data.xquat[self._imu].copy(), gyro, acceleration[3:])
+        """What the inertial sensor measures."""
+        r = self._reading
+        return Inertial(r.orientation, r.gyro, self._acceleration() if self._sensors.exact else r.acceleration)
 
     @property
     def fallen(self) -> bool:
@@ -147,15 +152,21 @@ class PhysicsPlant:
     # ------------------------------------------------------------------ inside
 
     def _measured(self) -> State:
-        gyro = np.empty(6)
-        mujoco.mj_objectVelocity(self.mj, self.data, mujoco.mjtObj.mjOBJ_XBODY, self._imu, gyro, 1)
-        return State(
-            time=round(self._ticks * self.config.dt * 1e9) * 1e-9,  # as a stamp of ROS has it
-            q=self.data.qpos[self._qadr],
-            dq=self.data.qvel[self._vadr],
-            up=upward(*self.data.xquat[self._imu].tolist()),
-            gyro=gyro[:3],
-        )
+        data, turning, orientation = self.data, np.empty(6), np.empty(4)
+        mujoco.mj_objectVelocity(self.mj, data, mujoco.mjtObj.mjOBJ_XBODY, self._imu, turning, 1)
+        mujoco.mju_mulQuat(orientation, self._level, data.xquat[self._imu])
+        time = round(self._ticks * self.config.dt * 1e9) * 1e-9  # as a stamp of ROS has it
+        q, dq = data.qpos[self._qadr], data.qvel[self._vadr]
+        # an exact sensor's acceleration is computed where it is asked for
+        acceleration = np.zeros(3) if self._sensors.exact else self._acceleration()
+        r = self._reading = self._sensors.measure(time, Reading(q, dq, orientation, turning[:3], acceleration))
+        return State(time, r.q, r.dq, upward(*r.orientation.tolist()), r.gyro)
+
+    def _acceleration(self) -> Array:
+        out = np.empty(6)
+        mujoco.mj_rnePostConstraint(self.mj, self.data)
+        mujoco.mj_objectAcceleration(self.mj, self.data, mujoco.mjtObj.mjOBJ_XBODY, self._imu, out, 1)
+        return out[3:]
 
     def _seat(self, q: Array) -> None:
         """Put the left sole flat on the floor."""
@@ -250,24 +261,26 @@ def build(config: Config, model: RobotModel, *, scenery: Callable[[Any], None] |
     PlantError
         If MuJoCo refuses the robot.
     """
-    c, s = config.physics, config.servo
+    c, s = config.physics, Servos.of(config, model)
+    play = 0.5 * s.stiffness * s.backlash  # [N m]
     try:
         spec = robot_spec(model, friction=c.friction, contact_time=c.contact_time, visual=scenery is not None)
         spec.option.timestep = c.timestep
+        mujoco.mju_rotVecQuat(spec.option.gravity, [0.0, 0.0, -GRAVITY], DQ(_level(config)).conj().vec4())
         for body in spec.bodies:
             body.mass *= c.mass_scale
             body.inertia, body.fullinertia = body.inertia * c.mass_scale, body.fullinertia * c.mass_scale
-        for joint in spec.joints:
-            if joint.name != "root":
-                joint.damping, joint.armature, joint.frictionloss = [0.0, 0.0, 0.0], s.armature, s.friction
-                joint.limited = False
-        torque = np.minimum(s.torque_scale * model.effort_max, 1e3)
-        for name, limit in zip(model.joint_names, torque, strict=True):
-            _add_spring(spec, name, s.stiffness, s.damping * s.stiffness, limit + 0.5 * s.stiffness * s.backlash)
-        if s.backlash > 0.0:
+        for k, name in enumerate(model.joint_names):
+            joint = spec.joint(name)
+            joint.damping[0], joint.armature, joint.frictionloss = s.back_emf[k], s.armature[k], s.friction[k]
+            joint.limited = False
+            _add_spring(spec, name, s.stiffness[k], s.damping[k], s.torque[k] + play[k])
+        if play.any():
             # No torque within the play of the gears: K (e - clip(e, -b/2, b/2)) is two springs, one of them negative.
-            for name in model.joint_names:
-                _add_spring(spec, name, -s.stiffness, 0.0, 0.5 * s.stiffness * s.backlash)
+            for k, name in enumerate(model.joint_names):
+                _add_spring(spec, name, -s.stiffness[k], 0.0, play[k])
+        if c.rubble > 0.0:
+            _add_rubble(spec, c.rubble, config.sensors.seed)
         for foot in Foot:
             _add_ground_sensor(spec, foot)
         if scenery is not None:
@@ -298,3 +311,36 @@ def _add_ground_sensor(spec: Any, foot: Foot) -> None:
         objname=f"sole_{foot.value}",
         intprm=[wanted, net_force, 1],
     )
+
+
+def _add_rubble(spec: Any, height: float, seed: int) -> None:
+    """Strew boxes up to `height` [m] on the floor ahead of the robot and behind it."""
+    random, floor = np.random.default_rng(seed), spec.geom("floor")
+    for x in np.arange(-1.0, 1.5, 0.06):
+        for y in np.arange(-0.3, 0.31, 0.06):
+            if abs(x) < 0.2:
+                continue  # where it begins
+            half = [*random.uniform(0.01, 0.03, 2), 0.5 * height * random.uniform()]
+            turn = random.uniform(0.0, np.pi)
+            spec.worldbody.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                size=half,
+                pos=[x + random.uniform(-0.01, 0.01), y + random.uniform(-0.01, 0.01), half[2]],
+                quat=[np.cos(0.5 * turn), 0.0, 0.0, np.sin(0.5 * turn)],
+                rgba=floor.rgba,
+                group=floor.group,
+                friction=floor.friction,
+                solref=floor.solref,
+                solimp=floor.solimp,
+                contype=floor.contype,
+                conaffinity=floor.conaffinity,
+            )
+
+
+def _level(config: Config) -> Array:
+    """Return the orientation (4,) of the floor, the world of all that is simulated, in a level world."""
+    c, out = config.physics, np.empty(4)
+    ahead = [math.cos(0.5 * c.slope), 0.0, -math.sin(0.5 * c.slope), 0.0]
+    aside = [math.cos(0.5 * c.slope_side), math.sin(0.5 * c.slope_side), 0.0, 0.0]
+    mujoco.mju_mulQuat(out, np.array(ahead), np.array(aside))
+    return out

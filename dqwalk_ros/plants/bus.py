@@ -1,8 +1,8 @@
 """The bus to position servos that are told velocities: what stands between a `Command` and the goal of a servo.
 
 The commanded position integrates the velocity, bounded around the measured one: an integral action that removes the
-sag of a servo under load and cannot wind up. The torque of gravity, where the controller says it, is fed forward as
-the sag it would cause.
+sag of a servo under load and cannot wind up. Torques are fed forward as the angle that makes them, by the stiffness
+that the servos are assumed to have.
 """
 
 from __future__ import annotations
@@ -14,35 +14,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.config import ServoConfig
+from dqwalk_ros.servos import Drive, Servos
 
-__all__ = ["Servos"]
+__all__ = ["Bus"]
 
 Array = NDArray[np.float64]
 
 
-class Servos:
-    """One servo per joint.
+class Bus:
+    """Goals for one servo per joint, written at the rate of the bus and late by its latency.
 
     Parameters
     ----------
     config : ServoConfig
+    servos : Servos
+    drive : Drive
+        What is assumed of them.
     q : ndarray, shape (n,)
         Where they stand [rad].
     lower, upper : ndarray, shape (n,)
         Joint limits [rad].
     """
 
-    def __init__(self, config: ServoConfig, q: Array, lower: Array, upper: Array) -> None:
-        self._config, self._lower, self._upper = config, lower, upper
+    def __init__(self, config: ServoConfig, servos: Servos, drive: Drive, q: Array, lower: Array, upper: Array) -> None:
+        self._config, self._drive, self._lower, self._upper = config, drive, lower, upper
+        self._step = np.maximum(servos.resolution, 1e-12)
         self._wanted = q.copy()
-        self._sag = np.zeros_like(q)
-        self._output = q.copy()
+        self._fed = np.zeros_like(q)
+        self._goal = q.copy()
         self._written = -math.inf
         self._queue: deque[tuple[float, Array]] = deque()
 
     @property
     def wanted(self) -> Array:
-        """Commanded positions before the sag is added, shape (n,) [rad]."""
+        """Commanded positions before torques are added, shape (n,) [rad]."""
         return self._wanted
 
     def command(self, velocity: Array, effort: Array | None, q: Array, time: float, dt: float) -> None:
@@ -62,17 +67,15 @@ class Servos:
         wanted = self._wanted + dt * velocity
         wanted = np.minimum(np.maximum(wanted, q - c.window), q + c.window)
         self._wanted = np.minimum(np.maximum(wanted, self._lower), self._upper)
-        if effort is not None and c.assumed_stiffness > 0.0:
-            self._sag = effort / c.assumed_stiffness
+        if effort is not None:
+            self._fed = self._drive.angles(effort)
         if c.rate <= 0.0 or time - self._written >= 1.0 / c.rate - 1e-9:
             self._written = time
-            position = self._wanted + self._sag
-            if c.resolution > 0.0:
-                position = np.rint(position / c.resolution) * c.resolution
-            self._queue.append((time + c.latency, position))
+            goal = np.rint((self._wanted + self._fed) / self._step) * self._step
+            self._queue.append((time + c.latency, goal))
 
     def output(self, time: float) -> tuple[Array, float]:
-        """Return the goals (n,) of the servos at `time` [s] [rad], and until when they hold [s]."""
+        """Return the goals (n,) that the servos have at `time` [s] [rad], and until when they hold [s]."""
         while self._queue and self._queue[0][0] <= time + 1e-9:
-            self._output = self._queue.popleft()[1]
-        return self._output, self._queue[0][0] if self._queue else math.inf
+            self._goal = self._queue.popleft()[1]
+        return self._goal, self._queue[0][0] if self._queue else math.inf

@@ -1,0 +1,115 @@
+"""The sensors of a simulated robot as they are: late, in steps, noisy, and mounted askew."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros.config import SensorsConfig
+from dqwalk_ros.dual_quaternions import DQ
+
+__all__ = ["Reading", "Sensors"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What all sensors measure at one time.
+
+    Attributes
+    ----------
+    q, dq : ndarray, shape (n,)
+        [rad, rad/s]
+    orientation : ndarray, shape (4,)
+        Of the inertial sensor in the level world, a unit quaternion, real part first.
+    gyro, acceleration : ndarray, shape (3,)
+        In the sensor's frame [rad/s, m/s^2].
+    """
+
+    q: Array
+    dq: Array
+    orientation: Array
+    gyro: Array
+    acceleration: Array
+
+
+class Sensors:
+    """Makes of what is true what is measured.
+
+    Parameters
+    ----------
+    config : SensorsConfig
+    """
+
+    def __init__(self, config: SensorsConfig) -> None:
+        self._config = c = config
+        self.exact = c == SensorsConfig(seed=c.seed)
+        self._random = np.random.default_rng(c.seed)
+        self._mounting = self._rotation(c.misalignment)
+        self._leaning = self._rotation(c.attitude_bias, level=True)
+        self._gyro_bias, self._acceleration_bias = (self._direction(b) for b in (c.gyro_bias, c.accelerometer_bias))
+        self._under_way: deque[tuple[float, Reading]] = deque()
+        self._arrived: Reading | None = None
+        self._read: tuple[float, Reading] | None = None
+
+    def measure(self, time: float, true: Reading) -> Reading:
+        """Return what has arrived at `time` [s] of the measurements so far, when `true` is the case now."""
+        if self.exact:
+            return true
+        c = self._config
+        last = self._read
+        if last is None or c.rate <= 0.0 or time - last[0] >= 1.0 / c.rate - 1e-9:
+            reading = self._faulty(time, true)
+            self._read = time, reading
+            self._under_way.append((time + c.age, reading))
+        while self._under_way and (self._arrived is None or self._under_way[0][0] <= time + 1e-9):
+            self._arrived = self._under_way.popleft()[1]
+        assert self._arrived is not None  # the first reading arrives at once
+        return self._arrived
+
+    def _faulty(self, time: float, true: Reading) -> Reading:
+        c, noise = self._config, self._random.normal
+        out = replace(
+            true,
+            orientation=(self._leaning * self._small(noise(size=3) * c.attitude_noise)
+                         * DQ(true.orientation) * self._mounting).vec4(),
+            gyro=self._mounted(true.gyro) + self._gyro_bias + c.gyro_noise * noise(size=3),
+            acceleration=self._mounted(true.acceleration)
+            + self._acceleration_bias
+            + c.accelerometer_noise * noise(size=3),
+        )  # fmt: skip
+        if c.encoder > 0.0:
+            out = replace(out, q=np.rint(out.q / c.encoder) * c.encoder)
+        if c.velocity_filter > 0.0:
+            dq = np.zeros_like(out.dq)
+            if self._read is not None:
+                before, last = self._read
+                keep = math.exp(-(time - before) / c.velocity_filter)
+                dq = keep * last.dq + (1.0 - keep) * (out.q - last.q) / (time - before)
+            out = replace(out, dq=dq)
+        return out
+
+    def _mounted(self, v: Array) -> Array:
+        """Return a vector of the link in the frame of the sensor that is mounted askew on it."""
+        out: Array = self._mounting.conj().Ad(DQ(np.concatenate([[0.0], v]))).vec4()[1:]
+        return out
+
+    def _direction(self, size: float, *, level: bool = False) -> Array:
+        v = self._random.normal(size=3) * (1.0, 1.0, 0.0 if level else 1.0)
+        out: Array = size * v / np.linalg.norm(v)
+        return out
+
+    def _rotation(self, angle: float, *, level: bool = False) -> DQ:
+        return self._small(self._direction(angle, level=level))
+
+    @staticmethod
+    def _small(v: Array) -> DQ:
+        """Return the rotation by |v| about v."""
+        angle = float(np.linalg.norm(v))
+        axis = v / angle if angle > 0.0 else v
+        return DQ(np.concatenate([[math.cos(0.5 * angle)], math.sin(0.5 * angle) * axis]))

@@ -1,0 +1,213 @@
+"""Position servos: what one does with a goal, and what the controller is told of that.
+
+A Dynamixel turns the error e of its position into a duty cycle, and that into a torque on the axis:
+
+    duty = clip(P k e, -1, 1),    tau = stall (duty - dq / no_load_speed)
+
+so stall P k is a stiffness, and stall / no_load_speed, the back EMF, is the torque-speed line and a damping at once.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros import strict_yaml
+from dqwalk_ros.config import Config, find_share
+from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.model import RobotModel
+
+__all__ = ["IDENTIFIED", "Drive", "ServoType", "Servos", "load_types"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ServoType:
+    """One row of config/servos.yaml, where each column is explained."""
+
+    stall_torque: float
+    no_load_speed: float
+    voltage: float
+    duty: float
+    p_register: bool
+    backlash: float
+    resolution: float
+    friction: float
+    armature: float
+
+
+def load_types(source: str) -> dict[str, ServoType]:
+    """Read a table of types: a path, or the name of one in config/.
+
+    Raises
+    ------
+    ConfigError
+        If it is missing or does not fit; the message names the type.
+    """
+    path = Path(source)
+    if not path.is_file():
+        path = find_share("config", f"{source}.yaml" if not path.suffix else source)
+    tree = strict_yaml.read(strict_yaml.read_text(path), source=str(path))
+    try:
+        return msgspec.convert(tree, dict[str, dict[str, ServoType]])["servos"]
+    except (msgspec.ValidationError, KeyError) as error:
+        raise ConfigError(f"{path}: expected 'servos: {{TYPE: {{stall_torque, ...}}}}': {error}") from error
+
+
+@dataclass(frozen=True)
+class Servos:
+    """The servos of a robot, all arrays of shape (n,): tau = clip(stiffness e - damping dq, +-torque) - back_emf dq.
+
+    Attributes
+    ----------
+    stiffness : ndarray
+        [N m/rad]
+    damping, back_emf : ndarray
+        [N m s/rad]
+    torque : ndarray
+        At stall [N m].
+    backlash : ndarray
+        [rad]
+    friction : ndarray
+        [N m]
+    armature : ndarray
+        [kg m^2]
+    resolution : ndarray
+        Of the goals [rad]; 0: exact.
+    """
+
+    stiffness: Array
+    damping: Array
+    back_emf: Array
+    torque: Array
+    backlash: Array
+    friction: Array
+    armature: Array
+    resolution: Array
+
+    @classmethod
+    def of(cls, config: Config, model: RobotModel) -> Servos:
+        """Return the servos that the section ``servo`` describes, of which ``servo.types`` are of a type.
+
+        Raises
+        ------
+        ConfigError
+            If a type is unknown, or an entry names no joint.
+        """
+        c = config.servo
+        stiffness = np.full(model.n, c.stiffness)
+        out = cls(
+            stiffness=stiffness,
+            damping=c.damping * stiffness,
+            back_emf=np.zeros(model.n),
+            torque=np.minimum(c.torque_scale * model.effort_max, 1e3),
+            backlash=np.full(model.n, c.backlash),
+            friction=np.full(model.n, c.friction),
+            armature=np.full(model.n, c.armature),
+            resolution=np.full(model.n, c.resolution),
+        )
+        types = load_types(c.table) if c.types else {}
+        for joints, name in _entries("servo.types", c.types, model):
+            if name not in types:
+                raise ConfigError(f"servo.types names '{name}'; servo.table has {', '.join(types)}")
+            t = types[name]
+            stall = t.stall_torque * c.voltage / t.voltage
+            out.stiffness[joints] = stall * t.duty * (c.p_gain if t.p_register else 1)
+            out.damping[joints] = 0.0
+            out.back_emf[joints] = t.stall_torque / t.no_load_speed  # the same at every voltage
+            out.torque[joints] = stall
+            out.backlash[joints] = t.backlash
+            out.friction[joints] = t.friction
+            out.armature[joints] = t.armature
+            out.resolution[joints] = t.resolution
+        return out
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What the controller is told of its servos; all of it may be wrong.
+
+    Attributes
+    ----------
+    stiffness : ndarray, shape (n,)
+        By which torques are fed forward as angles [N m/rad]; 0: not at all.
+    damping : ndarray, shape (n,)
+        Torque per speed, as a part of the stiffness [s].
+    latency : float
+        From a measurement to the effect of its answer, beside the holding of goals [s].
+    hold : float
+        A goal is held for this long [s].
+    """
+
+    stiffness: Array
+    damping: Array
+    latency: float
+    hold: float
+
+    @classmethod
+    def of(cls, config: Config, model: RobotModel) -> Drive:
+        """Return what ``servo.assumed_*`` say, and the types where ``servo.types`` name some.
+
+        Raises
+        ------
+        ConfigError
+            As `Servos.of`, or if an entry of ``servo.assumed`` cannot be read.
+        """
+        c = config.servo
+        stiffness, damping = np.full(model.n, c.assumed_stiffness), np.full(model.n, c.assumed_damping)
+        if c.types:
+            servos = Servos.of(config, model)
+            typed = servos.back_emf > 0.0
+            stiffness[typed], damping[typed] = servos.stiffness[typed], (servos.back_emf / servos.stiffness)[typed]
+        for joints, text in _entries("servo.assumed", c.assumed, model):
+            told = _numbers(text)
+            stiffness[joints] = told.get("stiffness", stiffness[joints])
+            damping[joints] = told.get("damping", damping[joints])
+        return cls(stiffness, damping, c.assumed_latency, 1.0 / c.assumed_rate if c.assumed_rate > 0.0 else config.dt)
+
+    @property
+    def horizon(self) -> float:
+        """When a command has its effect, on average [s]: latency, half a hold, and the lag of a damped servo."""
+        return self.latency + 0.5 * self.hold + float(self.damping.mean())
+
+    def angles(self, effort: Array) -> Array:
+        """Return the change of the goals (n,) [rad] that gives the torques `effort` (n,) [N m]."""
+        angles: Array = np.divide(effort, self.stiffness, out=np.zeros_like(effort), where=self.stiffness > 0.0)
+        return angles
+
+
+def _entries(key: str, entries: tuple[str, ...], model: RobotModel) -> list[tuple[list[int], str]]:
+    """Return the indices of the joints and the text of each entry JOINT=TEXT; a locked joint has no index."""
+    known = re.findall(r'<joint\b[^>]*?\bname="([^"]+)"', model.urdf)
+    out = []
+    for entry in entries:
+        name, equals, text = (part.strip() for part in entry.partition("="))
+        if not equals or not text:
+            raise ConfigError(f"{key} has '{entry}'; it must be JOINT=...")
+        if not fnmatch.filter(known, name):
+            raise ConfigError(f"{key} names '{name}'; the joints are {', '.join(model.joint_names)}")
+        out.append(([k for k, joint in enumerate(model.joint_names) if fnmatch.fnmatch(joint, name)], text))
+    return out
+
+
+def _numbers(text: str) -> dict[str, float]:
+    """Read 'stiffness 49.2, damping 0.009'."""
+    try:
+        pairs = [part.split() for part in text.split(",")]
+        found = {name: float(value) for name, value in pairs}
+    except ValueError:
+        found = {}
+    if not found or set(found) - set(IDENTIFIED) or not all(0.0 <= value < 1e4 for value in found.values()):
+        raise ConfigError(f"servo.assumed has '{text}'; it must be 'stiffness 49.2, damping 0.009' of {IDENTIFIED}")
+    return found
+
+
+IDENTIFIED = ("stiffness", "damping", "backlash", "friction")
+"""What an entry of ``servo.assumed`` may say [N m/rad, s, rad, N m]."""

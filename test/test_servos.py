@@ -1,0 +1,248 @@
+"""Servos by type, and sensors with faults: the physics does what their numbers say."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+import dqwalk_ros as dq
+from dqwalk_ros.config import SensorsConfig
+from dqwalk_ros.controllers import Command
+from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.plants import upward
+from dqwalk_ros.plants.bus import Bus
+from dqwalk_ros.plants.mujoco import PhysicsPlant
+from dqwalk_ros.plants.sensors import Reading, Sensors
+from dqwalk_ros.servos import Drive, Servos, load_types
+from dqwalk_ros.standing.phases import posture
+
+CONFIG = dq.load("poppy")
+MODEL = dq.load_model(CONFIG.robot)
+POPPY = ["*=MX-28", "?_hip_y=MX-64", "abs_[xy]=MX-64"]
+TYPED = CONFIG.updated({"servo.types": POPPY})
+KNEE, HIP = MODEL.joint_names.index("l_knee_y"), MODEL.joint_names.index("l_hip_y")
+
+
+def hanging(**changes: object) -> PhysicsPlant:
+    """Poppy in the air, without gravity: its servos are all there is."""
+    config = TYPED.updated({name.replace("__", "."): value for name, value in changes.items()})
+    plant = PhysicsPlant(config, MODEL, posture(config, MODEL))
+    plant.mj.opt.gravity[:] = 0.0
+    plant.data.qpos[2] += 1.0
+    return plant
+
+
+# ---------------------------------------------------------------------- the table
+
+
+def test_stiffness_is_what_the_p_register_makes_of_the_stall_torque() -> None:
+    """P/8 of 1023 per step of 1/4096 of a turn: an MX-28 has 51 N m/rad at most, and 6.4 at its default."""
+    for p, expected in ((254, 50.6), (32, 6.4)):
+        servos = Servos.of(TYPED.updated({"servo.p_gain": p}), MODEL)
+        assert servos.stiffness[KNEE] == pytest.approx(expected, rel=0.01)
+        assert servos.stiffness[KNEE] == pytest.approx(2.5 * p / 8.0 * 4096.0 / (2.0 * np.pi) / 1023.0, rel=1e-3)
+        assert servos.stiffness[HIP] / servos.stiffness[KNEE] == pytest.approx(6.0 / 2.5)
+
+
+def test_voltage_scales_the_torque_and_the_speed() -> None:
+    """The back EMF, torque per speed, is the motor's own."""
+    at12, at15 = (Servos.of(TYPED.updated({"servo.voltage": v}), MODEL) for v in (12.0, 15.0))
+    np.testing.assert_allclose(at15.torque, 1.25 * at12.torque)
+    np.testing.assert_allclose(at15.back_emf, at12.back_emf)
+    np.testing.assert_allclose(at15.torque / at15.back_emf, 1.25 * at12.torque / at12.back_emf)
+
+
+def test_every_motor_of_poppy_is_in_the_table_and_of_the_type_of_the_plant() -> None:
+    from dqwalk_ros.plants.poppy import load_motors
+
+    types, motors = load_types("servos"), load_motors("poppy")
+    assert {motor.type for motor in motors.values()} <= set(types)
+    named = Servos.of(TYPED, MODEL)
+    for k, joint in enumerate(MODEL.joint_names):
+        assert named.torque[k] == types[motors[joint].type].stall_torque
+
+
+def test_a_type_of_ones_own(tmp_path) -> None:
+    table = tmp_path / "mine.yaml"
+    table.write_text(
+        "servos:\n  X: {stall_torque: 4.0, no_load_speed: 8.0, voltage: 12.0, duty: 10.0, p_register: false,\n"
+        "      backlash: 0.0, resolution: 0.001, friction: 0.0, armature: 0.01}\n"
+    )
+    servos = Servos.of(CONFIG.updated({"servo.table": str(table), "servo.types": ["?_knee_y=X"]}), MODEL)
+    assert servos.stiffness[KNEE] == 40.0
+    assert servos.stiffness[HIP] == CONFIG.servo.stiffness
+
+
+@pytest.mark.parametrize(
+    ("key", "entry", "message"),
+    [
+        ("types", "*=MX-29", "servo.table has MX-28"),
+        ("types", "knee=MX-28", "the joints are"),
+        ("types", "*", "must be JOINT="),
+        ("assumed", "*=stiff 3", "stiffness 49.2"),
+        ("assumed", "*=stiffness -3", "stiffness 49.2"),
+        ("assumed", "*=stiffness", "stiffness 49.2"),
+    ],
+)
+def test_an_entry_that_cannot_be_read_is_refused(key: str, entry: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        Drive.of(CONFIG.updated({f"servo.{key}": [entry]}), MODEL)
+
+
+def test_the_controller_is_told_the_type_unless_it_is_told_otherwise() -> None:
+    plain, typed = Drive.of(CONFIG, MODEL), Drive.of(TYPED, MODEL)
+    assert (plain.stiffness == CONFIG.servo.assumed_stiffness).all()
+    assert typed.stiffness[KNEE] == pytest.approx(50.6, rel=0.01)
+    assert typed.damping[KNEE] == pytest.approx(2.5 / 5.76 / 50.6, rel=0.01)
+    told = Drive.of(TYPED.updated({"servo.assumed": ["l_knee_y=stiffness 40, damping 0.01"]}), MODEL)
+    assert told.stiffness[KNEE] == 40.0
+    assert told.damping[KNEE] == 0.01
+    assert told.stiffness[HIP] == typed.stiffness[HIP]
+    effort = np.ones(MODEL.n)
+    np.testing.assert_allclose(told.angles(effort) * told.stiffness, effort)
+
+
+def test_the_horizon_is_latency_half_a_hold_and_the_lag_of_damping() -> None:
+    told = {"servo.assumed_latency": 0.04, "servo.assumed_rate": 50.0, "servo.assumed_damping": 0.02}
+    assert Drive.of(CONFIG.updated(told), MODEL).horizon == pytest.approx(0.07)
+
+
+# ---------------------------------------------------------------------- in the engine
+
+
+def test_a_servo_pushes_by_its_stiffness_and_no_more_than_it_stalls_at() -> None:
+    plant = hanging()
+    data, rest = plant.data, plant.data.qpos[plant._qadr].copy()
+    for error in (0.02, 0.04, 0.3):
+        plant._goals[:] = rest
+        plant._goals[:, KNEE] = rest[KNEE] + error
+        data.qvel[:] = 0.0
+        mujoco.mj_forward(plant.mj, data)
+        s = Servos.of(TYPED, MODEL)
+        expected = np.clip(s.stiffness[KNEE] * max(error - 0.5 * s.backlash[KNEE], 0.0), 0.0, 2.5)
+        assert plant.truth.effort[KNEE] == pytest.approx(expected, abs=1e-9)
+
+
+def test_within_the_play_of_the_gears_there_is_no_torque() -> None:
+    plant = hanging()
+    plant._goals[:] = plant.data.qpos[plant._qadr] + 0.0028  # less than half of 0.0058
+    plant.data.qvel[:] = 0.0
+    mujoco.mj_forward(plant.mj, plant.data)
+    np.testing.assert_allclose(plant.truth.effort, 0.0, atol=1e-12)
+
+
+def test_a_servo_turns_no_faster_than_without_load() -> None:
+    """Its torque-speed line: full voltage gives the stall torque at rest and none at the speed without load."""
+    plant = hanging()
+    fast = 5.76
+    plant._goals[:, KNEE] += 1.0
+    for speed, torque in ((0.0, 2.5), (0.5 * fast, 1.25), (fast, 0.0)):
+        plant.data.qvel[:] = 0.0
+        plant.data.qvel[plant._vadr[KNEE]] = speed
+        mujoco.mj_forward(plant.mj, plant.data)
+        assert plant.truth.effort[KNEE] == pytest.approx(torque, abs=1e-9)
+
+
+def test_a_goal_is_late_and_held() -> None:
+    config = CONFIG.updated({"servo.latency": 0.02, "servo.rate": 50.0, "servo.resolution": 0.0}).servo
+    drive = Drive.of(CONFIG, MODEL)
+    q = np.zeros(MODEL.n)
+    bus = Bus(config, Servos.of(CONFIG.updated({"servo.resolution": 0.0}), MODEL), drive, q, q - 1.0, q + 1.0)
+    seen = []
+    for k in range(20):
+        bus.command(np.full(MODEL.n, 0.1), None, q, 0.005 * k, 0.005)
+        seen.append(bus.output(0.005 * k)[0][0])
+    steps = [0.1 * 0.005 * (1 + 4 * max((k - 4) // 4, -1)) if k >= 4 else 0.0 for k in range(20)]
+    np.testing.assert_allclose(seen, steps, atol=1e-12)
+
+
+def test_goals_that_change_within_a_tick_change_there() -> None:
+    """The engine's own loop takes the steps between two goals: the same as step by step."""
+    config = TYPED.updated({"servo.latency": 0.0023, "dt": 0.02})
+    plant = PhysicsPlant(config, MODEL, posture(config, MODEL))
+    once = mujoco.MjData(plant.mj)
+    mujoco.mj_copyData(once, plant.mj, plant.data)
+    goals = plant._goals.copy()
+    plant.step(Command(0.0, np.full(MODEL.n, 0.2)), config.dt)
+    for k in range(20):
+        once.ctrl[:] = (goals if k < 3 else plant._goals).ravel()
+        mujoco.mj_step(plant.mj, once)
+    np.testing.assert_array_equal(once.qpos, plant.data.qpos)
+
+
+# ---------------------------------------------------------------------- sensors
+
+
+def reading(q: float, dq: float = 0.0) -> Reading:
+    return Reading(np.full(3, q), np.full(3, dq), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.array([0, 0, 9.81]))
+
+
+def test_readings_are_late_and_as_often_as_the_bus_reads() -> None:
+    sensors = Sensors(SensorsConfig(rate=50.0, age=0.01))
+    seen = [sensors.measure(0.005 * k, reading(float(k))).q[0] for k in range(12)]
+    assert seen == [0, 0, 0, 0, 0, 0, 4, 4, 4, 4, 8, 8]
+
+
+def test_an_encoder_has_steps_and_velocity_is_what_it_sees() -> None:
+    sensors = Sensors(SensorsConfig(encoder=0.01, velocity_filter=0.02))
+    out = [sensors.measure(0.005 * k, reading(0.5 * 0.005 * k, dq=0.5)) for k in range(400)]
+    assert all(abs(r.q[0] / 0.01 - round(r.q[0] / 0.01)) < 1e-9 for r in out)
+    assert np.mean([r.dq[0] for r in out[100:]]) == pytest.approx(0.5, rel=0.01)
+    assert np.std([r.dq[0] for r in out[100:]]) > 0.01
+
+
+def test_the_inertial_sensor_is_wrong_by_what_the_configuration_says() -> None:
+    c = SensorsConfig(
+        attitude_bias=0.01, attitude_noise=0.002, gyro_bias=0.02, gyro_noise=0.005, accelerometer_bias=0.1,
+        accelerometer_noise=0.05, seed=3,
+    )  # fmt: skip
+    out = [Sensors.measure(s, 0.005 * k, reading(0.0)) for s in [Sensors(c)] for k in range(4000)]
+    gyro, acceleration = (np.array([getattr(r, name) for r in out]) for name in ("gyro", "acceleration"))
+    assert np.linalg.norm(gyro.mean(axis=0)) == pytest.approx(0.02, abs=5e-4)
+    assert gyro.std(axis=0) == pytest.approx(np.full(3, 0.005), rel=0.05)
+    assert np.linalg.norm(acceleration.mean(axis=0) - [0.0, 0.0, 9.81]) == pytest.approx(0.1, abs=5e-3)
+    tilt = np.array([upward(*r.orientation) for r in out])[:, :2]
+    assert np.linalg.norm(tilt.mean(axis=0)) == pytest.approx(0.01, abs=3e-4)
+    assert tilt.std(axis=0) == pytest.approx(np.full(2, 0.002), rel=0.05)
+
+
+def test_a_sensor_mounted_askew_turns_all_that_it_measures_alike() -> None:
+    sensors, true = Sensors(SensorsConfig(misalignment=0.1, seed=1)), reading(0.0)
+    out = sensors.measure(0.0, true)
+    up = upward(*out.orientation)
+    assert np.arccos(up[2]) <= 0.1
+    np.testing.assert_allclose(out.acceleration, 9.81 * up, atol=1e-9)
+
+
+def test_exact_sensors_change_nothing() -> None:
+    true = reading(0.3)
+    assert Sensors(SensorsConfig(seed=5)).measure(0.0, true) is true
+
+
+# ---------------------------------------------------------------------- the floor
+
+
+def test_a_slope_is_felt_by_the_inertial_sensor() -> None:
+    """The floor rises ahead by 3 and to the left by 2 degrees, and the robot stands upright on it."""
+    a, b = math.radians(3.0), math.radians(2.0)
+    config = CONFIG.updated({"physics.slope": a, "physics.slope_side": b})
+    plant = PhysicsPlant(config, MODEL, posture(config, MODEL))
+    up = plant.state.up
+    assert up is not None
+    assert up == pytest.approx([np.sin(a) * np.cos(b), np.sin(b), np.cos(a) * np.cos(b)], abs=0.03)
+    assert np.dot(plant.mj.opt.gravity, [np.sin(a) * np.cos(b), np.sin(b), np.cos(a) * np.cos(b)]) < -9.8
+    weight = sum(w[:3] for w in plant.truth.wrenches.values())
+    assert np.linalg.norm(weight) == pytest.approx(MODEL.mass * 9.80665, rel=0.05)
+
+
+def test_rubble_lies_where_the_robot_does_not_begin() -> None:
+    config = CONFIG.updated({"physics.rubble": 0.005})
+    plant = PhysicsPlant(config, MODEL, posture(config, MODEL))
+    boxes = plant.mj.geom_type == mujoco.mjtGeom.mjGEOM_BOX
+    tops = 2.0 * plant.mj.geom_size[boxes, 2]
+    assert boxes.sum() > 200
+    assert np.sort(tops)[:-2].max() <= 0.005  # all but the two soles
+    assert not plant.fallen
