@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,22 +13,43 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import BagError
 from dqwalk_ros.model import RobotModel
 from dqwalk_ros.origin import to_text
-from dqwalk_ros.report.bag import messages, storage
-from dqwalk_ros.report.bag.joints import unpack_joint_states
-from dqwalk_ros.report.bag.robot import after_restart, check_same_robot, config_in, model_in, of_one_robot, origin_in
-from dqwalk_ros.report.bag.storage import Column
-from dqwalk_ros.report.bag.writer import bag_at, qos, stamps_of
+from dqwalk_ros.report.bag.columns import (
+    NS,
+    aligned,
+    joint_states,
+    new,
+    pack,
+    pack_joint_states,
+    pack_poses,
+    pose_of,
+    tables,
+    text,
+)
+from dqwalk_ros.report.bag.reading import check_same_robot, columns_of, config_in, last_run, model_in, origin_in
+from dqwalk_ros.report.bag.storage import Column, connect, load, writing
+from dqwalk_ros.report.bag.writing import stamps_of
 from dqwalk_ros.topics import BODY_REQUIRED, BODY_TOPICS, ODOM
 from dqwalk_ros.whole_body.records import BodyState
 from dqwalk_ros.whole_body.scenario import PAPER_TIMES, SCENARIOS, Scenario, Timed
 from dqwalk_ros.whole_body.trace import FEET, BodyLog, Reaching
 
-__all__ = ["read_body", "write_body"]
+__all__ = ["is_body", "read_body", "write_body"]
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
-_TWIST, _WRENCH = BODY_TOPICS["base_twist"].type, BODY_TOPICS["left_wrench"].type
 _WANTED = {name: topic.type for name, topic in BODY_TOPICS.items() if name != "diagnostics"}
+
+
+def is_body(path: str | os.PathLike[str]) -> bool:
+    """Tell whether a bag holds a whole-body walk rather than one of phases.
+
+    Raises
+    ------
+    BagError
+        If there is no bag, or it cannot be read.
+    """
+    names = {topic.rpartition("/")[2] for topic in load(path, lambda topic, kind: False).topics}
+    return "joint_effort_commands" in names and "phase_start" not in names
 
 
 # ---------------------------------------------------------------------- writing
@@ -43,13 +63,9 @@ def write_body(walked: Reaching, path: str | os.PathLike[str], *, overwrite: boo
     BagError
         If something is there already, or the disk refuses.
     """
-    with bag_at(path, overwrite=overwrite) as writer:
+    with writing(path, overwrite=overwrite) as writer:
         connections = {
-            name: writer.add_connection(
-                "/" + name, topic.type, typestore=messages.typestore(), offered_qos_profiles=[qos(topic)]
-            )
-            for name, topic in BODY_TOPICS.items()
-            if name != "diagnostics"
+            name: connect(writer, "/" + name, topic) for name, topic in BODY_TOPICS.items() if name != "diagnostics"
         }
         entries = [
             (int(stamp), order, connections[name], raw)
@@ -65,26 +81,30 @@ def _columns(walked: Reaching) -> list[tuple[str, Stamps, list[bytes]]]:
     model, stamps = walked.model, stamps_of(walked.time)
     first = stamps[:1]
     targets, pushes = walked.scenario.targets, walked.scenario.pushes
+    pushed, led = _when(pushes, stamps), _when(targets, stamps)
+    impulses = np.array([(*impulse, 0.0, 0.0, 0.0) for _, impulse in pushes]).reshape(-1, 6)[: len(pushed)]
+    places = DQ.from_pose(np.array([place for _, place in targets]).reshape(-1, 3)).vec8()[: len(led)]
     found = [
-        ("walk_config", first, [messages.text(to_yaml(walked.config))]),
-        ("walk_origin", first, [messages.text(to_text(walked.origin))]),
-        ("robot_description", first, [messages.text(model.urdf)]),
-        ("push_applied", _when(pushes, stamps), _impulses(pushes, stamps)),
-        ("base_pose", stamps, messages.poses(stamps, ODOM, walked.x_base)),
-        ("base_twist", stamps, messages.stream(_TWIST, stamps, model.pelvis, walked.v_base)),
-        ("joint_states", stamps, messages.joint_states(stamps, model.joint_names, walked.q, walked.dq)),
-        ("hand_target_applied", _when(targets, stamps), _places(targets, stamps)),
-        (
-            "joint_effort_commands",
-            stamps,
-            messages.joint_states(stamps, model.joint_names, None, None, effort=walked.effort),
-        ),
+        ("walk_config", first, [text(to_yaml(walked.config))]),
+        ("walk_origin", first, [text(to_text(walked.origin))]),
+        ("robot_description", first, [text(model.urdf)]),
+        ("push_applied", pushed, pack(_stamped("push_applied", ODOM), pushed, impulses)),
+        ("base_pose", stamps, pack_poses(stamps, ODOM, walked.x_base)),
+        ("base_twist", stamps, pack(_stamped("base_twist", model.pelvis), stamps, walked.v_base)),
+        ("joint_states", stamps, pack_joint_states(stamps, model.joint_names, position=walked.q, velocity=walked.dq)),
+        ("hand_target_applied", led, pack_poses(led, ODOM, places)),
+        ("joint_effort_commands", stamps, pack_joint_states(stamps, model.joint_names, effort=walked.effort)),
     ]
     for foot, column in zip(FEET, walked.wrenches.swapaxes(0, 1), strict=True):
         stands = np.isfinite(column).all(axis=1)
-        told = messages.stream(_WRENCH, stamps[stands], ODOM, column[stands])
-        found.append((f"{foot.value}_wrench", stamps[stands], told))
+        name = f"{foot.value}_wrench"
+        found.append((name, stamps[stands], pack(_stamped(name, ODOM), stamps[stands], column[stands])))
     return found
+
+
+def _stamped(name: str, frame: str) -> object:
+    """Return an empty message of a topic in a frame."""
+    return new(BODY_TOPICS[name].type, header=new("std_msgs/msg/Header", frame_id=frame))
 
 
 def _when(timed: tuple[Timed, ...], stamps: Stamps) -> Stamps:
@@ -94,23 +114,11 @@ def _when(timed: tuple[Timed, ...], stamps: Stamps) -> Stamps:
     return found
 
 
-def _places(targets: tuple[Timed, ...], stamps: Stamps) -> list[bytes]:
-    when = _when(targets, stamps)
-    x = np.array([DQ.from_pose(place).vec8() for _, place in targets]).reshape(-1, 8)
-    return messages.poses(when, ODOM, x[: len(when)]) if len(when) else []
-
-
-def _impulses(pushes: tuple[Timed, ...], stamps: Stamps) -> list[bytes]:
-    when = _when(pushes, stamps)
-    numbers = np.array([(*impulse, 0.0, 0.0, 0.0) for _, impulse in pushes[: len(when)]])
-    return messages.stream(_WRENCH, when, ODOM, numbers)
-
-
 # ---------------------------------------------------------------------- reading
 
 
 def read_body(path: str | os.PathLike[str], *, namespace: str | None = None) -> BodyLog:
-    """Read a recorded whole-body walk, whoever recorded it.
+    """Read a recorded whole-body walk, whatever recorded it.
 
     Parameters
     ----------
@@ -125,103 +133,74 @@ def read_body(path: str | os.PathLike[str], *, namespace: str | None = None) -> 
         If the bag cannot be read, lacks a topic that is needed, or is that of another robot.
     """
     path = Path(path)
-    content = storage.load(path, lambda topic, kind: _WANTED.get(topic.rsplit("/", 1)[-1]) == kind)
+    content = load(path, lambda topic, kind: _WANTED.get(topic.rpartition("/")[2]) == kind)
     notes = list(content.notes)
-    columns = of_one_robot(path, content, namespace, _WANTED, BODY_REQUIRED)
+    columns = columns_of(path, content, namespace, _WANTED, BODY_REQUIRED)
     config = config_in(path, columns)
     model = model_in(path, config, columns, notes)
-    joints = unpack_joint_states(columns["joint_states"].raws)
+    joints = joint_states(columns["joint_states"], model.joint_names)
     check_same_robot(path, model, joints)
-    first = after_restart(joints.stamps, notes)
-    since = columns["joint_states"].times[first] if first else 0
-    rows = {stamp: row for row, stamp in enumerate(joints.stamps.tolist()) if row >= first}
-    poses, twists = (_by_stamp(columns[name], since) for name in ("base_pose", "base_twist"))
-    efforts = _efforts(path, model, columns["joint_effort_commands"], since, notes)
-    stamps = sorted(rows.keys() & poses.keys() & twists.keys() & efforts.keys())
-    if not stamps:
+    rows, begin_row = last_run(joints.stamps, notes)
+    if begin_row:
+        since = columns["joint_states"].order[joints.rows[begin_row]]
+        columns = {name: column.since(since) for name, column in columns.items()}
+
+    stamps, first = np.unique(joints.stamps[rows], return_index=True)
+    rows = rows[first]
+    poses, twists = aligned(columns["base_pose"], stamps, 7), aligned(columns["base_twist"], stamps, 6)
+    efforts = _efforts(path, model, columns["joint_effort_commands"], stamps, notes)
+    everything = np.hstack([joints.position[rows], joints.velocity[rows], poses, twists, efforts])
+    whole = np.isfinite(everything).all(axis=1)
+    if not whole.any():
         raise BagError(f"'{path}': no state has joints, pose, twist and torques with one stamp")
-    left_out = len(rows.keys() | efforts.keys()) - len(stamps)
-    if left_out:
+    if left_out := int(np.count_nonzero(~whole)):
         notes.append(f"{left_out} states are not complete, or have no answer, and are left out")
-    gaps = int(np.count_nonzero(np.diff(stamps) > 1.5e9 * config.dt))
-    if gaps:
+    stamps, rows, poses, twists, efforts = (part[whole] for part in (stamps, rows, poses, twists, efforts))
+    if gaps := int(np.count_nonzero(np.diff(stamps) > 1.5 * NS * config.dt)):
         notes.append(f"{gaps} times a period or more is missing between two states")
-    at = [rows[stamp] for stamp in stamps]
-    order = joints.columns(model.joint_names)
-    q, dq = joints.position[at][:, order], joints.velocity[at][:, order]
-    begin, told = stamps[0], len(stamps)
+    begin, end = int(stamps[0]), int(stamps[-1])
+    time = (stamps - begin) / NS
+    q, dq, x = joints.position[rows], joints.velocity[rows], pose_of(poses)
     states = tuple(
-        BodyState((stamp - begin) / 1e9, q[k], dq=dq[k], x_base=messages.pose_of(poses[stamp]), v_base=twist)
-        for k, stamp in enumerate(stamps)
-        for twist in (messages.six_of(twists[stamp]),)
+        BodyState(float(time[k]), q[k], dq=dq[k], x_base=x[k], v_base=twists[k]) for k in range(len(stamps))
     )
-    wrenches = np.full((told, 2, 6), np.nan)
-    place = {stamp: k for k, stamp in enumerate(stamps)}
-    for side, foot in enumerate(FEET):
-        for stamp, message in _by_stamp(columns.get(f"{foot.value}_wrench"), since).items():
-            if stamp in place:
-                wrenches[place[stamp], side] = messages.six_of(message)
-    led = {
-        max(stamp, begin): _xyz(message.pose.position)  # of those from before the first state, the last
-        for stamp, message in sorted(_by_stamp(columns.get("hand_target_applied"), 0).items())
-        if stamp <= stamps[-1]
-    }
-    targets = tuple(((stamp - begin) / 1e9, place) for stamp, place in led.items())
-    pushes = tuple(
-        ((stamp - begin) / 1e9, _xyz(message.wrench.force))
-        for stamp, message in _stamped(columns.get("push_applied"), since)
-        if begin <= stamp <= stamps[-1]
-    )
-    scenario = _named(Scenario("recorded walk", told * config.dt, targets, pushes))
-    return BodyLog(
-        config,
-        model,
-        scenario,
-        states,
-        np.array([efforts[stamp] for stamp in stamps]),
-        wrenches,
-        tuple(notes),
-        origin_in(columns),
-    )
+    wrenches = np.stack([aligned(columns.get(f"{foot.value}_wrench"), stamps, 6) for foot in FEET], axis=1)
+    # of the targets from before the first state the last holds
+    led = {max(stamp, begin): place for stamp, place in _places(columns.get("hand_target_applied")) if stamp <= end}
+    targets = tuple(((stamp - begin) / NS, place) for stamp, place in led.items())
+    pushed = [(stamp, place) for stamp, place in _places(columns.get("push_applied")) if begin <= stamp <= end]
+    pushes = tuple(((stamp - begin) / NS, impulse) for stamp, impulse in pushed)
+    scenario = _named(Scenario("recorded walk", len(stamps) * config.dt, targets, pushes))
+    return BodyLog(config, model, scenario, states, efforts, wrenches, tuple(notes), origin_in(columns))
 
 
-def _stamped(column: Column | None, since: int) -> list[tuple[int, Any]]:
-    """Return the messages recorded at `since` [ns] or later, each with its stamp [ns]."""
-    if column is None:
-        return []
-    found = (
-        messages.unpack(raw, column.type) for time, raw in zip(column.times, column.raws, strict=True) if time >= since
-    )
-    return [(messages.stamp_of(message), message) for message in found]
+def _places(column: Column | None) -> list[tuple[int, tuple[float, float, float]]]:
+    """Return the first three numbers of each message and its stamp [ns], in the order of time."""
+    found = [
+        (stamp, (float(x), float(y), float(z)))
+        for part in (tables(column) if column is not None else ())
+        for stamp, (x, y, z) in zip(part.stamps.tolist(), part.numbers[:, :3], strict=True)
+        if np.isfinite([x, y, z]).all()
+    ]
+    return sorted(found, key=lambda one: one[0])
 
 
-def _by_stamp(column: Column | None, since: int) -> dict[int, Any]:
-    """Return the last message of each stamp."""
-    return dict(_stamped(column, since))
-
-
-def _efforts(path: Path, model: RobotModel, column: Column, since: int, notes: list[str]) -> dict[int, Array]:
-    """Return the torques (n,) [N m] of each stamp, in the order of the model: the first that a plant would take."""
-    found: dict[int, Array] = {}
-    lacking: set[str] = set()
-    refused = 0
-    for stamp, message in _stamped(column, since):
-        by_name = dict(zip(message.name, message.effort, strict=False))
-        effort = np.array([by_name.get(name, np.nan) for name in model.joint_names])
-        if np.isfinite(effort).all():
-            found.setdefault(stamp, effort)
-            continue
-        refused += 1
-        lacking |= {name for name, torque in zip(model.joint_names, effort, strict=True) if not np.isfinite(torque)}
-    if refused and not found:
-        raise BagError(f"'{path}': joint_effort_commands lack numbers of {', '.join(sorted(lacking))}")
-    if refused:
+def _efforts(path: Path, model: RobotModel, column: Column, stamps: Stamps, notes: list[str]) -> Array:
+    """Return the torques (N, n) [N m] of each stamp, nan where there are none: the first that a plant would take."""
+    told = joint_states(column, model.joint_names)
+    finite = np.isfinite(told.effort).all(axis=1)
+    if not finite.any():
+        lack = [n for n, torques in zip(model.joint_names, told.effort.T, strict=True) if not np.isfinite(torques).all()]
+        raise BagError(f"'{path}': joint_effort_commands lack numbers of {', '.join(lack)}")
+    if refused := int(np.count_nonzero(~finite)):
         notes.append(f"{refused} torque commands are incomplete or not finite, and are left out")
-    return found
-
-
-def _xyz(p: Any) -> tuple[float, float, float]:
-    return (float(p.x), float(p.y), float(p.z))
+    known, first = np.unique(told.stamps[finite], return_index=True)
+    out = np.full((len(stamps), model.n), np.nan)
+    place = np.searchsorted(known, stamps)
+    place[place == len(known)] = 0
+    match = known[place] == stamps
+    out[match] = told.effort[finite][first[place[match]]]
+    return out
 
 
 def _named(scenario: Scenario) -> Scenario:

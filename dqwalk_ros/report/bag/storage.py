@@ -1,36 +1,137 @@
-"""The raw messages of a rosbag2: MCAP or SQLite, one file or many, compressed, or cut off by a crash.
+"""The raw messages of a rosbag2: how they are written, and how they are read back from whatever is left of a bag.
 
-`rosbags` reads what is whole. What it refuses is read file by file up to the damage: MCAP with `mcap`,
-including what the last, unfinished chunk still holds, and SQLite row by row.
+Bags are written by `rosbags`. They are read in the order of the file, with `mcap` and SQLite, because the reader of
+`rosbags` refuses a recording that was cut off, and inflates whatever it is told to: here memory and time are bounded
+by the size of the bag, every checksum is verified, and a damaged file is read up to the damage.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import io
+import os
 import re
 import shutil
 import sqlite3
+import stat
 import struct
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import closing
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
+from functools import cache, partial
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import lz4.frame
 import zstandard
-from mcap.records import Channel, McapRecord, Message, Schema
-from mcap.stream_reader import StreamReader
-from rosbags.rosbag2 import Reader
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, McapRecord, Message, Schema, Statistics
+from mcap.stream_reader import breakup_chunk
+from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
+from rosbags.typesys import Stores, get_typestore
 
 from dqwalk_ros.errors import BagError
+from dqwalk_ros.topics import Topic
 
-__all__ = ["Column", "Content", "load"]
+__all__ = ["Column", "Content", "connect", "flush", "load", "open_writer", "typestore", "writing"]
 
+
+@cache
+def typestore() -> Any:
+    """Return the message definitions of ROS 2 Jazzy."""
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+# ---------------------------------------------------------------------- writing
+
+_FOREVER = QosTime(sec=9223372036, nsec=854775807)  # RMW_DURATION_INFINITE
+
+
+def open_writer(path: Path) -> Writer:
+    """Return a writer of a new bag, an MCAP file whose chunks are compressed and carry a checksum.
+
+    Raises
+    ------
+    BagError
+        If something is there already, or the disk refuses.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        writer.open()
+    except (OSError, WriterError) as error:
+        raise BagError(f"cannot write '{path}': {error}") from error
+    storage: Any = writer.storage
+    storage.compressor = zstandard.ZstdCompressor(write_checksum=True).compress  # rosbags itself writes none
+    return writer
+
+
+def connect(writer: Writer, name: str, topic: Topic) -> Connection:
+    """Return the connection that messages of a topic are written to, under the full name `name`."""
+    qos = Qos(
+        history=QosHistory.KEEP_LAST,
+        depth=topic.depth,
+        reliability=QosReliability.RELIABLE,
+        durability=QosDurability.TRANSIENT_LOCAL if topic.latched else QosDurability.VOLATILE,
+        deadline=_FOREVER,
+        lifespan=_FOREVER,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=_FOREVER,
+        avoid_ros_namespace_conventions=False,
+    )
+    return writer.add_connection(name, topic.type, typestore=typestore(), offered_qos_profiles=[qos])
+
+
+def flush(writer: Writer) -> None:
+    """Hand to the system what an open writer holds back, so that it can be read even if nobody ends the bag."""
+    storage: Any = writer.storage  # rosbags holds up to a megabyte back, which is many seconds of walking
+    if storage is not None and storage.chunk.msgs:
+        storage.close_chunk()
+        storage.bio.flush()
+
+
+@contextmanager
+def writing(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterator[Writer]:
+    """Give a writer of the bag `path`, which appears only once it is complete.
+
+    Raises
+    ------
+    BagError
+        If something is there already, or the disk refuses.
+    """
+    target = Path(path)
+    if target.exists() and not overwrite:
+        raise BagError(f"'{target}' is there already; choose another folder, or ask for it to be overwritten")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}-") as scratch:
+            made = Path(scratch) / target.name
+            with closing(open_writer(made)) as writer:
+                yield writer
+            if target.is_dir():
+                shutil.rmtree(target)
+            elif target.exists():
+                target.unlink()
+            made.rename(target)
+    except (OSError, WriterError) as error:
+        raise BagError(f"cannot write '{target}': {error}") from error
+
+
+# ---------------------------------------------------------------------- reading
+
+_MOST = 16 << 20
+"""Largest message or chunk that is read [bytes]; writers make chunks of about one megabyte."""
+_ROOM, _RATIO = 64 << 20, 200
+"""A bag may inflate to so many bytes, and to so many times its size on disk: a robot that stands still compresses to a
+fiftieth."""
+_MAGIC = b"\x89MCAP0\r\n"
 _ZSTD = b"\x28\xb5\x2f\xfd"
-_CHUNK = 0x06
-_Item = tuple[str, str, int, bytes]  # topic, type, time [ns], message
+_HEAD = struct.Struct("<BQ")  # how every record of an MCAP file begins: opcode, length
+_Item = tuple[str, str, int, bytes | None]  # topic, type, time of recording [ns], message; None names the topic alone
 
 
 @dataclass
@@ -42,183 +143,213 @@ class Column:
     type : str
     times : list of int [ns]
         When each was recorded.
+    order : list of int
+        Its place among all messages of the bag.
     raws : list of bytes
     """
 
     type: str
     times: list[int] = field(default_factory=list)
+    order: list[int] = field(default_factory=list)
     raws: list[bytes] = field(default_factory=list)
+
+    def since(self, place: int) -> Column:
+        """Return the messages from a place in the bag on, and where there is none the last before it."""
+        first = next((i for i, order in enumerate(self.order) if order >= place), max(len(self.order) - 1, 0))
+        return Column(self.type, self.times[first:], self.order[first:], self.raws[first:])
 
 
 @dataclass(frozen=True)
 class Content:
-    """What a bag holds: the columns asked for, the name and type of everything, and what is wrong with it."""
+    """What a bag holds: the columns asked for, the name and type of every topic, and what is wrong with it."""
 
     columns: dict[str, Column]
     topics: dict[str, str]
     notes: tuple[str, ...]
 
 
-def load(path: Path, wanted: Callable[[str, str], bool]) -> Content:
+class _Damage(Exception):
+    """A file cannot be read beyond here."""
+
+
+def load(path: str | os.PathLike[str], wanted: Callable[[str, str], bool]) -> Content:
     """Read every message of the topics for which ``wanted(name, type)``.
+
+    Parameters
+    ----------
+    path : path-like
+        A bag's folder, or one of its files: MCAP or SQLite, split, compressed, or cut off by a crash.
+    wanted : callable
 
     Raises
     ------
     BagError
-        If there is no bag at `path`, or nothing in it can be read.
+        If there is no bag at `path`, nothing in it can be read, or it inflates to more than any walk.
     """
+    path = Path(path)
     if not path.exists():
         raise BagError(f"no bag at '{path}'")
     files = _files(path)
     if not files:
         raise BagError(f"'{path}' is no rosbag2: it holds no .mcap or .db3 file")
-    try:
-        return _gather(_whole(path, wanted))
-    except BagError:
-        raise
-    except Exception as error:  # whatever damage or a missing metadata.yaml makes the reader raise
-        reason = str(error)
+    columns: dict[str, Column] = {}
+    topics: dict[str, str] = {}
     notes: list[str] = []
     if path.is_dir() and not (path / "metadata.yaml").exists():
         notes.append("metadata.yaml is missing: the recorder did not end as it should")
-    content = _gather(item for file in files for item in _file(file, wanted, notes))
-    if not content.columns:
-        raise BagError(f"cannot read '{path}': {reason}")
-    return Content(content.columns, content.topics, tuple(notes or [f"the bag is damaged: {reason}"]))
+    place = 0
+    for file in files:
+        before, reason = place, ""
+        try:
+            for topic, kind, time, raw in _messages(file):
+                topics[topic] = kind
+                if raw is None:
+                    continue
+                place += 1
+                if wanted(topic, kind):
+                    column = columns.setdefault(topic, Column(kind))
+                    column.times.append(time)
+                    column.order.append(place)
+                    column.raws.append(raw)
+        except BagError:
+            raise
+        except _Damage as damage:
+            reason = str(damage)
+        except Exception as error:  # whatever damaged bytes make a parser raise
+            reason = str(error) or type(error).__name__
+        if reason:
+            notes.append(f"{file.name} is damaged or cut off ({reason}): {place - before} messages recovered")
+    if not topics:
+        raise BagError(f"cannot read '{path}': {'; '.join(notes) or 'it holds no topic'}")
+    return Content(columns, topics, tuple(notes))
 
 
 def _files(path: Path) -> list[Path]:
-    if path.is_file():
-        return [path]
-    files = [file for file in path.iterdir() if re.search(r"\.(mcap|db3)(\.zstd)?$", file.name)]
+    """Return the files of a bag in the order of their numbers."""
+    files = [path]
+    if path.is_dir():
+        files = [file for file in path.iterdir() if re.search(r"\.(mcap|db3)(\.zstd)?$", file.name)]
+    for file in files:
+        if not stat.S_ISREG(file.stat().st_mode):
+            raise BagError(f"'{file}' is no regular file")
     return sorted(files, key=lambda file: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", file.name)])
 
 
-def _gather(items: Iterator[_Item]) -> Content:
-    columns: dict[str, Column] = {}
-    topics: dict[str, str] = {}
-    for topic, kind, time, raw in items:
-        topics[topic] = kind
-        if time < 0:  # the topic alone
-            continue
-        column = columns.get(topic)
-        if column is None:
-            column = columns[topic] = Column(kind)
-        column.times.append(time)
-        column.raws.append(raw)
-    return Content(columns, topics, ())
+def _messages(file: Path) -> Iterator[_Item]:
+    status = file.stat()
+    room = _Room(_ROOM + _RATIO * min(status.st_size, 512 * status.st_blocks))  # holes in a file are not on the disk
+    with tempfile.TemporaryDirectory() as scratch:
+        if file.suffix == ".zstd":
+            plain = Path(scratch) / file.stem
+            with file.open("rb") as packed, plain.open("wb") as out:
+                for block in iter(partial(zstandard.ZstdDecompressor().stream_reader(packed).read, 1 << 20), b""):
+                    room.take(len(block))
+                    out.write(block)
+            file = plain
+        if file.suffix == ".db3":
+            yield from _sqlite(file, room)
+        else:
+            with file.open("rb") as stream:
+                yield from _mcap(stream, room)
 
 
-def _whole(path: Path, wanted: Callable[[str, str], bool]) -> Iterator[_Item]:
-    with Reader(path) as reader:
-        for connection in reader.connections:
-            yield connection.topic, connection.msgtype, -1, b""
-        chosen = [c for c in reader.connections if wanted(c.topic, c.msgtype)]
-        if not chosen:
-            return
-        for connection, time, raw in reader.messages(chosen):
-            yield connection.topic, connection.msgtype, time, bytes(raw)
+class _Room:
+    """Counts what a file has become, and ends that where it is more than a walk can be."""
+
+    def __init__(self, left: int) -> None:
+        self._left = left
+
+    def take(self, size: int) -> None:
+        """Count `size` bytes more."""
+        self._left -= size
+        if self._left < 0:
+            raise BagError("the bag inflates to more than a walk can hold: it is damaged, or no bag of a walk")
 
 
-def _file(file: Path, wanted: Callable[[str, str], bool], notes: list[str]) -> Iterator[_Item]:
-    """Read one file as far as it goes; say in `notes` where that is not its end."""
-    count = 0
-    source = _mcap if ".mcap" in file.name else _sqlite
-    try:
-        for item in source(file):
-            count += item[2] >= 0
-            if item[2] < 0 or wanted(item[0], item[1]):
-                yield item
-    except Exception as error:  # whatever damage makes a parser raise
-        what = str(error) or type(error).__name__
-        notes.append(f"{file.name} is damaged or cut off ({what}): {count} messages recovered")
+def _inflate(data: bytes, compression: str, size: int) -> bytes:
+    """Return what `data` inflates to, `size` bytes at most."""
+    if size > _MOST:
+        raise _Damage(f"a chunk or message of {size >> 20} MB")
+    if compression == "zstd":
+        data = zstandard.ZstdDecompressor().stream_reader(io.BytesIO(data)).read(size + 1)
+    elif compression == "lz4":
+        data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
+    elif compression:
+        raise _Damage(f"unknown compression {compression!r}")
+    return data
 
 
-def _mcap(file: Path) -> Iterator[_Item]:
+def _message(data: bytes, room: _Room) -> bytes:
+    if data[:4] == _ZSTD:  # compressed message by message; CDR never begins like this
+        data = _inflate(data, "zstd", _MOST)
+    room.take(len(data))
+    return data
+
+
+def _mcap(stream: IO[bytes], room: _Room) -> Iterator[_Item]:
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
-    with file.open("rb") as raw:
-        stream: IO[bytes] = _inflated(raw) if file.suffix == ".zstd" else raw
-        for record in _records(stream):
-            if isinstance(record, Schema):
-                schemas[record.id] = record
-            elif isinstance(record, Channel):
-                channels[record.id] = record
-                yield record.topic, schemas[record.schema_id].name, -1, b""
-            elif isinstance(record, Message) and record.channel_id in channels:
-                channel = channels[record.channel_id]
-                data = record.data
-                if data[:4] == _ZSTD:  # compressed message by message; CDR never begins like this
-                    data = zstandard.decompress(data)
-                yield channel.topic, schemas[channel.schema_id].name, record.log_time, data
+    count = 0
+    for record in _records(stream, room):
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            channels[record.id] = record
+            yield record.topic, schemas[record.schema_id].name, 0, None
+        elif isinstance(record, Message):
+            count += 1
+            channel = channels[record.channel_id]
+            yield channel.topic, schemas[channel.schema_id].name, record.log_time, _message(record.data, room)
+        elif isinstance(record, Statistics) and record.message_count != count:
+            raise _Damage(f"{record.message_count} messages were written")
 
 
-def _records(stream: IO[bytes]) -> Iterator[McapRecord]:
-    """Yield records, and those of a chunk that was not written to its end, then raise."""
-    records = StreamReader(stream).records
-    while True:
-        start = stream.tell()
-        try:
-            record = next(records, None)
-        except Exception:
-            stream.seek(start)
-            yield from _unfinished_chunk(stream.read())
-            raise
-        if record is None:
+def _records(stream: IO[bytes], room: _Room) -> Iterator[McapRecord]:
+    """Yield the records of an MCAP file one by one, those of a chunk in its place.
+
+    `mcap.stream_reader.StreamReader` would read on through gigabytes of zeros, and inflate chunks without a bound.
+    """
+    if stream.read(len(_MAGIC)) != _MAGIC:
+        raise _Damage("it is no MCAP file")
+    while head := stream.read(_HEAD.size):
+        opcode, length = _HEAD.unpack(head)
+        if not (0 < opcode <= Opcode.DATA_END or opcode >= 0x80) or length > 2 * _MOST:
+            raise _Damage("what follows is no record")
+        body = stream.read(length)
+        if len(body) < length:
+            raise _Damage("its last record is not complete")
+        data = ReadDataStream(io.BytesIO(body))
+        if opcode == Opcode.CHUNK:
+            chunk = Chunk.read(data)
+            inflated = _inflate(chunk.data, chunk.compression, chunk.uncompressed_size)
+            if len(inflated) != chunk.uncompressed_size:
+                raise _Damage("a chunk has not the size that it says")
+            room.take(len(inflated))
+            yield from breakup_chunk(dataclasses.replace(chunk, compression="", data=inflated), validate_crc=True)
+        elif opcode in _KINDS:
+            yield _KINDS[Opcode(opcode)](data, length)
+        elif opcode == Opcode.FOOTER:
             return
-        yield record
+    raise _Damage("its end is missing")
 
 
-def _unfinished_chunk(raw: bytes) -> Iterator[McapRecord]:
-    """Yield the records in front of the damage; `raw` begins with a chunk that ends early, or something else."""
-    head = struct.Struct("<BQQQQII")  # opcode, length, first and last time, size, checksum, length of the next text
-    if len(raw) < head.size or raw[0] != _CHUNK:
-        return
-    at = head.size + head.unpack_from(raw)[-1]
-    compression = raw[head.size : at]
-    data = raw[at + 8 :]
-    try:
-        if compression == b"zstd":
-            data = zstandard.ZstdDecompressor().decompressobj().decompress(data)
-        elif compression == b"lz4":
-            data = lz4.frame.LZ4FrameDecompressor().decompress(data)
-        yield from StreamReader(io.BytesIO(data), skip_magic=True).records
-    except Exception:  # the end of what there is
-        return
+_KINDS: dict[Opcode, Callable[[ReadDataStream, int], McapRecord]] = {
+    Opcode.SCHEMA: lambda data, length: Schema.read(data),
+    Opcode.CHANNEL: lambda data, length: Channel.read(data),
+    Opcode.MESSAGE: Message.read,
+    Opcode.STATISTICS: lambda data, length: Statistics.read(data),
+}
 
 
-def _inflated(raw: IO[bytes]) -> IO[bytes]:
-    """Return a file compressed as a whole, up to where it is cut off."""
-    out, engine = io.BytesIO(), zstandard.ZstdDecompressor().decompressobj()
-    while block := raw.read(1 << 20):
-        out.write(engine.decompress(block))
-    out.seek(0)
-    return out
-
-
-def _sqlite(file: Path) -> Iterator[_Item]:
-    query = "SELECT topics.name, topics.type, timestamp, data FROM messages JOIN topics ON topics.id = topic_id"
-    with tempfile.TemporaryDirectory() as scratch:
-        file = _of_full_length(file, Path(scratch))
-        with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as connection:
-            for name, kind in connection.execute("SELECT name, type FROM topics"):
-                yield name, kind, -1, b""
-            for name, kind, time, data in connection.execute(f"{query} ORDER BY messages.id"):
-                yield name, kind, time, zstandard.decompress(data) if data[:4] == _ZSTD else data
-
-
-def _of_full_length(file: Path, scratch: Path) -> Path:
-    """Return the database, or a copy with holes where it is cut off: SQLite opens none that is shorter than it says."""
-    if file.suffix == ".zstd":
-        with file.open("rb") as raw:
-            (scratch / file.stem).write_bytes(_inflated(raw).read())
-        file = scratch / file.stem
-    with file.open("rb") as raw:
-        head = raw.read(32)
-    size = int.from_bytes(head[16:18], "big") * int.from_bytes(head[28:32], "big")  # of a page, number of pages
-    if file.stat().st_size >= size:
-        return file
-    copy = Path(shutil.copy(file, scratch / "copy.db3"))
-    with copy.open("r+b") as raw:
-        raw.truncate(size)
-    return copy
+def _sqlite(file: Path, room: _Room) -> Iterator[_Item]:
+    with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as connection:
+        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MOST)
+        tables: Iterable[tuple[str, str]] = connection.execute("SELECT name, sql FROM sqlite_master")
+        plain = {name for name, sql in tables if sql and sql.lstrip().upper().startswith("CREATE TABLE")}
+        if not {"topics", "messages"} <= plain:  # a view may be without end
+            raise _Damage("it has no tables of topics and messages")
+        for name, kind in connection.execute("SELECT name, type FROM topics"):
+            yield name, kind, 0, None
+        query = "SELECT name, type, timestamp, data FROM messages JOIN topics ON topics.id = topic_id"
+        for name, kind, time, data in connection.execute(f"{query} ORDER BY messages.id"):
+            yield name, kind, time, _message(data, room)

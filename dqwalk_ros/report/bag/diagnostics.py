@@ -1,4 +1,4 @@
-"""What the nodes of a recorded walk said of themselves on /diagnostics."""
+"""What the nodes of a recorded walk published of themselves on /diagnostics."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
-from dqwalk_ros.report.bag import messages, storage
+from dqwalk_ros.errors import BagError
+from dqwalk_ros.report.bag.columns import LEVELS, NS, unpack
+from dqwalk_ros.report.bag.storage import load
 
-__all__ = ["Fault", "Said", "diagnostics_of", "faults"]
+__all__ = ["Fault", "Status", "diagnostics_of", "faults"]
 
 _KIND = "diagnostic_msgs/msg/DiagnosticArray"
-LEVELS = ("OK", "WARN", "ERROR", "STALE")
 _WORST = ("ERROR", "STALE", "WARN")
 
 
 @dataclass(frozen=True)
-class Said:
+class Status:
     """One status.
 
     Attributes
@@ -35,6 +35,13 @@ class Said:
     message: str
     values: Mapping[str, str]
 
+    def number(self, key: str) -> float:
+        """Return a value as a number, nan where it is none."""
+        try:
+            return float(self.values.get(key, "nan"))
+        except ValueError:
+            return float("nan")
+
 
 @dataclass(frozen=True)
 class Fault:
@@ -48,38 +55,29 @@ class Fault:
     count: int
 
 
-def diagnostics_of(path: str | os.PathLike[str]) -> list[Said]:
-    """Return what was not OK, and everything the controller said.
+def diagnostics_of(path: str | os.PathLike[str]) -> list[Status]:
+    """Return every status in the order of time; messages that cannot be read are left out.
 
     Raises
     ------
     BagError
         If the bag cannot be read.
     """
-    content = storage.load(Path(path), lambda topic, kind: kind == _KIND)
     out = []
-    for column in content.columns.values():
+    for column in load(path, lambda topic, kind: kind == _KIND).columns.values():
         for time, raw in zip(column.times, column.raws, strict=True):
-            if _level(raw) == 0 and b"controller:" not in raw:
+            try:
+                array = unpack(raw, _KIND)
+            except BagError:
                 continue
-            for status in messages.unpack(raw, _KIND).status:
+            for status in array.status:
                 values = {pair.key: pair.value for pair in status.values}
-                level = status.level if isinstance(status.level, int) else status.level[0]
-                out.append(Said(time / 1e9, status.name, LEVELS[min(level, 3)], status.message, values))
-    return sorted(out, key=lambda said: said.time)
+                level = LEVELS[min(int(status.level), len(LEVELS) - 1)]
+                out.append(Status(time / NS, status.name, level, status.message, values))
+    return sorted(out, key=lambda status: status.time)
 
 
-def _level(raw: bytes) -> int:
-    """Return the level of the first status of a little-endian array, without unpacking it; -1 where in doubt."""
-    if raw[1] != 1:
-        return -1
-    frame = int.from_bytes(raw[12:16], "little")
-    at = 16 + frame
-    at += -at % 4
-    return raw[at + 4] if int.from_bytes(raw[at : at + 4], "little") == 1 and len(raw) > at + 4 else -1
-
-
-def faults(said: list[Said]) -> list[Fault]:
+def faults(said: list[Status]) -> list[Fault]:
     """Return every complaint once, the worst first; numbers in a message make no difference."""
     found: dict[tuple[str, str, str], Fault] = {}
     for status in said:

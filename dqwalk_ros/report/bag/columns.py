@@ -1,0 +1,378 @@
+"""The messages of a topic as arrays, and arrays as messages.
+
+A walk has some hundred thousand joint states which differ in their stamp and their numbers only. `rosbags` reads and
+serialises one of them; of the others only those bytes are copied that change with the stamp and the numbers.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.interfaces import Nodetype
+
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import BagError
+from dqwalk_ros.report.bag.storage import Column, typestore
+
+__all__ = [
+    "JointStates",
+    "Table",
+    "aligned",
+    "diagnostics",
+    "joint_states",
+    "new",
+    "pack",
+    "pack_joint_states",
+    "pack_poses",
+    "pose_numbers",
+    "pose_of",
+    "serialize",
+    "table",
+    "text",
+    "texts",
+    "unpack",
+]
+
+Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+NS = 1_000_000_000
+"""Nanoseconds of a second."""
+_ALL_BITS = float(np.frombuffer(b"\xff" * 8)[0])  # a nan of which every bit is set
+
+
+# ---------------------------------------------------------------------- one message
+
+
+def new(kind: str, **values: Any) -> Any:
+    """Return a message of a type; the fields that `values` does not name are empty or zero."""
+    store = typestore()
+    return store.types[kind](**{name: values.get(name, _zero(desc)) for name, desc in store.fielddefs[kind][1]})
+
+
+def _zero(description: Any) -> Any:
+    node, inner = description
+    if node is Nodetype.NAME:
+        return new(inner)
+    if node is Nodetype.BASE:
+        return {"string": "", "float64": 0.0}.get(inner[0], 0)
+    return np.zeros(inner[1] if node is Nodetype.ARRAY else 0)
+
+
+def serialize(message: Any) -> bytes:
+    """Return the bytes of a message."""
+    return bytes(typestore().serialize_cdr(message, message.__msgtype__))
+
+
+def unpack(raw: bytes, kind: str) -> Any:
+    """Return one message.
+
+    Bytes left over at the end are no damage: rclpy leaves some behind an empty last sequence, and
+    `Typestore.deserialize_cdr` would refuse them.
+
+    Raises
+    ------
+    BagError
+        If the bytes are no such message.
+    """
+    store = typestore()
+    definition = store.get_msgdef(kind)
+    try:
+        parse = definition.deserialize_cdr_le if raw[1] else definition.deserialize_cdr_be
+        return parse(raw[4:], 0, definition.cls, store)[0]
+    except Exception as error:  # whatever damaged bytes make the parser raise
+        raise BagError(f"a damaged {kind}: {error}") from error
+
+
+def text(value: str) -> bytes:
+    """Return a std_msgs/String."""
+    return serialize(new("std_msgs/msg/String", data=value))
+
+
+def texts(column: Column) -> list[str]:
+    """Return the texts of a column of std_msgs/String."""
+    return [str(unpack(raw, column.type).data) for raw in column.raws]
+
+
+def _header(stamp: int, frame: str) -> Any:
+    time = new("builtin_interfaces/msg/Time", sec=stamp // NS, nanosec=stamp % NS)
+    return new("std_msgs/msg/Header", stamp=time, frame_id=frame)
+
+
+LEVELS = ("OK", "WARN", "ERROR", "STALE")
+"""Of diagnostic_msgs/DiagnosticStatus [REP-107]."""
+
+
+def diagnostics(stamp: int, name: str, hardware: str, level: str, message: str, values: Mapping[str, Any]) -> bytes:
+    """Return a DiagnosticArray of one status; `level` is OK, WARN, ERROR or STALE."""
+    pairs = [
+        new("diagnostic_msgs/msg/KeyValue", key=key, value=v if isinstance(v, str) else repr(float(v)))
+        for key, v in values.items()
+    ]
+    status = new(
+        "diagnostic_msgs/msg/DiagnosticStatus",
+        level=LEVELS.index(level),
+        name=name,
+        message=message,
+        hardware_id=hardware,
+        values=pairs,
+    )
+    return serialize(new("diagnostic_msgs/msg/DiagnosticArray", header=_header(stamp, ""), status=[status]))
+
+
+# ---------------------------------------------------------------------- many messages
+
+
+def _doubles(message: Any) -> Iterator[tuple[Any, str, Any]]:
+    """Yield every field of doubles in a message, in the order of its bytes: what has it, its name, its value."""
+    for entry in fields(message):
+        value = getattr(message, entry.name)
+        if isinstance(value, float) or (isinstance(value, np.ndarray) and value.dtype == np.float64):
+            yield message, entry.name, value
+        elif is_dataclass(value):
+            yield from _doubles(value)
+
+
+class _Layout:
+    """Where the stamp and the doubles are among the bytes of a message: those bytes change with them."""
+
+    def __init__(self, message: Any) -> None:
+        low, high = copy.deepcopy(message), copy.deepcopy(message)
+        for one, double, bits in ((low, 0.0, 0), (high, _ALL_BITS, 0xFFFFFFFF)):
+            for owner, name, value in list(_doubles(one)):
+                setattr(owner, name, np.full_like(value, double) if isinstance(value, np.ndarray) else double)
+            one.header.stamp.sec, one.header.stamp.nanosec = -(bits & 1), bits
+        self.bytes = np.frombuffer(serialize(low), np.uint8)
+        changed = np.flatnonzero(self.bytes != np.frombuffer(serialize(high), np.uint8))
+        self.stamp, self.doubles = changed[:8], changed[8:]
+        same = np.setdiff1d(np.arange(4, len(self.bytes)), changed)  # the first four say how it is encapsulated
+        parts = [part for part in np.split(same, np.flatnonzero(np.diff(same) > 1) + 1) if len(part)]
+        self._same = [(slice(part[0], part[-1] + 1), self.bytes[part].tobytes()) for part in parts]
+
+    def fits(self, raw: bytes) -> bool:
+        """Tell whether a message differs in nothing but stamp and doubles, and padding at its end."""
+        size = len(self.bytes)
+        return size <= len(raw) < size + 8 and raw[1] == 1 and all(raw[part] == same for part, same in self._same)
+
+
+def pack(message: Any, stamps: Stamps, numbers: Array) -> list[bytes]:
+    """Return messages like `message`, which has a header.
+
+    Parameters
+    ----------
+    message : message
+    stamps : ndarray of int64, shape (N,) [ns]
+    numbers : ndarray, shape (N, k)
+        Every double behind the header, in the order of the message.
+    """
+    layout, count = _Layout(message), len(stamps)
+    block = np.tile(layout.bytes, (count, 1))
+    times = np.stack([stamps // NS, stamps % NS], axis=1).astype("<u4")
+    block[:, layout.stamp] = times.view(np.uint8).reshape(count, 8)
+    block[:, layout.doubles] = np.ascontiguousarray(numbers, "<f8").view(np.uint8).reshape(count, -1)
+    return [row.tobytes() for row in block]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Messages that differ in stamp and numbers only.
+
+    Attributes
+    ----------
+    message : message
+        One of them.
+    rows : ndarray of int, shape (N,)
+        Which of the column they are.
+    stamps : ndarray of int64, shape (N,) [ns]
+    numbers : ndarray, shape (N, k)
+        Every double behind the header, in the order of the message.
+    """
+
+    message: Any
+    rows: NDArray[np.intp]
+    stamps: Stamps
+    numbers: Array
+
+
+def tables(column: Column) -> Iterator[Table]:
+    """Yield the messages of a column as tables, as many as there are changes of anything but stamp and numbers.
+
+    Raises
+    ------
+    BagError
+        If every one of them is damaged; where only some are, those are left out.
+    """
+    layout: _Layout | None = None
+    message: Any = None
+    rows: list[int] = []
+    damaged: BagError | None = None
+    count = 0
+    for row, raw in enumerate(column.raws):
+        if layout is None or not layout.fits(raw):
+            if layout is not None:
+                yield _table(column, layout, message, rows)
+            layout, rows = None, []
+            try:
+                message = unpack(raw, column.type)
+            except BagError as error:
+                damaged = error
+                continue
+            count += 1
+            layout = _Layout(message)
+            if not layout.fits(raw):  # of another byte order
+                layout = None
+                stamp = message.header.stamp.sec * NS + message.header.stamp.nanosec
+                numbers = np.hstack([np.ravel(value) for _, _, value in _doubles(message)])
+                yield Table(message, np.array([row]), np.array([stamp]), numbers[None])
+                continue
+        rows.append(row)
+    if layout is not None:
+        yield _table(column, layout, message, rows)
+    if damaged is not None and not count:
+        raise damaged
+
+
+def _table(column: Column, layout: _Layout, message: Any, rows: list[int]) -> Table:
+    size = len(layout.bytes)
+    block = np.frombuffer(b"".join([column.raws[row][:size] for row in rows]), np.uint8).reshape(len(rows), size)
+    times = np.ascontiguousarray(block[:, layout.stamp]).view([("sec", "<i4"), ("nanosec", "<u4")])[:, 0]
+    stamps = times["sec"].astype(np.int64) * NS + times["nanosec"]
+    numbers = np.ascontiguousarray(block[:, layout.doubles]).view("<f8").reshape(len(rows), -1)
+    return Table(message, np.array(rows), stamps, numbers.astype(np.float64))
+
+
+def aligned(column: Column | None, stamps: Stamps, width: int) -> Array:
+    """Return the numbers of the message that has each stamp, shape (N, width), nan where no finite ones are known.
+
+    Parameters
+    ----------
+    column : Column or None
+        Of a type that has a fixed count of doubles.
+    stamps : ndarray of int64, shape (N,) [ns]
+        In ascending order.
+    width : int
+    """
+    out = np.full((len(stamps), width), np.nan)
+    for found in tables(column) if column is not None and len(stamps) else ():
+        place = np.searchsorted(stamps, found.stamps)
+        place[place == len(stamps)] = 0
+        match = (stamps[place] == found.stamps) & np.isfinite(found.numbers).all(axis=1)
+        out[place[match]] = found.numbers[match]
+    return out
+
+
+# ---------------------------------------------------------------------- poses
+
+
+def pack_poses(stamps: Stamps, frame: str, x: Array) -> list[bytes]:
+    """Return PoseStamped messages of unit dual quaternions `x` (N, 8)."""
+    message = new("geometry_msgs/msg/PoseStamped", header=_header(0, frame))
+    return pack(message, stamps, pose_numbers(x))
+
+
+def pose_numbers(x: Array) -> Array:
+    """Return position 2 D(x) P(x)*, (U1), and quaternion, real part last, of unit dual quaternions (N, 8): (N, 7)."""
+    return np.concatenate([DQ(x).translation(), x[:, 1:4], x[:, :1]], axis=1)
+
+
+def pose_of(numbers: Array) -> Array:
+    """Return the unit dual quaternions (..., 8) of the numbers (..., 7) of PoseStamped messages."""
+    return DQ.from_pose(numbers[..., :3], numbers[..., [6, 3, 4, 5]]).vec8()
+
+
+# ---------------------------------------------------------------------- joint states
+
+
+@dataclass(frozen=True)
+class JointStates:
+    """The JointState messages of one topic.
+
+    Attributes
+    ----------
+    rows : ndarray of int, shape (N,)
+        Which messages of the column they are; damaged ones are left out.
+    stamps : ndarray of int64, shape (N,) [ns]
+    frames : tuple of str, N
+    named : tuple of str
+        The joints that the messages name, a hundred at most.
+    position, velocity, effort : ndarray, shape (N, n)
+        Of the joints asked for; nan where a message does not say.
+    """
+
+    rows: NDArray[np.intp]
+    stamps: Stamps
+    frames: tuple[str, ...]
+    named: tuple[str, ...]
+    position: Array
+    velocity: Array
+    effort: Array
+
+
+def joint_states(column: Column, names: Sequence[str]) -> JointStates:
+    """Return the JointState messages of a column, whatever the order of their joints.
+
+    Raises
+    ------
+    BagError
+        If every one of them is damaged.
+    """
+    count, n = len(column.raws), len(names)
+    rows, stamps, frames = [], [], []
+    named: dict[str, None] = {}
+    values = np.full((3, count, n), np.nan)
+    done = 0
+    for found in tables(column):
+        m, end = found.message, done + len(found.rows)
+        at = {name: i for i, name in reversed(list(enumerate(m.name)))}
+        mine = [i for i, name in enumerate(names) if name in at]
+        theirs = [at[names[i]] for i in mine]
+        sizes = [len(m.position), len(m.velocity), len(m.effort)]
+        for out, part in zip(values, np.split(found.numbers, np.cumsum(sizes)[:2], axis=1), strict=True):
+            if part.shape[1] == len(m.name):
+                out[done:end, mine] = part[:, theirs]
+        rows.append(found.rows)
+        stamps.append(found.stamps)
+        frames += [m.header.frame_id] * len(found.rows)
+        if len(named) < 100:
+            named |= dict.fromkeys(m.name[:100])
+        done = end
+    position, velocity, effort = values[:, :done]
+    empty = np.zeros(0, np.int64)
+    return JointStates(
+        np.concatenate([empty, *rows]),
+        np.concatenate([empty, *stamps]),
+        tuple(frames),
+        tuple(named),
+        position,
+        velocity,
+        effort,
+    )
+
+
+def pack_joint_states(
+    stamps: Stamps,
+    names: Sequence[str],
+    *,
+    position: Array | None = None,
+    velocity: Array | None = None,
+    effort: Array | None = None,
+    frame: str = "",
+) -> list[bytes]:
+    """Return JointState messages.
+
+    Parameters
+    ----------
+    stamps : ndarray of int64, shape (N,) [ns]
+    names : sequence of str, n of them
+    position, velocity, effort : ndarray, shape (N, n) [rad, rad/s, N m], or None
+    frame : str
+    """
+    parts = {"position": position, "velocity": velocity, "effort": effort}
+    known = {name: part for name, part in parts.items() if part is not None}
+    sized = {name: np.zeros(len(names)) for name in known}
+    message = new("sensor_msgs/msg/JointState", header=_header(0, frame), name=list(names), **sized)
+    return pack(message, stamps, np.concatenate(list(known.values()), axis=1))
