@@ -12,7 +12,7 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from dqwalk_ros import load, load_model, make_controller, simulate
 from dqwalk_ros.config import Config
 from dqwalk_ros.plants.kinematic import KinematicPlant
-from dqwalk_ros.report.bag.messages import typestore
+from dqwalk_ros.report.bag.storage import typestore
 from dqwalk_ros.trace import Trace
 
 SHORT = {"task.eta": 0.4, "dsp.eta_ground": 20.0, "ssp.threshold": 4e-3, "dsp.stall_rate": 1e-3}
@@ -24,9 +24,9 @@ def short_config(**changes: Any) -> Config:
 
 
 @cache
-def short_walk() -> Trace:
-    """One cycle, four phases."""
-    config = short_config()
+def short_walk(dt: float = 0.005) -> Trace:
+    """One cycle, four phases; of 930 ticks with a `dt` of 0.025 s."""
+    config = short_config(dt=dt)
     model = load_model(config.robot)
     return simulate(make_controller(config, model), KinematicPlant(model))
 

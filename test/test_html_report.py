@@ -19,8 +19,7 @@ from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.model import Foot
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report import bag
-from dqwalk_ros.report.bag import messages
-from dqwalk_ros.report.bag.said import LEVELS, _level, diagnostics_of, faults
+from dqwalk_ros.report.bag.diagnostics import diagnostics_of, faults
 from dqwalk_ros.report.html.replay import replay_data
 
 
@@ -140,12 +139,6 @@ def test_faults_are_said_once(path, tmp_path):
     assert found[0].count > 10
     assert sum("rejected" in fault.message for fault in found) == 1
     assert found[0].first == pytest.approx(5.0, abs=0.2)
-
-
-@pytest.mark.parametrize("level", ["OK", "WARN", "ERROR", "STALE"])
-def test_the_level_is_read_without_unpacking(level):
-    raw = messages.diagnostics(7, "phase_monitor: walk", "poppy", level, "text", {"error": 1e-4})
-    assert LEVELS[_level(raw)] == level
 
 
 @pytest.mark.long

@@ -14,13 +14,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
+from rosbags.rosbag2 import WriterError
 
-from dqwalk_ros.errors import BagError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import STEADY, WalkNode
-from dqwalk_ros.report.bag.messages import typestore
-from dqwalk_ros.report.bag.writer import flush, qos
+from dqwalk_ros.report.bag.storage import connect, flush, open_writer
 from dqwalk_ros.topics import BODY_TOPICS, TOPICS, Topic
 
 __all__ = ["Recorder"]
@@ -72,7 +70,8 @@ class Recorder(WalkNode):
         config = self.config
         self._period, self._linger = round(config.dt * 1e9), _LINGER[config.plant.lockstep]
         self._path = Path(options.bag)
-        self._open()
+        self._writer = open_writer(self._path)
+        self._connections: dict[str, Any] = {}
         self._counts = dict.fromkeys(_ALL, 0)
         self._last = dict.fromkeys(_EACH_TICK, -1)
         self._last_raw: dict[str, bytes] = {}
@@ -88,25 +87,6 @@ class Recorder(WalkNode):
             self.create_subscription(kind, topic.name, partial(self._on_message, name, topic), profile, raw=True)
         self.create_timer(_FLUSH, self._flush, clock=STEADY)
         self.get_logger().info(f"recording to {self._path}")
-
-    def _open(self) -> None:
-        try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            self._writer = Writer(self._path, version=9, storage_plugin=StoragePlugin.MCAP)
-            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-            self._writer.open()
-        except (OSError, WriterError) as error:
-            raise BagError(f"cannot record to '{self._path}': {error}") from error
-        self._connections: dict[str, Any] = {}
-
-    def _connect(self, name: str) -> None:
-        topic = _ALL[name]
-        self._connections[name] = self._writer.add_connection(
-            self.resolve_topic_name(topic.name),
-            topic.type,
-            typestore=typestore(),
-            offered_qos_profiles=[qos(topic)],
-        )
 
     def _on_message(self, name: str, topic: Topic, raw: bytes) -> None:
         self._handled += 1
@@ -136,7 +116,8 @@ class Recorder(WalkNode):
 
     def _write(self, name: str, stamp: int, raw: bytes) -> None:
         if name not in self._connections:
-            self._connect(name)
+            topic = _ALL[name]
+            self._connections[name] = connect(self._writer, self.resolve_topic_name(topic.name), topic)
         self._writer.write(self._connections[name], stamp, raw)
         self._counts[name] += 1
 

@@ -155,15 +155,13 @@ def read_body(path: str | os.PathLike[str], *, namespace: str | None = None) -> 
         raise BagError(f"'{path}': no state has joints, pose, twist and torques with one stamp")
     if left_out := int(np.count_nonzero(~whole)):
         notes.append(f"{left_out} states are not complete, or have no answer, and are left out")
-    stamps, rows, poses, twists, efforts = (part[whole] for part in (stamps, rows, poses, twists, efforts))
+    stamps, rows, poses, twists, efforts = stamps[whole], rows[whole], poses[whole], twists[whole], efforts[whole]
     if gaps := int(np.count_nonzero(np.diff(stamps) > 1.5 * NS * config.dt)):
         notes.append(f"{gaps} times a period or more is missing between two states")
     begin, end = int(stamps[0]), int(stamps[-1])
     time = (stamps - begin) / NS
     q, dq, x = joints.position[rows], joints.velocity[rows], pose_of(poses)
-    states = tuple(
-        BodyState(float(time[k]), q[k], dq=dq[k], x_base=x[k], v_base=twists[k]) for k in range(len(stamps))
-    )
+    states = tuple(BodyState(float(time[k]), q[k], dq=dq[k], x_base=x[k], v_base=twists[k]) for k in range(len(stamps)))
     wrenches = np.stack([aligned(columns.get(f"{foot.value}_wrench"), stamps, 6) for foot in FEET], axis=1)
     # of the targets from before the first state the last holds
     led = {max(stamp, begin): place for stamp, place in _places(columns.get("hand_target_applied")) if stamp <= end}
@@ -190,15 +188,17 @@ def _efforts(path: Path, model: RobotModel, column: Column, stamps: Stamps, note
     told = joint_states(column, model.joint_names)
     finite = np.isfinite(told.effort).all(axis=1)
     if not finite.any():
-        lack = [n for n, torques in zip(model.joint_names, told.effort.T, strict=True) if not np.isfinite(torques).all()]
+        lack = [
+            n for n, torques in zip(model.joint_names, told.effort.T, strict=True) if not np.isfinite(torques).all()
+        ]
         raise BagError(f"'{path}': joint_effort_commands lack numbers of {', '.join(lack)}")
     if refused := int(np.count_nonzero(~finite)):
         notes.append(f"{refused} torque commands are incomplete or not finite, and are left out")
-    known, first = np.unique(told.stamps[finite], return_index=True)
+    answered, first = np.unique(told.stamps[finite], return_index=True)
     out = np.full((len(stamps), model.n), np.nan)
-    place = np.searchsorted(known, stamps)
-    place[place == len(known)] = 0
-    match = known[place] == stamps
+    place = np.searchsorted(answered, stamps)
+    place[place == len(answered)] = 0
+    match = answered[place] == stamps
     out[match] = told.effort[finite][first[place[match]]]
     return out
 

@@ -32,7 +32,7 @@ __all__ = [
     "pose_numbers",
     "pose_of",
     "serialize",
-    "table",
+    "tables",
     "text",
     "texts",
     "unpack",
@@ -170,6 +170,8 @@ def pack(message: Any, stamps: Stamps, numbers: Array) -> list[bytes]:
         Every double behind the header, in the order of the message.
     """
     layout, count = _Layout(message), len(stamps)
+    if not count:
+        return []
     block = np.tile(layout.bytes, (count, 1))
     times = np.stack([stamps // NS, stamps % NS], axis=1).astype("<u4")
     block[:, layout.stamp] = times.view(np.uint8).reshape(count, 8)

@@ -82,7 +82,7 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
     stamps, first = np.unique(states.stamps[rows], return_index=True)
     rows = rows[first]
     walking = stamps >= starts[0].stamp
-    whole = (np.abs(states.position[rows]) < _FARTHEST).all(axis=1)  # no nan is
+    whole = ~(~(np.abs(states.position[rows]) < _FARTHEST)).any(axis=1)  # no nan is less
     if early := int(np.count_nonzero(~walking)):
         notes.append(f"{early} states before the first phase are left out")
     if not walking.any():
@@ -92,10 +92,11 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
         raise BagError(f"'{path}': joint_states lack positions of {', '.join(lack) or 'every joint'}")
     if bad := int(np.count_nonzero(walking & ~whole)):
         notes.append(f"{bad} states without a number for every joint are left out")
-    rows, stamps = rows[walking & whole], stamps[walking & whole]
+    kept = np.flatnonzero(walking & whole)
+    rows, stamps = rows[kept], stamps[kept]
     q = np.ascontiguousarray(states.position[rows])
     u = _commands(path, model, stamps, columns["joint_velocity_commands"], notes)
-    answered = np.isfinite(u).all(axis=1)
+    answered = ~np.isnan(u).any(axis=1)
     last_word = texts(columns["phase"])[-1]
     if last_word == FAILED:
         notes.append("the walk failed: a phase could not end by its rule")

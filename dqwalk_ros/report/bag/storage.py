@@ -7,7 +7,6 @@ by the size of the bag, every checksum is verified, and a damaged file is read u
 
 from __future__ import annotations
 
-import dataclasses
 import io
 import os
 import re
@@ -16,6 +15,7 @@ import sqlite3
 import stat
 import struct
 import tempfile
+import zlib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
@@ -27,8 +27,7 @@ import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, McapRecord, Message, Schema, Statistics
-from mcap.stream_reader import breakup_chunk
+from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Schema, Statistics
 from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 from rosbags.typesys import Stores, get_typestore
@@ -213,8 +212,8 @@ def load(path: str | os.PathLike[str], wanted: Callable[[str, str], bool]) -> Co
                     column.raws.append(raw)
         except BagError:
             raise
-        except _Damage as damage:
-            reason = str(damage)
+        except sqlite3.DatabaseError as error:
+            reason = f"{error}; the .recover command of sqlite3 may save what is left"
         except Exception as error:  # whatever damaged bytes make a parser raise
             reason = str(error) or type(error).__name__
         if reason:
@@ -289,19 +288,24 @@ def _message(data: bytes, room: _Room) -> bytes:
 def _mcap(stream: IO[bytes], room: _Room) -> Iterator[_Item]:
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
-    count = 0
+    count, ended = 0, False
+    if stream.read(len(_MAGIC)) != _MAGIC:
+        raise _Damage("it is no MCAP file")
     for record in _records(stream, room):
-        if isinstance(record, Schema):
+        if isinstance(record, Message):
+            count += 1
+            channel = channels[record.channel_id]
+            yield channel.topic, schemas[channel.schema_id].name, record.log_time, _message(record.data, room)
+        elif isinstance(record, Schema):
             schemas[record.id] = record
         elif isinstance(record, Channel):
             channels[record.id] = record
             yield record.topic, schemas[record.schema_id].name, 0, None
-        elif isinstance(record, Message):
-            count += 1
-            channel = channels[record.channel_id]
-            yield channel.topic, schemas[channel.schema_id].name, record.log_time, _message(record.data, room)
         elif isinstance(record, Statistics) and record.message_count != count:
-            raise _Damage(f"{record.message_count} messages were written")
+            raise _Damage(f"it says that it holds {record.message_count} messages")
+        ended = isinstance(record, Footer)
+    if not ended:
+        raise _Damage("its end is missing")
 
 
 def _records(stream: IO[bytes], room: _Room) -> Iterator[McapRecord]:
@@ -309,28 +313,26 @@ def _records(stream: IO[bytes], room: _Room) -> Iterator[McapRecord]:
 
     `mcap.stream_reader.StreamReader` would read on through gigabytes of zeros, and inflate chunks without a bound.
     """
-    if stream.read(len(_MAGIC)) != _MAGIC:
-        raise _Damage("it is no MCAP file")
     while head := stream.read(_HEAD.size):
         opcode, length = _HEAD.unpack(head)
         if not (0 < opcode <= Opcode.DATA_END or opcode >= 0x80) or length > 2 * _MOST:
             raise _Damage("what follows is no record")
         body = stream.read(length)
+        if opcode == Opcode.CHUNK:
+            chunk = Chunk.read(ReadDataStream(io.BytesIO(body)))
+            data = _inflate(chunk.data, chunk.compression, chunk.uncompressed_size)
+            if len(body) == length and (
+                len(data) != chunk.uncompressed_size or chunk.uncompressed_crc not in (0, zlib.crc32(data))
+            ):
+                raise _Damage("a chunk's checksum is wrong")
+            room.take(len(data))
+            yield from _records(io.BytesIO(data), room)
         if len(body) < length:
             raise _Damage("its last record is not complete")
-        data = ReadDataStream(io.BytesIO(body))
-        if opcode == Opcode.CHUNK:
-            chunk = Chunk.read(data)
-            inflated = _inflate(chunk.data, chunk.compression, chunk.uncompressed_size)
-            if len(inflated) != chunk.uncompressed_size:
-                raise _Damage("a chunk has not the size that it says")
-            room.take(len(inflated))
-            yield from breakup_chunk(dataclasses.replace(chunk, compression="", data=inflated), validate_crc=True)
-        elif opcode in _KINDS:
-            yield _KINDS[Opcode(opcode)](data, length)
-        elif opcode == Opcode.FOOTER:
+        if opcode in _KINDS:
+            yield _KINDS[Opcode(opcode)](ReadDataStream(io.BytesIO(body)), length)
+        if opcode == Opcode.FOOTER:
             return
-    raise _Damage("its end is missing")
 
 
 _KINDS: dict[Opcode, Callable[[ReadDataStream, int], McapRecord]] = {
@@ -338,6 +340,7 @@ _KINDS: dict[Opcode, Callable[[ReadDataStream, int], McapRecord]] = {
     Opcode.CHANNEL: lambda data, length: Channel.read(data),
     Opcode.MESSAGE: Message.read,
     Opcode.STATISTICS: lambda data, length: Statistics.read(data),
+    Opcode.FOOTER: lambda data, length: Footer.read(data),
 }
 
 

@@ -18,7 +18,7 @@ from dqwalk_ros.phases import com_target, make_phase
 from dqwalk_ros.report.assessment import Assessor
 from dqwalk_ros.report.bag import columns
 from dqwalk_ros.report.bag.columns import NS, new, pack, pack_joint_states, pack_poses, pose_numbers, text
-from dqwalk_ros.report.bag.storage import connect, writing
+from dqwalk_ros.report.bag.storage import connect, flush, writing
 from dqwalk_ros.topics import FINISHED, ODOM, TOPICS, WORLD
 from dqwalk_ros.trace import PhaseRecord, Trace
 
@@ -60,8 +60,12 @@ def write(trace: Trace, path: str | os.PathLike[str], *, diagnostics: bool = Tru
         said.remove("diagnostics")
     with writing(path, overwrite=overwrite) as writer:
         connections = {name: connect(writer, "/" + name, TOPICS[name]) for name in TOPICS if name in said}
+        due = trace.epoch
         for stamp, name, raw in _entries(trace, diagnostics):
             writer.write(connections[name], stamp, raw)
+            if stamp >= due:  # a second of walking is the most that damage takes
+                due = stamp + NS
+                flush(writer)
 
 
 def _entries(trace: Trace, diagnostics: bool) -> Iterator[tuple[int, str, bytes]]:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from dqwalk_ros import origin
-from dqwalk_ros.report.bag.said import Said, faults
+from dqwalk_ros.report.bag.diagnostics import Status, faults
 from dqwalk_ros.report.figures import FIGURES, fits
 from dqwalk_ros.report.figures.style import drawing
 from dqwalk_ros.report.html.replay import replay_data
@@ -44,14 +44,14 @@ class Subject:
     series : Series
     report : dict
         As `analysis.report` gives it.
-    said : list of Said
+    said : list of Status
         What the nodes said of themselves.
     """
 
     name: str
     series: Series
     report: dict[str, Any]
-    said: list[Said]
+    said: list[Status]
 
 
 def write(subjects: Sequence[Subject], path: str | os.PathLike[str]) -> None:
@@ -252,9 +252,8 @@ def _tick_times(subject: Subject) -> str:
     times = times[np.isfinite(times)]
     where = "every tick"
     if not len(times):
-        values = [s.values["solve time"] for s in subject.said if "solve time" in s.values]
-        times, where = np.array([float(v) for v in values]), "as the controller said on /diagnostics"
-        times = times[np.isfinite(times)]
+        values = [status.number("solve time") for status in subject.said]
+        times, where = np.array([v for v in values if 0.0 <= v < 10.0]), "as the controller said on /diagnostics"
     if not len(times):
         return "<p class='muted'>The bag does not say how long the solver took.</p>"
     micro = 1e6 * times
