@@ -94,17 +94,17 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
         notes.append(f"{bad} states without a number for every joint are left out")
     kept = np.flatnonzero(walking & whole)
     rows, stamps = rows[kept], stamps[kept]
-    q = np.ascontiguousarray(states.position[rows])
+    q: Array = np.ascontiguousarray(states.position[rows])
     u = _commands(path, model, stamps, columns["joint_velocity_commands"], notes)
-    answered = ~np.isnan(u).any(axis=1)
+    unanswered = np.flatnonzero(np.isnan(u).any(axis=1))
     last_word = texts(columns["phase"])[-1]
     if last_word == FAILED:
         notes.append("the walk failed: a phase could not end by its rule")
-    if last_word == FINISHED and answered.any():  # what the plant went on to say is no part of the walk
-        end = int(np.flatnonzero(answered)[-1]) + 1
-        stamps, q, u, answered = stamps[:end], q[:end], u[:end], answered[:end]
-    if not answered.all():
-        notes.append(f"{np.count_nonzero(~answered)} of {len(stamps)} states have no command")
+    if last_word == FINISHED and len(unanswered) < len(u):  # what the plant published after the walk is no part of it
+        end = int(np.setdiff1d(np.arange(len(u)), unanswered)[-1]) + 1
+        stamps, q, u, unanswered = stamps[:end], q[:end], u[:end], unanswered[unanswered < end]
+    if len(unanswered):
+        notes.append(f"{len(unanswered)} of {len(stamps)} states have no command")
     epoch = int(stamps[0]) if stamps[0] > _CLOCK else 0
     return Trace(
         config=config,
