@@ -4,7 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["BODY_REQUIRED", "BODY_TOPICS", "FAILED", "FINISHED", "ODOM", "REQUIRED", "TOPICS", "WORLD", "Topic"]
+__all__ = [
+    "BODY_REQUIRED",
+    "BODY_TOPICS",
+    "FAILED",
+    "FINISHED",
+    "ODOM",
+    "PHASE_LOG",
+    "REQUIRED",
+    "TOPICS",
+    "WORLD",
+    "Topic",
+]
 
 ODOM = "odom"
 """Frame of the base sole at the very start of the walk [REP-105]."""
@@ -71,7 +82,7 @@ _ALL = (
         _HISTORY,
         "velocities [rad/s], with an inertial sensor torques [N m]; the stamp is that of the state they answer",
     ),
-    Topic("phase", "std_msgs/msg/String", True, _PHASES, "such as double_support/left, at the start of each phase"),
+    Topic("phase", "std_msgs/msg/String", True, 1, "such as double_support/left: what goes on now"),
     Topic(
         "phase_start",
         "sensor_msgs/msg/JointState",
@@ -93,7 +104,7 @@ _ALL = (
         _PHASES,
         "single support: the landing place, in the base sole",
     ),
-    Topic("support_foot", "std_msgs/msg/String", True, _PHASES, "left or right: the foot the phase name gives"),
+    Topic("support_foot", "std_msgs/msg/String", True, 1, "left or right: the foot the phase name gives"),
     Topic("base_pose", "geometry_msgs/msg/PoseStamped", False, _HISTORY, "pelvis in odom"),
     Topic("walk_config", "std_msgs/msg/String", True, 1, "every parameter, as the text of a parameter file"),
     Topic("walk_origin", "std_msgs/msg/String", True, 1, "versions and machine of who walks, a line each"),
@@ -118,6 +129,10 @@ _ALL = (
 )
 
 TOPICS: dict[str, Topic] = {topic.name.lstrip("/"): topic for topic in _ALL}
+
+PHASE_LOG = Topic("phase_log", "std_msgs/msg/String", True, _PHASES, "what `phase` has shown, for the recorder")
+"""`phase` keeps one message, so that whoever asks is told what goes on now; a bag's `phase` comes from here, so that
+none of them is lost."""
 
 REQUIRED = ("joint_states", "joint_velocity_commands", "phase", "phase_start", "walk_config")
 """Without these a bag is not a walk."""

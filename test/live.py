@@ -31,7 +31,7 @@ SHORT = {
 }
 """A cycle of 1267 ticks: small steps, a fast task, phases that end early, every promise kept."""
 
-LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class Live:
@@ -40,7 +40,7 @@ class Live:
     Attributes
     ----------
     got : dict of str to list
-        Messages by topic: phase, joint_states, joint_velocity_commands, diagnostics.
+        Messages by topic: phase_log, joint_states, joint_velocity_commands, diagnostics.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class Live:
         self._executor.add_node(self.node)
         self.got: dict[str, list[Any]] = {}
         self._clients: dict[str, Any] = {}
-        self._listen(String, "phase", LATCHED)
+        self._listen(String, "phase_log", LATCHED)
         self._listen(JointState, "joint_states", QoSProfile(depth=1000))
         self._listen(JointState, "joint_velocity_commands", QoSProfile(depth=1000))
         self._listen(DiagnosticArray, "/diagnostics", QoSProfile(depth=1000))
@@ -127,7 +127,7 @@ class Live:
 
     def phases(self) -> list[str]:
         """Return what `phase` said."""
-        return [msg.data for msg in self.got["phase"]]
+        return [msg.data for msg in self.got["phase_log"]]
 
     def speeds(self) -> Any:
         """Return the largest joint speed of each command, shape (N,) [rad/s]."""
@@ -138,7 +138,8 @@ class Live:
     @property
     def phase(self) -> str:
         """What `phase` said last, or an empty text."""
-        return (self.phases() or [""])[-1]
+        msg = self.last("phase_log")
+        return "" if msg is None else str(msg.data)
 
     def last(self, topic: str) -> Any:
         """Return the last message of a topic, or None."""
@@ -151,12 +152,16 @@ class Live:
 
     def speed_of(self, commands: int = 1) -> float:
         """Return the largest joint speed of the last commands [rad/s]; not a number before there are so many."""
-        last = self.speeds()[-commands:]
-        return float(last.max()) if len(last) == commands else float("nan")
+        last = self.got["joint_velocity_commands"][-commands:]
+        return max(abs(v) for msg in last for v in msg.velocity) if len(last) == commands else float("nan")
 
     def status(self, name: str) -> Any:
         """Return what a node said last on /diagnostics, or None."""
-        return (self.statuses(name) or [None])[-1]
+        for array in reversed(self.got["diagnostics"]):
+            for status in array.status:
+                if status.name.startswith(f"{name}:"):
+                    return status
+        return None
 
     def close(self) -> None:
         """End everything."""

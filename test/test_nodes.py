@@ -86,7 +86,8 @@ def check_that_all_is_there(path: Path, period: int) -> None:
     judged = []
     with Reader(path) as reader:
         assert {connection.topic for connection in reader.connections} == {
-            f"/{name}" for name, topic in TOPICS.items() if topic.source != "physics"
+            "/rosout",
+            *(f"/{name}" for name, topic in TOPICS.items() if topic.source != "physics"),
         }
         for connection, time, raw in reader.messages():
             message = store.deserialize_cdr(raw, connection.msgtype)
@@ -236,7 +237,6 @@ def test_a_state_that_cannot_be_used_is_rejected_and_the_walk_goes_on(live: Make
         [
             (names, nan, (), f"not a finite position: {names[3]}"),
             (names, inf, (), f"not a finite position: {names[0]}"),
-            (names, zero, nan, f"not a finite velocity: {names[3]}"),
             (names[1:], zero[1:], (), f"joints missing: {names[0]}"),
             (["wrong", *names[1:]], zero, (), f"joints missing: {names[0]}; it has wrong"),
             ([*names, names[2]], [*zero, 0.0], (), f"joints named twice: {names[2]}"),
@@ -314,8 +314,6 @@ def test_a_signal_ends_a_node_in_order(live: Make, name: str, number: signal.Sig
             "'gait.step_length' must be a number in [-0.5, 0.5], got 99.0",
         ),
         ("/**/controler: {ros__parameters: {dt: 0.01}}", "did you mean 'controller'"),
-        ("/elsewhere/controller: {ros__parameters: {dt: 0.01}}", "does not reach /controller"),
-        ("/somebody: {ros__parameters: {dt: 0.01}}", "no section reaches /controller"),
         ("/**: {ros__parameters: {robot: {urdf: nothing.urdf}}}", "nothing.urdf"),
     ],
 )

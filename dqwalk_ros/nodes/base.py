@@ -24,7 +24,7 @@ from dqwalk_ros.errors import ConfigError, DqwalkError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes import parameters, wheels
 from dqwalk_ros.nodes.command_line import NODES
-from dqwalk_ros.topics import BODY_TOPICS, TOPICS
+from dqwalk_ros.topics import BODY_TOPICS, TOPICS, Topic
 
 __all__ = ["STEADY", "THROTTLE", "WalkNode", "main"]
 
@@ -93,9 +93,10 @@ class WalkNode(Node):
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def advertise(self, name: str) -> Publisher:
+    def advertise(self, topic: Topic | str) -> Publisher:
         """Create the publisher of one of our topics, as the table in `dqwalk_ros.topics` says."""
-        topic = (TOPICS | BODY_TOPICS)[name]
+        if isinstance(topic, str):
+            topic = (TOPICS | BODY_TOPICS)[topic]
         profile = ros.latched(topic.depth) if topic.latched else ros.stream(topic.depth)
         return self.create_publisher(ros.message_type(topic.type), topic.name, profile)
 

@@ -29,8 +29,8 @@ from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
 from dqwalk_ros.nodes.inputs import InertialSensor, Steering
 from dqwalk_ros.nodes.odometry import Odometry
 from dqwalk_ros.nodes.phase_log import phase_messages
-from dqwalk_ros.nodes.safety import DuplicatePublishers, FaultCounter, StateGate
-from dqwalk_ros.topics import FINISHED, TOPICS
+from dqwalk_ros.nodes.safety import DuplicateStates, FaultCounter, StateGate
+from dqwalk_ros.topics import FINISHED, PHASE_LOG, TOPICS
 
 __all__ = ["Controller", "Mode"]
 
@@ -58,7 +58,8 @@ class Controller(WalkNode):
 
         joint_velocity_commands  sensor_msgs/JointState [rad/s]; stamp: that of the state it answers;
                                  with an imu also torques that hold the robot [N m]
-        phase, support_foot      std_msgs/String, latched; at the end 'finished' or 'failed'
+        phase, support_foot      std_msgs/String, latched: what goes on now; at the end 'finished' or 'failed'
+        phase_log                std_msgs/String, latched: the last hundred that `phase` has shown
         phase_start              sensor_msgs/JointState, latched: the posture in which the phase began
         com_target, swing_target geometry_msgs/PointStamped, PoseStamped, latched, in the support sole's frame
         base_pose                geometry_msgs/PoseStamped: the pelvis in odom (and /tf where tf2_msgs exists)
@@ -102,7 +103,7 @@ class Controller(WalkNode):
             by_stamp=self.lockstep,
         )
         self._failures = FaultCounter(config.safety.failures)
-        self._plants = DuplicatePublishers()
+        self._plants = DuplicateStates(config.dt)
         self._duplicates = ""
         self._stale = False
         self._ticks = self._rejected = 0
@@ -111,6 +112,7 @@ class Controller(WalkNode):
         self._diagnosed = self._reported = -float("inf")  # steady time [s]
 
         self._pub = {name: self.advertise(name) for name in TOPICS if TOPICS[name].source == "controller"}
+        self._pub["phase_log"] = self.advertise(PHASE_LOG)
         self._odometry = Odometry(self, self._pub["base_pose"])
         self._pub["walk_config"].publish(String(data=to_yaml(config)))
         self._pub["walk_origin"].publish(String(data=origin.to_text(origin.here())))
@@ -138,6 +140,9 @@ class Controller(WalkNode):
     def _on_state(self, msg: JointState) -> None:
         began = time.perf_counter()
         stamp = ros.nanoseconds(msg.header.stamp)
+        if self._reader.is_foreign(msg):
+            return
+        self._plants.note(msg.name, stamp)
         try:
             state: State | None = self._reader.state(msg)
             if state is not None and self._imu is not None:
@@ -167,7 +172,7 @@ class Controller(WalkNode):
                 self._odometry.publish(stamp, self._walk)
         if self._mode is not before:
             self._done()
-        elif began - self._diagnosed >= 1.0 / self.config.monitor.rate:
+        elif self._is_time_to_diagnose():
             self._diagnose()
         self._report_progress()
 
@@ -179,7 +184,7 @@ class Controller(WalkNode):
             self._sent = self._fail(self._gate.jumped.reason)
             self._publish_zero()
             self._done()
-        else:
+        elif self._is_time_to_diagnose():
             self._diagnose("ERROR", f"joint_states rejected: {error}")
 
     def _is_new(self, stamp: int) -> bool:
@@ -329,6 +334,7 @@ class Controller(WalkNode):
         name = self._walk.phase.name if walking else self._mode.value
         if name != Mode.WALKING.value:  # nothing to tell before the first state
             self._pub["phase"].publish(String(data=name))
+            self._pub["phase_log"].publish(String(data=name))
 
     def _publish_phase(self, stamp: int) -> None:
         """Say where the phase began; `stamp` [ns] is that of the state, which seconds of the clock would round."""
@@ -337,6 +343,9 @@ class Controller(WalkNode):
             self._pub[name].publish(msg)
         self._publish_phase_name()
         self.get_logger().info(f"{(stamp - self._stamp0) * 1e-9:8.3f} s  phase {self._phase_index}: {phase.name}")
+
+    def _is_time_to_diagnose(self) -> bool:
+        return time.perf_counter() - self._diagnosed >= 1.0 / self.config.monitor.rate
 
     def _diagnose(self, level: str = "", message: str = "") -> None:
         last = self._walk.last if self._phase_index >= 0 else None

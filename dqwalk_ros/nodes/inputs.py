@@ -188,7 +188,12 @@ class CommandInput:
         command = self.read(msg)
         if command is None:
             return False
-        return self.gate.accept(ros.nanoseconds(msg.header.stamp), command.velocity, now, command.effort)
+        stamp, clock = ros.nanoseconds(msg.header.stamp), self._node.get_clock().now().nanoseconds
+        if self.gate.accept(stamp, command.velocity, now, command.effort, clock=clock):
+            return True
+        text = f"{self._topic} ignored ({self.gate.late} so far): {self.gate.ignored}"
+        self._node.get_logger().warning(text, **THROTTLE)
+        return False
 
     def take_answer(self, msg: JointState, now: int) -> Command | None:
         """Return the command that answers the very state with the stamp `now` [ns]: lockstep; None for any other."""
@@ -220,7 +225,8 @@ class CommandInput:
         if self.gate.refused:
             return "ERROR", f"holding: {self.gate.refused}"
         if self.gate.watchdog.silent:
-            return "ERROR" if self.gate.rejected else "WARN", "holding: no commands"
+            text = f"commands are ignored: {self.gate.ignored}" if self.gate.ignored else "no commands"
+            return "ERROR" if self.gate.rejected else "WARN", f"holding: {text}"
         return "WARN" if self.gate.rejected else "OK", "moving"
 
     def counts(self) -> dict[str, object]:

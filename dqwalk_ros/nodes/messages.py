@@ -125,7 +125,9 @@ class JointReader:
         self._order = JointOrder(joint_names)
 
     def state(self, msg: JointState) -> State:
-        """Return the measured state; the velocities may be missing.
+        """Return the measured state; velocities that are missing or not all finite are None.
+
+        A joint_state_broadcaster fills in NaN where a servo measures no velocity, and a walk does without.
 
         Raises
         ------
@@ -133,8 +135,14 @@ class JointReader:
             As `safety.JointOrder`: a message that does not fit is rejected as a whole.
         """
         q = self._order(msg.name, msg.position, "position")
-        dq = self._order(msg.name, msg.velocity, "velocity") if len(msg.velocity) else None
+        dq = self._order(msg.name, msg.velocity, "velocity", finite=False) if len(msg.velocity) else None
+        if dq is not None and not np.isfinite(dq).all():
+            dq = None
         return State(time=nanoseconds(msg.header.stamp) * 1e-9, q=q, dq=dq)
+
+    def is_foreign(self, msg: JointState) -> bool:
+        """Tell whether a message has joints, but none of the model: that of a gripper, say."""
+        return bool(msg.name) and self._order.joints.isdisjoint(msg.name)
 
     def command(self, msg: JointState) -> Command:
         """Return the commanded velocities, and the torques to be fed forward where there are any.

@@ -1,17 +1,17 @@
 """The schema of `dqwalk_ros.config` as parameters of a ROS node.
 
 rcl accepts whatever a parameter file says and drops what nobody declares, so a misspelt key or node name would be
-silence. Here it is an error, before the node does anything.
+silence. Here it is an error, before the node does anything. What is plainly somebody else's is left alone, as ROS has
+it: one file may hold the parameters of a whole robot.
 """
 
 from __future__ import annotations
 
 import difflib
-import fnmatch
 import itertools
 import math
 import pathlib
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import yaml
@@ -38,35 +38,55 @@ def declare(node: Node, argv: Sequence[str], nodes: Collection[str]) -> Config:
     ----------
     node : rclpy.node.Node
     argv : sequence of str
-        Command line of the process, whose parameter files are checked for sections that reach nobody.
+        Command line of the process, whose parameter files are checked for sections with misspelt names.
     nodes : collection of str
         Names of all nodes of this package.
 
     Raises
     ------
     ConfigError
-        For an unknown name, a wrong type or a value out of bounds; the message names the close matches.
+        For a misspelt name, a wrong type or a value out of bounds; the message names the close matches.
     """
+    log = node.get_logger()
+    given = {
+        name: () if parameter.value is None else parameter.value  # an empty list has no type
+        for name, parameter in node._parameter_overrides.items()  # rclpy has no public way to ask for all of them
+        if name.split(".")[0] not in _OF_RCLPY
+    }
     for path in _parameter_files(argv):
-        check_sections(path, node.get_fully_qualified_name(), nodes)
-    config = Config.from_flat(
-        {
-            name: () if parameter.value is None else parameter.value  # an empty list has no type
-            for name, parameter in node._parameter_overrides.items()  # rclpy has no public way to ask for all of them
-            if name.split(".")[0] not in _OF_RCLPY
-        }
-    )
+        sections = _sections_of(path)
+        _check_names(path, sections, nodes)
+        if not any(given.keys() & names for names in sections.values()):
+            found = ", ".join(f"'{section}'" for section in sections) or "none"
+            log.warning(
+                f"{path}: no section reaches {node.get_fully_qualified_name()} (sections: {found}); '/**' is for all"
+            )
+    if not given:
+        log.warning("no parameters given, only defaults: is --ros-args --params-file missing?")
+    foreign = [name for name in given if _is_foreign(name)]
+    if foreign:
+        log.info(f"parameters of somebody else, left alone: {', '.join(foreign)}")
+    config = Config.from_flat({name: value for name, value in given.items() if name not in foreign})
     for path in _parameter_files(argv):
         config = beside(path, config)
     for name, value in config.flat().items():
-        given: Any = (list(value) or [""]) if isinstance(value, tuple) else value
-        node.declare_parameter(name, given, _DESCRIPTORS[name], ignore_override=True)
+        shown: Any = (list(value) or [""]) if isinstance(value, tuple) else value
+        node.declare_parameter(name, shown, _DESCRIPTORS[name], ignore_override=True)
     return config
 
 
 def changes(parameters: Sequence[Parameter]) -> dict[str, Any]:
     """Return the values of those parameters that are of the schema, for `Config.updated`."""
     return {p.name: p.value for p in parameters if p.name.split(".")[0] not in _OF_RCLPY}
+
+
+def _is_foreign(name: str) -> bool:
+    """Tell whether a name is neither in the schema, nor in one of its sections, nor nearly one of its names."""
+    return not (
+        name in _DESCRIPTORS
+        or name.split(".")[0] in _SECTIONS
+        or difflib.get_close_matches(name[:100], _DESCRIPTORS, n=1, cutoff=0.8)
+    )
 
 
 def _descriptor(spec: Spec) -> ParameterDescriptor:
@@ -85,6 +105,7 @@ def _descriptor(spec: Spec) -> ParameterDescriptor:
 
 
 _DESCRIPTORS = {spec.name: _descriptor(spec) for spec in Config.specs()}
+_SECTIONS = {name.split(".")[0] for name in _DESCRIPTORS}
 
 
 def _parameter_files(argv: Sequence[str]) -> Iterator[pathlib.Path]:
@@ -94,63 +115,43 @@ def _parameter_files(argv: Sequence[str]) -> Iterator[pathlib.Path]:
             yield pathlib.Path(value)
 
 
-def check_sections(path: pathlib.Path, node: str, nodes: Collection[str]) -> None:
-    """Check that the sections of a parameter file reach the nodes they were written for.
-
-    Sections of nodes that are not ours are left alone.
-
-    Parameters
-    ----------
-    path : Path
-    node : str
-        Full name, such as ``"/poppy/controller"``.
-    nodes : collection of str
-        Names of all nodes of this package.
+def _sections_of(path: pathlib.Path) -> dict[str, set[str]]:
+    """Return the names of the parameters in each section of a parameter file.
 
     Raises
     ------
     ConfigError
-        If no section applies to this node, one is written for it but does not reach it, or one has a name that is
-        nearly that of a node of ours.
+        If it cannot be read.
     """
     try:
         tree = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
         raise ConfigError(f"cannot read '{path}': {' '.join(str(error).split())}") from error
-    own = node.rpartition("/")[2]
-    sections = list(_sections(tree, ""))
-    applied = [section for section in sections if _matches(section, node)]
+    out: dict[str, set[str]] = {}
+
+    def walk(tree: Any, prefix: str) -> None:
+        for key, value in tree.items() if isinstance(tree, Mapping) else ():
+            if key == "ros__parameters":
+                out[prefix] = set(_names(value, ""))
+            else:
+                walk(value, f"{prefix}/{key}".replace("//", "/") if prefix else str(key))
+
+    walk(tree, "")
+    return out
+
+
+def _names(tree: Any, prefix: str) -> Iterator[str]:
+    for key, value in tree.items() if isinstance(tree, Mapping) else ():
+        if isinstance(value, Mapping):
+            yield from _names(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}"
+
+
+def _check_names(path: pathlib.Path, sections: Collection[str], nodes: Collection[str]) -> None:
+    """Refuse sections whose name is nearly that of a node of ours."""
     for section in sections:
         last = section.rpartition("/")[2]
-        if last == own and section not in applied:
-            raise ConfigError(f"{path}: the section '{section}' does not reach {node}; write '/**/{own}' or '{node}'")
         close = difflib.get_close_matches(last, nodes, n=1, cutoff=0.8)
         if close and last not in nodes:
             raise ConfigError(f"{path}: the section '{section}' is for no node of ours; did you mean '{close[0]}'?")
-    if not applied:
-        found = ", ".join(f"'{section}'" for section in sections) or "none"
-        raise ConfigError(f"{path}: no section reaches {node} (sections: {found}); write '/**' for all nodes")
-
-
-def _sections(tree: Any, prefix: str) -> Iterator[str]:
-    if not isinstance(tree, dict):
-        return
-    for key, value in tree.items():
-        if key == "ros__parameters":
-            yield prefix
-        elif isinstance(key, str):
-            yield from _sections(value, f"{prefix}/{key}" if prefix and not key.startswith("/") else prefix + key)
-
-
-def _matches(section: str, node: str) -> bool:
-    """Tell whether rcl applies a section to a node: ``*`` is one part of the name, ``**`` any number of them."""
-    pattern = section if section.startswith("/") else f"/{section}"
-
-    def match(parts: list[str], names: list[str]) -> bool:
-        if not parts:
-            return not names
-        if parts[0] == "**":
-            return any(match(parts[1:], names[i:]) for i in range(len(names) + 1))
-        return bool(names) and fnmatch.fnmatchcase(names[0], parts[0]) and match(parts[1:], names[1:])
-
-    return match(pattern.strip("/").split("/"), node.strip("/").split("/"))

@@ -109,7 +109,11 @@ class PhaseMonitor(WalkNode):
     # ------------------------------------------------------------------ the states
 
     def _on_state(self, raw: bytes) -> None:
-        stamp = ros.stamp_of(raw)
+        try:
+            stamp = ros.stamp_of(raw)
+        except StateError as error:
+            self.get_logger().error(f"joint_states rejected: {error}", **THROTTLE)
+            return
         self._heard = time.monotonic()
         if stamp < self._newest:  # a plant that began again, or whose clock was set back
             self._phases.forget_after(stamp)

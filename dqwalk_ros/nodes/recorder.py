@@ -14,24 +14,30 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from rclpy.qos import DurabilityPolicy
 from rosbags.rosbag2 import WriterError
 
+from dqwalk_ros.errors import StateError
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.base import STEADY, WalkNode
+from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
 from dqwalk_ros.report.bag.storage import connect, flush, open_writer
-from dqwalk_ros.topics import BODY_TOPICS, TOPICS, Topic
+from dqwalk_ros.topics import BODY_TOPICS, PHASE_LOG, TOPICS, Topic
 
-__all__ = ["Recorder"]
+__all__ = ["OTHERS", "Recorder"]
 
 _DEPTH = 50_000
 """Messages that may wait here: minutes of real time, most of a minute of lockstep at full speed."""
 _FLUSH = 1.0
 """A recorder that is killed loses what came within so long at most [s]."""
+_LOOK = 0.5
+"""Time between two looks for topics that nobody published before [s]."""
 _LINGER = {True: 3.0, False: 0.5}
 """Longest time for what is still under way when the end is asked for [s], in lockstep and in real time."""
 _ALL = TOPICS | BODY_TOPICS
 """Those of either kind of walk; the bag has the ones that something was said on."""
 _PHYSICS = tuple(name for name, topic in TOPICS.items() if topic.source == "physics")
+OTHERS = ("cmd_vel", "footsteps", "push", "hand_target", "joint_goals", "odom", "/tf", "/tf_static", "/rosout")
+"""What steers a walk or goes with it; it is filed under the newest stamp of joint_states."""
 _EACH_TICK = ("joint_states", "joint_velocity_commands", "base_pose", "joint_effort_commands", "base_twist", *_PHYSICS)
 _STAMPED = ("sensor_msgs/", "geometry_msgs/", "diagnostic_msgs/")
 
@@ -44,7 +50,8 @@ class Recorder(WalkNode):
         joint_states, joint_velocity_commands, phase, phase_start, com_target, swing_target, support_foot, base_pose,
         walk_config, walk_origin, robot_description, /diagnostics; those of the node physics where it runs;
         of the whole body: joint_effort_commands, base_twist, left_wrench, right_wrench, hand_target_applied,
-        push_applied
+        push_applied; and where somebody publishes them: cmd_vel, footsteps, push, hand_target, joint_goals, odom,
+        /tf, /tf_static, /rosout
 
     Writes::
 
@@ -81,18 +88,40 @@ class Recorder(WalkNode):
         self._handled = 0
         self._seen = -1
         self._stop_at = float("inf")
+        self._others: dict[str, Topic] = {}  # that are not in the table, as they were found
         for name, topic in _ALL.items():
-            profile = ros.latched(topic.depth) if topic.latched else ros.stream(_DEPTH)
-            kind = ros.message_type(topic.type)
-            self.create_subscription(kind, topic.name, partial(self._on_message, name, topic), profile, raw=True)
+            self._subscribe(PHASE_LOG.name if name == "phase" else topic.name, name, topic)
+        self._look_for_others()
         self.create_timer(_FLUSH, self._flush, clock=STEADY)
+        self.create_timer(_LOOK, self._look_for_others, clock=STEADY)
         self.get_logger().info(f"recording to {self._path}")
+
+    def _subscribe(self, topic_name: str, name: str, topic: Topic) -> None:
+        profile = ros.latched(topic.depth) if topic.latched else ros.stream(_DEPTH)
+        kind = ros.message_type(topic.type)
+        self.create_subscription(kind, topic_name, partial(self._on_message, name, topic), profile, raw=True)
+
+    def _look_for_others(self) -> None:
+        """Subscribe to what else belongs to a walk, in whatever type it is published, once somebody publishes it."""
+        for name in OTHERS:
+            ends = () if name in self._others else self.get_publishers_info_by_topic(self.resolve_topic_name(name))
+            for end in ends[:1]:
+                latched = end.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
+                topic = self._others[name] = Topic(name, end.topic_type, latched, 100, "", "other")
+                try:
+                    self._subscribe(name, name, topic)
+                except (ImportError, AttributeError):
+                    self.get_logger().warning(f"cannot record {name}: its type {end.topic_type} is not installed")
 
     def _on_message(self, name: str, topic: Topic, raw: bytes) -> None:
         self._handled += 1
         stamp = self._newest
-        if topic.type.startswith(_STAMPED):
-            own = ros.stamp_of(raw)
+        if topic.source != "other" and topic.type.startswith(_STAMPED):
+            try:
+                own = ros.stamp_of(raw)
+            except StateError as error:
+                self.get_logger().error(f"{name} not recorded: {error}", **THROTTLE)
+                return
             if name in self._last:
                 if raw == self._last_raw.get(name):
                     return
@@ -116,10 +145,10 @@ class Recorder(WalkNode):
 
     def _write(self, name: str, stamp: int, raw: bytes) -> None:
         if name not in self._connections:
-            topic = _ALL[name]
+            topic = _ALL.get(name) or self._others[name]
             self._connections[name] = connect(self._writer, self.resolve_topic_name(topic.name), topic)
         self._writer.write(self._connections[name], stamp, raw)
-        self._counts[name] += 1
+        self._counts[name] = self._counts.get(name, 0) + 1
 
     def _flush(self) -> None:
         try:

@@ -21,6 +21,7 @@ from dqwalk_ros.model import RobotModel
 __all__ = [
     "CommandGate",
     "DuplicatePublishers",
+    "DuplicateStates",
     "FaultCounter",
     "JointOrder",
     "StateGate",
@@ -42,20 +43,26 @@ class JointOrder:
     Parameters
     ----------
     joint_names : sequence of str
+
+    Attributes
+    ----------
+    joints : frozenset of str
     """
 
     def __init__(self, joint_names: Sequence[str]) -> None:
         self._joints = tuple(joint_names)
+        self.joints = frozenset(joint_names)
         self._names: list[str] = []
         self._index: NDArray[np.intp] | None = None
 
-    def __call__(self, names: Sequence[str], values: ArrayLike, what: str) -> Array:
+    def __call__(self, names: Sequence[str], values: ArrayLike, what: str, *, finite: bool = True) -> Array:
         """Return the values of the model's joints, shape (n,); `what` is their name in messages.
 
         Raises
         ------
         StateError
-            If joints are missing or doubled, a length is wrong or a number is not finite; the message names the joints.
+            If joints are missing or doubled, a length is wrong or, with `finite`, a number is not; the message names
+            the joints.
         """
         if self._index is None or names != self._names:
             self._index = self._order(names)
@@ -64,7 +71,7 @@ class JointOrder:
         if given.shape != (len(self._names),):
             raise StateError(f"{len(self._names)} names with {given.size} numbers in '{what}'")
         out: Array = given[self._index]
-        if not (math.isfinite(sum(out.tolist())) or np.isfinite(out).all()):  # the sum is quick
+        if finite and not (math.isfinite(sum(out.tolist())) or np.isfinite(out).all()):  # the sum is quick
             bad = ", ".join(f"{self._joints[i]} = {out[i]}" for i in np.flatnonzero(~np.isfinite(out)))
             raise StateError(f"not a finite {what}: {bad}")
         return out
@@ -176,6 +183,63 @@ class DuplicatePublishers:
             return ""
         self._doubled = min(self._doubled, self._clock())
         return f"{names[0]}, {len(names)} times" if self._clock() - self._doubled > self.ghost else ""
+
+
+class DuplicateStates:
+    """Tell two plants from a plant and its neighbours on one topic.
+
+    Several nodes may publish joint_states, each for joints of its own: a hand, a head, a joint_state_publisher. Two
+    plants are two publishers of the *model's* joints. They name them in different lists, or more of their messages
+    come than their stamps account for, or their stamps go back and forth; all of it in two looks in a row.
+
+    Parameters
+    ----------
+    period : float
+        Of the states, as long as none is measured [s].
+    """
+
+    looks = 2
+    backs = 3
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._suspected = 0
+        self._forget()
+
+    def _forget(self) -> None:
+        self._lists: set[tuple[str, ...]] = set()
+        self._count = self._backs = 0
+        self._first = self._last = -1
+
+    def note(self, names: Sequence[str], stamp: int) -> None:
+        """Note a message that names joints of the model, and its stamp [ns]."""
+        if not self._count:
+            self._first = stamp
+        elif stamp < self._last:
+            self._backs += 1
+        self._count, self._last = self._count + 1, stamp
+        if len(self._lists) < 2:
+            self._lists.add(tuple(names))
+
+    def judge(self, publishers: Sequence[str]) -> str:
+        """Return who publishes what must have one publisher, empty if all is well.
+
+        Parameters
+        ----------
+        publishers : sequence of str
+            Names of the nodes that publish the topic, one entry per publisher.
+        """
+        advance = 1e-9 * (self._last - self._first)
+        if len(publishers) < 2:
+            self._suspected = 0
+            if self._count > 10 and advance > 0.0:
+                self._period = advance / (self._count - 1)
+        else:
+            too_many = self._count > 3 + 1.5 * advance / self._period
+            two = len(self._lists) > 1 or too_many or self._backs >= self.backs
+            self._suspected = self._suspected + 1 if two else 0
+        self._forget()
+        return ", ".join(sorted(set(publishers))) if self._suspected >= self.looks else ""
 
 
 def outside_limits(q: Array, model: RobotModel, slack: float) -> str:
@@ -327,6 +391,8 @@ class CommandGate:
         Why nothing may move whatever the commands say, such as a second controller; empty if nothing is in the way.
     late, rejected : int
         Commands that were ignored for their stamp, and refused for what they said.
+    ignored : str
+        Why the last command was ignored; empty if it was not.
     """
 
     contradictions = 3
@@ -336,7 +402,7 @@ class CommandGate:
         self._model, self._timeout, self._clock = model, timeout, clock
         self._contradicted: list[float] = []
         self.watchdog = Watchdog(timeout, clock)
-        self.refused = ""
+        self.refused = self.ignored = ""
         self.late = self.rejected = 0
         self._zero = np.zeros(model.n)
         self._u = self._zero
@@ -363,31 +429,47 @@ class CommandGate:
         self._contradicted = [at for at in self._contradicted if now - at < 1.0]
         return len(self._contradicted) >= self.contradictions
 
-    def accept(self, stamp: int, u: Array, now: int, effort: Array | None = None) -> bool:
+    def accept(self, stamp: int, u: Array, now: int, effort: Array | None = None, *, clock: int | None = None) -> bool:
         """Take in a command, or ignore it and change nothing; return which.
+
+        A command counts if its stamp is that of a state which is not older than the timeout, as this package's
+        controllers have it; or within the timeout of the clock, as of a node that stamps its messages when it sends
+        them; or zero, which is ROS for "not stamped": then it counts when it is received.
 
         Parameters
         ----------
         stamp : int
-            Of the state it answers [ns].
+            [ns]
         u : ndarray, shape (n,)
             Velocities [rad/s], or torques [N m] for a plant that takes those; finite.
         now : int
-            Stamp of the state that the plant published last [ns]: a command that answers an older one by more than
-            the timeout, or one that does not exist yet, is ignored.
+            Stamp of the state that the plant published last [ns].
         effort : ndarray, shape (n,), optional
             Torques to be fed forward [N m], finite.
+        clock : int, optional
+            Time of the node's clock [ns].
         """
-        if stamp == self._stamp and not np.array_equal(u, self._u):
+        unstamped = stamp == 0 and now > 0
+        if stamp == self._stamp and not unstamped and not np.array_equal(u, self._u):
             # a controller that stops says zero once for a state it has answered already; that is no second one
             self._contradicted.append(self._clock())
-        overtaken = stamp < self._stamp and not self.watchdog.silent
-        if overtaken or stamp > now or now - stamp > self._timeout() * 1e9:
+        self.ignored = "" if unstamped else self._out_of_time(stamp, now, clock)
+        if self.ignored:
             self.late += 1
             return False
         self._u, self._stamp, self._effort = u, stamp, effort
         self.watchdog.feed()
         return True
+
+    def _out_of_time(self, stamp: int, now: int, clock: int | None) -> str:
+        """Return why a stamp [ns] does not count; empty if it does."""
+        if stamp < self._stamp and not self.watchdog.silent:
+            return "overtaken by a newer one"
+        timeout = self._timeout() * 1e9
+        if 0 <= now - stamp <= timeout or (clock is not None and abs(clock - stamp) <= timeout):
+            return ""
+        off = 1e-9 * (stamp - now)
+        return f"stamped {abs(off):.3f} s {'after' if off > 0.0 else 'before'} the last state"
 
     def velocity(self, q: Array, dt: float) -> Array:
         """Return the velocities with which to move for `dt` [s] from `q`: clamped, and zero where the plant holds."""

@@ -1,0 +1,143 @@
+"""A node of ours within the test's own process: it is handed messages, and what it publishes and logs is kept.
+
+Nothing is spun: a test calls what the executor would call, so nothing depends on who is quick.
+"""
+
+from __future__ import annotations
+
+import copy
+import importlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+from dqwalk_ros.config import Config, to_yaml
+from dqwalk_ros.nodes.command_line import NODES, parse
+from dqwalk_ros.runner import private_domain
+
+
+class Log:
+    """Stands in for rclpy's logger; throttles are ignored."""
+
+    def __init__(self) -> None:
+        self.lines: list[tuple[str, str]] = []
+
+    def __getattr__(self, level: str) -> Any:
+        return lambda text, **_: self.lines.append((level, text))
+
+    def __contains__(self, text: str) -> bool:
+        return any(text in line for _, line in self.lines)
+
+
+class Kept:
+    """A publisher that keeps what it publishes."""
+
+    def __init__(self, real: Any, box: list[Any]) -> None:
+        self._real, self._box = real, box
+
+    def publish(self, msg: Any) -> None:
+        self._box.append(copy.deepcopy(msg))
+        self._real.publish(msg)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._real, name)
+
+
+class Inside:
+    """One node and its surroundings.
+
+    Attributes
+    ----------
+    node : WalkNode
+    got : dict of str to list
+        What was published, by topic.
+    log : Log
+    """
+
+    def __init__(
+        self, name: str, config: Config | str, folder: Path, *own: str, ros: tuple[str, ...] = (), domain: int
+    ) -> None:
+        self.got: dict[str, list[Any]] = {}
+        self.log = Log()
+        params = folder / f"{name}.yaml"
+        params.write_text(config if isinstance(config, str) else to_yaml(config), encoding="utf-8")
+        module, _, kind = NODES[name].partition(".")
+        base = getattr(importlib.import_module(f"dqwalk_ros.nodes.{module}"), kind)
+        box, log = self.got, self.log
+
+        class Made(base):  # type: ignore[misc, valid-type]
+            def create_publisher(self, kind: Any, topic: str, *args: Any, **keywords: Any) -> Any:
+                real = Node.create_publisher(self, kind, topic, *args, **keywords)
+                return Kept(real, box.setdefault(topic.lstrip("/"), []))
+
+            def get_logger(self) -> Any:
+                return log
+
+        self.context = Context()
+        rclpy.init(context=self.context, domain_id=domain)
+        arguments = ["--ros-args", "--params-file", str(params), *ros]
+        try:
+            self.node = Made(
+                parse(name, [*own, *arguments]), context=self.context, cli_args=arguments, use_global_arguments=False
+            )
+        except BaseException:
+            self.context.try_shutdown()
+            raise
+
+    def hand(self, topic: str, msg: Any) -> None:
+        """Give a message to the subscription of a topic."""
+        name = self.node.resolve_topic_name(topic)
+        (subscription,) = (s for s in self.node.subscriptions if s.topic_name == name)
+        subscription.callback(msg)
+
+    def tick(self) -> None:
+        """Call every timer once."""
+        for timer in list(self.node.timers):
+            timer.callback()
+
+    def call(self, service: str, request: Any) -> Any:
+        """Call a service of the node."""
+        (found,) = (s for s in self.node.services if s.srv_name.endswith(service))
+        return found.callback(request, found.srv_type.Response())
+
+    def close(self) -> None:
+        """End the node."""
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+@contextmanager
+def inside(folder: Path) -> Iterator[Any]:
+    """Give a function that makes nodes, in a ROS domain of their own, and end them all."""
+    made: list[Inside] = []
+    with private_domain() as domain:
+
+        def make(name: str, config: Config | str, *own: str, ros: tuple[str, ...] = ()) -> Inside:
+            made.append(Inside(name, config, folder, *own, ros=ros, domain=domain))
+            return made[-1]
+
+        try:
+            yield make
+        finally:
+            for one in made:
+                one.close()
+
+
+def state(names: Any, q: Any, stamp: float, **fields: Any) -> JointState:
+    """Return a JointState; `stamp` [s]."""
+    msg = JointState(name=list(names), position=[float(x) for x in q])
+    for field, values in fields.items():
+        setattr(msg, field, [float(x) for x in values])
+    msg.header.stamp.sec, msg.header.stamp.nanosec = divmod(round(stamp * 1e9), 1_000_000_000)
+    return msg
+
+
+def values(status: Any) -> Mapping[str, str]:
+    """Return the values of a DiagnosticStatus."""
+    return {pair.key: pair.value for pair in status.values}
