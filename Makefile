@@ -112,7 +112,6 @@ $(VENV)/.installed-sim: setup.py | $(BIN)/python
 
 $(VENV)/.installed-test: setup.py | $(BIN)/python
 	$(BIN)/python -m pip install --editable '.[$(ROS_EXTRA)test]'
-	$(BIN)/python -m pip install --no-deps pypot==5.0.2  # its requirements are 500 MB that the driver does not use
 	@touch $@ $(VENV)/.installed
 
 $(VENV)/.installed-dev: setup.py | $(BIN)/python

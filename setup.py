@@ -32,8 +32,10 @@ DAQP = ["daqp>=0.7"]
 VIEW = ["viser>=1.1"]
 STUDY = ["distributed>=2023.1", "joblib>=1.3", "pyarrow>=12"]
 SIM = ["mujoco>=3.4"]
+POPPY = ["dynamixel-sdk>=3.7", "pyserial>=3.5"]
 TEST = [
     *DAQP,
+    *POPPY,
     *STUDY,
     *VIEW,
     *SIM,
@@ -42,7 +44,6 @@ TEST = [
     "pin>=2.7",
     "playwright>=1.40",
     "psutil>=5.9",
-    "pyserial>=3.5",
     "pytest>=7.4",
     "pytest-timeout>=2.1",
     "pytest-xdist>=3.3",
@@ -51,9 +52,6 @@ TEST = [
 ]
 # pinocchio, for the whole-body controller
 WHOLEBODY = ["pin>=2.7"]
-# pypot 5.0.2 names OpenCV, ikpy, tornado and more as requirements (500 MB), of which the driver uses none:
-# `pip install --no-deps pypot==5.0.2` beside pyserial is enough, and is what `make test` does.
-POPPY = ["pypot==5.0.2", "pyserial>=3.5"]
 DEV = [*VIEW, "mypy>=1.10", "ruff>=0.6", "types-PyYAML>=6.0", "types-psutil>=5.9"]
 
 setup(

@@ -366,18 +366,23 @@ class PoppyConfig:
     """The driver of the real Poppy."""
 
     motors: str = _par("poppy", "table of the motors: a path, or the name of one in config/motors/")
-    dummy: bool = _par(False, "pypot's dummy motors instead of a robot")
+    dummy: bool = _par(False, "emulated servos instead of a robot")
     rate: float = _par(50.0, "goals sent and angles read per second", "Hz", 5.0, 100.0)
     lower_port: str = _par("auto", "serial port of the legs, such as /dev/ttyACM0")
     upper_port: str = _par("auto", "serial port of the upper body")
     sync_read: bool = _par(True, "read all motors of a bus at once: USB2AX yes, FTDI and U2D2 no")
-    calibration: tuple[str, ...] = _par((), "angle that pypot shows at a joint's zero, JOINT=DEGREES")
+    calibration: tuple[str, ...] = _par((), "angle that the motors show at a joint's zero, JOINT=DEGREES")
+    activate: bool = _par(False, "the driver switches the torque on at start; false: ~/activate does")
     start_speed: float = _par(0.25, "speed of the way to the first pose", "rad/s", 0.01, 1.0)
     start_tolerance: float = _par(0.1, "distance at which a joint counts as in the first pose", "rad", 1e-3, 0.5)
     max_speed: float = _par(120.0, "largest speed asked of a servo", "deg/s", 2.0, 360.0)
     max_lead: float = _par(0.2, "largest distance of a goal from the measured angle", "rad", 0.01, 1.0)
     hot: float = _par(65.0, "the robot holds still when a motor is hotter", "degC", 30.0, 80.0)
-    torque_off_at_end: bool = _par(False, "the motors go limp when the driver ends; false: they hold")
+    low_voltage: float = _par(10.0, "the robot holds still when a motor has less; 0: never", "V", 0.0, 14.0)
+    max_load: float = _par(95.0, "load of a motor that counts as blocked after `blocked_after`", "%", 10.0, 1000.0)
+    blocked_after: float = _par(1.0, "longest time for which a joint may not follow its goal", "s", 0.1, 60.0)
+    p_gain: int = _par(127, "P register of MX servos (MX-28: 127 is 25 N m/rad, 32 is 6); 0: as it is", "", 0, 254)
+    torque_off_at_end: bool = _par(False, "the motors go limp when the driver ends; false: they stay as they are")
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,19 @@ from dqwalk_ros import __version__
 
 __all__ = ["from_text", "here", "machine", "to_text"]
 
-_PARTS = ("numpy", "numba", "clarabel", "daqp", "yourdfpy", "rosbags", "mcap", "rclpy", "mujoco", "pin", "pypot")
+_PARTS = (
+    "numpy",
+    "numba",
+    "clarabel",
+    "daqp",
+    "yourdfpy",
+    "rosbags",
+    "mcap",
+    "rclpy",
+    "mujoco",
+    "pin",
+    "dynamixel_sdk",
+)
 
 
 def here() -> dict[str, str]:

@@ -128,6 +128,7 @@ def run_walk(
             "node.exit_when_done": True,
             "node.wait_for_recorder": True,
             "node.wait_for_monitor": True,
+            "poppy.activate": plant == "poppy",
         }
     )
     params = folder / "params.yaml"

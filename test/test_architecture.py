@@ -53,7 +53,7 @@ HOMES = {
     "mujoco": {"plants", "whole_body"},
     "numba": {"kernels", "whole_body"},
     "pinocchio": {"whole_body"},
-    "pypot": {"plants"},
+    "dynamixel_sdk": {"plants"},
     "rclpy": {"nodes"},
     "viser": {"report"},
 }
@@ -135,7 +135,7 @@ def test_the_core_does_without_ros_and_extras():
     import subprocess
     import sys
 
-    optional = ("rclpy", "mujoco", "viser", "pypot", "pinocchio", "daqp", "matplotlib")
+    optional = ("rclpy", "mujoco", "viser", "dynamixel_sdk", "pinocchio", "daqp", "matplotlib")
     core = ("controllers.velocity", "plants.kinematic", "simulation", "report.assessment")
     code = "import sys\n" + "".join(f"import dqwalk_ros.{name}\n" for name in core)
     code += f"print([name for name in {optional!r} if name in sys.modules])"

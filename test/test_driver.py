@@ -1,4 +1,4 @@
-"""The Poppy driver over topics and by the clock, on pypot's dummy motors (`make driver` prints the figures)."""
+"""The Poppy driver over topics and by the clock, on emulated servos (`make driver` prints the figures)."""
 
 from __future__ import annotations
 

@@ -17,6 +17,8 @@ import dqwalk_ros
 from dqwalk_ros.nodes.command_line import NODES
 
 ROOT = Path(__file__).resolve().parent.parent
+
+
 def test_the_version_is_one() -> None:
     version = dqwalk_ros.__version__
     assert ElementTree.parse(ROOT / "package.xml").findtext("version") == version

@@ -1,65 +1,31 @@
-"""Poppy's driver against pypot's dummy motors: signs, limits, speeds, the slow start, a whole cycle."""
+"""Poppy's driver on servos in memory: signs, limits, speeds, the slow start, a whole cycle, and every fault."""
 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
+from dynamixel_bus import MOTORS
+from poppy_rig import DT, Rig
 
 from dqwalk_ros.config import Config, find_share, load
 from dqwalk_ros.controllers import Command, State, make_controller
 from dqwalk_ros.errors import ConfigError, PlantError
 from dqwalk_ros.model import RobotModel, load_model
-from dqwalk_ros.plants.poppy import MIN_SPEED, Motor, PoppyPlant, load_motors, register_speed
+from dqwalk_ros.plants.dynamixel import TYPES
+from dqwalk_ros.plants.poppy import MIN_SPEED, PoppyPlant, load_motors, open_buses, register_speed
 
-MOTORS = load_motors("poppy")
 WALK = {
     "dt": 0.02,
-    "poppy.dummy": True,
     "gait.step_length": 0.02,
-    "task.eta": 0.5,
+    "task.eta": 1.0,
+    "dsp.stall_rate": 3e-3,
+    "dsp.eta_ground": 25.0,
     "ssp.threshold": 0.02,
 }
-
-
-class Servo:
-    """A motor with pypot's user-side attributes that moves at once, and remembers what it was told."""
-
-    def __init__(self, motor: Motor, angle: float = 0.0) -> None:
-        self.name, self.present_position, self._goal = motor.name, angle, angle
-        self.compliant, self.speeds = True, []
-        self.present_temperature, self.present_voltage, self.present_load = 40.0, 12.0, 0.0
-
-    @property
-    def goal_position(self) -> float:
-        return self._goal
-
-    @goal_position.setter
-    def goal_position(self, angle: float) -> None:
-        self._goal = angle
-        if not self.compliant:
-            self.present_position = angle
-
-    @property
-    def moving_speed(self) -> float:
-        return self.speeds[-1] if self.speeds else 0.0
-
-    @moving_speed.setter
-    def moving_speed(self, speed: float) -> None:
-        self.speeds.append(speed)
-
-
-def fake(**angles: float) -> Any:
-    robot = SimpleNamespace(close=lambda: None)
-    for motor in MOTORS.values():
-        setattr(robot, motor.name, Servo(motor, angles.get(motor.name, 0.0)))
-    return robot
 
 
 @pytest.fixture(scope="module")
@@ -73,19 +39,11 @@ def config() -> Config:
 
 
 @pytest.fixture
-def dummy(model: RobotModel, config: Config) -> Iterator[PoppyPlant]:
-    plant = PoppyPlant(model, config.poppy)
-    yield plant
-    plant.close()
-
-
-def settle(plant: PoppyPlant, dt: float = 0.02) -> None:
-    plant.set_compliant(False)
-    for _ in range(2000):
-        plant.approach(dt)
-        if plant.ready:
-            return
-    raise AssertionError("the first pose was not reached")
+def rig(model: RobotModel, config: Config) -> Rig:
+    """A robot in its first pose."""
+    rig = Rig(model, config)
+    rig.settle()
+    return rig
 
 
 # ---------------------------------------------------------------------- the table
@@ -101,17 +59,6 @@ def test_limits_of_all_25_motors_are_those_of_the_urdf() -> None:
     whole = load_model(Config().robot)
     for name, low, high in zip(whole.joint_names, whole.q_min, whole.q_max, strict=True):
         np.testing.assert_allclose(MOTORS[name].limits, np.degrees([low, high]), atol=1e-6, err_msg=name)
-
-
-@pytest.mark.parametrize("name", MOTORS)
-def test_our_signs_are_pypots(dummy: PoppyPlant, name: str) -> None:
-    """What pypot puts into the servo's register for a joint angle is what the table says."""
-    motor, servo = MOTORS[name], getattr(dummy._robot, name)
-    for angle in (-7.0, 0.0, 11.0):
-        servo.goal_position = angle
-        raw = servo.__dict__["goal_position"]
-        assert raw == pytest.approx(motor.servo(angle))
-        assert motor.user(raw) == pytest.approx(angle)
 
 
 MIRRORED = ["hip_x", "hip_z", "hip_y", "knee_y", "ankle_y", "shoulder_y", "shoulder_x", "arm_z", "elbow_y"]
@@ -172,179 +119,199 @@ def test_a_table_that_is_none_is_refused(tmp_path: Path, text: str, expected: st
         load_motors(str(path))
 
 
-# ---------------------------------------------------------------------- speeds
+# ---------------------------------------------------------------------- speeds, stiffness
 
 
 @pytest.mark.parametrize("speed", [0.0, 1e-9, -1e-9, 0.34, 0.36, -0.1, math.nan, math.inf, -math.inf, 1e6])
 def test_no_speed_is_read_as_unlimited(speed: float) -> None:
-    """pypot rounds to units of 0.684 deg/s, and 0 units are no limit at all."""
+    """A servo rounds to units of 0.684 deg/s, and 0 units are no limit at all."""
     written = register_speed(speed, 120.0)
     assert MIN_SPEED <= written <= 120.0
     assert round(written / 0.684) >= 1
 
 
 def test_no_servo_ever_gets_an_unlimited_speed(model: RobotModel, config: Config) -> None:
-    robot = fake(l_knee_y=40.0)
-    plant = PoppyPlant(model, config.poppy, robot)
-    settle(plant)
+    rig = Rig(model, config, angles={"l_knee_y": 40.0})
+    speeds = []
+    for name in MOTORS:
+        servo = rig.memory.servo(name)
+        write = servo.write
+
+        def noted(address: int, data: bytes, write: Callable[[int, bytes], None] = write) -> None:
+            if address == 30:
+                speeds.append(int.from_bytes(data[2:4], "little"))
+            write(address, data)
+
+        servo.write = noted
+    rig.settle()
     for u in (0.0, 1e-9, 0.01, 5.0, 1e9):
-        plant.step(Command(0.0, np.full(model.n, u)), 0.02)
-    plant.close()
-    speeds = np.array([s for name in MOTORS for s in getattr(robot, name).speeds])
-    assert len(speeds) > 100
-    assert (speeds >= MIN_SPEED).all()
-    assert (speeds <= config.poppy.max_speed).all()
+        rig.tick(u)
+    rig.plant.close()
+    assert len(speeds) > 1000
+    assert min(speeds) >= 1
+    assert max(speeds) <= config.poppy.max_speed / 0.666 + 1.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "gain", "stiffness"), [("MX-28", 254, 51.0), ("MX-28", 32, 6.4), ("MX-64", 254, 121.0)]
+)
+def test_stiffness_of_a_gain(kind: str, gain: int, stiffness: float) -> None:
+    """Figures of the literature: 51 and 120 N m/rad at the highest gain."""
+    assert TYPES[kind].stiffness(gain) == pytest.approx(stiffness, rel=0.01)
+
+
+def test_gains_are_written_and_read_back(rig: Rig) -> None:
+    for name, motor in MOTORS.items():
+        assert rig.memory.servo(name).memory[28] == (127 if motor.type.startswith("MX") else 32), name
+    assert rig.plant.stiffness[rig.plant.names.index("l_hip_x")] == pytest.approx(25.3, abs=0.1)
+
+
+def test_torques_that_are_fed_forward_become_angles(rig: Rig) -> None:
+    """A servo of 25 N m/rad that is asked for 1 N m more is told 1/25 rad more, until it is told something else."""
+    rig.tick(0.0, 1.0)
+    k = rig.plant.names.index("l_knee_y")
+    assert rig.memory.goal("l_knee_y") == pytest.approx(1.0 / rig.plant.stiffness[k], abs=0.002)
+    rig.tick()
+    assert rig.memory.goal("l_knee_y") == pytest.approx(1.0 / rig.plant.stiffness[k], abs=0.002)
+    rig.tick(0.0, 100.0)
+    assert rig.plant.goal[k] - rig.plant.measured.q[k] <= rig.config.poppy.max_lead + 0.05
+    rig.tick(0.0, 0.0)
+    assert rig.memory.goal("l_knee_y") == pytest.approx(0.0, abs=0.002)
 
 
 # ---------------------------------------------------------------------- start and stop
 
 
+def test_nothing_is_written_before_activate(model: RobotModel, config: Config) -> None:
+    rig = Rig(model, config, angles={"l_knee_y": 40.0})
+    rig.run(1.0)
+    sent = [packet for servos in rig.memory.servos.values() for packet in servos.requests]
+    assert len(sent) > 100
+    assert {packet[4] for packet in sent} <= {2, 0x84}  # read, read all
+    assert rig.plant.fresh
+    assert rig.plant.measured.q[rig.plant.names.index("l_knee_y")] == pytest.approx(math.radians(40.0), abs=0.001)
+
+
 def test_nothing_moves_when_the_torque_comes_on(model: RobotModel, config: Config) -> None:
-    robot = fake(l_knee_y=40.0, r_elbow_y=-70.0)
-    plant = PoppyPlant(model, config.poppy, robot)
-    before = plant.q
-    plant.set_compliant(False)
-    np.testing.assert_allclose(plant.q, before, atol=1e-12)
-    np.testing.assert_allclose(plant.goal, before, atol=1e-12)
+    rig = Rig(model, config, angles={"l_knee_y": 40.0, "r_elbow_y": -70.0})
+    before = rig.plant.measured.q.copy()
+    rig.plant.activate()
+    for name, q in zip(rig.plant.names, before, strict=True):
+        assert rig.memory.torque(name)
+        assert rig.memory.goal(name) == pytest.approx(q, abs=1e-3), name
+        assert rig.memory.angle(name) == pytest.approx(q, abs=3e-3), name
 
 
 def test_the_way_to_the_first_pose_is_slow(model: RobotModel, config: Config) -> None:
-    robot = fake(l_knee_y=40.0, r_knee_y=10.0, r_elbow_y=-70.0)
-    plant = PoppyPlant(model, config.poppy, robot)
-    plant.set_compliant(False)
-    dt, steps = 0.02, 0
-    while not plant.ready:
-        before = plant.q
-        plant.approach(dt)
-        assert np.abs(plant.q - before).max() <= config.poppy.start_speed * dt + 1e-9
-        steps += 1
-        assert steps < 1000
-    assert steps * dt >= math.radians(70.0) / config.poppy.start_speed - config.poppy.start_tolerance - dt
-    plant.approach(dt)
-    np.testing.assert_allclose(plant.q, 0.0, atol=config.poppy.start_tolerance)
+    rig = Rig(model, config, angles={"l_knee_y": 40.0, "r_knee_y": 10.0, "r_elbow_y": -70.0})
+    rig.plant.activate()
+    began = rig.memory.clock.now
+    while not rig.plant.ready:
+        before = np.array([rig.memory.angle(name) for name in rig.plant.names])
+        rig.tick(5.0)  # whatever is commanded
+        moved = np.abs(np.array([rig.memory.angle(name) for name in rig.plant.names]) - before)
+        assert moved.max() <= 2.0 * config.poppy.start_speed * DT + 0.003
+        assert rig.memory.clock.now < began + 20.0
+    took = rig.memory.clock.now - began
+    assert took >= math.radians(70.0) / config.poppy.start_speed - config.poppy.start_tolerance - DT
+    assert np.abs(rig.plant.measured.q).max() < config.poppy.start_tolerance
 
 
-def test_a_limp_robot_is_told_nothing(model: RobotModel, config: Config) -> None:
-    robot = fake()
-    plant = PoppyPlant(model, config.poppy, robot)
-    settle(plant)
-    plant.set_compliant(True)
-    assert all(getattr(robot, name).compliant for name in MOTORS)
-    goals = plant.goal.copy()
-    plant.step(Command(0.0, np.ones(model.n)), 0.02)
-    np.testing.assert_array_equal(plant.goal, goals)
-    robot.l_knee_y.present_position = 30.0  # somebody bends its knee
-    plant.set_compliant(False)
-    assert not plant.ready  # the first pose comes first again
-    assert plant.goal[plant.names.index("l_knee_y")] == pytest.approx(math.radians(30.0))
+def test_a_limp_robot_is_told_nothing(rig: Rig) -> None:
+    rig.plant.release()
+    assert not any(rig.memory.torque(name) for name in MOTORS)
+    goals = [rig.memory.goal(name) for name in MOTORS]
+    for _ in range(20):
+        rig.tick(1.0)
+    assert goals == [rig.memory.goal(name) for name in MOTORS]
+    rig.memory.servo("l_knee_y").moved += 300.0  # somebody bends its knee
+    rig.run(0.3)
+    assert rig.plant.measured.q[rig.plant.names.index("l_knee_y")] == pytest.approx(
+        rig.memory.angle("l_knee_y"), abs=1e-3
+    )
+    rig.plant.activate()
+    assert not rig.plant.ready  # the first pose comes first again
+    assert rig.memory.goal("l_knee_y") == pytest.approx(rig.memory.angle("l_knee_y"), abs=0.002)
 
 
-def test_goals_stay_inside_the_limits_and_near_the_joints(model: RobotModel, config: Config) -> None:
-    plant = PoppyPlant(model, config.poppy, fake())
-    settle(plant)
-    rng = np.random.default_rng(1)
+def test_goals_stay_inside_the_limits_and_near_the_joints(rig: Rig) -> None:
+    rng, n = np.random.default_rng(1), rig.model.n
+    low, high = np.radians([MOTORS[name].limits for name in rig.plant.names]).T
     for _ in range(300):
-        plant.step(Command(0.0, rng.normal(0.0, 20.0, model.n)), 0.02)
-        for name, goal in zip(plant.names, plant.goal, strict=True):
-            low, high = MOTORS[name].limits
-            assert math.radians(low) - 1e-9 <= goal <= math.radians(high) + 1e-9
-    for servo in (getattr(plant._robot, name) for name in MOTORS):
-        servo.__class__ = type("Stuck", (Servo,), {"goal_position": property(lambda s: s._goal, lambda s, a: None)})
-    at = plant.q
-    for _ in range(200):  # joints that do not move: their goals do not run away
-        plant.step(Command(0.0, np.ones(model.n)), 0.02)
-        assert np.abs(plant.goal - at).max() <= config.poppy.max_lead + 1e-9
+        q = rig.plant.measured.q.copy()
+        rig.plant.step(Command(0.0, rng.normal(0.0, 20.0, n), rng.normal(0.0, 5.0, n)), DT)
+        rig.memory.clock.now += DT
+        goal = rig.plant.goal
+        assert (goal >= low - 1e-9).all()
+        assert (goal <= high + 1e-9).all()
+        assert (np.abs(goal - q) <= rig.config.poppy.max_lead + 1e-9).all()
 
 
 def test_calibration_moves_the_zero_of_a_joint(model: RobotModel, config: Config) -> None:
-    """ "-3 acts like 0" on a robot: pypot shows -3 where the joint is straight."""
-    own = config.updated({"poppy.calibration": ["l_hip_y=-3"]})
-    robot = fake(l_hip_y=-3.0)
-    plant = PoppyPlant(model, own.poppy, robot)
-    i = plant.names.index("l_hip_y")
-    assert plant.q[i] == pytest.approx(0.0)
-    settle(plant)
-    assert robot.l_hip_y.goal_position == pytest.approx(-3.0)
+    """ "-3 acts like 0" on a robot: it shows -3 where the joint is straight."""
+    rig = Rig(model, config, angles={"l_hip_y": -3.0}, settings={"poppy.calibration": ["l_hip_y=-3"]})
+    i = rig.plant.names.index("l_hip_y")
+    assert rig.plant.measured.q[i] == pytest.approx(0.0, abs=1e-3)
+    rig.settle()
+    assert rig.memory.goal("l_hip_y") == pytest.approx(math.radians(-3.0), abs=1e-3)
 
 
 @pytest.mark.parametrize("entry", ["l_hip_y", "l_hip_y=x", "nobody=1", "l_hip_y=90", "l_hip_y=nan"])
-def test_a_calibration_that_is_none_is_refused(model: RobotModel, config: Config, entry: str) -> None:
+def test_a_calibration_that_cannot_be_used_is_refused(model: RobotModel, config: Config, entry: str) -> None:
     with pytest.raises(ConfigError, match=r"poppy\.calibration"):
-        PoppyPlant(model, config.updated({"poppy.calibration": [entry]}).poppy, fake())
+        Rig(model, config, settings={"poppy.calibration": [entry]})
 
 
-def test_an_angle_that_is_none_and_a_command_that_is_none(model: RobotModel, config: Config) -> None:
-    robot = fake()
-    plant = PoppyPlant(model, config.poppy, robot)
-    settle(plant)
+@pytest.mark.parametrize("u", [math.nan, math.inf])
+def test_a_command_that_is_not_finite_is_refused(rig: Rig, u: float) -> None:
+    goals = rig.plant.goal.copy()
     with pytest.raises(PlantError, match="finite velocities"):
-        plant.step(Command(0.0, np.full(model.n, np.nan)), 0.02)
-    robot.l_knee_y.present_position = math.nan
-    with pytest.raises(PlantError, match="no angle from l_knee_y"):
-        plant.step(Command(0.0, np.zeros(model.n)), 0.02)
+        rig.tick(u)
+    np.testing.assert_array_equal(rig.plant.goal, goals)
 
 
-def test_a_bus_that_died_is_an_error(dummy: PoppyPlant) -> None:
-    dummy.set_compliant(False)
-    dummy.approach(0.02)
-    dummy._robot.stop_sync()
-    with pytest.raises(PlantError, match="has ended"):
-        dummy.approach(0.02)
+@pytest.mark.parametrize("sync_read", [True, False])
+def test_a_period_is_enough_for_all_motors(model: RobotModel, config: Config, sync_read: bool) -> None:
+    rig = Rig(model, config, sync_read=sync_read)
+    rig.settle()
+    took = [rig.tick(0.1) for _ in range(100)]
+    assert max(took) < DT  # both buses one after the other; the driver asks them at the same time
+    rig.until(lambda: rig.plant.watch.faults, 1.0) if rig.plant.watch.faults else None
 
 
-def test_motors_that_do_not_answer_are_an_error(model: RobotModel, config: Config) -> None:
-    absent = config.updated({"poppy.dummy": False, "poppy.lower_port": "/dev/null", "poppy.upper_port": "/dev/null"})
-    with pytest.raises(PlantError, match="do not answer"):
-        PoppyPlant(model, absent.poppy)
+def test_ports_that_are_not_there(model: RobotModel, config: Config) -> None:
+    own = config.updated({"poppy.lower_port": "/dev/null", "poppy.upper_port": "/dev/null"})
+    with pytest.raises(PlantError, match=r"the lower bus cannot be opened.*is it plugged in"):
+        PoppyPlant(model, own.poppy)
 
 
-def test_health(model: RobotModel, config: Config) -> None:
-    robot = fake()
-    robot.r_hip_y.present_temperature = 66.0
-    health = PoppyPlant(model, config.poppy, robot).health
-    assert health.hottest == ("r_hip_y", 66.0)
-    assert set(health.voltage) == set(MOTORS)
+def test_the_dummies_walk_the_same_way(model: RobotModel, config: Config) -> None:
+    own = config.updated({"poppy.dummy": True})
+    plant = PoppyPlant(model, own.poppy, buses=open_buses(load_motors("poppy"), own.poppy))
+    assert plant.measured.q[plant.names.index("l_hip_y")] == pytest.approx(math.radians(-2.0), abs=0.001)
+    plant.activate()
+    assert plant.active
+    plant.close()
 
 
-# ---------------------------------------------------------------------- against the dummies
-
-
-def test_dummies_follow_at_the_rate_of_the_bus(dummy: PoppyPlant, config: Config) -> None:
-    """A slow sine of 5 degrees: a joint is behind by a period or two of pypot's loop and the ramp of its servo."""
-    dummy.set_compliant(False)
-    n, period = 10, 1.0 / config.poppy.rate
-    began = last = time.monotonic()
-    worst, ticks = 0.0, 0
-    while (now := time.monotonic()) < began + 3.0:
-        t = now - began
-        u = np.full(n, math.radians(5.0) * 2.0 * math.pi * 0.25 * math.cos(2.0 * math.pi * 0.25 * t))
-        goal = dummy.goal[:n].copy()
-        state = dummy.step(Command(t, u), now - last)
-        if t > 0.5:
-            worst = max(worst, float(np.abs(state.q - goal).max()))
-        last, ticks = now, ticks + 1
-        time.sleep(max(period - (time.monotonic() - now), 0.0))
-    assert ticks > 75  # 150 on an idle machine
-    assert worst < math.radians(5.0)
-
-
-def test_a_whole_cycle_on_a_robot_that_follows(model: RobotModel, config: Config) -> None:
-    """Every phase ends by its rule, all limits kept, commanded and read-back angles one period apart."""
-    plant = PoppyPlant(model, config.poppy, fake())
-    settle(plant)
+def test_a_whole_cycle_on_a_robot_that_follows(rig: Rig) -> None:
+    """Every phase ends by its rule, all limits kept, commanded and read-back angles a few periods apart."""
+    config, model, plant = rig.config, rig.model, rig.plant
     controller = make_controller(config, model)
-    worst, state = 0.0, State(0.0, plant.q[: model.n])
+    worst, state = 0.0, State(0.0, plant.measured.q[: model.n])
     for k in range(20_000):
         command = controller.step(state, config.dt)
         if controller.finished:
             break
         plant.step(command, config.dt)
-        state = State((k + 1) * config.dt, plant.q[: model.n])
+        rig.memory.clock.now += 0.01
+        assert not plant.watch.faults
+        state = State((k + 1) * config.dt, plant.measured.q[: model.n].copy())
         worst = max(worst, float(np.abs(state.q - plant.goal[: model.n]).max()))
-        assert (state.q <= model.q_max + 1e-9).all()
-        assert (state.q >= model.q_min - 1e-9).all()
+        assert (state.q <= model.q_max + 1e-3).all()
+        assert (state.q >= model.q_min - 1e-3).all()
     assert controller.finished
-    assert worst < 1e-9
+    assert worst < 0.05
 
 
 def test_the_files_are_installed_where_they_are_looked_for() -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
 from dqwalk_ros import origin
@@ -53,6 +53,7 @@ class Controller(WalkNode):
         joint_states             sensor_msgs/JointState [rad, rad/s], joints matched by name
         imu                      sensor_msgs/Imu with plant.imu: roll and pitch, and angular velocity
         cmd_vel                  geometry_msgs/Twist, standing walk with gait.steps: 0: linear x, y, angular z
+        plant_ready              std_msgs/Bool, latched: the walk waits for a plant that says that it is not ready
 
     Publishes::
 
@@ -105,6 +106,7 @@ class Controller(WalkNode):
         self._failures = FaultCounter(config.safety.failures)
         self._plants = DuplicateStates(config.dt)
         self._duplicates = ""
+        self._plant_ready = True
         self._stale = False
         self._ticks = self._rejected = 0
         self._phase_index = -1
@@ -121,6 +123,7 @@ class Controller(WalkNode):
 
         # Only the newest state counts, and a late one is worthless, except in lockstep, where each counts.
         self.create_subscription(JointState, "joint_states", self._on_state, ros.stream(1, reliable=self.lockstep))
+        self.create_subscription(Bool, "plant_ready", self._on_plant_ready, ros.latched())
         self._imu = InertialSensor(self, self._on_state) if config.plant.imu else None
         steered = config.gait.style == "standing" and not config.gait.steps
         self._steering = Steering(self, self._walk) if steered else None
@@ -157,7 +160,7 @@ class Controller(WalkNode):
         if not self._may_answer():
             return
         before = self._mode
-        if self._mode is Mode.WALKING and not self._duplicates:
+        if self._mode is Mode.WALKING and self._plant_ready and not self._duplicates:
             answer: Command | None = self._step(state, stamp)
         elif self.lockstep:
             answer = None  # no answer: simulated time stands still
@@ -274,6 +277,12 @@ class Controller(WalkNode):
             log.error(f"standing still: two plants: {duplicates}") if duplicates else log.info(
                 "one plant again: going on"
             )
+
+    def _on_plant_ready(self, msg: Bool) -> None:
+        """Stand still where the plant cannot do what it is told, such as a robot whose torque is off."""
+        if msg.data != self._plant_ready:
+            self._plant_ready = msg.data
+            self.get_logger().info("the plant is ready" if msg.data else "standing still until the plant is ready")
 
     def _publish_zero(self) -> None:
         if not self.lockstep and self._stamp >= 0:

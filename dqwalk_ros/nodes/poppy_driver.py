@@ -1,9 +1,4 @@
-"""The real Poppy as a plant: commands become goals of its servos, their angles become states.
-
-A robot that is switched on stands anywhere. So the driver says no joint state until it has taken the robot slowly to
-its first pose; a controller that waits for states walks from there. With the torque off (`~/compliant`) it listens to
-nobody, and takes the robot to the first pose again afterwards.
-"""
+"""The real Poppy as a plant: commands become goals of its servos, their angles become states."""
 
 from __future__ import annotations
 
@@ -12,40 +7,45 @@ import time
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
-from std_srvs.srv import SetBool
+from std_msgs.msg import Bool
+from std_srvs.srv import SetBool, Trigger
 
 from dqwalk_ros.controllers import Command
-from dqwalk_ros.errors import ConfigError, DqwalkError
+from dqwalk_ros.errors import ConfigError, PlantError
 from dqwalk_ros.model import load_model
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
 from dqwalk_ros.nodes.inputs import VELOCITY, CommandInput
-from dqwalk_ros.plants.poppy import Health, PoppyPlant
+from dqwalk_ros.plants.poppy import PoppyPlant
 
 __all__ = ["PoppyDriver"]
 
-_COOLER = 5.0
-"""A robot that got too hot holds still until it is this much cooler [K]."""
-
 
 class PoppyDriver(WalkNode):
-    """Drive a real Poppy Humanoid through pypot; poppy.dummy:=true tries it without one.
+    """Drive a real Poppy Humanoid; poppy.dummy:=true tries it without one.
+
+    The driver never moves by itself (unless poppy.activate is set). Angles are published from the beginning;
+    ~/activate switches the torque on where the robot stands, reads it back, and takes the robot to its first pose,
+    slowly; from then on commands count. A state is stamped with the moment its oldest angle was read at, and it is not
+    published where an angle is older than plant.command_timeout. While anything is wrong with a motor the robot holds
+    still, and /diagnostics says which motor it is, why, and what to do.
 
     Subscribes to::
 
-        joint_velocity_commands  sensor_msgs/JointState [rad/s]
+        joint_velocity_commands  sensor_msgs/JointState [rad/s]; effort [N m] is fed forward
 
     Publishes::
 
-        joint_states             sensor_msgs/JointState of all 25 motors, once the first pose is reached
+        joint_states             sensor_msgs/JointState of all 25 motors
         joint_goals              sensor_msgs/JointState: the angles they were told with that state [rad]
-        /diagnostics             temperature, voltage and load of every motor
+        plant_ready              std_msgs/Bool, latched: whether commands count
+        /diagnostics             latency of the loop; temperature, voltage, load and error bits of every motor
 
     Services::
 
-        ~/compliant              std_srvs/SetBool: true switches the torque off, false on again
+        ~/activate               std_srvs/Trigger: switch the torque on, go to the first pose
+        ~/compliant              std_srvs/SetBool: true switches the torque off, false is ~/activate
 
     Sections of the schema: dt, robot, plant, poppy.
 
@@ -73,120 +73,149 @@ class PoppyDriver(WalkNode):
                 f"set dt: {self._period:g}, as config/plants/poppy.yaml does"
             )
         model = load_model(config.robot)
-        self._plant = PoppyPlant(model, config.poppy)
+        self._plant = PoppyPlant(model, config.poppy, config.plant.command_timeout)
         self._commands = CommandInput(self, model)
         self._state_msg = ros.JointWriter(self._plant.names)
         self._goal_msg = ros.JointWriter(self._plant.names)
-        self._hardware = f"{model.name}{' (dummy motors)' if config.poppy.dummy else ''}"
-        self._zero = np.zeros(model.n)
-        self._stamp = -1
-        self._q = self._plant.q
-        self._stepped = time.monotonic()
-        self._counts = {"ticks": 0, "periods missed": 0}
-        self._left = 0.0
-        self._lag = np.zeros(len(self._plant.names))  # largest since it was told last [rad]
-        self._too_hot = False
+        self._hardware = f"{model.name}{' (emulated motors)' if config.poppy.dummy else ''}"
+        self._stamp = -1  # of the state published last [ns]
+        self._answered = -1  # stamp of the state that the last command answered [ns]
+        self._told_at = self._read_at = time.monotonic()
+        self._counts = {"ticks": 0, "periods missed": 0, "states withheld": 0}
+        self._latencies: list[float] = []  # since they were published last [s]
+        self._lag = np.zeros(len(self._plant.names))  # largest since it was published last [rad]
+        self._reason = "not looked at yet"
         self._states = self.advertise("joint_states")
         self._goals = self.create_publisher(JointState, "joint_goals", ros.stream(10))
+        self._ready = self.create_publisher(Bool, "plant_ready", ros.latched())
         self.create_subscription(JointState, VELOCITY, self._on_command, ros.stream(1))
-        self.create_service(SetBool, "~/compliant", self._set_compliant)
+        self.create_service(Trigger, "~/activate", self._on_activate)
+        self.create_service(SetBool, "~/compliant", self._on_compliant)
         self.create_timer(self._period, self._on_period, clock=STEADY)
         self.create_timer(1.0 / config.monitor.rate, self._diagnose, clock=STEADY)
-        self._commands.forbid("on the way to the first pose")
-        self._plant.set_compliant(False)
         self.get_logger().info(f"{self._hardware}: {len(self._plant.names)} motors at {config.poppy.rate:g} Hz")
+        if config.poppy.activate:
+            self._plant.activate()
+        self._hold_for_a_reason()
 
     def _on_command(self, msg: JointState) -> None:
-        self._commands.take(msg, self._stamp)
+        """Send the goals at once: what waits for the next period is delay in the loop."""
+        stamp = ros.nanoseconds(msg.header.stamp)
+        if self._commands.take(msg, self._stamp) and stamp != self._answered and self._plant.ready:
+            self._answered = stamp
+            self._tell()
+            self._latencies.append(1e-9 * (self.get_clock().now().nanoseconds - stamp))
 
     def _on_period(self) -> None:
-        """Move for the time that has passed, two periods at most: a late tick is never made up for."""
+        plant, was_ready = self._plant, self._plant.ready
         now = time.monotonic()
-        passed, self._stepped = now - self._stepped, now
-        if passed > 2.0 * self._period:
-            self._counts["periods missed"] += int(passed / self._period) - 1
-        dt = min(passed, 2.0 * self._period)
-        told = self._plant.goal
-        try:
-            if self._plant.ready or self._plant.compliant:
-                u = self._commands.gate.velocity(self._plant.state.q, dt)
-                self._plant.step(Command(self._stamp * 1e-9, u), dt)
-                self._commands.log_motion()
-            else:
-                self._approach(dt)
-            self._publish(passed, told)
-        except DqwalkError as error:
-            self.get_logger().error(f"the robot failed: {error}")
-            self.stop(1)
-
-    def _approach(self, dt: float) -> None:
-        self._left = self._plant.approach(dt)
-        if self._plant.ready:
+        self._counts["periods missed"] += max(int((now - self._read_at) / self._period) - 1, 0)
+        self._read_at = now
+        self._commands.log_motion()
+        if not plant.ready or self._commands.gate.holding:
+            self._tell()
+        plant.read()
+        if plant.ready and not was_ready:
             self._commands.gate.hold()
-            self._commands.forbid("")
             self.get_logger().info("in the first pose")
-        else:
-            self.get_logger().info(f"on the way to the first pose: {self._left:.2f} rad left", **THROTTLE)
+        self._hold_for_a_reason()
+        self._publish()
 
-    def _publish(self, passed: float, told: NDArray[np.float64]) -> None:
-        """Say where the joints are; `told` are the goals that they had since the last time."""
-        q, before = self._plant.q, self._q
-        self._q = q
+    def _tell(self) -> None:
+        """Move for the time that has passed, two periods at most: a late command is never made up for."""
+        now, gate = time.monotonic(), self._commands.gate
+        passed, self._told_at = now - self._told_at, now
+        dt = min(passed, 2.0 * self._period)
+        u = gate.velocity(self._plant.state.q, dt)
+        self._plant.tell(Command(self._stamp * 1e-9, u, gate.effort), dt)
+
+    def _publish(self) -> None:
+        """Publish where the joints are, and the goals that they had."""
         self._counts["ticks"] += 1
-        if self._plant.ready:
-            self._stamp = self.get_clock().now().nanoseconds
-            velocity = (q - before) / max(passed, 1e-3)
-            self._states.publish(self._state_msg(self._stamp, position=q, velocity=velocity))
-            self._goals.publish(self._goal_msg(self._stamp, position=self._plant.goal))
-            self._lag = np.maximum(self._lag, np.abs(q - told))
+        plant = self._plant
+        stamp = self.get_clock().now().nanoseconds - round(1e9 * plant.age) if plant.fresh else -1
+        if stamp <= self._stamp:
+            self._counts["states withheld"] += 1
+            return
+        self._stamp = stamp
+        self._states.publish(self._state_msg(stamp, position=plant.measured.q, velocity=plant.measured.dq))
+        if plant.active:
+            self._goals.publish(self._goal_msg(stamp, position=plant.goal))
+            self._lag = np.maximum(self._lag, np.abs(plant.measured.q - plant.goal))
 
-    def _set_compliant(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+    # ------------------------------------------------------------------ torque
+
+    def _hold_for_a_reason(self) -> None:
+        """Hold while anything is in the way of a command."""
+        plant = self._plant
+        reason = "; ".join(plant.watch.faults.values())
+        if not reason and not plant.active:
+            reason = "the torque is off: call ~/activate"
+        if not reason and not plant.ready:
+            reason = "on the way to the first pose"
+            self.get_logger().info(f"{reason}: {plant.left:.2f} rad left", **THROTTLE)
+        if reason != self._reason:
+            self._reason = reason
+            self._commands.forbid(reason)
+            self._ready.publish(Bool(data=not reason))
+
+    def _on_activate(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._switch(True, response)
+
+    def _on_compliant(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        return self._switch(not request.data, response)
+
+    def _switch(self, on: bool, response: Any) -> Any:
+        self._commands.gate.hold()
         try:
-            if request.data:
-                self._commands.forbid("the torque is off")
-            self._plant.set_compliant(request.data)
-            if not request.data:
-                self._commands.forbid("on the way to the first pose")
-        except DqwalkError as error:
+            if on:
+                self._plant.activate()
+            else:
+                self._plant.release()
+            response.success = True
+            response.message = "the torque is on: moving to the first pose, slowly" if on else "the torque is off"
+            self.get_logger().info(response.message)
+        except PlantError as error:
             response.success, response.message = False, str(error)
-            return response
-        response.success = True
-        response.message = "the torque is off" if request.data else "the torque is on: moving to the first pose, slowly"
-        self.get_logger().info(response.message)
+            self.get_logger().error(response.message)
+        self._hold_for_a_reason()
         return response
 
-    # ------------------------------------------------------------------ health
-
-    def _watch_heat(self, health: Health) -> None:
-        """Hold still while a motor is too hot; its own firmware would go limp, which is worse."""
-        name, hottest = health.hottest
-        hot = self.config.poppy.hot
-        if self._too_hot != (hottest > (hot - _COOLER if self._too_hot else hot)):
-            self._too_hot = not self._too_hot
-            self._commands.forbid(f"{name} is at {hottest:.0f} degC, too hot" if self._too_hot else "")
+    # ------------------------------------------------------------------ diagnostics
 
     def _diagnose(self) -> None:
-        health = self._plant.health
-        if self._plant.ready:
-            self._watch_heat(health)
+        plant, faults = self._plant, self._plant.watch.faults
         level, text = self._commands.level()
-        if not self._plant.ready and not self._plant.compliant:
-            level, text = "WARN", f"on the way to the first pose: {self._left:.2f} rad left"
-        name, hottest = health.hottest
-        values = {**self._counts, **self._commands.counts(), "hottest motor": name, "hottest temperature": hottest}
+        if not faults and not plant.ready:
+            level = "WARN"
+            text = f"on the way to the first pose: {plant.left:.2f} rad left" if plant.active else self._reason
         i = int(self._lag.argmax())
-        values |= {"lagging joint": self._plant.names[i], "lag": float(self._lag[i])}
+        values = {**self._counts, **self._commands.counts()}
+        values |= {"lagging joint": plant.names[i], "lag": float(self._lag[i]), "oldest angle": plant.age}
+        if self._latencies:
+            values |= {"latency": float(np.median(self._latencies)), "longest latency": max(self._latencies)}
         self._lag[:] = 0.0
+        self._latencies.clear()
         stamp = max(self._stamp, 0)
         self.diagnose("plant", self._hardware, level, text, values, stamp)
+
         each: dict[str, object] = {}
-        for joint in self._plant.names:
-            each[f"temperature/{joint}"] = health.temperature[joint]
-            each[f"voltage/{joint}"] = health.voltage[joint]
-            each[f"load/{joint}"] = health.load[joint]
-        hot = "ERROR" if self._too_hot else "OK"
-        self.diagnose("motors", self._hardware, hot, f"{name} is hottest, {hottest:.0f} degC", each, stamp)
+        heat: dict[str, float] = {}
+        for part in plant.parts:
+            for k, seen, error in zip(part.places, part.bus.registers, part.bus.error, strict=True):
+                joint = plant.names[k]
+                if seen is not None:
+                    heat[joint] = seen.temperature
+                    each |= {f"temperature/{joint}": seen.temperature, f"voltage/{joint}": seen.voltage}
+                each |= {f"load/{joint}": float(plant.measured.load[k]), f"error bits/{joint}": int(error)}
+        hottest = max(heat, key=lambda joint: heat[joint])
+        each |= {"hottest motor": hottest, "hottest temperature": heat[hottest]}
+        text = "; ".join(faults.values()) or f"{hottest} is hottest, {heat[hottest]:.0f} degC"
+        self.diagnose("motors", self._hardware, "ERROR" if faults else "OK", text, each, stamp)
 
     def close(self) -> None:
         """Hold, or go limp where that is asked for, and let go of the buses."""
-        self._plant.close()
+        try:
+            self._plant.close()
+        except PlantError as error:
+            self.get_logger().error(str(error))

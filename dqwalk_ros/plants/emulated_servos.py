@@ -1,0 +1,151 @@
+"""Dynamixel servos in memory, behind the packets of protocol 1: the dummy motors of the Poppy driver.
+
+They are told and asked as real ones are, byte by byte, so that all of the driver runs on them. An emulated servo turns
+to its goal at its moving speed, while its torque is on; it has no weight.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+from dqwalk_ros.plants.dynamixel import GOAL, PRESENT, TORQUE_ENABLE, TORQUE_LIMIT, ServoType
+
+__all__ = ["EmulatedPort", "EmulatedServo", "EmulatedServos"]
+
+_PING, _READ, _WRITE, _SYNC_WRITE, _SYNC_READ = 1, 2, 3, 0x83, 0x84
+_ADAPTER = 0xFD
+"""Id under which a USB2AX answers for all servos."""
+
+
+class EmulatedServo:
+    """The registers of one servo, and how it turns.
+
+    Parameters
+    ----------
+    number : int
+        Its id.
+    kind : ServoType
+    degrees : float
+        Its angle [deg].
+    """
+
+    def __init__(self, number: int, kind: ServoType, degrees: float = 0.0) -> None:
+        self.number, self.kind = number, kind
+        self.memory = bytearray(74)
+        self.error = 0
+        self.moved = kind.position(degrees) * 1.0
+        self.blocked = False
+        self._at = 0.0
+        self.power_on()
+
+    def power_on(self) -> None:
+        """Set the registers to those after the power comes on: the torque is off."""
+        self.write(0, self.kind.model.to_bytes(2, "little") + bytes([30, self.number, 1]))
+        self.write(TORQUE_ENABLE, bytes([0]))
+        self.write(26, bytes([0, 0, 32, 32]))  # D, I, P of an MX; margin and slope of an AX
+        self.write(GOAL, round(self.moved).to_bytes(2, "little") + bytes(2) + (1023).to_bytes(2, "little"))
+        self.write(42, bytes([120, 38]))  # 12 V, 38 degC
+
+    def word(self, address: int) -> int:
+        """Return a register of two bytes."""
+        return int.from_bytes(self.memory[address : address + 2], "little")
+
+    def write(self, address: int, data: bytes) -> None:
+        """Write registers."""
+        self.memory[address : address + len(data)] = data
+
+    def advance(self, now: float) -> None:
+        """Turn until `now` [s]."""
+        passed, self._at = max(now - self._at, 0.0), now
+        if self.memory[TORQUE_ENABLE] and self.word(TORQUE_LIMIT) and not self.blocked:
+            unit = self.kind.range / (self.kind.positions - 1)  # [deg]
+            speed = self.word(GOAL + 2) * self.kind.speed_unit or self.kind.free_speed
+            step = speed / unit * passed
+            self.moved += min(max(self.word(GOAL) - self.moved, -step), step)
+        self.write(PRESENT, round(self.moved).to_bytes(2, "little"))
+
+
+class EmulatedServos:
+    """The servos of one bus, and the replies they give.
+
+    Parameters
+    ----------
+    servos : sequence of EmulatedServo
+    clock : callable
+        Steady time [s].
+    """
+
+    def __init__(self, servos: Sequence[EmulatedServo], clock: Callable[[], float] = time.monotonic) -> None:
+        self.servos = {servo.number: servo for servo in servos}
+        self._clock = clock
+
+    def reply(self, packet: bytes) -> bytes:
+        """Return what the bus answers to an instruction packet, empty for one without an answer."""
+        number, instruction, words = packet[2], packet[4], packet[5:-1]
+        if instruction == _SYNC_WRITE:
+            address, length = words[0], words[1]
+            for k in range(2, len(words), length + 1):
+                self.write(words[k], address, words[k + 1 : k + 1 + length])
+        elif instruction == _SYNC_READ:
+            address, length = words[0], words[1]
+            data = b"".join(self.read(i, address, length) or b"\xff" * length for i in words[2:])
+            return self.status(_ADAPTER, 0, data)
+        elif number in self.servos and instruction in (_PING, _READ, _WRITE):
+            if instruction == _WRITE:
+                self.write(number, words[0], words[1:])
+            told = self.read(number, words[0], words[1]) if instruction == _READ else b""
+            return b"" if told is None else self.status(number, self.servos[number].error, told)
+        return b""
+
+    def read(self, number: int, address: int, length: int) -> bytes | None:
+        """Return registers of a servo; None where it does not answer."""
+        if (servo := self.servos.get(number)) is None:
+            return None
+        servo.advance(self._clock())
+        return bytes(servo.memory[address : address + length])
+
+    def write(self, number: int, address: int, data: bytes) -> None:
+        """Write registers of a servo, if it is there."""
+        if (servo := self.servos.get(number)) is not None:
+            servo.advance(self._clock())
+            servo.write(address, data)
+
+    @staticmethod
+    def status(number: int, error: int, data: bytes) -> bytes:
+        """Return a status packet."""
+        body = bytes([number, len(data) + 2, error]) + data
+        return b"\xff\xff" + body + bytes([~sum(body) & 255])
+
+
+class EmulatedPort:
+    """A port of dynamixel_sdk with emulated servos behind it; what has not been answered at once never is."""
+
+    def __init__(self, servos: EmulatedServos) -> None:
+        self.servos = servos
+        self.is_using = False
+        self._waiting = b""
+
+    def clearPort(self) -> None:
+        """Forget what came in."""
+        self._waiting = b""
+
+    def writePort(self, packet: Sequence[int]) -> int:
+        """Send a packet."""
+        self._waiting += self.servos.reply(bytes(packet))
+        return len(packet)
+
+    def readPort(self, length: int) -> bytes:
+        """Return what has come in, at most `length` bytes."""
+        out, self._waiting = self._waiting[: max(length, 0)], self._waiting[max(length, 0) :]
+        return out
+
+    def setPacketTimeout(self, length: int) -> None:
+        """Say how long a reply will be."""
+
+    def isPacketTimeout(self) -> bool:
+        """Tell whether there is nothing more to wait for."""
+        return not self._waiting
+
+    def closePort(self) -> None:
+        """Let go of it."""

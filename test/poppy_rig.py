@@ -1,0 +1,79 @@
+"""A Poppy plant on servos in memory, by a clock of the test's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from dynamixel_bus import Memory
+
+from dqwalk_ros.config import Config
+from dqwalk_ros.controllers import Command
+from dqwalk_ros.model import RobotModel
+from dqwalk_ros.plants.poppy import PoppyPlant
+
+DT = 0.02
+MAX_AGE = 0.1
+
+
+class Rig:
+    """A plant, its servos and its clock.
+
+    Parameters
+    ----------
+    model : RobotModel
+    config : Config
+    sync_read : bool
+    angles : dict of str to float
+        Where joints are [deg].
+    settings : dict
+        Of the configuration.
+    """
+
+    def __init__(
+        self,
+        model: RobotModel,
+        config: Config,
+        *,
+        sync_read: bool = True,
+        angles: dict[str, float] | None = None,
+        settings: dict[str, object] | None = None,
+    ) -> None:
+        self.model = model
+        self.config = config.updated(settings or {})
+        self.memory = Memory(sync_read=sync_read, **(angles or {}))
+        self.plant = self.opened()
+
+    def opened(self) -> PoppyPlant:
+        memory = self.memory
+        return PoppyPlant(self.model, self.config.poppy, MAX_AGE, buses=memory.buses, clock=memory.clock, each=map)
+
+    def tick(self, u: float = 0.0, effort: float | None = None) -> float:
+        """Do one period; return how long the plant took for it [s]."""
+        n, began = self.model.n, self.memory.clock.now
+        told = None if effort is None else np.full(n, effort)
+        self.plant.step(Command(0.0, np.full(n, u), told), DT)
+        took = self.memory.clock.now - began
+        self.memory.clock.now = max(self.memory.clock.now, began + DT)
+        return took
+
+    def run(self, seconds: float, u: float = 0.0) -> None:
+        end = self.memory.clock.now + seconds
+        while self.memory.clock.now < end:
+            self.tick(u)
+
+    def until(self, happened: Callable[[], object], seconds: float) -> float:
+        """Go on until something happens; return how long it took [s]."""
+        began = self.memory.clock.now
+        while not happened():
+            assert self.memory.clock.now - began < seconds, self.plant.watch.faults
+            self.tick()
+        return self.memory.clock.now - began
+
+    def settle(self) -> None:
+        self.plant.activate()
+        self.until(lambda: self.plant.ready, 30.0)
+
+    @property
+    def faults(self) -> str:
+        return "; ".join(self.plant.watch.faults.values())

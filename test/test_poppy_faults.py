@@ -1,0 +1,542 @@
+"""What goes wrong on Poppy's buses: the robot stops, says which motor it is, and nothing old passes for new."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+
+import numpy as np
+import pytest
+from dynamixel_bus import BUSES, LOAD, MOTORS, TEMPERATURE, VOLTAGE, FaultyServos, Memory
+from poppy_rig import DT, MAX_AGE, Rig
+
+from dqwalk_ros.config import Config, load
+from dqwalk_ros.errors import PlantError
+from dqwalk_ros.model import RobotModel, load_model
+from dqwalk_ros.plants.dynamixel import GAIN, TORQUE_ENABLE, TORQUE_LIMIT
+
+KNEE = MOTORS["l_knee_y"].id
+STEP = 0.002
+"""Two steps of an encoder [rad]."""
+
+
+@pytest.fixture(scope="module")
+def model() -> RobotModel:
+    return load_model(load("paper").robot)
+
+
+@pytest.fixture(scope="module")
+def config() -> Config:
+    return load("paper").updated({"dt": DT})
+
+
+@pytest.fixture(params=[True, False], ids=["read at once", "read one by one"])
+def rig(model: RobotModel, config: Config, request: pytest.FixtureRequest) -> Rig:
+    """A robot in its first pose."""
+    rig = Rig(model, config, sync_read=request.param)
+    rig.settle()
+    return rig
+
+
+def stands(rig: Rig, seconds: float = 1.0) -> None:
+    """Check that no goal changes although the robot is told to move."""
+    goals = {name: rig.memory.goal(name) for name in MOTORS}
+    rig.run(seconds, u=0.3)
+    assert goals == {name: rig.memory.goal(name) for name in MOTORS}
+
+
+def walks(rig: Rig) -> None:
+    """Check that goals follow a command."""
+    goal = rig.memory.goal("l_knee_y")
+    rig.tick(0.3)
+    rig.tick(0.3)
+    assert rig.memory.goal("l_knee_y") > goal + 0.003
+
+
+# ---------------------------------------------------------------------- the bus
+
+
+def fall_silent(servos: FaultyServos) -> None:
+    servos.dead = True
+
+
+def one_motor(servos: FaultyServos) -> None:
+    servos.silent = {KNEE}
+
+
+def unplug(servos: FaultyServos) -> None:
+    servos.unplugged = True
+
+
+def flip(servos: FaultyServos) -> None:
+    servos.damaged = 1.0
+
+
+def babble(servos: FaultyServos) -> None:
+    servos.garbage = 1.0
+
+
+BUS = {
+    "the bus is silent": (fall_silent, "lower bus: every motor does not answer; is the power on"),
+    "one motor is silent": (one_motor, "l_knee_y (motor 14, lower bus) does not answer; look at its cable"),
+    "the port is unplugged": (unplug, "lower bus: the port is gone: No such file or directory; plug it in"),
+    "one bit of each reply is flipped": (flip, "lower bus: every motor"),
+    "replies are random bytes": (babble, "lower bus: every motor"),
+}
+
+
+@pytest.mark.parametrize("fault", BUS)
+def test_old_angles_are_not_fresh_and_nothing_moves(rig: Rig, fault: str) -> None:
+    cause, text = BUS[fault]
+    walks(rig)
+    cause(rig.memory.servos["lower"])
+    took = rig.until(lambda: not rig.plant.fresh, 0.3)
+    assert took <= MAX_AGE + 4 * DT
+    for _ in range(200):
+        rig.tick(0.3)
+        assert not rig.plant.fresh
+    assert text in rig.faults
+    stands(rig, 1.0)
+
+
+@pytest.mark.parametrize("fault", ["the bus is silent", "one motor is silent", "replies are random bytes"])
+def test_a_short_silence_is_over_when_the_motors_have_been_looked_at(rig: Rig, fault: str) -> None:
+    BUS[fault][0](rig.memory.servos["lower"])
+    rig.run(0.5, u=0.3)
+    rig.memory.servos["lower"].heal()
+    rig.until(lambda: rig.plant.fresh, 0.3)
+    rig.until(lambda: not rig.plant.watch.faults, 2.0)
+    walks(rig)
+
+
+def test_a_port_that_is_plugged_in_again_is_opened_again(rig: Rig) -> None:
+    unplug(rig.memory.servos["lower"])
+    rig.run(0.5)
+    rig.memory.servos["lower"].heal()
+    rig.until(lambda: rig.plant.fresh, 2.0)
+    stands(rig)
+    rig.settle()
+    walks(rig)
+
+
+@pytest.mark.parametrize("fault", BUS)
+def test_after_a_long_silence_somebody_has_to_look(rig: Rig, fault: str) -> None:
+    BUS[fault][0](rig.memory.servos["lower"])
+    rig.run(2.0, u=0.3)
+    assert "then ~/activate" in rig.faults
+    with pytest.raises(PlantError, match="lower bus"):
+        rig.plant.activate()
+    rig.memory.servos["lower"].heal()
+    rig.until(lambda: rig.plant.fresh, 2.0)
+    stands(rig)
+    rig.settle()
+    walks(rig)
+
+
+def test_motors_that_had_no_power_are_not_taken_for_holding(rig: Rig) -> None:
+    """They come back with their torque off: nothing moves until somebody switches it on again."""
+    servos = rig.memory.servos["lower"]
+    servos.dead = True
+    rig.run(0.5)
+    servos.cut_power()
+    servos.heal()
+    rig.run(1.5, u=0.3)
+    assert "l_knee_y has lost its torque or its gain" in rig.faults
+    assert rig.plant.fresh
+    stands(rig)
+    rig.settle()
+    assert not rig.plant.watch.faults
+    assert all(rig.memory.torque(name) for name in MOTORS)
+    walks(rig)
+
+
+def test_a_short_cut_of_the_power_is_noticed(rig: Rig) -> None:
+    """Too short for a silence."""
+    rig.memory.servos["lower"].cut_power()
+    assert rig.until(lambda: "has lost its torque" in rig.faults, 1.0) <= 11 * DT
+    stands(rig)
+
+
+@pytest.mark.parametrize(("address", "value"), [(TORQUE_ENABLE, 0), (TORQUE_LIMIT, 0), (GAIN, 32)])
+def test_torque_and_gain_are_read_back_for_ever(rig: Rig, address: int, value: int) -> None:
+    servo = rig.memory.servo("l_knee_y")
+    servo.write(address, bytes([value] * (2 if address == TORQUE_LIMIT else 1)))
+    rig.until(lambda: "l_knee_y has lost its torque or its gain" in rig.faults, 11 * DT)
+    stands(rig)
+
+
+# ---------------------------------------------------------------------- one angle
+
+
+@pytest.mark.parametrize("angle", [90.0, -90.0, 20.0])
+def test_one_wrong_angle_moves_nothing(rig: Rig, angle: float) -> None:
+    rig.run(0.2)
+    goal = rig.memory.goal("l_knee_y")
+    rig.memory.of("l_knee_y").slip = {KNEE: angle}
+    rig.tick()
+    rig.memory.of("l_knee_y").slip = {}
+    for _ in range(10):
+        rig.tick()
+        assert rig.memory.goal("l_knee_y") == pytest.approx(goal, abs=STEP)
+        assert rig.plant.measured.q[rig.plant.names.index("l_knee_y")] == pytest.approx(goal, abs=0.01)
+    assert not rig.plant.watch.faults
+
+
+@pytest.mark.parametrize("angle", [90.0, -20.0, 17.0])
+def test_an_encoder_that_slips_is_noticed_at_once_and_stays_noticed(rig: Rig, angle: float) -> None:
+    goal = rig.memory.goal("l_knee_y")
+    rig.memory.of("l_knee_y").slip = {KNEE: angle}
+    assert rig.until(lambda: "l_knee_y has jumped to another angle" in rig.faults, 0.3) <= 4 * DT
+    stands(rig, 2.0)
+    assert rig.memory.goal("l_knee_y") == pytest.approx(goal, abs=STEP)
+    assert not rig.plant.fresh
+    rig.plant.release()
+    rig.run(0.5)
+    assert rig.plant.fresh  # where the robot is looked at by hand, what the motor says is shown
+
+
+# ---------------------------------------------------------------------- motors that suffer
+
+
+def test_a_hot_motor_holds_the_robot_until_it_is_cooler(rig: Rig) -> None:
+    servo = rig.memory.servo("r_hip_y")
+    servo.memory[TEMPERATURE] = 66
+    rig.until(lambda: "r_hip_y is at 66 degC, too hot" in rig.faults, 1.0)
+    stands(rig)
+    servo.memory[TEMPERATURE] = 62
+    stands(rig)
+    servo.memory[TEMPERATURE] = 59
+    rig.until(lambda: not rig.plant.watch.faults, 1.0)
+    walks(rig)
+
+
+def test_a_hot_motor_holds_also_after_the_torque_was_off(rig: Rig) -> None:
+    rig.memory.servo("r_hip_y").memory[TEMPERATURE] = 70
+    rig.run(0.6)
+    rig.plant.release()
+    with pytest.raises(PlantError, match="r_hip_y is at 70 degC, too hot"):
+        rig.plant.activate()
+    assert not any(rig.memory.torque(name) for name in MOTORS)
+    rig.run(1.0, u=0.3)
+    assert not rig.plant.active
+
+
+def test_a_hot_motor_holds_also_on_the_way_to_the_first_pose(model: RobotModel, config: Config) -> None:
+    rig = Rig(model, config, angles={"l_knee_y": 60.0})
+    rig.plant.activate()
+    rig.run(0.5)
+    rig.memory.servo("r_hip_y").memory[TEMPERATURE] = 75
+    rig.until(lambda: "too hot" in rig.faults, 1.0)
+    stands(rig)
+    assert not rig.plant.ready
+
+
+def test_one_reading_of_heat_is_no_heat(rig: Rig) -> None:
+    """A byte that was not noticed as damaged does not stop a walk."""
+    servo, bus = rig.memory.servo("r_hip_y"), next(p.bus for p in rig.plant.parts if p.bus.name == "lower")
+    i = bus.ids.index(servo.number)
+    servo.memory[TEMPERATURE] = 255
+    rig.until(lambda: bus.registers[i].temperature == 255.0, 1.0)
+    servo.memory[TEMPERATURE] = 40
+    rig.run(1.0)
+    assert not rig.plant.watch.faults
+
+
+def test_an_empty_battery_holds_the_robot(rig: Rig) -> None:
+    for servo in rig.memory.servos["lower"].servos.values():
+        servo.memory[VOLTAGE] = 96
+    rig.until(lambda: "l_hip_x has 9.6 V, too little; charge the battery" in rig.faults, 1.0)
+    stands(rig)
+    rig.plant.release()
+    with pytest.raises(PlantError, match="too little"):
+        rig.plant.activate()
+
+
+@pytest.mark.parametrize(("bits", "text"), [(4, "overheating"), (32, "overload"), (36, "overheating and overload")])
+def test_a_motor_that_switched_itself_off_is_named(rig: Rig, bits: int, text: str) -> None:
+    servo = rig.memory.servo("l_knee_y")
+    servo.error = bits
+    servo.write(TORQUE_LIMIT, bytes(2))
+    rig.until(lambda: f"l_knee_y reports {text} and has switched its torque off" in rig.faults, 11 * DT)
+    stands(rig)
+    servo.error = 0
+    stands(rig)  # it stays limp until somebody has seen to it
+    rig.settle()
+    walks(rig)
+
+
+def test_a_motor_that_reports_its_voltage_holds_the_robot(rig: Rig) -> None:
+    rig.memory.servo("l_knee_y").error = 1
+    rig.until(lambda: "l_knee_y has 12.0 V, too little" in rig.faults, 1.0)
+    stands(rig)
+
+
+@pytest.mark.parametrize("u", [0.3, -0.3])
+def test_a_blocked_joint_is_not_pushed_for_long(rig: Rig, u: float) -> None:
+    rig.memory.servo("l_ankle_y").blocked = True
+    began = rig.memory.clock.now
+    while "l_ankle_y cannot follow" not in rig.faults:
+        rig.tick(u)
+        assert rig.memory.clock.now - began < rig.config.poppy.max_lead / 0.3 + rig.config.poppy.blocked_after + 0.2
+    rig.tick(u)
+    assert rig.memory.goal("l_ankle_y") == pytest.approx(rig.memory.angle("l_ankle_y"), abs=STEP)
+    stands(rig)
+
+
+def test_a_motor_at_full_load_is_blocked(rig: Rig) -> None:
+    rig.memory.servo("l_knee_y").write(LOAD, (1024 + 1000).to_bytes(2, "little"))
+    took = rig.until(lambda: "l_knee_y cannot follow" in rig.faults, 3.0)
+    assert took == pytest.approx(rig.config.poppy.blocked_after, abs=0.1)
+    stands(rig)
+
+
+def test_a_way_to_the_first_pose_that_is_blocked_ends_with_an_error(model: RobotModel, config: Config) -> None:
+    rig = Rig(model, config, angles={"l_knee_y": 60.0})
+    rig.plant.activate()
+    rig.run(0.3)
+    rig.memory.servo("l_knee_y").blocked = True
+    rig.until(lambda: "l_knee_y cannot follow" in rig.faults, 3.0)
+    rig.tick()
+    assert rig.memory.goal("l_knee_y") == pytest.approx(rig.memory.angle("l_knee_y"), abs=STEP)
+    stands(rig, 3.0)
+    assert not rig.plant.ready
+
+
+def test_a_first_pose_that_is_not_quite_reached_ends_with_an_error(model: RobotModel, config: Config) -> None:
+    """A soft joint under load comes near, and stays further away than the tolerance."""
+    rig = Rig(model, config, angles={"l_knee_y": 60.0})
+    rig.plant.activate()
+    rig.until(lambda: rig.memory.angle("l_knee_y") < 0.13, 10.0)
+    rig.memory.servo("l_knee_y").blocked = True
+    rig.until(lambda: "l_knee_y does not reach the first pose" in rig.faults, 6.0)
+    assert not rig.plant.ready
+
+
+# ---------------------------------------------------------------------- switching the torque
+
+
+@pytest.mark.parametrize("sync_read", [True, False])
+def test_one_lost_reply_at_start_leaves_no_leg_limp(model: RobotModel, config: Config, sync_read: bool) -> None:
+    """Whichever reply it is: the torque is on everywhere and read back, or there is an error."""
+
+    def started(lost: int) -> int:
+        memory, count = Memory(sync_read=sync_read), iter(range(10**9))
+        for servos in memory.servos.values():
+            servos.swallow = lambda packet: next(count) == lost
+        rig = Rig.__new__(Rig)
+        rig.model, rig.config, rig.memory = model, config, memory
+        rig.plant = rig.opened()
+        rig.plant.activate()
+        assert all(memory.torque(name) for name in MOTORS), lost
+        return next(count)
+
+    replies = started(-1)
+    for lost in range(0, replies, 7 if sync_read else 11):
+        started(lost)
+
+
+def test_a_torque_that_does_not_come_on_is_an_error(model: RobotModel, config: Config) -> None:
+    rig = Rig(model, config)
+    servo = rig.memory.servo("l_knee_y")
+    write = servo.write
+    servo.write = lambda address, data: None if address == TORQUE_ENABLE else write(address, data)
+    with pytest.raises(PlantError, match="the torque of l_knee_y does not come on: all of it is off again"):
+        rig.plant.activate()
+    assert not rig.plant.active
+    assert not any(rig.memory.torque(name) for name in MOTORS)
+
+
+@pytest.mark.parametrize("address", [GAIN, 30, TORQUE_LIMIT])
+def test_a_motor_that_cannot_be_set_up_is_an_error(model: RobotModel, config: Config, address: int) -> None:
+    rig = Rig(model, config, angles={"l_knee_y": 40.0})
+    servo = rig.memory.servo("l_knee_y")
+    write = servo.write
+    servo.write(30, (1000).to_bytes(2, "little"))
+    servo.write(TORQUE_LIMIT, bytes(2))
+    servo.write = lambda at, data: None if at == address else write(at, data)
+    with pytest.raises(PlantError, match="l_knee_y cannot be set up: nothing was switched"):
+        rig.plant.activate()
+    assert not any(rig.memory.torque(name) for name in MOTORS)
+
+
+def test_a_motor_of_another_type_is_refused(model: RobotModel, config: Config) -> None:
+    rig = Rig(model, config)
+    rig.plant.close()
+    rig.memory.servo("l_knee_y").write(0, (310).to_bytes(2, "little"))
+    with pytest.raises(PlantError, match=r"l_knee_y \(14\) is of model 310, which is no MX-28"):
+        rig.opened()
+
+
+def test_motors_that_are_missing_at_start_are_named(model: RobotModel, config: Config) -> None:
+    rig = Rig(model, config)
+    rig.plant.close()
+    rig.memory.of("l_knee_y").silent = {KNEE, KNEE + 1}
+    with pytest.raises(PlantError, match=r"l_knee_y \(14, lower bus\) does not answer, l_ankle_y \(15.*robot on"):
+        rig.opened()
+
+
+@pytest.mark.parametrize("goes_off", [True, False])
+@pytest.mark.parametrize("fault", [None, *BUS])
+def test_leaving_lets_go_of_the_bus_and_leaves_the_torque_as_configured(
+    model: RobotModel, config: Config, goes_off: bool, fault: str | None
+) -> None:
+    rig = Rig(model, config, settings={"poppy.torque_off_at_end": goes_off})
+    rig.settle()
+    closed = []
+    for part in rig.plant.parts:
+        port = part.bus._port
+        port.closePort = lambda name=part.bus.name: closed.append(name)
+    if fault:
+        BUS[fault][0](rig.memory.servos["lower"])
+    if goes_off and fault:
+        with pytest.raises(PlantError, match=r"l_knee_y.* did not confirm .*: switch the power off"):
+            rig.plant.close()
+    else:
+        rig.plant.close()
+    assert sorted(closed) == list(BUSES)
+    # a reply that is damaged does not keep the servo from doing as it is told
+    deaf = {"the bus is silent": "l_", "the port is unplugged": "l_", "one motor is silent": "l_knee_y"}.get(
+        fault or "", "-"
+    )
+    for name in MOTORS:
+        if not (name.startswith(deaf) or (deaf == "l_" and MOTORS[name].bus == "lower")):
+            assert rig.memory.torque(name) is not goes_off, name
+
+
+def test_whatever_the_port_raises_is_no_traceback(rig: Rig) -> None:
+    """Errors of pyserial, termios and the system are all the same to a robot."""
+    import termios
+
+    for error in (OSError("x"), termios.error(5, "x"), TypeError("x"), ValueError("x"), NotImplementedError("x")):
+
+        def fail(*_: object, error: Exception = error) -> None:
+            raise error
+
+        bus = rig.plant.parts[0].bus
+        bus._port.writePort = fail
+        rig.run(0.3, u=0.3)
+        assert "the port is gone" in rig.faults
+        rig.until(lambda: rig.plant.fresh, 3.0)
+        rig.settle()
+
+
+# ---------------------------------------------------------------------- anything, in any order
+
+
+class Attack:
+    """Random faults on both buses, and what must hold whatever they are."""
+
+    FAULTS = ("none", "dead", "silent", "unplugged", "damaged", "garbage", "lossy", "slip", "blocked", "power", "bits",
+              "hot", "low", "late")  # fmt: skip
+
+    def __init__(self, rig: Rig, seed: int) -> None:
+        self.rig, self.dice = rig, random.Random(seed)
+        self.history: list[tuple[float, np.ndarray]] = []
+        self.lied: dict[str, float] = {}  # until when a joint's angle is not what its motor says [s]
+        self.late = 0.0
+        self.published = self.moved = 0
+
+    def strike(self) -> str:
+        """Begin a fault on one of the buses, or end those that are."""
+        servos = self.rig.memory.servos[self.dice.choice(BUSES)]
+        kind, servo = self.dice.choice(self.FAULTS), self.dice.choice(list(servos.servos.values()))
+        if kind in ("none", "late") or self.dice.random() < 0.5:
+            for healed in self.rig.memory.servos.values():
+                healed.heal()
+                for one in healed.servos.values():
+                    one.error = 0
+                    one.memory[TEMPERATURE], one.memory[VOLTAGE] = 40, 120
+        self.late = self.dice.choice([0.05, 0.15, 0.4]) if kind == "late" else 0.0
+        share = self.dice.choice([0.05, 0.5, 1.0])
+        if kind == "dead":
+            servos.dead = True
+        elif kind == "silent":
+            servos.silent.add(servo.number)
+        elif kind == "unplugged":
+            servos.unplugged = True
+        elif kind == "damaged":
+            servos.damaged = share
+        elif kind == "garbage":
+            servos.garbage = share
+        elif kind == "lossy":
+            servos.swallow = lambda packet: self.dice.random() < share
+        elif kind == "slip":
+            servos.slip[servo.number] = self.dice.uniform(-180.0, 180.0)
+        elif kind == "blocked":
+            servo.blocked = True
+        elif kind == "power":
+            servos.cut_power()
+        elif kind == "bits":
+            servo.error = self.dice.choice([1, 4, 32, 64, 127])
+        elif kind == "hot":
+            servo.memory[TEMPERATURE] = self.dice.choice([70, 255])
+        elif kind == "low":
+            servo.memory[VOLTAGE] = self.dice.choice([0, 80])
+        return kind
+
+    def truth(self) -> np.ndarray:
+        return np.array([self.rig.memory.angle(name) for name in self.rig.plant.names])
+
+    def tick(self) -> None:
+        rig, plant, clock = self.rig, self.rig.plant, self.rig.memory.clock
+        names = plant.names
+        for name in names:
+            rig.memory.servo(name).advance(clock.now)
+            if rig.memory.of(name).slip.get(MOTORS[name].id):
+                self.lied[name] = clock.now + 1.0
+        self.history.append((clock.now, self.truth()))
+        before = np.array([rig.memory.goal(name) for name in names])
+        took = rig.tick(self.dice.uniform(-1.0, 1.0), self.dice.uniform(-3.0, 3.0))
+        assert took < 0.5, "a period took too long"
+        clock.now += self.late if self.dice.random() < 0.2 else 0.0
+        self.history.append((clock.now, self.truth()))
+        after = np.array([rig.memory.goal(name) for name in names])
+        honest = np.array([self.lied.get(name, 0.0) < clock.now for name in names])
+
+        recent = [q for at, q in self.history if at >= clock.now - took - MAX_AGE - DT]
+        low, high = np.min(recent, axis=0) - STEP, np.max(recent, axis=0) + STEP
+        if plant.fresh:
+            self.published += 1
+            q = plant.measured.q
+            assert (((q >= low) & (q <= high)) | ~honest).all(), "an old angle passes for a new one"
+        # a goal that changed is near an angle that the joint had a moment ago; the first goals after the power came
+        # on are those of the servos themselves
+        changed = (np.abs(after - before) > STEP) & honest & np.array([rig.memory.torque(name) for name in names])
+        lead = rig.config.poppy.max_lead + STEP
+        self.moved += int(changed.any())
+        far = changed & ((after > high + lead) | (after < low - lead))
+        assert not far.any(), [names[k] for k in np.flatnonzero(far)]
+        del self.history[:-40]
+
+
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("seed", [*range(6), *(pytest.param(k, marks=pytest.mark.long) for k in range(6, 100))])
+def test_whatever_happens_no_old_angle_is_fresh_and_no_goal_runs_away(
+    model: RobotModel, config: Config, seed: int
+) -> None:
+    """Ten seconds of faults in any order; whenever the robot is well again, somebody activates it."""
+    rig = Rig(model, config, sync_read=bool(seed % 2))
+    rig.settle()
+    attack, strikes = Attack(rig, seed), []
+    end, due = rig.memory.clock.now + 10.0, rig.memory.clock.now + 0.5
+    while rig.memory.clock.now < end:
+        if rig.memory.clock.now >= due:
+            strikes.append(attack.strike())
+            due = rig.memory.clock.now + attack.dice.uniform(0.1, 1.5)
+        if not attack.dice.randrange(50) and (rig.plant.watch.faults or not rig.plant.active):
+            with contextlib.suppress(PlantError):
+                rig.plant.activate()
+        attack.tick()
+    assert attack.published > 20, strikes
+    assert attack.moved > 5, strikes
+    for servos in rig.memory.servos.values():
+        servos.heal()
+    rig.run(2.0)
+    assert rig.plant.fresh
+    # what is still wrong is one of those that wait for somebody, and he can mend it
+    for servo in (s for servos in rig.memory.servos.values() for s in servos.servos.values()):
+        servo.error = 0
+        servo.memory[TEMPERATURE], servo.memory[VOLTAGE] = 40, 120
+    rig.run(1.0)
+    rig.settle()
+    walks(rig)
