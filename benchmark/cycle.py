@@ -12,10 +12,9 @@ import numpy as np
 
 from benchmark.timing import machine, table  # first: it sets the number of threads
 from dqwalk_ros.config import load
-from dqwalk_ros.controllers import make_controller
-from dqwalk_ros.model import load_model
 from dqwalk_ros.plants.kinematic import KinematicPlant
-from dqwalk_ros.simulation import simulate
+from dqwalk_ros.robot import load_model
+from dqwalk_ros.simulation import make_controller, simulate
 
 
 def main() -> None:

@@ -14,10 +14,8 @@ from benchmark.robots import KINDS, Case, case
 from benchmark.timing import interleaved, machine, table  # first: it sets the number of threads
 from dqwalk_ros.constraints import PointOverPlane
 from dqwalk_ros.geometry import Plane
-from dqwalk_ros.kinematics import Kinematics, Point
-from dqwalk_ros.phases import assemble
+from dqwalk_ros.kinematics import Point
 from dqwalk_ros.qp import make_solver
-from dqwalk_ros.qp.interior_point import ClarabelSolver
 
 JOINTS = (6, 12, 24, 48, 100)
 ROWS = (10, 30, 100, 300, 1000)
@@ -28,26 +26,21 @@ def with_rows(of: Case, rows: int) -> Case:
     rng = np.random.default_rng(0)
     frames = list(of.model.frames)
     planes = []
-    for k in range(rows - len(of.phase.rows)):
+    for k in range(rows - len(of.phase.inequalities)):
         n = rng.normal(size=3)
         n /= np.linalg.norm(n)
         point = Point(frames[k % len(frames)], 0.05 * rng.normal(size=3))
         planes.append(PointOverPlane(name=f"plane{k}", eta=5.0, point=point, plane=Plane(n, -2.0)))
-    phase = dataclasses.replace(of.phase, rows=(*of.phase.rows, *planes))
+    phase = dataclasses.replace(of.phase, inequalities=(*of.phase.inequalities, *planes))
     return dataclasses.replace(of, phase=phase)
 
 
 def times(of: Case, rounds: int) -> dict[str, float]:
     """Median time of a tick by solver [us]."""
-    solvers = {
-        "dense": ClarabelSolver(False),
-        "lifted": ClarabelSolver(True),
-        "chosen": make_solver("clarabel"),
-        "daqp": make_solver("daqp"),
-    }
+    solvers = {name: make_solver(name) for name in ("clarabel", "daqp")}
 
     def tick(solver, q):
-        return solver.solve(assemble(of.phase, Kinematics(of.model, q, of.phase.base), of.dt))
+        return solver.solve(of.problem(q))
 
     cases = {name: (lambda q, s=solver: tick(s, q)) for name, solver in solvers.items()}
     return {name: t.median for name, t in interleaved(cases, of.states[:40], rounds, 5).items()}

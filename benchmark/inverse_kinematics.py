@@ -79,7 +79,7 @@ def pink(of: Case) -> Callable[[Array], Array]:
         def compute_jacobian(self, configuration: Configuration) -> Array:
             return program.rows(places.at)[0]
 
-    holds, rows = len(of.phase.holds), len(of.phase.rows)
+    holds, rows = len(of.phase.equalities), len(of.phase.inequalities)
     tasks = [Aim(cost=1.0, gain=of.phase.eta * dt)]
     constraints = [Hold(cost=1.0, gain=1.0)] if holds else None
     limits = [ConfigurationLimit(model, config_limit_gain=program.eta_q * dt)]
@@ -142,7 +142,7 @@ def mink(of: Case) -> Callable[[Array], Array]:
 
     size = 2 if program.com_task else 8
     tasks = [Aim(cost=np.ones(size), gain=of.phase.eta * dt)]
-    holds = len(of.phase.holds)
+    holds = len(of.phase.equalities)
     constraints = [Hold(cost=np.ones(holds), gain=1.0)] if holds else None
     limits = [Rows(), ConfigurationLimit(model, gain=program.eta_q * dt)]
 
@@ -182,7 +182,7 @@ def placo(of: Case) -> Callable[[Array], Array]:
     else:
         aim = solver.add_frame_task("end", np.eye(4))
         aim.configure("aim", "soft", 1.0, 1.0)
-    holds, rows = len(of.phase.holds), len(of.phase.rows)
+    holds, rows = len(of.phase.equalities), len(of.phase.inequalities)
     A = np.zeros((2 * holds + rows + 2 * n, n + 7))  # an equality is two half spaces
     A[-2 * n : -n, 7:], A[-n:, 7:] = np.eye(n), -np.eye(n)
     spaces = solver.add_joint_space_half_spaces_constraint(A, np.zeros(len(A)))

@@ -17,7 +17,7 @@ import numpy as np
 from benchmark.robots import Case
 from dqwalk_ros.constraints import AxisLevel, PointInCylinder, PointInsideWall, PointOverPlane
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.kinematics import rooted
+from dqwalk_ros.kinematics import CenterOfMass, support_tree
 from dqwalk_ros.tasks import ComOverFoot
 
 __all__ = ["PEERS", "Chain", "Places", "Poses", "Program", "ordered"]
@@ -46,7 +46,7 @@ class Chain:
 
     def __init__(self, of: Case) -> None:
         model, base = of.model, of.phase.base
-        root = rooted(model, base)
+        root = support_tree(model, base)
         joint, (origin, axis, mass, com) = root.tree[:, 1], np.split(root.links, [8, 11, 12], axis=1)
         self.n = model.n
         self.order = joint[1:]  # of the model's joints along the chain
@@ -134,7 +134,7 @@ class Program:
 
     def point(self, point: Any, at: Places) -> tuple[Array, Array]:
         """Return a point of the phase and its Jacobian."""
-        if not point.frame:
+        if isinstance(point, CenterOfMass):
             return at.com, at.J_com
         if point.frame == self.pelvis:
             return at.pelvis, at.J_pelvis
@@ -173,11 +173,11 @@ class Program:
 
     def holds(self, at: Places) -> tuple[Array, Array]:
         """Return E and e of the equalities."""
-        return self._stack(self.phase.holds, at)
+        return self._stack(self.phase.equalities, at)
 
     def rows(self, at: Places) -> tuple[Array, Array]:
         """Return G and h of the inequalities, G u >= h."""
-        return self._stack(self.phase.rows, at)
+        return self._stack(self.phase.inequalities, at)
 
     def _stack(self, of: Sequence[Any], at: Places) -> tuple[Array, Array]:
         A, b = np.empty((len(of), self.q_max.size)), np.empty(len(of))

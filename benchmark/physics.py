@@ -13,10 +13,10 @@ import numpy as np
 
 from benchmark.timing import machine, table  # first: it sets the number of threads
 from dqwalk_ros.config import load
-from dqwalk_ros.controllers import make_controller
-from dqwalk_ros.model import load_model
 from dqwalk_ros.plants.mujoco import PhysicsPlant
-from dqwalk_ros.standing.phases import posture
+from dqwalk_ros.robot import load_model
+from dqwalk_ros.simulation import make_controller
+from dqwalk_ros.standing.walk import posture
 
 CHUNK = 100
 

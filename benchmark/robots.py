@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.gait import footstep
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import Foot, RobotModel, load_model
-from dqwalk_ros.phases import Phase, PhaseKind, assemble, make_phase
-from dqwalk_ros.qp import make_solver
+from dqwalk_ros.qp import Problem, make_solver
+from dqwalk_ros.robot import Foot, RobotModel, load_model
+from dqwalk_ros.simulation import make_walk
+from dqwalk_ros.walk import Phase, PhaseKind
 
 __all__ = ["KINDS", "Case", "biped", "biped_urdf", "case"]
 
@@ -84,6 +84,11 @@ class Case:
         """Control period [s]."""
         return self.config.dt
 
+    def problem(self, q: np.ndarray) -> Problem:
+        """Return the quadratic program at a configuration."""
+        at = self.phase.evaluate(Kinematics(self.model, q, self.phase.base))
+        return at.problem(self.dt, np.full(self.model.n, np.inf))
+
 
 def case(joints: int, kind: PhaseKind, ticks: int = 3000, kept: int = 150) -> Case:
     """Return `kept` states of a closed loop of `ticks` ticks."""
@@ -96,14 +101,13 @@ def case(joints: int, kind: PhaseKind, ticks: int = 3000, kept: int = 150) -> Ca
             if name in model.joint_names:
                 q[model.joint_names.index(name)] = angle
     foot = Foot.LEFT
-    target = footstep(config, model, foot) if kind is PhaseKind.SINGLE_SUPPORT else None
+    target = make_walk(config, model).footstep(foot) if kind is PhaseKind.SINGLE_SUPPORT else None
     if kind is PhaseKind.SINGLE_SUPPORT:  # the cylinder of the support foot has to hold the CoM
         config = config.updated({"ssp.com_radius": 0.2})
-    phase = make_phase(config, model, kind, foot, q, target)
-    solver, states = make_solver("daqp"), []
+    phase = make_walk(config, model).phase(kind, foot, q, target)
+    of, solver, states = Case(config, model, phase, ()), make_solver("daqp"), []
     for tick in range(ticks):
         if tick % (ticks // kept) == 0:
             states.append(q)
-        problem = assemble(phase, Kinematics(model, q, phase.base), config.dt)
-        q = q + config.dt * solver.solve(problem).u
-    return Case(config, model, phase, tuple(states))
+        q = q + config.dt * solver.solve(of.problem(q)).u
+    return replace(of, states=tuple(states))

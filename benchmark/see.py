@@ -34,12 +34,11 @@ from recorded import short_config, short_walk
 
 from benchmark.timing import machine, table
 from dqwalk_ros.config import Config, load, to_yaml
-from dqwalk_ros.controllers import make_controller
-from dqwalk_ros.model import load_model
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report import bag
+from dqwalk_ros.robot import load_model
 from dqwalk_ros.runner import Processes, private_domain, run_walk
-from dqwalk_ros.simulation import simulate
+from dqwalk_ros.simulation import make_controller, simulate
 
 SIZE = {"width": 1000, "height": 500}
 MIDDLE = slice(350, 670)

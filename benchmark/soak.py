@@ -24,11 +24,10 @@ import psutil
 from benchmark.timing import machine, table  # first: it sets the number of threads
 from dqwalk_ros.cli.progress import Progress
 from dqwalk_ros.config import Config, load
-from dqwalk_ros.controllers import make_controller
-from dqwalk_ros.model import load_model
 from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.robot import load_model
 from dqwalk_ros.runner import run_walk
-from dqwalk_ros.simulation import simulate
+from dqwalk_ros.simulation import make_controller, simulate
 
 GROWTH = 5.0
 """A node may grow by so much after the first minute [MB]."""

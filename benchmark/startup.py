@@ -23,7 +23,7 @@ from dqwalk_ros.config import find_share
 CONTROLLER = """
 import numpy as np
 from dqwalk_ros import load, load_model, make_controller
-from dqwalk_ros.controllers import State
+from dqwalk_ros.state import State
 config = load("paper")
 model = load_model(config.robot)
 make_controller(config, model).step(State(time=0.0, q=np.zeros(model.n)), config.dt)

@@ -18,9 +18,7 @@ import numpy as np
 from benchmark.robots import KINDS, Case, case
 from benchmark.timing import interleaved, machine, table  # first: it sets the number of threads
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.phases import assemble
 from dqwalk_ros.qp import make_solver
-from dqwalk_ros.qp.interior_point import ClarabelSolver
 
 Tick = Callable[[np.ndarray], np.ndarray]
 
@@ -28,16 +26,16 @@ Tick = Callable[[np.ndarray], np.ndarray]
 def ours(of: Case, solver: str) -> Tick:
     """Return our tick, u of q."""
     kept = make_solver(solver)
-    return lambda q: kept.solve(assemble(of.phase, Kinematics(of.model, q, of.phase.base), of.dt)).u
+    return lambda q: kept.solve(of.problem(q)).u
 
 
 def stages(of: Case, rounds: int) -> str:
     """Time every stage; return a table."""
     model, base, phase = of.model, of.phase.base, of.phase
     kins = {id(q): Kinematics(model, q, base) for q in of.states}
-    problems = {id(q): assemble(phase, kins[id(q)], of.dt) for q in of.states}
-    chosen, dense, lifted = ClarabelSolver(), ClarabelSolver(False), ClarabelSolver(True)
-    daqp = make_solver("daqp")
+    problems = {id(q): of.problem(q) for q in of.states}
+    seen, free = {key: phase.evaluate(kin) for key, kin in kins.items()}, np.full(model.n, np.inf)
+    chosen, daqp = make_solver("clarabel"), make_solver("daqp")
     inside: list[float] = []
 
     def clarabel(q: np.ndarray) -> None:
@@ -45,11 +43,9 @@ def stages(of: Case, rounds: int) -> str:
 
     cases = {
         "kinematics": lambda q: Kinematics(model, q, base),
-        "error of the phase": lambda q: phase.error(kins[id(q)]),
-        "rows and objective": lambda q: assemble(phase, kins[id(q)], of.dt),
+        "errors, distances and gradients": lambda q: phase.evaluate(kins[id(q)]),
+        "rows and objective": lambda q: seen[id(q)].problem(of.dt, free),
         "Clarabel, with scaling and check": clarabel,
-        "the same, dense": lambda q: dense.solve(problems[id(q)]),
-        "the same, lifted (y = J u)": lambda q: lifted.solve(problems[id(q)]),
         "DAQP, with scaling and check": lambda q: daqp.solve(problems[id(q)]),
         "tick with Clarabel": ours(of, "clarabel"),
         "tick with DAQP": ours(of, "daqp"),

@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from dqwalk_ros.config import load
-from dqwalk_ros.model import load_model
+from dqwalk_ros.robot import load_model
 from dqwalk_ros.whole_body import SCENARIOS, WholeBodyController, follow
 from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 

@@ -18,12 +18,13 @@ _HOME = {
     "RobotModel": "model",
     "load_model": "model",
     "Kinematics": "kinematics",
-    "Phase": "phases",
-    "VelocityController": "controllers.velocity",
-    "make_controller": "controllers",
+    "Phase": "walk",
+    "VelocityController": "controller",
+    "make_controller": "simulation",
+    "make_walk": "simulation",
     "KinematicPlant": "plants.kinematic",
     "simulate": "simulation",
-    "Trace": "trace",
+    "Trace": "simulation",
 }
 
 __all__ = ["__version__", *_HOME]

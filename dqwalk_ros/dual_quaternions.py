@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["DQ", "E", "i", "j", "k", "qconj", "qmul"]
+__all__ = ["DQ", "E", "i", "j", "k", "product", "qconj", "qmul"]
 
 Array = NDArray[np.float64]
 
@@ -20,16 +20,25 @@ _CONJ8 = np.concatenate([_CONJ4, _CONJ4])
 _SMALL = 1e-12
 
 
+def product(a1: Any, a2: Any, a3: Any, a4: Any, b1: Any, b2: Any, b3: Any, b4: Any) -> tuple[Any, Any, Any, Any]:
+    """Hamilton's product of two quaternions, coefficient by coefficient; numbers, or arrays of one shape.
+
+    `kinematics` compiles it (jit) for numbers.
+    """
+    return (
+        a1 * b1 - a2 * b2 - a3 * b3 - a4 * b4,
+        a1 * b2 + a2 * b1 + a3 * b4 - a4 * b3,
+        a1 * b3 - a2 * b4 + a3 * b1 + a4 * b2,
+        a1 * b4 + a2 * b3 - a3 * b2 + a4 * b1,
+    )
+
+
 def qmul(a: Array, b: Array) -> Array:
     """Hamilton's product of quaternions, shapes (..., 4)."""
-    a1, a2, a3, a4 = a[..., 0], a[..., 1], a[..., 2], a[..., 3]
-    b1, b2, b3, b4 = b[..., 0], b[..., 1], b[..., 2], b[..., 3]
-    real = a1 * b1 - a2 * b2 - a3 * b3 - a4 * b4
-    out = np.empty((*real.shape, 4))
-    out[..., 0] = real
-    out[..., 1] = a1 * b2 + a2 * b1 + a3 * b4 - a4 * b3
-    out[..., 2] = a1 * b3 - a2 * b4 + a3 * b1 + a4 * b2
-    out[..., 3] = a1 * b4 + a2 * b3 - a3 * b2 + a4 * b1
+    parts = product(*(a[..., k] for k in range(4)), *(b[..., k] for k in range(4)))
+    out = np.empty((*parts[0].shape, 4))
+    for k, part in enumerate(parts):
+        out[..., k] = part
     return out
 
 
@@ -84,7 +93,7 @@ class DQ:
 
     @classmethod
     def from_pose(cls, p: ArrayLike, r: ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> Self:
-        """Return the pose r + eps 1/2 p r of (1); `p` [m] (..., 3), `r` unit quaternion (..., 4)."""
+        """Return the pose r + eps 1/2 p r of (U1); `p` [m] (..., 3), `r` unit quaternion (..., 4)."""
         r = np.asarray(r, dtype=np.float64)
         p = np.asarray(p, dtype=np.float64)
         p4 = np.concatenate([np.zeros((*p.shape[:-1], 1)), p], axis=-1)
@@ -237,13 +246,13 @@ class DQ:
         return _blocks(_left(self._h[..., :4]), _left(self._h[..., 4:]))
 
     def haminus8(self) -> Array:
-        """H-8 with vec8(ab) = haminus8(b) vec8(a), the operator of (3); shape (..., 8, 8)."""
+        """H-8 with vec8(ab) = haminus8(b) vec8(a), the operator of (U3); shape (..., 8, 8)."""
         return _blocks(_right(self._h[..., :4]), _right(self._h[..., 4:]))
 
     # ------------------------------------------------------------------ rigid motions (unit norm)
 
     def translation(self) -> Array:
-        """Position p = 2 D(x) P(x)* of the pose (1), shape (..., 3) [m]."""
+        """Position p = 2 D(x) P(x)* of the pose (U1), shape (..., 3) [m]."""
         return 2.0 * qmul(self._h[..., 4:], qconj(self._h[..., :4]))[..., 1:]
 
     def rotation(self) -> Array:

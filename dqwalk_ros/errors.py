@@ -85,3 +85,8 @@ class PhaseError(DqwalkError):
         self.phase = phase
         self.error = error
         self.active = tuple(active)
+
+    def held_by(self, rows: Sequence[str]) -> PhaseError:
+        """Return the error with the rows that hold the phase where it is."""
+        text = f"; active: {', '.join(rows)}" if rows else "; no constraint is active: a local minimum of the task"
+        return PhaseError(f"{self}{text}", phase=self.phase, error=self.error, active=rows)

@@ -1,12 +1,12 @@
 """Geometric primitives and their signed distances, sections 3.1 to 3.3 [Adorno2017, Marinho2019].
 
-Every function takes and returns plain arrays of coordinates in one frame, in metres; a Jacobian `J_p` maps
-joint velocities to the velocity of the point `p`, shape (3, n). Where a primitive moves with the joints its own
-Jacobian is an argument too: that is the residual of the distance's derivative.
+Plain arrays of coordinates in one frame, in metres. A distance comes with its gradient; where a primitive moves with
+the joints, the gradient has a part for what moves it: the residual of [Marinho2019].
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -14,6 +14,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dqwalk_ros.compiled import jit
 from dqwalk_ros.dual_quaternions import DQ
 
 __all__ = [
@@ -22,14 +23,9 @@ __all__ = [
     "Line",
     "Plane",
     "point_to_line_squared",
-    "point_to_line_squared_jacobian",
-    "point_to_plane",
-    "point_to_plane_jacobian",
     "point_to_polygon",
-    "point_to_polygon_jacobian",
     "point_to_wall",
-    "point_to_wall_jacobian",
-    "wall_normal",
+    "wall_side",
 ]
 
 Array = NDArray[np.float64]
@@ -53,14 +49,9 @@ class Plane:
         """Return n + eps d."""
         return DQ(np.concatenate([[0.0], self.n, [self.d, 0.0, 0.0, 0.0]]))
 
-    def moved(self, x: DQ) -> Plane:
-        """Return the plane carried along by the rigid motion `x`."""
-        h = x.Ad_sharp(self.dq()).vec8()
-        return Plane(h[1:4], float(h[4]))
-
     def distance(self, p: ArrayLike) -> float:
         """Signed distance of a point (3,), positive on the side the normal points at."""
-        return float(point_to_plane(np.asarray(p), self.n, self.d))
+        return float(np.asarray(p) @ self.n) - self.d
 
 
 @dataclass(frozen=True)
@@ -81,14 +72,9 @@ class Line:
         """Return l + eps m."""
         return DQ(np.concatenate([[0.0], self.l, [0.0], self.m]))
 
-    def moved(self, x: DQ) -> Line:
-        """Return the line carried along by the rigid motion `x`."""
-        h = x.Ad(self.dq()).vec8()
-        return Line(h[1:4], h[5:])
-
     def distance_squared(self, p: ArrayLike) -> float:
         """Squared distance of a point (3,) [m^2]."""
-        return float(point_to_line_squared(np.asarray(p), self.l, self.m))
+        return float(point_to_line_squared(np.asarray(p, dtype=np.float64), self.l, self.m)[0])
 
 
 @dataclass(frozen=True)
@@ -97,10 +83,6 @@ class Cylinder:
 
     axis: Line
     radius: float
-
-    def moved(self, x: DQ) -> Cylinder:
-        """Return the cylinder carried along by the rigid motion `x`."""
-        return Cylinder(self.axis.moved(x), self.radius)
 
     def distance(self, p: ArrayLike) -> float:
         """d^2 - r^2 [m^2] of a point (3,): negative inside, as in the paper."""
@@ -160,90 +142,62 @@ class ConvexPolygon:
         return float(point_to_polygon(np.asarray(p, dtype=np.float64), self.vertices)[0])
 
 
-# ---------------------------------------------------------------------- points and planes
+# ---------------------------------------------------------------------- distances and their gradients
 
 
-def point_to_plane(p: Array, n: Array, d: float) -> float:
-    """Signed distance <p, n> - d of a point (3,) to the plane n + eps d [m]."""
-    return float(p @ n) - d
+@jit
+def point_to_line_squared(p, l, m):  # type: ignore[no-untyped-def] # noqa: E741
+    """Squared distance |p x l - m|^2 of a point (3,) to the line l + eps m [m^2], eq. (24) of [Marinho2019].
+
+    Returns
+    -------
+    square : float
+    gradient : ndarray, shape (3,)
+        At the point.
+    """
+    h = np.cross(p, l) - m
+    return h @ h, 2.0 * np.cross(l, h)
 
 
-def point_to_plane_jacobian(
-    p: Array, J_p: Array, n: Array, J_n: Array | None = None, J_d: Array | None = None
-) -> Array:
-    """Jacobian (n,) of `point_to_plane`; `J_n` (3, n) and `J_d` (n,) are the residual of a plane that moves."""
-    J = n @ J_p
-    if J_n is not None:
-        J = J + p @ J_n
-    if J_d is not None:
-        J = J - J_d
-    return J
+@jit
+def point_to_wall(s, a, side):  # type: ignore[no-untyped-def]
+    """Signed distance [m] of a point p to the upright plane through `a` (3,), which is at rest, and b, which moves.
+
+    It is positive to the left of the way from `a` to `b` where `side` is 1, to the right where it is -1. Moving b
+    turns the plane about a; where the foot of p lies at the part `share` of the way that moves the plane by share n.b'.
+
+    Parameters
+    ----------
+    s : ndarray, shape (6,)
+        p and b [m].
+    a : ndarray, shape (3,)
+    side : float
+
+    Returns
+    -------
+    distance : float
+    gradient : ndarray, shape (6,)
+    """
+    tx, ty = s[3] - a[0], s[4] - a[1]
+    vx, vy = s[0] - a[0], s[1] - a[1]
+    length = math.hypot(tx, ty)
+    nx, ny = -side * ty / length, side * tx / length
+    share = (tx * vx + ty * vy) / length**2
+    return nx * vx + ny * vy, np.array([nx, ny, 0.0, -share * nx, -share * ny, 0.0])
 
 
-def wall_normal(a: Array, b: Array, inside: Array) -> Array:
-    """Horizontal unit normal (3,) of the upright plane through the points `a` and `b`, towards the side of `inside`.
+def wall_side(a: Array, b: Array, inside: Array) -> float:
+    """Return 1 where `inside` lies to the left of the way from `a` to `b` (3,) [m], -1 where it lies to the right.
 
     Raises
     ------
     ValueError
         If one of the points is above the other: then no single upright plane holds both.
     """
-    t = b[:2] - a[:2]
-    length = np.hypot(*t)
-    if length < 1e-9:
+    t, v = b[:2] - a[:2], inside[:2] - a[:2]
+    if np.hypot(*t) < 1e-9:
         raise ValueError("two points above each other do not fix an upright plane")
-    n: Array = np.array([-t[1], t[0], 0.0]) / length
-    return n if n @ (inside - a) >= 0.0 else -n
-
-
-def point_to_wall(p: Array, a: Array, b: Array, side: float) -> float:
-    """Signed distance [m] of `p` to the upright plane through `a` and `b` (all (3,)).
-
-    It is positive to the left of the way from `a` to `b` where `side` is 1, to the right where it is -1.
-    """
-    t = b[:2] - a[:2]
-    return float(side * (t[0] * (p[1] - a[1]) - t[1] * (p[0] - a[0])) / np.hypot(t[0], t[1]))
-
-
-def point_to_wall_jacobian(p: Array, J_p: Array, a: Array, b: Array, J_b: Array, side: float) -> Array:
-    """Jacobian (n,) of `point_to_wall` where `a` is at rest and `b` moves with `J_b` (3, n).
-
-    Moving `b` turns the plane about `a`; at the distance s |b - a| along it that moves the plane by s n.db, so
-    d' = n (J_p - s J_b).
-    """
-    t = b[:2] - a[:2]
-    length = np.hypot(*t)
-    n = side * np.array([-t[1], t[0]]) / length
-    s = float(t @ (p[:2] - a[:2])) / length**2
-    jacobian: Array = n @ (J_p[:2] - s * J_b[:2])
-    return jacobian
-
-
-# ---------------------------------------------------------------------- points and lines
-
-
-def point_to_line_squared(p: Array, l: Array, m: Array) -> float:  # noqa: E741
-    """Squared distance |p x l - m|^2 of a point (3,) to the line l + eps m [m^2], eq. (24) of [Marinho2019]."""
-    h = np.cross(p, l) - m
-    return float(h @ h)
-
-
-def point_to_line_squared_jacobian(
-    p: Array,
-    J_p: Array,
-    l: Array,  # noqa: E741
-    m: Array,
-    J_l: Array | None = None,
-    J_m: Array | None = None,
-) -> Array:
-    """Jacobian (n,) of `point_to_line_squared`; `J_l`, `J_m` (3, n) are the residual of a line that moves."""
-    h = np.cross(p, l) - m
-    J = 2.0 * np.cross(l, h) @ J_p
-    if J_l is not None:
-        J = J + 2.0 * np.cross(h, p) @ J_l
-    if J_m is not None:
-        J = J - 2.0 * h @ J_m
-    return J
+    return 1.0 if t[0] * v[1] >= t[1] * v[0] else -1.0
 
 
 # ---------------------------------------------------------------------- points and polygons
@@ -271,9 +225,3 @@ def point_to_polygon(p: Array, vertices: Array) -> tuple[float, Array]:
     far = np.linalg.norm(v, axis=1)
     edge = int(np.argmin(far))
     return -float(far[edge]), -v[edge] / far[edge]
-
-
-def point_to_polygon_jacobian(p: Array, J_p: Array, vertices: Array) -> Array:
-    """Jacobian (n,) of `point_to_polygon` with the polygon at rest; `J_p` (2 or 3, n)."""
-    jacobian: Array = point_to_polygon(p, vertices)[1] @ J_p[:2]
-    return jacobian

@@ -2,26 +2,46 @@
 
 The tree is re-rooted at the sole of one foot: the way from there to the pelvis is the reversed leg, whose joints
 turn about their axes the other way. The swing foot's pose is then x_left* x_6^5 x_right of section 3.4 without a
-special case, and the foot on the ground carries its part of (4) at rest.
+special case, and the foot on the ground carries its part of (U4) at rest.
 
-A dual quaternion's derivative under a joint is half the product of the joint's line with it, so all Jacobians are
-products with one array of lines.
+A joint is a line l + eps m. It turns all bodies after it about this line, so every Jacobian is a product with the
+lines: x' = 1/2 (l + eps m) x q' of a pose, p' = (l x p + m) q' of a point, v' = (l x v) q' of a direction.
+
+What tasks and constraints watch are features of the robot (`Point`, `CenterOfMass`, `Pose`, ...). `observe` works
+out the coordinates of any number of them, and the Jacobian of these coordinates.
 """
 
 from __future__ import annotations
 
 import copy
+import functools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dqwalk_ros import kernels
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.model import Foot, RobotModel
+from dqwalk_ros.compiled import jit
+from dqwalk_ros.dual_quaternions import DQ, product
+from dqwalk_ros.robot import Foot, RobotModel
 
-__all__ = ["Kinematics", "Point", "Rooted", "pose_difference", "pose_difference_jacobian", "rooted"]
+__all__ = [
+    "CenterOfMass",
+    "CenterOfMassOnGround",
+    "Direction",
+    "Feature",
+    "JointAngles",
+    "Kinematics",
+    "Observer",
+    "Point",
+    "Pose",
+    "Rotation",
+    "SupportTree",
+    "compose",
+    "support_tree",
+]
 
 Array = NDArray[np.float64]
 
@@ -29,15 +49,199 @@ _ORIGIN = np.zeros(3)
 _Z = np.array([0.0, 0.0, 1.0])
 
 
-class Rooted:
-    """The constants of a model seen from one sole; get it from `rooted`.
+# ---------------------------------------------------------------------- compiled, as it is read
+
+_product = jit(product)
+
+
+@jit
+def _multiply(a, b, out):  # type: ignore[no-untyped-def]
+    """Product of dual quaternions (8,) into `out`: P(a)P(b) + eps (P(a)D(b) + D(a)P(b))."""
+    out[0], out[1], out[2], out[3] = _product(a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3])
+    s = _product(a[0], a[1], a[2], a[3], b[4], b[5], b[6], b[7])
+    t = _product(a[4], a[5], a[6], a[7], b[0], b[1], b[2], b[3])
+    for k in range(4):
+        out[4 + k] = s[k] + t[k]
+
+
+@jit
+def _rotate(x, v, out):  # type: ignore[no-untyped-def]
+    """P(x) v P(x)* of a direction (3,) into `out`."""
+    s = _product(x[0], x[1], x[2], x[3], 0.0, v[0], v[1], v[2])
+    t = _product(s[0], s[1], s[2], s[3], x[0], -x[1], -x[2], -x[3])
+    out[0], out[1], out[2] = t[1], t[2], t[3]
+
+
+@jit
+def _translation(x, out):  # type: ignore[no-untyped-def]
+    """Position p = 2 D(x) P(x)* (3,) of the pose r + eps 1/2 p r (U1) into `out`."""
+    t = _product(x[4], x[5], x[6], x[7], x[0], -x[1], -x[2], -x[3])
+    out[0], out[1], out[2] = 2.0 * t[1], 2.0 * t[2], 2.0 * t[3]
+
+
+@jit
+def _turned(line, p, share, out):  # type: ignore[no-untyped-def]
+    """Fill what a turn of the joint on the line l + eps m (6,) does to `p` (3,): l x p + share m.
+
+    The share is 1 for a point, 0 for a direction; for a part of the CoM it is the part of the mass.
+    """
+    out[0] = line[1] * p[2] - line[2] * p[1] + share * line[3]
+    out[1] = line[2] * p[0] - line[0] * p[2] + share * line[4]
+    out[2] = line[0] * p[1] - line[1] * p[0] + share * line[5]
+
+
+@jit
+def _forward(q, tree, links, poses, lines, p_com, J_com):  # type: ignore[no-untyped-def]
+    """Fill poses (b, 8), joint lines (n, 6), the CoM (3,) of (U4) and its Jacobian (3, n) of (U5).
+
+    Return whether all of q is finite. Bodies come parents first, body 0 at rest; the columns of `tree` are parent
+    and joint, those of `links` origin (8), axis (3), mass divided by the total, and centre of mass (3).
+    """
+    bodies = tree.shape[0]
+    half, x, p, c = np.zeros(8), np.empty(8), np.empty(3), np.empty(3)
+    after = np.empty((bodies, 4))  # of a body and all bodies after it: sum of m_k p_ck / M, and of m_k / M
+    poses[0, :] = 0.0
+    poses[0, 0] = 1.0
+    for b in range(bodies):
+        link, pose = links[b], poses[b]
+        if b > 0:
+            i = tree[b, 1]
+            _multiply(poses[tree[b, 0]], link[:8], x)
+            half[0], half[1:4] = math.cos(0.5 * q[i]), math.sin(0.5 * q[i]) * link[8:11]
+            _multiply(x, half, pose)
+            line = lines[i]
+            _rotate(pose, link[8:11], line[:3])  # l
+            _translation(pose, p)
+            line[3] = p[1] * line[2] - p[2] * line[1]  # m = p x l
+            line[4] = p[2] * line[0] - p[0] * line[2]
+            line[5] = p[0] * line[1] - p[1] * line[0]
+        _translation(pose, p)
+        _rotate(pose, link[12:15], c)
+        after[b, :3] = link[11] * (p + c)  # (U2): the CoM of a body is the translation of x_i x_ci^i
+        after[b, 3] = link[11]
+    for b in range(bodies - 1, 0, -1):
+        i = tree[b, 1]
+        after[tree[b, 0]] += after[b]
+        # (U5): the joint moves the masses after it, 1/M sum m_k (l x p_ck + m)
+        _turned(lines[i], after[b], after[b, 3], J_com[:, i])
+    p_com[:] = after[0, :3]  # (U4): 1/M sum m_i p_ci
+    good = True
+    for i in range(q.shape[0]):
+        good = good and math.isfinite(q[i])
+    return good
+
+
+@jit
+def compose(a, b):  # type: ignore[no-untyped-def]
+    """Return the product of two dual quaternions (8,)."""
+    out = np.empty(8)
+    _multiply(a, b, out)
+    return out
+
+
+@jit
+def _point(x, offset):  # type: ignore[no-untyped-def]
+    """Return the point (3,) at `offset` in the frame `x` (8,)."""
+    p, c = np.empty(3), np.empty(3)
+    _translation(x, p)
+    _rotate(x, offset, c)
+    return p + c
+
+
+@jit
+def _direction(x, v):  # type: ignore[no-untyped-def]
+    """Return the direction (3,) that is `v` in the frame `x` (8,)."""
+    out = np.empty(3)
+    _rotate(x, v, out)
+    return out
+
+
+@jit
+def _point_jacobian(lines, moves, p, J):  # type: ignore[no-untyped-def]
+    """Fill J_p (3, n) with l x p + m of the joints that move the point `p` (3,)."""
+    J[:] = 0.0
+    for i in range(lines.shape[0]):
+        if moves[i]:
+            _turned(lines[i], p, 1.0, J[:, i])
+
+
+@jit
+def _direction_jacobian(lines, moves, v, J):  # type: ignore[no-untyped-def]
+    """Fill J (3, n) with l x v of the joints that turn the direction `v` (3,)."""
+    J[:] = 0.0
+    for i in range(lines.shape[0]):
+        if moves[i]:
+            _turned(lines[i], v, 0.0, J[:, i])
+
+
+@jit
+def _pose_jacobian(lines, moves, x, J):  # type: ignore[no-untyped-def]
+    """Fill J (8, n) with vec8(x') = 1/2 H-8(x) vec8(l + eps m) (U3) of the joints that move the frame `x` (8,)."""
+    J[:] = 0.0
+    line, column = np.zeros(8), np.empty(8)
+    for i in range(lines.shape[0]):
+        if moves[i]:
+            line[1:4], line[5:8] = 0.5 * lines[i, :3], 0.5 * lines[i, 3:]
+            _multiply(line, x, column)
+            J[:, i] = column
+
+
+_COM, _COM_ON_GROUND, _POINT, _DIRECTION, _ROTATION, _POSE, _ANGLES = range(7)
+
+
+@jit
+def _observe(kinds, bodies, local, q, poses, lines, moves, p_com, J_com, up, s, J):  # type: ignore[no-untyped-def]
+    """Fill the coordinates s (m,) of features, one after the other, and their Jacobian J (m, n).
+
+    `kinds` and `bodies` (k,) are kind and body of each, `local` (k, 8) its pose or offset on the body.
+    """
+    at, n = 0, q.shape[0]
+    x, part = np.empty(8), np.empty((8, n))
+    for k in range(kinds.shape[0]):
+        kind, body = kinds[k], bodies[k]
+        if kind == _COM:
+            s[at : at + 3], J[at : at + 3] = p_com, J_com
+            at += 3
+        elif kind == _COM_ON_GROUND:  # along the vertical onto the plane z = 0 of the base sole
+            for i in range(2):
+                lean = up[i] / up[2]
+                s[at + i] = p_com[i] - lean * p_com[2]
+                J[at + i] = J_com[i] - lean * J_com[2]
+            at += 2
+        elif kind == _POINT:
+            p = s[at : at + 3]
+            p[:] = _point(poses[body], local[k, :3])
+            _point_jacobian(lines, moves[body], p, J[at : at + 3])
+            at += 3
+        elif kind == _DIRECTION:
+            v = s[at : at + 3]
+            _rotate(poses[body], local[k, :3], v)
+            _direction_jacobian(lines, moves[body], v, J[at : at + 3])
+            at += 3
+        elif kind == _ANGLES:
+            s[at : at + n] = q
+            J[at : at + n] = 0.0
+            for i in range(n):
+                J[at + i, i] = 1.0
+            at += n
+        else:
+            size = 4 if kind == _ROTATION else 8
+            _multiply(poses[body], local[k], x)
+            _pose_jacobian(lines, moves[body], x, part)
+            s[at : at + size], J[at : at + size] = x[:size], part[:size]
+            at += size
+
+
+# ---------------------------------------------------------------------- the robot seen from one sole
+
+
+class SupportTree:
+    """The constants of a model seen from one sole; get it from `support_tree`.
 
     Attributes
     ----------
     tree, links : ndarray, shapes (bodies, 2) and (bodies, 15)
-        What `kernels.forward` asks for.
-    size : int
-        How many numbers it fills.
+        Parent and joint of every body; origin, axis, share of the mass and centre of mass.
     frames : dict of str to (int, ndarray)
         Body and pose (8,) on it of every frame.
     moves : ndarray of bool, shape (bodies, n)
@@ -79,7 +283,6 @@ class Rooted:
                 for x, a, b in zip(origin, axis, order, strict=True)
             ]
         )
-        self.size = 8 * count + 9 * model.n + 3
         self.moves = np.zeros((count, model.n), dtype=np.bool_)
         for k in range(1, count):
             self.moves[k] = self.moves[parent[k]]
@@ -90,17 +293,17 @@ class Rooted:
         }
 
 
-_CACHE: dict[tuple[int, bool], tuple[RobotModel, Rooted]] = {}
-_LEFT = Foot.LEFT
+@functools.lru_cache(maxsize=16)
+def _support_tree(model: RobotModel, left: bool) -> SupportTree:
+    return SupportTree(model, Foot.LEFT if left else Foot.RIGHT)
 
 
-def rooted(model: RobotModel, base: Foot) -> Rooted:
+def support_tree(model: RobotModel, base: Foot) -> SupportTree:
     """Return the constants of `model` seen from the sole `base`, worked out once per model."""
-    key = (id(model), base is _LEFT)  # hashing a Foot takes longer than everything else here
-    entry = _CACHE.get(key)
-    if entry is None or entry[0] is not model:
-        entry = _CACHE[key] = (model, Rooted(model, base))
-    return entry[1]
+    return _support_tree(model, base is _LEFT)  # hashing a Foot takes longer than everything else here
+
+
+_LEFT = Foot.LEFT
 
 
 class Kinematics:
@@ -120,15 +323,21 @@ class Kinematics:
 
     Attributes
     ----------
-    rooted : Rooted
+    tree : SupportTree
         The constants of the model seen from `base`.
-    values : ndarray
-        What `kernels.forward` worked out, for compiled functions.
+    poses : ndarray, shape (bodies, 8)
+        Of all bodies of the tree.
+    lines : ndarray, shape (n, 6)
+        The joints' Pluecker lines l, m; the joints of the reversed leg point the other way.
+    com : ndarray, shape (3,)
+        Centre of mass (U4), the base foot's mass included [m].
+    com_jacobian : ndarray, shape (3, n)
+        J_CoM of (U5) [m/rad].
     finite : bool
         Whether every angle is a finite number.
     """
 
-    __slots__ = ("base", "elapsed", "finite", "model", "q", "rooted", "up", "values")
+    __slots__ = ("base", "com", "com_jacobian", "elapsed", "finite", "lines", "model", "poses", "q", "tree", "up")
 
     def __init__(
         self, model: RobotModel, q: ArrayLike, base: Foot, up: ArrayLike | None = None, elapsed: float = math.inf
@@ -138,9 +347,11 @@ class Kinematics:
         self.up = _Z if up is None else np.asarray(up, dtype=np.float64)
         self.elapsed = elapsed
         self.q: Array = np.asarray(q, dtype=np.float64)
-        self.rooted = root = rooted(model, base)
-        self.values = values = np.empty(root.size)
-        self.finite: bool = kernels.forward(self.q, root.tree, root.links, values)
+        self.tree = tree = support_tree(model, base)
+        n = self.q.shape[0]
+        self.poses, self.lines = np.empty((tree.tree.shape[0], 8)), np.empty((n, 6))
+        self.com, self.com_jacobian = np.empty(3), np.empty((3, n))
+        self.finite: bool = _forward(self.q, tree.tree, tree.links, self.poses, self.lines, self.com, self.com_jacobian)
 
     def tilted(self, up: ArrayLike) -> Kinematics:
         """Return the same snapshot with gravity against `up` (3,), a unit vector in the frame of the base sole."""
@@ -149,122 +360,165 @@ class Kinematics:
         return kin
 
     @property
-    def _poses(self) -> Array:
-        return self.values[: 8 * len(self.model.bodies)].reshape(-1, 8)
-
-    @property
-    def lines(self) -> Array:
-        """The joints' Pluecker lines l, m, shape (n, 6); the joints of the reversed leg point the other way."""
-        n = len(self.q)
-        return self.values[-9 * n - 3 : -3 * n - 3].reshape(n, 6)
-
-    @property
-    def com(self) -> Array:
-        """Centre of mass (4), the base foot's mass included, shape (3,) [m]."""
-        end = len(self.values) - 3 * len(self.q)
-        return self.values[end - 3 : end]
-
-    @property
-    def com_jacobian(self) -> Array:
-        """J_CoM of (5), shape (3, n) [m/rad]."""
-        n = len(self.q)
-        return self.values[-3 * n :].reshape(3, n)
-
-    @property
     def com_on_ground(self) -> Array:
         """Where the vertical through the CoM meets the plane of the base sole, shape (2,) [m]."""
-        p: Array = self.com[:2] - self.com[2] * (self.up[:2] / self.up[2])
-        return p
-
-    @property
-    def com_on_ground_jacobian(self) -> Array:
-        """Jacobian of `com_on_ground` with the base sole at rest, shape (2, n) [m/rad]."""
-        if self.up is _Z:
-            return self.com_jacobian[:2]
-        return self.com_jacobian[:2] - np.outer(self.up[:2] / self.up[2], self.com_jacobian[2])
+        return self.value(CenterOfMassOnGround())
 
     @property
     def swing(self) -> str:
         """Frame of the other sole."""
         return self.model.soles[self.base.other].frame
 
-    def _at(self, frame: str) -> tuple[int, Array]:
-        body, local = self.rooted.frames[frame]
-        pose: Array = kernels.compose(self._poses[body], local)
-        return body, pose
+    def value(self, feature: Feature) -> Array:
+        """Coordinates of a feature, shape (m,)."""
+        return Observer([feature], self.tree)(self)[0]
+
+    def jacobian(self, feature: Feature) -> Array:
+        """Jacobian of the coordinates of a feature, shape (m, n)."""
+        return Observer([feature], self.tree)(self)[1]
 
     def pose(self, frame: str) -> Array:
-        """Pose of a frame, vec8 of a unit dual quaternion (1), shape (8,)."""
-        return self._at(frame)[1]
-
-    def pose_jacobian(self, frame: str) -> Array:
-        """J with vec8(x') = J q', shape (8, n); for the other sole it is J_swing of section 3.4."""
-        body, x = self._at(frame)
-        J: Array = kernels.pose_jacobian(self.lines, self.rooted.moves[body], x)
-        return J
-
-    def rotation_jacobian(self, frame: str) -> Array:
-        """J_r with vec4(r') = J_r q' (section 2.2), shape (4, n)."""
-        return self.pose_jacobian(frame)[:4]
+        """Pose of a frame, vec8 of a unit dual quaternion (U1), shape (8,)."""
+        body, local = self.tree.frames[frame]
+        x: Array = compose(self.poses[body], local)
+        return x
 
     def point(self, frame: str, offset: Array = _ORIGIN) -> Array:
         """Position of the point at `offset` (3,) in a frame, shape (3,) [m]."""
-        p: Array = kernels.point(self._at(frame)[1], offset)
+        p: Array = _point(self.pose(frame), offset)
         return p
 
     def point_jacobian(self, frame: str, offset: Array = _ORIGIN) -> Array:
         """J_p with vec3(p') = J_p q' (section 2.2), shape (3, n) [m/rad]."""
-        body, x = self._at(frame)
-        J: Array = kernels.point_jacobian(self.lines, self.rooted.moves[body], kernels.point(x, offset))
+        J = np.empty((3, len(self.q)))
+        _point_jacobian(self.lines, self.tree.moves[self.tree.frames[frame][0]], self.point(frame, offset), J)
         return J
 
     def direction(self, frame: str, v: Array) -> Array:
         """Direction `v` (3,) of a frame in the world, shape (3,)."""
-        _, x = self._at(frame)
-        d: Array = kernels.point(x, v) - kernels.point(x, _ORIGIN)
+        d: Array = _direction(self.pose(frame), v)
         return d
 
-    def direction_jacobian(self, frame: str, v: Array) -> Array:
-        """Jacobian of `direction`, shape (3, n)."""
-        body, _ = self._at(frame)
-        J: Array = kernels.line_jacobian(self.lines, self.rooted.moves[body], self.direction(frame, v))
-        return J
+    def pose_jacobian(self, frame: str) -> Array:
+        """J with vec8(x') = J q', shape (8, n); for the other sole it is J_swing of section 3.4."""
+        return self.jacobian(Pose(frame))
 
     def angular_jacobian(self, frame: str) -> Array:
         """Angular velocity of a frame per joint velocity, in world axes, shape (3, n)."""
-        body, _ = self.rooted.frames[frame]
-        return np.where(self.rooted.moves[body], self.lines[:, :3].T, 0.0)
+        return np.where(self.tree.moves[self.tree.frames[frame][0]], self.lines[:, :3].T, 0.0)
+
+
+# ---------------------------------------------------------------------- what can be watched
 
 
 @dataclass(frozen=True)
-class Point:
-    """A point that moves with the robot: at `offset` in a frame, or the centre of mass where `frame` is empty."""
+class Feature:
+    """Something of the robot with coordinates: what tasks and constraints watch."""
 
-    frame: str = ""
+    kind: ClassVar[int]
+    size: ClassVar[int] = 3
+
+    def placed(self, tree: SupportTree) -> tuple[int, Array]:
+        """Return the body it is on and its pose or offset there, shape (8,) or (3,)."""
+        return 0, _ORIGIN
+
+
+class CenterOfMass(Feature):
+    """The centre of mass, (3,) [m]."""
+
+    kind = _COM
+
+
+class CenterOfMassOnGround(Feature):
+    """Where the vertical through the CoM meets the plane of the base sole, (2,) [m]."""
+
+    kind, size = _COM_ON_GROUND, 2
+
+
+@dataclass(frozen=True)
+class Point(Feature):
+    """The point at `offset` in a frame, (3,) [m]."""
+
+    frame: str
     offset: Array = field(default_factory=lambda: _ORIGIN)
+    kind = _POINT
 
-    def position(self, kin: Kinematics) -> Array:
-        """Position in the base frame, shape (3,) [m]."""
-        return kin.point(self.frame, self.offset) if self.frame else kin.com
-
-    def jacobian(self, kin: Kinematics) -> Array:
-        """Jacobian of `position`, shape (3, n) [m/rad]."""
-        return kin.point_jacobian(self.frame, self.offset) if self.frame else kin.com_jacobian
+    def placed(self, tree: SupportTree) -> tuple[int, Array]:
+        """Return body and offset."""
+        body, pose = tree.frames[self.frame]
+        return body, _point(pose, self.offset)
 
 
-def pose_difference(x: Array, x_d: Array) -> Array:
-    """Return p - p_d [m] and 2 Im(r r_d*) of two poses (8,), shape (6,): zero where they are the same."""
-    a, b = DQ(x), DQ(x_d)
-    r = (a.P() * b.P().conj()).vec4()
-    sign = 1.0 if r[0] >= 0.0 else -1.0  # x and -x are the same pose
-    return np.concatenate([a.translation() - b.translation(), 2.0 * sign * r[1:]])
+@dataclass(frozen=True)
+class Direction(Feature):
+    """The direction `v` of a frame, (3,)."""
+
+    frame: str
+    v: Array
+    kind = _DIRECTION
+
+    def placed(self, tree: SupportTree) -> tuple[int, Array]:
+        """Return body and direction."""
+        body, pose = tree.frames[self.frame]
+        return body, _direction(pose, self.v)
 
 
-def pose_difference_jacobian(kin: Kinematics, frame: str, x_d: Array) -> Array:
-    """Jacobian of `pose_difference` of a frame to a pose at rest, shape (6, n)."""
-    r = (DQ(kin.pose(frame)).P() * DQ(x_d).P().conj()).vec4()
-    r = r if r[0] >= 0.0 else -r
-    # r' = 1/2 w r, so (2 Im r)' = r_0 w - v x w
-    v = r[1:]
-    turn = r[0] * np.eye(3) - np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-    return np.concatenate([kin.point_jacobian(frame), turn @ kin.angular_jacobian(frame)])
+@dataclass(frozen=True)
+class Rotation(Feature):
+    """vec4 of the orientation r of a frame, (4,)."""
+
+    frame: str
+    kind, size = _ROTATION, 4
+
+    def placed(self, tree: SupportTree) -> tuple[int, Array]:
+        """Return body and pose."""
+        return tree.frames[self.frame]
+
+
+@dataclass(frozen=True)
+class Pose(Feature):
+    """vec8 of the pose x of a frame, (8,)."""
+
+    frame: str
+    kind, size = _POSE, 8
+
+    def placed(self, tree: SupportTree) -> tuple[int, Array]:
+        """Return body and pose."""
+        return tree.frames[self.frame]
+
+
+class JointAngles(Feature):
+    """All joint angles, (n,) [rad]."""
+
+    kind, size = _ANGLES, 0
+
+
+class Observer:
+    """Works out the coordinates of features, one after the other, and their Jacobian.
+
+    Parameters
+    ----------
+    features : sequence of Feature
+    tree : SupportTree
+    """
+
+    def __init__(self, features: Sequence[Feature], tree: SupportTree) -> None:
+        self._n = tree.moves.shape[1]
+        sizes = [feature.size or self._n for feature in features]
+        placed = [feature.placed(tree) for feature in features]
+        self._kinds = np.array([feature.kind for feature in features], dtype=np.int64)
+        self._bodies = np.array([body for body, _ in placed], dtype=np.int64)
+        self._local = np.zeros((len(features), 8))
+        for row, (_, local) in zip(self._local, placed, strict=True):
+            row[: len(local)] = local
+        self._moves = tree.moves
+        self.size = sum(sizes)
+
+    def __call__(self, kin: Kinematics) -> tuple[Array, Array]:
+        """Return the coordinates s (m,) and their Jacobian (m, n) at one configuration."""
+        s, J = np.empty(self.size), np.empty((self.size, self._n))
+        _observe(
+            self._kinds, self._bodies, self._local, kin.q, kin.poses, kin.lines, self._moves, kin.com,
+            kin.com_jacobian, kin.up, s, J,
+        )  # fmt: skip
+        return s, J

@@ -113,7 +113,7 @@ class Frame:
     pose: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RobotModel:
     """A biped; make one with `load_model`.
 

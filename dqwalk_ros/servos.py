@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from dqwalk_ros import strict_yaml
 from dqwalk_ros.config import Config, find_share
 from dqwalk_ros.errors import ConfigError
-from dqwalk_ros.model import RobotModel
+from dqwalk_ros.robot import RobotModel
 
 __all__ = ["IDENTIFIED", "Drive", "ServoType", "Servos", "load_types"]
 

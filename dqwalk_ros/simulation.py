@@ -1,74 +1,154 @@
-"""The closed loop without ROS."""
+"""The closed loop without ROS, and the walk it records."""
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 
-from dqwalk_ros.controllers import Command, Controller
-from dqwalk_ros.errors import DqwalkError
-from dqwalk_ros.gait import phase_count
-from dqwalk_ros.plants import Plant
-from dqwalk_ros.trace import Recorder, Trace
+import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["simulate"]
+from dqwalk_ros import provenance
+from dqwalk_ros.config import Config
+from dqwalk_ros.controller import VelocityController
+from dqwalk_ros.errors import DqwalkError, PlantError
+from dqwalk_ros.plants import Inertial, Plant, Truth
+from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.standing.walk import StandingWalk
+from dqwalk_ros.state import Command, State
+from dqwalk_ros.walk import PaperWalk, Phase, PhaseKind, Walk
+
+__all__ = [
+    "WALKS",
+    "PhaseRecord",
+    "PhysicsRecord",
+    "Recorder",
+    "Trace",
+    "closed_loop",
+    "make_controller",
+    "make_plant",
+    "make_walk",
+    "simulate",
+    "warm_up",
+]
+
+Array = NDArray[np.float64]
+
+WALKS: Mapping[str, type[Walk]] = {"paper": PaperWalk, "standing": StandingWalk}
+"""The walk of each ``gait.style``."""
+
+
+def make_walk(config: Config, model: RobotModel) -> Walk:
+    """Return the walk that `config` describes, at its beginning."""
+    return WALKS[config.gait.style](config, model)
+
+
+def make_controller(config: Config, model: RobotModel) -> VelocityController:
+    """Return the controller that `config` describes."""
+    return VelocityController(config, model, WALKS[config.gait.style])
+
+
+def make_plant(name: str, config: Config, model: RobotModel) -> Plant:
+    """Return the plant ``"kinematic"`` or ``"physics"``, the robot in the posture in which its walk begins.
+
+    Raises
+    ------
+    PlantError
+        If it needs something that is not installed.
+    """
+    if name == "kinematic":
+        return KinematicPlant(model)
+    try:
+        from dqwalk_ros.plants.mujoco import PhysicsPlant
+    except ModuleNotFoundError as error:
+        if error.name != "mujoco":
+            raise
+        raise PlantError("the physics engine is not installed: pip install 'dqwalk_ros[sim]'") from error
+    plant: Plant = PhysicsPlant(config, model, make_walk(config, model).posture)
+    return plant
+
+
+def warm_up(config: Config, model: RobotModel) -> None:
+    """Compile everything that a tick needs, before the first state waits for its answer."""
+    sensed = {"up": np.array([0.0, 0.0, 1.0]), "gyro": np.zeros(3)} if config.plant.imu else {}
+    with contextlib.suppress(DqwalkError):
+        q = make_walk(config, model).posture
+        make_controller(config, model).step(State(0.0, q, np.zeros(model.n), **sensed), config.dt)
+
+
+def closed_loop(
+    controller: VelocityController, plant: Plant, before_step: Callable[[float], None] | None = None
+) -> Iterator[tuple[State, Command]]:
+    """Walk, and yield every state with its command, until the controller has finished or the robot has fallen.
+
+    Parameters
+    ----------
+    controller : VelocityController
+    plant : Plant
+    before_step : callable, optional
+        Called before each step with the time of walking [s]; it may steer, stop or push.
+
+    Raises
+    ------
+    DqwalkError
+        What the controller or the plant raises.
+    """
+    dt = controller.config.dt
+    state = plant.state
+    begin = state.time
+    while True:
+        if before_step is not None:
+            before_step(state.time - begin)
+        command = controller.step(state, dt)
+        yield state, command
+        if controller.finished or plant.fallen:
+            return
+        state = plant.step(command, dt)
+
 
 _REPORT_EVERY = 0.1
 
 
 def simulate(
-    controller: Controller,
+    controller: VelocityController,
     plant: Plant,
     *,
     progress: Callable[[float, str], None] | None = None,
     max_time: float | None = None,
-    pilot: Callable[[float], None] | None = None,
+    before_step: Callable[[float], None] | None = None,
 ) -> Trace:
-    """Walk until the controller has finished.
+    """Walk until the controller has finished, and record it.
 
     Parameters
     ----------
-    controller : Controller
+    controller : VelocityController
     plant : Plant
     progress : callable, optional
         Called about ten times a second with the fraction of phases done and a line of text.
     max_time : float, optional
         Stop after this time of walking [s].
-    pilot : callable, optional
-        Called before each step with the time of walking [s]; it may steer or stop the controller.
+    before_step : callable, optional
+        See `closed_loop`.
 
     Returns
     -------
     Trace
-        Up to the end, to `max_time`, to Ctrl-C, or to an error of the controller, which is in its notes.
+        Up to the end, to `max_time`, to a fall, to Ctrl-C, or to an error of the controller, which is in its notes.
     """
-    config, dt = controller.config, controller.config.dt
-    body: Any = plant if hasattr(plant, "truth") and hasattr(plant, "inertial") else None
-    falls: Any = plant if hasattr(plant, "fallen") else None
+    config = controller.config
     recorder = Recorder(config, controller.model)
-    state = plant.state
-    begin = state.time
-    end = None if max_time is None else state.time + max_time - 0.5 * config.dt
-    total = phase_count(config) or math.inf
+    end = math.inf if max_time is None else plant.state.time + max_time - 0.5 * config.dt
+    total = WALKS[config.gait.style].phases(config) or math.inf
     due = 0.0
+    state = plant.state
     try:
-        while True:
-            command: Command | None
-            seen = None if body is None else (body.truth, body.inertial)
-            try:
-                if pilot is not None:
-                    pilot(state.time - begin)
-                command = controller.step(state, dt)
-            except DqwalkError as error:
-                recorder.note(str(error))
-                command = None
-            recorder.add(state, command, controller, seen)
-            if command is None or controller.finished or (end is not None and state.time >= end):
-                break
-            if falls is not None and falls.fallen:
-                recorder.note(f"the robot fell in {controller.phase.name} at {state.time:.2f} s")
+        for state, command in closed_loop(controller, plant, before_step):
+            recorder.add(state, command, controller, plant)
+            if state.time >= end:
                 break
             if progress is not None and time.monotonic() >= due:
                 due = time.monotonic() + _REPORT_EVERY
@@ -76,7 +156,210 @@ def simulate(
                     controller.phase_index / total,
                     f"{controller.phase.name}  t = {state.time:.1f} s  error {controller.error:.4f}",
                 )
-            state = plant.step(command, dt)
+        if plant.fallen:
+            recorder.note(f"the robot fell in {controller.phase.name} at {state.time:.2f} s")
+    except DqwalkError as error:
+        recorder.note(str(error))
+        recorder.add(plant.state, None, controller, plant)
     except KeyboardInterrupt:
-        recorder.note(f"interrupted at {state.time:.3f} s")
+        recorder.note(f"interrupted at {plant.state.time:.3f} s")
     return recorder.trace()
+
+
+@dataclass(frozen=True)
+class PhaseRecord:
+    """Where a phase began: enough to build it again.
+
+    Attributes
+    ----------
+    name : str
+    kind : PhaseKind
+    support, base : Foot
+    start : int
+        Index of its first state.
+    time : float
+        Time of that state [s].
+    q_start : ndarray, shape (n,)
+        [rad]
+    swing_target : ndarray, shape (8,), or None
+    x_odom_base : ndarray, shape (8,)
+        Pose of its base sole in the world of the first phase.
+    """
+
+    name: str
+    kind: PhaseKind
+    support: Foot
+    base: Foot
+    start: int
+    time: float
+    q_start: Array
+    swing_target: Array | None
+    x_odom_base: Array
+
+    def phase(self, config: Config, model: RobotModel) -> Phase:
+        """Return the phase, built again."""
+        return make_walk(config, model).phase(self.kind, self.support, self.q_start, self.swing_target)
+
+
+@dataclass(frozen=True)
+class PhysicsRecord:
+    """What a physics engine knew at each state; nan where it was not recorded.
+
+    Attributes
+    ----------
+    pelvis : ndarray, shape (N, 8)
+        True pose in the world.
+    wrenches : dict of Foot to ndarray, shape (N, 6)
+        Force [N] and torque [N m] of the ground on each sole, about its origin, in its axes.
+    cop : ndarray, shape (N, 3)
+        Centre of pressure in the world [m]; nan in the air, too.
+    orientation : ndarray, shape (N, 4)
+        Of the inertial sensor in the world, a unit quaternion, real part first.
+    gyro, acceleration : ndarray, shape (N, 3)
+        In the sensor's frame [rad/s, m/s^2].
+    """
+
+    pelvis: Array
+    wrenches: dict[Foot, Array]
+    cop: Array
+    orientation: Array
+    gyro: Array
+    acceleration: Array
+
+    @classmethod
+    def of(cls, seen: list[tuple[Truth, Inertial]]) -> PhysicsRecord:
+        """Gather what was seen at each state."""
+        none = np.full(3, math.nan)
+        centers = [truth.cop for truth, _ in seen]
+        return cls(
+            pelvis=np.array([truth.pelvis for truth, _ in seen]),
+            wrenches={foot: np.array([truth.wrenches[foot] for truth, _ in seen]) for foot in Foot},
+            cop=np.array([none if center is None else center for center in centers]),
+            orientation=np.array([sensor.orientation for _, sensor in seen]),
+            gyro=np.array([sensor.gyro for _, sensor in seen]),
+            acceleration=np.array([sensor.acceleration for _, sensor in seen]),
+        )
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A walk.
+
+    Attributes
+    ----------
+    config : Config
+    model : RobotModel
+    time : ndarray, shape (N,)
+        [s]
+    q : ndarray, shape (N, n)
+        Measured joint angles [rad].
+    u : ndarray, shape (N, n)
+        The command that answered each state [rad/s]; nan where none did.
+    phases : tuple of PhaseRecord
+    solve_time : ndarray, shape (N,)
+        [s]; nan where unknown.
+    finished : bool
+        Whether the walk came to its end.
+    notes : tuple of str
+        What is missing or went wrong.
+    origin : mapping of str to str
+        Versions and machine that walked it (`dqwalk_ros.provenance`); empty where they are unknown.
+    physics : PhysicsRecord or None
+        Where the walk went through a physics engine.
+    epoch : int
+        Stamp of time zero [ns]: that of the first state where stamps are the time of day.
+    """
+
+    config: Config
+    model: RobotModel
+    time: Array
+    q: Array
+    u: Array
+    phases: tuple[PhaseRecord, ...]
+    solve_time: Array
+    finished: bool
+    notes: tuple[str, ...] = ()
+    origin: Mapping[str, str] = field(default_factory=dict)
+    physics: PhysicsRecord | None = None
+    epoch: int = 0
+
+    def __len__(self) -> int:
+        return int(self.time.shape[0])
+
+
+class Recorder:
+    """Collects a `Trace` tick by tick."""
+
+    def __init__(self, config: Config, model: RobotModel) -> None:
+        self._config, self._model = config, model
+        self._time: list[float] = []
+        self._q: list[Array] = []
+        self._u: list[Array] = []
+        self._solve_time: list[float] = []
+        self._phases: list[PhaseRecord] = []
+        self._finished = False
+        self._notes: list[str] = []
+        self._origin = provenance.here()
+        self._seen: list[tuple[Truth, Inertial]] = []
+
+    def add(
+        self,
+        state: State,
+        command: Command | None,
+        controller: VelocityController,
+        plant: Plant | None = None,
+    ) -> None:
+        """Record a state and its answer.
+
+        Parameters
+        ----------
+        state : State
+        command : Command or None
+            None where the controller failed.
+        controller : VelocityController
+        plant : Plant, optional
+            The plant at that state, for what no sensor measures.
+        """
+        if plant is not None and plant.truth is not None and plant.inertial is not None:
+            self._seen.append((plant.truth, plant.inertial))
+        self._finished = finished = controller.finished
+        if controller.phase_index >= len(self._phases) and not finished:
+            phase = controller.phase
+            self._phases.append(
+                PhaseRecord(
+                    name=phase.name,
+                    kind=phase.kind,
+                    support=phase.support,
+                    base=phase.base,
+                    start=len(self._time),
+                    time=state.time,
+                    q_start=phase.q_start,
+                    swing_target=phase.swing_target,
+                    x_odom_base=controller.x_odom_base,
+                )
+            )
+        self._time.append(state.time)
+        self._q.append(state.q)
+        self._u.append(command.velocity if command is not None else np.full(state.q.shape, math.nan))
+        self._solve_time.append(math.nan if finished or command is None else controller.solve_time)
+
+    def note(self, text: str) -> None:
+        """Add to the notes."""
+        self._notes.append(text)
+
+    def trace(self) -> Trace:
+        """Return what was recorded so far."""
+        n = self._model.n
+        return Trace(
+            config=self._config,
+            model=self._model,
+            time=np.array(self._time),
+            q=np.array(self._q).reshape(-1, n),
+            u=np.array(self._u).reshape(-1, n),
+            phases=tuple(self._phases),
+            solve_time=np.array(self._solve_time),
+            finished=self._finished,
+            notes=tuple(self._notes),
+            origin=self._origin,
+            physics=PhysicsRecord.of(self._seen) if self._seen else None,
+        )

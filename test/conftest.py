@@ -8,7 +8,7 @@ import pytest
 import robots
 
 from dqwalk_ros.config import Config, load
-from dqwalk_ros.model import Foot, RobotModel
+from dqwalk_ros.robot import Foot, RobotModel
 
 # a script's background job ignores Ctrl-C, and so would every process that a test starts and interrupts
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -8,9 +8,9 @@ import numpy as np
 from dynamixel_bus import Memory
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.controllers import Command
-from dqwalk_ros.model import RobotModel
 from dqwalk_ros.plants.poppy import PoppyPlant
+from dqwalk_ros.robot import RobotModel
+from dqwalk_ros.state import Command
 
 DT = 0.02
 MAX_AGE = 0.1

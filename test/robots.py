@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dqwalk_ros.config import Config, RobotConfig, load
-from dqwalk_ros.model import Body, Frame, RobotModel, load_model
+from dqwalk_ros.robot import Body, Frame, RobotModel, load_model
 
 DATA = Path(__file__).parent / "data"
 

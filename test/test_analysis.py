@@ -13,17 +13,14 @@ import pytest
 from recorded import short_walk
 
 from dqwalk_ros import report as reporting
-from dqwalk_ros.constraints import Constraint
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.geometry import ConvexPolygon
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import Foot
-from dqwalk_ros.phases import PhaseKind
-from dqwalk_ros.report.batch import Batch, distance, error
 from dqwalk_ros.report.figures import FIGURES, FORMATS, figure7, figure8, figure9, fits, top_view
 from dqwalk_ros.report.figures.style import thinned
 from dqwalk_ros.report.support import hull_margin
-from dqwalk_ros.tasks import Posture
+from dqwalk_ros.robot import Foot
+from dqwalk_ros.walk import PhaseKind
 
 RED = "#d1242f"
 
@@ -62,7 +59,7 @@ def test_spans_are_the_phases(trace, series):
 
 
 def test_series_are_what_the_core_says_tick_by_tick(trace, series):
-    """The array forms of `report.batch` against `Phase.distances` and `Phase.error`."""
+    """The series against `Phase.distances` and `Phase.error`."""
     rng = np.random.default_rng(5)
     for span in series.spans:
         for tick in (span.start, *rng.integers(span.start, span.end, 30), span.end - 1):
@@ -71,24 +68,6 @@ def test_series_are_what_the_core_says_tick_by_tick(trace, series):
             np.testing.assert_allclose(series.com[tick], kin.com, rtol=0, atol=1e-15)
             for name, value in span.phase.distances(kin).items():
                 assert (series.distances | series.residuals)[name][tick] == pytest.approx(value, abs=1e-14), name
-
-
-def test_a_constraint_of_any_kind_can_be_analysed(trace):
-    """One without an array form is asked tick by tick."""
-
-    @dataclasses.dataclass(frozen=True, kw_only=True)
-    class KneesTogether(Constraint):
-        def distance(self, kin):
-            return 1.0 - np.abs(kin.q[:2])
-
-        def jacobian(self, kin):
-            raise NotImplementedError
-
-    batch = Batch(trace.model, trace.q[:50], Foot.LEFT)
-    row = KneesTogether(name="knees", eta=1.0, bound=0.1)
-    np.testing.assert_array_equal(distance(row, batch), 0.9 - np.abs(trace.q[:50, :2]).max(axis=1))
-    task = Posture(name="posture", q_ref=np.ones(trace.model.n))
-    np.testing.assert_allclose(error(task, batch), np.linalg.norm(trace.q[:50] - 1.0, axis=1))
 
 
 def test_distances_have_no_value_outside_their_phase(series):

@@ -1,4 +1,4 @@
-"""The compiled rows against their definition, the methods of tasks and constraints, whatever a phase mixes."""
+"""The quadratic program of a phase against its definition (U6), from values and Jacobians alone."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ from functools import cache
 
 import numpy as np
 import pytest
+from walks import problem_at
 
-from dqwalk_ros.assembly.independent import independent
+from dqwalk_ros.assembly import DEPENDENT
 from dqwalk_ros.config import load
-from dqwalk_ros.constraints import DEPENDENT, PointOverPlane, gain, hold_rows, vfi_rows
+from dqwalk_ros.constraints import Constraint, PointOverPlane
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.gait import footstep
-from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import Foot, load_model
-from dqwalk_ros.phases import PhaseKind, assemble, make_phase
-from dqwalk_ros.standing.phases import posture
+from dqwalk_ros.kinematics import Kinematics, Point
+from dqwalk_ros.robot import Foot, load_model
+from dqwalk_ros.simulation import make_walk
+from dqwalk_ros.standing.walk import posture
 from dqwalk_ros.tasks import Posture
+from dqwalk_ros.walk import PhaseKind
 
 DT = 0.005
 KINDS = [(kind, foot) for kind in (PhaseKind.DOUBLE_SUPPORT, PhaseKind.SINGLE_SUPPORT) for foot in Foot]
@@ -32,8 +33,9 @@ def setting():
 
 def phase_of(kind, foot):
     config, model = setting()
-    target = footstep(config, model, foot) if kind is PhaseKind.SINGLE_SUPPORT else None
-    return make_phase(config, model, kind, foot, np.full(model.n, 0.01), target)
+    walk = make_walk(config, model)
+    target = walk.footstep(foot) if kind is PhaseKind.SINGLE_SUPPORT else None
+    return walk.phase(kind, foot, np.full(model.n, 0.01), target)
 
 
 def configurations(count, seed=0):
@@ -41,8 +43,23 @@ def configurations(count, seed=0):
     return np.random.default_rng(seed).uniform(model.q_min, model.q_max, (count, model.n))
 
 
+def vfi_rows(row, kin):
+    """The inequality of one constraint, as section 4 writes it."""
+    right = -min(row.eta, 1.0 / DT) * (row.distance(kin) - row.bound)
+    return row.jacobian(kin), np.minimum(right, row.return_speed)
+
+
+def hold_rows(row, kin):
+    """Several equalities made independent by their singular values."""
+    E, e = vfi_rows(row, kin)
+    e = np.maximum(e, -row.return_speed)
+    U, s, V = np.linalg.svd(E, full_matrices=False)
+    kept = s > DEPENDENT * s[0]
+    return (s * kept)[:, None] * V, np.where(kept, U.T @ e, 0.0)
+
+
 def defined(phase, kin):
-    """(6) as the paper writes it, from nothing but error, distance and jacobian."""
+    """(U6) as the paper writes it, from nothing but error, distance and jacobian."""
     n = kin.q.size
     H, c = phase.damping**2 * np.eye(n), np.zeros(n)
     for task in phase.tasks:
@@ -51,21 +68,19 @@ def defined(phase, kin):
         c += task.weight * phase.eta * J.T @ task.error(kin)
 
     def stacked(rows):
-        parts = [vfi_rows(row, kin, DT) for row in rows]
+        parts = [vfi_rows(row, kin) for row in rows]
         return np.concatenate([np.empty((0, n)), *(G for G, _ in parts)]), np.concatenate([[], *(h for _, h in parts)])
 
     above, below = phase.limits
-    upper = gain(above.eta, DT) * (above.distance(kin) - above.bound)
-    lower = -gain(below.eta, DT) * (below.distance(kin) - below.bound)
-    return H, c, *stacked(phase.holds), *stacked(phase.rows), lower, upper
+    upper, lower = -vfi_rows(above, kin)[1], vfi_rows(below, kin)[1]
+    return H, c, *stacked(phase.equalities), *stacked(phase.inequalities), lower, upper
 
 
 def assert_equal(phase, kin):
-    problem = assemble(phase, kin, DT)
+    problem = problem_at(phase, kin, DT)
     names = ("H", "c", "E", "e", "G", "h", "lower", "upper")
-    for name, ours, exact in zip(names, problem.arrays, defined(phase, kin), strict=True):
-        np.testing.assert_allclose(ours, exact, rtol=1e-12, atol=1e-12, err_msg=name)
-    np.testing.assert_allclose(np.diag(problem.diagonal) + problem.J.T @ problem.J, problem.H, rtol=1e-12, atol=1e-12)
+    for name, exact in zip(names, defined(phase, kin), strict=True):
+        np.testing.assert_allclose(getattr(problem, name), exact, rtol=1e-12, atol=1e-12, err_msg=name)
     assert len(problem.names) == problem.e.size + problem.h.size + 2 * kin.q.size
 
 
@@ -81,7 +96,7 @@ def test_velocity_limits_only_tighten_the_bounds():
     limit[-1] = np.inf
     for q in configurations(5, seed=2):
         kin = Kinematics(setting()[1], 1.2 * q, phase.base)
-        free, limited = assemble(phase, kin, DT), assemble(phase, kin, DT, limit)
+        free, limited = problem_at(phase, kin, DT), problem_at(phase, kin, DT, limit)
         np.testing.assert_array_equal(limited.upper, np.clip(free.upper, -limit, limit))
         np.testing.assert_array_equal(limited.lower, np.clip(free.lower, -limit, limit))
         np.testing.assert_array_equal(limited.G, free.G)
@@ -89,53 +104,73 @@ def test_velocity_limits_only_tighten_the_bounds():
 
 
 class Higher(PointOverPlane):
-    """A user's own constraint, which the table must not take for its parent."""
+    """A user's own constraint, which must not be taken for its parent."""
 
-    def distance(self, kin):
-        return super().distance(kin) - 0.01
+    def value(self, s):
+        d, gradient = super().value(s)
+        return d - 0.01, gradient
+
+
+class Apart(Constraint):
+    """A user's own constraint of two points and two rows."""
+
+    @property
+    def watches(self):
+        return (Point("l_sole"), Point("r_sole"))
+
+    def value(self, s):
+        v = s[:3] - s[3:]
+        return np.array([v @ v - 0.01, s[2]]), np.array([[*(2.0 * v), *(-2.0 * v)], [0, 0, 1, 0, 0, 0]])
+
+    def row_names(self, joint_names):
+        return ("apart", "high")
 
 
 class Twice(Posture):
     """A user's own task."""
 
-    def error(self, kin):
-        return 2.0 * super().error(kin)
-
-    def jacobian(self, kin):
-        return 2.0 * super().jacobian(kin)
+    def value(self, s, elapsed):
+        e, gradient = super().value(s, elapsed)
+        return 2.0 * e, 2.0 * gradient
 
 
 @pytest.mark.parametrize(("kind", "foot"), KINDS[::2])
-def test_kinds_unknown_to_the_table_are_asked_by_their_methods(kind, foot):
+def test_tasks_and_constraints_of_ones_own(kind, foot):
     phase = phase_of(kind, foot)
-    plane = next(row for row in phase.rows if type(row) is PointOverPlane)
+    plane = next(row for row in phase.inequalities if type(row) is PointOverPlane)
     own = Higher(name="own", eta=3.0, bound=0.02, point=plane.point, plane=plane.plane)
+    apart, held = Apart(name="both", eta=1.0), dataclasses.replace(own, name="held")
     task = Twice(name="own", weight=0.3, q_ref=np.full(setting()[1].n, 0.2))
-    first = phase.rows[0]
     mixed = dataclasses.replace(
-        phase, rows=(own, *phase.rows, own), holds=(*phase.holds, own), tasks=(*phase.tasks, task)
+        phase,
+        inequalities=(own, *phase.inequalities, apart),
+        equalities=(*phase.equalities, held),
+        tasks=(*phase.tasks, task),
     )
     for q in configurations(5, seed=1):
-        assert_equal(mixed, Kinematics(setting()[1], q, phase.base))
-    assert mixed.rows[1] is first
+        kin = Kinematics(setting()[1], q, phase.base)
+        assert_equal(mixed, kin)
+        plain, more = phase.distances(kin), mixed.distances(kin)
+        assert more["own"] == pytest.approx(kin.point(plane.point.frame)[2] - plane.plane.d - 0.03)
+        assert {name: more[name] for name in plain} == pytest.approx(plain)
 
 
 def test_a_later_tick_leaves_the_problem_of_an_earlier_one_alone():
     phase = phase_of(PhaseKind.DOUBLE_SUPPORT, Foot.LEFT)
     q, other = configurations(2)
     model = setting()[1]
-    problem = assemble(phase, Kinematics(model, q, phase.base), DT)
-    before = [array.copy() for array in problem.arrays]
-    assemble(phase, Kinematics(model, other, phase.base), DT)
-    for ours, kept in zip(problem.arrays, before, strict=True):
+    problem = problem_at(phase, Kinematics(model, q, phase.base), DT)
+    before = [array.copy() for array in problem.arrays[:6]]
+    problem_at(phase, Kinematics(model, other, phase.base), DT)
+    for ours, kept in zip(problem.arrays[:6], before, strict=True):
         np.testing.assert_array_equal(ours, kept)
 
 
 def test_a_phase_can_be_sent_to_another_process():
     phase = phase_of(PhaseKind.SINGLE_SUPPORT, Foot.RIGHT)
     kin = Kinematics(setting()[1], configurations(1)[0], phase.base)
-    H = assemble(phase, kin, DT).H
-    np.testing.assert_array_equal(assemble(pickle.loads(pickle.dumps(phase)), kin, DT).H, H)
+    H = problem_at(phase, kin, DT).H
+    np.testing.assert_array_equal(problem_at(pickle.loads(pickle.dumps(phase)), kin, DT).H, H)
 
 
 @cache
@@ -152,45 +187,31 @@ def test_every_row_of_the_standing_walk_is_its_definition(kind, foot):
     rng = np.random.default_rng(3)
     q_start = np.clip(posture(config, model) + 0.05 * rng.normal(size=model.n), model.q_min, model.q_max)
     goal = DQ.from_pose([0.05, 0.1 if foot is Foot.RIGHT else -0.1, 0.0], [np.cos(0.1), 0.0, 0.0, np.sin(0.1)]).vec8()
-    phase = make_phase(config, model, kind, foot, q_start, goal)
+    phase = make_walk(config, model).phase(kind, foot, q_start, goal)
     above, below = phase.limits
     phase = dataclasses.replace(phase, limits=(above, dataclasses.replace(below, bound=0.05)))
     for elapsed in (0.0, 0.3, 0.7, 1.2, 1.5, np.inf):
         up = np.array([*(0.1 * rng.normal(size=2)), 1.0])
         q = q_start + 0.1 * rng.normal(size=model.n)
         kin = Kinematics(model, q, phase.base, up / np.linalg.norm(up), elapsed)
-        problem = assemble(phase, kin, DT)
+        problem = problem_at(phase, kin, DT)
         H, c = phase.damping**2 * np.eye(model.n), np.zeros(model.n)
         for task in phase.tasks:
             J = task.jacobian(kin)
             H += task.weight * J.T @ J
-            c -= task.weight * J.T @ task.wanted(kin, phase.eta)
+            s = np.concatenate([kin.value(feature) for feature in task.watches])
+            c -= task.weight * J.T @ task.rate(s, task.error(kin), elapsed, phase.eta)
         np.testing.assert_allclose(problem.H, H, rtol=1e-11, atol=1e-12)
         np.testing.assert_allclose(problem.c, c, rtol=1e-11, atol=1e-12)
-        for ours, rows in ((np.c_[problem.G, problem.h], phase.rows),):
-            exact = np.concatenate([np.c_[vfi_rows(row, kin, DT)] for row in rows])
+        for ours, rows in ((np.c_[problem.G, problem.h], phase.inequalities),):
+            exact = np.concatenate([np.c_[vfi_rows(row, kin)] for row in rows])
             np.testing.assert_allclose(ours, exact, rtol=1e-11, atol=1e-12)
-        if phase.holds:  # the same rows, but for a rotation among them
-            ours, exact = np.c_[problem.E, problem.e], np.c_[hold_rows(phase.holds[0], kin, DT)]
+        if phase.equalities:  # the same rows, but for a rotation among them
+            ours, exact = np.c_[problem.E, problem.e], np.c_[hold_rows(phase.equalities[0], kin)]
             np.testing.assert_allclose(ours.T @ ours, exact.T @ exact, rtol=1e-9, atol=1e-11)
             assert np.count_nonzero(np.abs(ours).max(axis=1)) == np.count_nonzero(np.abs(exact).max(axis=1))
         for bound, limit, sign in ((problem.upper, phase.limits[0], -1.0), (problem.lower, phase.limits[1], 1.0)):
-            np.testing.assert_allclose(sign * bound, vfi_rows(limit, kin, DT)[1], rtol=1e-12)
+            np.testing.assert_allclose(sign * bound, vfi_rows(limit, kin)[1], rtol=1e-12)
         assert np.abs(problem.upper).max() > 0.5 >= -problem.upper.min()
         e = phase.tasks[0].error(kin)
         assert phase.error(kin) == pytest.approx(np.linalg.norm(e), rel=1e-11)
-
-
-@pytest.mark.parametrize("rank", [0, 1, 3, 6])
-def test_independent_rows_are_those_of_the_singular_values(rank):
-    rng = np.random.default_rng(rank)
-    E = rng.normal(size=(6, rank)) @ rng.normal(size=(rank, 15)) + 1e-4 * rng.normal(size=(6, 15)) * (rank < 6)
-    e = rng.normal(size=6)
-    U, s, V = np.linalg.svd(E, full_matrices=False)
-    kept = s > DEPENDENT * s[0]
-    exact = np.c_[(s * kept)[:, None] * V, np.where(kept, U.T @ e, 0.0)]
-    independent(E, e)
-    ours = np.c_[E, e]
-    np.testing.assert_allclose(ours.T @ ours, exact.T @ exact, rtol=1e-9, atol=1e-12)
-    off = E @ E.T
-    assert np.abs(off - np.diag(np.diag(off))).max() < 1e-12 * max(np.abs(off).max(), 1e-9)

@@ -25,8 +25,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from dqwalk_ros.config import load
-from dqwalk_ros.model import load_model
 from dqwalk_ros.report import bag
+from dqwalk_ros.robot import load_model
 from dqwalk_ros.runner import private_domain
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]

@@ -11,8 +11,9 @@ import yaml
 from dqwalk_ros.config import Config, find_share, from_yaml, load, to_yaml
 from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import Foot
-from dqwalk_ros.phases import PhaseKind, make_phase
+from dqwalk_ros.robot import Foot
+from dqwalk_ros.simulation import make_walk
+from dqwalk_ros.walk import PhaseKind
 
 
 def text(body: str) -> str:
@@ -56,13 +57,13 @@ def test_paper_yaml_states_every_number_of_section_5():
 def test_the_phases_use_them(paper, legs):
     """The rates and radii of (7)-(14) as the phases have them, not as a file has them."""
     x_d = Kinematics(legs, np.zeros(legs.n), Foot.LEFT).pose(legs.soles[Foot.RIGHT].frame)
-    double = make_phase(paper, legs, PhaseKind.DOUBLE_SUPPORT, Foot.LEFT, np.zeros(legs.n))
-    single = make_phase(paper, legs, PhaseKind.SINGLE_SUPPORT, Foot.LEFT, np.zeros(legs.n), x_d)
-    eta = {row.name: row.eta for phase in (double, single) for row in (*phase.holds, *phase.constraints)}
+    double = make_walk(paper, legs).phase(PhaseKind.DOUBLE_SUPPORT, Foot.LEFT, np.zeros(legs.n))
+    single = make_walk(paper, legs).phase(PhaseKind.SINGLE_SUPPORT, Foot.LEFT, np.zeros(legs.n), x_d)
+    eta = {row.name: row.eta for phase in (double, single) for row in (*phase.equalities, *phase.constraints)}
     assert eta["sliding"] == eta["ground"] == eta["com_cylinder"] == 5.0
     assert (eta["tip_plane"], eta["back_plane"], eta["pelvis"]) == (10.0, 20.0, 500.0)
     assert eta["joint_max"] == eta["joint_min"] == 10.0
-    by_name = {row.name: row for row in (*double.rows, *single.rows)}
+    by_name = {row.name: row for row in (*double.inequalities, *single.inequalities)}
     assert by_name["sliding"].cylinder.radius == 0.04
     assert by_name["com_cylinder"].cylinder.radius == 0.05
     assert by_name["pelvis"].plane.d == 0.2

@@ -10,7 +10,6 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 from dqwalk_ros.dual_quaternions import DQ, E, i, j, k, qconj, qmul
-from dqwalk_ros.geometry import Cylinder, Line, Plane
 
 settings.register_profile("dqwalk", deadline=None, derandomize=True, max_examples=40, database=None)
 settings.load_profile("dqwalk")
@@ -191,28 +190,6 @@ def test_points(x, c):
     moved = x.rotation_matrix() @ c + x.translation()
     np.testing.assert_allclose(x.transform_point(c), moved, atol=1e-11)
     same(x.Ad_sharp(DQ(1.0) - E * DQ(c)), DQ(1.0) - E * DQ(moved), 1e-11)
-
-
-@given(poses(), directions(), vectors, st.floats(-5.0, 5.0))
-def test_lines(x, direction, p, s):
-    line = Line.through(p, direction)
-    moved = line.moved(x)
-    same(moved.dq(), x.Ad(line.dq()), 1e-11)
-    np.testing.assert_allclose(np.linalg.norm(moved.l), 1.0, atol=1e-12)
-    np.testing.assert_allclose(moved.l @ moved.m, 0.0, atol=1e-10)
-    # any of its points, carried along, lies on the line carried along
-    np.testing.assert_allclose(moved.distance_squared(x.transform_point(p + s * direction)), 0.0, atol=1e-20 + 1e-18)
-    c = Cylinder(line, 0.3)
-    np.testing.assert_allclose(c.moved(x).distance(x.transform_point(p * 0.7)), c.distance(p * 0.7), atol=1e-10)
-
-
-@given(poses(), directions(), vectors, vectors)
-def test_planes(x, n, p, c):
-    plane = Plane.through(p, n)
-    moved = plane.moved(x)
-    np.testing.assert_allclose(moved.n, x.rotation_matrix() @ n, atol=1e-11)
-    np.testing.assert_allclose(moved.distance(x.transform_point(c)), plane.distance(c), atol=1e-10)
-    np.testing.assert_allclose(moved.distance(x.transform_point(p)), 0.0, atol=1e-10)
 
 
 # ---------------------------------------------------------------------- arrays of them

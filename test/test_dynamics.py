@@ -9,7 +9,7 @@ from dqwalk_ros.config import load
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import Foot, load_model
+from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.whole_body.dynamics import GRAVITY, Multibody, rotation_error
 
 MODEL = load_model(load("whole_body").robot)

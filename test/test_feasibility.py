@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from dqwalk_ros.config import load
-from dqwalk_ros.controllers import make_controller
 from dqwalk_ros.errors import QPError
-from dqwalk_ros.feasibility import conflicts, explained, lead_back
-from dqwalk_ros.model import RobotModel, load_model
 from dqwalk_ros.plants.kinematic import KinematicPlant
-from dqwalk_ros.qp import Problem, make_solver
+from dqwalk_ros.qp import Problem, conflicts, explained, lead_back, make_solver
+from dqwalk_ros.robot import RobotModel, load_model
+from dqwalk_ros.simulation import make_controller
 
 
 def problem(
@@ -21,7 +20,7 @@ def problem(
     eq = np.array(E or []).reshape(-1, n)
     names = [f"hold{i}" for i in range(len(eq))] + [f"row{i}" for i in range(len(G))]
     names += [f"max{i}" for i in range(n)] + [f"min{i}" for i in range(n)]
-    return Problem(
+    return Problem.of(
         np.eye(n),
         np.zeros(n),
         eq,
@@ -124,7 +123,7 @@ def test_a_start_outside_a_limit_is_led_back_in(model: RobotModel, joint: str, s
 def test_a_start_below_the_pelvis_plane_rises_above_it(model: RobotModel, below: float) -> None:
     config = load("paper")
     from dqwalk_ros.kinematics import Kinematics
-    from dqwalk_ros.model import Foot
+    from dqwalk_ros.robot import Foot
 
     q = np.zeros(model.n)
     for side in ("l", "r"):  # knees bent, so that there is a way up

@@ -19,8 +19,8 @@ from hypothesis import strategies as st
 
 from dqwalk_ros.config import from_yaml, load, to_yaml
 from dqwalk_ros.errors import ConfigError, ModelError, StateError
-from dqwalk_ros.model import load_model
 from dqwalk_ros.nodes.safety import JointOrder, StateGate
+from dqwalk_ros.robot import load_model
 
 INPUTS = int(os.environ.get("DQWALK_FUZZ", "120"))
 MEMORY = 500 * 1024  # [kB] of the whole process, where these tests have one to themselves (make fuzz)

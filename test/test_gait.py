@@ -8,14 +8,14 @@ from robots import legs
 from walks import walk
 
 from dqwalk_ros.config import load
-from dqwalk_ros.controllers import State, make_controller
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import PhaseError, StateError
-from dqwalk_ros.gait import EndRule, footstep, phase_at
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import Foot
-from dqwalk_ros.phases import PhaseKind, make_phase
 from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.robot import Foot
+from dqwalk_ros.simulation import make_controller
+from dqwalk_ros.state import State
+from dqwalk_ros.walk import EndRule, PaperWalk, PhaseKind
 
 PAPER = load("paper")
 FAST = {"task.eta": 0.5, "task.damping": 0.03, "gait.phase_timeout": 60.0}
@@ -26,18 +26,19 @@ FAST = {"task.eta": 0.5, "task.damping": 0.03, "gait.phase_timeout": 60.0}
 def test_four_phases_again_and_again(first, second):
     config = PAPER.updated({"gait.first_support": first, "gait.cycles": 3})
     sequence = []
-    while (following := phase_at(config, len(sequence))) is not None:
+    while (following := PaperWalk.phase_at(config, len(sequence))) is not None:
         sequence.append((following[0].value, following[1].value))
     double, single = "double_support", "single_support"
     assert sequence == 3 * [(double, first), (single, first), (double, second), (single, second)]
 
 
 def test_footsteps_are_ahead_and_flat(foot):
-    x = DQ(footstep(PAPER, legs(), foot))
+    x = DQ(PaperWalk(PAPER, legs()).footstep(foot))
     at_zero = Kinematics(legs(), np.zeros(10), foot)
     np.testing.assert_allclose(x.translation(), at_zero.point(at_zero.swing) + np.array([0.05, 0.0, 0.0]), atol=1e-12)
     np.testing.assert_allclose(x.rotation(), [1.0, 0.0, 0.0, 0.0])
-    wide = DQ(footstep(PAPER.updated({"gait.step_width": 0.12, "gait.step_length": -0.02}), legs(), foot))
+    config = PAPER.updated({"gait.step_width": 0.12, "gait.step_length": -0.02})
+    wide = DQ(PaperWalk(config, legs()).footstep(foot))
     np.testing.assert_allclose(wide.translation(), [-0.02, -0.12 if foot is Foot.LEFT else 0.12, 0.0])
 
 
@@ -46,14 +47,16 @@ def test_footsteps_are_ahead_and_flat(foot):
 
 def rule(kind, **changes):
     config = PAPER.updated({"dsp.stall_window": 0.05, "gait.phase_timeout": 10.0, **changes})
-    target = footstep(config, legs(), Foot.LEFT) if kind is PhaseKind.SINGLE_SUPPORT else None
-    return EndRule(config, legs(), make_phase(config, legs(), kind, Foot.LEFT, np.zeros(10), target))
+    return EndRule(config, f"{kind.value}/left", double=kind is PhaseKind.DOUBLE_SUPPORT)
 
 
 def ticks_until_over(rule, errors, active=("sliding",)):
     for k, error in enumerate(errors):
-        if rule.over(float(error), 0.005 * k, active):
-            return k
+        try:
+            if rule.is_over(float(error), 0.005 * k):
+                return k
+        except PhaseError as failed:
+            raise failed.held_by(active) from failed
     return None
 
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from dqwalk_ros.errors import QPError
 from dqwalk_ros.qp import Problem
-from dqwalk_ros.qp.dual import solve_dual
-from dqwalk_ros.qp.reference import solve_reference
+from dqwalk_ros.whole_body.dual import solve_dual
 from dqwalk_ros.whole_body.hierarchy import ActiveSet, Hierarchy, HierarchySolver
+from dqwalk_ros.whole_body.reference import solve_reference
 
 
 def random_hierarchy(seed: int, n: int = 12, rows: int = 8) -> Hierarchy:

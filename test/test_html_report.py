@@ -16,11 +16,11 @@ from recorded import rewrite, short_config, short_walk
 from dqwalk_ros import cli, load, load_model, make_controller, report, simulate
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import Foot
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report import bag
 from dqwalk_ros.report.bag.diagnostics import diagnostics_of, faults
 from dqwalk_ros.report.html.replay import replay_data
+from dqwalk_ros.robot import Foot
 
 
 @pytest.fixture(scope="module")

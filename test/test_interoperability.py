@@ -20,9 +20,9 @@ from rclpy.node import Node
 
 from dqwalk_ros.config import load, to_yaml
 from dqwalk_ros.errors import ConfigError
-from dqwalk_ros.model import load_model
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.safety import DuplicateStates
+from dqwalk_ros.robot import load_model
 
 PAPER = load("paper")
 MODEL = load_model(PAPER.robot)

@@ -14,8 +14,8 @@ import dqwalk_ros
 from dqwalk_ros.constraints import Constraint
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.geometry import ConvexPolygon, Cylinder, Line, Plane
-from dqwalk_ros.kinematics import Kinematics, Point
-from dqwalk_ros.model import Foot
+from dqwalk_ros.kinematics import CenterOfMass, Direction, Kinematics, Point, Rotation
+from dqwalk_ros.robot import Foot
 from dqwalk_ros.tasks import Task
 
 COUNT = 100
@@ -47,7 +47,7 @@ def test_kinematics(robot, foot):
         kin = Kinematics(robot, q, foot)
         parts = [kin.com_jacobian]
         for name in frames:
-            parts += [kin.pose_jacobian(name), kin.point_jacobian(name, OFFSET), kin.direction_jacobian(name, V)]
+            parts += [kin.pose_jacobian(name), kin.point_jacobian(name, OFFSET), kin.jacobian(Direction(name, V))]
         return np.concatenate(parts)
 
     for q in configurations(robot, COUNT, seed=20):
@@ -60,7 +60,7 @@ def test_rotations(robot, foot):
     for q in configurations(robot, COUNT // 10, seed=21):
         kin = Kinematics(robot, q, foot)
         slope = central_difference(lambda q: Kinematics(robot, q, foot).pose(frame)[:4], q)
-        np.testing.assert_allclose(kin.rotation_jacobian(frame), slope, rtol=0, atol=TOLERANCE)
+        np.testing.assert_allclose(kin.jacobian(Rotation(frame)), slope, rtol=0, atol=TOLERANCE)
         r = DQ(kin.pose(frame)).P()
         omega = np.array([(2.0 * DQ(column) * r.conj()).vec3() for column in slope.T]).T
         np.testing.assert_allclose(kin.angular_jacobian(frame), omega, rtol=0, atol=TOLERANCE)
@@ -112,13 +112,13 @@ def examples(model, foot):
         "goal": target.vec8(),
         "height": 0.02,
         "duration": 2.0,
-        "rate": 3.0,
+        "convergence": 3.0,
         "lever": 0.2,
         "saturation": 0.1,
         "ComPath.start": np.array([0.01, 0.02]),
         # the CoM, so that more than one branch of a constraint on points is seen
-        "PointInsideWall.point": Point(),
-        "PointInCylinder.point": Point(),
+        "PointInsideWall.point": CenterOfMass(),
+        "PointInCylinder.point": CenterOfMass(),
     }
 
 

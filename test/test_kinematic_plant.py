@@ -8,30 +8,17 @@ import numpy as np
 import pytest
 
 from dqwalk_ros.config import load
-from dqwalk_ros.controllers import Command
 from dqwalk_ros.errors import PlantError
-from dqwalk_ros.model import load_model
 from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.robot import load_model
+from dqwalk_ros.state import Command
 
 DT = 0.005
 MODEL = load_model(load("paper").robot)
-EITHER = pytest.mark.parametrize("compiled", [True, False])
 
 
-def test_compiled_or_not_it_goes_the_same_way_to_the_last_bit():
-    rng = np.random.default_rng(1)
-    q = rng.normal(size=MODEL.n)
-    one, other = KinematicPlant(MODEL, q), KinematicPlant(MODEL, q, compiled=False)
-    for _ in range(200):
-        command = Command(0.0, 20.0 * rng.normal(size=MODEL.n))
-        a, b = one.step(command, DT), other.step(command, DT)
-        np.testing.assert_array_equal(a.q, b.q)
-        np.testing.assert_array_equal(a.dq, b.dq)
-
-
-@EITHER
-def test_it_is_eulers_method_within_the_limits(compiled):
-    plant = KinematicPlant(MODEL, time0=3.0, compiled=compiled)
+def test_it_is_eulers_method_within_the_limits():
+    plant = KinematicPlant(MODEL, time0=3.0)
     u = np.linspace(-2.0, 2.0, MODEL.n) * MODEL.velocity_max
     for k in range(1, 1001):
         before, state = plant.state, plant.step(Command(0.0, u), DT)
@@ -42,9 +29,8 @@ def test_it_is_eulers_method_within_the_limits(compiled):
     assert (np.abs(u) > MODEL.velocity_max).any()
 
 
-@EITHER
-def test_a_state_is_left_alone_by_the_next_one(compiled):
-    plant, u = KinematicPlant(MODEL, compiled=compiled), np.full(MODEL.n, 0.1)
+def test_a_state_is_left_alone_by_the_next_one():
+    plant, u = KinematicPlant(MODEL), np.full(MODEL.n, 0.1)
     first = plant.step(Command(0.0, u), DT)
     kept = first.q.copy(), first.dq.copy()
     u[:] = 0.3  # the command's own array, too
@@ -53,10 +39,9 @@ def test_a_state_is_left_alone_by_the_next_one(compiled):
     np.testing.assert_array_equal(first.dq, kept[1])
 
 
-@EITHER
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_what_is_no_velocity_moves_nothing(compiled, bad):
-    plant = KinematicPlant(MODEL, compiled=compiled)
+def test_what_is_no_velocity_moves_nothing(bad):
+    plant = KinematicPlant(MODEL)
     before, u = plant.state, np.zeros(MODEL.n)
     u[3] = bad
     for velocity in (u, np.zeros(MODEL.n - 1), np.zeros((MODEL.n, 1))):

@@ -16,7 +16,7 @@ from robots import biped12, central_difference, configurations, legs, mirrored, 
 from dqwalk_ros.config import RobotConfig
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics, Point
-from dqwalk_ros.model import Foot, load_model
+from dqwalk_ros.robot import Foot, load_model
 
 X, Y, Z = np.eye(3)
 
@@ -145,7 +145,7 @@ def test_the_base_is_at_rest(robot, foot):
     sole = robot.soles[foot].frame
     up_to_sign(kin.pose(sole), [1, 0, 0, 0, 0, 0, 0, 0], 1e-14)
     assert not kin.pose_jacobian(sole).any()
-    assert not Point(sole, np.ones(3)).jacobian(kin).any()
+    assert not kin.jacobian(Point(sole, np.ones(3))).any()
 
 
 def test_seen_from_the_other_foot(robot):
@@ -332,7 +332,7 @@ import sys, numpy as np
 sys.path.insert(0, "test")
 from robots import legs, configurations
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import Foot
+from dqwalk_ros.robot import Foot
 import numba
 out = []
 for q in configurations(legs(), 3, seed=10):

@@ -17,13 +17,12 @@ from live import LATCHED, SHORT, Live
 from sensor_msgs.msg import JointState
 
 from dqwalk_ros.config import Config, load, to_yaml
-from dqwalk_ros.controllers import make_controller
-from dqwalk_ros.model import load_model
 from dqwalk_ros.nodes.command_line import NODES
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report import bag
+from dqwalk_ros.robot import load_model
 from dqwalk_ros.runner import environment, private_domain, run_walk
-from dqwalk_ros.simulation import simulate
+from dqwalk_ros.simulation import make_controller, simulate
 from dqwalk_ros.topics import TOPICS
 
 Make = Callable[..., Live]

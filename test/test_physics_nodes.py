@@ -21,16 +21,15 @@ from sensor_msgs.msg import Imu, JointState
 from dqwalk_ros import report as reporting
 from dqwalk_ros.cli.options import overlaid
 from dqwalk_ros.config import load
-from dqwalk_ros.controllers import State, make_controller
 from dqwalk_ros.errors import StateError
-from dqwalk_ros.model import Foot, load_model
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.inputs import InertialSensor, Steering
 from dqwalk_ros.nodes.odometry import Odometry
-from dqwalk_ros.plants import make_plant
 from dqwalk_ros.report import bag
+from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.runner import private_domain, run_walk
-from dqwalk_ros.simulation import simulate
+from dqwalk_ros.simulation import make_controller, make_plant, simulate
+from dqwalk_ros.state import State
 
 CONFIG = overlaid(load("poppy"), "physics")
 DEEP = QoSProfile(depth=10_000)

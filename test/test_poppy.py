@@ -12,11 +12,12 @@ from dynamixel_bus import MOTORS
 from poppy_rig import DT, Rig
 
 from dqwalk_ros.config import Config, find_share, load
-from dqwalk_ros.controllers import Command, State, make_controller
 from dqwalk_ros.errors import ConfigError, PlantError
-from dqwalk_ros.model import RobotModel, load_model
 from dqwalk_ros.plants.dynamixel import TYPES
 from dqwalk_ros.plants.poppy import MIN_SPEED, PoppyPlant, load_motors, open_buses, register_speed
+from dqwalk_ros.robot import RobotModel, load_model
+from dqwalk_ros.simulation import make_controller
+from dqwalk_ros.state import Command, State
 
 WALK = {
     "dt": 0.02,

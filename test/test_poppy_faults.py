@@ -12,8 +12,8 @@ from poppy_rig import DT, MAX_AGE, Rig
 
 from dqwalk_ros.config import Config, load
 from dqwalk_ros.errors import PlantError
-from dqwalk_ros.model import RobotModel, load_model
 from dqwalk_ros.plants.dynamixel import GAIN, TORQUE_ENABLE, TORQUE_LIMIT
+from dqwalk_ros.robot import RobotModel, load_model
 
 KNEE = MOTORS["l_knee_y"].id
 STEP = 0.002

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dqwalk_ros.config import WholeBodyConfig
-from dqwalk_ros.model import Foot
+from dqwalk_ros.robot import Foot
 from dqwalk_ros.whole_body.preview import PointMass, Stepping, previewed, swing_acceleration, swing_jerk
 
 CONFIG = WholeBodyConfig()

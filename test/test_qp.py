@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 import quadprog
 from robots import legs
-from walks import paper_walk
+from walks import paper_walk, problem_at
 
 from dqwalk_ros.config import load
 from dqwalk_ros.errors import QPError
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import Foot
-from dqwalk_ros.phases import PhaseKind, assemble, make_phase
 from dqwalk_ros.qp import Problem, make_solver
+from dqwalk_ros.robot import Foot
+from dqwalk_ros.simulation import make_walk
+from dqwalk_ros.walk import PhaseKind
 
 DT = 0.005
 WALKS = [
@@ -47,11 +48,13 @@ def test_every_answer_along_a_walk_is_exact(first, flat, every):
     trace = paper_walk(first, flat)
     solver = make_solver("clarabel")
     starts = [record.start for record in trace.phases]
-    worst, off, count = 0.0, 0.0, 0
+    worst, off, count, limit = 0.0, 0.0, 0, trace.model.velocity_max
     for record, end in zip(trace.phases, [*starts[1:], len(trace) - 1], strict=True):
-        phase = make_phase(trace.config, trace.model, record.kind, record.support, record.q_start, record.swing_target)
+        phase = make_walk(trace.config, trace.model).phase(
+            record.kind, record.support, record.q_start, record.swing_target
+        )
         for tick in [*range(record.start, record.start + 200), *range(record.start + 200, end, every)]:
-            problem = assemble(phase, Kinematics(trace.model, trace.q[tick], phase.base), DT)
+            problem = problem_at(phase, Kinematics(trace.model, trace.q[tick], phase.base), DT, limit)
             solution = solver.solve(problem)
             worst = max(worst, solution.residuals(problem).largest)
             u = exact(problem)
@@ -69,8 +72,8 @@ def test_every_answer_along_a_walk_is_exact(first, flat, every):
 
 def a_problem():
     config = load("paper")
-    phase = make_phase(config, legs(), PhaseKind.DOUBLE_SUPPORT, Foot.LEFT, np.full(10, 0.01))
-    return assemble(phase, Kinematics(legs(), np.full(10, 0.01), Foot.RIGHT), DT)
+    phase = make_walk(config, legs()).phase(PhaseKind.DOUBLE_SUPPORT, Foot.LEFT, np.full(10, 0.01))
+    return problem_at(phase, Kinematics(legs(), np.full(10, 0.01), Foot.RIGHT), DT)
 
 
 @pytest.mark.parametrize("what", ["stationarity", "primal", "dual", "complementarity"])
@@ -97,7 +100,7 @@ def test_what_is_active_is_named():
     none, eye = np.empty((0, 3)), np.eye(3)
     names = tuple(f"{end}/{k}" for end in ("max", "min") for k in "abc")
     bounds = np.array([-9.0, -0.25, -9.0]), np.array([0.5, 9.0, 9.0])
-    problem = Problem(eye, np.array([-1.0, 1.0, 0.0]), none, np.empty(0), none, np.empty(0), *bounds, names)
+    problem = Problem.of(eye, np.array([-1.0, 1.0, 0.0]), none, np.empty(0), none, np.empty(0), *bounds, names)
     solution = make_solver("clarabel").solve(problem)
     np.testing.assert_allclose(solution.u, [0.5, -0.25, 0.0], atol=1e-10)
     assert solution.active(problem) == ("min/b", "max/a")
@@ -110,7 +113,7 @@ def test_a_row_capped_at_first_still_counts(far):
     none = np.empty((0, 2))
     bounds = np.full(2, -2.0 * far), np.array([far / 2.0, 2.0 * far])
     names = ("push", "max/a", "max/b", "min/a", "min/b")
-    problem = Problem(eye, np.array([-1.0, 0.0]), none, np.empty(0), G, np.array([far]), *bounds, names)
+    problem = Problem.of(eye, np.array([-1.0, 0.0]), none, np.empty(0), G, np.array([far]), *bounds, names)
     solution = make_solver("clarabel").solve(problem)
     np.testing.assert_allclose(solution.u, exact(problem), rtol=1e-9)
     assert solution.residuals(problem).largest < 1e-9
@@ -119,9 +122,11 @@ def test_a_row_capped_at_first_still_counts(far):
 def test_rows_in_conflict_are_named():
     problem = a_problem()
     k = problem.names.index("ground")
-    E = np.concatenate([problem.E, problem.E[k : k + 1]])
+    rows = [*range(problem.equalities), k, *range(problem.equalities, len(problem.w))]
+    w = problem.w[rows]
+    w[problem.equalities] += 0.1
     names = (*problem.names[: problem.e.size], "ceiling", *problem.names[problem.e.size :])
-    clash = dataclasses.replace(problem, E=E, e=np.append(problem.e, problem.e[k] + 0.1), names=names)
+    clash = dataclasses.replace(problem, W=problem.W[rows], w=w, equalities=problem.equalities + 1, names=names)
     with pytest.raises(QPError, match="no answer") as caught:
         make_solver("clarabel").solve(clash)
     assert caught.value.status.endswith("Infeasible")

@@ -13,10 +13,10 @@ import pytest
 from dqwalk_ros import cli
 from dqwalk_ros.config import load
 from dqwalk_ros.errors import BagError
-from dqwalk_ros.model import Foot, load_model
 from dqwalk_ros.report import bag
 from dqwalk_ros.report.figures.reach_pushes import save_pushes
 from dqwalk_ros.report.figures.reaching import reactions, save_reaching
+from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.whole_body import (
     SCENARIOS,
     Reaching,

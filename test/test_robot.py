@@ -14,7 +14,7 @@ from dqwalk_ros.config import RobotConfig, find_share, load
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import Foot, load_model
+from dqwalk_ros.robot import Foot, load_model
 
 POPPY = find_share("urdf", "poppy.urdf")
 

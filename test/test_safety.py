@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from dqwalk_ros.config import load
 from dqwalk_ros.errors import StateError
-from dqwalk_ros.model import RobotModel, load_model
 from dqwalk_ros.nodes.safety import (
     CommandGate,
     FaultCounter,
@@ -22,6 +21,7 @@ from dqwalk_ros.nodes.safety import (
     clamp_velocity,
     outside_limits,
 )
+from dqwalk_ros.robot import RobotModel, load_model
 
 DT = 0.005
 MS = 1_000_000

@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 
 from dqwalk_ros.config import load
-from dqwalk_ros.model import load_model
 from dqwalk_ros.plants.camera import add_scenery
 from dqwalk_ros.plants.mujoco import build
+from dqwalk_ros.robot import load_model
 
 
 def test_what_is_only_seen_changes_nothing_that_moves():

@@ -10,14 +10,14 @@ import pytest
 
 import dqwalk_ros as dq
 from dqwalk_ros.config import SensorsConfig
-from dqwalk_ros.controllers import Command
 from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.plants import upward
 from dqwalk_ros.plants.bus import Bus
 from dqwalk_ros.plants.mujoco import PhysicsPlant
 from dqwalk_ros.plants.sensors import Reading, Sensors
 from dqwalk_ros.servos import Drive, Servos, load_types
-from dqwalk_ros.standing.phases import posture
+from dqwalk_ros.standing.walk import posture
+from dqwalk_ros.state import Command
 
 CONFIG = dq.load("poppy")
 MODEL = dq.load_model(CONFIG.robot)

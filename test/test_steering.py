@@ -12,20 +12,16 @@ import dqwalk_ros as dq
 from dqwalk_ros import report as reporting
 from dqwalk_ros.cli import main
 from dqwalk_ros.cli.options import overlaid
-from dqwalk_ros.controllers import make_controller
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ConfigError
-from dqwalk_ros.gait import StandingGait
-from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import Foot
-from dqwalk_ros.phases import PhaseKind, make_phase
-from dqwalk_ros.plants import make_plant, upward
+from dqwalk_ros.plants import upward
 from dqwalk_ros.report import bag
-from dqwalk_ros.report.batch import Batch, distance, error
 from dqwalk_ros.report.ground import Circle
-from dqwalk_ros.simulation import simulate
+from dqwalk_ros.robot import Foot
+from dqwalk_ros.simulation import make_controller, make_plant, simulate
 from dqwalk_ros.standing.course import Course, Leg
-from dqwalk_ros.standing.phases import posture
+from dqwalk_ros.standing.walk import StandingWalk
+from dqwalk_ros.walk import PhaseKind
 
 CONFIG = dq.load("poppy").updated({"gait.steps": 0})
 MODEL = dq.load_model(CONFIG.robot)
@@ -47,7 +43,7 @@ def test_a_course_is_read_and_walked_in_order() -> None:
 @pytest.mark.parametrize("asked", [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 9.0), (0.3, 0.2, -1.0)])
 def test_cmd_vel_is_clamped_to_what_the_legs_can_do(asked: tuple[float, float, float]) -> None:
     g = CONFIG.gait
-    walked = np.array(StandingGait(CONFIG, MODEL).steer(*asked)) * PERIOD
+    walked = np.array(StandingWalk(CONFIG, MODEL).steer(*asked)) * PERIOD
     most = np.array([g.most_length, g.most_side, g.most_turn])
     part = np.divide(walked, most, out=np.zeros(3), where=most > 0.0)
     assert np.linalg.norm(part) == pytest.approx(1.0)  # as much as they can, and no more
@@ -58,7 +54,7 @@ def test_cmd_vel_is_clamped_to_what_the_legs_can_do(asked: tuple[float, float, f
 
 def test_what_the_legs_can_do_is_not_changed() -> None:
     asked = 0.4 * CONFIG.gait.most_length / PERIOD, 0.0, 0.4 * CONFIG.gait.most_turn / PERIOD
-    assert StandingGait(CONFIG, MODEL).steer(*asked) == pytest.approx(asked)
+    assert StandingWalk(CONFIG, MODEL).steer(*asked) == pytest.approx(asked)
 
 
 def test_it_waits_walks_and_stops_with_the_feet_together() -> None:
@@ -150,27 +146,6 @@ def test_the_report_says_how_it_stood(short) -> None:
     assert not of["fallen"]
     text = reporting.render(report)
     assert "inside the support polygon on 100.00 % of ticks" in text
-
-
-def test_the_series_of_many_ticks_are_those_of_each() -> None:
-    """The distances of a standing walk on arrays, with the up of the inertial sensor, against the constraints' own."""
-    config = dq.load("poppy")
-    rng = np.random.default_rng(5)
-    q = posture(config, MODEL) + 0.1 * rng.normal(size=(4, MODEL.n))
-    up = np.column_stack([0.05 * rng.normal(size=(4, 2)), np.ones(4)])
-    up /= np.linalg.norm(up, axis=1)[:, None]
-    goal = DQ.from_pose([0.03, 0.1, 0.0]).vec8()
-    for kind, target in ((PhaseKind.DOUBLE_SUPPORT, None), (PhaseKind.SINGLE_SUPPORT, goal), (PhaseKind.STANCE, None)):
-        phase = make_phase(config, MODEL, kind, Foot.RIGHT, posture(config, MODEL), target)
-        batch = Batch(MODEL, q, phase.base, ("imu", up))
-        found = {row.name: distance(row, batch) for row in (*phase.holds, *phase.constraints)}
-        errors = error(phase.tasks[0], batch)
-        for tick in range(4):
-            kin = Kinematics(MODEL, q[tick], phase.base)
-            kin = Kinematics(MODEL, q[tick], phase.base, kin.direction("imu", up[tick]))
-            for name, value in phase.distances(kin).items():
-                assert found[name][tick] == pytest.approx(value, abs=1e-12), name
-            assert errors[tick] == pytest.approx(phase.error(kin), abs=1e-12)
 
 
 def tampered(trace, **changes):

@@ -9,7 +9,7 @@ import pytest
 
 from dqwalk_ros.config import load
 from dqwalk_ros.errors import PlantError
-from dqwalk_ros.model import load_model
+from dqwalk_ros.robot import load_model
 from dqwalk_ros.whole_body import SCENARIOS, Reaching, Scenario, WholeBodyController, follow
 from dqwalk_ros.whole_body.torque_plant import TorquePlant
 

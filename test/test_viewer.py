@@ -15,12 +15,12 @@ from recorded import short_walk
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ViewerError
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import Foot
-from dqwalk_ros.phases import PhaseKind
 from dqwalk_ros.report.scene import Scene, moment_of, shapes_of
 from dqwalk_ros.report.viewer.gauges import History, margins_html, status_html
 from dqwalk_ros.report.viewer.page import HOST, Page
 from dqwalk_ros.report.viewer.player import Player
+from dqwalk_ros.robot import Foot
+from dqwalk_ros.walk import PhaseKind
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +84,7 @@ def test_regions_are_where_their_distance_is_zero(trace):
         record, phase = trace.phases[view.moment.index], view.moment.phase
         x = DQ(record.x_odom_base)
         kin = Kinematics(trace.model, trace.q[tick], record.base)
-        rows = {row.name: row for row in phase.rows}
+        rows = {row.name: row for row in phase.inequalities}
         for region in view.regions:
             row, pose = rows[region.name], x.conj() * DQ(region.pose)
             if region.kind == "cylinder":
@@ -93,7 +93,7 @@ def test_regions_are_where_their_distance_is_zero(trace):
             elif region.kind == "plane":
                 assert abs(row.plane.distance(pose.translation())) < 1e-12
             else:
-                a, b = row.fixed, row.moving.position(kin)
+                a, b = row.fixed, kin.value(row.moving)
                 t, v = (b - a)[:2], (pose.translation() - a)[:2]
                 assert abs(t[0] * v[1] - t[1] * v[0]) < 1e-12
 

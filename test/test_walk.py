@@ -10,8 +10,8 @@ from walks import Stretch, paper_stretches, paper_walk, stretches, walk
 from dqwalk_ros.config import load
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import Foot
-from dqwalk_ros.phases import PhaseKind
+from dqwalk_ros.robot import Foot
+from dqwalk_ros.walk import PhaseKind
 
 TOLERANCE = 1e-5
 """The paper's own discretisation effect: m, m^2 for squared distances, rad."""
@@ -75,7 +75,7 @@ def test_no_distance_falls_below_its_bound(first, flat, cycles):
 
 def groenwall(part: Stretch, name: str, dt: float) -> np.ndarray:
     """(1 - eta dt)^k d_0 for every tick and row."""
-    d = {**part.distances, **part.holds}[name]
+    d = {**part.distances, **part.equalities}[name]
     return (1.0 - part.rates[name] * dt) ** np.arange(len(d))[:, None] * d[0]
 
 
@@ -86,7 +86,7 @@ def test_groenwall(first, flat, cycles):
         for name, d in part.distances.items():
             excess = (d - groenwall(part, name, 0.005)).min()
             assert excess >= -TOLERANCE, f"{part.phase.name}: {name} {excess:.3g}"
-        for name, d in part.holds.items():
+        for name, d in part.equalities.items():
             excess = np.abs(d - groenwall(part, name, 0.005)).max()
             assert excess <= TOLERANCE, f"{part.phase.name}: {name} {excess:.3g}"
 
@@ -96,7 +96,7 @@ def test_the_end_tip_is_on_the_ground(first, flat, cycles):
     """Within 2e-5 m from two seconds into each double support."""
     for part in paper_stretches(first, flat, cycles):
         if part.phase.kind is PhaseKind.DOUBLE_SUPPORT:
-            assert np.abs(part.holds["ground"][part.time >= 2.0]).max() < 2e-5
+            assert np.abs(part.equalities["ground"][part.time >= 2.0]).max() < 2e-5
 
 
 @each_walk

@@ -10,13 +10,13 @@ import pytest
 
 from dqwalk_ros.config import load
 from dqwalk_ros.errors import ConfigError, ModelError, PlantError, StateError
-from dqwalk_ros.model import load_model
-from dqwalk_ros.qp.reference import solve_reference
+from dqwalk_ros.robot import load_model
 from dqwalk_ros.whole_body import PAPER_TIMES, SCENARIOS, BodyState, Reaching, Scenario, WholeBodyController, follow
 from dqwalk_ros.whole_body.dynamics import Multibody
 from dqwalk_ros.whole_body.equations import friction_edges, joint_bounds
 from dqwalk_ros.whole_body.hierarchy import HierarchySolver
 from dqwalk_ros.whole_body.objectives import FrameOutsideSphere, FramePosition
+from dqwalk_ros.whole_body.reference import solve_reference
 from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 
 CONFIG = load("whole_body")

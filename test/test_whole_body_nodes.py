@@ -14,8 +14,8 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 from dqwalk_ros.config import load
-from dqwalk_ros.model import load_model
 from dqwalk_ros.report import bag
+from dqwalk_ros.robot import load_model
 from dqwalk_ros.runner import private_domain
 from dqwalk_ros.whole_body import WholeBodyController, retrace
 from dqwalk_ros.whole_body.reaching import checks

@@ -8,16 +8,22 @@ from functools import cache
 
 import numpy as np
 import robots
+from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config, load
-from dqwalk_ros.constraints import gain
-from dqwalk_ros.controllers import make_controller
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import RobotModel
-from dqwalk_ros.phases import Phase, make_phase
 from dqwalk_ros.plants.kinematic import KinematicPlant
-from dqwalk_ros.simulation import simulate
-from dqwalk_ros.trace import Trace
+from dqwalk_ros.qp import Problem
+from dqwalk_ros.robot import RobotModel
+from dqwalk_ros.simulation import Trace, make_controller, make_walk, simulate
+from dqwalk_ros.walk import Phase
+
+Array = NDArray[np.float64]
+
+
+def problem_at(phase: Phase, kin: Kinematics, dt: float = 0.005, limit: Array | None = None) -> Problem:
+    """The quadratic program of a phase at one configuration."""
+    return phase.evaluate(kin).problem(dt, np.full(kin.q.size, np.inf) if limit is None else limit)
 
 
 def walk(config: Config, model: RobotModel, max_time: float | None = None) -> Trace:
@@ -58,13 +64,13 @@ def stretches(trace: Trace) -> Iterator[Stretch]:
     config, model = trace.config, trace.model
     starts = [record.start for record in trace.phases]
     for record, end in zip(trace.phases, [*starts[1:], len(trace) - 1], strict=True):
-        phase = make_phase(config, model, record.kind, record.support, record.q_start, record.swing_target)
+        phase = make_walk(config, model).phase(record.kind, record.support, record.q_start, record.swing_target)
         ticks = range(record.start, end + 1)
-        error, rows = [], {row.name: [] for row in (*phase.holds, *phase.constraints)}
+        error, rows = [], {row.name: [] for row in (*phase.equalities, *phase.constraints)}
         for tick in ticks:
             kin = Kinematics(model, trace.q[tick], phase.base)
             error.append(phase.error(kin))
-            for row in (*phase.holds, *phase.constraints):
+            for row in (*phase.equalities, *phase.constraints):
                 rows[row.name].append(row.distance(kin) - row.bound)
         arrays = {name: np.array(values) for name, values in rows.items()}
         yield Stretch(
@@ -73,8 +79,8 @@ def stretches(trace: Trace) -> Iterator[Stretch]:
             time=trace.time[ticks.start : ticks.stop] - trace.time[ticks.start],
             error=np.array(error),
             distances={row.name: arrays[row.name] for row in phase.constraints},
-            holds={row.name: arrays[row.name] for row in phase.holds},
-            rates={row.name: gain(row.eta, config.dt) for row in (*phase.holds, *phase.constraints)},
+            holds={row.name: arrays[row.name] for row in phase.equalities},
+            rates={row.name: min(row.eta, 1.0 / config.dt) for row in (*phase.equalities, *phase.constraints)},
             last=kin,
         )
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from dqwalk_ros.model import Foot
+    from dqwalk_ros.robot import Foot
     from dqwalk_ros.standing.footsteps import Footsteps
 
 __all__ = ["footsteps", "reached"]
@@ -43,8 +43,8 @@ def footsteps(config: str, support: str, changes: tuple[str, ...]) -> int:
     import numpy as np
 
     from dqwalk_ros.kinematics import Kinematics
-    from dqwalk_ros.model import Foot, load_model
-    from dqwalk_ros.standing.footsteps import Footsteps
+    from dqwalk_ros.robot import Foot, load_model
+    from dqwalk_ros.standing.walk import StandingWalk
 
     made, foot = config_of(config, changes), Foot(support)
     if made.gait.style != "standing":
@@ -56,7 +56,7 @@ def footsteps(config: str, support: str, changes: tuple[str, ...]) -> int:
         "aside, to the left [mm]": [(0.0, height * y, 0.0) for y in _SIDES],
         "turn, to the left [deg]": [(0.0, 0.0, math.radians(a)) for a in _TURNS],
     }
-    steps = Footsteps(made, model)
+    steps = StandingWalk(made, model).footsteps
     print(f"{model.name} on its {foot.value} foot: reachable footprints, both soles flat, the CoM over either sole\n")
     for name, wanted in asked.items():
         print(f"{name:>26s}   reached: ahead [mm]  aside [mm]  turn [deg]   off by [mm]  [deg]")
@@ -83,10 +83,11 @@ def reached(steps: Footsteps, support: Foot, length: float, side: float, turn: f
     import numpy as np
 
     from dqwalk_ros.dual_quaternions import DQ
-    from dqwalk_ros.kinematics import pose_difference
 
     x = steps.step(support, length, side, turn)
     moved = DQ(steps.wanted(support, 0.0, 0.0, 0.0)).translation()
-    d = pose_difference(x, steps.wanted(support, length, side, turn))
+    off = DQ(steps.wanted(support, length, side, turn)).conj() * DQ(x)
+    d, half = off.translation(), abs(float(off.log().vec3()[2]))
     p, ahead = DQ(x).translation() - moved, DQ(x).rotation_matrix()[:, 0]
-    return np.array([p[0], p[1], math.atan2(ahead[1], ahead[0]), math.hypot(d[0], d[1]), abs(d[5])])
+    angle = 2.0 * min(half, math.pi - half)
+    return np.array([p[0], p[1], math.atan2(ahead[1], ahead[0]), math.hypot(d[0], d[1]), angle])

@@ -190,8 +190,8 @@ def _pushes(args: _Options, output: Output, config: Config, out: Path) -> int:
     """Look for the hardest push in every direction."""
     from dqwalk_ros.cli.body import leave
     from dqwalk_ros.cli.progress import Progress
-    from dqwalk_ros.model import Foot
     from dqwalk_ros.report.figures.reach_pushes import save_pushes
+    from dqwalk_ros.robot import Foot
     from dqwalk_ros.whole_body.batch import each
     from dqwalk_ros.whole_body.preview import Stepping
     from dqwalk_ros.whole_body.pushes import DIRECTIONS, PushLimit, limit

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from dqwalk_ros import report as reporting
 from dqwalk_ros.cli.options import Output
 from dqwalk_ros.errors import BagError
-from dqwalk_ros.trace import Trace
+from dqwalk_ros.simulation import Trace
 
 if TYPE_CHECKING:
     from dqwalk_ros.report import Series

@@ -15,7 +15,7 @@ from dqwalk_ros.errors import ViewerError
 
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config
-    from dqwalk_ros.controllers import Controller
+    from dqwalk_ros.controller import VelocityController
     from dqwalk_ros.report.viewer.feed import Feed
     from dqwalk_ros.standing.course import Course
 
@@ -67,24 +67,29 @@ def simulate(
     from dqwalk_ros import simulation
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import prepare, write_results
-    from dqwalk_ros.controllers import make_controller
-    from dqwalk_ros.model import load_model
-    from dqwalk_ros.plants import make_plant
     from dqwalk_ros.report import bag
+    from dqwalk_ros.robot import load_model
     from dqwalk_ros.standing.course import Course
 
     model, legs = load_model(made.robot), Course.parse(course)
     prepare(output)
-    controller = make_controller(made, model)
-    body = make_plant(plant, made, model)
+    controller = simulation.make_controller(made, model)
+    body = simulation.make_plant(plant, made, model)
     with contextlib.ExitStack() as stack:
         feed = stack.enter_context(_page(made, port)) if view else None
-        if feed is not None:
-            body = feed.watch(body, controller)
         pilot = _Pilot(controller, legs) if course else None
         done = _Fraction(controller) if pilot is None else pilot.fraction
+
+        def before_step(time: float) -> None:
+            if feed is not None:
+                feed.offer(body.state, controller)
+            if pilot is not None:
+                pilot(time)
+
         with Progress(quiet=output.quiet) as bar:
-            trace = simulation.simulate(controller, body, progress=lambda _, text: bar(done(), text), pilot=pilot)
+            trace = simulation.simulate(
+                controller, body, progress=lambda _, text: bar(done(), text), before_step=before_step
+            )
         if not trace.finished:
             print(f"dqwalk: {'; '.join(trace.notes)}", file=sys.stderr)
         bag.write(trace, output.folder / "bag")
@@ -110,7 +115,7 @@ def _page(config: Config, port: int | None) -> Feed:
 class _Pilot:
     """Steers along a course, then stops."""
 
-    def __init__(self, controller: Controller, course: Course) -> None:
+    def __init__(self, controller: VelocityController, course: Course) -> None:
         self._controller, self._course, self._time = controller, course, 0.0
 
     def fraction(self) -> float:
@@ -129,11 +134,11 @@ class _Pilot:
 class _Fraction:
     """How much of a walk is done: by phases, and within single support by the decay of its error."""
 
-    def __init__(self, controller: Controller) -> None:
+    def __init__(self, controller: VelocityController) -> None:
         self._controller = controller
-        from dqwalk_ros.gait import phase_count
+        from dqwalk_ros.simulation import WALKS
 
-        self._total = phase_count(controller.config) or math.inf
+        self._total = WALKS[controller.config.gait.style].phases(controller.config) or math.inf
         self._threshold = controller.config.ssp.threshold
         self._index, self._first = -1, 0.0
 

@@ -10,8 +10,8 @@ __all__ = ["version"]
 @command("")
 def version() -> int:
     """Show the versions of this package and of what it uses."""
-    from dqwalk_ros import origin
+    from dqwalk_ros import provenance
 
-    for name, value in origin.machine().items():
+    for name, value in provenance.machine().items():
         print(f"{name:<12} {value}")
     return 0

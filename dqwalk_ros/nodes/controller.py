@@ -18,18 +18,18 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
-from dqwalk_ros import origin
+from dqwalk_ros import provenance
 from dqwalk_ros.config import to_yaml
-from dqwalk_ros.controllers import Command, State, make_controller, warm_up
 from dqwalk_ros.errors import DqwalkError, QPError, StateError
-from dqwalk_ros.gait import way as describe
-from dqwalk_ros.model import load_model
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
 from dqwalk_ros.nodes.inputs import InertialSensor, Steering
 from dqwalk_ros.nodes.odometry import Odometry
 from dqwalk_ros.nodes.phase_log import phase_messages
 from dqwalk_ros.nodes.safety import DuplicateStates, FaultCounter, StateGate
+from dqwalk_ros.robot import load_model
+from dqwalk_ros.simulation import WALKS, make_controller, warm_up
+from dqwalk_ros.state import Command, State
 from dqwalk_ros.topics import FINISHED, PHASE_LOG, TOPICS
 
 __all__ = ["Controller", "Mode"]
@@ -117,7 +117,7 @@ class Controller(WalkNode):
         self._pub["phase_log"] = self.advertise(PHASE_LOG)
         self._odometry = Odometry(self, self._pub["base_pose"])
         self._pub["walk_config"].publish(String(data=to_yaml(config)))
-        self._pub["walk_origin"].publish(String(data=origin.to_text(origin.here())))
+        self._pub["walk_origin"].publish(String(data=provenance.to_text(provenance.here())))
         self._pub["robot_description"].publish(String(data=self._model.urdf))
         self._publish_phase_name()
 
@@ -134,7 +134,7 @@ class Controller(WalkNode):
         self.create_timer(0.02, self._look_for_silence, clock=STEADY)
         self.create_timer(0.25, self._look_for_duplicates, clock=STEADY)
         self.get_logger().info(
-            f"{self._model.name}: {self._model.n} joints, {describe(config)}, "
+            f"{self._model.name}: {self._model.n} joints, {WALKS[config.gait.style].describe(config)}, "
             f"{'lockstep' if self.lockstep else f'real time, dt {config.dt} s'}, {self._mode.value}"
         )
 

@@ -9,16 +9,20 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from geometry_msgs.msg import Twist
 from sensor_msgs.msg import Imu, JointState
 
-from dqwalk_ros.controllers import Command, Controller, State
 from dqwalk_ros.errors import StateError
-from dqwalk_ros.model import RobotModel
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
 from dqwalk_ros.nodes.safety import CommandGate, DuplicatePublishers, Watchdog
+from dqwalk_ros.robot import RobotModel
+from dqwalk_ros.state import Command, State
+
+if TYPE_CHECKING:
+    from dqwalk_ros.controller import VelocityController
 
 __all__ = ["EFFORT", "VELOCITY", "CommandInput", "InertialSensor", "Steering"]
 
@@ -89,7 +93,9 @@ class Steering:
         Steady time [s].
     """
 
-    def __init__(self, node: WalkNode, controller: Controller, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, node: WalkNode, controller: VelocityController, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._node, self._controller = node, controller
         self._watchdog = Watchdog(lambda: node.config.gait.cmd_vel_timeout, clock)
         self._asked = self._walked = _STILL

@@ -12,9 +12,9 @@ from visualization_msgs.msg import Marker, MarkerArray
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import Foot, RobotModel, Sole
 from dqwalk_ros.nodes.messages import pose_fields, time_msg, xyz
-from dqwalk_ros.phases import Phase, PhaseKind
+from dqwalk_ros.robot import Foot, RobotModel, Sole
+from dqwalk_ros.walk import Phase, PhaseKind
 
 __all__ = ["markers"]
 

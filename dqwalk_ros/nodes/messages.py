@@ -19,11 +19,11 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, JointState
 
-from dqwalk_ros.controllers import Command, State
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import StateError
 from dqwalk_ros.nodes.safety import JointOrder
 from dqwalk_ros.plants import Inertial, upward
+from dqwalk_ros.state import Command, State
 
 __all__ = [
     "JointReader",

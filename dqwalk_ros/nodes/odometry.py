@@ -8,7 +8,7 @@ from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
-from dqwalk_ros.controllers import Controller
+from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.topics import ODOM
 
@@ -35,7 +35,7 @@ class Odometry:
         self._make_message: Any = TFMessage
         self._transforms = node.create_publisher(TFMessage, "/tf", ros.stream(100))
 
-    def publish(self, stamp: int, controller: Controller) -> None:
+    def publish(self, stamp: int, controller: VelocityController) -> None:
         """Publish the pose of a state's stamp [ns]."""
         if self._transforms is None and not self._poses.get_subscription_count():
             return

@@ -13,10 +13,11 @@ from std_msgs.msg import String
 
 from dqwalk_ros.config import Config, from_yaml
 from dqwalk_ros.errors import DqwalkError
-from dqwalk_ros.model import Foot, RobotModel, parse_model
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.phases import Phase, PhaseKind, com_target, make_phase
 from dqwalk_ros.report.assessment import Assessor
+from dqwalk_ros.robot import Foot, RobotModel, parse_model
+from dqwalk_ros.simulation import make_walk
+from dqwalk_ros.walk import Phase, PhaseKind, com_target
 
 __all__ = ["PhaseLog", "phase_messages"]
 
@@ -150,7 +151,7 @@ class PhaseLog:
             if kind is PhaseKind.DOUBLE_SUPPORT:  # a stance is one, too, but for where its CoM goes
                 goal = {k: com_target(self.model, k, base, q)[:2] for k in (kind, PhaseKind.STANCE)}
                 kind, target = min(goal, key=lambda k: float(np.abs(goal[k] - target).max())), None
-            phase = make_phase(self.config, self.model, kind, support, q, target)
+            phase = make_walk(self.config, self.model).phase(kind, support, q, target)
             return Assessor(self.config, self.model, phase)
         except DqwalkError as error:
             self._logger.error(f"cannot rebuild the phase: {error}")

@@ -22,12 +22,12 @@ from visualization_msgs.msg import MarkerArray
 from dqwalk_ros.config import Config
 from dqwalk_ros.errors import DqwalkError, StateError
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import Foot, load_model
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
 from dqwalk_ros.nodes.markers import markers
 from dqwalk_ros.nodes.phase_log import PhaseLog
 from dqwalk_ros.report.assessment import Assessor, support_polygon
+from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.topics import FINISHED, TOPICS
 
 __all__ = ["PhaseMonitor"]

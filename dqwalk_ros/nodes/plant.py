@@ -18,15 +18,15 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.controllers import Command
 from dqwalk_ros.errors import DqwalkError
-from dqwalk_ros.model import Foot, RobotModel, load_model
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import STEADY, WalkNode
 from dqwalk_ros.nodes.inputs import VELOCITY, CommandInput
 from dqwalk_ros.nodes.safety import clamp_velocity
-from dqwalk_ros.plants import Plant, make_plant
+from dqwalk_ros.plants import Plant
 from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.robot import Foot, RobotModel, load_model
+from dqwalk_ros.state import Command
 from dqwalk_ros.topics import TOPICS, WORLD
 
 __all__ = ["Integrator", "Physics", "SimulatedPlant"]
@@ -193,7 +193,7 @@ class Integrator(SimulatedPlant):
 
     def make_plant(self, config: Config, model: RobotModel) -> Plant:
         """Return joints that move exactly as they are told."""
-        return KinematicPlant(model, compiled=False)  # the node is spared numba
+        return KinematicPlant(model)
 
 
 class Physics(SimulatedPlant):
@@ -245,6 +245,8 @@ class Physics(SimulatedPlant):
 
     def make_plant(self, config: Config, model: RobotModel) -> Plant:
         """Return the robot on its soles."""
+        from dqwalk_ros.simulation import make_plant  # the integrator does without what physics needs
+
         return make_plant("physics", config, model)
 
     def reference(self) -> NDArray[Any]:

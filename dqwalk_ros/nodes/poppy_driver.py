@@ -11,13 +11,13 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
-from dqwalk_ros.controllers import Command
 from dqwalk_ros.errors import ConfigError, PlantError
-from dqwalk_ros.model import load_model
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
 from dqwalk_ros.nodes.inputs import VELOCITY, CommandInput
 from dqwalk_ros.plants.poppy import PoppyPlant
+from dqwalk_ros.robot import load_model
+from dqwalk_ros.state import Command
 
 __all__ = ["PoppyDriver"]
 

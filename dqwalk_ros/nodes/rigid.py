@@ -16,11 +16,11 @@ from geometry_msgs.msg import TwistStamped, WrenchStamped
 from sensor_msgs.msg import JointState
 
 from dqwalk_ros.errors import DqwalkError
-from dqwalk_ros.model import Foot, load_model
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import STEADY, WalkNode
 from dqwalk_ros.nodes.inputs import EFFORT, CommandInput
 from dqwalk_ros.nodes.safety import clamp_effort
+from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.topics import ODOM
 from dqwalk_ros.whole_body.controller import WholeBodyController
 from dqwalk_ros.whole_body.preview import Stepping

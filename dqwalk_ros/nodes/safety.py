@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dqwalk_ros.errors import StateError
-from dqwalk_ros.model import RobotModel
+from dqwalk_ros.robot import RobotModel
 
 __all__ = [
     "CommandGate",

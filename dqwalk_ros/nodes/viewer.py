@@ -16,18 +16,17 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from dqwalk_ros import kernels
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import DqwalkError, StateError
-from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import RobotModel
+from dqwalk_ros.kinematics import Kinematics, compose
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
 from dqwalk_ros.nodes.phase_log import PhaseLog
-from dqwalk_ros.phases import Phase
 from dqwalk_ros.report.scene import Moment, Scene
 from dqwalk_ros.report.viewer.page import FRAME, Page
+from dqwalk_ros.robot import RobotModel
 from dqwalk_ros.topics import TOPICS
+from dqwalk_ros.walk import Phase
 
 __all__ = ["Viewer"]
 
@@ -142,7 +141,7 @@ class Viewer(WalkNode):
         if self._phase is not None and phase.base is not self._phase.base:
             # the world moves to the other sole, as that stood
             kin = Kinematics(model, phase.q_start, self._phase.base)
-            self._x_odom_base = kernels.compose(self._x_odom_base, kin.pose(kin.swing))
+            self._x_odom_base = compose(self._x_odom_base, kin.pose(kin.swing))
         self._phase, self._began, self._states = phase, began, {}
 
     # ------------------------------------------------------------------ the states

@@ -19,11 +19,11 @@ from std_msgs.msg import String
 from dqwalk_ros.config import to_yaml
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import DqwalkError, StateError
-from dqwalk_ros.model import load_model
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import THROTTLE, WalkNode
 from dqwalk_ros.nodes.inputs import EFFORT
-from dqwalk_ros.origin import here, to_text
+from dqwalk_ros.provenance import here, to_text
+from dqwalk_ros.robot import load_model
 from dqwalk_ros.topics import ODOM
 from dqwalk_ros.whole_body import controller as core
 from dqwalk_ros.whole_body.records import BodyState

@@ -1,54 +1,60 @@
-"""Plants: what stands on the other side of the command, and what a simulated one knows besides the state."""
+"""Plants: a simulator or a robot, on the other side of the command, and what a simulator knows besides the state."""
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dqwalk_ros.controllers import Command, State
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import PlantError
-from dqwalk_ros.model import Foot
+from dqwalk_ros.robot import Foot
+from dqwalk_ros.state import Command, State
 
-if TYPE_CHECKING:
-    from dqwalk_ros.config import Config
-    from dqwalk_ros.model import RobotModel
-
-__all__ = ["Inertial", "Plant", "Truth", "World", "make_plant", "upward"]
+__all__ = ["Inertial", "Plant", "Truth", "World", "upward"]
 
 Array = NDArray[np.float64]
 
 
-class Plant(Protocol):
+class Plant(ABC):
     """A simulator or a robot."""
 
     @property
+    @abstractmethod
     def state(self) -> State:
         """The state now."""
 
+    @abstractmethod
     def step(self, command: Command, dt: float) -> State:
         """Return the state one period `dt` [s] later."""
 
-
-class World(Plant, Protocol):
-    """A simulator of the ground, too, so that the robot can fall."""
+    @property
+    def truth(self) -> Truth | None:
+        """What no sensor measures, where the plant is a simulator that knows it."""
+        return None
 
     @property
-    def truth(self) -> Truth:
-        """What no sensor measures."""
-
-    @property
-    def inertial(self) -> Inertial:
-        """What the inertial sensor measures."""
+    def inertial(self) -> Inertial | None:
+        """What the inertial sensor measures, where there is one."""
+        return None
 
     @property
     def fallen(self) -> bool:
         """Whether the robot lies on the ground."""
+        return False
 
+
+class World(Plant):
+    """A simulator of the ground, too, so that the robot can fall."""
+
+    @property
+    @abstractmethod
+    def truth(self) -> Truth:
+        """What no sensor measures."""
+
+    @abstractmethod
     def push(self, force: ArrayLike) -> None:
         """Push the pelvis with `force` (3,) [N] in world axes until the next call."""
 
@@ -115,28 +121,3 @@ def upward(w: float, i: float, j: float, k: float) -> Array:
     size = math.sqrt(w * w + i * i + j * j + k * k)
     w, i, j, k = w / size, i / size, j / size, k / size
     return np.array([2.0 * (i * k - w * j), 2.0 * (j * k + w * i), 1.0 - 2.0 * (i * i + j * j)])
-
-
-def make_plant(name: str, config: Config, model: RobotModel) -> Plant:
-    """Return the plant ``"kinematic"`` or ``"physics"``, the robot in the posture in which its walk begins.
-
-    Raises
-    ------
-    PlantError
-        If it needs something that is not installed.
-    """
-    if name == "kinematic":
-        from dqwalk_ros.plants.kinematic import KinematicPlant
-
-        return KinematicPlant(model)
-    try:
-        from dqwalk_ros.plants.mujoco import PhysicsPlant
-    except ModuleNotFoundError as error:
-        if error.name != "mujoco":
-            raise
-        raise PlantError("the physics engine is not installed: pip install 'dqwalk_ros[sim]'") from error
-    if config.gait.style != "standing":
-        return PhysicsPlant(config, model)
-    from dqwalk_ros.standing.phases import posture
-
-    return PhysicsPlant(config, model, posture(config, model))

@@ -13,8 +13,8 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import PlantError
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import Foot, RobotModel
 from dqwalk_ros.plants.mujoco import build
+from dqwalk_ros.robot import Foot, RobotModel
 
 __all__ = ["Camera", "add_scenery"]
 

@@ -15,15 +15,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.controllers import Command, State
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import PlantError
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import Foot, RobotModel
-from dqwalk_ros.plants import Inertial, Truth, upward
+from dqwalk_ros.plants import Inertial, Truth, World, upward
 from dqwalk_ros.plants.bus import Bus
 from dqwalk_ros.plants.sensors import Reading, Sensors
+from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.servos import Drive, Servos
+from dqwalk_ros.state import Command, State
 
 GRAVITY = 9.80665
 """[m/s^2]"""
@@ -38,7 +38,7 @@ _SOLID = [0.95, 0.99, 0.0005, 0.5, 2.0]
 """Impedance of a contact: firm from half a millimetre on."""
 
 
-class PhysicsPlant:
+class PhysicsPlant(World):
     """MuJoCo behind the servos.
 
     Parameters

@@ -22,12 +22,12 @@ from numpy.typing import NDArray
 
 from dqwalk_ros import strict_yaml
 from dqwalk_ros.config import PoppyConfig, find_share
-from dqwalk_ros.controllers import Command, State
 from dqwalk_ros.errors import ConfigError, PlantError
-from dqwalk_ros.model import RobotModel
 from dqwalk_ros.plants.dynamixel import FULL_TORQUE, TYPES, Bus, Clock, Registers, find_port, open_port
 from dqwalk_ros.plants.emulated_servos import EmulatedPort, EmulatedServo, EmulatedServos
 from dqwalk_ros.plants.motor_watch import JUMPS, Measured, MotorWatch, Part
+from dqwalk_ros.robot import RobotModel
+from dqwalk_ros.state import Command, State
 
 __all__ = ["Motor", "PoppyPlant", "load_motors", "open_buses", "register_speed"]
 
@@ -136,7 +136,7 @@ def register_speed(speed: float, highest: float) -> float:
     return min(max(abs(speed), MIN_SPEED), highest) if math.isfinite(speed) else MIN_SPEED
 
 
-class PoppyPlant:
+class PoppyPlant(Plant):
     """A Poppy, or emulated servos in its place.
 
     Nothing moves and no torque is switched before `activate`.

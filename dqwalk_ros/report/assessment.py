@@ -16,8 +16,8 @@ from dqwalk_ros.constraints import PointInCylinder
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.geometry import ConvexPolygon
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import RobotModel
-from dqwalk_ros.phases import Phase, PhaseKind
+from dqwalk_ros.robot import RobotModel
+from dqwalk_ros.walk import Phase, PhaseKind
 
 __all__ = ["Assessment", "Assessor", "support_polygon"]
 
@@ -56,9 +56,9 @@ class Assessor:
     def __init__(self, config: Config, model: RobotModel, phase: Phase) -> None:
         self.config, self.model, self.phase = config, model, phase
         start = phase.distances(Kinematics(model, phase.q_start, phase.base))
-        self._rate = {row.name: 1.0 - min(1.0, row.eta * config.dt) for row in (*phase.constraints, *phase.holds)}
-        self._holds = {hold.name for hold in phase.holds}
-        self._radius = {row.name: row.cylinder.radius for row in phase.rows if isinstance(row, PointInCylinder)}
+        self._rate = {row.name: 1.0 - min(1.0, row.eta * config.dt) for row in (*phase.constraints, *phase.equalities)}
+        self._holds = {hold.name for hold in phase.equalities}
+        self._radius = {row.name: row.cylinder.radius for row in phase.inequalities if isinstance(row, PointInCylinder)}
         self._start = start
 
     def __call__(self, kin: Kinematics, elapsed: float, monitor: MonitorConfig | None = None) -> Assessment:

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.model import Foot
-from dqwalk_ros.report.batch import Batch
+from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.report.series import Series
 from dqwalk_ros.report.support import hull_margin
+from dqwalk_ros.robot import Foot
 
 __all__ = ["COP_INSIDE", "FALLEN", "LANDING", "TILT", "TIPPED", "Circle", "Ground", "ground", "numbers"]
 
@@ -118,11 +118,11 @@ def ground(series: Series) -> Ground | None:
     com, margin = np.empty((count, 3)), np.full(count, np.nan)
     for span in series.spans:
         ticks, base = span.ticks, span.phase.base
-        batch = Batch(model, trace.q[ticks], base)
-        x = DQ(known.pelvis[ticks]) * DQ(batch.pose(model.pelvis)).conj()
+        poses = np.array([Kinematics(model, q, base).pose(model.pelvis) for q in trace.q[ticks]])
+        x = DQ(known.pelvis[ticks]) * DQ(poses).conj()
         soles[base][ticks] = x.vec8()
         soles[base.other][ticks] = (x * DQ(series.end[ticks])).vec8()
-        com[ticks] = x.translation() + x.P().Ad(DQ(batch.com)).vec3()
+        com[ticks] = x.translation() + x.P().Ad(DQ(series.com[ticks])).vec3()
         feet = tuple(Foot) if span.double else (span.phase.support,)
         corners = [DQ(soles[foot][ticks]).transform_point(c)[:, :2] for foot in feet for c in model.soles[foot].corners]
         margin[ticks] = hull_margin(np.stack(corners, axis=1), known.cop[ticks, :2])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.trace import Trace
+from dqwalk_ros.simulation import Trace
 
 __all__ = ["frames", "pelvis_poses", "save_movie", "save_strip"]
 

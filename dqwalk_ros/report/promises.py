@@ -90,10 +90,10 @@ def groenwall(series: Series, span: Span) -> Iterator[tuple[str, float, int]]:
     k = np.round((series.time[span.ticks] - series.time[span.start]) / dt)
     for table, rows, sign in (
         (series.distances, span.phase.constraints, 1.0),
-        (series.residuals, span.phase.holds, -1.0),
+        (series.residuals, span.phase.equalities, -1.0),
     ):
         for row in rows:
-            if math.isfinite(row.recovery):
+            if math.isfinite(row.return_speed):
                 continue  # its return is not at the rate eta
             d = table[row.name][span.ticks]
             d = d if sign > 0.0 else -np.abs(d)

@@ -12,7 +12,6 @@ from functools import singledispatch
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros import kernels
 from dqwalk_ros.config import Config
 from dqwalk_ros.constraints import (
     Constraint,
@@ -23,12 +22,12 @@ from dqwalk_ros.constraints import (
     PointOverPlane,
 )
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import Foot, RobotModel
-from dqwalk_ros.phases import Phase, make_phase
+from dqwalk_ros.kinematics import Kinematics, compose
 from dqwalk_ros.report.assessment import Assessment, Assessor, support_polygon
-from dqwalk_ros.trace import Trace
+from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.simulation import Trace
 from dqwalk_ros.urdf import Urdf
+from dqwalk_ros.walk import Phase
 
 __all__ = ["Gauge", "Moment", "Region", "Scene", "Shape", "View", "moment_of", "region", "shapes_of", "tightest"]
 
@@ -113,7 +112,7 @@ def region(constraint: Constraint, kin: Kinematics) -> Region | None:
 
 @region.register
 def _(constraint: PointInCylinder, kin: Kinematics) -> Region | None:
-    axis, p = constraint.cylinder.axis, constraint.point.position(kin)
+    axis, p = constraint.cylinder.axis, kin.value(constraint.point)
     foot = np.cross(axis.l, axis.m)  # the axis' point closest to the origin
     height = max(0.012, _MARGIN * abs(float((p - foot) @ axis.l)))
     center = foot + 0.5 * height * axis.l
@@ -122,16 +121,16 @@ def _(constraint: PointInCylinder, kin: Kinematics) -> Region | None:
 
 @region.register
 def _(constraint: PointOverPlane, kin: Kinematics) -> Region | None:
-    plane, p = constraint.plane, constraint.point.position(kin)
+    plane, p = constraint.plane, kin.value(constraint.point)
     center = p - (float(plane.n @ p) - plane.d) * plane.n
     return Region(constraint.name, "plane", _turned(center, plane.n), (0.26, 0.26))
 
 
 @region.register
 def _(constraint: PointInsideWall, kin: Kinematics) -> Region | None:
-    a, b = constraint.fixed, constraint.moving.position(kin)
+    a, b = constraint.fixed, kin.value(constraint.moving)
     t = (b - a)[:2]
-    height = max(0.02, _MARGIN * float(constraint.point.position(kin)[2]))
+    height = max(0.02, _MARGIN * float(kin.value(constraint.point)[2]))
     center = np.append(0.5 * (a + b)[:2], 0.5 * height)
     yaw = float(np.arctan2(t[1], t[0]))
     pose = DQ.from_pose(center, [np.cos(0.5 * yaw), 0.0, 0.0, np.sin(0.5 * yaw)]).vec8()
@@ -317,18 +316,18 @@ class Scene:
         kin, found = self.judge(moment)
         x = np.asarray(moment.x_odom_base)
         polygon = support_polygon(model, phase, kin).vertices
-        regions = [r for c in phase.rows if (r := region(c, kin)) is not None]
+        regions = [r for c in phase.inequalities if (r := region(c, kin)) is not None]
         return View(
             moment=moment,
             level=found.level,
             message=found.message,
-            bodies=np.array([kernels.compose(x, kin.pose(link)) for link in self._links]),
-            soles={foot: kernels.compose(x, kin.pose(model.soles[foot].frame)) for foot in Foot},
-            com=kernels.point(x, kin.com),
-            ground=float(kernels.point(x, np.zeros(3))[2]),
-            polygon=np.array([kernels.point(x, np.append(vertex, 0.0)) for vertex in polygon]),
-            target=None if phase.swing_target is None else kernels.compose(x, phase.swing_target),
-            regions=tuple(Region(r.name, r.kind, kernels.compose(x, r.pose), r.size) for r in regions),
+            bodies=np.array([compose(x, kin.pose(link)) for link in self._links]),
+            soles={foot: compose(x, kin.pose(model.soles[foot].frame)) for foot in Foot},
+            com=DQ(x).transform_point(kin.com),
+            ground=float(DQ(x).transform_point(np.zeros(3))[2]),
+            polygon=np.array([DQ(x).transform_point(np.append(vertex, 0.0)) for vertex in polygon]),
+            target=None if phase.swing_target is None else compose(x, phase.swing_target),
+            regions=tuple(Region(r.name, r.kind, compose(x, r.pose), r.size) for r in regions),
             gauges=self.gauges(phase, found),
             error=found.values["error"],
         )
@@ -340,7 +339,10 @@ class Scene:
         margin = values["margin/polygon"]
         return (
             *(_gauge(row, values[f"distance/{row.name}"], self.model) for row in phase.constraints),
-            *(Gauge(hold.name, 1e3 * values[f"residual/{hold.name}"], "10⁻³", 0.0, "held") for hold in phase.holds),
+            *(
+                Gauge(hold.name, 1e3 * values[f"residual/{hold.name}"], "10⁻³", 0.0, "held")
+                for hold in phase.equalities
+            ),
             Gauge("support_polygon", 1e3 * margin, "mm", margin / half, "watched"),
         )
 
@@ -351,9 +353,7 @@ def moment_of(trace: Trace, tick: int, phases: dict[int, Phase], label: str = ""
     index = max(int(np.searchsorted(starts, tick, side="right")) - 1, 0)
     record = trace.phases[index]
     if index not in phases:
-        phases[index] = make_phase(
-            trace.config, trace.model, record.kind, record.support, record.q_start, record.swing_target
-        )
+        phases[index] = record.phase(trace.config, trace.model)
     return Moment(
         time=float(trace.time[tick]),
         q=trace.q[tick],

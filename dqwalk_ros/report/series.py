@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import Foot, RobotModel, Sole
-from dqwalk_ros.phases import Phase, PhaseKind, make_phase
-from dqwalk_ros.report.batch import Batch, distance, error
 from dqwalk_ros.report.support import hull_margin, urdf_soles
-from dqwalk_ros.trace import PhaseRecord, Trace
+from dqwalk_ros.robot import Foot, RobotModel, Sole
+from dqwalk_ros.simulation import PhaseRecord, Trace
+from dqwalk_ros.walk import Phase, PhaseKind
 
 if TYPE_CHECKING:
     from dqwalk_ros.report.ground import Ground
@@ -250,20 +249,21 @@ def analyse(trace: Trace) -> Series:
     ends: list[Array | None] = [record.q_start for record in trace.phases[1:]]
     ends.append(trace.q[-1] if trace.finished else None)
     for record, stop, q_end in zip(trace.phases, stops, ends, strict=True):
-        phase = make_phase(config, model, record.kind, record.support, record.q_start, record.swing_target)
+        phase = record.phase(config, model)
         span = Span(record, phase, record.start, stop, _ending(model, phase, q_end))
         spans.append(span)
-        sensed = None if up is None else (model.imu, up[span.ticks])
-        batch = Batch(model, trace.q[span.ticks], phase.base, sensed)
-        task_error[span.ticks] = error(phase.tasks[0], batch)
-        com[span.ticks] = batch.com
-        ground[span.ticks] = batch.com_on_ground
-        end[span.ticks] = batch.pose(model.soles[phase.base.other].frame)
-        pelvis[span.ticks] = batch.point(model.pelvis, np.zeros(3))
-        for table, rows in ((residuals, phase.holds), (kept, phase.constraints)):
-            for row in rows:
-                column = table.setdefault(row.name, np.full(count, np.nan))
-                column[span.ticks] = distance(row, batch)
+        tables = [(row.name, residuals) for row in phase.equalities] + [(row.name, kept) for row in phase.constraints]
+        columns = [(name, table.setdefault(name, np.full(count, np.nan))) for name, table in tables]
+        for tick in range(record.start, stop):
+            kin = Kinematics(model, trace.q[tick], phase.base)
+            if up is not None and np.isfinite(up[tick]).all():
+                kin = kin.tilted(kin.direction(model.imu, up[tick]))
+            now = phase.evaluate(kin)
+            task_error[tick], com[tick], ground[tick] = now.error, kin.com, kin.com_on_ground
+            end[tick], pelvis[tick] = kin.pose(kin.swing), kin.point(model.pelvis)
+            distances = now.distances()
+            for name, column in columns:
+                column[tick] = distances[name]
     return Series(trace, tuple(spans), task_error, kept, residuals, com, end, pelvis, ground)
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.errors import ModelError
-from dqwalk_ros.model import Foot, Sole, parse_model
-from dqwalk_ros.trace import Trace
+from dqwalk_ros.robot import Foot, Sole, parse_model
+from dqwalk_ros.simulation import Trace
 
 __all__ = ["hull_margin", "urdf_soles"]
 

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from dqwalk_ros import __version__
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.model import Foot
 from dqwalk_ros.report.ground import numbers
 from dqwalk_ros.report.promises import groenwall, landing, settled_height, unit_norm_error, violations
 from dqwalk_ros.report.series import Series
+from dqwalk_ros.robot import Foot
 
 __all__ = ["report"]
 

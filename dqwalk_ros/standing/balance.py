@@ -11,42 +11,18 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.config import StandingConfig
+from dqwalk_ros.compiled import jit
+from dqwalk_ros.config import Config
 from dqwalk_ros.constraints import ComInsideEdges
-from dqwalk_ros.controllers import State
-from dqwalk_ros.kernels import jit
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.phases import Phase, PhaseKind
-from dqwalk_ros.tasks import ComPath
+from dqwalk_ros.standing.paths import ComPath
+from dqwalk_ros.state import State
+from dqwalk_ros.statics import GRAVITY, gravity_torques
+from dqwalk_ros.walk import Phase, PhaseKind
 
-__all__ = ["balance_torques", "com_velocity", "gravity_torques"]
+__all__ = ["balance_torques", "com_velocity"]
 
 Array = NDArray[np.float64]
-
-GRAVITY = 9.80665
-"""[m/s^2]"""
-
-
-def gravity_torques(kin: Kinematics, kind: PhaseKind) -> Array:
-    """Return the joint torques of statics, shape (n,) [N m].
-
-    Seen from the base sole the ground pushes the other sole with a part w of the weight, so that virtual work gives
-    tau = M g up.(J_CoM - w J_p). With both feet on the ground w is where the CoM is on the way from sole to sole, and p
-    lies as far from the other sole's centre as the CoM from the line between both.
-    """
-    model, up = kin.model, kin.up
-    tau: Array = up @ kin.com_jacobian
-    if kind is not PhaseKind.SINGLE_SUPPORT:
-        sole = model.soles[kin.base.other]
-        a, b = model.soles[kin.base].center[:2], kin.point(sole.frame, sole.center)[:2]
-        way, com = b - a, kin.com_on_ground
-        share = float(np.clip((com - a) @ way / (way @ way), 0.0, 1.0))
-        aside = com - (a + share * way)
-        ahead = kin.direction(sole.frame, np.array([1.0, 0.0, 0.0]))[:2]
-        half = 0.5 * sole.length
-        point = sole.center + np.array([np.clip(aside @ ahead, -half, half), 0.0, 0.0])
-        tau = tau - share * (up @ kin.point_jacobian(sole.frame, point))
-    return model.mass * GRAVITY * tau
 
 
 def com_velocity(kin: Kinematics, state: State, imu: str) -> Array:
@@ -62,22 +38,23 @@ def com_velocity(kin: Kinematics, state: State, imu: str) -> Array:
     return v
 
 
-def balance_torques(phase: Phase, kin: Kinematics, state: State, config: StandingConfig, imu: str) -> Array:
+def balance_torques(phase: Phase, kin: Kinematics, state: State, config: Config) -> Array:
     """Return joint torques (n,) [N m]: gravity, and the CoM drawn to its path.
 
     The acceleration asked for is that of a linear inverted pendulum under feedback of its divergent component,
     a = a_d - w^2 k (c - c_d) - w (1 + k) (v - v_d); the centre of pressure it needs, c - a/w^2, is moved into the
     support polygon first.
     """
-    tau = gravity_torques(kin, phase.kind)
+    standing = config.standing
+    tau = gravity_torques(kin, both=phase.kind is not PhaseKind.SINGLE_SUPPORT)
     path = next((task for task in phase.tasks if isinstance(task, ComPath)), None)
-    if path is None or config.balance <= 0.0:
+    if path is None or standing.balance <= 0.0:
         return tau
-    edges = next((row for row in phase.rows if isinstance(row, ComInsideEdges)), None)
+    edges = next((row for row in phase.inequalities if isinstance(row, ComInsideEdges)), None)
     n, d = edges.polygon.edges() if edges is not None else _NO_EDGES
-    v = com_velocity(kin, state, imu)
+    v = com_velocity(kin, state, kin.model.imu)
     drawn: Array = _drawn(
-        kin.com, kin.com_jacobian, kin.up, v, *path.reference(kin), n, d, config.balance, config.pressure_margin
+        kin.com, kin.com_jacobian, kin.up, v, *path.reference(kin), n, d, standing.balance, standing.pressure_margin
     )
     return tau + kin.model.mass * drawn
 

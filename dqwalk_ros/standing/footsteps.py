@@ -8,23 +8,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
+from dqwalk_ros.constraints import pose_error
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.kinematics import Kinematics, pose_difference, pose_difference_jacobian
-from dqwalk_ros.model import Foot, RobotModel
-from dqwalk_ros.standing.phases import flat, posture
+from dqwalk_ros.kinematics import Kinematics, Observer, Point, Rotation
+from dqwalk_ros.robot import Foot, RobotModel
 
-__all__ = ["Footsteps"]
+__all__ = ["Footsteps", "flat"]
 
 Array = NDArray[np.float64]
 
 _LEVER = 0.1
 """What an angle counts beside a distance when the nearest place is looked for [m/rad]."""
 _KEPT, _POSTURE = 30.0, 1e-3
-"""What is to be kept counts so much more than the nearest place, and the standing posture so much less [m/rad]."""
+"""Weights of what must be kept, and of the standing posture [m/rad], beside the nearest place."""
 _UPRIGHT, _FREE = [2, 3, 4], [0, 1, 5]
 _FREE_WEIGHT = np.array([1.0, 1.0, _LEVER])
 _STEPS, _STILL, _DAMPING = 60, 1e-5, 1e-4
-"""Of Levenberg and Marquardt's method, what change of the footprint is none [m], and the least damping."""
+"""Most steps of Levenberg and Marquardt's method, the change at which it ends [m], and the least damping."""
 
 
 class Footsteps:
@@ -34,11 +34,13 @@ class Footsteps:
     ----------
     config : Config
     model : RobotModel
+    posture : ndarray, shape (n,)
+        The standing posture [rad].
     """
 
-    def __init__(self, config: Config, model: RobotModel) -> None:
+    def __init__(self, config: Config, model: RobotModel, posture: Array) -> None:
         self._model = model
-        self._q_ref = posture(config, model)
+        self._q_ref = posture
         rest = {
             foot: DQ(Kinematics(model, np.zeros(model.n), foot.other).pose(model.soles[foot].frame)) for foot in Foot
         }
@@ -82,6 +84,8 @@ class Footsteps:
         """
         model, n = self._model, self._model.n
         frame = model.soles[support.other].frame
+        p_d, r_d = DQ(wanted).translation(), wanted[:4].copy()
+        sole = Observer([Point(frame), Rotation(frame)], Kinematics(model, self._q_ref, support).tree)
         over = [model.soles[support].center, model.soles[support.other].center]
         q_ref = np.tile(np.clip(self._q_ref, model.q_min, model.q_max), 2)
         low, high = np.tile(model.q_min, 2), np.tile(model.q_max, 2)
@@ -91,7 +95,9 @@ class Footsteps:
             for k in range(2):
                 part, rows = slice(k * n, (k + 1) * n), slice(8 * k, 8 * k + 8)
                 kin = Kinematics(model, q[part], support)
-                off, turn = pose_difference(kin.pose(frame), wanted), pose_difference_jacobian(kin, frame, wanted)
+                s, J_s = sole(kin)
+                off, gradient = pose_error(s, p_d, r_d, 1.0)
+                turn = gradient @ J_s
                 center, J_center = over[0], np.zeros((3, n))
                 if k == 1:
                     center, J_center = kin.point(frame, over[1]), kin.point_jacobian(frame, over[1])
@@ -129,3 +135,11 @@ class Footsteps:
             if done:
                 break
         return flat(Kinematics(model, q[:n], support).pose(frame))
+
+
+def flat(x: Array) -> Array:
+    """Return the pose (8,) on the ground, upright, that is nearest to `x` (8,)."""
+    pose = DQ(x)
+    ahead = pose.rotation_matrix()[:, 0]
+    half = 0.5 * np.arctan2(ahead[1], ahead[0])
+    return DQ.from_pose(pose.translation() * [1.0, 1.0, 0.0], [np.cos(half), 0.0, 0.0, np.sin(half)]).vec8()

@@ -1,91 +1,168 @@
-"""The paths of a walk that stands, compiled: the CoM from foot to foot, a sole over a via point.
-
-What they are is said by `tasks.ComPath` and `tasks.SwingPath`, and by `kinematics.pose_difference`.
-"""
+"""The paths of a walk that stands: the CoM from foot to foot, a sole over a via point."""
 
 from __future__ import annotations
 
-import math
+from dataclasses import dataclass
+from functools import cached_property
 
-from dqwalk_ros.kernels import _qmul, _translation, jit
+import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["com_path", "difference", "difference_row", "minimum_jerk", "on_ground", "swing_path"]
+from dqwalk_ros.compiled import jit
+from dqwalk_ros.constraints import pose_error
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.kinematics import CenterOfMassOnGround, Feature, Kinematics, Point, Rotation
+from dqwalk_ros.tasks import Task
+
+__all__ = ["ComPath", "SwingPath"]
+
+Array = NDArray[np.float64]
 
 
 @jit
-def minimum_jerk(s):  # type: ignore[no-untyped-def]
-    """Return the place 0..1 and the slope at the fraction `s` of the time."""
+def _minimum_jerk(s):  # type: ignore[no-untyped-def]
+    """Return the place 0..1 at the fraction `s` of the time, its slope and its bend: at rest at both ends."""
     s = min(max(s, 0.0), 1.0)
-    return s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * (s * (1.0 - s)) ** 2
+    place = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    return place, 30.0 * (s * (1.0 - s)) ** 2, 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
 
 
 @jit
-def on_ground(com, up, k):  # type: ignore[no-untyped-def]
-    """Return coordinate `k` of where the vertical through the CoM meets the plane of the base sole."""
-    return com[k] - com[2] * (up[k] / up[2])
+def _com_path(s, start, elapsed, duration):  # type: ignore[no-untyped-def]
+    """Return place, velocity and acceleration (2,) of the path from `start` (2,) to the mean of the points in s[2:]."""
+    goal, count = np.zeros(2), (s.shape[0] - 2) // 3
+    for k in range(count):
+        goal += s[2 + 3 * k : 4 + 3 * k] / count
+    place, slope, bend = _minimum_jerk(elapsed / duration)
+    way = goal - start
+    return start + place * way, slope / duration * way, bend / duration**2 * way
 
 
-@jit
-def com_path(com, up, elapsed, goal, start, duration, eta, saturation, e, wanted):  # type: ignore[no-untyped-def]
-    """Fill the error (2,) of the CoM from its path to `goal` (2,), and the e' asked for."""
-    place, slope = minimum_jerk(elapsed / duration)
-    for k in range(2):
-        e[k] = on_ground(com, up, k) - (start[k] + place * (goal[k] - start[k]))
-    size = math.sqrt(e[0] * e[0] + e[1] * e[1])
-    cap = 1.0 if size <= saturation else saturation / size
-    for k in range(2):
-        wanted[k] = slope / duration * (goal[k] - start[k]) - eta * (e[k] * cap)
+@dataclass(frozen=True, kw_only=True)
+class ComPath(Task):
+    """The vertical through the CoM moves to the middle of some points and stays there [m].
 
+    A step in CoM velocity tips a robot, so the target leaves `start` and arrives with no acceleration.
 
-@jit
-def difference(x, p_d, r_d, e, r):  # type: ignore[no-untyped-def]
-    """Fill p - p_d and 2 Im(r r_d*) of a pose (8,), and the quaternion r r_d* itself; r_d* is given conjugate."""
-    _translation(x, e[:3])
-    _qmul(x[:4], r_d, r)
-    if r[0] < 0.0:
-        for k in range(4):
-            r[k] = -r[k]
-    for k in range(3):
-        e[k] -= p_d[k]
-        e[3 + k] = 2.0 * r[1 + k]
-
-
-@jit
-def difference_row(line, p, r, lever, J, i):  # type: ignore[no-untyped-def]
-    """Fill column `i` of the Jacobian of `difference`: what the joint on a line does to a frame at `p`."""
-    l0, l1, l2 = line[0], line[1], line[2]
-    J[0, i] = l1 * p[2] - l2 * p[1] + line[3]
-    J[1, i] = l2 * p[0] - l0 * p[2] + line[4]
-    J[2, i] = l0 * p[1] - l1 * p[0] + line[5]
-    # r' = 1/2 w r, so (2 Im r)' = r_0 w - v x w
-    J[3, i] = lever * (r[0] * l0 - (r[2] * l2 - r[3] * l1))
-    J[4, i] = lever * (r[0] * l1 - (r[3] * l0 - r[1] * l2))
-    J[5, i] = lever * (r[0] * l2 - (r[1] * l1 - r[2] * l0))
-
-
-@jit
-def swing_path(elapsed, data, p, r, velocity):  # type: ignore[no-untyped-def]
-    """Fill position (3,), conjugate rotation (4,) and velocity (6,) of a sole on its path.
-
-    `data` is start (3), way (3), rotation at the start (4), half the turn (3), height, duration.
+    Attributes
+    ----------
+    start : ndarray, shape (2,)
+        Where the CoM began, in the base frame [m].
+    over : tuple of Point
+        Its goal is the mean of these.
+    duration : float
+        [s]
+    saturation : float
+        Larger errors are answered like this one [m].
     """
-    height, duration = data[13], data[14]
+
+    start: Array
+    over: tuple[Point, ...]
+    duration: float
+    saturation: float
+
+    @property
+    def watches(self) -> tuple[Feature, ...]:
+        """The CoM along the vertical, and the points of its goal."""
+        return (CenterOfMassOnGround(), *self.over)
+
+    @cached_property
+    def _gradient(self) -> Array:
+        # feet that a phase holds do not move, and where they do the error follows them
+        return np.eye(2, 2 + 3 * len(self.over))
+
+    def value(self, s: Array, elapsed: float) -> tuple[Array, Array]:
+        """Offset of the CoM from its path, shape (2,) [m]."""
+        place, _, _ = _com_path(s, self.start, elapsed, self.duration)
+        return s[:2] - place, self._gradient
+
+    def rate(self, s: Array, e: Array, elapsed: float, eta: float) -> Array:
+        """Return the e' asked for: the path's velocity and the way back to it, shape (2,) [m/s]."""
+        _, velocity, _ = _com_path(s, self.start, elapsed, self.duration)
+        size = float(e @ e) ** 0.5
+        back: Array = velocity - eta * min(1.0, self.saturation / max(size, 1e-12)) * e
+        return back
+
+    def reference(self, kin: Kinematics) -> tuple[Array, Array, Array]:
+        """Return place [m], velocity [m/s] and acceleration [m/s^2] of the path, shape (2,) each."""
+        s = np.concatenate([np.zeros(2), *(kin.point(point.frame, point.offset) for point in self.over)])
+        path: tuple[Array, Array, Array] = _com_path(s, self.start, kin.elapsed, self.duration)
+        return path
+
+
+@jit
+def _swing_path(elapsed, duration, height, start, way, r_start, half_turn):  # type: ignore[no-untyped-def]
+    """Return position (3,), orientation (4,) and velocity, linear and angular (6,), of a sole on its path.
+
+    It moves along the ground in the middle 80 % of the time, so that lift-off and landing are upright.
+    """
     s = min(max(elapsed / duration, 0.0), 1.0)
-    place, slope = minimum_jerk((s - 0.1) / 0.8)
-    rate = slope / 0.8
+    place, slope, _ = _minimum_jerk((s - 0.1) / 0.8)
     bump, rise = 64.0 * (s * (1.0 - s)) ** 3, 192.0 * (s * (1.0 - s)) ** 2 * (1.0 - 2.0 * s)
-    for k in range(3):
-        p[k] = data[k] + place * data[3 + k]
-        velocity[k] = data[3 + k] * rate / duration
-        velocity[3 + k] = 2.0 * data[10 + k] * rate / duration
-    p[2] += bump * height
-    velocity[2] += rise * height / duration
-    half = data[10:13]
-    angle = math.sqrt(half[0] * half[0] + half[1] * half[1] + half[2] * half[2])
-    sine = math.sin(place * angle) / angle if angle > 1e-12 else place
-    a, b, c, d = math.cos(place * angle), sine * half[0], sine * half[1], sine * half[2]
-    w, x, y, z = data[6], data[7], data[8], data[9]
-    r[0] = a * w - b * x - c * y - d * z
-    r[1] = -(a * x + b * w + c * z - d * y)
-    r[2] = -(a * y - b * z + c * w + d * x)
-    r[3] = -(a * z + b * y - c * x + d * w)
+    up = np.array([0.0, 0.0, height])
+    velocity = np.concatenate((slope / 0.8 * way + rise * up, 2.0 * slope / 0.8 * half_turn)) / duration
+    angle = np.sqrt(half_turn @ half_turn)
+    a, v = np.cos(place * angle), place * np.sinc(place * angle / np.pi) * half_turn
+    r = np.empty(4)  # exp(place half_turn) r_start
+    r[0] = a * r_start[0] - v @ r_start[1:]
+    r[1:] = a * r_start[1:] + r_start[0] * v + np.cross(v, r_start[1:])
+    return start + place * way + bump * up, r, velocity
+
+
+@dataclass(frozen=True, kw_only=True)
+class SwingPath(Task):
+    """A sole lifts off, passes over a via point and lands: p - p_d [m], and the angle times `lever` [m].
+
+    Attributes
+    ----------
+    frame : str
+    start, goal : ndarray, shape (8,)
+        Poses in the base frame.
+    height : float
+        Of the via point above both [m].
+    duration : float
+        [s]
+    convergence : float
+        Rate at which it returns to the path [1/s].
+    lever : float
+        What an angle of 1 rad counts [m/rad].
+    """
+
+    frame: str
+    start: Array
+    goal: Array
+    height: float
+    duration: float
+    convergence: float
+    lever: float
+
+    @property
+    def watches(self) -> tuple[Feature, ...]:
+        """Position and orientation of the sole."""
+        return (Point(self.frame), Rotation(self.frame))
+
+    @cached_property
+    def _ends(self) -> tuple[Array, Array, Array, Array]:
+        """Start, way to the goal (3,) [m], orientation at the start, and the logarithm of the turn."""
+        a, b = DQ(self.start), DQ(self.goal)
+        turn = b.P() * a.P().conj()
+        half = (turn if turn.vec4()[0] >= 0.0 else -turn).log().vec3()
+        return a.translation(), b.translation() - a.translation(), self.start[:4].copy(), half.copy()
+
+    def at(self, elapsed: float) -> tuple[Array, Array, Array]:
+        """Position (3,), orientation (4,) and velocity, linear and angular (6,), on the path."""
+        path: tuple[Array, Array, Array] = _swing_path(elapsed, self.duration, self.height, *self._ends)
+        return path
+
+    def value(self, s: Array, elapsed: float) -> tuple[Array, Array]:
+        """Difference from the path, shape (6,) [m]."""
+        p, r, _ = self.at(elapsed)
+        e, gradient = pose_error(s, p, r, self.lever)
+        return e, gradient
+
+    def rate(self, s: Array, e: Array, elapsed: float, eta: float) -> Array:
+        """Return the e' asked for: the path's velocity and the way back to it, shape (6,) [m/s]."""
+        _, _, velocity = self.at(elapsed)
+        velocity[3:] *= self.lever
+        back: Array = velocity - self.convergence * e
+        return back

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.controllers import Controller, make_controller
+from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.errors import DqwalkError, PlantError
-from dqwalk_ros.model import Foot, load_model
-from dqwalk_ros.phases import PhaseKind
-from dqwalk_ros.plants import make_plant
+from dqwalk_ros.robot import Foot, load_model
+from dqwalk_ros.simulation import make_controller, make_plant
+from dqwalk_ros.walk import PhaseKind
 
 __all__ = ["MOMENTS", "Limit", "Push", "limit", "limits", "pushed"]
 
@@ -114,7 +114,7 @@ def pushed(config: Config, push: Push) -> str:
     return why
 
 
-def _due(controller: Controller, time: float, *, standing: bool) -> bool:
+def _due(controller: VelocityController, time: float, *, standing: bool) -> bool:
     """Return whether the moment of the push has come."""
     since, s = time - controller.phase_time0, controller.config.standing
     if standing:

@@ -15,11 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dqwalk_ros.config import Config, to_yaml
-from dqwalk_ros.controllers import make_controller
 from dqwalk_ros.errors import ConfigError, DqwalkError
-from dqwalk_ros.model import load_model
-from dqwalk_ros.phases import PhaseKind
-from dqwalk_ros.plants import make_plant
+from dqwalk_ros.robot import load_model
+from dqwalk_ros.simulation import make_controller, make_plant
+from dqwalk_ros.walk import PhaseKind
 
 __all__ = ["AXES", "Cell", "Kept", "cells", "run", "walk"]
 

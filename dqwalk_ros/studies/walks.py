@@ -12,11 +12,11 @@ import numpy as np
 
 from dqwalk_ros import report
 from dqwalk_ros.config import Config, RobotConfig
-from dqwalk_ros.controllers import Command, State, make_controller
 from dqwalk_ros.errors import ConfigError, DqwalkError
-from dqwalk_ros.model import RobotModel, load_model
 from dqwalk_ros.plants.kinematic import KinematicPlant
-from dqwalk_ros.simulation import simulate
+from dqwalk_ros.robot import RobotModel, load_model
+from dqwalk_ros.simulation import make_controller, simulate
+from dqwalk_ros.state import Command, State
 from dqwalk_ros.studies.plan import OWN
 
 __all__ = ["walk"]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.model import load_model
+from dqwalk_ros.robot import load_model
 from dqwalk_ros.whole_body.batch import Walk
 from dqwalk_ros.whole_body.controller import WholeBodyController
 from dqwalk_ros.whole_body.exactness import Answers, condensed_difference, infeasible, model_difference

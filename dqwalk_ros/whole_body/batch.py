@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.errors import ConfigError
-from dqwalk_ros.model import RobotModel, load_model
+from dqwalk_ros.robot import RobotModel, load_model
 from dqwalk_ros.whole_body.controller import WholeBodyController
 from dqwalk_ros.whole_body.exactness import Answers
 from dqwalk_ros.whole_body.loop import BodyPlant, follow

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.errors import ConfigError, ModelError, StateError
-from dqwalk_ros.model import Foot, RobotModel
+from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.whole_body.dynamics import GRAVITY, Dynamics, Multibody, rotation_error
 from dqwalk_ros.whole_body.equations import Layout, Scene, hierarchy, wrenches
 from dqwalk_ros.whole_body.hierarchy import Answer, Hierarchy, HierarchySolver

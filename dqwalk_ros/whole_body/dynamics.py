@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ModelError
-from dqwalk_ros.model import Foot, RobotModel
+from dqwalk_ros.robot import Foot, RobotModel
 
 __all__ = ["GRAVITY", "Dynamics", "FrameMotion", "Multibody", "rotation_error"]
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.config import WholeBodyConfig
-from dqwalk_ros.model import RobotModel
 from dqwalk_ros.qp import Problem
+from dqwalk_ros.robot import RobotModel
 from dqwalk_ros.whole_body.dynamics import Dynamics, FrameMotion, rotation_error
 from dqwalk_ros.whole_body.hierarchy import Hierarchy
 from dqwalk_ros.whole_body.objectives import Distance, Objective
@@ -155,7 +155,7 @@ def hierarchy(
     E2, e2 = _capturability(layout, scene)
     if not config.capturability:
         E2, e2 = E2[:0], e2[:0]
-    return Hierarchy(Problem(H, c, E, e, G, h, lower, upper), E2, e2, soft_e, soft_g, soft), layout
+    return Hierarchy(Problem.of(H, c, E, e, G, h, lower, upper), E2, e2, soft_e, soft_g, soft), layout
 
 
 def _equalities(config: WholeBodyConfig, layout: Layout, scene: Scene) -> tuple[Array, Array, NDArray[np.bool_]]:

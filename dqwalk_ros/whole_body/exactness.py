@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import Foot, RobotModel
 from dqwalk_ros.qp import Problem
-from dqwalk_ros.qp.reference import solve_reference
+from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.whole_body.controller import WholeBodyController
 from dqwalk_ros.whole_body.dynamics import GRAVITY, Multibody
 from dqwalk_ros.whole_body.hierarchy import HierarchySolver
 from dqwalk_ros.whole_body.newton_euler import inverse_dynamics
 from dqwalk_ros.whole_body.preview import PointMass
+from dqwalk_ros.whole_body.reference import solve_reference
 from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 
 __all__ = ["Answers", "Infeasible", "condensed_difference", "infeasible", "model_difference"]

@@ -25,8 +25,8 @@ from scipy.linalg import blas, lapack
 
 from dqwalk_ros.errors import QPError
 from dqwalk_ros.qp import Problem, Solution
-from dqwalk_ros.qp.dual import solve_dual
-from dqwalk_ros.qp.reference import solve_reference
+from dqwalk_ros.whole_body.dual import solve_dual
+from dqwalk_ros.whole_body.reference import solve_reference
 
 __all__ = ["ActiveSet", "Answer", "Hierarchy", "HierarchySolver"]
 
@@ -64,7 +64,8 @@ class Hierarchy:
     def problem(self, e: Array | None = None) -> Problem:
         """Return the quadratic program with both levels as equalities; `e` in place of its own."""
         p = self.level1
-        return replace(p, E=np.vstack([p.E, self.E]), e=np.concatenate([p.e, self.e if e is None else e]))
+        E, held = np.vstack([p.E, self.E]), np.concatenate([p.e, self.e if e is None else e])
+        return Problem.of(p.H, p.c, E, held, p.G, p.h, p.lower, p.upper, p.names)
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,7 @@ class HierarchySolver:
         self._active = ActiveSet()
         if hot:  # have it compiled before the first state waits for its answer
             one, none = np.eye(1), np.zeros((0, 1))
-            solve_dual(Problem(one, one[0], none, none[:, 0], none, none[:, 0], -one[0], one[0]))
+            solve_dual(Problem.of(one, one[0], none, none[:, 0], none, none[:, 0], -one[0], one[0]))
 
     def solve(self, hierarchy: Hierarchy) -> Answer:
         """Return the answer.
@@ -209,7 +210,7 @@ def _relax(hierarchy: Hierarchy) -> tuple[Hierarchy, Solution, float]:
     lower[at[1] :] = 0.0
     H = np.diag(np.concatenate([np.full(n, 1e-9), np.ones(size - n)]))
     h = np.concatenate([p.h, p.lower[box], -p.upper[box]])
-    found = solve_reference(Problem(H, np.zeros(size), E, p.e, G, h, lower, upper), 1e-9)
+    found = solve_reference(Problem.of(H, np.zeros(size), E, p.e, G, h, lower, upper), 1e-9)
     slack = found.u[n:]
     room = 1e-7 * (1.0 + np.abs(slack))
     s_eq, s_in, s_low, s_high = np.split(slack, np.cumsum(k)[:-1])
@@ -219,7 +220,7 @@ def _relax(hierarchy: Hierarchy) -> tuple[Hierarchy, Solution, float]:
     h[ineq] -= s_in + r_in
     lower[box] -= s_low + r_low
     upper[box] += s_high + r_high
-    relaxed = replace(hierarchy, level1=replace(p, e=e, h=h, lower=lower, upper=upper))
+    relaxed = replace(hierarchy, level1=replace(p, w=np.concatenate([e, h]), lower=lower, upper=upper))
     return relaxed, replace(found, u=found.u[:n]), float(np.linalg.norm(slack))
 
 

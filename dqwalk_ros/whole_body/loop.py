@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 
 from dqwalk_ros.errors import DqwalkError
-from dqwalk_ros.model import Foot
-from dqwalk_ros.origin import here
+from dqwalk_ros.provenance import here
+from dqwalk_ros.robot import Foot
 from dqwalk_ros.whole_body.controller import WholeBodyController
 from dqwalk_ros.whole_body.records import BodyCommand, BodyState, BodyTick, Wrench
 from dqwalk_ros.whole_body.scenario import Scenario, Timed

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.model import RobotModel
+from dqwalk_ros.robot import RobotModel
 from dqwalk_ros.urdf import Joint, Urdf
 
 __all__ = ["inverse_dynamics"]

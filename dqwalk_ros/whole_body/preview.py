@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dqwalk_ros.config import WholeBodyConfig
-from dqwalk_ros.model import Foot
+from dqwalk_ros.robot import Foot
 
 __all__ = ["PointMass", "Preview", "Stepping", "Swing", "previewed", "swing_acceleration", "swing_jerk"]
 

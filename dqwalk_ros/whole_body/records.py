@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.controllers import Command, State
-from dqwalk_ros.model import Foot
+from dqwalk_ros.robot import Foot
+from dqwalk_ros.state import Command, State
 
 __all__ = ["BodyCommand", "BodyState", "BodyTick", "Wrench"]
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dqwalk_ros.errors import PlantError
-from dqwalk_ros.model import Foot, RobotModel
+from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.whole_body.dynamics import Dynamics, Multibody
 from dqwalk_ros.whole_body.records import BodyCommand, BodyState, Wrench
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import PlantError
-from dqwalk_ros.model import Foot, RobotModel
+from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.whole_body.records import BodyCommand, BodyState, Wrench
 
 __all__ = ["TorquePlant"]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.model import Foot, RobotModel
+from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.whole_body.controller import WholeBodyController
 from dqwalk_ros.whole_body.records import BodyCommand, BodyState, BodyTick, Wrench
 from dqwalk_ros.whole_body.scenario import Scenario

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from dqwalk_ros.config import to_yaml
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import BagError
-from dqwalk_ros.model import RobotModel
-from dqwalk_ros.origin import to_text
+from dqwalk_ros.provenance import to_text
 from dqwalk_ros.report.bag.columns import (
     NS,
     aligned,
@@ -28,6 +27,7 @@ from dqwalk_ros.report.bag.columns import (
 from dqwalk_ros.report.bag.reading import check_same_robot, columns_of, config_in, last_run, model_in, origin_in
 from dqwalk_ros.report.bag.storage import Column, connect, load, writing
 from dqwalk_ros.report.bag.writing import stamps_of
+from dqwalk_ros.robot import RobotModel
 from dqwalk_ros.topics import BODY_REQUIRED, BODY_TOPICS, ODOM
 from dqwalk_ros.whole_body.records import BodyState
 from dqwalk_ros.whole_body.scenario import PAPER_TIMES, SCENARIOS, Scenario, Timed

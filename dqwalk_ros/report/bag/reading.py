@@ -11,17 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros import config as configuration
-from dqwalk_ros import origin
+from dqwalk_ros import provenance
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import BagError, ConfigError, ModelError
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import Foot, RobotModel, load_model, parse_model
-from dqwalk_ros.phases import PhaseKind
 from dqwalk_ros.report.bag.columns import NS, JointStates, aligned, joint_states, pose_of, tables, texts
 from dqwalk_ros.report.bag.storage import Column, Content, load
+from dqwalk_ros.robot import Foot, RobotModel, load_model, parse_model
+from dqwalk_ros.simulation import PhaseRecord, PhysicsRecord, Trace
 from dqwalk_ros.topics import FAILED, FINISHED, REQUIRED, TOPICS
-from dqwalk_ros.trace import PhaseRecord, PhysicsRecord, Trace
+from dqwalk_ros.walk import PhaseKind
 
 __all__ = [
     "check_same_robot",
@@ -201,7 +201,7 @@ def model_in(path: Path, config: Config, columns: Mapping[str, Column], notes: l
 def origin_in(columns: Mapping[str, Column]) -> dict[str, str]:
     """Return the versions and the machine that walked, where the bag has them and they can be read."""
     try:
-        return origin.from_text(texts(columns["walk_origin"])[-1]) if "walk_origin" in columns else {}
+        return provenance.from_text(texts(columns["walk_origin"])[-1]) if "walk_origin" in columns else {}
     except BagError:
         return {}
 

@@ -8,19 +8,19 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros import origin
+from dqwalk_ros import provenance
 from dqwalk_ros.config import to_yaml
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import BagError
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.model import Foot
-from dqwalk_ros.phases import com_target, make_phase
 from dqwalk_ros.report.assessment import Assessor
 from dqwalk_ros.report.bag import columns
 from dqwalk_ros.report.bag.columns import NS, new, pack, pack_joint_states, pack_poses, pose_numbers, text
 from dqwalk_ros.report.bag.storage import connect, flush, writing
+from dqwalk_ros.robot import Foot
+from dqwalk_ros.simulation import PhaseRecord, Trace
 from dqwalk_ros.topics import FINISHED, ODOM, TOPICS, WORLD
-from dqwalk_ros.trace import PhaseRecord, Trace
+from dqwalk_ros.walk import com_target
 
 __all__ = ["stamps_of", "write"]
 
@@ -133,7 +133,7 @@ def _physics_messages(trace: Trace, stamps: Stamps) -> dict[str, list[bytes]]:
 def _opening(trace: Trace) -> Iterator[_Entry]:
     yield "walk_config", text(to_yaml(trace.config))
     if trace.origin:
-        yield "walk_origin", text(origin.to_text(trace.origin))
+        yield "walk_origin", text(provenance.to_text(trace.origin))
     yield "robot_description", text(trace.model.urdf)
 
 
@@ -180,9 +180,7 @@ class _Monitor:
         if self._phase + 1 < len(phases) and tick >= phases[self._phase + 1].start:
             self._phase += 1
             record = phases[self._phase]
-            phase = make_phase(
-                trace.config, trace.model, record.kind, record.support, record.q_start, record.swing_target
-            )
+            phase = record.phase(trace.config, trace.model)
             self._assess = Assessor(trace.config, trace.model, phase)
             self._next = stamp
         if self._assess is None or stamp < self._next:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.model import Foot
 from dqwalk_ros.report.figures.style import (
     BLUE,
     DASHED,
@@ -23,6 +22,7 @@ from dqwalk_ros.report.figures.style import (
 )
 from dqwalk_ros.report.ground import TILT, Ground
 from dqwalk_ros.report.series import Series
+from dqwalk_ros.robot import Foot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

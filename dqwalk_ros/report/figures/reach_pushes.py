@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.model import Foot
 from dqwalk_ros.report.figures.style import BLUE, GREEN, INK, RED, drawing, new_figure
+from dqwalk_ros.robot import Foot
 from dqwalk_ros.whole_body.pushes import PushLimit
 
 __all__ = ["save_pushes"]

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.model import Foot
 from dqwalk_ros.report.figures.style import BLUE, DASHED, GREEN, GREY, INK, RED, drawing, new_figure, thinned
+from dqwalk_ros.robot import Foot
 from dqwalk_ros.whole_body.preview import Stepping
 from dqwalk_ros.whole_body.trace import Reaching
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.geometry import ConvexPolygon
-from dqwalk_ros.model import Foot, Sole
 from dqwalk_ros.report.figures.style import (
     BLUE,
     DASHED,
@@ -27,6 +26,7 @@ from dqwalk_ros.report.figures.style import (
 )
 from dqwalk_ros.report.series import Series, Span
 from dqwalk_ros.report.support import urdf_soles
+from dqwalk_ros.robot import Foot, Sole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.model import Foot
 from dqwalk_ros.report.figures.reaching import reactions, solver, walk_from_above
 from dqwalk_ros.report.figures.style import drawing
 from dqwalk_ros.report.html.page import document, origin_table, replay, table
 from dqwalk_ros.report.html.replay import FRAMES, packed, robot_data, rounded
+from dqwalk_ros.robot import Foot
 from dqwalk_ros.whole_body.preview import Stepping
 from dqwalk_ros.whole_body.reaching import Check
 from dqwalk_ros.whole_body.trace import Reaching

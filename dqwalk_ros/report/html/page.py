@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from dqwalk_ros import origin
+from dqwalk_ros import provenance
 from dqwalk_ros.report.bag.diagnostics import Status, faults
 from dqwalk_ros.report.figures import FIGURES, fits
 from dqwalk_ros.report.figures.style import drawing
@@ -339,7 +339,7 @@ def _configuration(subjects: Sequence[Subject]) -> str:
 
 def origin_table(walked: Sequence[tuple[str, Mapping[str, str]]]) -> str:
     """Say who walked, by the name of each walk, beside who made this report."""
-    made = origin.here()
+    made = provenance.here()
     head = ("", *(f"walked: {escape(name)}" if len(walked) > 1 else "walked" for name, _ in walked), "reported")
     columns = [*(dict(entry) for _, entry in walked), made]
     rows = []

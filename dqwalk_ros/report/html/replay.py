@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros import kernels
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.model import Foot, RobotModel
+from dqwalk_ros.kinematics import compose
 from dqwalk_ros.report.scene import Scene, moment_of, shapes_of, tightest
 from dqwalk_ros.report.series import Series
+from dqwalk_ros.robot import Foot, RobotModel
 
 __all__ = ["FRAMES", "packed", "replay_data", "robot_data", "rounded"]
 
@@ -34,8 +34,8 @@ def replay_data(series: Series) -> dict[str, Any]:
         moment = moment_of(trace, tick, phases)
         kin, found = scene.judge(moment)
         gauges = scene.gauges(moment.phase, found)
-        root.append(kernels.compose(moment.x_odom_base, kin.pose(scene.root)))
-        com.append(kernels.point(moment.x_odom_base, kin.com))
+        root.append(compose(moment.x_odom_base, kin.pose(scene.root)))
+        com.append(DQ(moment.x_odom_base).transform_point(kin.com))
         tight.append(tightest(gauges).name)
         for gauge in gauges:
             if gauge.role != "held":

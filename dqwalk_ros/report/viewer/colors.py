@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dqwalk_ros.model import Foot
+from dqwalk_ros.robot import Foot
 
 __all__ = ["BAD", "COM", "COM_SOFT", "FOOT", "GOOD", "INK", "TIGHT", "hexed", "of_region"]
 

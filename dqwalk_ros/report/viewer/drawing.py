@@ -8,11 +8,10 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from dqwalk_ros import kernels
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.model import Foot, RobotModel
 from dqwalk_ros.report.scene import Region, Scene, Shape, View, shapes_of
 from dqwalk_ros.report.viewer import colors
+from dqwalk_ros.robot import Foot, RobotModel
 
 __all__ = ["Drawing"]
 
@@ -173,7 +172,7 @@ class Drawing:
 
 
 def _move(handle: Any, x: Array, offset: Array) -> None:
-    handle.position, handle.wxyz = kernels.point(x, offset), x[:4]
+    handle.position, handle.wxyz = DQ(x).transform_point(offset), x[:4]
 
 
 def _add_shape(scene: viser.SceneApi, name: str, shape: Shape) -> None:

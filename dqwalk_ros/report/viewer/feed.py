@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.controllers import Command, Controller, State
+from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.errors import ViewerError
-from dqwalk_ros.model import Foot, load_model
-from dqwalk_ros.phases import Phase, PhaseKind, make_phase
-from dqwalk_ros.plants import Plant
 from dqwalk_ros.report.scene import Moment, Scene
+from dqwalk_ros.robot import Foot, load_model
+from dqwalk_ros.simulation import make_walk
+from dqwalk_ros.state import State
+from dqwalk_ros.walk import Phase, PhaseKind
 
 __all__ = ["Feed"]
 
@@ -83,7 +84,7 @@ class Feed:
         self.url: str = answer
         self._due = 0.0
 
-    def offer(self, state: State, controller: Controller) -> None:
+    def offer(self, state: State, controller: VelocityController) -> None:
         """Pass a state on, unless one has just been."""
         now = time.monotonic()
         if now < self._due or controller.phase_index < 0:
@@ -105,10 +106,6 @@ class Feed:
                 solver + f"active: {', '.join(last.active[:3]) or 'none'}",
             )
         )
-
-    def watch(self, plant: Plant, controller: Controller) -> Plant:
-        """Return a plant that shows its states here."""
-        return _Watched(plant, controller, self)
 
     def __enter__(self) -> Self:
         return self
@@ -136,26 +133,6 @@ class Feed:
         self._process.join(5.0)
 
 
-class _Watched:
-    """A plant that shows its states to a feed."""
-
-    def __init__(self, plant: Plant, controller: Controller, feed: Feed) -> None:
-        self._plant, self._controller, self._feed = plant, controller, feed
-
-    @property
-    def state(self) -> State:
-        """The state now."""
-        return self._plant.state
-
-    def step(self, command: Command, dt: float) -> State:
-        """Return the state one period `dt` [s] later."""
-        self._feed.offer(self._plant.state, self._controller)
-        return self._plant.step(command, dt)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._plant, name)  # what some plants know besides
-
-
 def _serve(news: Any, parent: Any, config: Config, port: int | None) -> None:
     """Show what comes, until the process is terminated."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the walk; the parent ends this process
@@ -181,7 +158,8 @@ def _serve(news: Any, parent: Any, config: Config, port: int | None) -> None:
         began = time.monotonic()
         key = item.index, item.began
         if key not in phases:
-            phases = {key: make_phase(config, scene.model, item.kind, item.support, item.q_start, item.swing_target)}
+            walk = make_walk(config, scene.model)
+            phases = {key: walk.phase(item.kind, item.support, item.q_start, item.swing_target)}
         phase = phases[key]
         page.show(Moment(item.time, item.q, phase, item.index, item.began, item.x_odom_base, phase.name, item.solver))
         time.sleep(max(0.0, FRAME - (time.monotonic() - began)))

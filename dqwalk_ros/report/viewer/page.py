@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ViewerError
-from dqwalk_ros.model import Foot
 from dqwalk_ros.report.scene import Moment, Scene, View
 from dqwalk_ros.report.viewer import PORT
 from dqwalk_ros.report.viewer.drawing import Drawing, home
 from dqwalk_ros.report.viewer.gauges import History, margins_html, status_html
+from dqwalk_ros.robot import Foot
 
 __all__ = ["HOST", "Page"]
 

@@ -10,15 +10,15 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from dqwalk_ros import kernels
+from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import DqwalkError
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.phases import Phase, assemble
 from dqwalk_ros.qp import make_solver
 from dqwalk_ros.report.scene import Scene, moment_of
 from dqwalk_ros.report.viewer.gauges import History
 from dqwalk_ros.report.viewer.page import FRAME, Page, prints_of
-from dqwalk_ros.trace import Trace
+from dqwalk_ros.simulation import Trace
+from dqwalk_ros.walk import Phase
 
 __all__ = ["Player"]
 
@@ -66,8 +66,7 @@ class Player:
     def _com(self, tick: int) -> Array:
         moment = moment_of(self._trace, tick, self._phases)
         kin = Kinematics(self._trace.model, moment.q, moment.phase.base)
-        place: Array = kernels.point(moment.x_odom_base, kin.com)
-        return place
+        return DQ(moment.x_odom_base).transform_point(kin.com)
 
     def _add_controls(self) -> None:
         gui = self._page.server.gui
@@ -124,7 +123,8 @@ class Player:
         moment = moment_of(self._trace, tick, self._phases)
         try:
             kin = Kinematics(self._trace.model, moment.q, moment.phase.base)
-            problem = assemble(moment.phase, kin, self._trace.config.dt)
+            limit = self._trace.model.velocity_max
+            problem = moment.phase.evaluate(kin).problem(self._trace.config.dt, limit)
             found = self._solver.solve(problem)
         except DqwalkError as error:
             return f"failed: {error}"

@@ -13,8 +13,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import lapack
 
+from dqwalk_ros.compiled import jit
 from dqwalk_ros.errors import QPError
-from dqwalk_ros.kernels import jit
 from dqwalk_ros.qp import Problem, Solution
 
 __all__ = ["solve_dual"]
@@ -41,7 +41,8 @@ def solve_dual(problem: Problem) -> Solution:
         raise QPError("the cost is not strictly convex", status="NotConvex")
     J = np.ascontiguousarray(lapack.dtrtri(L, lower=1)[0])
     x, z = np.empty(n), np.zeros(l + m + 2 * n)
-    count = _run(J, *(np.ascontiguousarray(part) for part in problem.arrays[1:]), x, z)
+    arrays = problem.c, problem.E, problem.e, problem.G, problem.h, problem.lower, problem.upper
+    count = _run(J, *(np.ascontiguousarray(part) for part in arrays), x, z)
     if count == _INFEASIBLE:
         raise QPError("the quadratic program has no answer: its rows contradict each other", status="Infeasible")
     if count == _GAVE_UP or not np.isfinite(x).all():

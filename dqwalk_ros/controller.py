@@ -1,0 +1,235 @@
+"""The walking controller of section 4: one quadratic program per phase, joint velocities out [Urban2020].
+
+A state comes in, a command goes out; `VelocityController.step` is the whole way between them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros.assembly import Evaluation
+from dqwalk_ros.config import Config
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import ConfigError, PhaseError, QPError, StateError
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.qp import Problem, Solution, explained, lead_back, make_solver
+from dqwalk_ros.robot import RobotModel
+from dqwalk_ros.state import Command, State
+from dqwalk_ros.walk import Phase, Walk
+
+__all__ = ["Tick", "VelocityController"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Tick:
+    """The last step of a controller, in numbers.
+
+    Attributes
+    ----------
+    error : float
+        Norm of the phase's own task error.
+    solve_time : float
+        Time the solver took [s].
+    iterations : int
+    active : tuple of str
+        Rows that held the command back, strongest first.
+    """
+
+    error: float
+    solve_time: float
+    iterations: int
+    active: tuple[str, ...]
+
+
+class VelocityController:
+    """Walks `model` through the phases of a walk.
+
+    Parameters
+    ----------
+    config : Config
+    model : RobotModel
+    walk : type of Walk
+        Made anew for each walk.
+
+    Attributes
+    ----------
+    walk : Walk
+        The walk under way.
+    phase_index : int
+        0, 1, ... from the beginning of the walk; -1 before the first step.
+    phase_time0 : float
+        Time of the state at which the phase began [s], and later by as long as the plant held.
+    finished : bool
+        Whether the last phase is over; commands are zero from then on.
+    error : float
+        Norm of the error of the phase's own task at the last state.
+    problem, solution : Problem, Solution or None
+        The last quadratic program and its answer.
+    """
+
+    def __init__(self, config: Config, model: RobotModel, walk: type[Walk]) -> None:
+        self.config = config
+        self.model = model
+        self._imu = model.imu
+        self._limit = np.minimum(model.velocity_max, config.joints.velocity or np.inf)
+        self._solver = make_solver(config.qp.solver)
+        self._make_walk, self._shape = walk, (model.n,)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the walk; the next state begins a new one."""
+        self.walk = self._make_walk(self.config, self.model)
+        self.phase_index = -1
+        self.phase_time0 = math.nan
+        self.finished = False
+        self.error = math.nan
+        self.problem: Problem | None = None
+        self.solution: Solution | None = None
+        self._phase: Phase | None = None
+        self._kin: Kinematics | None = None
+        self._answered = math.inf
+        self._x_odom_base = DQ(1.0)
+
+    @property
+    def phase(self) -> Phase:
+        """The current phase; there is one after the first step."""
+        if self._phase is None:
+            raise RuntimeError("a walk has no phase before its first step")
+        return self._phase
+
+    @property
+    def x_odom_base(self) -> Array:
+        """Pose of the phase's base sole in the world of the first phase, shape (8,)."""
+        return self._x_odom_base.vec8()
+
+    @property
+    def solve_time(self) -> float:
+        """Time the solver took for the last command [s]."""
+        return self.solution.solve_time if self.solution is not None else math.nan
+
+    @property
+    def last(self) -> Tick:
+        """The last step in numbers."""
+        if self.problem is None or self.solution is None:
+            return Tick(self.error, math.nan, 0, ())
+        return Tick(self.error, self.solution.solve_time, self.solution.iterations, self.solution.active(self.problem))
+
+    def odometry(self) -> Array:
+        """Pose of the pelvis in the world of the first phase, shape (8,)."""
+        if self._kin is None:
+            raise RuntimeError("a walk has no odometry before its first step")
+        return (self._x_odom_base * DQ(self._kin.pose(self.model.pelvis))).vec8()
+
+    def steer(self, forward: float, left: float, turn: float) -> tuple[float, float, float]:
+        """Set the velocity of a walk that is steered [m/s, m/s, rad/s]; see `Walk.steer`."""
+        return self.walk.steer(forward, left, turn)
+
+    def stop(self) -> None:
+        """Put the feet together after the step under way, and end the walk; see `Walk.stop`."""
+        self.walk.stop()
+
+    def step(self, state: State, dt: float) -> Command:
+        """Return the joint velocities for the next period.
+
+        Parameters
+        ----------
+        state : State
+        dt : float
+            Period until the next state [s].
+
+        Raises
+        ------
+        StateError
+            If the state does not fit the model or is not finite.
+        PhaseError
+            If the phase cannot end by its rule.
+        QPError
+            If the quadratic program has no answer.
+        """
+        if state.q.shape != self._shape:
+            raise StateError(f"the state has {state.q.size} joints, the model {self.model.n}")
+        if self.phase_index < 0:
+            self._check(state)
+            self._enter(state)
+        elif (held := state.time - self._answered - self.config.plant.command_timeout) > 0.0:
+            self._resume(state, held)
+        kin = self._kinematics(state)
+        now = self.phase.evaluate(kin)
+        self._answered = state.time
+        while not self.finished and self._is_over(now, state.time):
+            self._enter(state, kin)
+            kin = self._kinematics(state)
+            now = self.phase.evaluate(kin)
+        self._kin, self.error = kin, now.error
+        if self.finished:
+            return Command(state.time, np.zeros(self.model.n))
+        self.problem = now.problem(dt, self._limit)  # (U6)
+        self.solution = self._solve(self.problem)
+        effort = self.walk.effort(self.phase, kin, state) if state.up is not None else None
+        return Command(state.time, np.minimum(np.maximum(self.solution.u, -self._limit), self._limit), effort)
+
+    def _check(self, state: State) -> None:
+        names = zip(self.model.joint_names, state.q, strict=True)
+        bad = [name for name, angle in names if not math.isfinite(angle)]
+        if bad:
+            raise StateError(f"the angle of {', '.join(bad)} is not finite")
+        if state.up is not None and self._imu not in self.model.frames:
+            raise ConfigError(f"the state has an inertial sensor, and the robot has no link '{self._imu}' (robot.imu)")
+
+    def _kinematics(self, state: State) -> Kinematics:
+        kin = Kinematics(self.model, state.q, self.phase.base, elapsed=state.time - self.phase_time0)
+        if not kin.finite:
+            self._check(state)
+        return kin if state.up is None else kin.tilted(kin.direction(self._imu, state.up))
+
+    def _is_over(self, now: Evaluation, time: float) -> bool:
+        if self.walk.is_waiting(self.phase):
+            return False
+        try:
+            return self.phase.rule.is_over(now.error, time - self.phase_time0)
+        except PhaseError as error:
+            raise error.held_by(self.last.active) from error
+
+    def _enter(self, state: State, kin: Kinematics | None = None) -> None:
+        """Begin the next phase at `state`; `kin` is seen from the base of the phase before."""
+        following = self.walk.following(self._phase)
+        if following is None:
+            self.finished = True
+            return
+        phase = self.walk.phase(*following[:2], state.q, following[2])
+        if kin is not None and phase.base is not kin.base:
+            # the world moves to the other sole, as that stands now
+            self._x_odom_base = (self._x_odom_base * DQ(kin.pose(kin.swing))).normalized()
+        self._begin(phase, state.time)
+
+    def _begin(self, phase: Phase, time: float) -> None:
+        self._phase, self.phase_time0 = phase, time
+        self.phase_index += 1
+        self.problem = self.solution = None
+
+    def _resume(self, state: State, held: float) -> None:
+        """Go on after states without an answer, when the plant has moved on for its timeout and then `held` [s]."""
+        phase = self.phase
+        if self.walk.restarts(phase):
+            self._begin(self.walk.phase(phase.kind, phase.support, state.q, phase.swing_target), state.time)
+        else:
+            self.phase_time0 += held
+
+    def _solve(self, problem: Problem) -> Solution:
+        """Return the answer of (U6); outside its constraints, where the wanted return is too fast, a slower one."""
+        try:
+            return self._solver.solve(problem)
+        except QPError as error:
+            if not error.status.endswith("Infeasible"):
+                raise
+            try:
+                self.problem, _ = lead_back(problem)
+                return self._solver.solve(self.problem)
+            except QPError:
+                raise explained(error, problem) from error

@@ -1,0 +1,285 @@
+"""The walk that stands and steps on true soles: its phases, their order and the rule that ends them.
+
+With both feet on the ground the support polygon is the convex hull of both soles, with one foot it is its sole; each
+edge is a plane, "as many planes as necessary" (section 3.1 [Urban2020]), moved in by a margin.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import math
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros.config import Config
+from dqwalk_ros.constraints import ComInsideEdges, Constraint, FrameHeld, PointsOverPlane
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import ConfigError, PhaseError
+from dqwalk_ros.geometry import ConvexPolygon, Plane
+from dqwalk_ros.kinematics import Kinematics, Point
+from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.standing.balance import balance_torques
+from dqwalk_ros.standing.footsteps import Footsteps, flat
+from dqwalk_ros.standing.paths import ComPath, SwingPath
+from dqwalk_ros.state import State
+from dqwalk_ros.tasks import Posture, Task
+from dqwalk_ros.walk import Phase, PhaseKind, Walk, joint_limits, pelvis_height
+
+__all__ = ["StandingWalk", "posture"]
+
+Array = NDArray[np.float64]
+
+_UP = np.array([0.0, 0.0, 1.0])
+_JOINT_RETURN = 0.5
+"""A joint beyond its limit returns no faster than this [rad/s]."""
+
+
+def posture(config: Config, model: RobotModel) -> Array:
+    """Return the posture that ``standing.posture`` describes, shape (n,) [rad].
+
+    Raises
+    ------
+    ConfigError
+        If an entry is not JOINT=RADIANS or no moving joint has such a name.
+    """
+    q = np.zeros(model.n)
+    for entry in config.standing.posture:
+        name, _, text = entry.partition("=")
+        hits = [k for k, joint in enumerate(model.joint_names) if fnmatch.fnmatch(joint, name.strip())]
+        try:
+            angle = float(text)
+        except ValueError:
+            raise ConfigError(f"standing.posture has '{entry}'; it must be JOINT=RADIANS") from None
+        if not hits:
+            raise ConfigError(f"standing.posture names '{name}'; the joints are {', '.join(model.joint_names)}")
+        q[hits] = angle
+    return q
+
+
+class StandingWalk(Walk):
+    """Double support to a foot, single support on it, and so on; at the end the feet are put together.
+
+    The CoM comes to rest between them. With ``gait.steps: 0`` the walk waits in a stance for `steer`.
+    """
+
+    def __init__(self, config: Config, model: RobotModel) -> None:
+        super().__init__(config, model)
+        self.footsteps = Footsteps(config, model, self.posture)
+        self._twist = (0.0, 0.0, 0.0)
+        self._stopping = False
+        self._together = False
+        self._done = 0
+        self._first = Foot(config.gait.first_support)
+
+    @staticmethod
+    def phases(config: Config) -> int:
+        """Return two for each step, two for the feet together, and a stance; 0 where it is steered."""
+        return 2 * config.gait.steps + 3 if config.gait.steps else 0
+
+    @staticmethod
+    def describe(config: Config) -> str:
+        """Return such as ``20 steps``."""
+        steps = config.gait.steps
+        return f"{steps} step{'s' if steps > 1 else ''}" if steps else "steered by cmd_vel"
+
+    @cached_property
+    def posture(self) -> Array:
+        """The posture of ``standing.posture``, shape (n,) [rad]."""
+        return posture(self.config, self.model)
+
+    # ------------------------------------------------------------------ order
+
+    def steer(self, forward: float, left: float, turn: float) -> tuple[float, float, float]:
+        """Set the velocity of a steered walk; all three are made smaller alike until a step keeps within its limits.
+
+        The limits are ``gait.most_length``, ``gait.most_side`` and ``gait.most_turn`` together; see `Walk.steer`.
+        """
+        if self.config.gait.steps:
+            return super().steer(forward, left, turn)
+        gait, period = self.config.gait, self._period
+        asked = (forward * period, left * period, turn * period)
+        most = (gait.most_length, gait.most_side, gait.most_turn)
+        # a direction the legs cannot go is left out; the others share the step
+        parts = [a / m if m else 0.0 for a, m in zip(asked, most, strict=True)]
+        size = max(1.0, math.sqrt(sum(part**2 for part in parts)))
+        x, y, z = (part * m / (size * period) for part, m in zip(parts, most, strict=True))
+        self._twist = (x, y, z)
+        return self._twist
+
+    def stop(self) -> None:
+        """Put the feet together after the step under way, and end the walk."""
+        self._stopping = True
+
+    def is_waiting(self, phase: Phase) -> bool:
+        """Return whether it is a stance of a steered walk with nothing to do."""
+        idle = not (self.config.gait.steps or self._stopping or any(self._twist))
+        return idle and phase.kind is PhaseKind.STANCE
+
+    @property
+    def _period(self) -> float:
+        """Time of a step [s]."""
+        s = self.config.standing
+        return s.transfer_duration + s.swing_duration
+
+    def following(self, phase: Phase | None) -> tuple[PhaseKind, Foot, Array | None] | None:
+        """Return kind, support foot and swing target of the phase after `phase`; None after the last one."""
+        steps = self.config.gait.steps
+        if phase is None:
+            return (PhaseKind.DOUBLE_SUPPORT, self._first, None) if steps else (PhaseKind.STANCE, self._first, None)
+        if phase.kind is PhaseKind.STANCE:
+            return None if steps or self._stopping else (PhaseKind.DOUBLE_SUPPORT, self._leading(), None)
+        if phase.kind is PhaseKind.DOUBLE_SUPPORT:
+            step = self._step()
+            self._together = step is None
+            target = self.footsteps.beside(phase.support) if step is None else self.footsteps.step(phase.support, *step)
+            self._done += 1
+            return PhaseKind.SINGLE_SUPPORT, phase.support, target
+        if self._together:
+            return PhaseKind.STANCE, phase.support.other, None
+        return PhaseKind.DOUBLE_SUPPORT, phase.support.other, None
+
+    def restarts(self, phase: Phase) -> bool:
+        """Return True with both feet down: a CoM that was stopped, taken up at the path's velocity, tips the robot."""
+        return phase.kind is not PhaseKind.SINGLE_SUPPORT
+
+    def _step(self) -> tuple[float, float, float] | None:
+        gait = self.config.gait
+        if self._stopping:
+            return None
+        if gait.steps:
+            return None if self._done >= gait.steps else (gait.step_length, gait.step_side, gait.step_turn)
+        if not any(self._twist):
+            return None
+        forward, left, turn = (v * self._period for v in self._twist)
+        return forward, left, turn
+
+    def _leading(self) -> Foot:
+        """Return the foot to stand on first: the one on the side the robot turns away from or leaves."""
+        _, left, turn = self._twist
+        sideways = turn if turn else left
+        return self._first if not sideways else Foot.RIGHT if sideways > 0.0 else Foot.LEFT
+
+    # ------------------------------------------------------------------ phases
+
+    def both_feet(self, kind: PhaseKind, support: Foot, q_start: Array) -> Phase:
+        """Return the phase that brings the CoM over the sole of `support`, in a stance between both soles."""
+        s, model = self.config.standing, self.model
+        kin = Kinematics(model, q_start, support.other)
+        base, end = model.soles[kin.base], model.soles[kin.base.other]
+        over = tuple(model.soles.values()) if kind is PhaseKind.STANCE else (end,)
+        pose = flat(kin.pose(end.frame))
+        hull = ConvexPolygon.hull(np.concatenate([base.corners, DQ(pose).transform_point(end.corners)]))
+        com = ComPath(
+            name="com",
+            start=kin.com_on_ground,
+            over=tuple(Point(sole.frame, sole.center) for sole in over),
+            duration=s.transfer_duration,
+            saturation=s.saturation,
+        )
+        held = FrameHeld(name="end_sole", eta=s.eta_feet, return_speed=s.recovery, frame=end.frame, pose=pose)
+        rows = (self._edges(hull), pelvis_height(self.config, model))
+        return self._phase(kind, support, kin, None, (com,), (held,), rows)
+
+    def one_foot(self, support: Foot, q_start: Array, swing_target: Array) -> Phase:
+        """Return the single support on the foot `support` that swings the other one to its target."""
+        s, model = self.config.standing, self.model
+        kin = Kinematics(model, q_start, support)
+        sole, swing = model.soles[support], model.soles[support.other]
+        # the swing sole stays on its side of the support sole's inner edge
+        side = 1.0 if support is Foot.RIGHT else -1.0
+        inner = Plane(side * np.array([0.0, 1.0, 0.0]), side * float(sole.center[1]) + 0.5 * sole.width)
+        inequalities: tuple[Constraint, ...] = (
+            self._edges(ConvexPolygon.hull(sole.corners)),
+            PointsOverPlane(
+                name="clearance", eta=s.eta_edges, return_speed=s.recovery, frame=swing.frame, points=swing.corners,
+                plane=Plane(_UP, 0.0),
+            ),
+            PointsOverPlane(
+                name="sole_gap", eta=s.eta_edges, bound=s.sole_gap, return_speed=s.recovery, frame=swing.frame,
+                points=swing.corners, plane=inner,
+            ),
+            pelvis_height(self.config, model),
+        )  # fmt: skip
+        task = SwingPath(
+            name="swing",
+            weight=s.swing_weight,
+            frame=swing.frame,
+            start=kin.pose(swing.frame),
+            goal=swing_target,
+            height=self.config.gait.step_height,
+            duration=s.swing_duration,
+            convergence=s.swing_rate,
+            lever=s.lever,
+        )
+        com = ComPath(
+            name="com",
+            weight=s.com_weight,
+            start=kin.com_on_ground,
+            over=(Point(sole.frame, sole.center),),
+            duration=0.5 * s.swing_duration,
+            saturation=s.saturation,
+        )
+        return self._phase(PhaseKind.SINGLE_SUPPORT, support, kin, swing_target, (task, com), (), inequalities)
+
+    def _edges(self, polygon: ConvexPolygon) -> ComInsideEdges:
+        s = self.config.standing
+        return ComInsideEdges(name="edges", eta=s.eta_edges, bound=s.margin, return_speed=s.recovery, polygon=polygon)
+
+    def _phase(
+        self,
+        kind: PhaseKind,
+        support: Foot,
+        kin: Kinematics,
+        swing_target: Array | None,
+        tasks: Sequence[Task],
+        equalities: tuple[Constraint, ...],
+        inequalities: tuple[Constraint, ...],
+    ) -> Phase:
+        config = self.config
+        back = Posture(name="posture", weight=config.task.posture_weight, q_ref=self.posture)
+        return Phase(
+            model=self.model,
+            kind=kind,
+            support=support,
+            base=kin.base,
+            q_start=kin.q,
+            swing_target=swing_target,
+            eta=config.task.eta,
+            damping=config.task.damping,
+            tasks=(*tasks, back),
+            equalities=equalities,
+            inequalities=inequalities,
+            limits=joint_limits(config, self.model, _JOINT_RETURN),
+            rule=PathEnd(config, kind, f"{kind.value}/{support.value}"),
+        )
+
+    def effort(self, phase: Phase, kin: Kinematics, state: State) -> Array:
+        """Return the torques that hold the robot against gravity and draw its CoM to its path, shape (n,) [N m]."""
+        return balance_torques(phase, kin, state, self.config)
+
+
+class PathEnd:
+    """A phase of a standing walk is over when its path is done and its error is below a threshold."""
+
+    def __init__(self, config: Config, kind: PhaseKind, name: str) -> None:
+        s, swing = config.standing, kind is PhaseKind.SINGLE_SUPPORT
+        self._name = name
+        self._duration = s.swing_duration if swing else s.transfer_duration
+        self._goal = s.swing_threshold if swing else s.com_threshold
+        self._timeout = config.gait.phase_timeout
+
+    def is_over(self, error: float, elapsed: float) -> bool:
+        """Return whether the phase ends at the state with this error; see `walk.Rule.is_over`."""
+        if elapsed >= self._duration - 1e-9 and error < self._goal:
+            return True
+        if elapsed > self._timeout:
+            raise PhaseError(
+                f"{self._name} is not over after {self._timeout:g} s at an error of {error:.4g} m "
+                f"(it ends below {self._goal:.4g} m)",
+                phase=self._name,
+                error=error,
+            )
+        return False
