@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from dqwalk_ros import strict_yaml
 from dqwalk_ros.config import PoppyConfig, find_share
 from dqwalk_ros.errors import ConfigError, PlantError
+from dqwalk_ros.plants import Plant
 from dqwalk_ros.plants.dynamixel import FULL_TORQUE, TYPES, Bus, Clock, Registers, find_port, open_port
 from dqwalk_ros.plants.emulated_servos import EmulatedPort, EmulatedServo, EmulatedServos
 from dqwalk_ros.plants.motor_watch import JUMPS, Measured, MotorWatch, Part
