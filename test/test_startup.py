@@ -38,7 +38,7 @@ def test_a_controller_is_ready_without_the_slow_parts_of_scipy():
 
 
 def test_the_integrator_node_is_spared_numba():
-    code = "import sys\nfrom dqwalk_ros.nodes import integrator\nfrom dqwalk_ros.robot import load_model\n"
+    code = "import sys\nfrom dqwalk_ros.nodes.plant import Integrator\nfrom dqwalk_ros.robot import load_model\n"
     code += "from dqwalk_ros.config import load\nfrom dqwalk_ros.plants.kinematic import KinematicPlant\n"
     code += "KinematicPlant(load_model(load('paper').robot))\nprint('numba' in sys.modules)"
     assert python(code).stdout.strip() == "False"
