@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import pathlib
+from collections.abc import Sequence
 
 from dqwalk_ros.errors import ModelError
 
@@ -51,7 +52,9 @@ def _package(name: str, near: pathlib.Path) -> pathlib.Path | None:
     return next((place for place in places if place.is_dir()), None)
 
 
-def find_package_file(uri: str, near: str | os.PathLike[str]) -> pathlib.Path | None:
+def find_package_file(
+    uri: str, near: str | os.PathLike[str], places: Sequence[str | os.PathLike[str]] = ()
+) -> pathlib.Path | None:
     """Return the file that a URDF names, or None.
 
     Parameters
@@ -60,20 +63,26 @@ def find_package_file(uri: str, near: str | os.PathLike[str]) -> pathlib.Path | 
         ``package://PACKAGE/...``, ``file://...``, or a path, which is relative to the URDF.
     near : path
         The URDF. A package is an installed one, or a folder of that name around the URDF.
+    places : sequence of path
+        Folders that may hold packages, too; they come first.
     """
     near = pathlib.Path(near)
     scheme, separator, rest = uri.partition("://")
     if not separator:
-        places = [near.parent / uri]
+        found = [near.parent / uri]
     elif scheme in ("package", "model"):
         package, _, inside = rest.partition("/")
+        more = [pathlib.Path(place) for place in places]
         folder = _package(package, near)
-        places = [folder / inside] if folder else []
-        # a package that was copied under another name
-        places += [above / inside for above in near.resolve().parents[:4]]
+        found = [*(place / package / inside for place in more), *(place / inside for place in more)]
+        found += [folder / inside] if folder else []
+        # a package that was copied, under another name or only in part
+        parts = pathlib.PurePosixPath(rest.lstrip("/")).parts
+        tails = [pathlib.PurePosixPath(*parts[k:]) for k in range(len(parts) - 1)]
+        found += [above / tail for tail in tails for above in near.resolve().parents[:6]]
     else:
-        places = [pathlib.Path(rest)]
-    return next((place for place in places if _is_file(place)), None)
+        found = [pathlib.Path(rest)]
+    return next((place for place in found if _is_file(place)), None)
 
 
 def _is_file(place: pathlib.Path) -> bool:
