@@ -31,10 +31,21 @@ def expanded(path: pathlib.Path) -> bytes:
             f"'{path}' is a xacro file: pip install xacro, or expand it (xacro {path.name} > robot.urdf)"
         ) from error
     known = found._eval_find
-    found._eval_find = lambda package: str(_package(package, path)) if _package(package, path) else known(package)
+    missing: list[str] = []
+
+    def find(package: str) -> str:
+        folder = _package(package, path)
+        if folder is None:
+            missing.append(package)
+            raise LookupError(package)
+        return str(folder)
+
+    found._eval_find = find
     try:
         return str(xacro.process_file(str(path)).toxml()).encode()
     except (Exception, SystemExit) as error:  # xacro has many of its own, and lets those of XML and of Python pass
+        if missing:
+            raise ModelError(f"'{path}' needs the ROS package '{missing[0]}': neither installed nor around it") from error
         raise ModelError(f"xacro refuses '{path}': {' '.join(str(error).split())[:300]}") from error
     finally:
         found._eval_find = known

@@ -34,7 +34,7 @@ _ASYMMETRY = 0.02
 """Left and right joints mirror each other to this part of the length of a leg."""
 _FLAT = 0.004
 """Points this near to the plane of a sole belong to it [m]."""
-_LEAST_SOLE = 0.05
+_LEAST_SOLE = 0.04
 """A foot shorter or narrower than this part of a leg is a point."""
 
 
@@ -50,7 +50,7 @@ class Evidence:
 
 @dataclass(frozen=True)
 class FoundSole:
-    """A sole: its link, its pose (4, 4) there (x ahead, z up, at the centre), its size and the outline of the foot [m]."""
+    """A sole: its link, its pose (4, 4) there (x ahead, z up, centred), its size and the outline of the foot [m]."""
 
     link: str
     pose: Array
@@ -116,10 +116,16 @@ class Skeleton:
 
     def __init__(self, urdf: Urdf, turn: Array | None = None) -> None:
         self.urdf = urdf
+        # a joint that another limb follows cannot turn alone
+        coupled = {
+            joint.mimic
+            for joint in urdf.joints.values()
+            if joint.mimic and _moved_by(urdf, joint.child, joint.mimic) > 1
+        }
         self.joints = {
             joint.name: joint
             for joint in urdf.joints.values()
-            if joint.type in ("revolute", "continuous") and not joint.mimic
+            if joint.type in ("revolute", "continuous") and not joint.mimic and joint.name not in coupled
         }
         self._pose: dict[str, Array] = {urdf.root: np.eye(4)}
         if turn is not None:
@@ -174,6 +180,23 @@ class Skeleton:
             link.mass * (self._pose[link.name][:3, :3] @ link.com + self._pose[link.name][:3, 3]) for link in links
         ]
         return sum(parts, np.zeros(3)) / total if total else np.zeros(3)
+
+
+def _moved_by(urdf: Urdf, link: str, leader: str) -> int:
+    """Return how many joints hang on a link, 0 where the joint `leader` carries it."""
+    above = urdf.joints[leader].child if leader in urdf.joints else ""
+    count, waiting = 0, [link]
+    for name in waiting:
+        for joint in urdf.carried_by(name):
+            count += joint.moves and not joint.mimic
+            waiting.append(joint.child)
+    at = link
+    carriers = {joint.child: joint.parent for joint in urdf.joints.values()}
+    while at in carriers:
+        if at == above:
+            return 0
+        at = carriers[at]
+    return count
 
 
 class _Points:
@@ -316,13 +339,16 @@ def _find_legs(skeleton: Skeleton, points: _Points, given: tuple[str, str]) -> t
     feet = []
     for body in sorted(near - {""}, key=lambda body: (lowest[body], body)):
         way = skeleton.way(body)
-        above = way[-2] if len(way) > 1 else ""
-        # a toe belongs to the foot that it hangs on, if that stands as well
-        if not (above and lowest.get(above, math.inf) < lowest[body] + _TOUCHES * height):
+        if not (len(way) > 1 and _is_toe(skeleton, way[-2], body, lowest, floor, height)):
             feet.append(body)
     feet = [body for body in feet if not any(body in skeleton.way(other)[:-1] for other in feet)]
+    feet = _without_doubles(skeleton, feet, height)
+    if len(feet) > 2 and all(len(skeleton.way(body)) < 3 for body in feet):
+        raise ModelError(f"this is no biped: {len(feet)} legs reach the ground, with fewer than 3 joints each")
     long_enough = [body for body in feet if len(skeleton.way(body)) >= 3]
     pairs = [(a, b) for a, b in itertools.combinations(long_enough, 2) if _mirrored(skeleton, *_own(skeleton, a, b))]
+    if pairs and not any(_carries(skeleton, _own(skeleton, *pair)) for pair in pairs):
+        raise ModelError("this is no biped: what reaches lowest hangs from the top of the robot, as arms do")
     if "" in near:
         raise ModelError("this is no biped: it stands on its base, not on legs")
     if len(long_enough) > 2:
@@ -340,13 +366,24 @@ def _find_legs(skeleton: Skeleton, points: _Points, given: tuple[str, str]) -> t
             f"this is no biped: no two chains of joints that mirror each other stand on the ground in the zero posture "
             f"({what}); name its feet by --left and --right"
         )
-    a, b = pairs[0]
-    legs = _own(skeleton, a, b)
-    if not _carries(skeleton, legs):
-        raise ModelError(
-            "this is no biped: what reaches lowest hangs from the top of the robot, as arms do; it has no legs"
-        )
-    return a, b
+    return pairs[0]
+
+
+def _is_toe(skeleton: Skeleton, foot: str, body: str, lowest: dict[str, float], floor: float, height: float) -> bool:
+    """Tell whether a body is the toe of a foot: that stands as well, and the joint between both is low and ahead."""
+    way = skeleton.place(body) - skeleton.place(foot)
+    stands = lowest.get(foot, math.inf) < lowest[body] + _TOUCHES * height
+    low = skeleton.place(body)[2] < floor + 2.0 * _NEAR_FLOOR * height
+    return bool(stands and low and math.hypot(way[0], way[1]) > 0.02 * height)
+
+
+def _without_doubles(skeleton: Skeleton, feet: list[str], height: float) -> list[str]:
+    """Return one foot of those at the same place: legs of parallel bars are described as chains side by side."""
+    kept: list[str] = []
+    for foot in sorted(feet, key=lambda body: (-skeleton.mass(body), -len(skeleton.way(body)), body)):
+        if all(np.linalg.norm(skeleton.place(foot) - skeleton.place(other)) > 0.03 * height for other in kept):
+            kept.append(foot)
+    return kept
 
 
 def _own(skeleton: Skeleton, a: str, b: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -364,13 +401,15 @@ def _mirrored(skeleton: Skeleton, a: Sequence[str], b: Sequence[str]) -> bool:
     p, q = (np.array([skeleton.place(joint) for joint in leg]) for leg in (a, b))
     size = float(np.ptp(np.concatenate([p, q])[:, 2]))
     apart = p - q
-    across = apart.mean(axis=0)
+    across = np.median(apart, axis=0)
     across[2] = 0.0
     length = float(np.linalg.norm(across))
     if length < 1e-3:
         return False
     across /= length
     off = apart - np.outer(apart @ across, across)
+    axes = np.array([skeleton.axis(joint) for joint in a])
+    off -= np.sum(off * axes, axis=1)[:, None] * axes  # where a joint is along its own axis makes no difference
     middle = (0.5 * (p + q)) @ across
     tolerance = max(0.006, _ASYMMETRY * size)
     return bool(np.abs(off).max() < tolerance and np.ptp(middle) < tolerance and size > 0.0)
@@ -482,7 +521,7 @@ def _ahead(
     evidence: list[Evidence],
 ) -> tuple[Array, tuple[str, ...], tuple[str, ...]]:
     """Return the rotation (3, 3) that turns ahead to x, and the left and the right leg."""
-    across = np.mean([skeleton.place(a) - skeleton.place(b) for a, b in zip(one, two, strict=True)], axis=0)
+    across = np.median([skeleton.place(a) - skeleton.place(b) for a, b in zip(one, two, strict=True)], axis=0)
     across[2] = 0.0
     across /= np.linalg.norm(across)
     ahead = np.array([across[1], -across[0], 0.0])  # if `one` is the left leg
@@ -518,7 +557,7 @@ def _ahead(
         ahead, one, two = -ahead, two, one
     where = root.T @ ahead
     axis = int(np.argmax(np.abs(where)))
-    exact = abs(where[axis]) > 0.999
+    exact = abs(where[axis]) > 0.99
     name = f"{'+' if where[axis] > 0 else '-'}{'xyz'[axis]}" if exact else str(where.round(3).tolist())
     evidence.append(Evidence("ahead", f"{name} of {skeleton.urdf.root}", source, confidence))
     if exact:
@@ -589,7 +628,7 @@ def _soles(
     for foot, sole in found.items():
         if min(sole.length, sole.width) < _LEAST_SOLE * leg:
             raise ModelError(
-                f"this biped has point feet: the {foot.value} one stands on {1e3 * sole.length:.0f} x "
+                f"this biped stands on points or edges: its {foot.value} sole is {1e3 * sole.length:.0f} x "
                 f"{1e3 * sole.width:.0f} mm, and this walk needs flat soles{points.lacking}"
             )
     length, width = (min(getattr(sole, key) for sole in found.values()) for key in ("length", "width"))
@@ -712,7 +751,7 @@ def _hands(skeleton: Skeleton, legs: set[str], pelvis: str) -> tuple[dict[Foot, 
     if not arms:
         return {}, max(others, key=skeleton.mass) if others else pelvis
     _, first, second = max(arms)
-    if skeleton.place(first[0])[1] < skeleton.place(second[0])[1]:
+    if skeleton.place(first[-1])[1] < skeleton.place(second[-1])[1]:
         first, second = second, first
     way = skeleton.way(first[0])
     hands = {foot: skeleton.joints[arm[-1]].child for foot, arm in ((Foot.LEFT, first), (Foot.RIGHT, second))}

@@ -1,4 +1,4 @@
-"""The posture in which a biped stands ready to walk: soles level side by side, knees bent, CoM over the soles' middle."""
+"""The posture in which a biped stands ready to walk: soles level, knees bent, CoM over the middle."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def stand(model: RobotModel, anatomy: Anatomy, width: float) -> Standing:
     if not good:
         best = min(found, key=lambda one: one.error)
         raise ModelError(
-            f"no posture was found that has both soles level, {1e3 * width:.0f} mm apart, and the CoM over their middle: "
+            f"no posture was found with both soles level, {1e3 * width:.0f} mm apart, and the CoM over their middle: "
             f"the best one is off by {1e3 * best.error:.1f} mm"
         )
     # knees ahead where both ways serve alike; else the way they bend
@@ -136,17 +136,14 @@ def _solve(
     right = model.soles[Foot.RIGHT].frame
     lever = _LEVER * anatomy.leg
     place = np.array([0.0, -width, 0.0])
+    rest = start if free_pelvis else np.zeros(model.n)
 
     def kept(q: Array) -> Array:
         kin = Kinematics(model, q, Foot.LEFT)
         other = DQ(kin.pose(right))
         root = DQ(kin.pose(model.root))
-        turn = lever * _turn(root)
-        if free_pelvis:
-            turn = turn[[0, 2]] * 0.0
-        return np.concatenate(
-            [other.translation() - place, lever * _turn(other), turn, kin.com[:2] - wanted]
-        )
+        upright = np.zeros(0) if free_pelvis else lever * _turn(root)
+        return np.concatenate([other.translation() - place, lever * _turn(other), upright, kin.com[:2] - wanted])
 
     def residual(q: Array) -> Array:
         kin = Kinematics(model, q, Foot.LEFT)
@@ -154,7 +151,7 @@ def _solve(
             float(np.linalg.norm(kin.point(frames[hip]) - kin.point(frames[ankle]))) - _BENT * straight[foot]
             for foot, (hip, _, ankle) in bodies.items()
         ]
-        return np.concatenate([kept(q), 0.3 * np.array(legs), 1e-3 * anatomy.leg * q])
+        return np.concatenate([kept(q), 0.3 * np.array(legs), 1e-3 * anatomy.leg * (q - rest)])
 
     first = np.clip(start, low + 1e-3, high - 1e-3)
     q = least_squares(residual, first, bounds=(low, high), xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=200).x

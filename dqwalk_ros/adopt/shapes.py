@@ -76,6 +76,8 @@ class Shapes:
         else:
             vertices, faces = _primitive(shape)
             what = shape.kind
+        if not np.isfinite(vertices).all():
+            return None
         pose = shape.origin.matrix
         return Surface(vertices @ pose[:3, :3].T + pose[:3, 3], faces, shape.color, what)
 

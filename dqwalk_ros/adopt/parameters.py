@@ -1,0 +1,288 @@
+"""The numbers of a walk, derived from the robot: each with its value, its reason, and how sure it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros.adopt.anatomy import Anatomy
+from dqwalk_ros.adopt.posture import Standing
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.robot import Foot, RobotModel
+
+__all__ = ["Entry", "Numbers", "leg_inertia", "measure", "parameters", "paper_parameters"]
+
+Array = NDArray[np.float64]
+
+GRAVITY = 9.81
+STIFFNESS = 5.0
+"""Servo stiffness in units of m g h: below 3.5 most robots fall whatever the gains."""
+SHORTEST = 1.5
+"""No shift of the CoM from foot to foot is faster than this [s]."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One parameter: its name, value, and the reason that stands beside it in the file."""
+
+    key: str
+    value: Any
+    reason: str
+    confidence: str = "sure"
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """What the parameters follow from.
+
+    Attributes
+    ----------
+    mass, height, mgh : float
+        [kg], of the CoM above the soles [m], and their product with gravity [N m/rad].
+    inertia : float
+        Of the stretched leg about its hip [kg m^2].
+    torque : float
+        Largest static torque of single support as a part of the joint's effort limit, and `joint` the one.
+    leg, width, length : float
+        Height of the hips, and size of a sole [m].
+    apart : float
+        Lateral distance of the soles' centres [m].
+    step : float
+        [m]
+    """
+
+    mass: float
+    height: float
+    mgh: float
+    inertia: float
+    torque: float
+    joint: str
+    leg: float
+    width: float
+    length: float
+    apart: float
+    step: float
+
+    @property
+    def stiffness(self) -> float:
+        """Stiffness of the servos [N m/rad]."""
+        return rounded(STIFFNESS * self.mgh)
+
+    def damping(self, stiffness: float, ratio: float = 0.5) -> float:
+        """Return the damping of servos as a part of their stiffness [s], for a damping ratio of a swinging leg."""
+        return rounded(2.0 * ratio * math.sqrt(self.inertia / stiffness), 2)
+
+    @property
+    def margin(self) -> float:
+        """Distance that the CoM keeps from the edges of a sole [m]."""
+        return rounded(min(0.008, 0.15 * self.width))
+
+    @property
+    def transfer(self) -> float:
+        """Time of the CoM's way from foot to foot [s].
+
+        On a smooth path of a duration T over the distance d the CoM accelerates by 5.78 d/T^2 at most, and the CoP lies
+        h/g times that away from it: within 0.6 of the half width that the margin leaves.
+        """
+        half = max(0.5 * self.width - self.margin, 1e-3)
+        needed = math.sqrt(5.78 * self.apart * self.height / (GRAVITY * 0.6 * half))
+        return math.ceil(10.0 * max(SHORTEST, needed) - 1e-6) / 10.0
+
+
+def rounded(value: float, digits: int = 3) -> float:
+    """Return a number with few significant digits."""
+    return float(f"{value:.{digits}g}")
+
+
+def measure(model: RobotModel, anatomy: Anatomy, standing: Standing, single: Sequence[Array], step: float) -> Numbers:
+    """Return what the parameters follow from.
+
+    Parameters
+    ----------
+    model : RobotModel
+    anatomy : Anatomy
+    standing : Standing
+    single : sequence of ndarray, shape (n,)
+        Postures with the CoM over the left and over the right sole.
+    step : float
+        [m]
+    """
+    sole = model.soles[Foot.LEFT]
+    height = float(standing.com[2])
+    torque, joint = static_torque(model, anatomy, single)
+    return Numbers(
+        mass=model.mass,
+        height=height,
+        mgh=model.mass * GRAVITY * height,
+        inertia=leg_inertia(model, anatomy, standing.q),
+        torque=torque,
+        joint=joint,
+        leg=anatomy.leg,
+        width=sole.width,
+        length=sole.length,
+        apart=standing.width,
+        step=step,
+    )
+
+
+def static_torque(model: RobotModel, anatomy: Anatomy, single: Sequence[Array]) -> tuple[float, str]:
+    """Return the largest static torque on one foot as a part of the effort limit, and its joint."""
+    worst, joint = 0.0, ""
+    for foot, q in zip(Foot, single, strict=True):
+        kin = Kinematics(model, q, foot)
+        tau = np.abs(model.mass * GRAVITY * kin.com_jacobian[2])
+        for name in anatomy.legs[foot]:
+            k = model.joint_names.index(name)
+            part = float(tau[k] / model.effort_max[k])
+            if part > worst:
+                worst, joint = part, name
+    return worst, joint
+
+
+def leg_inertia(model: RobotModel, anatomy: Anatomy, q: Array) -> float:
+    """Return the inertia of a leg about the axis of its hip's pitch [kg m^2], its bodies taken for points."""
+    kin = Kinematics(model, q, Foot.LEFT)
+    index = {name: k for k, name in enumerate(model.joint_names)}
+    joints = {index[name] for name in anatomy.legs[Foot.RIGHT]}
+    hip = next(
+        (name for name, kind in zip(anatomy.legs[Foot.RIGHT], anatomy.kinds, strict=True) if kind == "P"),
+        anatomy.legs[Foot.RIGHT][0],
+    )
+    first: dict[int, str] = {}
+    for name, frame in model.frames.items():
+        first.setdefault(frame.body, name)
+    total, center = 0.0, None
+    for k, body in enumerate(model.bodies):
+        if body.joint in joints or (center is not None and body.parent >= 0 and _below(model, k, index[hip])):
+            frame = first[k]
+            at = DQ(kin.pose(frame)) * DQ(model.frames[frame].pose).conj()
+            if body.joint == index[hip]:
+                center = at.translation()
+            if center is not None:
+                lever = at.transform_point(body.com) - center
+                total += body.mass * float(lever[0] ** 2 + lever[2] ** 2)
+    return max(total, 1e-6)
+
+
+def _below(model: RobotModel, body: int, joint: int) -> bool:
+    while body >= 0:
+        if model.bodies[body].joint == joint:
+            return True
+        body = model.bodies[body].parent
+    return False
+
+
+# ---------------------------------------------------------------------- the files
+
+
+def robot_entries(
+    model: RobotModel, anatomy: Anatomy, locked: dict[str, float], urdf: str, soles: dict[Foot, str]
+) -> list[Entry]:
+    """Return the section that says which robot it is."""
+    sole = model.soles[Foot.LEFT]
+    return [
+        Entry("robot.urdf", urdf, "repaired and with soles, beside this file"),
+        Entry("robot.pelvis", anatomy.pelvis, "link that carries both legs"),
+        Entry(
+            "robot.left_sole", soles[Foot.LEFT], anatomy.soles[Foot.LEFT].source, anatomy.soles[Foot.LEFT].confidence
+        ),
+        Entry(
+            "robot.right_sole",
+            soles[Foot.RIGHT],
+            anatomy.soles[Foot.RIGHT].source,
+            anatomy.soles[Foot.RIGHT].confidence,
+        ),
+        Entry(
+            "robot.imu",
+            anatomy.imu or anatomy.pelvis,
+            "inertial sensor" if anatomy.imu else "no link is named like one",
+        ),
+        Entry(
+            "robot.lock",
+            [name if not angle else f"{name}={angle:.6g}" for name, angle in locked.items()] or [""],
+            "all but the legs; an angle where zero is beyond the limits",
+        ),
+        Entry("robot.sole_length", rounded(sole.length, 4), "largest rectangle in the foot"),
+        Entry("robot.sole_width", rounded(sole.width, 4), "largest rectangle in the foot"),
+    ]
+
+
+def paper_parameters(numbers: Numbers, standing: Standing) -> list[Entry]:
+    """Return the parameters of the paper's walk."""
+    return [
+        Entry("gait.style", "paper", "Urban & Adorno"),
+        Entry("gait.step_length", numbers.step, "0.09 of a leg"),
+        Entry("gait.step_width", rounded(numbers.apart, 4), "distance of the soles"),
+        Entry("dsp.sliding_radius", rounded(0.1 * numbers.leg), "0.1 of a leg"),
+        Entry(
+            "ssp.com_radius", rounded(max(0.5 * numbers.width, 0.6 * numbers.apart)), "reached before the feet slide"
+        ),
+        Entry("pelvis.height", rounded(0.7 * standing.pelvis), "0.7 of the standing height"),
+    ]
+
+
+def parameters(model: RobotModel, anatomy: Anatomy, numbers: Numbers, standing: Standing) -> list[Entry]:
+    """Return the parameters of the standing walk."""
+    n = numbers
+    small = min(1.0, n.leg / 0.4)
+    posture = [
+        f"{name}={angle:.4f}" for name, angle in zip(model.joint_names, standing.q, strict=True) if abs(angle) > 5e-5
+    ]
+    steps = max(10, math.ceil(0.6 / n.step))
+    swing = 1.5
+    speed = float(np.min([3.0, *model.velocity_max[np.isfinite(model.velocity_max)]]))
+    roll, yaw = "R" in anatomy.kinds[-2:], "Y" in anatomy.kinds
+    scale = 1.0 if n.torque * 1.3 <= 1.0 else rounded(1.5 * n.torque)
+    return [
+        Entry("dt", 0.005, "200 Hz"),
+        Entry("gait.style", "standing", "the CoM stays over the true soles"),
+        Entry("gait.steps", steps, "more than half a metre"),
+        Entry("gait.step_length", n.step, "0.09 of a leg, within reach"),
+        Entry("gait.step_width", rounded(n.apart, 4), "distance of the soles in the posture"),
+        Entry("gait.step_height", rounded(min(max(0.04 * n.leg, 0.008), 0.03)), "0.04 of a leg"),
+        Entry("gait.most_length", rounded(1.2 * n.step), "longest step that cmd_vel asks for"),
+        Entry(
+            "gait.most_side", rounded(0.04 * n.leg) if roll else 0.0, "the ankles roll" if roll else "no ankle rolls"
+        ),
+        Entry("gait.most_turn", 0.1 if yaw else 0.0, "the hips yaw" if yaw else "no hip yaws"),
+        Entry("gait.phase_timeout", rounded(4.0 * max(n.transfer, swing) + 4.0), "four times a phase"),
+        Entry("task.eta", 2.0, "as for every robot"),
+        Entry("task.damping", 0.03, "as for every robot"),
+        Entry("task.posture_weight", 0.0002, "as for every robot"),
+        Entry("pelvis.height", rounded(0.7 * standing.pelvis), "0.7 of the standing height"),
+        Entry("standing.posture", posture, "soles level, knees bent by 4 % of the leg, CoM over the soles' middle"),
+        Entry("standing.margin", n.margin, "8 mm, or 0.15 of the sole's width"),
+        Entry("standing.pressure_margin", rounded(min(0.004, 0.07 * n.width)), "half of the margin"),
+        Entry("standing.transfer_duration", n.transfer, "the CoP stays in the sole while the CoM crosses"),
+        Entry("standing.swing_duration", swing, "as for every robot"),
+        Entry("standing.com_threshold", rounded(0.005 * small), "5 mm, less for a short leg"),
+        Entry("standing.swing_threshold", rounded(0.003 * small), "3 mm, less for a short leg"),
+        Entry("standing.saturation", rounded(0.03 * small), "3 cm, less for a short leg"),
+        Entry("standing.lever", rounded(0.5 * n.leg), "half a leg"),
+        Entry("standing.balance", 1.0, "as for every robot"),
+        Entry("joints.eta", 5.0, "as for every robot"),
+        Entry("joints.velocity", rounded(speed), "3 rad/s, or the slowest joint"),
+        Entry("servo.stiffness", n.stiffness, f"5 m g h, m g h = {n.mgh:.4g} N m/rad", "guess"),
+        Entry("servo.assumed_stiffness", n.stiffness, "the same: gravity is fed forward by it", "guess"),
+        Entry(
+            "servo.damping",
+            n.damping(n.stiffness),
+            f"a damping ratio of 0.5 for a leg of {n.inertia:.3g} kg m^2",
+            "guess",
+        ),
+        Entry(
+            "servo.torque_scale",
+            scale,
+            "the effort limits of the URDF"
+            if scale == 1.0
+            else f"the effort limits of the URDF are {n.torque:.2g} of what {n.joint} needs to stand on one foot",
+            "likely" if scale == 1.0 else "guess",
+        ),
+        Entry("monitor.tolerance", 0.0001, "what Euler's method may be off where the feet touch down"),
+    ]
