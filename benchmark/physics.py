@@ -16,7 +16,6 @@ from dqwalk_ros.config import load
 from dqwalk_ros.plants.mujoco import PhysicsPlant
 from dqwalk_ros.robot import load_model
 from dqwalk_ros.simulation import make_controller
-from dqwalk_ros.standing.walk import posture
 
 CHUNK = 100
 
@@ -25,7 +24,8 @@ def walk(solver: str, ticks: int) -> tuple[float, float, float]:
     """Return the CPU time per tick [us] of the engine alone, the plant, and the controller."""
     config = load("poppy").updated({"qp.solver": solver, "gait.steps": 0})
     model = load_model(config.robot)
-    controller, plant = make_controller(config, model), PhysicsPlant(config, model, posture(config, model))
+    controller = make_controller(config, model)
+    plant = PhysicsPlant(config, model, model.posture(config.standing.posture))
     controller.steer(0.015, 0.0, 0.0)
     again, steps = mujoco.MjData(plant.mj), round(config.dt / plant.mj.opt.timestep)
     state = plant.state

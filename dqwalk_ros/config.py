@@ -168,7 +168,7 @@ class StandingConfig:
     balance: float = _par(0.5, "gain of the torques that draw the CoM to its path; 0: gravity only", "", 0.0, 10.0)
     pressure_margin: float = _par(0.004, "least distance from an edge at which the torques put the CoP", "m", 0.0, 0.1)
     sole_gap: float = _par(0.004, "least distance of the soles beside each other", "m", 0.0, 0.2)
-    posture: tuple[str, ...] = _par((), "angles of the posture task, JOINT=RADIANS, '*' matches any text; others 0")
+    posture: tuple[str, ...] = _par((), "posture in which a walk begins, JOINT=RADIANS, '*' matches any text; others 0")
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ def expanded(path: pathlib.Path) -> bytes:
         return str(xacro.process_file(str(path)).toxml()).encode()
     except (Exception, SystemExit) as error:  # xacro has many of its own, and lets those of XML and of Python pass
         if missing:
-            raise ModelError(f"'{path}' needs the ROS package '{missing[0]}': neither installed nor around it") from error
+            raise ModelError(f"'{path}' needs the ROS package '{missing[0]}', which is not installed") from error
         raise ModelError(f"xacro refuses '{path}': {' '.join(str(error).split())[:300]}") from error
     finally:
         found._eval_find = known

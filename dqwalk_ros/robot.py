@@ -8,9 +8,10 @@ physics and dynamics are of the same one. Nothing here is specific to one robot.
 from __future__ import annotations
 
 import enum
+import fnmatch
 import math
 import pathlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
@@ -166,6 +167,27 @@ class RobotModel:
     def root(self) -> str:
         """The root link of the URDF, which floats."""
         return next(iter(self.frames))
+
+    def posture(self, entries: Sequence[str], key: str = "standing.posture") -> Array:
+        """Return the joint angles of entries JOINT=RADIANS, shape (n,) [rad]; '*' matches any text, others are zero.
+
+        Raises
+        ------
+        ConfigError
+            If an entry is of another form or names no moving joint; the message names the parameter `key`.
+        """
+        q = np.zeros(self.n)
+        for entry in entries:
+            name, _, text = entry.partition("=")
+            hits = [k for k, joint in enumerate(self.joint_names) if fnmatch.fnmatch(joint, name.strip())]
+            try:
+                angle = float(text)
+            except ValueError:
+                raise ConfigError(f"{key} has '{entry}'; it must be JOINT=RADIANS") from None
+            if not hits:
+                raise ConfigError(f"{key} names '{name}'; the joints are {', '.join(self.joint_names)}")
+            q[hits] = angle
+        return q
 
     @property
     def urdf_without_shapes(self) -> str:

@@ -61,7 +61,7 @@ def make_plant(name: str, config: Config, model: RobotModel) -> Plant:
         If it needs something that is not installed.
     """
     if name == "kinematic":
-        return KinematicPlant(model)
+        return KinematicPlant(model, make_walk(config, model).posture)
     try:
         from dqwalk_ros.plants.mujoco import PhysicsPlant
     except ModuleNotFoundError as error:

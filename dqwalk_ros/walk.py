@@ -276,8 +276,8 @@ class PaperWalk(Walk):
 
     @property
     def posture(self) -> Array:
-        """All joints at zero (section 5)."""
-        return np.zeros(self.model.n)
+        """The posture of ``standing.posture``, shape (n,) [rad]: all joints at zero (section 5) unless it is given."""
+        return self.model.posture(self.config.standing.posture)
 
     @staticmethod
     def phase_at(config: Config, index: int) -> tuple[PhaseKind, Foot] | None:
@@ -378,7 +378,7 @@ class PaperWalk(Walk):
     ) -> Phase:
         config, tasks = self.config, [task]
         if config.task.posture_weight > 0.0:
-            tasks.append(Posture(name="posture", weight=config.task.posture_weight, q_ref=np.zeros(self.model.n)))
+            tasks.append(Posture(name="posture", weight=config.task.posture_weight, q_ref=self.posture))
         return Phase(
             model=self.model,
             kind=kind,

@@ -38,6 +38,7 @@ LAYERS = (
     "simulation",
     "studies",
     "report",
+    "adopt",
     "nodes",
     "runner",
     "cli",
@@ -47,7 +48,7 @@ LAYERS = (
 HOMES = {
     "clarabel": {"qp", "whole_body"},
     "daqp": {"qp"},
-    "matplotlib": {"report"},
+    "matplotlib": {"adopt", "report"},
     "mujoco": {"plants", "whole_body"},
     "numba": {"compiled", "whole_body"},
     "pinocchio": {"whole_body"},

@@ -17,7 +17,6 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics, Point
 from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.simulation import make_walk
-from dqwalk_ros.standing.walk import posture
 from dqwalk_ros.tasks import Posture
 from dqwalk_ros.walk import PhaseKind
 
@@ -185,7 +184,8 @@ def test_every_row_of_the_standing_walk_is_its_definition(kind, foot):
     """On a tilted sole, on the way along the path, inside the bounds and beyond them."""
     config, model = standing()
     rng = np.random.default_rng(3)
-    q_start = np.clip(posture(config, model) + 0.05 * rng.normal(size=model.n), model.q_min, model.q_max)
+    q = model.posture(config.standing.posture) + 0.05 * rng.normal(size=model.n)
+    q_start = np.clip(q, model.q_min, model.q_max)
     goal = DQ.from_pose([0.05, 0.1 if foot is Foot.RIGHT else -0.1, 0.0], [np.cos(0.1), 0.0, 0.0, np.sin(0.1)]).vec8()
     phase = make_walk(config, model).phase(kind, foot, q_start, goal)
     above, below = phase.limits

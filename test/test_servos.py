@@ -16,7 +16,6 @@ from dqwalk_ros.plants.bus import Bus
 from dqwalk_ros.plants.mujoco import PhysicsPlant
 from dqwalk_ros.plants.sensors import Reading, Sensors
 from dqwalk_ros.servos import Drive, Servos, load_types
-from dqwalk_ros.standing.walk import posture
 from dqwalk_ros.state import Command
 
 CONFIG = dq.load("poppy")
@@ -29,7 +28,7 @@ KNEE, HIP = MODEL.joint_names.index("l_knee_y"), MODEL.joint_names.index("l_hip_
 def hanging(**changes: object) -> PhysicsPlant:
     """Poppy in the air, without gravity: its servos are all there is."""
     config = TYPED.updated({name.replace("__", "."): value for name, value in changes.items()})
-    plant = PhysicsPlant(config, MODEL, posture(config, MODEL))
+    plant = PhysicsPlant(config, MODEL, MODEL.posture(config.standing.posture))
     plant.mj.opt.gravity[:] = 0.0
     plant.data.qpos[2] += 1.0
     return plant
@@ -162,7 +161,7 @@ def test_a_goal_is_late_and_held() -> None:
 def test_goals_that_change_within_a_tick_change_there() -> None:
     """The engine's own loop takes the steps between two goals: the same as step by step."""
     config = TYPED.updated({"servo.latency": 0.0023, "dt": 0.02})
-    plant = PhysicsPlant(config, MODEL, posture(config, MODEL))
+    plant = PhysicsPlant(config, MODEL, MODEL.posture(config.standing.posture))
     once = mujoco.MjData(plant.mj)
     mujoco.mj_copyData(once, plant.mj, plant.data)
     goals = plant._goals.copy()
@@ -229,7 +228,7 @@ def test_a_slope_is_felt_by_the_inertial_sensor() -> None:
     """The floor rises ahead by 3 and to the left by 2 degrees, and the robot stands upright on it."""
     a, b = math.radians(3.0), math.radians(2.0)
     config = CONFIG.updated({"physics.slope": a, "physics.slope_side": b})
-    plant = PhysicsPlant(config, MODEL, posture(config, MODEL))
+    plant = PhysicsPlant(config, MODEL, MODEL.posture(config.standing.posture))
     up = plant.state.up
     assert up is not None
     assert up == pytest.approx([np.sin(a) * np.cos(b), np.sin(b), np.cos(a) * np.cos(b)], abs=0.03)
@@ -240,7 +239,7 @@ def test_a_slope_is_felt_by_the_inertial_sensor() -> None:
 
 def test_rubble_lies_where_the_robot_does_not_begin() -> None:
     config = CONFIG.updated({"physics.rubble": 0.005})
-    plant = PhysicsPlant(config, MODEL, posture(config, MODEL))
+    plant = PhysicsPlant(config, MODEL, MODEL.posture(config.standing.posture))
     boxes = plant.mj.geom_type == mujoco.mjtGeom.mjGEOM_BOX
     tops = 2.0 * plant.mj.geom_size[boxes, 2]
     assert boxes.sum() > 200

@@ -22,7 +22,7 @@ from dqwalk_ros.robot import Foot
 from dqwalk_ros.simulation import make_controller, make_plant, make_walk, simulate
 from dqwalk_ros.standing.balance import balance_torques, com_velocity
 from dqwalk_ros.standing.paths import ComPath, SwingPath
-from dqwalk_ros.standing.walk import StandingWalk, posture
+from dqwalk_ros.standing.walk import StandingWalk
 from dqwalk_ros.state import Command, State
 from dqwalk_ros.statics import gravity_torques
 from dqwalk_ros.studies import pushes, robustness
@@ -36,7 +36,7 @@ TILTED = np.array([0.05, -0.08, np.sqrt(1.0 - 0.05**2 - 0.08**2)])
 
 
 def somewhere(seed: int, scale: float = 0.2) -> np.ndarray:
-    q = posture(CONFIG, MODEL) + scale * np.random.default_rng(seed).normal(size=MODEL.n)
+    q = MODEL.posture(CONFIG.standing.posture) + scale * np.random.default_rng(seed).normal(size=MODEL.n)
     return np.clip(q, MODEL.q_min, MODEL.q_max)
 
 
@@ -94,8 +94,8 @@ def test_paths_begin_and_end_where_they_should_and_their_velocity_is_their_deriv
 
 def test_a_held_sole_without_ankle_roll_has_independent_rows() -> None:
     """Six rows of rank five, and the answer of a quadratic program moves none of what can be moved."""
-    phase = make_walk(CONFIG, MODEL).phase(PhaseKind.DOUBLE_SUPPORT, Foot.LEFT, posture(CONFIG, MODEL))
-    kin = Kinematics(MODEL, posture(CONFIG, MODEL), phase.base)
+    phase = make_walk(CONFIG, MODEL).phase(PhaseKind.DOUBLE_SUPPORT, Foot.LEFT, MODEL.posture(CONFIG.standing.posture))
+    kin = Kinematics(MODEL, MODEL.posture(CONFIG.standing.posture), phase.base)
     E = problem_at(phase, kin, CONFIG.dt).E
     full = phase.equalities[0].jacobian(kin)
     kept = np.abs(E).max(axis=1) > 0.0
@@ -130,7 +130,7 @@ def test_a_footprint_is_reached_with_the_com_over_either_foot(turn: float) -> No
             kin = Kinematics(MODEL, q, Foot.LEFT)
             return np.concatenate([kin.pose(frame) - x, kin.com[:2] - kin.value(over)[:2]])
 
-        start = np.clip(posture(CONFIG, MODEL), MODEL.q_min + 1e-6, MODEL.q_max - 1e-6)
+        start = np.clip(MODEL.posture(CONFIG.standing.posture), MODEL.q_min + 1e-6, MODEL.q_max - 1e-6)
         found = scipy.optimize.least_squares(off, start, bounds=(MODEL.q_min, MODEL.q_max), xtol=1e-12, ftol=1e-12)
         assert np.abs(found.fun).max() < 1e-3
 
@@ -138,7 +138,7 @@ def test_a_footprint_is_reached_with_the_com_over_either_foot(turn: float) -> No
 def test_posture_names_joints_or_says_so() -> None:
     for entry in ("knee=0.3", "?_knee_y=bent"):
         with pytest.raises(ConfigError, match=r"standing\.posture"):
-            posture(CONFIG.updated({"standing.posture": [entry]}), MODEL)
+            MODEL.posture([entry])
 
 
 def test_gravity_torques_are_the_derivative_of_the_potential() -> None:
@@ -153,7 +153,7 @@ def test_gravity_torques_are_the_derivative_of_the_potential() -> None:
 def test_balance_torques_draw_the_com_to_its_path_with_the_pressure_inside(kind: PhaseKind) -> None:
     """The formula of the docstring, in numpy, on a tilted sole; far off the pressure it needs is cut to the soles."""
     goal = StandingWalk(CONFIG, MODEL).footsteps.step(Foot.LEFT, 0.05, 0.0, 0.0)
-    phase = make_walk(CONFIG, MODEL).phase(kind, Foot.LEFT, posture(CONFIG, MODEL), goal)
+    phase = make_walk(CONFIG, MODEL).phase(kind, Foot.LEFT, MODEL.posture(CONFIG.standing.posture), goal)
     path = next(task for task in phase.tasks if isinstance(task, ComPath))
     polygon = phase.inequalities[0].polygon
     n, d = polygon.edges()

@@ -15,14 +15,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from dqwalk_ros.adopt.shapes import Shapes
+from dqwalk_ros.adopt.skeleton import Evidence, Points, Skeleton
+from dqwalk_ros.adopt.soles import FoundSole, find_soles, foot_links, plane_below
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.urdf import Urdf
 
-__all__ = ["Anatomy", "Evidence", "FoundSole", "Skeleton", "find_anatomy"]
+__all__ = ["Anatomy", "find_anatomy"]
 
 Array = NDArray[np.float64]
 
@@ -32,33 +33,6 @@ _TOUCHES = 0.006
 """Two bodies touch the ground together if their lowest points differ by less than this part of the height."""
 _ASYMMETRY = 0.02
 """Left and right joints mirror each other to this part of the length of a leg."""
-_FLAT = 0.004
-"""Points this near to the plane of a sole belong to it [m]."""
-_LEAST_SOLE = 0.04
-"""A foot shorter or narrower than this part of a leg is a point."""
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """A value with where it is from and how sure it is: ``sure``, ``likely`` or ``guess``."""
-
-    what: str
-    value: str
-    source: str
-    confidence: str = "sure"
-
-
-@dataclass(frozen=True)
-class FoundSole:
-    """A sole: its link, its pose (4, 4) there (x ahead, z up, centred), its size and the outline of the foot [m]."""
-
-    link: str
-    pose: Array
-    length: float
-    width: float
-    outline: Array
-    source: str
-    confidence: str
 
 
 @dataclass(frozen=True)
@@ -101,147 +75,6 @@ class Anatomy:
     evidence: tuple[Evidence, ...]
 
 
-class Skeleton:
-    """Where everything is in the zero posture, in the axes of the root link or turned by `turn` (3, 3).
-
-    Attributes
-    ----------
-    joints : dict of str to Joint
-        Those that turn and follow no other.
-    chain : dict of str to tuple of str
-        The joints between the root and a link.
-    bodies : dict of str to list of str
-        The links that a joint moves and the next one does not; those of the root are of ``""``.
-    """
-
-    def __init__(self, urdf: Urdf, turn: Array | None = None) -> None:
-        self.urdf = urdf
-        # a joint that another limb follows cannot turn alone
-        coupled = {
-            joint.mimic
-            for joint in urdf.joints.values()
-            if joint.mimic and _moved_by(urdf, joint.child, joint.mimic) > 1
-        }
-        self.joints = {
-            joint.name: joint
-            for joint in urdf.joints.values()
-            if joint.type in ("revolute", "continuous") and not joint.mimic and joint.name not in coupled
-        }
-        self._pose: dict[str, Array] = {urdf.root: np.eye(4)}
-        if turn is not None:
-            self._pose[urdf.root][:3, :3] = turn
-        self.chain: dict[str, tuple[str, ...]] = {urdf.root: ()}
-        self.bodies: dict[str, list[str]] = {"": [urdf.root]}
-        waiting = [urdf.root]
-        for link in waiting:
-            for joint in urdf.carried_by(link):
-                angle = min(max(0.0, joint.lower), joint.upper) if joint.moves else 0.0
-                self._pose[joint.child] = self._pose[link] @ joint.at(angle).matrix
-                chain = self.chain[link] + ((joint.name,) if joint.name in self.joints else ())
-                self.chain[joint.child] = chain
-                self.bodies.setdefault(chain[-1] if chain else "", []).append(joint.child)
-                waiting.append(joint.child)
-
-    def pose(self, link: str) -> Array:
-        """Return the pose of a link, shape (4, 4)."""
-        return self._pose[link]
-
-    def place(self, joint: str) -> Array:
-        """Return where a joint is, shape (3,) [m]."""
-        place: Array = self._pose[self.joints[joint].child][:3, 3]
-        return place
-
-    def axis(self, joint: str) -> Array:
-        """Return the axis of a joint, shape (3,)."""
-        axis: Array = self._pose[self.joints[joint].child][:3, :3] @ self.joints[joint].axis
-        return axis
-
-    def body(self, link: str) -> str:
-        """Return the body of a link: the last joint that moves it."""
-        return self.chain[link][-1] if self.chain[link] else ""
-
-    def way(self, body: str) -> tuple[str, ...]:
-        """Return the joints from the root to a body, the body's own included."""
-        return self.chain[self.bodies[body][0]]
-
-    def mass(self, body: str) -> float:
-        """Return the mass of a body [kg]."""
-        return sum(self.urdf.links[link].mass for link in self.bodies[body])
-
-    def heaviest(self, body: str) -> str:
-        """Return the link of a body that weighs most, the first one where none does."""
-        return max(self.bodies[body], key=lambda link: self.urdf.links[link].mass)
-
-    def com(self, bodies: Sequence[str]) -> Array:
-        """Return the centre of mass of some bodies, shape (3,) [m]."""
-        links = [self.urdf.links[name] for body in bodies for name in self.bodies[body]]
-        total = sum(link.mass for link in links)
-        parts = [
-            link.mass * (self._pose[link.name][:3, :3] @ link.com + self._pose[link.name][:3, 3]) for link in links
-        ]
-        return sum(parts, np.zeros(3)) / total if total else np.zeros(3)
-
-
-def _moved_by(urdf: Urdf, link: str, leader: str) -> int:
-    """Return how many joints hang on a link, 0 where the joint `leader` carries it."""
-    above = urdf.joints[leader].child if leader in urdf.joints else ""
-    count, waiting = 0, [link]
-    for name in waiting:
-        for joint in urdf.carried_by(name):
-            count += joint.moves and not joint.mimic
-            waiting.append(joint.child)
-    at = link
-    carriers = {joint.child: joint.parent for joint in urdf.joints.values()}
-    while at in carriers:
-        if at == above:
-            return 0
-        at = carriers[at]
-    return count
-
-
-class _Points:
-    """Points of the surface of bodies, in the axes of a skeleton."""
-
-    def __init__(self, shapes: Shapes) -> None:
-        self._shapes = shapes
-        self._known: dict[tuple[str, str], Array | None] = {}
-
-    @property
-    def lacking(self) -> str:
-        """Which mesh was not read, for messages."""
-        missing = self._shapes.missing
-        return f" (mesh '{next(iter(missing))}' {next(iter(missing.values()))})" if missing else ""
-
-    def of_link(self, link: str, which: str) -> Array | None:
-        """Return points (N, 3) of a link in its frame, None where it has no shape."""
-        key = (link, which)
-        if key not in self._known:
-            found = [surface.vertices for surface in self._shapes.of(link, which)]
-            self._known[key] = _hull(np.concatenate(found)) if found else None
-        return self._known[key]
-
-    def of(self, skeleton: Skeleton, links: Sequence[str]) -> tuple[Array | None, str]:
-        """Return points (N, 3) of some links: of what collides, else of what is seen."""
-        for which in ("collisions", "visuals"):
-            found = []
-            for link in links:
-                points = self.of_link(link, which)
-                if points is not None:
-                    pose = skeleton.pose(link)
-                    found.append(points @ pose[:3, :3].T + pose[:3, 3])
-            if found:
-                return np.concatenate(found), which
-        return None, ""
-
-
-def _hull(points: Array) -> Array:
-    """Return the corners of the convex hull of points (N, 3)."""
-    try:
-        return points[ConvexHull(points).vertices]
-    except (QhullError, ValueError):
-        return points
-
-
 def find_anatomy(
     urdf: Urdf,
     shapes: Shapes,
@@ -266,7 +99,7 @@ def find_anatomy(
     ModelError
         If it is no biped that stands on flat soles, in one sentence.
     """
-    points = _Points(shapes)
+    points = Points(shapes)
     plain = Skeleton(urdf)
     if len(plain.joints) < 6:
         raise ModelError(f"this is no biped: it has {len(plain.joints)} joints that turn")
@@ -301,11 +134,11 @@ def _ups() -> Iterator[Array]:
 _UPS = tuple(_ups())
 
 
-def _stands(skeleton: Skeleton, points: _Points, pair: tuple[str, str]) -> bool:
+def _stands(skeleton: Skeleton, points: Points, pair: tuple[str, str]) -> bool:
     """Tell whether legs found with an unusual axis up carry the robot: level feet, and the CoM well above them."""
     for ankle in pair:
-        found, _ = points.of(skeleton, _foot_links(skeleton, ankle))
-        if found is None or _plane(found)[0][2] < 1.0:
+        found, _ = points.of(skeleton, foot_links(skeleton, ankle))
+        if found is None or plane_below(found)[0][2] < 1.0:
             return False
     feet = 0.5 * (skeleton.place(pair[0]) + skeleton.place(pair[1]))
     com = skeleton.com(list(skeleton.bodies))
@@ -316,7 +149,7 @@ def _stands(skeleton: Skeleton, points: _Points, pair: tuple[str, str]) -> bool:
 # ---------------------------------------------------------------------- legs
 
 
-def _find_legs(skeleton: Skeleton, points: _Points, given: tuple[str, str]) -> tuple[str, str]:
+def _find_legs(skeleton: Skeleton, points: Points, given: tuple[str, str]) -> tuple[str, str]:
     """Return the last joints of the two legs."""
     if all(given):
         a, b = (skeleton.body(link) for link in given)
@@ -428,7 +261,7 @@ def _carries(skeleton: Skeleton, legs: tuple[tuple[str, ...], tuple[str, ...]]) 
 
 
 def _anatomy(
-    urdf: Urdf, points: _Points, skeleton: Skeleton, pair: tuple[str, str], forward: str, told: bool
+    urdf: Urdf, points: Points, skeleton: Skeleton, pair: tuple[str, str], forward: str, told: bool
 ) -> Anatomy:
     one, two = _own(skeleton, *pair)
     if len(one) < 4:
@@ -451,7 +284,7 @@ def _anatomy(
     kinds = "".join(_kind(skeleton.axis(joint)) for joint in one)
     evidence.append(Evidence("axes of a leg", kinds, "axes of its joints: roll, pitch, yaw"))
     hip, ankle = (0.5 * (skeleton.place(one[k]) + skeleton.place(two[k])) for k in (0, -1))
-    soles, toes = _soles(skeleton, points, legs, float(hip[2] - ankle[2]), evidence)
+    soles, toes = find_soles(skeleton, points, legs, float(hip[2] - ankle[2]), evidence)
     ground = float(np.mean([(skeleton.pose(s.link) @ s.pose)[2, 3] for s in soles.values()]))
     leg = float(hip[2] - ground)
     pelvis_body = skeleton.body(urdf.joints[one[0]].parent)
@@ -514,7 +347,7 @@ def _difference(a: str, b: str) -> tuple[str, str] | None:
 
 def _ahead(
     skeleton: Skeleton,
-    points: _Points,
+    points: Points,
     one: tuple[str, ...],
     two: tuple[str, ...],
     forward: str,
@@ -589,11 +422,11 @@ def _knee(skeleton: Skeleton, one: Sequence[str], two: Sequence[str], ahead: Arr
     return out if abs(out) == 1.0 else 0.0
 
 
-def _longer(skeleton: Skeleton, points: _Points, one: Sequence[str], two: Sequence[str], ahead: Array) -> float:
+def _longer(skeleton: Skeleton, points: Points, one: Sequence[str], two: Sequence[str], ahead: Array) -> float:
     """Return up to 1 if the feet are longer ahead of their ankles, down to -1 if behind, 0 if that says nothing."""
     reach = []
     for leg in (one, two):
-        found, _ = points.of(skeleton, _foot_links(skeleton, leg[-1]))
+        found, _ = points.of(skeleton, foot_links(skeleton, leg[-1]))
         if found is None:
             return 0.0
         low = found[found[:, 2] < found[:, 2].min() + 0.02]
@@ -604,130 +437,6 @@ def _longer(skeleton: Skeleton, points: _Points, one: Sequence[str], two: Sequen
         return float(np.sign(front - back))
     ratio = math.log(front / back)
     return 0.0 if abs(ratio) < math.log(1.15) else float(np.clip(ratio / math.log(1.6), -1.0, 1.0))
-
-
-# ---------------------------------------------------------------------- soles
-
-
-def _foot_links(skeleton: Skeleton, ankle: str) -> list[str]:
-    """Return the links from the ankle on: the foot, and toes on it."""
-    return [link for link, chain in skeleton.chain.items() if ankle in chain]
-
-
-def _soles(
-    skeleton: Skeleton, points: _Points, legs: dict[Foot, tuple[str, ...]], leg: float, evidence: list[Evidence]
-) -> tuple[dict[Foot, FoundSole], tuple[str, ...]]:
-    """Return the soles, alike on both sides, and the joints within the feet."""
-    found = {foot: _sole(skeleton, points, joints[-1], leg) for foot, joints in legs.items()}
-    toes = tuple(
-        joint
-        for joints in legs.values()
-        for joint, way in ((j, skeleton.way(j)) for j in skeleton.joints)
-        if joints[-1] in way and joint != joints[-1]
-    )
-    for foot, sole in found.items():
-        if min(sole.length, sole.width) < _LEAST_SOLE * leg:
-            raise ModelError(
-                f"this biped stands on points or edges: its {foot.value} sole is {1e3 * sole.length:.0f} x "
-                f"{1e3 * sole.width:.0f} mm, and this walk needs flat soles{points.lacking}"
-            )
-    length, width = (min(getattr(sole, key) for sole in found.values()) for key in ("length", "width"))
-    out = {}
-    for foot, sole in found.items():
-        out[foot] = FoundSole(sole.link, sole.pose, length, width, sole.outline, sole.source, sole.confidence)
-        x, y, z = 1e3 * sole.pose[:3, 3]
-        evidence.append(
-            Evidence(
-                f"{foot.value} sole",
-                f"{1e3 * length:.0f} x {1e3 * width:.0f} mm at ({x:.0f}, {y:.0f}, {z:.0f}) mm of {sole.link}",
-                sole.source,
-                sole.confidence,
-            )
-        )
-    if toes:
-        evidence.append(Evidence("toes", " ".join(toes), "joints behind the ankles: locked", "likely"))
-    return out, toes
-
-
-def _sole(skeleton: Skeleton, points: _Points, ankle: str, leg: float) -> FoundSole:
-    links = _foot_links(skeleton, ankle)
-    p, which = points.of(skeleton, links)
-    foot = skeleton.joints[ankle].child
-    if p is None:
-        raise ModelError(f"the foot '{foot}' has no shape that can be read, so its sole is not known{points.lacking}")
-    normal, level = _plane(p)
-    near = p[(p - level) @ normal < min(_FLAT, 0.02 * leg)]
-    x = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
-    x /= np.linalg.norm(x)
-    axes = np.array([x, np.cross(normal, x), normal])  # rows: ahead, left, up of the sole
-    flat = (near - level) @ axes.T
-    x0, x1, y0, y1 = _rectangle(flat[:, :2])
-    center = level + np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.0]) @ axes
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = axes.T, center
-    tilt = math.degrees(math.acos(min(1.0, normal[2])))
-    hull = ConvexHull(flat[:, :2])
-    share = (x1 - x0) * (y1 - y0) / hull.volume
-    source = f"largest rectangle within the lowest points of what {'collides' if which == 'collisions' else 'is seen'}"
-    if tilt > 0.0:
-        source += f"; tilted by {tilt:.1f} degrees in the zero posture"
-    return FoundSole(
-        foot,
-        np.linalg.inv(skeleton.pose(foot)) @ pose,
-        float(x1 - x0),
-        float(y1 - y0),
-        flat[hull.vertices, :2],
-        source,
-        "sure" if share > 0.7 and which == "collisions" else "likely",
-    )
-
-
-def _plane(p: Array) -> tuple[Array, Array]:
-    """Return normal (3,), pointing up, and a point (3,) of the plane that a foot stands on: its largest side below."""
-    level = np.array([0.0, 0.0, 1.0])
-    lowest = p[np.argmin(p[:, 2])]
-    try:
-        hull = ConvexHull(p)
-    except QhullError:
-        return level, lowest
-    corners = p[hull.simplices]
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    normals, offsets = hull.equations[:, :3], hull.equations[:, 3]
-    below = normals[:, 2] < -0.7
-    if not below.any():
-        return level, lowest
-    best, normal = 0.0, level
-    for k in np.flatnonzero(below):
-        alike = below & (normals @ normals[k] > math.cos(math.radians(3.0)))
-        alike &= np.abs(corners.mean(axis=1) @ normals[k] + offsets[k]) < _FLAT
-        total = float(area[alike].sum())
-        if total > best + 1e-9:
-            best, normal = total, -(area[alike, None] * normals[alike]).sum(axis=0) / total
-    normal = normal / np.linalg.norm(normal)
-    if normal[2] > math.cos(math.radians(1.5)):
-        normal = level
-    return normal, p[np.argmin(p @ normal)]
-
-
-def _rectangle(p: Array) -> tuple[float, float, float, float]:
-    """Return x0, x1, y0, y1 of the largest rectangle along the axes in the convex hull of points (N, 2)."""
-    try:
-        corners = p[ConvexHull(p).vertices]
-    except QhullError:
-        middle = p.mean(axis=0)
-        return middle[0], middle[0], middle[1], middle[1]
-    xs = np.linspace(corners[:, 0].min(), corners[:, 0].max(), 241)
-    low, high = np.full(len(xs), np.inf), np.full(len(xs), -np.inf)
-    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        inside = (xs >= min(a[0], b[0]) - 1e-12) & (xs <= max(a[0], b[0]) + 1e-12)
-        share = (xs[inside] - a[0]) / (b[0] - a[0]) if abs(b[0] - a[0]) > 1e-12 else np.zeros(inside.sum())
-        for y in ((a[1] + share * (b[1] - a[1])),) if abs(b[0] - a[0]) > 1e-12 else (a[1] + share, b[1] + share):
-            low[inside] = np.minimum(low[inside], y)
-            high[inside] = np.maximum(high[inside], y)
-    bottom, top = np.maximum(low[:, None], low), np.minimum(high[:, None], high)
-    area = np.maximum(top - bottom, 0.0) * np.maximum(xs - xs[:, None], 0.0)
-    i, j = np.unravel_index(int(np.argmax(area)), area.shape)
-    return float(xs[i]), float(xs[j]), float(bottom[i, j]), float(top[i, j])
 
 
 # ---------------------------------------------------------------------- arms and sensors

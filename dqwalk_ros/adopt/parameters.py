@@ -16,7 +16,7 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.robot import Foot, RobotModel
 
-__all__ = ["Entry", "Numbers", "leg_inertia", "measure", "parameters", "paper_parameters"]
+__all__ = ["Entry", "Numbers", "leg_inertia", "measure", "paper_parameters", "parameters"]
 
 Array = NDArray[np.float64]
 
@@ -160,8 +160,7 @@ def leg_inertia(model: RobotModel, anatomy: Anatomy, q: Array) -> float:
     total, center = 0.0, None
     for k, body in enumerate(model.bodies):
         if body.joint in joints or (center is not None and body.parent >= 0 and _below(model, k, index[hip])):
-            frame = first[k]
-            at = DQ(kin.pose(frame)) * DQ(model.frames[frame].pose).conj()
+            at = DQ(kin.pose(first[k])) * DQ(model.frames[first[k]].pose).conj()
             if body.joint == index[hip]:
                 center = at.translation()
             if center is not None:

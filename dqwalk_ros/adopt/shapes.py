@@ -5,6 +5,7 @@ from __future__ import annotations
 import pathlib
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,7 +92,7 @@ def _mesh(file: str) -> tuple[Array, NDArray[np.int64], bool]:
     """Return vertices and faces of a file, and whether it says that its y axis is up."""
     import trimesh
 
-    mesh = trimesh.load(file, force="mesh", process=False)
+    mesh: Any = trimesh.load(file, force="mesh", process=False)
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
     if not len(vertices):
         raise ValueError("it has no triangles")

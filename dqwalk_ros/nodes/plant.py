@@ -193,7 +193,7 @@ class Integrator(SimulatedPlant):
 
     def make_plant(self, config: Config, model: RobotModel) -> Plant:
         """Return joints that move exactly as they are told."""
-        return KinematicPlant(model)
+        return KinematicPlant(model, model.posture(config.standing.posture))
 
 
 class Physics(SimulatedPlant):

@@ -6,7 +6,6 @@ edge is a plane, "as many planes as necessary" (section 3.1 [Urban2020]), moved 
 
 from __future__ import annotations
 
-import fnmatch
 import math
 from collections.abc import Sequence
 from functools import cached_property
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from dqwalk_ros.config import Config
 from dqwalk_ros.constraints import ComInsideEdges, Constraint, FrameHeld, PointsOverPlane
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import ConfigError, PhaseError
+from dqwalk_ros.errors import PhaseError
 from dqwalk_ros.geometry import ConvexPolygon, Plane
 from dqwalk_ros.kinematics import Kinematics, Point
 from dqwalk_ros.robot import Foot, RobotModel
@@ -28,35 +27,13 @@ from dqwalk_ros.state import State
 from dqwalk_ros.tasks import Posture, Task
 from dqwalk_ros.walk import Phase, PhaseKind, Walk, joint_limits, pelvis_height
 
-__all__ = ["StandingWalk", "posture"]
+__all__ = ["StandingWalk"]
 
 Array = NDArray[np.float64]
 
 _UP = np.array([0.0, 0.0, 1.0])
 _JOINT_RETURN = 0.5
 """A joint beyond its limit returns no faster than this [rad/s]."""
-
-
-def posture(config: Config, model: RobotModel) -> Array:
-    """Return the posture that ``standing.posture`` describes, shape (n,) [rad].
-
-    Raises
-    ------
-    ConfigError
-        If an entry is not JOINT=RADIANS or no moving joint has such a name.
-    """
-    q = np.zeros(model.n)
-    for entry in config.standing.posture:
-        name, _, text = entry.partition("=")
-        hits = [k for k, joint in enumerate(model.joint_names) if fnmatch.fnmatch(joint, name.strip())]
-        try:
-            angle = float(text)
-        except ValueError:
-            raise ConfigError(f"standing.posture has '{entry}'; it must be JOINT=RADIANS") from None
-        if not hits:
-            raise ConfigError(f"standing.posture names '{name}'; the joints are {', '.join(model.joint_names)}")
-        q[hits] = angle
-    return q
 
 
 class StandingWalk(Walk):
@@ -88,7 +65,7 @@ class StandingWalk(Walk):
     @cached_property
     def posture(self) -> Array:
         """The posture of ``standing.posture``, shape (n,) [rad]."""
-        return posture(self.config, self.model)
+        return self.model.posture(self.config.standing.posture)
 
     # ------------------------------------------------------------------ order
 

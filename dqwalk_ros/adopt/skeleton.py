@@ -1,0 +1,169 @@
+"""Where the links, joints and surfaces of a robot are in the zero posture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from dqwalk_ros.adopt.shapes import Shapes
+from dqwalk_ros.urdf import Urdf
+
+__all__ = ["Evidence", "Points", "Skeleton"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A value with where it is from and how sure it is: ``sure``, ``likely`` or ``guess``."""
+
+    what: str
+    value: str
+    source: str
+    confidence: str = "sure"
+
+
+class Skeleton:
+    """Where everything is in the zero posture, in the axes of the root link or turned by `turn` (3, 3).
+
+    Attributes
+    ----------
+    joints : dict of str to Joint
+        Those that turn and follow no other.
+    chain : dict of str to tuple of str
+        The joints between the root and a link.
+    bodies : dict of str to list of str
+        The links that a joint moves and the next one does not; those of the root are of ``""``.
+    """
+
+    def __init__(self, urdf: Urdf, turn: Array | None = None) -> None:
+        self.urdf = urdf
+        # a joint that another limb follows cannot turn alone
+        coupled = {
+            joint.mimic
+            for joint in urdf.joints.values()
+            if joint.mimic and _moved_by(urdf, joint.child, joint.mimic) > 1
+        }
+        self.joints = {
+            joint.name: joint
+            for joint in urdf.joints.values()
+            if joint.type in ("revolute", "continuous") and not joint.mimic and joint.name not in coupled
+        }
+        self._pose: dict[str, Array] = {urdf.root: np.eye(4)}
+        if turn is not None:
+            self._pose[urdf.root][:3, :3] = turn
+        self.chain: dict[str, tuple[str, ...]] = {urdf.root: ()}
+        self.bodies: dict[str, list[str]] = {"": [urdf.root]}
+        waiting = [urdf.root]
+        for link in waiting:
+            for joint in urdf.carried_by(link):
+                angle = min(max(0.0, joint.lower), joint.upper) if joint.moves else 0.0
+                self._pose[joint.child] = self._pose[link] @ joint.at(angle).matrix
+                chain = self.chain[link] + ((joint.name,) if joint.name in self.joints else ())
+                self.chain[joint.child] = chain
+                self.bodies.setdefault(chain[-1] if chain else "", []).append(joint.child)
+                waiting.append(joint.child)
+
+    def pose(self, link: str) -> Array:
+        """Return the pose of a link, shape (4, 4)."""
+        return self._pose[link]
+
+    def place(self, joint: str) -> Array:
+        """Return where a joint is, shape (3,) [m]."""
+        place: Array = self._pose[self.joints[joint].child][:3, 3]
+        return place
+
+    def axis(self, joint: str) -> Array:
+        """Return the axis of a joint, shape (3,)."""
+        axis: Array = self._pose[self.joints[joint].child][:3, :3] @ self.joints[joint].axis
+        return axis
+
+    def body(self, link: str) -> str:
+        """Return the body of a link: the last joint that moves it."""
+        return self.chain[link][-1] if self.chain[link] else ""
+
+    def way(self, body: str) -> tuple[str, ...]:
+        """Return the joints from the root to a body, the body's own included."""
+        return self.chain[self.bodies[body][0]]
+
+    def mass(self, body: str) -> float:
+        """Return the mass of a body [kg]."""
+        return sum(self.urdf.links[link].mass for link in self.bodies[body])
+
+    def heaviest(self, body: str) -> str:
+        """Return the link of a body that weighs most, the first one where none does."""
+        return max(self.bodies[body], key=lambda link: self.urdf.links[link].mass)
+
+    def com(self, bodies: Sequence[str]) -> Array:
+        """Return the centre of mass of some bodies, shape (3,) [m]."""
+        links = [self.urdf.links[name] for body in bodies for name in self.bodies[body]]
+        total = sum(link.mass for link in links)
+        parts = [
+            link.mass * (self._pose[link.name][:3, :3] @ link.com + self._pose[link.name][:3, 3]) for link in links
+        ]
+        return sum(parts, np.zeros(3)) / total if total else np.zeros(3)
+
+
+def _moved_by(urdf: Urdf, link: str, leader: str) -> int:
+    """Return how many joints hang on a link, 0 where the joint `leader` carries it."""
+    above = urdf.joints[leader].child if leader in urdf.joints else ""
+    count, waiting = 0, [link]
+    for name in waiting:
+        for joint in urdf.carried_by(name):
+            count += joint.moves and not joint.mimic
+            waiting.append(joint.child)
+    at = link
+    carriers = {joint.child: joint.parent for joint in urdf.joints.values()}
+    while at in carriers:
+        if at == above:
+            return 0
+        at = carriers[at]
+    return count
+
+
+class Points:
+    """Points of the surface of bodies, in the axes of a skeleton."""
+
+    def __init__(self, shapes: Shapes) -> None:
+        self._shapes = shapes
+        self._known: dict[tuple[str, str], Array | None] = {}
+
+    @property
+    def lacking(self) -> str:
+        """Which mesh was not read, for messages."""
+        missing = self._shapes.missing
+        return f" (mesh '{next(iter(missing))}' {next(iter(missing.values()))})" if missing else ""
+
+    def of_link(self, link: str, which: str) -> Array | None:
+        """Return points (N, 3) of a link in its frame, None where it has no shape."""
+        key = (link, which)
+        if key not in self._known:
+            found = [surface.vertices for surface in self._shapes.of(link, which)]
+            self._known[key] = _hull(np.concatenate(found)) if found else None
+        return self._known[key]
+
+    def of(self, skeleton: Skeleton, links: Sequence[str]) -> tuple[Array | None, str]:
+        """Return points (N, 3) of some links: of what collides, else of what is seen."""
+        for which in ("collisions", "visuals"):
+            found = []
+            for link in links:
+                points = self.of_link(link, which)
+                if points is not None:
+                    pose = skeleton.pose(link)
+                    found.append(points @ pose[:3, :3].T + pose[:3, 3])
+            if found:
+                return np.concatenate(found), which
+        return None, ""
+
+
+def _hull(points: Array) -> Array:
+    """Return the corners of the convex hull of points (N, 3)."""
+    try:
+        corners: Array = points[ConvexHull(points).vertices]
+        return corners
+    except (QhullError, ValueError):
+        return points

@@ -1,0 +1,157 @@
+"""The soles of a biped: the largest rectangle in the plane on which a foot stands."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from dqwalk_ros.adopt.skeleton import Evidence, Points, Skeleton
+from dqwalk_ros.errors import ModelError
+from dqwalk_ros.robot import Foot
+
+__all__ = ["FoundSole", "find_soles", "foot_links", "plane_below"]
+
+Array = NDArray[np.float64]
+
+_FLAT = 0.004
+"""Points this near to the plane of a sole belong to it [m]."""
+_LEAST_SOLE = 0.04
+"""A foot shorter or narrower than this part of a leg is a point."""
+
+
+@dataclass(frozen=True)
+class FoundSole:
+    """A sole: its link, its pose (4, 4) there (x ahead, z up, centred), its size and the outline of the foot [m]."""
+
+    link: str
+    pose: Array
+    length: float
+    width: float
+    outline: Array
+    source: str
+    confidence: str
+
+
+def foot_links(skeleton: Skeleton, ankle: str) -> list[str]:
+    """Return the links from the ankle on: the foot, and toes on it."""
+    return [link for link, chain in skeleton.chain.items() if ankle in chain]
+
+
+def find_soles(
+    skeleton: Skeleton, points: Points, legs: dict[Foot, tuple[str, ...]], leg: float, evidence: list[Evidence]
+) -> tuple[dict[Foot, FoundSole], tuple[str, ...]]:
+    """Return the soles, alike on both sides, and the joints within the feet."""
+    found = {foot: _sole(skeleton, points, joints[-1], leg) for foot, joints in legs.items()}
+    toes = tuple(
+        joint
+        for joints in legs.values()
+        for joint, way in ((j, skeleton.way(j)) for j in skeleton.joints)
+        if joints[-1] in way and joint != joints[-1]
+    )
+    for foot, sole in found.items():
+        if min(sole.length, sole.width) < _LEAST_SOLE * leg:
+            raise ModelError(
+                f"this biped stands on points or edges: its {foot.value} sole is {1e3 * sole.length:.0f} x "
+                f"{1e3 * sole.width:.0f} mm, and this walk needs flat soles{points.lacking}"
+            )
+    length, width = (min(getattr(sole, key) for sole in found.values()) for key in ("length", "width"))
+    out = {}
+    for foot, sole in found.items():
+        out[foot] = FoundSole(sole.link, sole.pose, length, width, sole.outline, sole.source, sole.confidence)
+        x, y, z = 1e3 * sole.pose[:3, 3]
+        evidence.append(
+            Evidence(
+                f"{foot.value} sole",
+                f"{1e3 * length:.0f} x {1e3 * width:.0f} mm at ({x:.0f}, {y:.0f}, {z:.0f}) mm of {sole.link}",
+                sole.source,
+                sole.confidence,
+            )
+        )
+    if toes:
+        evidence.append(Evidence("toes", " ".join(toes), "joints behind the ankles: locked", "likely"))
+    return out, toes
+
+
+def _sole(skeleton: Skeleton, points: Points, ankle: str, leg: float) -> FoundSole:
+    links = foot_links(skeleton, ankle)
+    p, which = points.of(skeleton, links)
+    foot = skeleton.joints[ankle].child
+    if p is None:
+        raise ModelError(f"the foot '{foot}' has no shape that can be read, so its sole is not known{points.lacking}")
+    normal, level = plane_below(p)
+    near = p[(p - level) @ normal < min(_FLAT, 0.02 * leg)]
+    x = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
+    x /= np.linalg.norm(x)
+    axes = np.array([x, np.cross(normal, x), normal])  # rows: ahead, left, up of the sole
+    flat = (near - level) @ axes.T
+    x0, x1, y0, y1 = _rectangle(flat[:, :2])
+    center = level + np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.0]) @ axes
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = axes.T, center
+    tilt = math.degrees(math.acos(min(1.0, normal[2])))
+    hull = ConvexHull(flat[:, :2])
+    share = (x1 - x0) * (y1 - y0) / hull.volume
+    source = f"largest rectangle within the lowest points of what {'collides' if which == 'collisions' else 'is seen'}"
+    if tilt > 0.0:
+        source += f"; tilted by {tilt:.1f} degrees in the zero posture"
+    return FoundSole(
+        foot,
+        np.linalg.inv(skeleton.pose(foot)) @ pose,
+        float(x1 - x0),
+        float(y1 - y0),
+        flat[hull.vertices, :2],
+        source,
+        "sure" if share > 0.7 and which == "collisions" else "likely",
+    )
+
+
+def plane_below(p: Array) -> tuple[Array, Array]:
+    """Return normal (3,), pointing up, and a point (3,) of the plane that a foot stands on: its largest side below."""
+    level = np.array([0.0, 0.0, 1.0])
+    lowest = p[np.argmin(p[:, 2])]
+    try:
+        hull = ConvexHull(p)
+    except QhullError:
+        return level, lowest
+    corners = p[hull.simplices]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    normals, offsets = hull.equations[:, :3], hull.equations[:, 3]
+    below = normals[:, 2] < -0.7
+    if not below.any():
+        return level, lowest
+    best, normal = 0.0, level
+    for k in np.flatnonzero(below):
+        alike = below & (normals @ normals[k] > math.cos(math.radians(3.0)))
+        alike &= np.abs(corners.mean(axis=1) @ normals[k] + offsets[k]) < _FLAT
+        total = float(area[alike].sum())
+        if total > best + 1e-9:
+            best, normal = total, -(area[alike, None] * normals[alike]).sum(axis=0) / total
+    normal = normal / np.linalg.norm(normal)
+    if normal[2] > math.cos(math.radians(1.5)):
+        normal = level
+    return normal, p[np.argmin(p @ normal)]
+
+
+def _rectangle(p: Array) -> tuple[float, float, float, float]:
+    """Return x0, x1, y0, y1 of the largest rectangle along the axes in the convex hull of points (N, 2)."""
+    try:
+        corners = p[ConvexHull(p).vertices]
+    except QhullError:
+        middle = p.mean(axis=0)
+        return middle[0], middle[0], middle[1], middle[1]
+    xs = np.linspace(corners[:, 0].min(), corners[:, 0].max(), 241)
+    low, high = np.full(len(xs), np.inf), np.full(len(xs), -np.inf)
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        inside = (xs >= min(a[0], b[0]) - 1e-12) & (xs <= max(a[0], b[0]) + 1e-12)
+        share = (xs[inside] - a[0]) / (b[0] - a[0]) if abs(b[0] - a[0]) > 1e-12 else np.zeros(inside.sum())
+        for y in ((a[1] + share * (b[1] - a[1])),) if abs(b[0] - a[0]) > 1e-12 else (a[1] + share, b[1] + share):
+            low[inside] = np.minimum(low[inside], y)
+            high[inside] = np.maximum(high[inside], y)
+    bottom, top = np.maximum(low[:, None], low), np.minimum(high[:, None], high)
+    area = np.maximum(top - bottom, 0.0) * np.maximum(xs - xs[:, None], 0.0)
+    i, j = np.unravel_index(int(np.argmax(area)), area.shape)
+    return float(xs[i]), float(xs[j]), float(bottom[i, j]), float(top[i, j])
