@@ -261,11 +261,14 @@ def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
                 urdf.add_frame(f"dqwalk_{key}", feet[foot], Origin(xyz, rpy))
             feet[foot] = f"dqwalk_{key}"
     links = urdf.links
+    imu = config.imu or config.pelvis
+    if published and imu == "imu" and imu not in links:  # earlier recordings name it also where a robot has none
+        imu = config.pelvis
     for key, name in (
         ("pelvis", config.pelvis),
         ("left_sole", feet[Foot.LEFT]),
         ("right_sole", feet[Foot.RIGHT]),
-        ("imu", config.imu or config.pelvis),
+        ("imu", imu),
     ):
         if name not in links:
             raise ModelError(f"{urdf.source}: robot.{key} names the link '{name}', which is not there or was dropped")
@@ -280,7 +283,7 @@ def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
             }
         ),
         pelvis=config.pelvis,
-        imu=config.imu or config.pelvis,
+        imu=imu,
         urdf=urdf.text(),
         repairs=tuple(urdf.repairs),
     )

@@ -238,19 +238,19 @@ def last_run(stamps: Stamps, notes: list[str]) -> tuple[NDArray[np.intp], int]:
     """
     few = max(_FEW, _PART * len(stamps))
     step = np.diff(stamps)
-    runs = np.split(np.arange(len(stamps)), np.flatnonzero((step < 0) | (step > _GAP)) + 1)
     kept: list[NDArray[np.intp]] = []
     wrong = again = begin = 0
-    for index, run in enumerate(runs):
+    for run in np.split(np.arange(len(stamps)), np.flatnonzero((step < 0) | (step > _GAP)) + 1):
         while kept and stamps[kept[-1][-1]] > stamps[run[0]] and len(kept[-1]) <= min(few, len(run)):
             wrong += len(kept.pop())  # it lay ahead of what follows
-        if kept and stamps[kept[-1][-1]] > stamps[run[0]]:
-            if len(run) <= few and index < len(runs) - 1:
-                wrong += len(run)  # it lies behind what came before
-                continue
-            again, begin = again + 1, int(run[0])
-            kept.clear()
-        kept.append(run)
+        if not kept or stamps[run[0]] - stamps[kept[-1][-1]] > _GAP:
+            kept.append(run)
+        elif stamps[run[0]] >= stamps[kept[-1][-1]]:
+            kept[-1] = np.concatenate([kept[-1], run])
+        elif len(run) <= few:
+            wrong += len(run)  # it lies behind what came before
+        else:
+            again, begin, kept = again + 1, int(run[0]), [run]
     if len(kept) > 1 and len(kept[-1]) <= _FEW:
         wrong += len(kept.pop())  # it lies ahead, and nothing follows
     if again:
