@@ -25,7 +25,6 @@ from dqwalk_ros.errors import BagError
 from dqwalk_ros.report import bag
 from dqwalk_ros.report.bag import columns
 
-
 RECORDED = pathlib.Path(__file__).parent / "data" / "recorded"
 """Bags of an earlier version: a walk of 581 states and four phases, and one of the whole body."""
 
