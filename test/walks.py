@@ -45,7 +45,7 @@ def _paper_walk(first: str, flat: bool, cycles: int) -> Trace:
 class Stretch:
     """One phase of a walk: its states from the first to the one that ended it, and what there is to say of each.
 
-    `distances` has one array (ticks, k) for each constraint, less its bound, `holds` the same for what is held at
+    `distances` has one array (ticks, k) for each constraint, less its bound, `equalities` the same for what is held at
     zero; `rates` are the gains that are used.
     """
 
@@ -54,7 +54,7 @@ class Stretch:
     time: np.ndarray
     error: np.ndarray
     distances: dict[str, np.ndarray]
-    holds: dict[str, np.ndarray]
+    equalities: dict[str, np.ndarray]
     rates: dict[str, float]
     last: Kinematics
 
@@ -79,7 +79,7 @@ def stretches(trace: Trace) -> Iterator[Stretch]:
             time=trace.time[ticks.start : ticks.stop] - trace.time[ticks.start],
             error=np.array(error),
             distances={row.name: arrays[row.name] for row in phase.constraints},
-            holds={row.name: arrays[row.name] for row in phase.equalities},
+            equalities={row.name: arrays[row.name] for row in phase.equalities},
             rates={row.name: min(row.eta, 1.0 / config.dt) for row in (*phase.equalities, *phase.constraints)},
             last=kin,
         )
