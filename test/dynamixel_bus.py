@@ -226,6 +226,11 @@ class Terminal(threading.Thread):
         self.plug_in()
         self.start()
 
+    @property
+    def gone(self) -> bool:
+        """Whether it is unplugged."""
+        return self._near < 0
+
     def plug_in(self) -> None:
         """Make the port."""
         near, self._far = os.openpty()

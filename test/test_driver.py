@@ -1,16 +1,320 @@
-"""The Poppy driver over topics and by the clock, on emulated servos (`make driver` prints the figures)."""
+"""The Poppy driver over topics and by the clock: its servos answer over pseudo-terminals, and fail.
+
+`make driver` prints the figures of a walk on emulated servos.
+"""
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
 
+from dynamixel_bus import LOAD, MOTORS, TEMPERATURE, VOLTAGE, FaultyServos, Terminals
+from live import LATCHED, Live
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
+from std_srvs.srv import SetBool
+
+from dqwalk_ros.config import load
+from dqwalk_ros.plants.dynamixel import GOAL, TORQUE_ENABLE, TORQUE_LIMIT
+from dqwalk_ros.runner import private_domain
+
 ROOT = Path(__file__).resolve().parent.parent
+KNEE = "l_knee_y"
+
+
+class Robot(Live):
+    """The driver on its buses, and a controller that answers each state by turning the left knee to and fro.
+
+    Attributes
+    ----------
+    buses : Terminals
+    speed : float
+        Of the knee [rad/s].
+    """
+
+    def __init__(self, folder: Path, domain: int, **settings: object) -> None:
+        self.buses = Terminals(folder, l_knee_y=20.0)
+        config = load("paper").updated({"dt": 0.02, "monitor.rate": 20.0, **self.buses.settings, **settings})
+        super().__init__(folder, domain, config)
+        self.speed = 0.3
+        self.ready: list[bool] = []
+        self.node.create_subscription(Bool, "plant_ready", lambda msg: self.ready.append(msg.data), LATCHED)
+        self._commands = self.node.create_publisher(JointState, "joint_velocity_commands", QoSProfile(depth=1))
+        self._compliant = self.node.create_client(SetBool, "poppy_driver/compliant")
+        self.node.create_subscription(JointState, "joint_states", self._answer, QoSProfile(depth=1))
+
+    def _answer(self, msg: JointState) -> None:
+        names = [
+            name for name in msg.name if name.startswith(("l_hip", "l_knee", "l_ankle", "r_hip", "r_knee", "r_ankle"))
+        ]
+        knee = msg.position[msg.name.index(KNEE)]
+        self.speed = -abs(self.speed) if knee > 0.5 else abs(self.speed) if knee < 0.2 else self.speed
+        command = JointState(header=msg.header, name=names, velocity=[self.speed * (n == KNEE) for n in names])
+        self._commands.publish(command)
+
+    def goals(self) -> list[int]:
+        """Return the goals in the registers of all servos."""
+        return [self.buses.of(name).joint(name).word(GOAL) for name in MOTORS]
+
+    def torques(self) -> set[int]:
+        """Return what the torque registers of all servos hold."""
+        return {self.buses.of(name).joint(name).memory[TORQUE_ENABLE] for name in MOTORS}
+
+    def moves(self, timeout: float = 20.0) -> None:
+        """Wait until commands move the goal of the knee."""
+        before = self.buses.of(KNEE).joint(KNEE).word(GOAL)
+        self.until(lambda: abs(self.buses.of(KNEE).joint(KNEE).word(GOAL) - before) > 20, timeout, "a goal that moves")
+
+    def stands(self, seconds: float = 1.0) -> None:
+        """Check that no goal changes."""
+        before = self.goals()
+        self.spin(seconds)
+        assert self.goals() == before
+
+    def says(self, text: str, timeout: float = 10.0) -> None:
+        """Wait until both statuses of the driver are ERROR, and one says so."""
+        start = len(self.got["diagnostics"])
+
+        def found() -> bool:
+            new = [s for array in self.got["diagnostics"][start:] for s in array.status]
+            return any(text in s.message and s.level == b"\x02" for s in new)
+
+        self.until(found, timeout, f"an ERROR with {text!r}")
+
+    def activate(self) -> None:
+        """Wait for the first pose, and that commands count."""
+        answer = self.call("poppy_driver/activate")
+        assert answer.success, answer.message
+        self.until(lambda: self.ready and self.ready[-1], 30.0, "the first pose")
+        self.moves()
+
+    def set_compliant(self, on: bool) -> SetBool.Response:
+        self.until(self._compliant.service_is_ready, 20.0, "the service")
+        future = self._compliant.call_async(SetBool.Request(data=on))
+        self.until(future.done, 20.0, "an answer")
+        return future.result()
+
+    def heal(self) -> None:
+        """Take all faults away."""
+        for name, servos in self.buses.servos.items():
+            servos.heal()
+            for servo in servos.servos.values():
+                servo.error = 0
+                servo.memory[TEMPERATURE], servo.memory[VOLTAGE] = 38, 120
+            if self.buses.terminals[name].gone:
+                self.buses.terminals[name].plug_in()
+
+    def close(self) -> None:
+        super().close()
+        self.buses.close()
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
+    patch = pytest.MonkeyPatch()
+    patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with private_domain() as domain:
+        one = Robot(tmp_path_factory.mktemp("robot"), domain)
+        try:
+            one.start("poppy_driver")
+            yield one
+        finally:
+            one.close()
+            patch.undo()
+
+
+@pytest.fixture
+def walking(robot: Robot) -> Iterator[Robot]:
+    """The robot, moving; it is well again afterwards."""
+    robot.heal()
+    robot.until(lambda: robot.got["joint_states"], 30.0, "a state")
+    if not (robot.ready and robot.ready[-1]):
+        robot.until(lambda: robot.call("poppy_driver/activate").success, 10.0, "the torque")
+        robot.until(lambda: robot.ready[-1], 30.0, "the first pose")
+    robot.moves()
+    robot.got["joint_states"].clear()
+    yield robot
+    assert robot.processes.exit_code("poppy_driver") is None, robot.logs()
+
+
+def stamp(msg: JointState) -> float:
+    return msg.header.stamp.sec + 1e-9 * msg.header.stamp.nanosec
+
+
+def test_it_publishes_angles_and_moves_nothing_until_it_is_told_to(robot: Robot) -> None:
+    robot.until(lambda: len(robot.got["joint_states"]) > 50, 60.0, "states")
+    assert robot.torques() == {0}
+    robot.until(lambda: robot.ready, 5.0, "plant_ready")
+    assert robot.ready == [False]
+    robot.until(
+        lambda: any("the torque is off: call ~/activate" in s.message for s in robot.statuses("poppy_driver")),
+        5.0,
+        "a status that says how to begin",
+    )
+    state = robot.got["joint_states"][-1]
+    assert state.position[state.name.index(KNEE)] == pytest.approx(0.349, abs=0.002)
+    robot.stands(0.5)
+    robot.activate()
+    assert robot.torques() == {1}
+    assert robot.set_compliant(True).success
+    assert robot.torques() == {0}
+    robot.until(lambda: not robot.ready[-1], 5.0, "plant_ready: false")
+    robot.got["joint_states"].clear()
+    robot.until(lambda: len(robot.got["joint_states"]) > 10, 5.0, "states while the torque is off")
+
+
+def test_it_says_how_late_its_goals_are(walking: Robot) -> None:
+
+    def told() -> dict[str, str]:
+        values = {v.key: v.value for s in walking.statuses("poppy_driver")[-10:] for v in s.values}
+        return values if "latency" in values else {}
+
+    values = walking.until(told, 10.0, "a latency")
+    assert 0.0 < float(values["latency"]) < 0.1
+    assert float(values["longest latency"]) >= float(values["latency"])
+
+
+def fall_silent(robot: Robot, servos: FaultyServos) -> None:
+    servos.dead = True
+
+
+def one_motor(robot: Robot, servos: FaultyServos) -> None:
+    servos.silent = {MOTORS[KNEE].id}
+
+
+def unplug(robot: Robot, servos: FaultyServos) -> None:
+    robot.buses.terminals["lower"].unplug()
+
+
+def flip(robot: Robot, servos: FaultyServos) -> None:
+    servos.damaged = 1.0
+
+
+def babble(robot: Robot, servos: FaultyServos) -> None:
+    servos.garbage = 1.0
+
+
+def slip(robot: Robot, servos: FaultyServos) -> None:
+    servos.slip = {MOTORS[KNEE].id: 60.0}
+
+
+SILENCES = {
+    "the bus is silent": (fall_silent, "lower bus: every motor does not answer"),
+    "one motor is silent": (one_motor, "l_knee_y (motor 14, lower bus) does not answer"),
+    "the port is unplugged": (unplug, "lower bus: the port is gone"),
+    "each reply is damaged": (flip, "lower bus: "),
+    "garbage": (babble, "lower bus: "),
+    "an encoder slips": (slip, "l_knee_y has jumped to another angle"),
+}
+
+
+@pytest.mark.parametrize("fault", SILENCES)
+def test_no_old_angle_is_published_as_new(walking: Robot, fault: str) -> None:
+    begin, text = SILENCES[fault]
+    begin(walking, walking.buses.servos["lower"])
+    began = time.time()
+    walking.says(text)
+    walking.stands(1.5)
+    assert max(map(stamp, walking.got["joint_states"]), default=0.0) <= began + 0.02
+    walking.until(lambda: not walking.ready[-1], 5.0, "plant_ready: false")
+    walking.heal()
+    walking.until(lambda: walking.call("poppy_driver/activate").success, 10.0, "the torque")
+    walking.until(lambda: walking.ready[-1], 30.0, "the first pose")
+    walking.moves()
+
+
+def heat(servos: FaultyServos) -> None:
+    servos.joint(KNEE).memory[TEMPERATURE] = 70
+
+
+def drain(servos: FaultyServos) -> None:
+    for servo in servos.servos.values():
+        servo.memory[VOLTAGE] = 60
+
+
+def overload(servos: FaultyServos) -> None:
+    servos.joint(KNEE).error = 36
+    servos.joint(KNEE).write(TORQUE_LIMIT, bytes(2))
+
+
+def block(servos: FaultyServos) -> None:
+    servos.joint(KNEE).blocked = True
+
+
+def strain(servos: FaultyServos) -> None:
+    servos.joint(KNEE).write(LOAD, (1023).to_bytes(2, "little"))
+
+
+def cut(servos: FaultyServos) -> None:
+    servos.cut_power()
+
+
+TROUBLES: dict[str, tuple[Callable[[FaultyServos], None], str]] = {
+    "a motor is hot": (heat, "l_knee_y is at 70 degC, too hot"),
+    "the battery is empty": (drain, "has 6.0 V, too little"),
+    "a motor switched itself off": (overload, "l_knee_y reports overheating and overload"),
+    "a joint is blocked": (block, "l_knee_y cannot follow"),
+    "a motor is at full load": (strain, "l_knee_y cannot follow"),
+    "the power was cut": (cut, "has lost its torque or its gain"),
+}
+
+
+@pytest.mark.parametrize("trouble", TROUBLES)
+def test_a_motor_in_trouble_holds_the_robot(walking: Robot, trouble: str) -> None:
+    begin, text = TROUBLES[trouble]
+    begin(walking.buses.servos["lower"])
+    walking.says(text)
+    walking.spin(0.2)
+    walking.stands()
+    walking.until(lambda: not walking.ready[-1], 5.0, "plant_ready: false")
+    walking.buses.servos["lower"].joint(KNEE).write(LOAD, bytes(2))
+
+
+def test_a_hot_motor_is_not_walked_on_after_the_torque_was_off(walking: Robot) -> None:
+    heat(walking.buses.servos["lower"])
+    walking.says("too hot")
+    assert walking.set_compliant(True).success
+    answer = walking.set_compliant(False)
+    assert not answer.success
+    assert "l_knee_y is at 70 degC, too hot" in answer.message
+    walking.stands()
+    assert walking.torques() == {0}
+
+
+def test_two_drivers_do_not_share_a_port(walking: Robot, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "dqwalk_ros.nodes", "poppy_driver", "--ros-args", "--params-file"]
+    second = subprocess.run([*command, str(walking.params)], capture_output=True, text=True, check=False, timeout=60.0)
+    assert second.returncode == 2
+    assert "the lower bus cannot be opened" in second.stderr
+    walking.moves()
+
+
+@pytest.mark.parametrize("goes_off", [False, True])
+def test_leaving_leaves_the_torque_as_configured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, goes_off: bool
+) -> None:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with private_domain() as domain:
+        robot = Robot(tmp_path, domain, **{"poppy.torque_off_at_end": goes_off, "poppy.activate": True})
+        try:
+            robot.start("poppy_driver")
+            robot.until(lambda: robot.ready and robot.ready[-1], 60.0, "the first pose")
+            for servos in robot.buses.servos.values():
+                servos.damaged = 0.3  # which makes no difference
+            robot.processes.signal("poppy_driver", signal.SIGINT)
+            assert robot.processes.wait("poppy_driver", 15.0) == 0
+            assert robot.torques() == {0 if goes_off else 1}
+        finally:
+            robot.close()
 
 
 @pytest.mark.long

@@ -42,6 +42,7 @@ class EmulatedServo:
     def power_on(self) -> None:
         """Set the registers to those after the power comes on: the torque is off."""
         self.write(0, self.kind.model.to_bytes(2, "little") + bytes([30, self.number, 1]))
+        self.write(6, bytes(2) + (self.kind.positions - 1).to_bytes(2, "little"))  # limits of its angle
         self.write(TORQUE_ENABLE, bytes([0]))
         self.write(26, bytes([0, 0, 32, 32]))  # D, I, P of an MX; margin and slope of an AX
         self.write(GOAL, round(self.moved).to_bytes(2, "little") + bytes(2) + (1023).to_bytes(2, "little"))
