@@ -32,6 +32,7 @@ from dqwalk_ros.errors import ConfigError
 __all__ = [
     "Config",
     "DspConfig",
+    "EstimationConfig",
     "GaitConfig",
     "JointsConfig",
     "MonitorConfig",
@@ -227,7 +228,7 @@ class ServoConfig:
         60.0, "stiffness by which torques are fed forward; 0: not at all; a type has its own", "N m/rad", 0.0, 1e4
     )
     assumed_damping: float = _par(
-        0.02, "damping that is fed forward; more than the servos truly have falls; a type has its own", "s", 0.0, 0.2
+        0.0, "damping that is fed forward; more than the servos truly have falls; a type has its own", "s", 0.0, 0.2
     )
     assumed_latency: float = _par(0.0, "delay from a measurement to the effect of its answer", "s", 0.0, 0.25)
     assumed_rate: float = _par(0.0, "positions are written this often; 0: every period", "Hz", 0.0, 1e4)
@@ -277,6 +278,21 @@ class PlantConfig:
     lockstep: bool = _par(False, "each state waits for its command: exact, and as fast as the machine")
     imu: bool = _par(False, "each state comes with a message on imu; the controller waits for both")
     command_timeout: float = _par(0.1, "without a new command for this long the plant holds", "s", 0.0, 10.0)
+
+
+@dataclass(frozen=True)
+class EstimationConfig:
+    """How sure the estimate of the base takes its sources to be; standard deviations."""
+
+    gyro_noise: float = _par(0.002, "noise density of the gyroscope", "rad/s/sqrt(Hz)", 1e-6, 1.0)
+    accelerometer_noise: float = _par(0.05, "noise density of the accelerometer", "m/s^2/sqrt(Hz)", 1e-5, 100.0)
+    gyro_bias: float = _par(0.01, "bias of the gyroscope at the start", "rad/s", 0.0, 1.0)
+    accelerometer_bias: float = _par(0.12, "bias of the accelerometer at the start", "m/s^2", 0.0, 10.0)
+    gyro_drift: float = _par(1e-5, "random walk of the gyroscope's bias", "rad/s/sqrt(s)", 0.0, 1.0)
+    accelerometer_drift: float = _par(1e-4, "random walk of the accelerometer's bias", "m/s^2/sqrt(s)", 0.0, 10.0)
+    kinematics: float = _par(0.002, "place of a sole's heel or toe by the joint angles", "m", 1e-5, 0.1)
+    slip: float = _par(0.001, "random walk of a sole that stands", "m/sqrt(s)", 1e-6, 0.1)
+    floor: float = _par(0.003, "height of the floor from footfall to footfall", "m", 1e-5, 1.0)
 
 
 @dataclass(frozen=True)
@@ -403,6 +419,7 @@ class Config:
     physics: PhysicsConfig = PhysicsConfig()
     sensors: SensorsConfig = SensorsConfig()
     plant: PlantConfig = PlantConfig()
+    estimation: EstimationConfig = EstimationConfig()
     monitor: MonitorConfig = MonitorConfig()
     safety: SafetyConfig = SafetyConfig()
     poppy: PoppyConfig = PoppyConfig()

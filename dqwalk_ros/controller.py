@@ -15,9 +15,11 @@ from dqwalk_ros.assembly import Evaluation
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ConfigError, PhaseError, QPError, StateError
+from dqwalk_ros.estimation.delay import CommandHistory
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.qp import Problem, Solution, explained, lead_back, make_solver
 from dqwalk_ros.robot import RobotModel
+from dqwalk_ros.servos import Drive
 from dqwalk_ros.state import Command, State
 from dqwalk_ros.walk import Phase, Walk
 
@@ -50,6 +52,9 @@ class Tick:
 class VelocityController:
     """Walks `model` through the phases of a walk.
 
+    What it measures is late, and so is what it commands; it is told how late, and how the servos answer
+    (`servos.Drive`).
+
     Parameters
     ----------
     config : Config
@@ -80,6 +85,7 @@ class VelocityController:
         self._limit = np.minimum(model.velocity_max, config.joints.velocity or np.inf)
         self._solver = make_solver(config.qp.solver)
         self._make_walk, self._shape = walk, (model.n,)
+        self._drive = Drive.of(config, model)
         self.reset()
 
     def reset(self) -> None:
@@ -94,6 +100,7 @@ class VelocityController:
         self._phase: Phase | None = None
         self._kin: Kinematics | None = None
         self._answered = math.inf
+        self._sent = CommandHistory(self._drive.delay, self.model.n)
         self._x_odom_base = DQ(1.0)
 
     @property
@@ -169,10 +176,21 @@ class VelocityController:
         self._kin, self.error = kin, now.error
         if self.finished:
             return Command(state.time, np.zeros(self.model.n))
+        if self._drive.delay > 0.0:  # the answer is to the state in which it has its effect
+            q, elapsed = state.q + self._sent.pending(state.time), kin.elapsed + self._drive.delay
+            now = self.phase.evaluate(Kinematics(self.model, q, kin.base, kin.up, elapsed))
         self.problem = now.problem(dt, self._limit)  # (U6)
         self.solution = self._solve(self.problem)
-        effort = self.walk.effort(self.phase, kin, state) if state.up is not None else None
-        return Command(state.time, np.minimum(np.maximum(self.solution.u, -self._limit), self._limit), effort)
+        u = np.minimum(np.maximum(self.solution.u, -self._limit), self._limit)
+        self._sent.add(state.time, u, dt)
+        return Command(state.time, u, self._effort(kin, state, u))
+
+    def _effort(self, kin: Kinematics, state: State, u: Array) -> Array | None:
+        """Return the torques fed forward, those that damp the joints as the servos themselves do among them."""
+        if state.up is None:
+            return None
+        effort = self.walk.effort(self.phase, kin.later(self._drive.delay), state)
+        return effort if state.dq is None else effort - self._drive.damping * (state.dq - u)
 
     def _check(self, state: State) -> None:
         names = zip(self.model.joint_names, state.q, strict=True)
@@ -216,6 +234,7 @@ class VelocityController:
     def _resume(self, state: State, held: float) -> None:
         """Go on after states without an answer, when the plant has moved on for its timeout and then `held` [s]."""
         phase = self.phase
+        self._sent = CommandHistory(self._drive.delay, self.model.n)
         if self.walk.restarts(phase):
             self._begin(self.walk.phase(phase.kind, phase.support, state.q, phase.swing_target), state.time)
         else:

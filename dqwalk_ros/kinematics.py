@@ -40,6 +40,7 @@ __all__ = [
     "Rotation",
     "SupportTree",
     "compose",
+    "direction",
     "support_tree",
 ]
 
@@ -149,7 +150,7 @@ def _point(x, offset):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _direction(x, v):  # type: ignore[no-untyped-def]
+def direction(x, v):  # type: ignore[no-untyped-def]
     """Return the direction (3,) that is `v` in the frame `x` (8,)."""
     out = np.empty(3)
     _rotate(x, v, out)
@@ -359,6 +360,12 @@ class Kinematics:
         kin.up = np.asarray(up, dtype=np.float64)
         return kin
 
+    def later(self, dt: float) -> Kinematics:
+        """Return the same snapshot with paths `dt` [s] further on."""
+        kin = copy.copy(self)
+        kin.elapsed = self.elapsed + dt
+        return kin
+
     @property
     def com_on_ground(self) -> Array:
         """Where the vertical through the CoM meets the plane of the base sole, shape (2,) [m]."""
@@ -396,7 +403,7 @@ class Kinematics:
 
     def direction(self, frame: str, v: Array) -> Array:
         """Direction `v` (3,) of a frame in the world, shape (3,)."""
-        d: Array = _direction(self.pose(frame), v)
+        d: Array = direction(self.pose(frame), v)
         return d
 
     def pose_jacobian(self, frame: str) -> Array:
@@ -460,7 +467,7 @@ class Direction(Feature):
     def placed(self, tree: SupportTree) -> tuple[int, Array]:
         """Return body and direction."""
         body, pose = tree.frames[self.frame]
-        return body, _direction(pose, self.v)
+        return body, direction(pose, self.v)
 
 
 @dataclass(frozen=True)

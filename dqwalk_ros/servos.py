@@ -139,17 +139,15 @@ class Drive:
     stiffness : ndarray, shape (n,)
         By which torques are fed forward as angles [N m/rad]; 0: not at all.
     damping : ndarray, shape (n,)
-        Torque per speed, as a part of the stiffness [s].
-    latency : float
-        From a measurement to the effect of its answer, beside the holding of goals [s].
-    hold : float
-        A goal is held for this long [s].
+        Torque per speed [N m s/rad].
+    delay : float
+        From a measurement to the effect of its answer [s]: latency, half of the time for which a goal is held, and the
+        lag of a servo that is damped against the world.
     """
 
     stiffness: Array
     damping: Array
-    latency: float
-    hold: float
+    delay: float
 
     @classmethod
     def of(cls, config: Config, model: RobotModel) -> Drive:
@@ -161,21 +159,17 @@ class Drive:
             As `Servos.of`, or if an entry of ``servo.assumed`` cannot be read.
         """
         c = config.servo
-        stiffness, damping = np.full(model.n, c.assumed_stiffness), np.full(model.n, c.assumed_damping)
+        stiffness, lag = np.full(model.n, c.assumed_stiffness), np.full(model.n, c.assumed_damping)
         if c.types:
             servos = Servos.of(config, model)
             typed = servos.back_emf > 0.0
-            stiffness[typed], damping[typed] = servos.stiffness[typed], (servos.back_emf / servos.stiffness)[typed]
+            stiffness[typed], lag[typed] = servos.stiffness[typed], (servos.back_emf / servos.stiffness)[typed]
         for joints, text in _entries("servo.assumed", c.assumed, model):
             told = _numbers(text)
             stiffness[joints] = told.get("stiffness", stiffness[joints])
-            damping[joints] = told.get("damping", damping[joints])
-        return cls(stiffness, damping, c.assumed_latency, 1.0 / c.assumed_rate if c.assumed_rate > 0.0 else config.dt)
-
-    @property
-    def horizon(self) -> float:
-        """When a command has its effect, on average [s]: latency, half a hold, and the lag of a damped servo."""
-        return self.latency + 0.5 * self.hold + float(self.damping.mean())
+            lag[joints] = told.get("damping", lag[joints])
+        hold = 1.0 / c.assumed_rate if c.assumed_rate > 0.0 else 0.0
+        return cls(stiffness, lag * stiffness, c.assumed_latency + 0.5 * hold + float(lag.mean()))
 
     def angles(self, effort: Array) -> Array:
         """Return the change of the goals (n,) [rad] that gives the torques `effort` (n,) [N m]."""

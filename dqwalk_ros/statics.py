@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.compiled import jit
+from dqwalk_ros.kinematics import Kinematics, direction
 
-__all__ = ["GRAVITY", "gravity_torques"]
+__all__ = ["GRAVITY", "gravity_torques", "ground_torques"]
 
 Array = NDArray[np.float64]
 
@@ -16,28 +17,55 @@ GRAVITY = 9.80665
 
 
 def gravity_torques(kin: Kinematics, *, both: bool) -> Array:
-    """Return the joint torques of statics, shape (n,) [N m].
+    """Return the joint torques (n,) [N m] that hold the robot against gravity; see `ground_torques`."""
+    return ground_torques(kin, kin.model.mass * GRAVITY * kin.up, kin.com_on_ground, both=both)
 
-    Seen from the base sole the ground pushes the other sole with a part w of the weight, so that virtual work gives
-    tau = M g up.(J_CoM - w J_p). With both feet on the ground w is where the CoM is on the way from sole to sole, and p
-    lies as far from the other sole's centre as the CoM from the line between both.
+
+def ground_torques(kin: Kinematics, force: Array, pressure: Array, *, both: bool) -> Array:
+    """Return the joint torques by which the ground bears a force at the CoM, shape (n,) [N m].
+
+    With both feet on the ground the other sole bears the part w of the force F at a point p_o, the base sole the rest at
+    p_b, and each its part of the moment m that is left; w is where the pressure is on the way from sole to sole, and
+    both points are as far ahead of the soles' centres as the pressure is. By virtual work, with the base sole at rest,
+
+        tau = F.J_CoM - w (F.J_po + m.J_omega),    m = (c - (1 - w) p_b - w p_o) x F
 
     Parameters
     ----------
     kin : Kinematics
+    force : ndarray, shape (3,)
+        What the ground pushes with, weight included [N].
+    pressure : ndarray, shape (2,)
+        Centre of pressure on the ground [m].
     both : bool
         Whether both feet are on the ground.
     """
-    model, up = kin.model, kin.up
-    tau: Array = up @ kin.com_jacobian
+    tau: Array = force @ kin.com_jacobian
     if both:
-        sole = model.soles[kin.base.other]
-        a, b = model.soles[kin.base].center[:2], kin.point(sole.frame, sole.center)[:2]
-        way, com = b - a, kin.com_on_ground
-        share = float(np.clip((com - a) @ way / (way @ way), 0.0, 1.0))
-        aside = com - (a + share * way)
-        ahead = kin.direction(sole.frame, np.array([1.0, 0.0, 0.0]))[:2]
-        half = 0.5 * sole.length
-        point = sole.center + np.array([np.clip(aside @ ahead, -half, half), 0.0, 0.0])
-        tau = tau - share * (up @ kin.point_jacobian(sole.frame, point))
-    return model.mass * GRAVITY * tau
+        base, other = (kin.model.soles[foot] for foot in (kin.base, kin.base.other))
+        a, b = base.center, kin.point(other.frame, other.center)
+        moves, x_other = kin.tree.moves[kin.tree.frames[other.frame][0]], kin.pose(other.frame)
+        half = 0.5 * min(base.length, other.length)
+        tau -= _borne_by_other(force, pressure, kin.com, a, b, half, x_other, kin.lines, moves)
+    return tau
+
+
+@jit
+def _borne_by_other(force, pressure, com, a, b, half, x_other, lines, moves):  # type: ignore[no-untyped-def]
+    """Return w (F.J_po + m.J_omega) (n,); `a` and `b` are the soles' centres, `half` is half of their length."""
+    x, y = b[0] - a[0], b[1] - a[1]
+    w = ((pressure[0] - a[0]) * x + (pressure[1] - a[1]) * y) / (x * x + y * y)
+    w = min(max(w, 0.0), 1.0)
+    aside = pressure - a[:2] - w * (b - a)[:2]
+    ahead_a, ahead_b = np.array([1.0, 0.0, 0.0]), direction(x_other, np.array([1.0, 0.0, 0.0]))
+    p_a = a + min(max(aside[0], -half), half) * ahead_a
+    p_b = b + min(max(aside[0] * ahead_b[0] + aside[1] * ahead_b[1], -half), half) * ahead_b
+    m = np.cross(com - (1.0 - w) * p_a - w * p_b, force)
+    tau = np.zeros(lines.shape[0])
+    for i in range(lines.shape[0]):
+        if moves[i]:
+            line = lines[i]
+            for k in range(3):
+                j, l = (k + 1) % 3, (k + 2) % 3
+                tau[i] += force[k] * (line[j] * p_b[l] - line[l] * p_b[j] + line[3 + k]) + m[k] * line[k]
+    return w * tau

@@ -30,6 +30,7 @@ LAYERS = (
     "qp",
     "assembly",
     "statics",
+    "estimation",
     "walk",
     "controller",
     "plants",

@@ -95,18 +95,18 @@ def test_the_controller_is_told_the_type_unless_it_is_told_otherwise() -> None:
     plain, typed = Drive.of(CONFIG, MODEL), Drive.of(TYPED, MODEL)
     assert (plain.stiffness == CONFIG.servo.assumed_stiffness).all()
     assert typed.stiffness[KNEE] == pytest.approx(50.6, rel=0.01)
-    assert typed.damping[KNEE] == pytest.approx(2.5 / 5.76 / 50.6, rel=0.01)
+    assert typed.damping[KNEE] == pytest.approx(2.5 / 5.76)
     told = Drive.of(TYPED.updated({"servo.assumed": ["l_knee_y=stiffness 40, damping 0.01"]}), MODEL)
     assert told.stiffness[KNEE] == 40.0
-    assert told.damping[KNEE] == 0.01
+    assert told.damping[KNEE] == pytest.approx(0.4)
     assert told.stiffness[HIP] == typed.stiffness[HIP]
     effort = np.ones(MODEL.n)
     np.testing.assert_allclose(told.angles(effort) * told.stiffness, effort)
 
 
-def test_the_horizon_is_latency_half_a_hold_and_the_lag_of_damping() -> None:
+def test_the_delay_is_latency_half_a_hold_and_the_lag_of_damping() -> None:
     told = {"servo.assumed_latency": 0.04, "servo.assumed_rate": 50.0, "servo.assumed_damping": 0.02}
-    assert Drive.of(CONFIG.updated(told), MODEL).horizon == pytest.approx(0.07)
+    assert Drive.of(CONFIG.updated(told), MODEL).delay == pytest.approx(0.07)
 
 
 # ---------------------------------------------------------------------- in the engine

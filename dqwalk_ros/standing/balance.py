@@ -17,7 +17,7 @@ from dqwalk_ros.constraints import ComInsideEdges
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.standing.paths import ComPath
 from dqwalk_ros.state import State
-from dqwalk_ros.statics import GRAVITY, gravity_torques
+from dqwalk_ros.statics import GRAVITY, gravity_torques, ground_torques
 from dqwalk_ros.walk import Phase, PhaseKind
 
 __all__ = ["balance_torques", "com_velocity"]
@@ -45,26 +45,25 @@ def balance_torques(phase: Phase, kin: Kinematics, state: State, config: Config)
     a = a_d - w^2 k (c - c_d) - w (1 + k) (v - v_d); the centre of pressure it needs, c - a/w^2, is moved into the
     support polygon first.
     """
-    standing = config.standing
-    tau = gravity_torques(kin, both=phase.kind is not PhaseKind.SINGLE_SUPPORT)
+    standing, both = config.standing, phase.kind is not PhaseKind.SINGLE_SUPPORT
     path = next((task for task in phase.tasks if isinstance(task, ComPath)), None)
     if path is None or standing.balance <= 0.0:
-        return tau
+        return gravity_torques(kin, both=both)
     edges = next((row for row in phase.inequalities if isinstance(row, ComInsideEdges)), None)
     n, d = edges.polygon.edges() if edges is not None else _NO_EDGES
     v = com_velocity(kin, state, kin.model.imu)
-    drawn: Array = _drawn(
-        kin.com, kin.com_jacobian, kin.up, v, *path.reference(kin), n, d, standing.balance, standing.pressure_margin
+    a, pressure = _drawn(
+        kin.com, kin.up, v, *path.reference(kin), n, d, standing.balance, standing.pressure_margin
     )
-    return tau + kin.model.mass * drawn
+    return ground_torques(kin, kin.model.mass * (GRAVITY * kin.up + a), pressure, both=both)
 
 
 _NO_EDGES = np.empty((0, 2)), np.empty(0)
 
 
 @jit
-def _drawn(com, J, up, v, c_d, v_d, a_d, n, d, k, margin):  # type: ignore[no-untyped-def]
-    """Return a' J of the CoM on the ground, the torques (n,) per mass of the acceleration `a` that draws it back."""
+def _drawn(com, up, v, c_d, v_d, a_d, n, d, k, margin):  # type: ignore[no-untyped-def]
+    """Return the acceleration (3,) that draws the CoM back along the ground, and its centre of pressure (2,)."""
     w2 = GRAVITY / max(up[0] * com[0] + up[1] * com[1] + up[2] * com[2], 0.05)
     w = math.sqrt(w2)
     c, pressure = np.empty(2), np.empty(2)
@@ -78,9 +77,5 @@ def _drawn(com, J, up, v, c_d, v_d, a_d, n, d, k, margin):  # type: ignore[no-un
             short = max(d[j] + margin - (n[j, 0] * x + n[j, 1] * y), 0.0)
             pressure[0] += short * n[j, 0]
             pressure[1] += short * n[j, 1]
-    out = np.empty(J.shape[1])
     a0, a1 = w2 * (c[0] - pressure[0]), w2 * (c[1] - pressure[1])
-    lean = (a0 * up[0] + a1 * up[1]) / up[2]
-    for i in range(J.shape[1]):
-        out[i] = a0 * J[0, i] + a1 * J[1, i] - lean * J[2, i]
-    return out
+    return np.array([a0, a1, -(a0 * up[0] + a1 * up[1]) / up[2]]), pressure

@@ -20,7 +20,7 @@ from dqwalk_ros.robot import load_model
 from dqwalk_ros.simulation import make_controller, make_plant
 from dqwalk_ros.walk import PhaseKind
 
-__all__ = ["AXES", "Cell", "Kept", "cells", "run", "walk"]
+__all__ = ["AXES", "Cell", "Kept", "cells", "run", "told", "walk"]
 
 AXES: dict[str, tuple[float, ...]] = {
     "physics.friction": (0.4, 0.8, 1.2),
@@ -30,7 +30,7 @@ AXES: dict[str, tuple[float, ...]] = {
     "servo.rate": (200.0, 50.0),
     "servo.latency": (0.0, 0.02, 0.04),
 }
-"""What is varied; the stiffness is a setting, so the controller knows it, the rest it does not know."""
+"""What is varied; the controller is told stiffness, damping, rate and latency of the servos, and nothing of the rest."""
 
 
 @dataclass(frozen=True)
@@ -64,12 +64,21 @@ def cells(axes: Mapping[str, Sequence[float]], sample: int = 0, seed: int = 0) -
     return random.Random(seed).sample(every, sample) if 0 < sample < len(every) else every
 
 
+def told(config: Config) -> dict[str, float]:
+    """Return what the controller is told of its servos where it is told what is so."""
+    s = config.servo
+    return {
+        "servo.assumed_stiffness": s.stiffness,
+        "servo.assumed_damping": s.damping,
+        "servo.assumed_latency": s.latency + config.sensors.age,
+        "servo.assumed_rate": s.rate or 1.0 / config.dt,
+    }
+
+
 def walk(config: Config, values: Mapping[str, float]) -> Cell:
     """Walk one combination in physics, to the end or to the fall."""
-    changed = dict(values)
-    if "servo.stiffness" in changed and config.servo.assumed_stiffness > 0.0:
-        changed.setdefault("servo.assumed_stiffness", changed["servo.stiffness"])
-    varied = config.updated(changed)
+    varied = config.updated(values)
+    varied = varied.updated({**told(varied), **values})
     model = load_model(varied.robot)
     controller, time, steps, phase = make_controller(varied, model), 0.0, 0, None
     try:

@@ -1,0 +1,253 @@
+"""The base of a walking robot from joints, inertial sensor and contacts: pose, velocity, and how sure they are.
+
+A contact-aided invariant extended Kalman filter [Hartley2020]: the state X in SE_N(3) is the orientation R, velocity v and
+position p of the inertial sensor in the world, and the positions d of heel and toe of each sole; beside it are the
+biases of gyroscope and accelerometer. The error is right-invariant, X_estimated = exp(xi) X, so that what a sole at rest
+says, R h(q) + p - d = 0, is linear in it with constant coefficients, wherever the robot is.
+
+A floor is taken for level up to a few millimetres from footfall to footfall: the height of a sole that is put down is the
+only reference that tells a tilt of the sensor from the bias of its accelerometer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros.config import Config
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.compiled import jit
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.robot import Foot, RobotModel
+
+__all__ = ["BaseEstimate", "BaseEstimator"]
+
+Array = NDArray[np.float64]
+
+_GRAVITY = np.array([0.0, 0.0, -9.80665])
+_POINTS = tuple((foot, side) for foot in Foot for side in (-0.5, 0.5))
+"""Heel and toe of either sole."""
+_R, _V, _P, _GYRO, _ACCELEROMETER = slice(0, 3), slice(3, 6), slice(6, 9), slice(21, 24), slice(24, 27)
+"""Where the errors are in xi; from 9 to 20 those of the points."""
+_SIZE = 27
+_GATE = 25.0
+"""A sole whose point is further from where it stood than this many variances has slipped or lifted."""
+
+
+@dataclass(frozen=True)
+class BaseEstimate:
+    """Where the pelvis is and how it moves.
+
+    Attributes
+    ----------
+    pose : ndarray, shape (8,)
+        Of the pelvis in the world, which is the first base sole, level.
+    velocity, angular_velocity : ndarray, shape (3,)
+        Of the pelvis in the axes of the world [m/s, rad/s].
+    covariance : ndarray, shape (9, 9)
+        Of the errors of orientation (a rotation vector in the axes of the world), velocity and position
+        [rad, m/s, m].
+    contacts : frozenset of Foot
+        Soles that stand and do not slip.
+    """
+
+    pose: Array
+    velocity: Array
+    angular_velocity: Array
+    covariance: Array
+    contacts: frozenset[Foot]
+
+
+class BaseEstimator:
+    """Follows the base from state to state.
+
+    Parameters
+    ----------
+    config : Config
+    model : RobotModel
+    """
+
+    def __init__(self, config: Config, model: RobotModel) -> None:
+        self._config, self._model = config.estimation, model
+        self._imu = model.imu
+        self._points = [
+            (sole.frame, sole.center + np.array([side * sole.length, 0.0, 0.0]))
+            for sole, side in ((model.soles[foot], side) for foot, side in _POINTS)
+        ]
+        c = config.estimation
+        deviations = [c.gyro_noise] * 3 + [c.accelerometer_noise] * 3 + [c.slip]
+        deviations += [c.gyro_drift] * 3 + [c.accelerometer_drift] * 3
+        self._noise = np.array(deviations) ** 2
+        self._time = math.nan
+
+    def update(
+        self, time: float, kin: Kinematics, gyro: Array, acceleration: Array, standing: Collection[Foot]
+    ) -> BaseEstimate:
+        """Return the base at `time` [s].
+
+        Parameters
+        ----------
+        time : float
+        kin : Kinematics
+            Of the measured joints, seen from either sole.
+        gyro, acceleration : ndarray, shape (3,)
+            As the inertial sensor has them [rad/s, m/s^2].
+        standing : collection of Foot
+            Soles that should be on the ground.
+        """
+        c, foot_of = self._config, [foot for foot, _ in _POINTS]
+        x_imu = DQ(kin.pose(self._imu))
+        R_imu, p_imu = x_imu.rotation_matrix(), x_imu.translation()
+        points = [kin.point(frame, offset) for frame, offset in self._points]
+        h = (np.array(points) - p_imu) @ R_imu  # (4, 3), from the sensor in its frame
+        stands = np.array([foot in standing for foot in foot_of])
+        if math.isnan(self._time):
+            self._begin(R_imu, p_imu, h)
+            self._stood = np.zeros(4, dtype=bool)
+        else:
+            felt = 0.5 * (gyro + self._gyro), 0.5 * (acceleration + self._acceleration)
+            _predict(
+                time - self._time, *felt, self._R, self._v, self._p, self._d, self._bias, self._P, self._noise
+            )
+        lost = _contact(
+            h, stands, self._stood, self._R, self._v, self._p, self._d, self._bias, self._P, c.kinematics**2, c.floor**2
+        )
+        self._time, self._gyro, self._acceleration, self._stood = time, gyro, acceleration, stands
+        pelvis = DQ.from_pose(self._p, _quaternion(self._R)) * x_imu.conj() * DQ(kin.pose(self._model.pelvis))
+        p = pelvis.translation()
+        turning = self._R @ (gyro - self._bias[:3])
+        held = frozenset(foot for foot, s, slipped in zip(foot_of, stands, lost, strict=True) if s and not slipped)
+        velocity = self._v + _cross(turning) @ (p - self._p)
+        return BaseEstimate(pelvis.vec8(), velocity, turning, self._covariance(p), held)
+
+    # ------------------------------------------------------------------ inside
+
+    def _begin(self, R: Array, p: Array, h: Array) -> None:
+        c = self._config
+        self._R, self._v, self._p, self._bias = R, np.zeros(3), p, np.zeros(6)
+        self._d = p + h @ R.T
+        tilt = c.floor / 0.07  # two points of a sole that lie on an uneven floor
+        first = np.array([tilt, tilt, 1e-4, *[0.01] * 3, *[c.kinematics] * 3])
+        P = np.zeros((_SIZE, _SIZE))
+        P[:9, :9] = np.diag(first**2)
+        P[_GYRO, _GYRO] = np.eye(3) * c.gyro_bias**2
+        P[_ACCELEROMETER, _ACCELEROMETER] = np.eye(3) * c.accelerometer_bias**2
+        self._P = P
+        for k in range(len(_POINTS)):
+            _put_down(k, h[k], R, p, self._d, P, c.kinematics**2)
+
+    def _covariance(self, p: Array) -> Array:
+        """Return the covariance (9, 9) of plain errors of orientation, velocity and the position `p`."""
+        T = np.eye(9)
+        T[_V, _R], T[_P, _R] = -_cross(self._v), -_cross(p)
+        out: Array = T @ self._P[:9, :9] @ T.T
+        return out
+
+
+# ---------------------------------------------------------------------- compiled, as it is read
+
+
+@jit
+def _cross(a):  # type: ignore[no-untyped-def]
+    """Return the matrix (3, 3) of a x."""
+    return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
+
+
+@jit
+def _exp(a):  # type: ignore[no-untyped-def]
+    """Return the rotation matrix (3, 3) by |a| about a (Rodrigues)."""
+    angle = math.sqrt(a[0] ** 2 + a[1] ** 2 + a[2] ** 2)
+    K = _cross(a)
+    if angle < 1e-8:
+        return np.eye(3) + K
+    return np.eye(3) + math.sin(angle) / angle * K + (1.0 - math.cos(angle)) / angle**2 * (K @ K)
+
+
+@jit
+def _predict(dt, gyro, acceleration, R, v, p, d, bias, P, noise):  # type: ignore[no-untyped-def]
+    """Move on by what the inertial sensor felt over `dt` [s]; `noise` are variances per second."""
+    turning = gyro - bias[:3]
+    pull = R @ (acceleration - bias[3:]) + _GRAVITY
+    A = np.zeros((_SIZE, _SIZE))  # xi' = A xi + noise
+    A[_V, _R], A[_P, _V] = _cross(_GRAVITY), np.eye(3)
+    A[_R, _GYRO], A[_V, _ACCELEROMETER] = -R, -R
+    A[_V, _GYRO], A[_P, _GYRO] = -_cross(v) @ R, -_cross(p) @ R
+    for k in range(4):
+        A[9 + 3 * k : 12 + 3 * k, _GYRO] = -_cross(d[k]) @ R
+    F = np.eye(_SIZE) + dt * A + 0.5 * dt**2 * (A @ A)
+    G = np.ascontiguousarray(A[:, 21:])  # the sensors' noise comes in where their biases do
+    Q = (G * noise[:6]) @ G.T
+    for i in range(12):
+        Q[9 + i, 9 + i] += noise[6]
+    for i in range(6):
+        Q[21 + i, 21 + i] += noise[7 + i]
+    P[:] = F @ P @ F.T + dt * Q
+    p += dt * v + 0.5 * dt**2 * pull
+    v += dt * pull
+    R[:] = R @ _exp(dt * turning)
+
+
+@jit
+def _put_down(k, h, R, p, d, P, variance):  # type: ignore[no-untyped-def]
+    """Take the point k, at `h` (3,) from the sensor, for where it is now: its error is that of the base."""
+    i = 9 + 3 * k
+    d[k] = p + R @ h
+    P[i : i + 3, :] = P[_P, :]
+    P[:, i : i + 3] = P[:, _P]
+    for j in range(3):
+        P[i + j, i + j] += variance
+
+
+@jit
+def _contact(h, standing, stood, R, v, p, d, bias, P, kinematics, floor):  # type: ignore[no-untyped-def]
+    """Correct by the points that stand; return which of these are not where they stood, all (4,)."""
+    H, z, noise = np.zeros((12, _SIZE)), np.zeros(12), np.zeros(12)
+    m, lost = 0, np.zeros(4, np.bool_)
+    for k in range(4):
+        if not standing[k]:
+            continue
+        i = 9 + 3 * k
+        e = R @ h[k] + p - d[k]  # = xi_p - xi_d + noise
+        S = P[6:9, 6:9] - P[6:9, i : i + 3] - P[i : i + 3, 6:9] + P[i : i + 3, i : i + 3] + kinematics * np.eye(3)
+        lost[k] = stood[k] and e @ np.linalg.solve(S, e) > _GATE
+        if stood[k] and not lost[k]:
+            for j in range(3):
+                H[m, 6 + j], H[m, i + j], z[m], noise[m] = 1.0, -1.0, e[j], kinematics
+                m += 1
+        else:
+            _put_down(k, h[k], R, p, d, P, kinematics)
+            # its height: d_z = (xi_R x d + xi_d)_z + noise
+            H[m, 0], H[m, 1], H[m, i + 2], z[m], noise[m] = d[k, 1], -d[k, 0], 1.0, d[k, 2], floor
+            m += 1
+    if m > 0:
+        _correct(H[:m], z[:m], noise[:m], R, v, p, d, bias, P)
+    return lost
+
+
+@jit
+def _correct(H, z, noise, R, v, p, d, bias, P):  # type: ignore[no-untyped-def]
+    """Correct by residuals z = H xi + noise (m,): X = exp(-K z) X."""
+    S = H @ P @ H.T + np.diag(noise)
+    K = np.ascontiguousarray(np.linalg.solve(S, H @ P).T)
+    xi = -(K @ z)
+    turn, jacobian = _exp(xi[:3]), np.eye(3) + 0.5 * _cross(xi[:3])
+    R[:] = turn @ R
+    v[:] = turn @ v + jacobian @ xi[3:6]
+    p[:] = turn @ p + jacobian @ xi[6:9]
+    for k in range(4):
+        d[k] = turn @ d[k] + jacobian @ xi[9 + 3 * k : 12 + 3 * k]
+    bias += xi[21:]
+    L = np.eye(_SIZE) - K @ H
+    P[:] = L @ P @ L.T + (K * noise) @ K.T
+
+
+def _quaternion(R: Array) -> Array:
+    """Return the unit quaternion (4,) of a rotation matrix, real part first."""
+    w = 0.5 * math.sqrt(max(1.0 + R[0, 0] + R[1, 1] + R[2, 2], 1e-12))
+    q = np.array([4.0 * w * w, R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / (4.0 * w)
+    out: Array = q / np.linalg.norm(q)
+    return out
