@@ -24,8 +24,8 @@ def gravity_torques(kin: Kinematics, *, both: bool) -> Array:
 def ground_torques(kin: Kinematics, force: Array, pressure: Array, *, both: bool) -> Array:
     """Return the joint torques by which the ground bears a force at the CoM, shape (n,) [N m].
 
-    With both feet on the ground the other sole bears the part w of the force F at a point p_o, the base sole the rest at
-    p_b, and each its part of the moment m that is left; w is where the pressure is on the way from sole to sole, and
+    With both feet on the ground the other sole bears the part w of the force F at a point p_o, the base sole the rest
+    at p_b, and each its part of the moment m that is left; w is where the pressure is on the way from sole to sole, and
     both points are as far ahead of the soles' centres as the pressure is. By virtual work, with the base sole at rest,
 
         tau = F.J_CoM - w (F.J_po + m.J_omega),    m = (c - (1 - w) p_b - w p_o) x F
@@ -66,6 +66,6 @@ def _borne_by_other(force, pressure, com, a, b, half, x_other, lines, moves):  #
         if moves[i]:
             line = lines[i]
             for k in range(3):
-                j, l = (k + 1) % 3, (k + 2) % 3
-                tau[i] += force[k] * (line[j] * p_b[l] - line[l] * p_b[j] + line[3 + k]) + m[k] * line[k]
+                i1, i2 = (k + 1) % 3, (k + 2) % 3
+                tau[i] += force[k] * (line[i1] * p_b[i2] - line[i2] * p_b[i1] + line[3 + k]) + m[k] * line[k]
     return w * tau

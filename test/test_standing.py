@@ -24,7 +24,7 @@ from dqwalk_ros.standing.balance import balance_torques, com_velocity
 from dqwalk_ros.standing.paths import ComPath, SwingPath
 from dqwalk_ros.standing.walk import StandingWalk
 from dqwalk_ros.state import Command, State
-from dqwalk_ros.statics import gravity_torques
+from dqwalk_ros.statics import gravity_torques, ground_torques
 from dqwalk_ros.studies import pushes, robustness
 from dqwalk_ros.walk import PhaseKind
 
@@ -149,6 +149,31 @@ def test_gravity_torques_are_the_derivative_of_the_potential() -> None:
     assert tau == pytest.approx(MODEL.mass * 9.80665 * height, abs=1e-5)
 
 
+def test_both_soles_bear_as_much_as_they_carry() -> None:
+    """Seen from either sole, the other one a point that carries its part of the force; both weighted by the load."""
+    X = np.array([1.0, 0.0, 0.0])
+
+    def seen_from(base: Foot, q: np.ndarray, force: np.ndarray, share: float, ahead: float) -> np.ndarray:
+        kin, sole = Kinematics(MODEL, q, base), MODEL.soles[base.other]
+        point = sole.center + np.clip(ahead, -0.5 * sole.length, 0.5 * sole.length) * X
+        return force @ (kin.com_jacobian - share * kin.point_jacobian(sole.frame, point))
+
+    rng, shares = np.random.default_rng(0), []
+    for _ in range(20):
+        q, force, p = somewhere(7), rng.normal(size=3) * [2.0, 3.0, 26.0], rng.normal(size=2) * [0.08, 0.06] - [0, 0.05]
+        kin, other = Kinematics(MODEL, q, Foot.LEFT), MODEL.soles[Foot.RIGHT]
+        a, b = MODEL.soles[Foot.LEFT].center[:2], kin.point(other.frame, other.center)[:2]
+        share = float(np.clip((p - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0))
+        aside = p - a - share * (b - a)
+        turned = np.array([force @ kin.direction(other.frame, e) for e in np.eye(3)])
+        from_left = seen_from(Foot.LEFT, q, force, share, aside @ kin.direction(other.frame, X)[:2])
+        from_right = seen_from(Foot.RIGHT, q, turned, 1.0 - share, aside[0])
+        tau = ground_torques(kin, force, p, both=True)
+        assert tau == pytest.approx((1.0 - share) * from_left + share * from_right, abs=1e-12)
+        shares.append(share)
+    assert 0.0 < np.median(shares) < 1.0
+
+
 @pytest.mark.parametrize("kind", [PhaseKind.DOUBLE_SUPPORT, PhaseKind.SINGLE_SUPPORT])
 def test_balance_torques_draw_the_com_to_its_path_with_the_pressure_inside(kind: PhaseKind) -> None:
     """The formula of the docstring, in numpy, on a tilted sole; far off the pressure it needs is cut to the soles."""
@@ -168,11 +193,14 @@ def test_balance_torques_draw_the_com_to_its_path_with_the_pressure_inside(kind:
         cut += polygon.distance(p) < s.pressure_margin
         for _ in range(3):
             p = p + np.maximum(d + s.pressure_margin - n @ p, 0.0) @ n
-        wanted = MODEL.mass * w**2 * (c - p) @ kin.jacobian(CenterOfMassOnGround())
         tau = balance_torques(phase, kin, state, CONFIG)
-        assert tau - gravity_torques(kin, both=kind is not PhaseKind.SINGLE_SUPPORT) == pytest.approx(
-            wanted, rel=1e-9, abs=1e-10
-        )
+        if kind is PhaseKind.SINGLE_SUPPORT:
+            wanted = MODEL.mass * w**2 * (c - p) @ kin.jacobian(CenterOfMassOnGround())
+            assert tau - gravity_torques(kin, both=False) == pytest.approx(wanted, rel=1e-9, abs=1e-10)
+        else:
+            a = w**2 * (c - p)
+            force = MODEL.mass * (9.80665 * TILTED + [*a, -(a @ TILTED[:2]) / TILTED[2]])
+            assert tau == pytest.approx(ground_torques(kin, force, p, both=True), rel=1e-9, abs=1e-10)
     assert cut > 0
 
 

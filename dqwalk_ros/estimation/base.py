@@ -1,12 +1,12 @@
 """The base of a walking robot from joints, inertial sensor and contacts: pose, velocity, and how sure they are.
 
-A contact-aided invariant extended Kalman filter [Hartley2020]: the state X in SE_N(3) is the orientation R, velocity v and
-position p of the inertial sensor in the world, and the positions d of heel and toe of each sole; beside it are the
-biases of gyroscope and accelerometer. The error is right-invariant, X_estimated = exp(xi) X, so that what a sole at rest
-says, R h(q) + p - d = 0, is linear in it with constant coefficients, wherever the robot is.
+A contact-aided invariant extended Kalman filter [Hartley2020]: the state X in SE_N(3) is the orientation R, velocity v
+and position p of the inertial sensor in the world, and the positions d of heel and toe of each sole; beside it are the
+biases of gyroscope and accelerometer. The error is right-invariant, X_estimated = exp(xi) X, so that what a sole at
+rest says, R h(q) + p - d = 0, is linear in it with constant coefficients, wherever the robot is.
 
-A floor is taken for level up to a few millimetres from footfall to footfall: the height of a sole that is put down is the
-only reference that tells a tilt of the sensor from the bias of its accelerometer.
+A floor is taken for level up to a few millimetres from footfall to footfall: the height of a sole that is put down is
+the only reference that tells a tilt of the sensor from the bias of its accelerometer.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros.compiled import jit
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.compiled import jit
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.robot import Foot, RobotModel
 
@@ -83,6 +83,8 @@ class BaseEstimator:
         deviations += [c.gyro_drift] * 3 + [c.accelerometer_drift] * 3
         self._noise = np.array(deviations) ** 2
         self._time = math.nan
+        self._felt = np.zeros(3), np.zeros(3)
+        self._stood = np.zeros(4, dtype=bool)
 
     def update(
         self, time: float, kin: Kinematics, gyro: Array, acceleration: Array, standing: Collection[Foot]
@@ -107,16 +109,13 @@ class BaseEstimator:
         stands = np.array([foot in standing for foot in foot_of])
         if math.isnan(self._time):
             self._begin(R_imu, p_imu, h)
-            self._stood = np.zeros(4, dtype=bool)
         else:
-            felt = 0.5 * (gyro + self._gyro), 0.5 * (acceleration + self._acceleration)
-            _predict(
-                time - self._time, *felt, self._R, self._v, self._p, self._d, self._bias, self._P, self._noise
-            )
+            felt = 0.5 * (gyro + self._felt[0]), 0.5 * (acceleration + self._felt[1])
+            _predict(time - self._time, *felt, self._R, self._v, self._p, self._d, self._bias, self._P, self._noise)
         lost = _contact(
             h, stands, self._stood, self._R, self._v, self._p, self._d, self._bias, self._P, c.kinematics**2, c.floor**2
         )
-        self._time, self._gyro, self._acceleration, self._stood = time, gyro, acceleration, stands
+        self._time, self._felt, self._stood = time, (gyro, acceleration), stands
         pelvis = DQ.from_pose(self._p, _quaternion(self._R)) * x_imu.conj() * DQ(kin.pose(self._model.pelvis))
         p = pelvis.translation()
         turning = self._R @ (gyro - self._bias[:3])

@@ -1,8 +1,8 @@
 """The state after the delay: where the joints will be when the command of this moment has its effect.
 
-A Smith predictor. Position servos integrate the commanded velocities, so what was commanded within the delay T and
-has not been seen yet is a sum, S(t) - S(t - T) with S the integral of u; no measured velocity is in it, which would close
-a derivative loop through the delay.
+A Smith predictor. The goals of position servos integrate the commanded velocities, so what was commanded within the
+delay T and has not been seen yet is S(t) - S(t - T) with S the integral of u. No measured velocity is in it: that would
+close a derivative loop through the delay.
 """
 
 from __future__ import annotations

@@ -52,9 +52,7 @@ def balance_torques(phase: Phase, kin: Kinematics, state: State, config: Config)
     edges = next((row for row in phase.inequalities if isinstance(row, ComInsideEdges)), None)
     n, d = edges.polygon.edges() if edges is not None else _NO_EDGES
     v = com_velocity(kin, state, kin.model.imu)
-    a, pressure = _drawn(
-        kin.com, kin.up, v, *path.reference(kin), n, d, standing.balance, standing.pressure_margin
-    )
+    a, pressure = _drawn(kin.com, kin.up, v, *path.reference(kin), n, d, standing.balance, standing.pressure_margin)
     return ground_torques(kin, kin.model.mass * (GRAVITY * kin.up + a), pressure, both=both)
 
 

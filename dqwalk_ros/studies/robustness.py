@@ -30,7 +30,7 @@ AXES: dict[str, tuple[float, ...]] = {
     "servo.rate": (200.0, 50.0),
     "servo.latency": (0.0, 0.02, 0.04),
 }
-"""What is varied; the controller is told stiffness, damping, rate and latency of the servos, and nothing of the rest."""
+"""What is varied. The controller is told stiffness, damping, rate and latency of the servos, nothing of the rest."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,92 @@
+"""The state after the delay, and walks that stand although everything is late."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import dqwalk_ros as dq
+from dqwalk_ros.controller import VelocityController
+from dqwalk_ros.estimation.delay import CommandHistory
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, make_walk
+from dqwalk_ros.state import State
+from dqwalk_ros.studies import robustness
+
+CONFIG = dq.load("poppy")
+MODEL = dq.load_model(CONFIG.robot)
+
+
+def test_what_is_pending_is_what_was_sent_within_the_delay() -> None:
+    """Against the integral of the commands as a function of time, at a delay that is no multiple of the period."""
+    rng, dt, delay = np.random.default_rng(0), 0.005, 0.0228
+    history, u = CommandHistory(delay, 3), rng.normal(size=(200, 3))
+    times = dt * np.arange(201)
+    integral = np.concatenate([np.zeros((1, 3)), np.cumsum(dt * u, axis=0)])
+    for k in range(200):
+        past = np.array([np.interp(times[k] - delay, times, column) for column in integral.T])
+        assert history.pending(times[k]) == pytest.approx(integral[k] - past, abs=1e-12)
+        history.add(times[k], u[k], dt)
+
+
+def test_without_a_delay_nothing_is_pending() -> None:
+    history = CommandHistory(0.0, 2)
+    for k in range(10):
+        assert np.abs(history.pending(0.005 * k)).max() < 1e-15
+        history.add(0.005 * k, np.ones(2), 0.005)
+
+
+def told(**values: float) -> VelocityController:
+    config = CONFIG.updated({f"servo.{key}": value for key, value in values.items()})
+    return make_controller(config, MODEL)
+
+
+def test_the_program_is_that_of_the_state_after_the_delay() -> None:
+    """Joints that followed at once and a controller that is told no delay solve the same program a delay later."""
+    late, at_once = told(assumed_latency=0.02), told()
+    q = make_walk(CONFIG, MODEL).posture
+    sent = []
+    for k in range(30):
+        now = q.copy()  # a robot that has not moved yet: all that was sent within 20 ms is pending
+        sent.append(late.step(State(0.005 * k, now + 0.005 * np.sum(sent[:-4], axis=0)), 0.005).velocity)
+    ahead = late.phase.evaluate(
+        Kinematics(MODEL, q + 0.005 * np.sum(sent[:-1], axis=0), late.phase.base, None, 29 * 0.005 + 0.02)
+    )
+    expected, found = ahead.problem(0.005, at_once._limit), late.problem
+    assert found is not None
+    for name in ("H", "c", "W", "w"):
+        assert getattr(found, name) == pytest.approx(getattr(expected, name), abs=1e-9), name
+
+
+def test_damping_is_fed_forward_as_the_servos_have_it() -> None:
+    q, dq_, up = make_walk(CONFIG, MODEL).posture, 0.1 * np.random.default_rng(1).normal(size=MODEL.n), [0.0, 0.0, 1.0]
+    state = State(0.0, q, dq_, np.array(up), np.zeros(3))
+    controller = told(assumed_damping=0.02)
+    command = controller.step(state, 0.005)
+    balance = controller.walk.effort(controller.phase, controller._kinematics(state).later(0.02), state)
+    assert command.effort == pytest.approx(balance - 0.02 * 60.0 * (dq_ - command.velocity))
+
+
+@pytest.mark.parametrize(
+    "cell",
+    [
+        {"servo.stiffness": 25.0, "servo.latency": 0.04, "servo.rate": 50.0, "servo.backlash": 0.0058},
+        {"servo.stiffness": 40.0, "servo.latency": 0.04, "physics.mass_scale": 1.1, "physics.friction": 0.4},
+    ],
+    ids=["25", "40"],
+)
+def test_soft_servos_behind_a_delay_walk(cell: dict[str, float]) -> None:
+    found = robustness.walk(CONFIG.updated({"gait.steps": 2, "qp.solver": "daqp"}), cell)
+    assert found.stood, found.reason
+
+
+def test_poppy_as_built_walks() -> None:
+    path = dq.config.find_share("config/plants", "poppy_as_built.yaml")
+    config = dq.config.from_yaml(path.read_text(encoding="utf-8"), onto=CONFIG)
+    config = config.updated({"gait.steps": 3, "qp.solver": "daqp", "sensors.seed": 1})
+    plant = make_plant("physics", config, MODEL)
+    controller = make_controller(config, MODEL)
+    for _ in closed_loop(controller, plant):
+        pass
+    assert controller.finished
+    assert not plant.fallen
