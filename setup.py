@@ -50,8 +50,8 @@ TEST = [
     "quadprog>=0.1.11",
     "yourdfpy>=0.0.56",
 ]
-# pinocchio, for the whole-body controller
-WHOLEBODY = ["pin>=2.7"]
+# the dynamics and the solver of the whole-body controller
+WHOLEBODY = ["daqp>=0.11", "pin>=2.7"]
 DEV = [*VIEW, "mypy>=1.10", "ruff>=0.6", "types-PyYAML>=6.0", "types-psutil>=5.9"]
 
 setup(

@@ -30,14 +30,13 @@ def main() -> None:
     """Run it and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="3 s of Test 2 instead of both tests")
-    parser.add_argument("--cold", action="store_true", help="Clarabel on every tick")
     args = parser.parse_args()
     config = load("whole_body")
     model = load_model(config.robot)
     scenarios = [replace(SCENARIOS["2"], duration=3.0)] if args.quick else list(SCENARIOS.values())
     times, methods = [], []
     for scenario in scenarios:
-        controller = WholeBodyController(config, model, clock=time.thread_time, hot=not args.cold)
+        controller = WholeBodyController(config, model, clock=time.thread_time)
         walked = follow(
             controller, RigidPlant(model, controller.start, pushed="chest"), scenario, clock=time.thread_time
         )

@@ -11,10 +11,12 @@ from hypothesis import strategies as st
 
 from dqwalk_ros.config import WholeBodyConfig
 from dqwalk_ros.robot import Foot
+from dqwalk_ros.whole_body.exactness import discretized
 from dqwalk_ros.whole_body.preview import PointMass, Stepping, previewed, swing_acceleration, swing_jerk
 
 CONFIG = WholeBodyConfig()
 STEPPING = Stepping.of(CONFIG, Foot.RIGHT)
+MASS = PointMass(0.8, CONFIG.interval, CONFIG.intervals)
 
 
 @given(st.floats(0.3, 1.2), st.floats(0.02, 0.2), st.integers(4, 40))
@@ -28,7 +30,7 @@ def test_alpha_sums_to_one(height: float, interval: float, intervals: int) -> No
 def test_capturability_is_the_condensed_form(seed: int, height: float) -> None:
     """c'_N + c''_N/omega of (10), stepped with A and B, equals omega e^(omega N T) (xi_0 - sum alpha z)."""
     mass, rng = PointMass(height, 0.1, 16), np.random.default_rng(seed)
-    A, B, D = mass.matrices()
+    A, B, D = discretized(mass)
     x = rng.normal(size=3) * [0.1, 0.3, 1.0]
     xi, z = x[0] + x[1] / mass.omega, [D @ x]
     for _ in range(mass.intervals):
@@ -41,7 +43,7 @@ def test_capturability_is_the_condensed_form(seed: int, height: float) -> None:
 def test_the_matrices_solve_the_differential_equation() -> None:
     """(10) integrated in a thousand small steps."""
     mass = PointMass(0.8, 0.1, 16)
-    A, B, D = mass.matrices()
+    A, B, D = discretized(mass)
     w2 = mass.omega**2
     F, g = np.array([[0, 1, 0], [0, 0, 1], [0, w2, 0]]), np.array([0, 0, -w2])
     x, n = np.array([0.1, -0.2, 0.7]), 1000
@@ -88,24 +90,24 @@ def test_the_grid_moves_with_the_clock_without_a_jump() -> None:
         landed = STEPPING.step(t) + (STEPPING.swing(t) is None)
         for j in range(max(places) + 1, landed + 1):
             places[j] = np.array([0.1 * j, 0.095 * (-1) ** (j + 1)])
-        p = previewed(CONFIG, STEPPING, t, places)
+        p = previewed(CONFIG, STEPPING, MASS, t, np.zeros(2), places)
         base = max(places)
         dP = np.array([[0.1, 0.19 * (-1) ** (base + k)] for k in range(p.steps)])
-        center = p.V0 + p.V @ dP
-        for edge in (center - p.half, center + p.half):
+        center = (p.offset + p.M[:, p.feet] @ dP)[1:]
+        for edge in (center + p.lower[p.cops], center + p.upper[p.cops]):
             assert np.isfinite(edge).all()
         if last is not None:
             assert np.abs(center - last).max() <= 0.19 * 0.005 / 0.1 + 1e-9
         last = center
         assert p.steps in (1, 2, 3)
-        assert (p.lower <= dP + 1e-12).all()
-        assert (dP <= p.upper + 1e-12).all()
+        assert (p.lower[p.feet] <= dP + 1e-12).all()
+        assert (dP <= p.upper[p.feet] + 1e-12).all()
 
 
 def test_the_first_foot_stands_already() -> None:
-    p = previewed(CONFIG, STEPPING, 0.0, {-1: np.array([1.0, 2.0])})
-    assert p.lower[0] == pytest.approx([0.0, -0.095])
-    assert p.upper[0] == pytest.approx([0.0, -0.095])
-    assert pytest.approx(np.tile([1.0, 2.0], (16, 1))) == p.V0
-    assert p.half[0] == pytest.approx([0.0686, 0.124])  # both feet side by side
-    assert p.half[-1] == pytest.approx([0.0686, 0.029])
+    p = previewed(CONFIG, STEPPING, MASS, 0.0, np.array([1.0, 2.0]), {-1: np.array([1.0, 2.0])})
+    assert p.lower[p.feet][0] == pytest.approx([0.0, -0.095])
+    assert p.upper[p.feet][0] == pytest.approx([0.0, -0.095])
+    assert p.offset == pytest.approx(np.tile([1.0, 2.0], (17, 1)))
+    assert p.upper[p.cops][0] == pytest.approx([0.0686, 0.124])  # both feet side by side
+    assert p.upper[p.cops][-1] == pytest.approx([0.0686, 0.029])

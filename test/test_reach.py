@@ -19,22 +19,22 @@ from dqwalk_ros.report.figures.reaching import reactions, save_reaching
 from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.whole_body import (
     SCENARIOS,
-    Reaching,
     Scenario,
     WholeBodyController,
-    acceptance,
+    WholeBodyTrace,
+    demands,
+    experiments,
     follow,
-    pushes,
     retrace,
 )
+from dqwalk_ros.whole_body.demands import checks, render_checks, summary
 from dqwalk_ros.whole_body.exactness import Answers
-from dqwalk_ros.whole_body.pushes import PushLimit, limit
-from dqwalk_ros.whole_body.reaching import checks, render_checks, summary
+from dqwalk_ros.whole_body.experiments import PushLimit, push_limit
 from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 
 
 @cache
-def walked() -> Reaching:
+def walked() -> WholeBodyTrace:
     config = load("whole_body")
     model = load_model(config.robot)
     controller = WholeBodyController(config, model)
@@ -46,7 +46,7 @@ def walked() -> Reaching:
 def test_what_is_kept_is_said_to_be() -> None:
     found = {check.name: check for check in checks(walked())}
     assert all(check.ok for check in found.values())
-    assert found["ticks that miss capturability (14)"].value == 0
+    assert found["ticks that miss capturability (S14)"].value == 0
     assert "NOT REACHED" not in render_checks(walked(), list(found.values()))
 
 
@@ -55,7 +55,7 @@ def test_what_is_kept_is_said_to_be() -> None:
     [
         ({"margins": "cop_margin"}, "least CoP to the edge of its rectangle"),
         ({"margins": "torque"}, "least torque to its limit"),
-        ({"capturability": None}, "ticks that miss capturability (14)"),
+        ({"residual": None}, "ticks that miss capturability (S14)"),
         ({"violation": None}, "ticks whose level 1 gave way"),
         ({"note": "fell at 0.5 s"}, "stood for"),
     ],
@@ -67,7 +67,7 @@ def test_what_is_violated_is_said(change: dict, name: str) -> None:
     new = {
         "margins": lambda: w.margins | {value: w.margins[value] - 1.0},
         "note": lambda: value,
-        "capturability": lambda: spoilt,
+        "residual": lambda: spoilt,
         "violation": lambda: spoilt,
     }[key]()
     bad = replace(w, **{key: new})
@@ -92,7 +92,7 @@ def test_the_hand_is_judged_by_the_papers_figures() -> None:
         time=time,
         hand=hand,
         target=target,
-        capturability=np.zeros(n),
+        residual=np.zeros(n),
         violation=np.zeros(n),
         **many,
     )
@@ -140,7 +140,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert cli.main([*arguments, "--out", str(out)]) == 1
     assert "--force" in capsys.readouterr().err
     assert cli.main(["reach", "--target", "0.5", "--out", str(out), "--force"]) == 2
-    assert "--target X,Y,Z wants 3 numbers" in capsys.readouterr().err
+    assert "3 numbers separated by commas" in capsys.readouterr().err
 
 
 # ---------------------------------------------------------------------- every figure of the issue
@@ -165,28 +165,28 @@ def test_a_jump_in_mid_swing_moves_the_next_footstep_at_once() -> None:
 
 
 def test_the_equations_are_what_they_should_be() -> None:
-    rows = acceptance.unit_rows(load("whole_body"))
+    rows = demands.unit_demands(load("whole_body"))
     assert len(rows) == 7
-    assert all(row.ok and row.must for row in rows), acceptance.render(rows)
+    assert all(row.ok and row.must for row in rows), demands.render(rows)
 
 
 def test_every_demand_is_judged() -> None:
     """With a walk that is too short and answers that are off, what fails is said; the exit code follows `must`."""
     w = walked()
-    names = acceptance.walks()
+    names = demands.walks()
     short = {name: replace(w, scenario=one.scenario) for name, one in names.items()}
     short |= {name: replace(short[name], note="fell at 0.9 s") for name in names if "level 2" in name}
-    good = acceptance.judge(short, Answers(ticks=10, sampled=1))
-    by_name = {row.what: row for row in good}
+    good = demands.judge(short, Answers(ticks=10, sampled=1))
+    by_name = {row.name: row for row in good}
     assert by_name["without level 2, in place"].ok
     assert by_name["15 N s, N = 8"].ok
     assert not by_name["footstep moved by the push at 2.5 s"].ok  # it never came
-    bad = acceptance.judge(
+    bad = demands.judge(
         short | {"15 N s, N = 8": replace(w, note="fell at 0.9 s")}, Answers(ticks=10, sampled=1, acceleration=2e-3)
     )
-    wrong = {row.what for row in bad if not row.ok} - {row.what for row in good if not row.ok}
+    wrong = {row.name for row in bad if not row.ok} - {row.name for row in good if not row.ok}
     assert wrong == {"15 N s, N = 8", "v' and Clarabel's, 1 ticks, differ by [rad/s^2]"}
-    text = acceptance.render(bad)
+    text = demands.render(bad)
     assert "NOT OK" in text
     assert f"of {sum(row.must for row in bad)} demands met" in text
 
@@ -210,10 +210,10 @@ def test_the_hardest_push_is_found_by_bisection(monkeypatch: pytest.MonkeyPatch)
     def walk(config, wanted):  # falls from 21.3 N s on
         ((when, impulse),) = wanted.scenario.pushes
         hits.append((when, *impulse))
-        return replace(walked(), note="" if np.linalg.norm(impulse) < 21.3 else "fell at 3 s"), Answers()
+        return replace(walked(), note="" if np.linalg.norm(impulse) < 21.3 else "fell at 3 s")
 
-    monkeypatch.setattr(pushes, "walk", walk)
-    found = limit(load("whole_body"), 135.0, when=1.5)
+    monkeypatch.setattr(experiments, "walk", walk)
+    found = push_limit(load("whole_body"), 135.0, when=1.5)
     assert (found.stood, found.fell) == (21.0, 22.0)
     assert [impulse for impulse, _ in found.tried] == [8.0, 16.0, 20.0, 21.0, 22.0, 24.0, 32.0]
     assert hits[0] == pytest.approx((1.5, -8.0 / np.sqrt(2), 8.0 / np.sqrt(2), 0.0))

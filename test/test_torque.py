@@ -10,14 +10,14 @@ import pytest
 from dqwalk_ros.config import load
 from dqwalk_ros.errors import PlantError
 from dqwalk_ros.robot import load_model
-from dqwalk_ros.whole_body import SCENARIOS, Reaching, Scenario, WholeBodyController, follow
+from dqwalk_ros.whole_body import SCENARIOS, Scenario, WholeBodyController, WholeBodyTrace, follow
 from dqwalk_ros.whole_body.torque_plant import TorquePlant
 
 CONFIG = load("whole_body")
 MODEL = load_model(CONFIG.robot)
 
 
-def walk(scenario: Scenario) -> Reaching:
+def walk(scenario: Scenario) -> WholeBodyTrace:
     controller = WholeBodyController(CONFIG, MODEL)
     return follow(controller, TorquePlant(MODEL, controller.start, pushed="chest"), scenario)
 

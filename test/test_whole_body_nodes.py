@@ -18,7 +18,7 @@ from dqwalk_ros.report import bag
 from dqwalk_ros.robot import load_model
 from dqwalk_ros.runner import private_domain
 from dqwalk_ros.whole_body import WholeBodyController, retrace
-from dqwalk_ros.whole_body.reaching import checks
+from dqwalk_ros.whole_body.demands import checks
 from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -14,15 +14,21 @@ from dqwalk_ros.errors import BagError, ConfigError
 from dqwalk_ros.report import bag
 from dqwalk_ros.report.figures.reaching import save_reaching
 from dqwalk_ros.report.html.body import BodySubject, write
-from dqwalk_ros.whole_body.loop import retrace
-from dqwalk_ros.whole_body.reaching import Check, checks, render_checks, summary
-from dqwalk_ros.whole_body.trace import Reaching
+from dqwalk_ros.whole_body.demands import Demand, checks, render_checks, summary
+from dqwalk_ros.whole_body.experiments import retrace
+from dqwalk_ros.whole_body.trace import WholeBodyTrace
 
 __all__ = ["leave", "report"]
 
 
 def leave(
-    output: Output, out: Path, found: Any, walks: Sequence[Reaching], more: Sequence[Path] = (), *, quiet: bool = False
+    output: Output,
+    out: Path,
+    found: Any,
+    walks: Sequence[WholeBodyTrace],
+    more: Sequence[Path] = (),
+    *,
+    quiet: bool = False,
 ) -> None:
     """Write ``report.json`` and the figures of some walks, and say what was written."""
     try:
@@ -69,7 +75,7 @@ def report(
     return 0 if result["ok"] else 1
 
 
-def _say(walked: Reaching, found: Sequence[Check], off: float, notes: Sequence[str]) -> None:
+def _say(walked: WholeBodyTrace, found: Sequence[Demand], off: float, notes: Sequence[str]) -> None:
     for note in notes:
         print(f"note: {note}", file=sys.stderr)
     print(render_checks(walked, found))

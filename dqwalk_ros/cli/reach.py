@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from dqwalk_ros.config import Config
-    from dqwalk_ros.whole_body.scenario import Scenario
-    from dqwalk_ros.whole_body.trace import Reaching
+    from dqwalk_ros.whole_body.trace import Scenario, WholeBodyTrace
 
 __all__ = ["reach"]
 
@@ -116,7 +115,7 @@ def reach(
 
 def _scenarios(args: _Options) -> list[Scenario]:
     """Return the tests that were asked for, changed as was asked for."""
-    from dqwalk_ros.whole_body.scenario import PAPER_TIMES, SCENARIOS
+    from dqwalk_ros.whole_body.experiments import PAPER_TIMES, SCENARIOS
 
     extra = [(t, (x, y, z)) for t, x, y, z in args.push]
     scenarios = []
@@ -135,12 +134,12 @@ def _tests(args: _Options, output: Output, config: Config, scenarios: Sequence[S
     """Walk, one after the other."""
     from dqwalk_ros.cli.body import leave
     from dqwalk_ros.cli.progress import Progress
-    from dqwalk_ros.whole_body.batch import Walk, walk
-    from dqwalk_ros.whole_body.reaching import checks, render_checks, summary
+    from dqwalk_ros.whole_body.demands import checks, render_checks, summary
+    from dqwalk_ros.whole_body.experiments import Walk, walk
 
-    def make(scenario: Scenario) -> Reaching:
+    def make(scenario: Scenario) -> WholeBodyTrace:
         with Progress(quiet=output.quiet) as bar:
-            return walk(config, Walk(scenario, plant=args.plant), bar)[0]
+            return walk(config, Walk(scenario, plant=args.plant), bar)
 
     walks, reports = [], []
     for scenario in scenarios:
@@ -164,26 +163,25 @@ def _all(args: _Options, output: Output, config: Config, out: Path) -> int:
     """Make every walk that something must be shown by, and print what was asked and what was got."""
     from dqwalk_ros.cli.body import leave
     from dqwalk_ros.cli.progress import Progress
-    from dqwalk_ros.whole_body.acceptance import judge, render, unit_rows, walks
-    from dqwalk_ros.whole_body.batch import each, walk
-    from dqwalk_ros.whole_body.reaching import checks, summary
+    from dqwalk_ros.whole_body.demands import checks, judge, render, summary, unit_demands, walks, watched_walk
+    from dqwalk_ros.whole_body.experiments import each
 
     wanted = walks()
     total, done = sum(one.scenario.duration for one in wanted.values()), 0.0
     walked, answers = {}, {}
     with Progress(quiet=output.quiet) as bar:
-        rows = unit_rows(config)
-        for key, (made, seen) in each(walk, {key: (config, one) for key, one in wanted.items()}, args.jobs):
+        demands = unit_demands(config)
+        for key, (made, seen) in each(watched_walk, {key: (config, one) for key, one in wanted.items()}, args.jobs):
             walked[key], answers[key] = made, seen
             done += wanted[key].scenario.duration
             bar(done / total, f"{len(walked)} of {len(wanted)} walks")
-    rows += judge(walked, answers["1"].joined(answers["2"]))
+    demands += judge(walked, answers["1"].joined(answers["2"]))
     both = [walked["1"], walked["2"]]
-    report = {"demands": [vars(row) for row in rows], "tests": [summary(one, checks(one)) for one in both]}
+    report = {"demands": [one.row for one in demands], "tests": [summary(one, checks(one)) for one in both]}
     if not output.quiet:
-        print(render(rows) + "\n")
+        print(render(demands) + "\n")
     leave(output, out, report, both, _bags(output, both, out))
-    return 0 if all(row.ok for row in rows if row.must) else 1
+    return 0 if all(one.ok for one in demands if one.must) else 1
 
 
 def _pushes(args: _Options, output: Output, config: Config, out: Path) -> int:
@@ -192,9 +190,8 @@ def _pushes(args: _Options, output: Output, config: Config, out: Path) -> int:
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.report.figures.reach_pushes import save_pushes
     from dqwalk_ros.robot import Foot
-    from dqwalk_ros.whole_body.batch import each
+    from dqwalk_ros.whole_body.experiments import DIRECTIONS, PushLimit, each, push_limit
     from dqwalk_ros.whole_body.preview import Stepping
-    from dqwalk_ros.whole_body.pushes import DIRECTIONS, PushLimit, limit
 
     plants = ("physics", "rigid") if args.plant == "both" else (args.plant,)
     asked = {
@@ -202,7 +199,7 @@ def _pushes(args: _Options, output: Output, config: Config, out: Path) -> int:
     }
     found: dict[tuple[str, float], PushLimit] = {}
     with Progress(quiet=output.quiet) as bar:
-        for key, one in each(limit, asked, args.jobs):
+        for key, one in each(push_limit, asked, args.jobs):
             found[key] = one
             bar(len(found) / len(asked), f"{len(found)} of {len(asked)} directions")
     swing = Stepping.of(config.whole_body, Foot(config.gait.first_support)).swing(args.when)
@@ -226,7 +223,7 @@ def _pushes(args: _Options, output: Output, config: Config, out: Path) -> int:
     return 0
 
 
-def _bags(output: Output, walks: Sequence[Reaching], out: Path) -> list[Path]:
+def _bags(output: Output, walks: Sequence[WholeBodyTrace], out: Path) -> list[Path]:
     """Write the bag of each walk."""
     from dqwalk_ros.report import bag
 

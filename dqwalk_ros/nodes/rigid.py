@@ -22,9 +22,8 @@ from dqwalk_ros.nodes.inputs import EFFORT, CommandInput
 from dqwalk_ros.nodes.safety import clamp_effort
 from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.topics import ODOM
-from dqwalk_ros.whole_body.controller import WholeBodyController
+from dqwalk_ros.whole_body.controller import BodyCommand, WholeBodyController, Wrench
 from dqwalk_ros.whole_body.preview import Stepping
-from dqwalk_ros.whole_body.records import BodyCommand, Wrench
 from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 
 __all__ = ["Rigid"]
@@ -86,15 +85,13 @@ class Rigid(WalkNode):
             return
         effort = clamp_effort(command.effort, self._model)
         now = self._ticks * self._dt
-        swing = self._stepping.swing(now)
-        ends = swing is not None and swing.remaining <= self._dt + 1e-9
         self._command = BodyCommand(
             now,
             np.zeros(len(effort)),
             acceleration=np.zeros(6 + len(effort)),
             effort=effort,
-            stance=tuple(Foot) if swing is None else (swing.foot.other,),
-            landing=swing.foot if swing is not None and ends else None,
+            stance=self._stepping.stance(now),
+            landing=self._stepping.landing(now, self._dt),
         )
         if self.lockstep:
             self._step()

@@ -26,7 +26,7 @@ from dqwalk_ros.provenance import here, to_text
 from dqwalk_ros.robot import load_model
 from dqwalk_ros.topics import ODOM
 from dqwalk_ros.whole_body import controller as core
-from dqwalk_ros.whole_body.records import BodyState
+from dqwalk_ros.whole_body.controller import BodyState
 
 __all__ = ["WholeBodyController"]
 
@@ -173,7 +173,7 @@ class WholeBodyController(WalkNode):
         msg.effort = command.effort.tolist()
         self._pub[EFFORT].publish(msg)
         self._counts["ticks"] += 1
-        self._counts["capturability missed"] += self._controller.last.capturability > 1e-6
+        self._counts["capturability missed"] += self._controller.last.answer.residual > 1e-6
         if self._counts["ticks"] % self._every == 1:
             self._diagnose(stamp)
 
@@ -191,8 +191,8 @@ class WholeBodyController(WalkNode):
         level, text = ("ERROR", self._failed) if self._failed else ("OK", "in balance")
         values: dict[str, Any] = dict(self._counts)
         if not self._failed:
-            last = self._controller.last
-            if last.capturability > 1e-6:
+            last = self._controller.last.answer
+            if last.residual > 1e-6:
                 level, text = "WARN", "cannot stop within the preview"
-            values |= {"capturability": last.capturability, "solve time": last.times[2], "solver": last.method}
+            values |= {"capturability": last.residual, "solve time": last.solve_time, "solver": last.method}
         self.diagnose("balance", self._hardware, level, text, values, stamp)

@@ -1,16 +1,14 @@
 """The whole-body motion controller with long-term balance constraints [Sherikov2014], and its experiments.
 
-`WholeBodyController` is the controller of the paper; `follow` closes the loop over a `Scenario`, `retrace` recomputes
-a recorded run; both return a `Reaching`.
+`WholeBodyController` is the controller of the paper; `follow` closes the loop over a `Scenario`, `retrace` solves a
+recorded walk again; both return a `WholeBodyTrace`.
 """
 
 from __future__ import annotations
 
-from dqwalk_ros.whole_body.controller import WholeBodyController
-from dqwalk_ros.whole_body.loop import BodyPlant, follow, retrace
-from dqwalk_ros.whole_body.records import BodyCommand, BodyState, BodyTick, Wrench
-from dqwalk_ros.whole_body.scenario import PAPER_TIMES, SCENARIOS, Scenario
-from dqwalk_ros.whole_body.trace import BodyLog, Reaching, Reaction
+from dqwalk_ros.whole_body.controller import BodyCommand, BodyState, BodyTick, WholeBodyController, Wrench
+from dqwalk_ros.whole_body.experiments import PAPER_TIMES, SCENARIOS, BodyPlant, follow, retrace
+from dqwalk_ros.whole_body.trace import BodyLog, Reaction, Scenario, WholeBodyTrace
 
 __all__ = [
     "PAPER_TIMES",
@@ -20,10 +18,10 @@ __all__ = [
     "BodyPlant",
     "BodyState",
     "BodyTick",
-    "Reaching",
     "Reaction",
     "Scenario",
     "WholeBodyController",
+    "WholeBodyTrace",
     "Wrench",
     "follow",
     "retrace",

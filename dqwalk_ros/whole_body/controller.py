@@ -5,7 +5,8 @@ from __future__ import annotations
 import fnmatch
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,18 +14,128 @@ from numpy.typing import ArrayLike, NDArray
 from dqwalk_ros.config import Config
 from dqwalk_ros.errors import ConfigError, ModelError, StateError
 from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.state import Command, State
 from dqwalk_ros.whole_body.dynamics import GRAVITY, Dynamics, Multibody, rotation_error
-from dqwalk_ros.whole_body.equations import Layout, Scene, hierarchy, wrenches
+from dqwalk_ros.whole_body.equations import Scene, hierarchy
 from dqwalk_ros.whole_body.hierarchy import Answer, Hierarchy, HierarchySolver
 from dqwalk_ros.whole_body.objectives import Distance, FrameOrientation, FramePosition, JointPosture, Objective
 from dqwalk_ros.whole_body.preview import PointMass, Stepping, previewed
-from dqwalk_ros.whole_body.records import BodyCommand, BodyState, BodyTick, Wrench
 
-__all__ = ["WholeBodyController"]
+__all__ = ["BodyCommand", "BodyState", "BodyTick", "WholeBodyController", "Wrench"]
 
 Array = NDArray[np.float64]
 
 _EPS = 1e-9
+
+
+@dataclass(slots=True, eq=False, kw_only=True)
+class BodyState(State):
+    """A state of the whole body: the joints, and the root link in the world.
+
+    Attributes
+    ----------
+    dq : ndarray, shape (n,)
+        Joint velocities [rad/s].
+    x_base : ndarray, shape (8,)
+        Pose of the root link.
+    v_base : ndarray, shape (6,)
+        Its linear and angular velocity in its own axes [m/s, rad/s].
+    """
+
+    dq: Array = field()  # required: of a whole body it is always measured
+    x_base: Array
+    v_base: Array
+
+    @property
+    def v(self) -> Array:
+        """Generalized velocity, shape (6 + n,)."""
+        return np.concatenate([self.v_base, self.dq])
+
+
+@dataclass(slots=True, eq=False, kw_only=True)
+class BodyCommand(Command):
+    """Joint torques for the next period, and the motion they are expected to make.
+
+    Attributes
+    ----------
+    velocity : ndarray, shape (n,)
+        Joint velocities expected at the end of the period [rad/s].
+    acceleration : ndarray, shape (6 + n,)
+        Generalized acceleration expected.
+    effort : ndarray, shape (n,)
+        tau of (S1) [N m].
+    stance : tuple of Foot
+        Feet on the ground.
+    landing : Foot or None
+        The foot that touches down at the end of the period.
+    """
+
+    acceleration: Array
+    effort: Array
+    stance: tuple[Foot, ...]
+    landing: Foot | None = None
+
+
+@dataclass(frozen=True)
+class Wrench:
+    """What the ground does to a foot, at the origin of its sole's link, in world axes: force [N], moment [N m]."""
+
+    force: Array
+    moment: Array
+
+    @property
+    def cop(self) -> Array:
+        """Centre of pressure from that origin, (x, y) [m]."""
+        cop: Array = np.array([-self.moment[1], self.moment[0]]) / self.force[2]
+        return cop
+
+
+@dataclass(frozen=True)
+class BodyTick:
+    """What the controller found in its last step.
+
+    Attributes
+    ----------
+    com, com_velocity : ndarray, shape (3,)
+        [m, m/s]
+    hand : ndarray, shape (3,)
+        [m]
+    soles : mapping of Foot to ndarray, shape (3,)
+        Places of the soles' links [m].
+    wrenches : mapping of Foot to Wrench
+        As planned.
+    cop : ndarray, shape (2,)
+        Of all contacts together, in the world [m].
+    cop_preview : ndarray, shape (2,)
+        z_0 of the point mass, in the world [m].
+    support : ndarray, shape (2,)
+        The foot that landed last [m].
+    footsteps : ndarray, shape (K, 2)
+        The landing places previewed [m].
+    step_margin : float
+        How far the steps to them are from the edges of their boxes (S12), at least [m].
+    height_error, tilt : float
+        Of the CoM [m] and of the torso [rad].
+    answer : Answer
+        Of the hierarchy.
+    times : tuple of float
+        For model, assembly and solution [s].
+    """
+
+    com: Array
+    com_velocity: Array
+    hand: Array
+    soles: Mapping[Foot, Array]
+    wrenches: Mapping[Foot, Wrench]
+    cop: Array
+    cop_preview: Array
+    support: Array
+    footsteps: Array
+    step_margin: float
+    height_error: float
+    tilt: float
+    answer: Answer
+    times: tuple[float, float, float]
 
 
 class WholeBodyController:
@@ -36,13 +147,11 @@ class WholeBodyController:
     model : RobotModel
         With ankles that pitch and roll.
     objectives : sequence of Objective
-        Wanted besides (17) to (19).
+        Besides (S17) to (S19).
     distances : sequence of Distance
-        Kept besides the constraints of section II.
+        Besides the constraints of section II.
     clock : callable
-        What the times in `last` are measured with [s].
-    hot : bool
-        Guess the active set from the tick before; without it every tick goes to Clarabel.
+        Measures the times in `last` [s].
 
     Attributes
     ----------
@@ -50,8 +159,8 @@ class WholeBodyController:
         m g [N].
     stepping : Stepping
     point_mass : PointMass
-    hierarchy, layout, answer : Hierarchy, Layout, Answer or None
-        The last problem and its answer.
+    hierarchy : Hierarchy or None
+        The last problem; its answer is in `last`.
 
     Raises
     ------
@@ -67,14 +176,12 @@ class WholeBodyController:
         objectives: Sequence[Objective] = (),
         distances: Sequence[Distance] = (),
         clock: Callable[[], float] = time.perf_counter,
-        hot: bool = True,
     ) -> None:
         self.config, self.model = config, model
-        self._own, self._distances = tuple(objectives), tuple(distances)
-        self._clock, self._hot = clock, hot
+        self._own, self._distances, self._clock = tuple(objectives), tuple(distances), clock
         settings = config.whole_body
         self._soles = {foot: model.soles[foot].frame for foot in Foot}
-        own = [frame for wish in self._own for frame in wish.frames]
+        own = [frame for objective in self._own for frame in objective.frames]
         own += [frame for distance in self._distances for frame in distance.frames]
         self._body = Multibody(model, dict.fromkeys([*self._soles.values(), settings.torso, settings.hand, *own]))
         self.weight = self._body.mass * GRAVITY
@@ -85,7 +192,7 @@ class WholeBodyController:
         )
         still = self._body.at(*self._start, np.zeros(self._body.nv))
         self.point_mass = PointMass(float(still.com[2]), settings.interval, settings.intervals, GRAVITY)
-        free = _named(settings.free, model)
+        free = _matching(settings.free, model)
         kp = np.where(free, 0.0, settings.joint_kp)
         kd = np.where(free, settings.joint_kd, 2.0 * math.sqrt(settings.joint_kp))
         self._upright = FrameOrientation(
@@ -94,27 +201,31 @@ class WholeBodyController:
         self._posture = JointPosture(
             name="joints", weight=settings.joint_weight, reference=self._start[1], stiffness=kp, damping=kd
         )
-        self._reach: FramePosition | None = None
         self.reset()
 
     def reset(self) -> None:
         """Forget the walk and the target; the next state begins a new one."""
-        self._solver = HierarchySolver(clock=self._clock, hot=self._hot)
+        self._solver = HierarchySolver(clock=self._clock)
         self._places: dict[int, Array] = {}
         self._landing: Array | None = None
         self._last: BodyTick | None = None
-        self._scene_now: Scene | None = None
+        self._scene: Scene | None = None
         self.hierarchy: Hierarchy | None = None
-        self.layout: Layout | None = None
-        self.answer: Answer | None = None
-        self.reach(None)
+        self._reach: FramePosition | None = None
 
     @property
     def last(self) -> BodyTick:
-        """What there is to say about the last step."""
+        """What was found in the last step."""
         if self._last is None:
-            raise RuntimeError("nothing to say before the first step")
+            raise RuntimeError("there is no tick before the first step")
         return self._last
+
+    @property
+    def scene(self) -> Scene:
+        """Everything the last tick was made of."""
+        if self._scene is None:
+            raise RuntimeError("there is no tick before the first step")
+        return self._scene
 
     @property
     def start(self) -> BodyState:
@@ -127,28 +238,15 @@ class WholeBodyController:
         """Where the hand should be, shape (3,) [m]."""
         return None if self._reach is None else self._reach.target
 
-    @property
-    def step_bounds(self) -> tuple[Array, Array]:
-        """Bounds (12) of the displacements previewed at the last step, shapes (K, 2) [m]."""
-        if self._scene_now is None:
-            raise RuntimeError("no preview before the first step")
-        return self._scene_now.preview.lower, self._scene_now.preview.upper
-
-    def sole(self, foot: Foot) -> Array:
-        """Place of a sole's link at the last step, shape (3,) [m]."""
-        if self._scene_now is None:
-            raise RuntimeError("no place before the first step")
-        return self._scene_now.dynamics.frames[self._soles[foot]].position
-
     def reach(self, target: ArrayLike | None) -> None:
-        """Move the hand's target (17), at any time; without one the robot walks in place.
+        """Move the hand's target (S17), at any time; without one the robot walks in place.
 
         Raises
         ------
         StateError
             If the target is not three finite numbers.
         """
-        self._reach = self._wish(target)
+        self._reach = self._hand(target)
 
     def footsteps_for(self, target: ArrayLike | None) -> Array:
         """Return the footsteps previewed had the hand's target been another at the last step, shape (K, 2) [m].
@@ -160,13 +258,10 @@ class WholeBodyController:
         RuntimeError
             Before the first step.
         """
-        if self._scene_now is None:
-            raise RuntimeError("no preview before the first step")
-        problem, layout = self._hierarchy(self._scene_now, self._wish(target))
-        x = HierarchySolver(hot=False).solve(problem).x
-        return _footsteps(self._scene_now, layout, x)
+        scene = self.scene
+        return scene.footsteps(HierarchySolver().solve(self._hierarchy(scene, self._hand(target))).x)
 
-    def _wish(self, target: ArrayLike | None) -> FramePosition | None:
+    def _hand(self, target: ArrayLike | None) -> FramePosition | None:
         if target is None:
             return None
         place = np.asarray(target, dtype=np.float64)
@@ -177,9 +272,9 @@ class WholeBodyController:
             name="hand", weight=s.hand_weight, kp=s.hand_kp, frame=s.hand, target=place, saturation=s.hand_saturation
         )
 
-    def _hierarchy(self, scene: Scene, reach: FramePosition | None) -> tuple[Hierarchy, Layout]:
-        wanted = [*([reach] if reach else []), self._upright, self._posture, *self._own]
-        return hierarchy(self.config.whole_body, self.model, scene, wanted, self._distances)
+    def _hierarchy(self, scene: Scene, reach: FramePosition | None) -> Hierarchy:
+        objectives = [*([reach] if reach else []), self._upright, self._posture, *self._own]
+        return hierarchy(self.config.whole_body, self.model, scene, objectives, self._distances)
 
     def step(self, state: BodyState, dt: float) -> BodyCommand:
         """Return the joint torques for the next period.
@@ -195,20 +290,18 @@ class WholeBodyController:
         StateError
             If the state does not fit the model or is not finite.
         QPError
-            If no motion satisfies the laws of motion and of contact.
+            If no motion obeys the laws of motion and of contact.
         """
         self._check(state)
-        began = self._clock()
+        times = [self._clock()]
         dynamics = self._body.at(state.x_base, state.q, state.v)
-        modelled = self._clock()
-        scene, stance = self._scene(state.time, dynamics)
-        self._scene_now = scene
-        problem, layout = self._hierarchy(scene, self._reach)
-        assembled = self._clock()
-        answer = self._solver.solve(problem)
-        self.hierarchy, self.layout, self.answer = problem, layout, answer
-        times = (modelled - began, assembled - modelled, answer.solve_time)
-        return self._command(state, dt, scene, stance, layout, answer, times)
+        times.append(self._clock())
+        self._scene = scene = self._look(state.time, dynamics)
+        self.hierarchy = self._hierarchy(scene, self._reach)
+        times.append(self._clock())
+        answer = self._solver.solve(self.hierarchy)
+        spent = (times[1] - times[0], times[2] - times[1], answer.solve_time)
+        return self._command(state, dt, scene, answer, spent)
 
     def _check(self, state: BodyState) -> None:
         n = self.model.n
@@ -218,89 +311,72 @@ class WholeBodyController:
             if value.shape != (shape,) or not np.isfinite(value).all():
                 raise StateError(f"the state's {what} must be {shape} finite numbers, got {value}")
 
-    def _scene(self, now: float, dynamics: Dynamics) -> tuple[Scene, tuple[Foot, ...]]:
-        """Say who stands where, and what comes next."""
-        settings, stepping = self.config.whole_body, self.stepping
-        swing, step = stepping.swing(now), stepping.step(now)
-        here = {foot: dynamics.frames[frame].position[:2] for foot, frame in self._soles.items()}
+    def _look(self, now: float, dynamics: Dynamics) -> Scene:
+        """Find which foot stands where, and what comes next."""
+        settings, stepping, soles = self.config.whole_body, self.stepping, self._soles
+        swing = stepping.swing(now)
+        here = {foot: dynamics.frames[frame].position[:2] for foot, frame in soles.items()}
         if not self._places:
             self._places[-1] = 0.5 * (here[Foot.LEFT] + here[Foot.RIGHT])
-        landed = step + (swing is None) if step >= 0 else 0 if now >= settings.first_double_support - _EPS else -1
-        for index in range(max(self._places) + 1, landed + 1):
+        for index in range(max(self._places) + 1, stepping.landed(now) + 1):
             self._places[index], self._landing = here[stepping.foot(index)].copy(), None
         self._places = {index: self._places[index] for index in sorted(self._places)[-2:]}
-        base = max(self._places)
         settled = swing is not None and swing.remaining < settings.freeze - _EPS
-        stance = tuple(Foot) if swing is None else (swing.foot.other,)
-        scene = Scene(
+        return Scene(
             dynamics=dynamics,
             mass=self.point_mass,
             weight=self.weight,
-            stance=tuple(dynamics.frames[self._soles[foot]] for foot in stance),
-            preview=previewed(settings, stepping, now, self._places),
-            support=self._places[base],
+            stance=tuple(dynamics.frames[soles[foot]] for foot in stepping.stance(now)),
+            preview=previewed(settings, stepping, self.point_mass, now, dynamics.com, self._places),
+            support=self._places[max(self._places)],
             swing=swing,
-            sole=None if swing is None else dynamics.frames[self._soles[swing.foot]],
+            sole=None if swing is None else dynamics.frames[soles[swing.foot]],
             settled=self._landing if settled else None,
         )
-        return scene, stance
 
     def _command(
-        self,
-        state: BodyState,
-        dt: float,
-        scene: Scene,
-        stance: tuple[Foot, ...],
-        layout: Layout,
-        answer: Answer,
-        times: tuple[float, float, float],
+        self, state: BodyState, dt: float, scene: Scene, answer: Answer, times: tuple[float, float, float]
     ) -> BodyCommand:
         """Read the answer."""
-        d, x, settings = scene.dynamics, answer.x, self.config.whole_body
-        footsteps = _footsteps(scene, layout, x)
+        d, x, settings, stepping = scene.dynamics, answer.x, self.config.whole_body, self.stepping
+        footsteps = scene.footsteps(x)
         if scene.swing is not None and scene.settled is None:
             self._landing = footsteps[0]
-        acceleration = x[: layout.nv]
+        acceleration, stance = x[: d.nv], stepping.stance(state.time)
         effort = d.H[6:] @ acceleration + d.h[6:]
-        found, pressed = {}, np.zeros(3)  # f_z, and f_z times the CoP
-        contacts = zip(stance, scene.stance, wrenches(settings, layout, self.weight, x), strict=True)
-        for foot, sole, (force, moment) in contacts:
-            effort = effort - sole.jacobian[:, 6:].T @ np.concatenate([force, moment])
-            found[foot] = Wrench(force, moment)
-            pressed += [force[2] * sole.position[0] - moment[1], force[2] * sole.position[1] + moment[0], force[2]]
-        torso = d.frames[settings.torso].rotation
+        found, pressed = {}, np.zeros(3)  # f_z times the CoP, and f_z
+        for foot, sole, wrench in zip(stance, scene.stance, scene.wrenches(settings, x), strict=True):
+            effort = effort - sole.jacobian[:, 6:].T @ wrench
+            found[foot] = Wrench(wrench[:3], wrench[3:])
+            up, (x_sole, y_sole) = wrench[2], sole.position[:2]
+            pressed += [up * x_sole - wrench[4], up * y_sole + wrench[3], up]
+        dP = np.diff(footsteps, axis=0, prepend=scene.support[None])
+        lower, upper = scene.preview.lower[scene.preview.feet], scene.preview.upper[scene.preview.feet]
+        first = [scene.layout.y(axis).start for axis in (0, 1)]
         self._last = BodyTick(
             com=d.com,
             com_velocity=d.com_velocity,
             hand=d.frames[settings.hand].position,
+            soles={foot: d.frames[frame].position for foot, frame in self._soles.items()},
             wrenches=found,
-            cop=pressed[:2] / pressed[2],
-            cop_preview=d.com[:2] - self.point_mass.zeta * x[layout.com : layout.com + 2],
+            cop=pressed[:2] / pressed[2] if pressed[2] > 0.0 else np.full(2, np.nan),
+            cop_preview=d.com[:2] - self.point_mass.zeta * x[first],
             support=scene.support,
             footsteps=footsteps,
+            step_margin=float(np.minimum(dP - lower, upper - dP).min()),
             height_error=float(d.com[2] - self.point_mass.height),
-            tilt=float(np.linalg.norm(rotation_error(torso))),
-            capturability=answer.residual,
-            violation=answer.violation,
-            method=answer.method,
-            iterations=answer.iterations,
+            tilt=float(np.linalg.norm(rotation_error(d.frames[settings.torso].rotation))),
+            answer=answer,
             times=times,
         )
-        ends = scene.swing is not None and scene.swing.remaining <= dt + _EPS
         return BodyCommand(
             state.time,
             state.dq + dt * acceleration[6:],
             acceleration=acceleration,
             effort=effort,
             stance=stance,
-            landing=scene.swing.foot if scene.swing is not None and ends else None,
+            landing=stepping.landing(state.time, dt),
         )
-
-
-def _footsteps(scene: Scene, layout: Layout, x: Array) -> Array:
-    """Return where the feet previewed land, shape (K, 2) [m]."""
-    steps = np.stack([x[layout.feet(0)], x[layout.feet(1)]], axis=1)
-    return scene.support + np.cumsum(steps, axis=0)
 
 
 def _posture(lines: Sequence[str], model: RobotModel) -> Array:
@@ -317,8 +393,8 @@ def _posture(lines: Sequence[str], model: RobotModel) -> Array:
     return q
 
 
-def _named(patterns: Sequence[str], model: RobotModel) -> NDArray[np.bool_]:
-    """Return which joints match."""
+def _matching(patterns: Sequence[str], model: RobotModel) -> NDArray[np.bool_]:
+    """Return which joints match a pattern, shape (n,)."""
     for pattern in patterns:
         if not fnmatch.filter(model.joint_names, pattern):
             raise ModelError(f"whole_body.free names '{pattern}', and '{model.name}' has no such joint")

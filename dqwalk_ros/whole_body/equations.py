@@ -1,8 +1,7 @@
-"""One tick of the whole-body controller as a hierarchy: every equation of sections II to V, in the paper's order.
+"""One tick of the whole-body controller as a hierarchy: the equations of sections II to V, in the paper's order.
 
-The variables are x = (v', (lambda, mu) per contact, c''_0, Z, P): the accelerations, base first; the wrenches, in units
-of the robot's weight; the CoM's acceleration along x and y; the N previewed CoPs relative to the middle of their feet,
-x of all and then y; and the K displacements of the feet, the same way.
+The variables are x = (v', (lambda, mu) per contact, y along x, y along y): the accelerations, base first; the wrenches,
+in units of the robot's weight; and per axis the preview's y = (c''_0, Z, P).
 """
 
 from __future__ import annotations
@@ -16,14 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.config import WholeBodyConfig
-from dqwalk_ros.qp import Problem
 from dqwalk_ros.robot import RobotModel
 from dqwalk_ros.whole_body.dynamics import Dynamics, FrameMotion, rotation_error
-from dqwalk_ros.whole_body.hierarchy import Hierarchy
+from dqwalk_ros.whole_body.hierarchy import BALANCE, LAW, LIMIT, Hierarchy
 from dqwalk_ros.whole_body.objectives import Distance, Objective
 from dqwalk_ros.whole_body.preview import PointMass, Preview, Swing, swing_acceleration, swing_jerk
 
-__all__ = ["FACES", "Layout", "Scene", "friction_edges", "hierarchy", "joint_bounds", "wrenches"]
+__all__ = ["FACES", "Layout", "Scene", "friction_edges", "hierarchy", "joint_bounds"]
 
 Array = NDArray[np.float64]
 
@@ -41,39 +39,40 @@ class Layout:
 
     Attributes
     ----------
-    nv, contacts, intervals, steps : int
-        Sizes of v', number of wrenches, N and K.
+    nv, contacts : int
+        Sizes of v', and the number of wrenches.
+    preview : int
+        Size of y: 1 + N + K.
     """
 
     nv: int
     contacts: int
-    intervals: int
-    steps: int
-
-    @property
-    def com(self) -> int:
-        """Where c''_0 begins."""
-        return self.nv + self.contacts * (FACES + 3)
+    preview: int
 
     @property
     def size(self) -> int:
         """Number of variables."""
-        return self.com + 2 + 2 * self.intervals + 2 * self.steps
+        return self.nv + self.contacts * (FACES + 3) + 2 * self.preview
 
-    def wrench(self, contact: int) -> slice:
-        """(lambda, mu) of a contact."""
+    @property
+    def wrenches(self) -> slice:
+        """(lambda, mu) of all contacts."""
+        return slice(self.nv, self.nv + self.contacts * (FACES + 3))
+
+    def force(self, contact: int) -> slice:
+        """Lambda of a contact."""
         at = self.nv + contact * (FACES + 3)
-        return slice(at, at + FACES + 3)
+        return slice(at, at + FACES)
 
-    def cops(self, axis: int) -> slice:
-        """Z along x (0) or y (1)."""
-        at = self.com + 2 + axis * self.intervals
-        return slice(at, at + self.intervals)
+    def moment(self, contact: int) -> slice:
+        """Mu of a contact."""
+        at = self.nv + contact * (FACES + 3) + FACES
+        return slice(at, at + 3)
 
-    def feet(self, axis: int) -> slice:
-        """P along x (0) or y (1)."""
-        at = self.com + 2 + 2 * self.intervals + axis * self.steps
-        return slice(at, at + self.steps)
+    def y(self, axis: int) -> slice:
+        """Preview along x (0) or y (1)."""
+        at = self.wrenches.stop + axis * self.preview
+        return slice(at, at + self.preview)
 
 
 @dataclass(frozen=True)
@@ -108,10 +107,56 @@ class Scene:
     sole: FrameMotion | None
     settled: Array | None
 
+    @property
+    def layout(self) -> Layout:
+        """Where the variables are."""
+        return Layout(self.dynamics.nv, len(self.stance), self.preview.M.shape[1])
+
+    def footsteps(self, x: Array) -> Array:
+        """Return where the feet previewed in x land, shape (K, 2) [m]."""
+        P = np.stack([x[self.layout.y(axis)][self.preview.feet] for axis in (0, 1)], axis=1)
+        return self.support + np.cumsum(P, axis=0)
+
+    def wrenches(self, config: WholeBodyConfig, x: Array) -> list[Array]:
+        """Return what the ground does to each sole of the stance, force and moment, shape (6,) [N, N m]."""
+        edges, at = friction_edges(config.friction), self.layout
+        found = [np.concatenate([edges @ x[at.force(k)], x[at.moment(k)]]) for k in range(at.contacts)]
+        return [self.weight * wrench for wrench in found]
+
+
+class _Rows:
+    """Rows of A with their bounds and levels, added one block after the other."""
+
+    def __init__(self, most: int, n: int) -> None:
+        self._A = np.zeros((most, n))
+        self._lower, self._upper = np.full(n + most, -np.inf), np.full(n + most, np.inf)
+        self._level = np.full(n + most, LAW)
+        self._count, self._n = 0, n
+
+    def add(self, lower: Array | float, upper: Array | float, level: int, count: int) -> Array:
+        """Add rows and return their part of A, still zero, shape (count, n)."""
+        begin, self._count = self._count, self._count + count
+        at = slice(self._n + begin, self._n + self._count)
+        self._lower[at], self._upper[at], self._level[at] = lower, upper, level
+        return self._A[begin : self._count]
+
+    def equal(self, value: Array, level: int) -> Array:
+        """Add equalities and return their part of A."""
+        return self.add(value, value, level, len(value))
+
+    def bound(self, at: slice, lower: Array | float, upper: Array | float, level: int) -> None:
+        """Bound variables."""
+        self._lower[at], self._upper[at], self._level[at] = lower, upper, level
+
+    def hierarchy(self, H: Array, c: Array) -> Hierarchy:
+        """Return all rows with a cost."""
+        end = self._n + self._count
+        return Hierarchy(H, c, self._A[: self._count], self._lower[:end], self._upper[:end], self._level[:end])
+
 
 @cache
 def friction_edges(mu: float) -> Array:
-    """Return G of (4): unit vectors along the edges of the friction pyramid, shape (3, FACES)."""
+    """Return G of (S4): unit vectors along the edges of the friction pyramid, shape (3, FACES)."""
     angle = 2.0 * math.pi * np.arange(FACES) / FACES + 0.25 * math.pi
     G = np.stack([mu * np.cos(angle), mu * np.sin(angle), np.ones(FACES)])
     unit: Array = G / np.linalg.norm(G, axis=0)
@@ -119,14 +164,15 @@ def friction_edges(mu: float) -> Array:
 
 
 def joint_bounds(model: RobotModel, q: Array, dq: Array, T: float) -> tuple[Array, Array]:
-    """Bounds of the joint accelerations that keep the joints within their limits (9), shapes (n,) [rad/s^2].
+    """Bounds of the joint accelerations that keep the joints within their limits (S9), shapes (n,) [rad/s^2].
 
-    Where a joint that moves towards its limit could not stop in time under (9), the deceleration that stops it at the
+    Where a joint that moves towards its limit could not stop in time under (S9), the deceleration that stops it at the
     limit takes its place.
     """
 
     def most(gap: Array, speed: Array) -> Array:
         near = (gap > 1e-9) & (speed * T > 2.0 * gap)
+        # (S9) q + T q' + T^2/2 q'' <= q_max
         return np.where(near, -(speed**2) / np.maximum(2.0 * gap, 1e-9), 2.0 * gap / T**2 - 2.0 * speed / T)
 
     upper = np.clip(np.minimum(most(model.q_max - q, dq), (model.velocity_max - dq) / T), -_FAR, _FAR)
@@ -142,198 +188,115 @@ def hierarchy(
     scene: Scene,
     objectives: Sequence[Objective],
     distances: Sequence[Distance] = (),
-) -> tuple[Hierarchy, Layout]:
-    """Return the three levels of one tick, and where their variables are."""
-    d = scene.dynamics
-    layout = Layout(d.nv, len(scene.stance), config.intervals, scene.preview.steps)
-    E, e, soft_e = _equalities(config, layout, scene)
-    G, h, soft_g = _inequalities(config, model, layout, scene, distances)
-    lower, upper = _bounds(config, model, layout, scene)
-    H, c = _objectives(config, layout, scene, objectives)
-    soft = np.zeros(layout.size, dtype=np.bool_)
-    soft[6 : d.nv] = True
-    E2, e2 = _capturability(layout, scene)
-    if not config.capturability:
-        E2, e2 = E2[:0], e2[:0]
-    return Hierarchy(Problem.of(H, c, E, e, G, h, lower, upper), E2, e2, soft_e, soft_g, soft), layout
-
-
-def _equalities(config: WholeBodyConfig, layout: Layout, scene: Scene) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """(2), (8), the CoM's height, (15) and (16)."""
-    d, nv = scene.dynamics, layout.nv
-    count = 6 + 6 * layout.contacts + 3 + (6 if scene.swing is not None else 0)
-    E, e = np.zeros((count, layout.size)), np.zeros(count)
-    soft = np.zeros(count, dtype=np.bool_)
-    edges = friction_edges(config.friction)
-    # (2) H_2 v' + h_2 = J_c,2' f, divided by m g
-    E[:6, :nv] = d.H[:6] / scene.weight
-    e[:6] = -d.h[:6] / scene.weight
-    at = 6
-    for k, sole in enumerate(scene.stance):
-        J = sole.jacobian
-        w = layout.wrench(k).start
-        E[:6, w : w + FACES] = -J[:3, :6].T @ edges  # (3), (4)
-        E[:6, w + FACES : w + FACES + 3] = -J[3:, :6].T
-        # (8) J_c v' + J'_c v = 0, and what is left of a velocity decays
-        E[at : at + 6, :nv] = J
-        e[at : at + 6] = -sole.drift - config.contact_damping * sole.velocity
-        at += 6
-    # (15) J_com v' + J'_com v = c''_0, and the height that (10) takes for constant
-    E[at : at + 3, :nv] = d.com_jacobian
-    E[at, layout.com] = E[at + 1, layout.com + 1] = -1.0
-    e[at : at + 3] = -d.com_drift
-    kd = 2.0 * math.sqrt(config.com_kp)
-    e[at + 2] += config.com_kp * (scene.mass.height - d.com[2]) - kd * d.com_velocity[2]
-    soft[at + 2] = True
-    at += 3
+) -> Hierarchy:
+    """Return the three levels of one tick."""
+    kept = [distance.rows(scene.dynamics) for distance in distances]
+    contacts = len(scene.stance)
+    rows = _Rows(6 + 12 * contacts + model.n + 3 + 6 + 2 + sum(len(h) for _, h in kept), scene.layout.size)
+    _whole_body(config, model, scene, rows)
+    _balance(config, scene, rows)
     if scene.swing is not None and scene.sole is not None:
-        _swing_rows(config, layout, scene, scene.swing, scene.sole, E[at:], e[at:])
-        soft[at:] = True
-    return E, e, soft
+        _swing_foot(config, scene, scene.swing, scene.sole, rows)
+    for G, h in kept:
+        rows.add(h, np.inf, LIMIT, len(h))[:, : scene.layout.nv] = G
+    return rows.hierarchy(*_objectives(config, scene, objectives))
 
 
-def _swing_rows(
-    config: WholeBodyConfig, layout: Layout, scene: Scene, swing: Swing, sole: FrameMotion, E: Array, e: Array
-) -> None:
-    """(16): the swing foot follows a cubic to where it lands, and stays level."""
-    J, nv = sole.jacobian, layout.nv
+def _whole_body(config: WholeBodyConfig, model: RobotModel, scene: Scene, rows: _Rows) -> None:
+    """Section II: laws of motion and of contact, limits of joints and torques."""
+    d, at, weight = scene.dynamics, scene.layout, scene.weight
+    edges = friction_edges(config.friction)
+    half = 0.5 * np.array([config.cop_width, config.cop_length])
+    lever = np.append(half, config.friction * math.hypot(*half))[:, None]
+    base = rows.equal(-d.h[:6] / weight, LAW)
+    base[:, : at.nv] = d.H[:6] / weight  # (S2) H_2 v' + h_2 = J_c,2' f, divided by m g
+    most = np.minimum(model.effort_max, config.effort)
+    torque = rows.add(-1.0 - d.h[6:] / most, 1.0 - d.h[6:] / most, LIMIT, model.n)
+    torque[:, : at.nv] = d.H[6:] / most[:, None]  # (S1) tau = H_1 v' + h_1 - J_c,1' f, in units of its limit
+    for k, sole in enumerate(scene.stance):
+        lam, mu, J = at.force(k), at.moment(k), sole.jacobian
+        base[:, lam] = -J[:3, :6].T @ edges  # (S4) f = G lambda
+        base[:, mu] = -J[3:, :6].T  # (S3) a wrench: force and moment
+        torque[:, lam] = -weight * (J[:3, 6:] / most).T @ edges
+        torque[:, mu] = -weight * (J[3:, 6:] / most).T
+        rows.bound(lam, 0.0, np.inf, LAW)  # (S5)
+        # (S7) |mu_x| <= w f_z, |mu_y| <= l f_z and (S6) |mu_z| <= gamma f_z
+        for sign in (1.0, -1.0):
+            cone = rows.add(0.0, np.inf, LAW, 3)
+            cone[:, lam], cone[:, mu] = lever * edges[2], sign * np.eye(3)
+        # (S8) J_c v' + J'_c v = 0, and what is left of a velocity decays
+        rows.equal(-sole.drift - config.contact_damping * sole.velocity, LAW)[:, : at.nv] = J
+    rows.bound(slice(6, at.nv), *joint_bounds(model, d.q, d.v[6:], config.limit_time), LIMIT)
+
+
+def _balance(config: WholeBodyConfig, scene: Scene, rows: _Rows) -> None:
+    """Section III, and the coupling of the CoM (S15)."""
+    d, at, mass, preview = scene.dynamics, scene.layout, scene.mass, scene.preview
+    xi = mass.capture_point(d.com, d.com_velocity)
+    for axis in (0, 1):
+        y = at.y(axis)
+        rows.bound(y, preview.lower[:, axis], preview.upper[:, axis], LAW)
+        if scene.settled is not None:
+            first, place = y.start + preview.feet.start, scene.settled[axis] - scene.support[axis]
+            rows.bound(slice(first, first + 1), place, place, LAW)
+        # (S15) J_com v' + J'_com v = c''_0
+        com = rows.equal(-d.com_drift[axis : axis + 1], LAW)
+        com[0, : at.nv], com[0, y.start] = d.com_jacobian[axis], -1.0
+        if config.capturability:
+            # (S14) sum alpha_k z_k = xi_0
+            stop = rows.equal(xi[axis : axis + 1] - mass.alpha @ preview.offset[:, axis : axis + 1], BALANCE)
+            stop[0, y] = mass.alpha @ preview.M
+    # the height that (S10) takes for constant
+    kd = 2.0 * math.sqrt(config.com_kp)
+    wanted = config.com_kp * (mass.height - d.com[2:]) - kd * d.com_velocity[2:] - d.com_drift[2:]
+    rows.equal(wanted, LIMIT)[:, : at.nv] = d.com_jacobian[2:]
+
+
+def _swing_foot(config: WholeBodyConfig, scene: Scene, swing: Swing, sole: FrameMotion, rows: _Rows) -> None:
+    """Section IV: lead the swing foot along a cubic to where it lands, and keep it level (S16)."""
+    at, J, v, drift = scene.layout, sole.jacobian, sole.velocity, sole.drift
     a, b = swing_acceleration(swing.remaining)
     if scene.settled is None:
-        # J v' + J' v = a (p + dP - s) - b s', divided by a as long as dP is free: for the conditioning
-        E[:2, :nv] = J[:2] / a
-        E[0, layout.feet(0).start] = E[1, layout.feet(1).start] = -1.0
-        e[:2] = (-sole.drift[:2] - b * sole.velocity[:2]) / a + scene.support - sole.position[:2]
+        # (S16) J v' + J' v = a (p + dP - s) - b s', divided by a as long as dP is free: for the conditioning
+        across = rows.equal((-drift[:2] - b * v[:2]) / a + scene.support - sole.position[:2], LIMIT)
+        across[:, : at.nv] = J[:2] / a
+        for axis in (0, 1):
+            across[axis, at.y(axis).start + scene.preview.feet.start] = -1.0
     else:
-        E[:2, :nv] = J[:2]
-        e[:2] = a * (scene.settled - sole.position[:2]) - b * sole.velocity[:2] - sole.drift[:2]
+        wanted = a * (scene.settled - sole.position[:2]) - b * v[:2]
+        rows.equal(wanted - drift[:2], LIMIT)[:, : at.nv] = J[:2]
     up = 0.5 * config.single_support - swing.elapsed
     rising = up >= 0.005 - 1e-9  # to the middle of the step first, then down; rounding decides nothing
     a, b = swing_acceleration(up if rising else swing.remaining)
-    E[2, :nv] = J[2]
-    e[2] = a * ((config.step_height if rising else 0.0) - sole.position[2]) - b * sole.velocity[2] - sole.drift[2]
-    kd = 2.0 * math.sqrt(config.foot_kp)
-    turn = -config.foot_kp * rotation_error(sole.rotation) - kd * sole.velocity[3:]
-    E[3:6, :nv] = _TURN * J[3:]
-    e[3:6] = _TURN * (turn - sole.drift[3:])
+    height = config.step_height if rising else 0.0
+    rows.equal(a * (height - sole.position[2:]) - b * v[2:3] - drift[2:3], LIMIT)[:, : at.nv] = J[2:3]
+    turn = -config.foot_kp * rotation_error(sole.rotation) - 2.0 * math.sqrt(config.foot_kp) * v[3:]
+    rows.equal(_TURN * (turn - drift[3:]), LIMIT)[:, : at.nv] = _TURN * J[3:]
 
 
-def _inequalities(
-    config: WholeBodyConfig, model: RobotModel, layout: Layout, scene: Scene, distances: Sequence[Distance]
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """(6), (7), the joint torques, and the distances."""
-    d, nv, n = scene.dynamics, layout.nv, model.n
-    cones = 6 * layout.contacts
-    rows = [distance.rows(d) for distance in distances]
-    count = cones + 2 * n + sum(len(h) for _, h in rows)
-    G, h = np.zeros((count, layout.size)), np.zeros(count)
-    edges = friction_edges(config.friction)
-    half_l, half_w = 0.5 * config.cop_length, 0.5 * config.cop_width
-    # |mu_x| <= w f_z, |mu_y| <= l f_z (7); |mu_z| <= gamma f_z (6)
-    lever = np.array([half_w, half_l, config.friction * math.hypot(half_l, half_w)])
-    for k in range(layout.contacts):
-        w = layout.wrench(k).start
-        G[6 * k : 6 * k + 6, w : w + FACES] = np.tile(lever, 2)[:, None] * edges[2]
-        G[6 * k : 6 * k + 3, w + FACES : w + FACES + 3] = -np.eye(3)
-        G[6 * k + 3 : 6 * k + 6, w + FACES : w + FACES + 3] = np.eye(3)
-    # tau = H_1 v' + h_1 - J_c,1' f, in units of the greatest torque
-    most = np.minimum(model.effort_max, config.effort)
-    tau = G[cones : cones + n]
-    tau[:, :nv] = d.H[6:]
-    for k, sole in enumerate(scene.stance):
-        w = layout.wrench(k).start
-        tau[:, w : w + FACES] = -scene.weight * (sole.jacobian[:3, 6:].T @ edges)
-        tau[:, w + FACES : w + FACES + 3] = -scene.weight * sole.jacobian[3:, 6:].T
-    tau /= most[:, None]
-    G[cones + n : cones + 2 * n] = -tau
-    h[cones : cones + n] = -1.0 - d.h[6:] / most
-    h[cones + n : cones + 2 * n] = -1.0 + d.h[6:] / most
-    at = cones + 2 * n
-    for J, least in rows:
-        G[at : at + len(least), :nv], h[at : at + len(least)] = J, least
-        at += len(least)
-    soft = np.ones(count, dtype=np.bool_)
-    soft[:cones] = False
-    return G, h, soft
-
-
-def _bounds(config: WholeBodyConfig, model: RobotModel, layout: Layout, scene: Scene) -> tuple[Array, Array]:
-    """(5), (9), (11) and (12)."""
-    d, preview = scene.dynamics, scene.preview
-    lower, upper = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
-    lower[6 : layout.nv], upper[6 : layout.nv] = joint_bounds(model, d.q, d.v[6:], config.limit_time)
-    for k in range(layout.contacts):
-        w = layout.wrench(k).start
-        lower[w : w + FACES] = 0.0
+def _objectives(config: WholeBodyConfig, scene: Scene, objectives: Sequence[Objective]) -> tuple[Array, Array]:
+    """Section V as 1/2 x'Hx + c'x, shapes (n, n), (n,)."""
+    d, at, preview = scene.dynamics, scene.layout, scene.preview
+    H, c = np.zeros((at.size, at.size)), np.zeros(at.size)
+    diagonal = H.reshape(-1)[:: at.size + 1]
+    # (S17) to (S19), and every other objective of the accelerations
+    for objective in objectives:
+        J, wanted = objective.jacobian(d), objective.acceleration(d)
+        H[: at.nv, : at.nv] += objective.weight * J.T @ J
+        c[: at.nv] -= objective.weight * J.T @ wanted
+    D = np.diff(preview.M, axis=0) / scene.mass.interval
+    damping = config.cop_velocity_weight * D.T @ D
     for axis in (0, 1):
-        lower[layout.cops(axis)], upper[layout.cops(axis)] = -preview.half[:, axis], preview.half[:, axis]
-        lower[layout.feet(axis)], upper[layout.feet(axis)] = preview.lower[:, axis], preview.upper[:, axis]
-        if scene.settled is not None:
-            first = layout.feet(axis).start
-            lower[first] = upper[first] = scene.settled[axis] - scene.support[axis]
-    return lower, upper
-
-
-def _capturability(layout: Layout, scene: Scene) -> tuple[Array, Array]:
-    """(14): sum alpha_k z_k = xi_0 with z_0 = c_0 - zeta c''_0 and z_k = V0_k + V_k P + Z_k."""
-    d, mass, preview = scene.dynamics, scene.mass, scene.preview
-    alpha, xi = mass.alpha, mass.capture_point(d.com, d.com_velocity)
-    E, e = np.zeros((2, layout.size)), np.zeros(2)
-    for axis in (0, 1):
-        E[axis, layout.com + axis] = -alpha[0] * mass.zeta
-        E[axis, layout.cops(axis)] = alpha[1:]
-        E[axis, layout.feet(axis)] = alpha[1:] @ preview.V
-        e[axis] = xi[axis] - alpha[0] * d.com[axis] - alpha[1:] @ preview.V0[:, axis]
-    return E, e
-
-
-def _objectives(
-    config: WholeBodyConfig, layout: Layout, scene: Scene, objectives: Sequence[Objective]
-) -> tuple[Array, Array]:
-    """(17) to (22) as 1/2 x'Hx + c'x."""
-    d, mass, preview = scene.dynamics, scene.mass, scene.preview
-    H, c = np.zeros((layout.size, layout.size)), np.zeros(layout.size)
-    # (17) to (19), and whatever else is wanted of the accelerations
-    rows = [(objective.jacobian(d), objective.acceleration(d), objective.weight) for objective in objectives]
-    J, pi = np.vstack([row[0] for row in rows]), np.concatenate([row[1] for row in rows])
-    weighted = J * np.repeat([row[2] for row in rows], [len(row[1]) for row in rows])[:, None]
-    H[: d.nv, : d.nv] = J.T @ weighted
-    c[: d.nv] = -(weighted.T @ pi)
-    diagonal = np.full(layout.size, config.regularization)
-    diagonal[d.nv : layout.com] += config.wrench_weight
-    # (20) s''' = -a (p + dP - s) + b s'
-    if scene.swing is not None and scene.sole is not None and scene.settled is None:
-        a, b = swing_jerk(scene.swing.remaining)
-        for axis in (0, 1):
-            at = layout.feet(axis).start
-            rest = a * (scene.sole.position[axis] - scene.support[axis]) + b * scene.sole.velocity[axis]
-            diagonal[at] += config.jerk_weight * a * a
-            c[at] -= config.jerk_weight * a * rest
-    # (21) Z is counted from the middle of the feet
-    diagonal[layout.cops(0).start : layout.cops(1).stop] += config.cop_weight
-    # (22) z' over every interval, of z = offset + M (c''_0, Z, P)
-    N = layout.intervals
-    M = np.zeros((N + 1, 1 + N + layout.steps))
-    M[0, 0] = -mass.zeta
-    M[1:, 1 : N + 1] = np.eye(N)
-    M[1:, N + 1 :] = preview.V
-    D = np.diff(M, axis=0) / mass.interval
-    HD = config.cop_velocity_weight * D.T @ D
-    for axis in (0, 1):
-        cops, feet = layout.cops(axis), layout.feet(axis)
-        parts = ((layout.com + axis,), range(cops.start, cops.stop), range(feet.start, feet.stop))
-        index = np.array([at for part in parts for at in part])
-        offset = np.diff(np.append(d.com[axis], preview.V0[:, axis])) / mass.interval
-        H[np.ix_(index, index)] += HD
-        c[index] += config.cop_velocity_weight * (D.T @ offset)
-    H[np.diag_indices_from(H)] += diagonal
+        y = at.y(axis)
+        if scene.swing is not None and scene.sole is not None and scene.settled is None:
+            a, b = swing_jerk(scene.swing.remaining)
+            rest = -a * (scene.support[axis] - scene.sole.position[axis]) + b * scene.sole.velocity[axis]
+            first = y.start + preview.feet.start
+            diagonal[first] += config.jerk_weight * a * a  # (S20) s''' = -a dP + rest
+            c[first] -= config.jerk_weight * a * rest
+        diagonal[y][preview.cops] += config.cop_weight  # (S21) Z counts from the middle of its foot
+        H[y, y] += damping  # (S22) z' = D y + offset' over every interval
+        c[y] += config.cop_velocity_weight * D.T @ np.diff(preview.offset[:, axis]) / scene.mass.interval
+    diagonal[at.wrenches] += config.wrench_weight
+    diagonal += config.regularization
     return H, c
-
-
-def wrenches(config: WholeBodyConfig, layout: Layout, weight: float, x: Array) -> list[tuple[Array, Array]]:
-    """Return force and moment of each contact (3), (4) [N, N m]."""
-    edges = friction_edges(config.friction)
-    found = []
-    for k in range(layout.contacts):
-        values = weight * x[layout.wrench(k)]
-        found.append((edges @ values[:FACES], values[FACES:]))
-    return found

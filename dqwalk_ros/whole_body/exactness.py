@@ -1,60 +1,84 @@
-"""Are the equations and the answers what they should be? Each figure beside something computed another way."""
+"""Equations and answers beside the same quantities computed another way, for ``dqwalk reach --all`` and the tests."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+import clarabel
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
+from scipy.spatial.transform import Rotation
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import QPError
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.qp import Problem
 from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.urdf import Urdf
 from dqwalk_ros.whole_body.controller import WholeBodyController
 from dqwalk_ros.whole_body.dynamics import GRAVITY, Multibody
-from dqwalk_ros.whole_body.hierarchy import HierarchySolver
-from dqwalk_ros.whole_body.newton_euler import inverse_dynamics
+from dqwalk_ros.whole_body.hierarchy import BALANCE, Hierarchy, HierarchySolver
 from dqwalk_ros.whole_body.preview import PointMass
-from dqwalk_ros.whole_body.reference import solve_reference
 from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 
-__all__ = ["Answers", "Infeasible", "condensed_difference", "infeasible", "model_difference"]
+__all__ = [
+    "Answers",
+    "Infeasible",
+    "clarabel_solution",
+    "condensed_difference",
+    "discretized",
+    "infeasible",
+    "inverse_dynamics",
+    "model_difference",
+]
 
 Array = NDArray[np.float64]
 
 
-def condensed_difference(mass: PointMass) -> float:
-    """Return the largest difference between the coefficients of (14) in its two forms.
+# ---------------------------------------------------------------------- the point mass
 
-    c'_N + c''_N / omega of (10) stepped N times with A and B is omega e^(omega N T) (xi_0 - sum alpha_k z_k), as
+
+def discretized(mass: PointMass) -> tuple[Array, Array, Array]:
+    """Return A (3, 3), B (3,), D (3,) of (S10) over T: x+ = A x + B z', z = D x with x = (c, c', c'')."""
+    w, T = mass.omega, mass.interval
+    sh, ch = math.sinh(w * T), math.cosh(w * T)
+    A = np.array([[1.0, sh / w, (ch - 1.0) / w**2], [0.0, ch, sh / w], [0.0, w * sh, ch]])
+    return A, np.array([T - sh / w, 1.0 - ch, -w * sh]), np.array([1.0, 0.0, -1.0 / w**2])
+
+
+def condensed_difference(mass: PointMass) -> float:
+    """Return the largest difference between the coefficients of (S14) in its two forms.
+
+    c'_N + c''_N / omega of (S10) stepped N times with A and B is omega e^(omega N T) (xi_0 - sum alpha_k z_k), as
     functions of the initial (c, c', c'') and of each z'_k; both are divided by that factor.
     """
-    A, B, D = mass.matrices()
+    A, B, D = discretized(mass)
     N, T, w = mass.intervals, mass.interval, mass.omega
-    last = np.array([0.0, 1.0, 1.0 / w]) / (w * math.exp(w * N * T))
-    condensed = np.empty(3 + N)
-    row = last
+    condensed, short = np.empty(3 + N), np.empty(3 + N)
+    row = np.array([0.0, 1.0, 1.0 / w]) / (w * math.exp(w * N * T))
     for k in reversed(range(N)):
         condensed[3 + k] = row @ B
         row = row @ A
     condensed[:3] = row
     # xi_0 = c + c'/omega, and z_k = D x_0 + T (z'_0 + ... + z'_{k-1})
-    short = np.empty(3 + N)
     short[:3] = np.array([1.0, 1.0 / w, 0.0]) - mass.alpha.sum() * D
     short[3:] = -T * np.cumsum(mass.alpha[:0:-1])[::-1]
     return float(np.abs(condensed - short).max())
 
 
+# ---------------------------------------------------------------------- the multibody system
+
+
 def model_difference(model: RobotModel, motions: int = 8, seed: int = 0) -> tuple[float, float]:
-    """Compare `dynamics` with what does not use pinocchio, over random motions.
+    """Compare `dynamics` with computations that do not use pinocchio, over random motions.
 
     Returns
     -------
     forces : float
-        H v' + h against Newton and Euler, link by link [N, N m].
+        H v' + h against Newton's and Euler's laws, link by link [N, N m].
     places : float
         Soles' places, axes and the CoM against the dual quaternions [m].
     """
@@ -78,9 +102,83 @@ def model_difference(model: RobotModel, motions: int = 8, seed: int = 0) -> tupl
     return forces, places
 
 
+def inverse_dynamics(
+    model: RobotModel, position: Array, rotation: Array, q: Array, v: Array, a: Array, gravity: float = GRAVITY
+) -> Array:
+    """Return the generalized forces H a + h of a motion, shape (6 + n,), by Newton's and Euler's laws link by link.
+
+    It uses neither pinocchio nor the package's kinematics, to hold both to it.
+
+    Parameters
+    ----------
+    model : RobotModel
+    position, rotation : ndarray, shapes (3,), (3, 3)
+        Of the root link in the world.
+    q : ndarray, shape (n,)
+        [rad]
+    v, a : ndarray, shape (6 + n,)
+        Velocity and acceleration, of the base in its own axes first.
+    gravity : float
+        [m/s^2]
+    """
+    robot = Urdf(model.urdf, model.name)
+    # v is in axes that turn: its derivative in the world has w x v besides R v'
+    linear = rotation @ (a[:3] + np.cross(v[3:6], v[:3])) + [0.0, 0.0, gravity]
+    root = _Link(model.root, position, rotation, rotation @ v[3:6], linear, rotation @ a[3:6], ())
+    force = np.zeros(6 + model.n)
+    for link in _links(robot, model, root, q, v[6:], a[6:]):
+        body = robot.links[link.name]
+        arm, inertia = link.R @ body.com, link.R @ body.inertia @ link.R.T
+        f = body.mass * (link.linear + np.cross(link.angular, arm) + np.cross(link.w, np.cross(link.w, arm)))
+        n = inertia @ link.angular + np.cross(link.w, inertia @ link.w)
+        place = link.p + arm
+        force[:3] += rotation.T @ f
+        force[3:6] += rotation.T @ (n + np.cross(place - position, f))
+        for index, axis, at in link.joints:
+            force[6 + index] += axis @ (n + np.cross(place - at, f))
+    return force
+
+
+@dataclass(frozen=True)
+class _Link:
+    """A link in motion, in the world: place, axes, angular velocity, linear and angular acceleration."""
+
+    name: str
+    p: Array
+    R: Array
+    w: Array
+    linear: Array
+    angular: Array
+    joints: tuple[tuple[int, Array, Array], ...]  # index, axis and place of each joint on the way to the root
+
+
+def _links(robot: Urdf, model: RobotModel, root: _Link, q: Array, dq: Array, ddq: Array) -> Iterator[_Link]:
+    """Yield every link of the model in motion, parents first."""
+    waiting = [root]
+    while waiting:
+        link = waiting.pop()
+        yield link
+        for joint in robot.joints.values():
+            if joint.parent != link.name:
+                continue
+            origin = joint.origin.matrix
+            arm, R = link.R @ origin[:3, 3], link.R @ origin[:3, :3]
+            p, w, angular, joints = link.p + arm, link.w, link.angular, link.joints
+            linear = link.linear + np.cross(angular, arm) + np.cross(w, np.cross(w, arm))
+            if joint.moves:
+                i, z = model.joint_names.index(joint.name), R @ joint.axis
+                R = R @ Rotation.from_rotvec(q[i] * np.asarray(joint.axis)).as_matrix()
+                angular = angular + ddq[i] * z + np.cross(w, dq[i] * z)
+                w, joints = w + dq[i] * z, (*joints, (i, z, p))
+            waiting.append(_Link(joint.child, p, R, w, linear, angular, joints))
+
+
+# ---------------------------------------------------------------------- the answers
+
+
 @dataclass
 class Answers:
-    """Watches a walk and says how exact its answers were.
+    """Watches a walk and measures how exact its answers were.
 
     Attributes
     ----------
@@ -103,17 +201,16 @@ class Answers:
 
     def __call__(self, controller: WholeBodyController) -> None:
         """Look at the last tick; one whose levels 1 and 2 could not both hold is not judged here."""
-        h, answer, layout = controller.hierarchy, controller.answer, controller.layout
-        if h is None or answer is None or layout is None or "relaxed" in answer.method:
+        h, answer, nv = controller.hierarchy, controller.last.answer, controller.scene.layout.nv
+        if h is None or "relaxed" in answer.method:
             return
-        problem, x = h.problem(), answer.x
         self.ticks += 1
-        self.equality = max(self.equality, float(np.abs(problem.E @ x - problem.e).max()))
-        self.inequality = max(self.inequality, _violation(problem, x))
+        violation, equal = h.violation(answer.x), h.lower == h.upper
+        self.equality = max(self.equality, float(violation[equal].max()))
+        self.inequality = max(self.inequality, float(violation[~equal].max()))
         if self.ticks % self.every == 0:
             self.sampled += 1
-            sure = solve_reference(problem, 1e-9).u
-            off = float(np.abs(x[: layout.nv] - sure[: layout.nv]).max())
+            off = float(np.abs(answer.x[:nv] - clarabel_solution(h)[:nv]).max())
             self.acceleration = max(self.acceleration, off)
 
     def joined(self, other: Answers) -> Answers:
@@ -128,9 +225,34 @@ class Answers:
         )
 
 
+def clarabel_solution(h: Hierarchy, tolerance: float = 1e-9) -> Array:
+    """Return Clarabel's optimum of level 3 under levels 1 and 2, shape (n,).
+
+    Raises
+    ------
+    QPError
+        If they cannot both hold.
+    """
+    rows = sparse.vstack([sparse.identity(len(h.c)), sparse.csr_matrix(h.A)], format="csr")
+    equal = h.lower == h.upper
+    above, below = np.isfinite(h.upper) & ~equal, np.isfinite(h.lower) & ~equal
+    A = sparse.csc_matrix(sparse.vstack([rows[equal], rows[above], -rows[below]]))
+    b = np.concatenate([h.upper[equal], h.upper[above], -h.lower[below]])
+    cones = [clarabel.ZeroConeT(int(equal.sum())), clarabel.NonnegativeConeT(int(above.sum() + below.sum()))]
+    settings = clarabel.DefaultSettings()
+    settings.verbose = settings.presolve_enable = False
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
+    P = sparse.triu(sparse.csc_matrix(h.H), format="csc")
+    answer = clarabel.DefaultSolver(P, h.c, A, b, cones, settings).solve()
+    x, status = np.array(answer.x), str(answer.status)
+    if status != "Solved" and not (status == "AlmostSolved" and h.violation(x).max() < 1e-6):
+        raise QPError(f"Clarabel finds no answer ({status})", status=status)
+    return x
+
+
 @dataclass(frozen=True)
 class Infeasible:
-    """What became of a tick whose (14) is out of reach.
+    """What became of a tick whose (S14) is out of reach.
 
     Attributes
     ----------
@@ -139,7 +261,7 @@ class Infeasible:
     level1 : float
         Largest violation of level 1.
     residual, least : float
-        ||E x - e|| of the answer, and the least there is under level 1, found another way [m].
+        What the answer misses of level 2, and the least there is under level 1, found another way [m].
     """
 
     method: str
@@ -164,17 +286,20 @@ def infeasible(config: Config, model: RobotModel, away: float = 0.6, when: float
     plant = RigidPlant(model, controller.start, pushed=config.whole_body.torso)
     for _ in range(round(when / config.dt) + 1):
         plant.step(controller.step(plant.state, config.dt), config.dt)
-    assert controller.hierarchy is not None  # it has just made a step
     h = controller.hierarchy
-    far = replace(h, e=h.e + np.array([away, 0.0]))
-    answer = HierarchySolver().solve(far)
-    p = h.level1
-    level1 = max(float(np.abs(p.E @ answer.x - p.e).max()), _violation(p, answer.x))
-    closest = replace(p, H=h.E.T @ h.E + 1e-9 * np.eye(len(p.c)), c=-h.E.T @ far.e)
-    least = float(np.linalg.norm(h.E @ solve_reference(closest, 1e-10).u - far.e))
+    assert h is not None  # it has just made a step
+    balance = np.flatnonzero(h.level == BALANCE)
+    lower, upper = h.lower.copy(), h.upper.copy()
+    lower[balance[0]] += away
+    upper[balance[0]] += away
+    answer = HierarchySolver().solve(replace(h, lower=lower, upper=upper))
+    level1 = float(replace(h, lower=lower, upper=upper).violation(answer.x)[h.level < BALANCE].max())
+    # the least ||E x - e||, by Clarabel and without the rows of level 2
+    E, e = h.A[balance - len(h.c)], lower[balance]
+    kept = h.level[len(h.c) :] < BALANCE
+    bounds = np.concatenate([np.full(len(h.c), True), kept])
+    nearest = Hierarchy(
+        E.T @ E + 1e-9 * np.eye(len(h.c)), -E.T @ e, h.A[kept], lower[bounds], upper[bounds], h.level[bounds]
+    )
+    least = float(np.linalg.norm(E @ clarabel_solution(nearest, 1e-10) - e))
     return Infeasible(answer.method, level1, answer.residual, least)
-
-
-def _violation(problem: Problem, x: Array) -> float:
-    off = np.concatenate([problem.h - problem.G @ x, problem.lower - x, x - problem.upper])
-    return max(0.0, float(off.max()))

@@ -1,6 +1,6 @@
 """The preview of the balance: a point mass, its steps, and how it can stop, section III [Sherikov2014].
 
-Times of the preview are those of a grid t + k T, k = 0..N, that moves along with the clock. A *support coordinate* s
+The preview looks at the times t + k T, k = 0..N, of a grid that moves along with the clock. A *support coordinate* s
 says where the robot stands: s = j on foot j alone, between j and j + 1 while the weight goes over, and s = -1 on both
 feet before the first step, where "foot -1" is the middle of the two.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,7 +27,7 @@ _EPS = 1e-9
 
 @dataclass(frozen=True)
 class PointMass:
-    """The linear inverted pendulum (10) with a CoP that moves piecewise linearly, per axis.
+    """The linear inverted pendulum (S10) with a CoP that moves piecewise linearly, per axis.
 
     Attributes
     ----------
@@ -55,12 +56,12 @@ class PointMass:
         """c^z / g of z = c - zeta c'' [s^2]."""
         return self.height / self.gravity
 
-    @property
+    @cached_property
     def alpha(self) -> Array:
-        """Coefficients of the capturability constraint (14), shape (N + 1,).
+        """Coefficients of the capturability constraint (S14) in closed form, shape (N + 1,).
 
-        With xi = c + c'/omega, of which xi' = omega (xi - z), the robot comes to rest, c'_N + c''_N/omega = 0, if and
-        only if sum_k alpha_k z_k = xi_0. They sum up to one.
+        The capture point obeys xi' = omega (xi - z). With a CoP that is linear between the samples the robot comes to
+        rest, c'_N + c''_N/omega = 0, if and only if sum_k alpha_k z_k = xi_0. The sum of all alpha_k is one.
         """
         w, T, N = self.omega, self.interval, self.intervals
         alpha = np.empty(N + 1)
@@ -70,15 +71,8 @@ class PointMass:
         return alpha
 
     def capture_point(self, c: Array, c_dot: Array) -> Array:
-        """Return xi of (13), shape (2,) [m]."""
-        return c[:2] + c_dot[:2] / self.omega
-
-    def matrices(self) -> tuple[Array, Array, Array]:
-        """Return A (3, 3), B (3,), D (3,) of (10) over T: x+ = A x + B z', z = D x with x = (c, c', c'')."""
-        w, T = self.omega, self.interval
-        sh, ch = math.sinh(w * T), math.cosh(w * T)
-        A = np.array([[1.0, sh / w, (ch - 1.0) / w**2], [0.0, ch, sh / w], [0.0, w * sh, ch]])
-        return A, np.array([T - sh / w, 1.0 - ch, -w * sh]), np.array([1.0, 0.0, -1.0 / w**2])
+        """Return xi, shape (2,) [m]."""
+        return c[:2] + c_dot[:2] / self.omega  # (S13)
 
 
 @dataclass(frozen=True)
@@ -141,6 +135,12 @@ class Stepping:
         """Index of the foot that carries at a time [s], -1 before the first single support."""
         return -1 if time < self.begin - _EPS else math.floor((time - self.begin + _EPS) / self.period)
 
+    def landed(self, time: float) -> int:
+        """Index of the foot that landed last at a time [s], -1 before the weight goes over to the first."""
+        if time < self.begin - _EPS:
+            return 0 if time >= self.standing - _EPS else -1
+        return self.step(time) + (self.swing(time) is None)
+
     def swing(self, time: float) -> Swing | None:
         """Return the swing at a time [s], None in double support."""
         index = self.step(time)
@@ -151,44 +151,67 @@ class Stepping:
             return None
         return Swing(self.foot(index + 1), max(elapsed, 0.0), self.single - elapsed)
 
+    def stance(self, time: float) -> tuple[Foot, ...]:
+        """Return the feet on the ground at a time [s]."""
+        swing = self.swing(time)
+        return tuple(Foot) if swing is None else (swing.foot.other,)
+
+    def landing(self, time: float, dt: float) -> Foot | None:
+        """Return the foot that touches down between a time and `dt` later [s]."""
+        swing = self.swing(time)
+        return swing.foot if swing is not None and swing.remaining <= dt + _EPS else None
+
 
 @dataclass(frozen=True)
 class Preview:
-    """Where the CoP may be at t + T .. t + N T, as a function of K footsteps dP: z = V0 + V dP + Z, |Z| <= half.
+    """Where the CoP is at t + k T, k = 0..N, per axis: z = offset + M y with y = (c''_0, Z, P).
+
+    Z are the CoPs at k = 1..N relative to the middle of the foot they belong to, P the K displacements from each foot
+    to the next.
 
     Attributes
     ----------
-    V : ndarray, shape (N, K)
-        Of one axis; both have the same.
-    V0 : ndarray, shape (N, 2)
+    M : ndarray, shape (N + 1, 1 + N + K)
+        Both axes have the same.
+    offset : ndarray, shape (N + 1, 2)
         [m]
-    half : ndarray, shape (N, 2)
-        Half sizes of the CoP's rectangle (11) [m].
-    lower, upper : ndarray, shape (K, 2)
-        Bounds of the displacements dP from each foot to the next (12) [m].
+    lower, upper : ndarray, shape (1 + N + K, 2)
+        Bounds of y; c''_0 has none.
+    steps : int
+        K.
     """
 
-    V: Array
-    V0: Array
-    half: Array
+    M: Array
+    offset: Array
     lower: Array
     upper: Array
+    steps: int
 
     @property
-    def steps(self) -> int:
-        """K."""
-        return int(self.V.shape[1])
+    def cops(self) -> slice:
+        """Z in y."""
+        return slice(1, self.M.shape[0])
+
+    @property
+    def feet(self) -> slice:
+        """P in y."""
+        return slice(self.M.shape[0], self.M.shape[1])
 
 
-def previewed(config: WholeBodyConfig, stepping: Stepping, time: float, places: Mapping[int, Array]) -> Preview:
+def previewed(
+    config: WholeBodyConfig, stepping: Stepping, mass: PointMass, time: float, com: Array, places: Mapping[int, Array]
+) -> Preview:
     """Return the preview at a time.
 
     Parameters
     ----------
     config : WholeBodyConfig
     stepping : Stepping
+    mass : PointMass
     time : float
         [s]
+    com : ndarray, shape (2,) or (3,)
+        c_0 [m].
     places : mapping of int to ndarray, shape (2,)
         Where the feet that landed last are, by index; -1 is the middle of both feet before the first step [m].
 
@@ -197,32 +220,38 @@ def previewed(config: WholeBodyConfig, stepping: Stepping, time: float, places: 
     While the weight goes over from foot j to j + 1 the rectangle goes over with it, "translated support areas", so
     that the constraints change smoothly as the grid moves.
     """
-    base = max(places)
-    s = stepping.coordinate(time + config.interval * np.arange(1, config.intervals + 1))
-    count = max(math.ceil(s[-1] - base - _EPS), 1)
-    V = np.clip(s[:, None] - base - np.arange(count), 0.0, 1.0)
-    V0 = np.tile(places[base], (config.intervals, 1))
+    N, base = mass.intervals, max(places)
+    s = stepping.coordinate(time + mass.interval * np.arange(1, N + 1))
+    K = max(math.ceil(s[-1] - base - _EPS), 1)
+    M, offset = np.zeros((N + 1, 1 + N + K)), np.empty((N + 1, 2))
+    M[0, 0], offset[0] = -mass.zeta, com[:2]  # (S10) z = c - c'' c^z/g
+    M[np.arange(1, N + 1), np.arange(1, N + 1)] = 1.0
+    M[1:, N + 1 :] = np.clip(s[:, None] - base - np.arange(K), 0.0, 1.0)  # V of (S21)
+    offset[1:] = places[base]
     if base - 1 in places:
-        V0 += np.minimum(s - base, 0.0)[:, None] * (places[base] - places[base - 1])
-    standing = np.clip(-s, 0.0, 1.0)[:, None] * [0.0, 0.5 * config.feet_distance]
-    half = np.array([0.5 * config.cop_length, 0.5 * config.cop_width]) + standing
-    lower, upper = np.empty((count, 2)), np.empty((count, 2))
-    lower[:, 0], upper[:, 0] = -config.step_length, config.step_length
-    for k in range(count):
-        left = stepping.foot(base + 1 + k) is Foot.LEFT
-        near, far = config.step_width_min, config.step_width_max
-        lower[k, 1], upper[k, 1] = (near, far) if left else (-far, -near)
+        offset[1:] += np.minimum(s - base, 0.0)[:, None] * (places[base] - places[base - 1])
+    upper = np.full((1 + N + K, 2), np.inf)
+    lower = -upper
+    # (S11) the CoP in the rectangle of its foot; before the first step in that around both feet
+    upper[1 : N + 1] = 0.5 * config.cop_length, 0.5 * config.cop_width
+    upper[1 : N + 1, 1] += np.clip(-s, 0.0, 1.0) * 0.5 * config.feet_distance
+    lower[1 : N + 1] = -upper[1 : N + 1]
+    # (S12) each foot in a box beside the one before it
+    for k in range(K):
+        side = 1.0 if stepping.foot(base + 1 + k) is Foot.LEFT else -1.0
+        across = sorted((side * config.step_width_min, side * config.step_width_max))
+        lower[N + 1 + k], upper[N + 1 + k] = (-config.step_length, across[0]), (config.step_length, across[1])
     if base < 0:  # the first foot stands already
-        y = 0.5 * config.feet_distance
-        lower[0] = upper[0] = [0.0, y if stepping.first is Foot.LEFT else -y]
-    return Preview(V, V0, half, lower, upper)
+        side = 1.0 if stepping.first is Foot.LEFT else -1.0
+        lower[N + 1] = upper[N + 1] = 0.0, side * 0.5 * config.feet_distance
+    return Preview(M, offset, lower, upper, K)
 
 
 def swing_acceleration(remaining: float) -> tuple[float, float]:
-    """Coefficients (a, b) of the cubic that ends at s_l at rest (16): s'' = a (s_l - s) - b s' [1/s^2, 1/s]."""
+    """Coefficients (a, b) of the cubic that ends at s_l at rest (S16): s'' = a (s_l - s) - b s' [1/s^2, 1/s]."""
     return 6.0 / remaining**2, 4.0 / remaining
 
 
 def swing_jerk(remaining: float) -> tuple[float, float]:
-    """Coefficients (a, b) of its jerk (20): s''' = -a (s_l - s) + b s' [1/s^3, 1/s^2]."""
+    """Coefficients (a, b) of its jerk (S20): s''' = -a (s_l - s) + b s' [1/s^3, 1/s^2]."""
     return 12.0 / remaining**3, 6.0 / remaining**2

@@ -1,8 +1,8 @@
 """A robot of rigid bodies on rigid ground: the simulation of section VII [Sherikov2014].
 
-The model is perfect, and so are the contacts: a foot that stands does not move, whatever that takes. Forces and
-motion follow from the joint torques alone; what a contact had to do is in `wrenches`, so that a foot that pulls or
-slides in this world of perfect contacts is seen.
+The model is perfect, and so are the contacts: a foot that stands does not move, whatever force that takes. Forces and
+motion follow from the joint torques alone; the contact forces are in `wrenches`, so that a foot that pulls or slides
+in this world of perfect contacts is seen.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from dqwalk_ros.errors import PlantError
 from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.whole_body.controller import BodyCommand, BodyState, Wrench
 from dqwalk_ros.whole_body.dynamics import Dynamics, Multibody
-from dqwalk_ros.whole_body.records import BodyCommand, BodyState, Wrench
 
 __all__ = ["RigidPlant"]
 
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 class RigidPlant:
-    """Integrates (1) under (8).
+    """Integrates (S1) under (S8).
 
     Parameters
     ----------
@@ -34,20 +34,25 @@ class RigidPlant:
         The link that pushes act on.
     damping : float
         Rate at which a velocity of a standing foot, left over by the integration, decays [1/s].
+
+    Attributes
+    ----------
+    state : BodyState
+        The state now.
+    effort : ndarray, shape (n,)
+        Joint torques of the last period [N m].
+    wrenches : mapping of Foot to Wrench
+        What the ground did to the feet in the last period.
     """
 
     def __init__(self, model: RobotModel, state: BodyState, *, pushed: str, damping: float = 10.0) -> None:
         self._soles = {foot: model.soles[foot].frame for foot in Foot}
         self._body = Multibody(model, (*self._soles.values(), pushed))
         self._pushed, self._damping = pushed, damping
-        self._state, self._begin, self._periods = state, state.time, 0
+        self._begin, self._periods = state.time, 0
         self._stance: tuple[Foot, ...] = tuple(Foot)
+        self.state, self.effort = state, np.zeros(model.n)
         self.wrenches: Mapping[Foot, Wrench] = {}
-
-    @property
-    def state(self) -> BodyState:
-        """The state now."""
-        return self._state
 
     def step(self, command: BodyCommand, dt: float) -> BodyState:
         """Return the state one period later.
@@ -57,16 +62,15 @@ class RigidPlant:
         PlantError
             If the command is not finite or does not fit.
         """
-        s = self._state
+        s = self.state
         if command.effort.shape != s.q.shape or not np.isfinite(command.effort).all():
             raise PlantError(f"the command must have {s.q.size} finite torques, got {command.effort}")
-        self._stance = command.stance
+        self._stance, self.effort = command.stance, command.effort
         d = self._body.at(s.x_base, s.q, s.v)
         J, soles = self._contact_jacobian(d), [d.frames[self._soles[foot]] for foot in self._stance]
-        # (1) and (8): [H -J'; J 0] (v', f) = (S'tau - h, -J'v)
         drift = np.concatenate([sole.drift + self._damping * sole.velocity for sole in soles])
         effort = np.concatenate([np.zeros(6), command.effort])
-        acceleration, force = _constrained(d.H, J, effort - d.h, -drift)
+        acceleration, force = _constrained(d.H, J, effort - d.h, -drift)  # H v' + h = S'tau + J'f, J v' + J'v = 0
         parts = zip(self._stance, force.reshape(-1, 6), strict=True)
         self.wrenches = {foot: Wrench(f[:3], f[3:]) for foot, f in parts}
         x_base, q = self._body.integrate(s.x_base, s.q, dt * s.v + 0.5 * dt**2 * acceleration)
@@ -74,31 +78,29 @@ class RigidPlant:
         self._set(self._begin + self._periods * dt, x_base, q, s.v + dt * acceleration)
         if command.landing is not None:
             self._stance = (*command.stance, command.landing)
-            self._impact(None)
-        return self._state
+            self._impact(np.zeros(3))
+        return self.state
 
     def push(self, impulse: ArrayLike) -> None:
-        """Hit the robot: an impulse (3,) [N s] at the origin of the link that pushes act on (23), (24).
+        """Hit the robot: an impulse (3,) [N s] at the origin of the link that pushes act on.
 
         Raises
         ------
         PlantError
-            If it is not three finite numbers.
+            If it is not three finite numbers, or too hard for finite velocities.
         """
         r = np.asarray(impulse, dtype=np.float64)
         if r.shape != (3,) or not np.isfinite(r).all():
             raise PlantError(f"an impulse is three finite numbers [N s], got {impulse!r}")
         self._impact(r)
 
-    def _impact(self, impulse: Array | None) -> None:
-        """H (v+ - v-) = J_c' r_c + J_d' r_d with J_c v+ = 0."""
-        s = self._state
+    def _impact(self, impulse: Array) -> None:
+        """Change the velocity at once: by an impulse, and by the feet that stand."""
+        s = self.state
         d = self._body.at(s.x_base, s.q, s.v)
-        momentum = d.H @ s.v
-        if impulse is not None:
-            momentum = momentum + d.frames[self._pushed].jacobian[:3].T @ impulse
         J = self._contact_jacobian(d)
-        after, _ = _constrained(d.H, J, momentum, np.zeros(len(J)))
+        momentum = d.H @ s.v + d.frames[self._pushed].jacobian[:3].T @ impulse  # (S23) H (v+ - v-) = J_c'r_c + J_d'r_d
+        after, _ = _constrained(d.H, J, momentum, np.zeros(len(J)))  # (S24) J_c v+ = 0
         self._set(s.time, s.x_base, s.q, after)
 
     def _contact_jacobian(self, dynamics: Dynamics) -> Array:
@@ -107,7 +109,7 @@ class RigidPlant:
     def _set(self, time: float, x_base: Array, q: Array, v: Array) -> None:
         if not np.isfinite(v).all():
             raise PlantError(f"the motion is not finite at {time:.3f} s")
-        self._state = BodyState(time, q, dq=v[6:], x_base=x_base, v_base=v[:6])
+        self.state = BodyState(time, q, dq=v[6:], x_base=x_base, v_base=v[:6])
 
 
 def _constrained(H: Array, J: Array, right: Array, held: Array) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import PlantError
 from dqwalk_ros.robot import Foot, RobotModel
-from dqwalk_ros.whole_body.records import BodyCommand, BodyState, Wrench
+from dqwalk_ros.whole_body.controller import BodyCommand, BodyState, Wrench
 
 __all__ = ["TorquePlant"]
 
@@ -65,6 +65,7 @@ class TorquePlant:
         mujoco.mj_forward(self._mj, self._data)
         self._state, self._begin, self._periods = state, state.time, 0
         self._pushes: list[tuple[float, Array]] = []
+        self.effort = np.zeros(model.n)
 
     @property
     def state(self) -> BodyState:
@@ -81,6 +82,7 @@ class TorquePlant:
         """
         if command.effort.shape != self._qadr.shape or not np.isfinite(command.effort).all():
             raise PlantError(f"the command must have {self._qadr.size} finite torques, got {command.effort}")
+        self.effort = command.effort
         for _ in range(max(1, round(dt / self._mj.opt.timestep))):
             now = float(self._data.time)
             self._pushes = [(end, force) for end, force in self._pushes if now < end - 1e-9]

@@ -9,17 +9,51 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
+from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.robot import Foot, RobotModel
-from dqwalk_ros.whole_body.controller import WholeBodyController
-from dqwalk_ros.whole_body.records import BodyCommand, BodyState, BodyTick, Wrench
-from dqwalk_ros.whole_body.scenario import Scenario
+from dqwalk_ros.whole_body.controller import BodyState, WholeBodyController, Wrench
 
-__all__ = ["FEET", "BodyLog", "Collector", "Reaching", "Reaction"]
+__all__ = ["FEET", "BodyLog", "Collector", "Reaction", "Scenario", "Timed", "WholeBodyTrace"]
 
 Array = NDArray[np.float64]
 
+Timed = tuple[float, tuple[float, float, float]]
+"""A time, and a place or an impulse."""
 FEET = (Foot.LEFT, Foot.RIGHT)
 """The order of feet in arrays."""
+MARGINS = ("cop_margin", "friction", "normal", "torque", "joint", "step")
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """What happens to the robot.
+
+    Attributes
+    ----------
+    name : str
+    duration : float
+        [s]
+    targets : tuple of (float, tuple)
+        From when on the hand should be where [s, m].
+    pushes : tuple of (float, tuple)
+        When which impulse hits the torso [s, N s].
+
+    Raises
+    ------
+    ConfigError
+        If a target or a push is not three finite numbers, or its time is negative.
+    """
+
+    name: str
+    duration: float
+    targets: tuple[Timed, ...] = ()
+    pushes: tuple[Timed, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check times and numbers."""
+        for when, what in (*self.targets, *self.pushes):
+            if len(what) != 3 or not np.isfinite((when, *what)).all() or not when >= 0.0:
+                raise ConfigError(f"'{self.name}': {what} at {when} s is not a place or an impulse at a time from 0 on")
 
 
 @dataclass(frozen=True)
@@ -47,7 +81,7 @@ class Reaction:
 
 @dataclass(frozen=True)
 class BodyLog:
-    """A whole-body walk as its topics tell it.
+    """A recorded whole-body walk: what its topics contain.
 
     Attributes
     ----------
@@ -61,11 +95,11 @@ class BodyLog:
         The torques that answered each state [N m].
     wrenches : ndarray, shape (N, 2, 6)
         Force and moment of the ground on the left and the right sole in the period after each state, about the
-        sole's origin, in world axes [N, N m]; nan where a foot does not stand, or nobody told.
+        sole's origin, in world axes [N, N m]; nan where a foot does not stand, or none was recorded.
     notes : tuple of str
         What is missing or was left out.
     origin : mapping of str to str
-        Versions and machine of who walked, empty where the record does not say.
+        Versions and machine of the walk, empty where the record does not say.
     """
 
     config: Config
@@ -79,7 +113,7 @@ class BodyLog:
 
 
 @dataclass(frozen=True)
-class Reaching:
+class WholeBodyTrace:
     """What happened, one row per tick.
 
     Attributes
@@ -91,24 +125,26 @@ class Reaching:
         [s]
     q, dq, x_base, v_base : ndarray, shapes (N, n), (N, n), (N, 8), (N, 6)
         The joints [rad, rad/s], the pose of the root link and its velocity in its own axes.
+    effort : ndarray, shape (N, n)
+        The plant's joint torques [N m].
+    wrenches : ndarray, shape (N, 2, 6)
+        As of `BodyLog`.
     target, hand, com, com_velocity, left, right : ndarray, shape (N, 3)
         Places, and the soles' links [m, m/s]; nan where there is no target.
     support, landing, cop, cop_preview : ndarray, shape (N, 2)
         The foot that landed last, where the next one is to land, the CoP of the contacts and of the point mass [m].
     single : ndarray of bool, shape (N,)
         Whether one foot stands.
-    wrenches : ndarray, shape (N, 2, 6)
-        As of `BodyLog`.
+    height_error, tilt : ndarray, shape (N,)
+        Of the CoM [m] and of the torso [rad].
+    residual, violation, iterations : ndarray, shape (N,)
+        By how much (S14) was missed [m] and level 1 gave way, and the iterations of the solver.
+    method : tuple of str
+    times : ndarray, shape (N, 4)
+        Model, assembly, solution and the whole tick [s], by the controller's clock.
     margins : mapping of str to ndarray, shape (N,)
         How far each limit is away, at least: ``cop_margin`` [m], ``friction`` and ``normal`` force in units of the
         weight, ``torque`` relative to the limit, ``joint`` [rad], ``step`` [m]. The forces are the plant's.
-    effort : ndarray, shape (N, n)
-        [N m]
-    height_error, tilt, capturability, violation : ndarray, shape (N,)
-    method : tuple of str
-    iterations : ndarray, shape (N,)
-    times : ndarray, shape (N, 4)
-        Model, assembly, solution and the whole tick [s], by the controller's clock.
     reactions : tuple of Reaction
         To each jump of the target.
     note : str
@@ -116,7 +152,7 @@ class Reaching:
     again : bool
         Whether it was solved again from a record.
     origin : mapping of str to str
-        Versions and machine of who walked, empty where that is not known.
+        Versions and machine of the walk, empty where that is not known.
     """
 
     scenario: Scenario
@@ -127,6 +163,8 @@ class Reaching:
     dq: Array
     x_base: Array
     v_base: Array
+    effort: Array
+    wrenches: Array
     target: Array
     hand: Array
     com: Array
@@ -138,16 +176,14 @@ class Reaching:
     cop: Array
     cop_preview: Array
     single: NDArray[np.bool_]
-    wrenches: Array
-    margins: dict[str, Array]
-    effort: Array
     height_error: Array
     tilt: Array
-    capturability: Array
+    residual: Array
     violation: Array
-    method: tuple[str, ...]
     iterations: Array
+    method: tuple[str, ...]
     times: Array
+    margins: Mapping[str, Array]
     reactions: tuple[Reaction, ...] = ()
     note: str = ""
     again: bool = False
@@ -173,16 +209,8 @@ class Reaching:
         return [(float(self.time[i]), self.support[i]) for i in moved]
 
 
-_MARGINS = ("cop_margin", "friction", "normal", "torque", "joint", "step")
-_STATE = ("time", "q", "dq", "x_base", "v_base", "effort", "wrenches")
-_PLACES = ("target", "hand", "com", "com_velocity", "left", "right", "support", "landing", "cop", "cop_preview")
-_NUMBERS = ("height_error", "tilt", "capturability", "violation", "iterations", "times")
-_NAMES = (*_STATE, *_PLACES, *_NUMBERS)
-
-
-@dataclass
 class Collector:
-    """Collects a `Reaching` tick by tick.
+    """Collects a `WholeBodyTrace` tick by tick.
 
     Parameters
     ----------
@@ -190,103 +218,87 @@ class Collector:
     scenario : Scenario
     """
 
-    controller: WholeBodyController
-    scenario: Scenario
-    reactions: list[Reaction] = field(default_factory=list)
-    _rows: dict[str, list[object]] = field(default_factory=dict)
+    def __init__(self, controller: WholeBodyController, scenario: Scenario) -> None:
+        self._controller, self._scenario = controller, scenario
+        self._rows: dict[str, list[object]] = {}
+        self.reactions: list[Reaction] = []
 
-    def add(
-        self,
-        time: float,
-        state: BodyState,
-        command: BodyCommand,
-        effort: Array,
-        wrenches: Mapping[Foot, Wrench],
-        spent: float,
-    ) -> BodyTick:
-        """Add the tick that the controller has just made; `effort` is what the plant was given."""
-        controller = self.controller
-        tick, target = controller.last, controller.target
+    def add(self, state: BodyState, effort: Array, wrenches: Mapping[Foot, Wrench], spent: float) -> None:
+        """Add the tick that the controller has just made, with the plant's torques and contact forces after it."""
+        tick, target = self._controller.last, self._controller.target
         forces = np.full((2, 6), np.nan)
         for foot, wrench in wrenches.items():
             forces[FEET.index(foot)] = np.concatenate([wrench.force, wrench.moment])
         row = {
-            "time": time,
+            "time": state.time,
             "q": state.q,
             "dq": state.dq,
             "x_base": state.x_base,
             "v_base": state.v_base,
+            "effort": effort,
+            "wrenches": forces,
             "target": np.full(3, np.nan) if target is None else target,
             "hand": tick.hand,
             "com": tick.com,
             "com_velocity": tick.com_velocity,
-            "left": controller.sole(Foot.LEFT),
-            "right": controller.sole(Foot.RIGHT),
+            "left": tick.soles[Foot.LEFT],
+            "right": tick.soles[Foot.RIGHT],
             "support": tick.support,
             "landing": tick.footsteps[0],
             "cop": tick.cop,
             "cop_preview": tick.cop_preview,
-            "single": len(command.stance) == 1,
-            "wrenches": forces,
-            "effort": effort,
+            "single": len(tick.wrenches) == 1,
             "height_error": tick.height_error,
             "tilt": tick.tilt,
-            "capturability": tick.capturability,
-            "violation": tick.violation,
-            "method": tick.method,
-            "iterations": tick.iterations,
+            "residual": tick.answer.residual,
+            "violation": tick.answer.violation,
+            "iterations": tick.answer.iterations,
+            "method": tick.answer.method,
             "times": (*tick.times, spent),
-            **_margins(controller, wrenches, state.q, effort, tick),
+            **self._margins(state.q, effort, wrenches),
         }
         for name, value in row.items():
             self._rows.setdefault(name, []).append(value)
-        return tick
 
-    def reaching(self, note: str = "", *, again: bool = False, origin: Mapping[str, str] | None = None) -> Reaching:
+    def trace(self, note: str, *, again: bool, origin: Mapping[str, str]) -> WholeBodyTrace:
         """Return what was collected."""
-        rows = {name: np.array(self._rows[name], dtype=np.float64) for name in (*_NAMES, *_MARGINS)}
-        return Reaching(
-            scenario=self.scenario,
-            config=self.controller.config,
-            model=self.controller.model,
-            **{name: rows[name] for name in _NAMES},
-            single=np.array(self._rows["single"], dtype=np.bool_),
-            margins={name: rows[name] for name in _MARGINS},
+        controller = self._controller
+        columns = {name: np.array(rows) for name, rows in self._rows.items() if name not in ("method", *MARGINS)}
+        return WholeBodyTrace(
+            scenario=self._scenario,
+            config=controller.config,
+            model=controller.model,
+            **columns,
             method=tuple(map(str, self._rows["method"])),
+            margins={name: np.array(self._rows[name], dtype=np.float64) for name in MARGINS},
             reactions=tuple(self.reactions),
             note=note,
             again=again,
-            origin=dict(origin or {}),
+            origin=dict(origin),
         )
 
     def __len__(self) -> int:
         return len(self._rows.get("time", ()))
 
-
-def _margins(
-    controller: WholeBodyController, wrenches: Mapping[Foot, Wrench], q: Array, effort: Array, tick: BodyTick
-) -> dict[str, float]:
-    """Say how far each limit is away; the forces are those of the plant, not those the controller planned."""
-    settings, model = controller.config.whole_body, controller.model
-    half = 0.5 * np.array([settings.cop_length, settings.cop_width])
-    weight = controller.weight
-    cop, friction, normal = np.inf, np.inf, np.inf
-    for wrench in wrenches.values():
-        up = float(wrench.force[2])
-        normal = min(normal, up / weight)
-        # the pyramid's faces; and the CoP of a foot that carries a thousandth of the weight has no place
-        sideways = float(np.abs(wrench.force[:2]).max())
-        friction = min(friction, (settings.friction / np.sqrt(2.0) * up - sideways) / weight)
-        if up > 1e-3 * weight:
-            cop = min(cop, float((half - np.abs(wrench.cop)).min()))
-    most = np.minimum(model.effort_max, settings.effort)
-    dP = tick.footsteps - np.vstack([tick.support, tick.footsteps[:-1]])
-    lower, upper = controller.step_bounds
-    return {
-        "cop_margin": cop,
-        "friction": friction,
-        "normal": normal,
-        "torque": float((1.0 - np.abs(effort) / most).min()),
-        "joint": float(np.minimum(q - model.q_min, model.q_max - q).min()),
-        "step": float(np.minimum(dP - lower, upper - dP).min()),
-    }
+    def _margins(self, q: Array, effort: Array, wrenches: Mapping[Foot, Wrench]) -> dict[str, float]:
+        """Return how far each limit is away; the forces are those of the plant, not those that were planned."""
+        settings, model, weight = self._controller.config.whole_body, self._controller.model, self._controller.weight
+        half = 0.5 * np.array([settings.cop_length, settings.cop_width])
+        cop, friction, normal = np.inf, np.inf, np.inf
+        for wrench in wrenches.values():
+            up = float(wrench.force[2])
+            normal = min(normal, up / weight)
+            # the pyramid's faces; and a foot that carries less than a thousandth of the weight has no CoP
+            sideways = float(np.abs(wrench.force[:2]).max())
+            friction = min(friction, (settings.friction / np.sqrt(2.0) * up - sideways) / weight)
+            if up > 1e-3 * weight:
+                cop = min(cop, float((half - np.abs(wrench.cop)).min()))
+        most = np.minimum(model.effort_max, settings.effort)
+        return {
+            "cop_margin": cop,
+            "friction": friction,
+            "normal": normal,
+            "torque": float((1.0 - np.abs(effort) / most).min()),
+            "joint": float(np.minimum(q - model.q_min, model.q_max - q).min()),
+            "step": self._controller.last.step_margin,
+        }

@@ -29,9 +29,9 @@ from dqwalk_ros.report.bag.storage import Column, connect, load, writing
 from dqwalk_ros.report.bag.writing import stamps_of
 from dqwalk_ros.robot import RobotModel
 from dqwalk_ros.topics import BODY_REQUIRED, BODY_TOPICS, ODOM
-from dqwalk_ros.whole_body.records import BodyState
-from dqwalk_ros.whole_body.scenario import PAPER_TIMES, SCENARIOS, Scenario, Timed
-from dqwalk_ros.whole_body.trace import FEET, BodyLog, Reaching
+from dqwalk_ros.whole_body.controller import BodyState
+from dqwalk_ros.whole_body.experiments import PAPER_TIMES, SCENARIOS
+from dqwalk_ros.whole_body.trace import FEET, BodyLog, Scenario, Timed, WholeBodyTrace
 
 __all__ = ["is_body", "read_body", "write_body"]
 
@@ -55,7 +55,7 @@ def is_body(path: str | os.PathLike[str]) -> bool:
 # ---------------------------------------------------------------------- writing
 
 
-def write_body(walked: Reaching, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+def write_body(walked: WholeBodyTrace, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
     """Write a walk to the folder `path`, which appears only once it is complete.
 
     Raises
@@ -76,7 +76,7 @@ def write_body(walked: Reaching, path: str | os.PathLike[str], *, overwrite: boo
             writer.write(connection, stamp, raw)
 
 
-def _columns(walked: Reaching) -> list[tuple[str, Stamps, list[bytes]]]:
+def _columns(walked: WholeBodyTrace) -> list[tuple[str, Stamps, list[bytes]]]:
     """Return the messages of each topic and when they came, in the order of one period."""
     model, stamps = walked.model, stamps_of(walked.time)
     first = stamps[:1]

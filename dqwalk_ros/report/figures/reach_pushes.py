@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.report.figures.style import BLUE, GREEN, INK, RED, drawing, new_figure
 from dqwalk_ros.robot import Foot
-from dqwalk_ros.whole_body.pushes import PushLimit
+from dqwalk_ros.whole_body.experiments import PushLimit
 
 __all__ = ["save_pushes"]
 

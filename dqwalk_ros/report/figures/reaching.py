@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dqwalk_ros.report.figures.style import BLUE, DASHED, GREEN, GREY, INK, RED, drawing, new_figure, thinned
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.whole_body.preview import Stepping
-from dqwalk_ros.whole_body.trace import Reaching
+from dqwalk_ros.whole_body.trace import WholeBodyTrace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 _SOLE = {Foot.LEFT: ("#dbe7f7", BLUE), Foot.RIGHT: ("#dff3e5", GREEN)}
 
 
-def solver(walked: Reaching) -> Figure:
+def solver(walked: WholeBodyTrace) -> Figure:
     """Draw Figure 2: what the hierarchy took to solve, and how often its active set changed."""
     from matplotlib.ticker import MaxNLocator
 
@@ -34,18 +34,17 @@ def solver(walked: Reaching) -> Figure:
         fig = new_figure(9.0, 4.6)
         top, bottom = fig.subplots(2, 1, sharex=True)
         solve = 1e3 * walked.times[:, 2]
-        fast = np.array([method == "active set" for method in walked.method])
         top.plot(walked.time, solve, color=BLUE, linewidth=0.7)
-        slow = "where no guess settles"
-        top.plot(walked.time[~fast], solve[~fast], "o", color=RED, markersize=3.5, label=slow)
+        relaxed = np.array(["relaxed" in method for method in walked.method])
+        if relaxed.any():
+            top.plot(walked.time[relaxed], solve[relaxed], "o", color=RED, markersize=3.5, label="a level gave way")
         top.axhline(solve.mean(), color=INK, linestyle=DASHED, linewidth=1.1, label=f"mean {solve.mean():.2f} ms")
         top.axhline(0.92, color=GREY, linestyle=(0, (1, 2)), linewidth=1.4, label="the paper's mean, 0.92 ms (2012)")
         title = "Time to solve the hierarchy" + (" (solved again from the record)" if walked.again else "")
         top.set(ylabel="time [ms]", title=title, yscale="log")
         top.legend(fontsize=8, loc="upper right", ncols=3)
         top.set_ylim(0.5 * solve.min(), 4.0 * solve.max())
-        changes = np.where(fast, walked.iterations, np.nan)
-        bottom.plot(walked.time, changes, color=BLUE, linewidth=0.7)
+        bottom.plot(walked.time, walked.iterations, color=BLUE, linewidth=0.7)
         bottom.set(xlabel="time [s]", ylabel="iterations", title="Iterations of the active set (1: guessed right)")
         bottom.yaxis.set_major_locator(MaxNLocator(integer=True))
         bottom.set_xlim(0.0, walked.time[-1])
@@ -54,7 +53,7 @@ def solver(walked: Reaching) -> Figure:
     return fig
 
 
-def walk_from_above(walks: Sequence[Reaching]) -> Figure:
+def walk_from_above(walks: Sequence[WholeBodyTrace]) -> Figure:
     """Draw Figure 3: footsteps, CoM, hand and target from above, one panel per walk."""
     from matplotlib.patches import Rectangle
 
@@ -95,7 +94,7 @@ def walk_from_above(walks: Sequence[Reaching]) -> Figure:
     return fig
 
 
-def reactions(walked: Reaching) -> Figure:
+def reactions(walked: WholeBodyTrace) -> Figure:
     """Draw Figures 4 and 5: target, hand, support and CoM velocity over time, along x and along y."""
     with drawing():
         fig = new_figure(9.0, 7.0)
@@ -124,7 +123,7 @@ def reactions(walked: Reaching) -> Figure:
 
 
 def save_reaching(
-    walks: Sequence[Reaching], folder: str | os.PathLike[str], formats: Sequence[str] = ("png",)
+    walks: Sequence[WholeBodyTrace], folder: str | os.PathLike[str], formats: Sequence[str] = ("png",)
 ) -> list[Path]:
     """Draw every figure of some walks into a folder and return the files; a single walk that is pushed has Figure 5."""
     figures = {"figure2": solver(walks[0]), "figure3": walk_from_above(walks)}
@@ -139,7 +138,7 @@ def save_reaching(
     return files
 
 
-def _mark_pushes(panels: Sequence[Axes], walked: Reaching) -> None:
+def _mark_pushes(panels: Sequence[Axes], walked: WholeBodyTrace) -> None:
     for when, _ in walked.scenario.pushes:
         for ax in panels:
             ax.axvline(when, color=RED, linewidth=1.0)

@@ -19,9 +19,9 @@ from dqwalk_ros.report.figures.style import drawing
 from dqwalk_ros.report.html.page import document, origin_table, replay, table
 from dqwalk_ros.report.html.replay import FRAMES, packed, robot_data, rounded
 from dqwalk_ros.robot import Foot
+from dqwalk_ros.whole_body.demands import Demand
 from dqwalk_ros.whole_body.preview import Stepping
-from dqwalk_ros.whole_body.reaching import Check
-from dqwalk_ros.whole_body.trace import Reaching
+from dqwalk_ros.whole_body.trace import WholeBodyTrace
 
 __all__ = ["BodySubject", "body_replay_data", "write"]
 
@@ -48,16 +48,16 @@ class BodySubject:
     ----------
     name : str
         Of the bag.
-    walked : Reaching
-    found : sequence of Check
+    walked : WholeBodyTrace
+    found : sequence of Demand
     off : float
         Largest difference of torques recorded and solved again [N m].
     notes : sequence of str
     """
 
     name: str
-    walked: Reaching
-    found: Sequence[Check]
+    walked: WholeBodyTrace
+    found: Sequence[Demand]
     off: float
     notes: Sequence[str] = ()
 
@@ -108,17 +108,16 @@ def _heading(subject: BodySubject) -> str:
     )
 
 
-def _checks(found: Sequence[Check]) -> str:
+def _checks(found: Sequence[Demand]) -> str:
     rows = []
     for check in found:
-        value = f"{check.value:.4g} {check.unit}".strip()
         verdict = "" if not check.bound else "ok" if check.ok else "<span class='bad'>not reached</span>"
         authors = "" if check.authors is None else f"{check.authors:.4g}"
-        rows.append((escape(check.name), escape(check.bound), value, authors, verdict))
+        rows.append((escape(check.name), escape(check.bound), escape(check.got), authors, verdict))
     return table(("", "asked", "got", "authors", ""), rows, (2, 3))
 
 
-def _figures(walked: Reaching) -> str:
+def _figures(walked: WholeBodyTrace) -> str:
     shown = []
     figures = (solver(walked), walk_from_above([walked]), reactions(walked))
     for figure, caption in zip(figures, _CAPTIONS, strict=True):
@@ -136,7 +135,7 @@ def _notes(subject: BodySubject) -> str:
     return "<ul>" + "".join(f"<li>{escape(item)}</li>" for item in items) + "</ul>"
 
 
-def body_replay_data(walked: Reaching) -> dict[str, Any]:
+def body_replay_data(walked: WholeBodyTrace) -> dict[str, Any]:
     """Return plain data for `replay.js`, as `replay_data` does for a walk of phases."""
     model, count = walked.model, len(walked.time)
     rows = np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int))
@@ -181,6 +180,6 @@ def body_replay_data(walked: Reaching) -> dict[str, Any]:
     }
 
 
-def _print(walked: Reaching, foot: Foot, when: float, place: Any) -> dict[str, Any]:
+def _print(walked: WholeBodyTrace, foot: Foot, when: float, place: Any) -> dict[str, Any]:
     sole = walked.model.soles[foot]
     return {"t": when, "foot": foot.value, "c": [rounded(place + corner) for corner in sole.corners]}
