@@ -1,4 +1,4 @@
-"""The robot as a free-floating multibody system: H, h, Jacobians and their drifts (1) [Sherikov2014].
+"""The robot as a free-floating multibody system: H, h, Jacobians and their drifts (S1) [Sherikov2014].
 
 Coordinates are those of the package: the joints in the order of the model, and before them the six of the base,
 which the paper writes last. A velocity is v = (v_base, q'), where v_base is the linear and angular velocity of the
@@ -55,7 +55,7 @@ class FrameMotion:
 
 @dataclass(frozen=True)
 class Dynamics:
-    """A read-only snapshot of (1) at one state.
+    """A read-only snapshot of (S1) at one state.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class Dynamics:
 
 
 class Multibody:
-    """Evaluates (1) for a model.
+    """Evaluates (S1) for a model.
 
     Parameters
     ----------

@@ -246,7 +246,7 @@ def _balance(config: WholeBodyConfig, scene: Scene, rows: _Rows) -> None:
             # (S14) sum alpha_k z_k = xi_0
             stop = rows.equal(xi[axis : axis + 1] - mass.alpha @ preview.offset[:, axis : axis + 1], BALANCE)
             stop[0, y] = mass.alpha @ preview.M
-    # the height that (S10) takes for constant
+    # the height that the point mass takes for constant
     kd = 2.0 * math.sqrt(config.com_kp)
     wanted = config.com_kp * (mass.height - d.com[2:]) - kd * d.com_velocity[2:] - d.com_drift[2:]
     rows.equal(wanted, LIMIT)[:, : at.nv] = d.com_jacobian[2:]
@@ -279,7 +279,7 @@ def _objectives(config: WholeBodyConfig, scene: Scene, objectives: Sequence[Obje
     d, at, preview = scene.dynamics, scene.layout, scene.preview
     H, c = np.zeros((at.size, at.size)), np.zeros(at.size)
     diagonal = H.reshape(-1)[:: at.size + 1]
-    # (S17) to (S19), and every other objective of the accelerations
+    # the hand, the torso, the joints, and every other objective of the accelerations
     for objective in objectives:
         J, wanted = objective.jacobian(d), objective.acceleration(d)
         H[: at.nv, : at.nv] += objective.weight * J.T @ J

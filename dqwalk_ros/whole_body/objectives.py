@@ -60,7 +60,7 @@ class Objective(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class FramePosition(Objective):
-    """A link's origin at a place, by a saturated PD controller (17).
+    """A link's origin at a place, by a saturated PD controller (S17).
 
     Attributes
     ----------
@@ -88,12 +88,12 @@ class FramePosition(Objective):
         """Return clip(kp (p* - p)) - kd p' - J' v, shape (3,) [m/s^2]."""
         motion = dynamics.frames[self.frame]
         pull = np.clip(self.kp * (self.target - motion.position), -self.saturation, self.saturation)
-        return pull - self.kd * motion.velocity[:3] - motion.drift[:3]
+        return pull - self.kd * motion.velocity[:3] - motion.drift[:3]  # (S17) pi_hand - J' v
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrameOrientation(Objective):
-    """A link's orientation (18).
+    """A link's orientation (S18).
 
     Attributes
     ----------
@@ -118,12 +118,12 @@ class FrameOrientation(Objective):
         """Return -kp log(R R*^T) - kd w - J' v, shape (3,) [rad/s^2]."""
         motion = dynamics.frames[self.frame]
         error = rotation_error(motion.rotation, self.target)
-        return -self.kp * error - self.kd * motion.velocity[3:] - motion.drift[3:]
+        return -self.kp * error - self.kd * motion.velocity[3:] - motion.drift[3:]  # (S18) pi_torso - J' v
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointPosture(Objective):
-    """The joints near a posture, or only damped (19); one stiffness and damping per joint.
+    """The joints near a posture, or only damped (S19); one stiffness and damping per joint.
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ class JointPosture(Objective):
 
     def acceleration(self, dynamics: Dynamics) -> Array:
         """Return kp (q* - q) - kd q', shape (n,) [rad/s^2]."""
-        return self.stiffness * (self.reference - dynamics.q) - self.damping * dynamics.v[6:]
+        return self.stiffness * (self.reference - dynamics.q) - self.damping * dynamics.v[6:]  # (S19)
 
 
 @dataclass(frozen=True, kw_only=True)

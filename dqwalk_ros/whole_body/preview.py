@@ -226,7 +226,7 @@ def previewed(
     M, offset = np.zeros((N + 1, 1 + N + K)), np.empty((N + 1, 2))
     M[0, 0], offset[0] = -mass.zeta, com[:2]  # (S10) z = c - c'' c^z/g
     M[np.arange(1, N + 1), np.arange(1, N + 1)] = 1.0
-    M[1:, N + 1 :] = np.clip(s[:, None] - base - np.arange(K), 0.0, 1.0)  # V of (S21)
+    M[1:, N + 1 :] = np.clip(s[:, None] - base - np.arange(K), 0.0, 1.0)  # V, which selects footsteps
     offset[1:] = places[base]
     if base - 1 in places:
         offset[1:] += np.minimum(s - base, 0.0)[:, None] * (places[base] - places[base - 1])
