@@ -30,7 +30,7 @@ ROS = [
 ]
 DAQP = ["daqp>=0.7"]
 VIEW = ["viser>=1.1"]
-STUDY = ["distributed>=2023.1", "joblib>=1.3", "pyarrow>=12"]
+STUDY = ["distributed>=2023.1", "pyarrow>=12"]
 SIM = ["mujoco>=3.4"]
 POPPY = ["dynamixel-sdk>=3.7", "pyserial>=3.5"]
 TEST = [
@@ -89,6 +89,7 @@ setup(
         "setuptools",
         "clarabel>=0.9",
         "click>=8.1",
+        "joblib>=1.4",
         "lz4>=4.0",
         "matplotlib>=3.6",
         "mcap>=1.1",

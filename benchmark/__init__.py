@@ -1,1 +1,1 @@
-"""What a tick costs: `python -m benchmark.tick`, `.growth`, `.cycle`, `.nodes`; `.page` writes docs/benchmarks.md."""
+"""What things cost: `benchmark.tick`, `cycle`, `physics`, `nodes`, `studies`; `page` writes docs/benchmarks.md."""

@@ -13,6 +13,7 @@ __all__ = [
     "PlantError",
     "QPError",
     "StateError",
+    "StudyError",
     "ViewerError",
 ]
 
@@ -43,6 +44,10 @@ class BagError(DqwalkError):
 
 class ViewerError(DqwalkError):
     """The page cannot be served; the message says what to do."""
+
+
+class StudyError(DqwalkError):
+    """The results of a study cannot be read or written."""
 
 
 class QPError(DqwalkError):

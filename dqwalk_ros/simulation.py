@@ -163,6 +163,7 @@ def simulate(
         recorder.add(plant.state, None, controller, plant)
     except KeyboardInterrupt:
         recorder.note(f"interrupted at {plant.state.time:.3f} s")
+        recorder.interrupted = True
     return recorder.trace()
 
 
@@ -268,6 +269,8 @@ class Trace:
         Where the walk went through a physics engine.
     epoch : int
         Stamp of time zero [ns]: that of the first state where stamps are the time of day.
+    interrupted : bool
+        Whether Ctrl-C stopped it.
     """
 
     config: Config
@@ -282,6 +285,7 @@ class Trace:
     origin: Mapping[str, str] = field(default_factory=dict)
     physics: PhysicsRecord | None = None
     epoch: int = 0
+    interrupted: bool = False
 
     def __len__(self) -> int:
         return int(self.time.shape[0])
@@ -301,6 +305,7 @@ class Recorder:
         self._notes: list[str] = []
         self._origin = provenance.here()
         self._seen: list[tuple[Truth, Inertial]] = []
+        self.interrupted = False
 
     def add(
         self,
@@ -362,4 +367,5 @@ class Recorder:
             notes=tuple(self._notes),
             origin=self._origin,
             physics=PhysicsRecord.of(self._seen) if self._seen else None,
+            interrupted=self.interrupted,
         )

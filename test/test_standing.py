@@ -12,10 +12,9 @@ from walks import problem_at
 import dqwalk_ros as dq
 from dqwalk_ros import report as reporting
 from dqwalk_ros.cli.footsteps import reached
-from dqwalk_ros.cli.robustness import table
 from dqwalk_ros.constraints import ComInsideEdges, FrameHeld, PointsOverPlane
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import ConfigError, PlantError
+from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.geometry import ConvexPolygon, Plane
 from dqwalk_ros.kinematics import CenterOfMassOnGround, Kinematics, Point
 from dqwalk_ros.robot import Foot
@@ -25,7 +24,6 @@ from dqwalk_ros.standing.paths import ComPath, SwingPath
 from dqwalk_ros.standing.walk import StandingWalk
 from dqwalk_ros.state import Command, State
 from dqwalk_ros.statics import gravity_torques, ground_torques
-from dqwalk_ros.studies import pushes, robustness
 from dqwalk_ros.walk import PhaseKind
 
 CONFIG = dq.load("poppy")
@@ -325,70 +323,6 @@ def test_the_physics_engine_makes_up_no_mass() -> None:
     plant = make_plant("physics", CONFIG.updated({"physics.settle": 0.0}), MODEL)
     assert plant.mj.body_mass.sum() == pytest.approx(MODEL.mass, rel=1e-12)
     assert plant.state.up == pytest.approx([0.0, 0.0, 1.0], abs=0.2)
-
-
-def test_robustness_draws_cells_and_counts_them() -> None:
-    axes = {"physics.friction": (0.4, 0.8), "servo.latency": (0.0, 0.02, 0.04)}
-    assert len(robustness.cells(axes)) == 6
-    drawn = robustness.cells(axes, sample=4, seed=1)
-    assert drawn == robustness.cells(axes, sample=4, seed=1)
-    assert len(drawn) == 4
-    done = [robustness.Cell(values, k > 0, 1.0, 3, "" if k else "fell") for k, values in enumerate(drawn)]
-    text = table(done, axes)
-    assert text.startswith("3 of 4 cells stood (4 of the 6 combinations were walked)")
-    assert "failed at" in text
-
-
-def test_robustness_goes_on_where_it_was_stopped(tmp_path: pathlib.Path) -> None:
-    axes = {"physics.friction": (0.4, 0.8)}
-    first, second = robustness.cells(axes)
-    kept = robustness.Kept(tmp_path / "cells.jsonl", CONFIG)
-    kept.add(robustness.Cell(first, False, 2.0, 1, "fell in double_support/left"))
-    with (tmp_path / "cells.jsonl").open("a") as file:
-        file.write('{"values": {"physics.fric')  # killed while it wrote
-    again = robustness.Kept(tmp_path / "cells.jsonl", CONFIG)
-    assert again.get(first) == robustness.Cell(first, False, 2.0, 1, "fell in double_support/left")
-    assert again.get(second) is None
-    assert robustness.run(CONFIG, [first], kept=again) == [again.get(first)]
-    with pytest.raises(ConfigError, match="another walk"):
-        robustness.Kept(tmp_path / "cells.jsonl", CONFIG.updated({"gait.steps": 7}))
-    assert robustness.Kept(tmp_path / "cells.jsonl", CONFIG, force=True).get(first) is None
-
-
-def test_the_largest_push_is_found_by_bisection(monkeypatch: pytest.MonkeyPatch) -> None:
-    tried: list[float] = []
-
-    def survives(config: object, push: pushes.Push) -> str:
-        tried.append(push.impulse)
-        return "" if push.impulse < 0.77 else "fell"
-
-    monkeypatch.setattr(pushes, "pushed", survives)
-    found = pushes.limit(CONFIG, "standing", 1.0, tolerance=0.02)
-    assert found.survived < 0.77 <= found.failed <= found.survived + 0.02
-    assert found.reason == "fell"
-    assert len(tried) < 12
-    assert pushes.limit(CONFIG, "standing", 1.0, most=0.7).failed == np.inf
-
-
-def test_a_push_is_survived_or_not() -> None:
-    assert not pushes.pushed(CONFIG, pushes.Push("standing", 0.0, 0.1))
-    assert "fell" in pushes.pushed(CONFIG, pushes.Push("standing", 0.0, 3.0))
-
-
-def test_a_stance_that_never_comes_is_not_pushed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pushes, "_due", lambda controller, time, *, standing: False)
-    monkeypatch.setattr(pushes, "_SOON", -1.0)
-    monkeypatch.setattr(pushes, "_STANDS", 0.1)
-    with pytest.raises(PlantError, match="before it was pushed"):
-        pushes.pushed(CONFIG, pushes.Push("standing", 0.0, 0.1))
-
-
-def test_a_robot_with_weak_servos_that_nothing_holds_falls() -> None:
-    """The cell says so: 8 N m/rad per joint are less than the weight of the pendulum asks for."""
-    values = {"servo.stiffness": 8.0, "servo.assumed_stiffness": 0.0, "standing.balance": 0.0}
-    cell = robustness.walk(CONFIG.updated({"gait.steps": 1}), values)
-    assert not cell.stood
-    assert cell.reason
 
 
 def test_a_transfer_that_stood_still_for_a_while_is_begun_anew() -> None:

@@ -1,23 +1,30 @@
-"""Studies: what they walk, that they can be killed, and that it does not matter where they run."""
+"""Studies: what they walk, that they can be stopped, and that it does not matter where they run."""
 
 from __future__ import annotations
 
 import itertools
 import json
+import multiprocessing
 import os
+import resource
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+import msgspec
 import pytest
 from distributed import LocalCluster
 from pyarrow import parquet
 
 from dqwalk_ros import cli
-from dqwalk_ros.errors import ConfigError
-from dqwalk_ros.studies import read, run
+from dqwalk_ros.cli.robustness import table
+from dqwalk_ros.config import load
+from dqwalk_ros.errors import ConfigError, PlantError, StudyError
+from dqwalk_ros.studies import pushes, read, robustness, walk_all
+from dqwalk_ros.studies.bisection import largest
+from dqwalk_ros.studies.runner import Store, run
 
 ROOT = Path(__file__).resolve().parent.parent
 SHORT = (
@@ -25,6 +32,7 @@ SHORT = (
     "set: {task.eta: 2.0, task.damping: 0.02, ssp.threshold: 0.02, dsp.stall_rate: 0.005, gait.phase_timeout: 3.0,"
     " qp.solver: daqp}\n"
 )
+POPPY = load("poppy")
 
 
 def write(path: Path, text: str) -> Path:
@@ -36,6 +44,9 @@ def write(path: Path, text: str) -> Path:
 def small(tmp_path):
     vary = "vary: {gait.step_length: {from: 0.01, to: 0.03, steps: 3}, dsp.flat_feet: [true, false]}\n"
     return write(tmp_path / "small.yaml", SHORT + vary)
+
+
+# ---------------------------------------------------------------------- what is walked
 
 
 def test_a_grid_is_every_combination_in_order(small):
@@ -55,89 +66,292 @@ def test_samples_fill_the_ranges_and_repeat(tmp_path, sample):
     assert sum(point["dt"] == 0.004 for point in points) == 8
 
 
+SIX = ", ".join(
+    f"{key}: {{from: 0.1, to: 0.2, steps: 100}}"
+    for key in ("start.a", "start.b", "start.c", "mass.d", "mass.e", "mass.f")
+)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
         ("vary: {gait.step_lenght: [0.1]}", "step_lenght.*did you mean"),
         ("vary: {gait.step_length: {from: 0.1, to: 9.0}}", "gait.step_length.*must be a number in"),
         ("vary: {gait.step_length: 0.1}", "list of values"),
-        ("vary: {}", "at least one"),
-        ("sample: random\nvary: {dt: [0.005]}", "sobol"),
+        ("vary: {gait.step_length: {from: 0.1, to: 0.2, stepss: 3}}", "list of values"),
+        ("vary: {}", "vary"),
+        ("[1, 2]", "--help"),
+        ("sample: random\nvary: {dt: [0.005]}", "sample"),
         ("sample: sobol\ncount: 12\nvary: {dt: [0.005]}", "power of two"),
-        ("vary: {start.l_knee_y: [a]}", "must be a number"),
+        ("vary: {start.l_knee_y: [a]}", "must be a finite number"),
+        ("vary: {mass.pelvis: [.nan]}", "must be a finite number"),
+        ("vary: {mass.pelvis: [-1.0]}", "must not be negative"),
         ("colour: red\nvary: {dt: [0.005]}", "colour"),
+        ("vary: {dt: {from: 0.001, to: 0.005, steps: 1000000000}}", "list of values"),
+        (f"vary: {{{SIX}}}", r"1e\+12 walks are too many"),
+        ("count: 1000000000\nsample: sobol\nvary: {dt: [0.005]}", "count"),
+        ("vary: {dt: [2024-13-45]}", "not YAML"),
+        ("vary: " + "[" * 20000, "nested too deeply"),
     ],
 )
 def test_studies_of_no_use_are_refused_before_the_first_walk(tmp_path, text, words):
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(ConfigError, match=words):
         read(write(tmp_path / "wrong.yaml", text))
-
-
-def test_results_do_not_depend_on_where_they_were_walked(small, tmp_path):
-    study = read(small)
-    one = run(study, tmp_path / "one")
-    assert run(study, tmp_path / "two", jobs=2) == one
-    with LocalCluster(
-        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, processes=True
-    ) as cluster:
-        assert run(study, tmp_path / "dask", scheduler=cluster.scheduler_address) == one
-    table = parquet.read_table(tmp_path / "one" / "walks.parquet").to_pylist()
-    assert table == one
-    assert [row["walk"] for row in table] == list(range(6))
-    assert all(row["finished"] for row in table), [row["end"] for row in table]
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # [kB]
 
 
 def test_a_walk_that_fails_is_a_result(tmp_path):
     vary = "vary: {start.l_knee_y: [0.0, 0.1], start.nobody: [0.0], mass.pelvis: [1.0, 2.0]}\n"
-    rows = run(read(write(tmp_path / "s.yaml", SHORT + vary)), tmp_path / "out")
-    assert not any(row["finished"] for row in rows)
-    assert all("no such joint" in row["end"] for row in rows)
+    rows = walk_all(read(write(tmp_path / "s.yaml", SHORT + vary)), tmp_path / "out")
+    assert len(rows) == 4
+    assert not any(row["finished"] for row in rows.values())
+    assert all("no such joint" in row["end"] for row in rows.values())
 
 
 def test_starts_masses_and_disturbances_change_the_walk_and_repeat(tmp_path):
-    vary = "vary: {start.l_knee_y: [0.0, 0.1], mass.pelvis: [1.0, 2.0], disturbance.velocity: [0.0, 0.01]}\n"
+    vary = "vary: {start.l_knee_y: [0.1], mass.pelvis: [1.0, 2.0], disturbance.velocity: [0.0, 0.01]}\n"
     study = read(write(tmp_path / "s.yaml", SHORT + vary))
-    rows = run(study, tmp_path / "a")
-    results = [(row["duration"], row["error"], row["margin/true"]) for row in rows]
+    rows = walk_all(study, tmp_path / "a")
+    results = [(row["duration"], row["error"], row["margin/true"]) for row in rows.values()]
     assert len(set(results)) == len(results)
-    assert run(study, tmp_path / "b") == rows
+    assert walk_all(study, tmp_path / "b") == rows
 
 
-def test_a_killed_study_goes_on_without_losing_a_walk(tmp_path):
-    text = SHORT + "vary: {gait.step_length: {from: 0.01, to: 0.03, steps: 30}}\n"
+# ---------------------------------------------------------------------- where and how it is walked
+
+
+def test_results_do_not_depend_on_where_they_were_walked(small, tmp_path):
+    study = read(small)
+    one = walk_all(study, tmp_path / "one")
+    assert walk_all(study, tmp_path / "two", jobs=2) == one
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, processes=True
+    ) as cluster:
+        assert walk_all(study, tmp_path / "dask", scheduler=cluster.scheduler_address) == one
+    table = parquet.read_table(tmp_path / "one" / "walks.parquet").to_pylist()
+    assert table == list(one.values())
+    assert [row["walk"] for row in table] == list(range(6))
+    assert all(row["finished"] for row in table), [row["end"] for row in table]
+
+
+def test_no_scheduler_is_one_sentence(small, tmp_path):
+    with pytest.raises(ConfigError, match="no Dask scheduler answers at tcp://"):
+        walk_all(read(small), tmp_path / "out", scheduler="tcp://127.0.0.1:9")
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT], ids=["killed", "Ctrl-C"])
+def test_a_study_that_was_stopped_goes_on_without_losing_a_walk(tmp_path, number):
+    text = SHORT + "vary: {gait.step_length: {from: 0.01, to: 0.03, steps: 12}}\n"
     study, out = write(tmp_path / "long.yaml", text), tmp_path / "out"
-    command = [sys.executable, "-m", "dqwalk_ros.cli", "study", str(study), "--out", str(out), "--quiet"]
-    process = subprocess.Popen(command, cwd=ROOT)
+    command = [sys.executable, "-m", "dqwalk_ros.cli", "study", str(study), "--out", str(out), "--jobs", "1"]
+    process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
     log, deadline = out / "walks.jsonl", time.monotonic() + 120
     while not (log.exists() and len(log.read_text().splitlines()) > 3) and time.monotonic() < deadline:
         time.sleep(0.02)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
+    process.send_signal(number)
+    said = process.communicate(timeout=60)[1]
+    if number == signal.SIGINT:
+        assert process.returncode == 1
+        assert "of 12 walks are kept, the same command goes on" in said
+        assert "Traceback" not in said
     before = log.read_text().splitlines()
-    assert 3 < len(before) < 31
+    assert 3 < len(before) < 13
     with log.open("a") as file:
-        file.write('{"walk": 29, "finis')  # as a kill in the middle of a write leaves it
+        file.write('{"walk": 11, "finis')  # as a kill in the middle of a write leaves it
     walked = []
-    rows = run(read(study), out, progress=lambda done, total, some: walked.append(done))
-    whole = [line for line in before if line.endswith("}")]
-    assert len(walked) == 30 - (len(whole) - 1)
-    assert [row["walk"] for row in rows] == list(range(30))
-    assert [rows[json.loads(line)["walk"]] for line in whole[1:]] == [json.loads(line) for line in whole[1:]]
+    rows = walk_all(read(study), out, progress=lambda done, total, last: walked.append(done))
+    whole = [json.loads(line) for line in before[1:] if line.endswith("}")]
+    assert len(walked) == 12 - len(whole)
+    assert list(rows) == list(range(12))
+    assert [rows[line["walk"]] for line in whole] == whole
 
 
-def test_another_study_is_not_mixed_in(small, tmp_path):
-    run(read(small), tmp_path / "out")
-    other = write(tmp_path / "other.yaml", SHORT + "vary: {gait.step_length: [0.02]}\n")
+class Number(msgspec.Struct):
+    square: float
+
+
+POINTS = [{"x": float(k)} for k in range(5)]
+
+
+def square(index: int, point: dict[str, float]) -> Number:
+    return Number(point["x"] ** 2)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"\xff\xfe\x00binary",
+        b'{"walk": [1], "square": 1.0}',
+        b'{"walk": 1}',
+        b'{"walk": 1, "square": "a"}',
+        b'{"walk": 7, "square": 1.0}',
+        b'{"walk": true, "square": 1.0}',
+        b"[" * 100_000,
+        b"",
+    ],
+)
+def test_a_damaged_line_is_walked_again(tmp_path, line):
+    path = tmp_path / "walks.jsonl"
+    path.write_bytes(b'{"study":"me"}\n{"walk":0,"square":0.0}\n' + line + b'\n{"walk":2,"square":4.0}\n')
+    store = Store(path, "me", POINTS, Number)
+    assert store.done == {0: Number(0.0), 2: Number(4.0)}
+    again = []
+    done = run(square, POINTS, store, progress=lambda count, total, last: again.append(last.square))
+    store.close()
+    assert sorted(again) == [1.0, 9.0, 16.0]
+    assert [done[k].square for k in range(5)] == [0.0, 1.0, 4.0, 9.0, 16.0]
+    with_all = Store(path, "me", POINTS, Number)
+    assert with_all.done == done
+    with_all.close()
+
+
+def test_a_store_has_one_study_and_one_writer(tmp_path):
+    path = tmp_path / "walks.jsonl"
+    store = Store(path, "me", POINTS, Number)
+    with pytest.raises(ConfigError, match="another process"):
+        Store(path, "me", POINTS, Number)
+    store.add(3, Number(9.0))
+    store.close()
     with pytest.raises(ConfigError, match="another study"):
-        run(read(other), tmp_path / "out")
+        Store(path, "you", POINTS, Number)
+    anew = Store(path, "you", POINTS, Number, force=True)
+    assert anew.done == {}
+    anew.close()
+
+
+def test_a_folder_in_place_of_a_file_is_one_sentence(tmp_path):
+    (tmp_path / "walks.jsonl").mkdir()
+    with pytest.raises(StudyError, match="Is a directory"):
+        Store(tmp_path / "walks.jsonl", "me", POINTS, Number)
+
+
+def _fill(path: Path) -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200, 200))  # as a full disk: a write fails in the middle
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    points = POINTS * 20
+    try:
+        run(square, points, Store(path, "me", points, Number))
+    except StudyError as error:
+        sys.exit(0 if "cannot read and write" in str(error) else 2)
+    sys.exit(3)
+
+
+def test_a_full_disk_is_one_sentence_and_loses_nothing(tmp_path):
+    path = tmp_path / "walks.jsonl"
+    process = multiprocessing.get_context("spawn").Process(target=_fill, args=(path,))
+    process.start()
+    process.join()
+    assert process.exitcode == 0
+    store = Store(path, "me", POINTS * 20, Number)
+    assert len(store.done) > 3
+    assert len(run(square, POINTS * 20, store)) == 100
+    store.close()
 
 
 def test_the_command_says_what_came_of_it(small, tmp_path, capsys):
-    assert cli.main(["study", str(small), "--out", str(tmp_path / "out"), "--quiet"]) == 0
-    assert cli.main(["study", str(small), "--out", str(tmp_path / "out")]) == 0
+    out = tmp_path / "out"
+    assert cli.main(["study", str(small), "--out", str(out), "--quiet", "--jobs", "1"]) == 0
+    assert cli.main(["study", str(small), "--out", str(out)]) == 0
     shown = capsys.readouterr().out
     assert "small: 6 of 6 walks finished" in shown
-    assert (tmp_path / "out" / "study.png").stat().st_size > 10_000
+    assert (out / "study.png").stat().st_size > 10_000
+    assert os.path.exists(out / "walks.parquet")
     assert cli.main(["study", str(tmp_path / "none.yaml")]) == 2
     assert "none.yaml" in capsys.readouterr().err
-    assert os.path.exists(tmp_path / "out" / "walks.parquet")
+    (out / "walks.parquet").unlink()
+    (out / "walks.parquet").mkdir()
+    assert cli.main(["study", str(small), "--out", str(out)]) == 1
+    assert "walks.parquet" in capsys.readouterr().err
+
+
+# ---------------------------------------------------------------------- robustness
+
+
+def test_robustness_draws_cells_and_counts_them():
+    axes = {"physics.friction": (0.4, 0.8), "servo.latency": (0.0, 0.02, 0.04)}
+    assert len(robustness.cells(axes)) == 6
+    drawn = robustness.cells(axes, sample=4, seed=1)
+    assert drawn == robustness.cells(axes, sample=4, seed=1)
+    assert len(drawn) == 4
+    done = [robustness.Cell(values, k > 0, 1.0, 3, "" if k else "fell") for k, values in enumerate(drawn)]
+    text = table(done, axes)
+    assert text.startswith("3 of 4 cells stood (4 of the 6 combinations were walked)")
+    assert "failed at" in text
+
+
+def test_stiffness_is_varied_relative_to_the_robots_own():
+    assert robustness.axes_of(POPPY)["servo.stiffness"] == (25.0, 40.0, 60.0, 90.0)
+    big = robustness.axes_of(POPPY.updated({"servo.stiffness": 4000.0}))["servo.stiffness"]
+    assert big[2] == 4000.0
+    assert big[0] == pytest.approx(4000.0 * 25 / 60)
+
+
+def test_a_robot_with_weak_servos_that_nothing_holds_falls(tmp_path):
+    """The cell says so: 8 N m/rad per joint are less than the weight of the pendulum asks for."""
+    values = {"servo.stiffness": 8.0, "servo.assumed_stiffness": 0.0, "standing.balance": 0.0}
+    config = POPPY.updated({"gait.steps": 1})
+    (cell,) = robustness.walk_all(config, [values], tmp_path)
+    assert not cell.stood
+    assert cell.reason
+    assert robustness.walk_all(config, [values], tmp_path) == [cell]  # from the file
+    with pytest.raises(ConfigError, match="another study"):
+        robustness.walk_all(config.updated({"gait.steps": 2}), [values], tmp_path)
+
+
+# ---------------------------------------------------------------------- pushes
+
+
+@pytest.mark.parametrize("limit", [0.77, 0.001, 3.999, 0.25])
+def test_the_largest_load_is_found_by_bisection(limit):
+    tried = []
+
+    def fails(load):
+        tried.append(load)
+        return "" if load < limit else "fell"
+
+    found = largest(fails, first=0.25, most=4.0, tolerance=0.02)
+    assert found.survived < limit <= found.failed <= found.survived + 0.02
+    assert found.reason == "fell"
+    assert len(tried) < 14
+    nothing = largest(lambda load: "", first=0.25, most=4.0, tolerance=0.02)
+    assert (nothing.survived, nothing.failed, nothing.reason) == (4.0, None, "")
+
+
+def test_pushes_scale_with_the_robot():
+    scale = pushes.impulse_scale(POPPY)
+    assert scale == pytest.approx(5.5, abs=0.3)
+    data = Path(__file__).parent / "data"
+    big = load(data / "biped12.yaml").updated({"robot.urdf": str(data / "biped12.urdf")})
+    assert pushes.impulse_scale(big) > 1.5 * scale
+
+
+def test_limits_are_kept_and_drawn(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(
+        pushes, "pushed", lambda config, push: "fell" if push.impulse > 0.8 + 0.1 * push.direction else ""
+    )
+    command = ["pushes", "--moment", "standing", "--directions", "4", "--jobs", "1", "--quiet", "--out", str(tmp_path)]
+    assert cli.main(command) == 0
+    shown = capsys.readouterr().out
+    assert "M sqrt(g h)" in shown
+    rows = [line.split(",") for line in (tmp_path / "pushes.csv").read_text().splitlines()[1:]]
+    for moment, degrees, survived, failed, reason in rows:
+        limit = 0.8 + 0.1 * float(degrees) * 3.14159265 / 180
+        assert (moment, reason) == ("standing", "fell")
+        assert float(survived) <= limit < float(failed)
+    monkeypatch.setattr(pushes, "pushed", lambda config, push: pytest.fail("it is kept"))
+    assert cli.main(command) == 0
+    assert capsys.readouterr().out == shown
+
+
+def test_a_push_is_survived_or_not():
+    assert not pushes.pushed(POPPY, pushes.Push("standing", 0.0, 0.1))
+    assert "fell" in pushes.pushed(POPPY, pushes.Push("standing", 0.0, 3.0))
+
+
+def test_a_stance_that_never_comes_is_not_pushed(monkeypatch):
+    monkeypatch.setattr(pushes, "_due", lambda controller, time, *, standing: False)
+    monkeypatch.setattr(pushes, "_LATE", -1.0)
+    monkeypatch.setattr(pushes, "_STANDS", 0.1)
+    with pytest.raises(PlantError, match="before it was pushed"):
+        pushes.pushed(POPPY, pushes.Push("standing", 0.0, 0.1))

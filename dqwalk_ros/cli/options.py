@@ -22,6 +22,8 @@ __all__ = [
     "config_of",
     "config_option",
     "course_option",
+    "folder_option",
+    "force_option",
     "format_option",
     "jobs_option",
     "numbers",
@@ -29,6 +31,7 @@ __all__ = [
     "overlaid",
     "parse_overrides",
     "quiet_option",
+    "scheduler_option",
     "set_option",
     "walk_options",
 ]
@@ -76,6 +79,18 @@ def config_option(default: str) -> Callable[[Function], Function]:
     )
 
 
+def folder_option(default: str | None, shown: str = "") -> Callable[[Function], Function]:
+    """Return the option --out; where its default depends on another argument, `shown` says how."""
+    return click.option(
+        "--out",
+        metavar="DIR",
+        type=click.Path(path_type=Path),
+        default=default,
+        show_default=shown or True,
+        help="Folder of the results.",
+    )
+
+
 set_option = click.option(
     "--set",
     "changes",
@@ -83,9 +98,13 @@ set_option = click.option(
     multiple=True,
     help="Change one parameter (`dqwalk config` lists them); may be given several times.",
 )
+force_option = click.option("--force", is_flag=True, help="Replace earlier results.")
 quiet_option = click.option("--quiet", is_flag=True, help="Print no progress and no tables.")
 jobs_option = click.option(
     "--jobs", metavar="N", type=click.IntRange(1), default=2, show_default=True, help="Processes at a time."
+)
+scheduler_option = click.option(
+    "--scheduler", metavar="ADDRESS", help="Address of a Dask scheduler to walk on instead, such as tcp://host:8786."
 )
 format_option = click.option(
     "--format", "formats", metavar="LIST", callback=_formats, default="png", show_default=True, help="png, pdf, svg."
@@ -141,15 +160,8 @@ class Output:
 def output_options(default: str | None, shown: str = "") -> Callable[[Function], Function]:
     """Return a decorator that adds --out and its like; the function gets them as `output`."""
     options = [
-        click.option(
-            "--out",
-            metavar="DIR",
-            type=click.Path(path_type=Path),
-            default=default,
-            show_default=shown or True,
-            help="Folder of the results.",
-        ),
-        click.option("--force", is_flag=True, help="Replace earlier results.", hidden=default is None),
+        folder_option(default, shown),
+        *([force_option] if default else []),
         format_option,
         click.option("--no-figures", is_flag=True, help="Draw nothing."),
         quiet_option,
@@ -158,7 +170,12 @@ def output_options(default: str | None, shown: str = "") -> Callable[[Function],
     def decorate(function: Function) -> Function:
         @functools.wraps(function)
         def wrapped(
-            out: Path | None, force: bool, formats: tuple[str, ...], no_figures: bool, quiet: bool, **rest: Any
+            out: Path | None,
+            formats: tuple[str, ...],
+            no_figures: bool,
+            quiet: bool,
+            force: bool = False,
+            **rest: Any,
         ) -> Any:
             return function(output=Output(out, force, formats, not no_figures, quiet), **rest)
 

@@ -10,8 +10,18 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dqwalk_ros.cli.options import command, config_of, config_option, jobs_option, quiet_option, set_option
-from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.cli.options import (
+    command,
+    config_of,
+    config_option,
+    folder_option,
+    force_option,
+    jobs_option,
+    quiet_option,
+    scheduler_option,
+    set_option,
+)
+from dqwalk_ros.errors import ConfigError, StudyError
 
 if TYPE_CHECKING:
     from dqwalk_ros.studies.pushes import Limit
@@ -21,6 +31,7 @@ __all__ = ["pushes", "table"]
 
 @command("""
 writes to the folder of --out:
+  limits.jsonl            a line per finished direction; a run that was stopped goes on from here
   pushes.csv, .txt, .png
 
 examples:
@@ -38,17 +49,25 @@ examples:
 @click.option(
     "--directions", metavar="N", type=click.IntRange(1, 360), default=8, show_default=True, help="Evenly spread."
 )
-@click.option("--duration", metavar="S", type=float, default=0.1, show_default=True, help="Of each push [s].")
-@click.option("--tolerance", metavar="NS", type=float, default=0.02, show_default=True, help="Of each impulse [N s].")
-@jobs_option
 @click.option(
-    "--out",
-    metavar="DIR",
-    type=click.Path(path_type=Path),
-    default="pushes",
+    "--duration",
+    metavar="S",
+    type=click.FloatRange(0.0, min_open=True),
+    default=0.1,
     show_default=True,
-    help="Folder of the results.",
+    help="Of each push [s].",
 )
+@click.option(
+    "--tolerance",
+    metavar="NS",
+    type=click.FloatRange(0.0, min_open=True),
+    show_default="0.36 % of M sqrt(g h)",
+    help="Of each impulse [N s].",
+)
+@jobs_option
+@scheduler_option
+@folder_option("pushes")
+@force_option
 @quiet_option
 @set_option
 def pushes(
@@ -56,9 +75,11 @@ def pushes(
     moment: str,
     directions: int,
     duration: float,
-    tolerance: float,
+    tolerance: float | None,
     jobs: int,
+    scheduler: str | None,
     out: Path,
+    force: bool,
     quiet: bool,
     changes: tuple[str, ...],
 ) -> int:
@@ -77,24 +98,30 @@ def pushes(
     made = config_of(config, changes)
     if made.gait.style != "standing":
         raise ConfigError(f"pushes need a standing walk; gait.style of '{config}' is {made.gait.style}")
+    moments = study.MOMENTS if moment == "all" else (moment,)
     with Progress(quiet=quiet) as bar:
         found = study.limits(
             made,
-            study.MOMENTS if moment == "all" else (moment,),
+            out,
+            moments,
             directions,
             duration=duration,
             tolerance=tolerance,
+            force=force,
             jobs=jobs,
-            progress=lambda count, total: bar(count / total, f"{count} of {total} directions"),
+            scheduler=scheduler,
+            progress=lambda count, total, _: bar(count / total, f"{count} of {total} directions"),
         )
-    out.mkdir(parents=True, exist_ok=True)
+    total = len(moments) * directions
+    if len(found) < total:
+        raise StudyError(f"interrupted; {len(found)} of {total} directions are kept, the same command goes on")
     with (out / "pushes.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["moment", "direction_deg", "survived_Ns", "failed_Ns", "reason"])
         writer.writerows(
             [one.moment, round(math.degrees(one.direction), 3), one.survived, one.failed, one.reason] for one in found
         )
-    text = table(found, duration)
+    text = table(found, duration, study.impulse_scale(made))
     (out / "pushes.txt").write_text(text + "\n", encoding="utf-8")
     with drawing():
         pushes_figure(found, load_model(made.robot).name).savefig(out / "pushes.png")
@@ -102,17 +129,30 @@ def pushes(
     return 0
 
 
-def table(found: Sequence[Limit], duration: float) -> str:
-    """Return the impulses survived, a line per direction and a column per moment."""
+def table(found: Sequence[Limit], duration: float, scale: float) -> str:
+    """Return the impulses survived, a line per direction and a column per moment.
+
+    Parameters
+    ----------
+    found : sequence of Limit
+    duration : float
+        Of the pushes [s].
+    scale : float
+        M sqrt(g h) of the robot [N s].
+    """
     moments = list(dict.fromkeys(one.moment for one in found))
+
+    def cell(one: Limit) -> str:
+        return f"{'' if one.failed is not None else '>= '}{one.survived:.3g}"
+
     lines = [
-        f"largest impulse survived [N s], a push of {duration:g} s on the pelvis",
+        f"largest impulse survived [N s], a push of {duration:g} s on the pelvis; M sqrt(g h) is {scale:.3g} N s",
         "",
-        f"{'towards [deg, 0 ahead, 90 left]':32s}" + "".join(f"{moment:>10s}" for moment in moments),
+        f"{'towards [deg, 0 ahead, 90 left]':32s}" + "".join(f"{moment:>12s}" for moment in moments),
     ]
     for direction in dict.fromkeys(one.direction for one in found):
         row = {one.moment: one for one in found if one.direction == direction}
-        lines.append(f"{math.degrees(direction):32.0f}" + "".join(f"{row[m].survived:10.2f}" for m in moments))
-    least = {m: min(one.survived for one in found if one.moment == m) for m in moments}
-    lines.append(f"{'weakest':>32s}" + "".join(f"{least[m]:10.2f}" for m in moments))
+        lines.append(f"{math.degrees(direction):32.0f}" + "".join(f"{cell(row[m]):>12s}" for m in moments))
+    least = {m: min((one for one in found if one.moment == m), key=lambda one: one.survived) for m in moments}
+    lines.append(f"{'weakest':>32s}" + "".join(f"{cell(least[m]):>12s}" for m in moments))
     return "\n".join(lines)

@@ -11,11 +11,21 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dqwalk_ros.cli.options import command, config_of, config_option, jobs_option, quiet_option, set_option
+from dqwalk_ros.cli.options import (
+    command,
+    config_of,
+    config_option,
+    folder_option,
+    force_option,
+    jobs_option,
+    quiet_option,
+    scheduler_option,
+    set_option,
+)
 from dqwalk_ros.errors import ConfigError
 
 if TYPE_CHECKING:
-    from dqwalk_ros.studies.robustness import Cell
+    from dqwalk_ros.studies.robustness import Cell, Outcome
 
 __all__ = ["robustness", "table"]
 
@@ -39,15 +49,9 @@ examples:
 @click.option("--sample", metavar="N", type=int, default=0, show_default="all", help="Walk N random combinations.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of --sample.")
 @jobs_option
-@click.option(
-    "--out",
-    metavar="DIR",
-    type=click.Path(path_type=Path),
-    default="robustness",
-    show_default=True,
-    help="Folder of the results.",
-)
-@click.option("--force", is_flag=True, help="Replace earlier results.")
+@scheduler_option
+@folder_option("robustness")
+@force_option
 @quiet_option
 @set_option
 def robustness(
@@ -57,6 +61,7 @@ def robustness(
     sample: int,
     seed: int,
     jobs: int,
+    scheduler: str | None,
     out: Path,
     force: bool,
     quiet: bool,
@@ -73,25 +78,23 @@ def robustness(
     from dqwalk_ros.studies import robustness as study
 
     made = config_of(config, changes, also={"gait.steps": steps})
-    axes = dict(study.AXES)
+    axes = study.axes_of(made)
     for text in axis:
         name, _, values = text.partition("=")
         try:
             axes[name] = tuple(float(value) for value in values.split(","))
         except ValueError:
             raise ConfigError(f"--axis needs KEY=NUMBER,NUMBER..., not {text!r}") from None
+    for name, numbers in axes.items():  # what cannot be walked is refused now
+        for number in numbers:
+            made.updated({name: number}, source="--axis")
     combinations = study.cells(axes, sample, seed)
-    out.mkdir(parents=True, exist_ok=True)
-    kept = study.Kept(out / "cells.jsonl", made, force=force)
-    stood = sum(kept.stood(values) for values in combinations)
     with Progress(quiet=quiet) as bar:
 
-        def progress(count: int, cell: Cell) -> None:
-            nonlocal stood
-            stood += cell.stood
-            bar(count / len(combinations), f"{count} of {len(combinations)} cells, {stood} of them stood")
+        def progress(count: int, total: int, last: Outcome) -> None:
+            bar(count / total, f"{count} of {total} cells; the last one {'stood' if last.stood else 'did not stand'}")
 
-        done = study.run(made, combinations, jobs=jobs, kept=kept, progress=progress)
+        done = study.walk_all(made, combinations, out, force=force, jobs=jobs, scheduler=scheduler, progress=progress)
     _write(out / "robustness.csv", done, list(axes))
     text = table(done, axes)
     (out / "robustness.txt").write_text(text + "\n", encoding="utf-8")

@@ -8,10 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dqwalk_ros.cli.options import command, format_option, quiet_option
+from dqwalk_ros.cli.options import (
+    command,
+    folder_option,
+    force_option,
+    format_option,
+    jobs_option,
+    quiet_option,
+    scheduler_option,
+)
+from dqwalk_ros.errors import StudyError
 
 if TYPE_CHECKING:
     from dqwalk_ros.studies import Study
+    from dqwalk_ros.studies.walks import Outcome
 
 __all__ = ["study"]
 
@@ -37,16 +47,15 @@ needs: pip install 'dqwalk_ros[study]'
 
 examples:
   dqwalk study studies/step_length.yaml --jobs 2
-  dqwalk study mine.yaml --dry-run
+  dqwalk study mine.yaml --dry-run                         is it usable, how many walks
   dqwalk study mine.yaml --scheduler tcp://127.0.0.1:8786
 """)
 @click.argument("path", metavar="STUDY.yaml", type=click.Path(path_type=Path))
-@click.option(
-    "--out", metavar="DIR", type=click.Path(path_type=Path), show_default="STUDY_study", help="Folder of the results."
-)
-@click.option("--jobs", metavar="N", type=click.IntRange(1), default=1, show_default=True, help="Processes at a time.")
-@click.option("--scheduler", metavar="ADDRESS", help="Address of a Dask scheduler to walk on instead.")
+@folder_option(None, shown="STUDY_study")
+@jobs_option
+@scheduler_option
 @click.option("--dry-run", is_flag=True, help="Check the study and say how many walks it has.")
+@force_option
 @format_option
 @quiet_option
 def study(
@@ -55,6 +64,7 @@ def study(
     jobs: int,
     scheduler: str | None,
     dry_run: bool,
+    force: bool,
     formats: tuple[str, ...],
     quiet: bool,
 ) -> int:
@@ -66,22 +76,24 @@ def study(
     from dqwalk_ros.cli.progress import Progress
 
     plan = studies.read(path)
+    points = plan.points()
     if dry_run:
-        points = plan.points()
         print(f"{plan.name}: {len(points)} walks ({plan.sample}); the first and the last:")
         print(f"  {points[0]}\n  {points[-1]}")
         return 0
     folder = out or Path(f"{path.stem}_study")
     with Progress(quiet=quiet) as bar:
 
-        def progress(done: int, total: int, rows: list[dict[str, Any]]) -> None:
-            finished = sum(row["finished"] for row in rows)
-            bar(done / total, f"{done} of {total} walks, {finished} finished")
+        def progress(done: int, total: int, last: Outcome) -> None:
+            bar(done / total, f"{done} of {total} walks; the last one {'finished' if last.finished else 'failed'}")
 
-        rows = studies.run(plan, folder, jobs=jobs, scheduler=scheduler, progress=progress)
-    figures = _draw(plan, rows, folder, formats)
+        rows = studies.walk_all(plan, folder, force=force, jobs=jobs, scheduler=scheduler, progress=progress)
+    if len(rows) < len(points):
+        raise StudyError(f"interrupted; {len(rows)} of {len(points)} walks are kept, the same command goes on")
+    found = list(rows.values())
+    figures = _draw(plan, found, folder, formats)
     if not quiet:
-        print(_summary(plan, rows))
+        print(_summary(plan, found))
         print(f"wrote {', '.join(map(str, [folder / 'walks.parquet', *figures]))}")
     return 0
 

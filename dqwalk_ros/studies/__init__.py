@@ -1,13 +1,12 @@
-"""Studies: the same walk many times over, with parameters varied.
+"""Studies: many walks with parameters varied.
 
-`Study` says what is varied (`plan`), `walk` walks once (`walks`), `run` walks them all, on one machine or on a Dask
-cluster (`scheduling`).
+`runner` makes them, on one machine or on a Dask cluster, and keeps and resumes them. A study from a file is a `Study`
+(`plan`) of walks (`walks`); `robustness` and `pushes` are studies in physics.
 """
 
 from __future__ import annotations
 
 from dqwalk_ros.studies.plan import Study, read
-from dqwalk_ros.studies.scheduling import run
-from dqwalk_ros.studies.walks import walk
+from dqwalk_ros.studies.walks import walk, walk_all
 
-__all__ = ["Study", "read", "run", "walk"]
+__all__ = ["Study", "read", "walk", "walk_all"]

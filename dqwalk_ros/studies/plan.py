@@ -22,35 +22,47 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import math
 import pathlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Literal
 
-import numpy as np
-import yaml
+import msgspec
 
+from dqwalk_ros import strict_yaml
 from dqwalk_ros.config import Config, load
 from dqwalk_ros.errors import ConfigError
 
-__all__ = ["OWN", "Study", "read"]
+__all__ = ["MAX_WALKS", "OWN", "Study", "digest", "read"]
 
 OWN = ("start.", "mass.", "disturbance.velocity")
 """Beginnings of the names that are a study's own, not parameters of the configuration."""
-SAMPLES = ("grid", "latin_hypercube", "sobol")
+MAX_WALKS = 100_000
+"""Largest study."""
 
 
-@dataclass(frozen=True)
-class Range:
-    """From `low` to `high`; a grid takes `steps` values, ends included."""
+class Range(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """From `low` to `high`; a grid takes `steps` values, both ends included."""
 
-    low: float
-    high: float
-    steps: int
+    low: float = msgspec.field(name="from")
+    high: float = msgspec.field(name="to")
+    steps: Annotated[int, msgspec.Meta(ge=1, le=MAX_WALKS)] = 5
 
     def at(self, fraction: float) -> float:
-        """Return the value at a fraction of the way; of twelve digits, so that a grid reads as it was meant."""
+        """Return the value at a fraction of the way, rounded to twelve digits as a decimal number would be written."""
         return float(f"{self.low + fraction * (self.high - self.low):.12g}")
+
+
+class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The keys of a study's file."""
+
+    vary: Annotated[dict[str, Any], msgspec.Meta(min_length=1)]
+    config: str = "paper"
+    set: dict[str, Any] = {}
+    sample: Literal["grid", "latin_hypercube", "sobol"] = "grid"
+    count: Annotated[int, msgspec.Meta(ge=1, le=MAX_WALKS)] = 64
+    seed: Annotated[int, msgspec.Meta(ge=0)] = 0
 
 
 @dataclass(frozen=True)
@@ -61,7 +73,7 @@ class Study:
     ----------
     name : str
     config : Config
-        With what is the same in every walk put in.
+        With what is the same in every walk.
     sample : str
         ``"grid"``, ``"latin_hypercube"`` or ``"sobol"``.
     count, seed : int
@@ -94,8 +106,14 @@ class Study:
 
     def digest(self) -> str:
         """Return a text that changes with anything that changes a walk."""
-        text = json.dumps([self.config.flat(), self.points(), self.seed], sort_keys=True, default=list)
-        return hashlib.sha256(text.encode()).hexdigest()[:16]
+        vary = {name: msgspec.to_builtins(of) for name, of in self.vary.items()}
+        return digest(self.config, self.sample, self.count, self.seed, list(vary.items()))
+
+
+def digest(config: Config, *more: Any) -> str:
+    """Return a text that changes with a configuration and with whatever else makes an outcome."""
+    text = json.dumps([config.flat(), *more], sort_keys=True, default=list)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _pick(of: Range | tuple[Any, ...], x: float) -> Any:
@@ -112,46 +130,40 @@ def read(path: str | pathlib.Path) -> Study:
     """
     source = pathlib.Path(path)
     try:
-        tree = yaml.safe_load(source.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"cannot read the study '{path}': {error}") from error
-    except yaml.YAMLError as error:
-        raise ConfigError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
-    keys = ("config", "set", "sample", "count", "seed", "vary")
-    if not isinstance(tree, dict) or not isinstance(tree.get("vary"), dict) or not tree["vary"]:
-        raise ConfigError(f"{path}: a study needs 'vary' with at least one parameter; `dqwalk study --help` shows one")
-    if unknown := sorted(map(str, set(tree) - set(keys))):
-        raise ConfigError(f"{path}: unknown key {', '.join(unknown)}; there are {', '.join(keys)}")
-    sample, count, seed = tree.get("sample", "grid"), tree.get("count", 64), tree.get("seed", 0)
-    if sample not in SAMPLES:
-        raise ConfigError(f"{path}: 'sample' must be one of {', '.join(SAMPLES)}, not {sample!r}")
-    for key, value, low in (("count", count, 1), ("seed", seed, 0)):
-        if type(value) is not int or value < low:
-            raise ConfigError(f"{path}: '{key}' must be a whole number from {low} on, not {value!r}")
-    if sample == "sobol" and count & (count - 1):
-        raise ConfigError(f"{path}: 'count' must be a power of two for sobol, not {count}")
-    fixed = tree.get("set") or {}
-    if not isinstance(fixed, dict):
-        raise ConfigError(f"{path}: 'set' must be a table of parameters")
-    config = load(str(tree.get("config", "paper"))).updated(fixed, source=str(path))
-    vary = {str(name): _range(str(name), value, path) for name, value in tree["vary"].items()}
-    study = Study(source.stem, config, sample, count, seed, vary)
-    for name, of in vary.items():  # what cannot be walked is said now, not after an hour
+        file = msgspec.convert(strict_yaml.read(strict_yaml.read_text(source), source=str(path)), _File)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{path}: {error}; `dqwalk study --help` shows a study") from None
+    if file.sample == "sobol" and file.count & (file.count - 1):
+        raise ConfigError(f"{path}: 'count' must be a power of two for sobol, not {file.count}")
+    vary = {name: _range(name, value, path) for name, value in file.vary.items()}
+    sizes = [of.steps if isinstance(of, Range) else len(of) for of in vary.values()]
+    walks = math.prod(sizes) if file.sample == "grid" else file.count
+    if walks > MAX_WALKS:
+        raise ConfigError(
+            f"{path}: {walks:.3g} walks are too many for one study, {MAX_WALKS} is the most; take fewer steps, or "
+            "'sample: latin_hypercube' with a 'count'"
+        )
+    config = load(file.config).updated(file.set, source=str(path))
+    for name, of in vary.items():  # what cannot be walked is refused now, not after an hour
         for value in (of.low, of.high) if isinstance(of, Range) else of:
-            if name.startswith(OWN):
-                if isinstance(value, bool) or not isinstance(value, int | float):
-                    raise ConfigError(f"{path}: '{name}' must be a number, not {value!r}")
-            else:
+            if not name.startswith(OWN):
                 config.updated({name: value}, source=str(path))
-    return study
+            elif isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+                raise ConfigError(f"{path}: '{name}' must be a finite number, not {value!r:.80}")
+            elif name.startswith("mass.") and value < 0.0:
+                raise ConfigError(f"{path}: '{name}' must not be negative, it is {value}")
+    return Study(source.stem, config, file.sample, file.count, file.seed, vary)
 
 
 def _range(name: str, value: Any, path: str | pathlib.Path) -> Range | tuple[Any, ...]:
     if isinstance(value, list) and value:
         return tuple(value)
-    if isinstance(value, dict) and {"from", "to"} <= set(value) <= {"from", "to", "steps"}:
-        low, high, steps = value["from"], value["to"], value.get("steps", 5)
-        numbers = all(isinstance(x, int | float) and np.isfinite(x) for x in (low, high))
-        if numbers and type(steps) is int and steps >= 1:
-            return Range(float(low), float(high), steps)
-    raise ConfigError(f"{path}: '{name}' must be a list of values or {{from: A, to: B, steps: N}}, not {value!r}")
+    try:
+        made = msgspec.convert(value, Range)
+    except msgspec.ValidationError:
+        made = None
+    if made is None or not (math.isfinite(made.low) and math.isfinite(made.high)):
+        raise ConfigError(
+            f"{path}: {name!r} must be a list of values or {{from: A, to: B, steps: N}}, not {value!r:.80}"
+        )
+    return made

@@ -2,31 +2,39 @@
 
 from __future__ import annotations
 
+import functools
 import math
-import multiprocessing
-import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.errors import DqwalkError, PlantError
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.plants import World
 from dqwalk_ros.robot import Foot, load_model
-from dqwalk_ros.simulation import make_controller, make_plant
+from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, make_walk
+from dqwalk_ros.studies.bisection import Bracket, largest
+from dqwalk_ros.studies.plan import digest
+from dqwalk_ros.studies.runner import Store, run
 from dqwalk_ros.walk import PhaseKind
 
-__all__ = ["MOMENTS", "Limit", "Push", "limit", "limits", "pushed"]
+__all__ = ["MOMENTS", "Limit", "Outcome", "Push", "impulse_scale", "limit", "limits", "pushed"]
 
 MOMENTS = ("standing", "left", "right")
 """In a stance on both feet, or in the middle of a step on the left or on the right foot."""
 
 _STANDS = 3.0
-"""So long it must stand after a push in a stance [s]."""
-_SOON = 5.0
-"""A stance that is not there this long after its time does not come [s]."""
+"""How long it must stand after a push in a stance [s]."""
+_LATE = 5.0
+"""A stance that has not come this long after its time does not come [s]."""
+_FIRST, _MOST, _TOLERANCE = 0.045, 1.5, 0.0036
+"""First and largest impulse that is tried, and how exactly the limit is found, in units of `impulse_scale`."""
 
 
 @dataclass(frozen=True)
@@ -51,17 +59,27 @@ class Push:
     duration: float = 0.1
 
 
+class Outcome(msgspec.Struct, frozen=True):
+    """What was found in one direction: see `Limit`."""
+
+    survived: float
+    failed: float | None
+    reason: str
+
+
 @dataclass(frozen=True)
 class Limit:
-    """What was found in one direction.
+    """The limit in one direction.
 
     Attributes
     ----------
     moment : str
     direction : float
         [rad]
-    survived, failed : float
-        Largest impulse survived and least that was not, which are less than the tolerance apart [N s].
+    survived : float
+        Largest impulse survived [N s].
+    failed : float or None
+        Least impulse that was not; None where the hardest push that was tried was survived [N s].
     reason : str
         What ended the walk at `failed`.
     """
@@ -69,8 +87,15 @@ class Limit:
     moment: str
     direction: float
     survived: float
-    failed: float
+    failed: float | None
     reason: str
+
+
+def impulse_scale(config: Config) -> float:
+    """Return M sqrt(g h) [N s], by which impulses are compared between robots; h is the height of the CoM."""
+    model = load_model(config.robot)
+    height = float(Kinematics(model, make_walk(config, model).posture, Foot.LEFT).com[2])
+    return sum(body.mass for body in model.bodies) * math.sqrt(9.81 * height)
 
 
 def pushed(config: Config, push: Push) -> str:
@@ -88,27 +113,20 @@ def pushed(config: Config, push: Push) -> str:
     varied = config.updated(values)
     model = load_model(varied.robot)
     controller, plant = make_controller(varied, model), make_plant("physics", varied, model)
-    push_force = getattr(plant, "push", None)
-    if push_force is None:
-        raise PlantError("this plant cannot be pushed")
+    assert isinstance(plant, World)
     force = push.impulse / push.duration * np.array([math.cos(push.direction), math.sin(push.direction), 0.0])
-    state, began, why, s = plant.state, math.inf, "", varied.standing
-    while True:
-        try:
-            command = controller.step(state, varied.dt)
-        except DqwalkError as error:
-            why = str(error)
-        if controller.finished or why:
-            break
-        if began == math.inf and _due(controller, state.time, standing=standing):
-            began = state.time
-        push_force(force if began <= state.time < began + push.duration - 1e-9 else np.zeros(3))
-        state = plant.step(command, varied.dt)
-        if getattr(plant, "fallen", False):
+    began, why, transfer = math.inf, "", varied.standing.transfer_duration
+    try:
+        for state, _ in closed_loop(controller, plant):
+            if began == math.inf and _due(controller, state.time, standing=standing):
+                began = state.time
+            plant.push(force if began <= state.time < began + push.duration - 1e-9 else np.zeros(3))
+            if standing and state.time > min(began, transfer + _LATE) + _STANDS:
+                break
+        if plant.fallen:
             why = f"fell in {controller.phase.name}"
-            break
-        if standing and state.time > min(began, s.transfer_duration + _SOON) + _STANDS:
-            break
+    except DqwalkError as error:
+        why = str(error)
     if began == math.inf:
         raise PlantError(f"the walk ended before it was pushed{': ' + why if why else ''}")
     return why
@@ -123,67 +141,66 @@ def _due(controller: VelocityController, time: float, *, standing: bool) -> bool
     return second and since >= 0.5 * s.swing_duration
 
 
-def limit(
-    config: Config, moment: str, direction: float, *, duration: float = 0.1, tolerance: float = 0.02, most: float = 4.0
-) -> Limit:
-    """Find the largest impulse that is survived, by bisection between zero and `most` [N s]."""
-    low, high, reason = 0.0, most, ""
-    step = 0.25
-    while low < most:  # upwards first: the answer is seldom far from the ground
-        tried = min(max(2.0 * low, step), most)
-        reason = pushed(config, Push(moment, direction, tried, duration))
-        if reason:
-            high = tried
-            break
-        low = tried
-    while reason and high - low > tolerance:
-        tried = 0.5 * (low + high)
-        why = pushed(config, Push(moment, direction, tried, duration))
-        if why:
-            high, reason = tried, why
-        else:
-            low = tried
-    return Limit(moment, direction, low, high if reason else math.inf, reason)
-
-
-def limits(
-    config: Config,
-    moments: Sequence[str] = MOMENTS,
-    directions: int = 8,
-    *,
-    duration: float = 0.1,
-    tolerance: float = 0.02,
-    jobs: int = 1,
-    progress: Callable[[int, int], None] | None = None,
-) -> list[Limit]:
-    """Find the limit of every moment and direction, `jobs` at a time in processes of their own.
+def limit(config: Config, duration: float, tolerance: float, index: int, point: Mapping[str, Any]) -> Outcome:
+    """Find the largest impulse that is survived at a moment in a direction.
 
     Parameters
     ----------
     config : Config
+    duration : float
+        Of each push [s].
+    tolerance : float
+        [N s]
+    index : int
+        Not used; what the runner passes.
+    point : mapping
+        ``moment``, of `MOMENTS`, and ``direction`` [rad].
+    """
+    scale = impulse_scale(config)
+
+    def fails(impulse: float) -> str:
+        return pushed(config, Push(point["moment"], point["direction"], impulse, duration))
+
+    found: Bracket = largest(fails, _FIRST * scale, _MOST * scale, tolerance)
+    return Outcome(found.survived, found.failed, found.reason)
+
+
+def limits(
+    config: Config,
+    out: Path,
+    moments: Sequence[str] = MOMENTS,
+    directions: int = 8,
+    *,
+    duration: float = 0.1,
+    tolerance: float | None = None,
+    force: bool = False,
+    **options: Any,
+) -> list[Limit]:
+    """Find the limit of every moment and direction.
+
+    Parameters
+    ----------
+    config : Config
+    out : Path
+        Folder of ``limits.jsonl``.
     moments : sequence of str
         Of `MOMENTS`.
     directions : int
         So many, evenly spread.
     duration : float
         Of each push [s].
-    tolerance : float
-        [N s]
-    jobs : int
-    progress : callable, optional
-        Called with how many are done and how many there are.
+    tolerance : float, optional
+        [N s]; by default 0.36 % of `impulse_scale`.
+    force : bool
+        Begin anew.
+    **options
+        As `runner.run`.
     """
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # for the processes that are about to start
-    asked = [(moment, 2.0 * math.pi * k / directions) for moment in moments for k in range(directions)]
-    out: dict[int, Limit] = {}
-    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-        futures = {
-            pool.submit(limit, config, moment, direction, duration=duration, tolerance=tolerance): k
-            for k, (moment, direction) in enumerate(asked)
-        }
-        for future in as_completed(futures):
-            out[futures[future]] = future.result()
-            if progress is not None:
-                progress(len(out), len(asked))
-    return [out[k] for k in range(len(asked))]
+    exact = _TOLERANCE * impulse_scale(config) if tolerance is None else tolerance
+    points = [{"moment": m, "direction": 2.0 * math.pi * k / directions} for m in moments for k in range(directions)]
+    store = Store(out / "limits.jsonl", digest(config, points, duration, exact), points, Outcome, force=force)
+    try:
+        done = run(functools.partial(limit, config, duration, exact), points, store, **options)
+    finally:
+        store.close()
+    return [Limit(**points[k], **msgspec.to_builtins(outcome)) for k, outcome in done.items()]  # type: ignore[arg-type]

@@ -6,53 +6,124 @@ import dataclasses
 import functools
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from dqwalk_ros import report
 from dqwalk_ros.config import Config, RobotConfig
-from dqwalk_ros.errors import ConfigError, DqwalkError
+from dqwalk_ros.errors import ConfigError, DqwalkError, StudyError
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.robot import RobotModel, load_model
 from dqwalk_ros.simulation import make_controller, simulate
 from dqwalk_ros.state import Command, State
-from dqwalk_ros.studies.plan import OWN
+from dqwalk_ros.studies.plan import OWN, Study
+from dqwalk_ros.studies.runner import Store, run
 
-__all__ = ["walk"]
+__all__ = ["Outcome", "walk", "walk_all"]
 
 
-def walk(config: Config, point: Mapping[str, Any], index: int, seed: int) -> dict[str, Any]:
-    """Walk once and return what came of it.
+class Outcome(msgspec.Struct, frozen=True, kw_only=True):
+    """What came of a walk; numbers are None where there was no walk.
+
+    Attributes
+    ----------
+    finished : bool
+    end : str
+        Why it did not finish.
+    duration : float
+        [s]
+    ticks, steps : int
+    error : float
+        Of the last phase.
+    paper, true, joints : float
+        Least margin of the walk to the paper's planes and cylinder, to the edges of the soles [m], and to the joint
+        limits [rad]; ``margin/paper`` and so on in files.
+    """
+
+    finished: bool
+    end: str
+    duration: float | None
+    ticks: int | None
+    steps: int | None
+    error: float | None
+    paper: float | None = msgspec.field(name="margin/paper")
+    true: float | None = msgspec.field(name="margin/true")
+    joints: float | None = msgspec.field(name="margin/joints")
+
+    @classmethod
+    def unwalked(cls, end: str) -> Outcome:
+        """Return the outcome of a walk that did not begin."""
+        return msgspec.convert({**dict.fromkeys(cls.__struct_encode_fields__), "finished": False, "end": end}, cls)
+
+
+def walk(config: Config, seed: int, index: int, point: Mapping[str, Any]) -> Outcome:
+    """Walk once.
 
     Parameters
     ----------
     config : Config
+    seed, index : int
+        Seed of the study and number of the walk; together they fix its random numbers.
     point : mapping of str to value
-        What this walk has of its own.
-    index, seed : int
-        Number of the walk and seed of the study; together they fix its random numbers.
+        What this walk varies.
+    """
+    try:
+        return _walked(config, seed, index, point)
+    except DqwalkError as error:
+        return Outcome.unwalked(str(error))
+
+
+def walk_all(study: Study, out: Path, *, force: bool = False, **options: Any) -> dict[int, dict[str, Any]]:
+    """Make the walks of a study that are missing in a folder, and return the rows of all that are there.
+
+    Parameters
+    ----------
+    study : Study
+    out : Path
+        Folder of ``walks.jsonl`` and, when all walks are there, ``walks.parquet``.
+    force : bool
+        Begin anew.
+    **options
+        As `runner.run`.
 
     Returns
     -------
-    dict
-        ``walk``, the parameters, ``finished``, ``end`` (why it did not finish), ``duration`` [s], ``ticks``, ``steps``,
-        ``error`` of the last phase, ``margin/paper``, ``margin/true``, ``margin/joints`` (least of the walk; None where
-        there was no walk), all plain types.
+    dict of int to dict
+        ``walk``, the parameters, and the fields of `Outcome`, by the number of the walk.
     """
-    row: dict[str, Any] = {"walk": index, **point}
+    points = study.points()
+    store = Store(out / "walks.jsonl", study.digest(), points, Outcome, force=force)
     try:
-        return row | _walked(config, point, index, seed)
-    except DqwalkError as error:
-        return row | _outcome(False, str(error))
+        done = run(functools.partial(walk, study.config, study.seed), points, store, **options)
+        rows = {k: {"walk": k, **points[k], **msgspec.to_builtins(outcome)} for k, outcome in done.items()}
+        if len(rows) == len(points):
+            _write_parquet(list(rows.values()), out / "walks.parquet")
+    finally:
+        store.close()
+    return rows
 
 
-def _outcome(finished: bool, end: str, **numbers: Any) -> dict[str, Any]:
-    names = ("duration", "ticks", "steps", "error", "margin/paper", "margin/true", "margin/joints")
-    return {"finished": finished, "end": end} | {name: numbers.get(name) for name in names}
+def _write_parquet(rows: list[dict[str, Any]], path: Path) -> None:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    plain = [
+        {k: msgspec.json.encode(v).decode() if isinstance(v, list | tuple) else v for k, v in row.items()}
+        for row in rows
+    ]
+    new = path.with_suffix(".new")
+    try:
+        parquet.write_table(pa.Table.from_pylist(plain), new)
+        new.replace(path)
+    except OSError as error:
+        raise StudyError(f"cannot write '{path}': {error.strerror or error}") from error
 
 
-def _walked(config: Config, point: Mapping[str, Any], index: int, seed: int) -> dict[str, Any]:
+def _walked(config: Config, seed: int, index: int, point: Mapping[str, Any]) -> Outcome:
     own = {name: value for name, value in point.items() if name.startswith(OWN)}
     config = config.updated({name: value for name, value in point.items() if name not in own})
     model = _with_masses(_model(config.robot), own)
@@ -66,13 +137,21 @@ def _walked(config: Config, point: Mapping[str, Any], index: int, seed: int) -> 
     controller = make_controller(config, model)
     plant = _Disturbed(model, q0, float(own.get("disturbance.velocity", 0.0)), np.random.default_rng([seed, index]))
     trace = simulate(controller, plant)
+    if trace.interrupted:
+        raise KeyboardInterrupt  # this is no outcome
     if not trace.phases:
-        return _outcome(False, "; ".join(trace.notes))
+        return Outcome.unwalked("; ".join(trace.notes))
     found = report.report(report.analyse(trace))["walk"]
-    margins = {f"margin/{name}": found["margin"][name]["value"] for name in ("paper", "true", "joints")}
-    error = controller.error if math.isfinite(controller.error) else None
-    numbers = {name: found[name] for name in ("duration", "ticks", "steps")} | {"error": error} | margins
-    return _outcome(trace.finished, "; ".join(trace.notes), **numbers)
+    margin = {name: found["margin"][name]["value"] for name in ("paper", "true", "joints")}
+    return Outcome(
+        finished=trace.finished,
+        end="; ".join(trace.notes),
+        duration=found["duration"],
+        ticks=found["ticks"],
+        steps=found["steps"],
+        error=controller.error if math.isfinite(controller.error) else None,
+        **margin,
+    )
 
 
 @functools.lru_cache(maxsize=8)
@@ -88,8 +167,6 @@ def _with_masses(model: RobotModel, own: Mapping[str, Any]) -> RobotModel:
         link = name.removeprefix("mass.")
         if link not in model.frames:
             raise ConfigError(f"'{name}': there is no such link; there are {', '.join(model.frames)}")
-        if factor < 0.0:
-            raise ConfigError(f"'{name}' must not be negative, it is {factor}")
         body = model.frames[link].body
         bodies[body] = dataclasses.replace(bodies[body], mass=factor * bodies[body].mass)
     return dataclasses.replace(model, bodies=tuple(bodies)) if bodies != list(model.bodies) else model
@@ -98,7 +175,7 @@ def _with_masses(model: RobotModel, own: Mapping[str, Any]) -> RobotModel:
 class _Disturbed(KinematicPlant):
     """The integrator, with a random velocity added to each joint at each tick."""
 
-    def __init__(self, model: RobotModel, q0: np.ndarray[Any, Any], deviation: float, rng: np.random.Generator) -> None:
+    def __init__(self, model: RobotModel, q0: NDArray[np.float64], deviation: float, rng: np.random.Generator) -> None:
         super().__init__(model, q0)
         self._deviation, self._rng = deviation, rng
 

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dqwalk_ros.report.figures.style import BLUE, GREEN, INK, drawing, new_figure
-from dqwalk_ros.studies.pushes import Limit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from dqwalk_ros.studies.pushes import Limit
 
 __all__ = ["pushes_figure"]
 

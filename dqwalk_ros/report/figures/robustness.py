@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dqwalk_ros.report.figures.style import GREEN, GREY, INK, drawing, new_figure
-from dqwalk_ros.studies.robustness import Cell
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from dqwalk_ros.studies.robustness import Cell
 
 __all__ = ["robustness_figure"]
 

@@ -1,0 +1,189 @@
+"""Many walks: on the processes of one machine or on a Dask cluster, kept as they finish, resumed where they stopped."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import random
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import msgspec
+
+from dqwalk_ros.errors import ConfigError, StudyError
+
+__all__ = ["Store", "run"]
+
+Outcome = TypeVar("Outcome", bound=msgspec.Struct)
+"""What is kept of a walk: plain types."""
+Point = Mapping[str, Any]
+
+
+class Store(Generic[Outcome]):
+    """The outcomes of a study in a file, a line of JSON each, so that a study that was stopped goes on from there.
+
+    Parameters
+    ----------
+    path : Path
+    digest : str
+        Changes with anything that changes an outcome.
+    points : sequence of mapping
+        What each walk varies.
+    kind : type
+        Of an outcome.
+    force : bool
+        Begin anew whatever is there.
+
+    Attributes
+    ----------
+    done : dict of int to outcome
+        By the index of the point; lines that cannot be read are walked again.
+
+    Raises
+    ------
+    ConfigError
+        If the file belongs to another study, or another process writes to it.
+    StudyError
+        If it cannot be read or written.
+    """
+
+    def __init__(
+        self, path: Path, digest: str, points: Sequence[Point], kind: type[Outcome], *, force: bool = False
+    ) -> None:
+        self._path, self._points, self._kind = path, points, kind
+        self.done: dict[int, Outcome] = {}
+        head = {"study": digest}
+        with self._explained():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = path.open("ab+")
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self._file.close()
+            raise ConfigError(f"another process walks a study into '{path.parent}'; choose another folder") from None
+        try:
+            with self._explained():
+                self._file.seek(0)
+                text = b"" if force else self._file.read()
+                lines = text.splitlines()
+                if lines and self._decoded(lines[0]) != head:
+                    raise ConfigError(
+                        f"'{path}' belongs to another study; choose another folder with --out, or remove the file"
+                    )
+                self.done = dict(filter(None, map(self._outcome, lines[1:])))
+                if not lines:
+                    self._file.truncate(0)
+                    self._write(head)
+                elif not text.endswith(b"\n"):  # the last line of a study that was killed
+                    self._file.write(b"\n")
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Let others write to the file."""
+        self._file.close()
+
+    def add(self, index: int, outcome: Outcome) -> None:
+        """Keep an outcome."""
+        self.done[index] = outcome
+        with self._explained():
+            self._write({"walk": index, **self._points[index], **msgspec.to_builtins(outcome)})
+
+    def _write(self, line: Mapping[str, Any]) -> None:
+        self._file.write(msgspec.json.encode(line) + b"\n")
+        self._file.flush()
+
+    def _decoded(self, line: bytes) -> Any:
+        try:
+            return msgspec.json.decode(line)
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            return None
+
+    def _outcome(self, line: bytes) -> tuple[int, Outcome] | None:
+        row = self._decoded(line)
+        index = row.get("walk") if isinstance(row, dict) else None
+        if type(index) is not int or not 0 <= index < len(self._points):
+            return None
+        try:
+            return index, msgspec.convert(row, self._kind)
+        except msgspec.ValidationError:
+            return None
+
+    @contextlib.contextmanager
+    def _explained(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise StudyError(f"cannot read and write '{self._path}': {error.strerror}") from error
+
+
+def run(
+    task: Callable[[int, Point], Outcome],
+    points: Sequence[Point],
+    store: Store[Outcome],
+    *,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    progress: Callable[[int, int, Outcome], None] | None = None,
+) -> dict[int, Outcome]:
+    """Walk what is missing in the store, and return all outcomes by the index of their point.
+
+    The walks are made in a random order, so that what is there when a study is stopped is a fair sample. Ctrl-C stops
+    it; the outcomes until then are returned, and stay in the store.
+
+    Parameters
+    ----------
+    task : callable
+        Makes walk number `index` at a point; whatever process it runs in, it returns the same.
+    points : sequence of mapping
+    store : Store
+    jobs : int
+        Processes on this machine.
+    scheduler : str, optional
+        Address of a Dask scheduler, such as ``tcp://127.0.0.1:8786``, instead.
+    progress : callable, optional
+        Called after every walk with the number of walks done, of all walks, and the outcome.
+
+    Raises
+    ------
+    ConfigError
+        If no scheduler answers.
+    StudyError
+        If an outcome cannot be kept.
+    """
+    from joblib import Parallel, delayed
+
+    missing = [index for index in range(len(points)) if index not in store.done]
+    random.Random(0).shuffle(missing)
+    with _backend(scheduler), contextlib.suppress(KeyboardInterrupt):
+        parallel = Parallel(n_jobs=-1 if scheduler else jobs, return_as="generator_unordered", batch_size=1)
+        for index, outcome in parallel(delayed(_numbered)(task, index, points[index]) for index in missing):
+            store.add(index, outcome)
+            if progress is not None:
+                progress(len(store.done), len(points), outcome)
+    return dict(sorted(store.done.items()))
+
+
+def _numbered(task: Callable[[int, Point], Outcome], index: int, point: Point) -> tuple[int, Outcome]:
+    return index, task(index, point)
+
+
+@contextlib.contextmanager
+def _backend(scheduler: str | None) -> Iterator[None]:
+    """Let joblib work on a Dask cluster, or in processes of this machine with one thread each."""
+    from joblib import parallel_config
+
+    if scheduler is None:
+        with parallel_config("loky", inner_max_num_threads=1):
+            yield
+        return
+    from distributed import Client
+
+    try:
+        client = Client(scheduler, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"no Dask scheduler answers at {scheduler}: {error}") from error
+    with client, parallel_config("dask"):
+        yield
