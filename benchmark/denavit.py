@@ -1,12 +1,12 @@
-"""Denavit and Hartenberg's parameters of a chain of joint lines, as dqrobotics wants them."""
+"""Denavit and Hartenberg's parameters of a serial chain, as dqrobotics takes them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
+from benchmark.biped import Chain
 from dqwalk_ros.dual_quaternions import DQ
 
 __all__ = ["parameters"]
@@ -14,29 +14,24 @@ __all__ = ["parameters"]
 Array = np.ndarray
 
 
-def parameters(chain: Any) -> tuple[Array, Array, Callable[[int, Array], Array]]:
+def parameters(chain: Chain) -> tuple[Array, Array, Callable[[int, Array, Array], Array]]:
     """Return the base pose (8,), the table (5, n) of theta, d, a, alpha, type, and a change of frame.
 
-    The change of frame takes the number of a body (1 to n) and a place on it (8,) to the place in the frame that the
+    The change of frame takes a body and a place on it, rotation and translation, to the pose (8,) in the frame that the
     parameters give that body.
     """
     bodies, x = [], DQ(1.0)
-    for origin in chain.origin:
-        x = x * DQ(origin)
+    for R, p in zip(chain.fixed_R, chain.fixed_p, strict=True):
+        x = x * DQ.from_matrix(R, p)
         bodies.append(x)
     axes = [(b.rotation_matrix() @ a, b.translation()) for b, a in zip(bodies, chain.axis, strict=True)]
     z, o = axes[0]
     any_x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
     frames, rows = [(any_x / np.linalg.norm(any_x), z, o)], []
-    for following in [*axes[1:], None]:
+    for z2, o2 in axes[1:]:
         x_axis, z, o = frames[-1]
-        if following is None:
-            rows.append((0.0, 0.0, 0.0, 0.0, 0.0))
-            frames.append(frames[-1])
-            break
-        z2, o2 = following
         normal, way = np.cross(z, z2), o2 - o
-        if np.linalg.norm(normal) > 1e-9:
+        if np.linalg.norm(normal) > 1e-9:  # from the foot of the common normal
             x2 = normal / np.linalg.norm(normal)
             d, a, s = np.linalg.solve(np.stack([z, x2, -z2], axis=1), way)
             o2 = o2 + s * z2
@@ -48,9 +43,11 @@ def parameters(chain: Any) -> tuple[Array, Array, Callable[[int, Array], Array]]
         theta = np.arctan2(np.cross(x_axis, x2) @ z, x_axis @ x2)
         rows.append((theta, d, a, np.arctan2(np.cross(z, z2) @ x2, z @ z2), 0.0))
         frames.append((x2, z2, o2))
+    rows.append((0.0, 0.0, 0.0, 0.0, 0.0))
+    frames.append(frames[-1])
     poses = [DQ.from_matrix(np.stack([x, np.cross(z, x), z], axis=1), o) for x, z, o in frames]
 
-    def change(body: int, place: Array) -> Array:
-        return (poses[body].conj() * bodies[body - 1] * DQ(place)).vec8()
+    def place(body: int, R: Array, p: Array) -> Array:
+        return (poses[body + 1].conj() * bodies[body] * DQ.from_matrix(R, p)).vec8()
 
-    return poses[0].vec8(), np.array(rows).T, change
+    return poses[0].vec8(), np.array(rows).T, place

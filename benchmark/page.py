@@ -18,21 +18,23 @@ TEXT = """\
 
 Written by `python -m benchmark.page`; do not edit. Times are medians of single calls of an interleaved
 run on a machine that other programs used as well: compare figures of one table only, and ratios rather than times.
-A peer's tick is its own kinematics, the rows in numpy as one writes them by hand, and its usual solver; its error is
-that of u relative to the largest joint velocity. The robots are made up (`benchmark/robots.py`). placo knows no task
-but its own: its error says how far another program's answer is. Clarabel "in place" is at its default tolerances,
-unscaled. "Clarabel's own solve" is with the inequalities within reach, as in the tick. A late state of the nodes is one
-that the plant, which is the benchmark here, could not send on time beside a controller at work; the bare loop sleeps
-to the same schedule and does nothing.
+
+**Peers** (`benchmark/peers.py`): the same robot, state in to joint velocities out. "In place" is Pinocchio as its best
+user would write it: arrays allocated once, the solver called directly. "qpsolvers" is what one writes first. Clarabel
+"in place" is at its default tolerances, unscaled. A peer's error is that of u relative to the largest joint velocity;
+mink, pink and placo follow the swing foot by tasks of their own, and their error there says how far their answer is
+from that of (U6).
+
+**Nodes**: a late state is one that the plant, which is the benchmark here, could not send on time beside a controller
+at work; the bare loop sleeps to the same schedule and does nothing.
 
 """
 
 TITLES = {
     "tick": "One tick",
-    "growth": "Growth",
     "cycle": "A long walk",
+    "physics": "The physics loop",
     "nodes": "The controller as a node (ROS 2)",
-    "startup": "Start-up",
     "studies": "A thousand walks",
 }
 """Of the sections, each by the benchmark that fills it."""

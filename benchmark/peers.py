@@ -1,363 +1,595 @@
-"""The tick of a phase written with the packages one would use instead.
+"""The tick of a phase written with the packages one would use instead, each as its best user would write it.
 
-All solve the same quadratic program (6): their own kinematics, the rows in numpy as one writes them by hand, their
-usual solver. The robot is handed over as the serial chain from the base sole to the other one.
+All but placo and, in single support, mink and pink solve the same quadratic program (U6) as `benchmark.peer_adapter`:
+the package's kinematics, the rows in numpy, its usual solver. "In place": arrays are allocated once and written into,
+and the solver is called directly; "qpsolvers": what one writes first, matrices built anew in numpy and handed to the
+package of that name. mink, pink and placo follow the swing foot by tasks of their own, so that in single support their
+answer is another one.
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmark.robots import Case
-from dqwalk_ros.constraints import AxisLevel, PointInCylinder, PointInsideWall, PointOverPlane
+from benchmark.biped import Chain, Walk, chain_urdf
+from benchmark.denavit import parameters
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.kinematics import CenterOfMass, support_tree
-from dqwalk_ros.tasks import ComOverFoot
 
-__all__ = ["PEERS", "Chain", "Places", "Poses", "Program", "ordered"]
+__all__ = ["PEERS"]
 
 Array = np.ndarray
+Tick = Callable[[Array], Array]
+_LINE = [1, 2, 3, 5, 6, 7]
 
 
-@dataclass(frozen=True)
-class Places:
-    """What the rows of a phase are made of: the end sole, the pelvis and the CoM, and how they move."""
+class Rows:
+    """The program of a phase in arrays that are allocated once.
 
-    R: Array  # (3, 3) of the end sole
-    p: Array  # (3,)
-    J_p: Array  # (3, n), of its origin
-    J_w: Array  # (3, n), its angular velocity
-    pelvis: Array
-    J_pelvis: Array
-    com: Array
-    J_com: Array
-    x: Array | None = None  # (8,) and (8, n), in single support
-    J_x: Array | None = None
+    Rows of `A` are the equality, where there is one, and the inequalities, A u = e and A u >= b; what a row is worth is
+    in `b`. Then bounds on u.
+    """
 
+    def __init__(self, chain: Chain, walk: Walk, phase: str) -> None:
+        n, self.walk, self.dsp = chain.n, walk, phase == "dsp"
+        self.equalities = int(self.dsp)
+        rows = 5 if self.dsp else 2
+        self.H, self.c = np.empty((n, n)), np.empty(n)
+        self.A, self.b = np.empty((rows, n)), np.empty(rows)
+        self.lower, self.upper = np.empty(n), np.empty(n)
+        self._q_min, self._q_max = chain.q_min, chain.q_max
+        self._damping, self._diagonal = walk.lam**2, np.arange(n) * (n + 1)
+        self._planes = np.stack([walk.tip_plane[0], walk.back_plane[0]])
+        self._offsets = np.array([walk.tip_plane[1], walk.back_plane[1]])
+        self._rates = np.array([walk.eta_tip, walk.eta_back])
 
-class Chain:
-    """The robot of a case as a serial chain, for others."""
+    def double_support(
+        self, q: Array, com: Array, J_com: Array, p: Array, J_p: Array, pelvis: Array, J_pelvis: Array
+    ) -> None:
+        """Fill in the double support from CoM, end sole and pelvis (3,) and their Jacobians (3, n)."""
+        w, A, b = self.walk, self.A, self.b
+        A[0], b[0] = J_p[2], -w.eta_ground * p[2]
+        v = p[:2] - w.slide_center[:2]
+        np.dot(-2.0 * v, J_p[:2], out=A[1])
+        b[1] = -w.eta_sliding * (w.slide_radius**2 - v @ v)
+        np.dot(self._planes, J_com, out=A[2:4])
+        b[2:4] = self._rates * (self._offsets - self._planes @ com)
+        A[4], b[4] = J_pelvis[2], -w.eta_pelvis * (pelvis[2] - w.pelvis_height)
+        self._finish(q, J_com[:2], com[:2] - w.com_target)
 
-    def __init__(self, of: Case) -> None:
-        model, base = of.model, of.phase.base
-        root = support_tree(model, base)
-        joint, (origin, axis, mass, com) = root.tree[:, 1], np.split(root.links, [8, 11, 12], axis=1)
-        self.n = model.n
-        self.order = joint[1:]  # of the model's joints along the chain
-        self.back = np.argsort(self.order)
-        self.origin, self.axis, self.com, self.mass = origin[1:], axis[1:], com, mass[:, 0] * model.mass
-        self.end = root.frames[model.soles[base.other].frame]
-        self.pelvis = root.frames[model.pelvis]
+    def single_support(
+        self, q: Array, com: Array, J_com: Array, x: Array, J_x: Array, pelvis: Array, J_pelvis: Array
+    ) -> None:
+        """Fill in the single support from CoM and pelvis, and the swing foot's pose (8,) with its Jacobian (8, n)."""
+        w, A, b = self.walk, self.A, self.b
+        v = com[:2] - w.com_center[:2]
+        np.dot(-2.0 * v, J_com[:2], out=A[0])
+        b[0] = -w.eta_com * (w.com_radius**2 - v @ v)
+        A[1], b[1] = J_pelvis[2], -w.eta_pelvis * (pelvis[2] - w.pelvis_height)
+        if x[:4] @ w.x_goal[:4] < 0.0:
+            x, J_x = -x, -J_x
+        self._finish(q, J_x, x - w.x_goal)
 
-    def urdf(self) -> str:
-        """Return the chain as URDF text."""
-
-        def inertial(k: int) -> str:
-            xyz = " ".join(f"{v:.17g}" for v in self.com[k])
-            return (
-                f'<inertial><origin xyz="{xyz}"/><mass value="{max(self.mass[k], 1e-9):.17g}"/>'
-                '<inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial>'
-            )
-
-        def place(x: Array) -> str:
-            R, p = DQ(x).rotation_matrix(), DQ(x).translation()
-            angles = np.arctan2(R[2, 1], R[2, 2]), -np.arcsin(np.clip(R[2, 0], -1, 1)), np.arctan2(R[1, 0], R[0, 0])
-            return '<origin xyz="{:.17g} {:.17g} {:.17g}" rpy="{:.17g} {:.17g} {:.17g}"/>'.format(*p, *angles)
-
-        parts = [f'<robot name="chain"><link name="body0">{inertial(0)}</link>']
-        for k in range(self.n):
-            axis = " ".join(f"{v:.17g}" for v in self.axis[k])
-            parts.append(
-                f'<joint name="q{k}" type="revolute"><parent link="body{k}"/><child link="body{k + 1}"/>'
-                f'{place(self.origin[k])}<axis xyz="{axis}"/>'
-                '<limit lower="-3" upper="3" velocity="8" effort="9"/></joint>'
-                f'<link name="body{k + 1}">{inertial(k + 1)}</link>'
-            )
-        for name, (body, x) in (("end", self.end), ("pelvis", self.pelvis)):
-            parts.append(
-                f'<joint name="{name}_mount" type="fixed"><parent link="body{body}"/><child link="{name}"/>{place(x)}'
-                f'</joint><link name="{name}"/>'
-            )
-        return "".join([*parts, "</robot>"])
-
-    def mjcf(self, q_min: Array, q_max: Array) -> str:
-        """Return the chain as MuJoCo's XML, with the limits [rad] of its joints."""
-
-        def text(values: Array) -> str:
-            return " ".join(f"{v:.17g}" for v in values)
-
-        def place(x: Array) -> str:
-            return f'pos="{text(DQ(x).translation())}" quat="{text(x[:4])}"'
-
-        def body(k: int) -> str:
-            mass, com = max(self.mass[k], 1e-9), text(self.com[k])
-            sites = "".join(
-                f'<site name="{name}" {place(x)}/>'
-                for name, (of, x) in (("end", self.end), ("pelvis", self.pelvis))
-                if of == k
-            )
-            return f'<inertial pos="{com}" mass="{mass:.17g}" diaginertia="1e-4 1e-4 1e-4"/>{sites}'
-
-        parts = [f'<mujoco><compiler angle="radian" autolimits="true"/><worldbody><body name="body0">{body(0)}']
-        for k in range(self.n):
-            limits = text(np.array([q_min[k], q_max[k]]))
-            parts.append(
-                f'<body name="body{k + 1}" {place(self.origin[k])}>'
-                f'<joint name="q{k}" type="hinge" axis="{text(self.axis[k])}" range="{limits}"/>{body(k + 1)}'
-            )
-        return "".join([*parts, "</body>" * (self.n + 1), "</worldbody></mujoco>"])
-
-    def moving(self) -> tuple[float, Array]:
-        """Return the share of the mass that moves, and what the base at rest adds to the CoM [m].
-
-        Pinocchio leaves out what is at rest.
-        """
-        return self.mass[1:].sum() / self.mass.sum(), self.mass[0] * self.com[0] / self.mass.sum()
+    def _finish(self, q: Array, J: Array, error: Array) -> None:
+        w = self.walk
+        np.dot(J.T, J, out=self.H)
+        self.H.ravel()[self._diagonal] += self._damping
+        np.dot(error, J, out=self.c)
+        self.c *= w.eta
+        np.subtract(self._q_max, q, out=self.upper)
+        self.upper *= w.eta_q
+        np.subtract(self._q_min, q, out=self.lower)
+        self.lower *= w.eta_q
 
 
-class Program:
-    """(6) of a phase, by hand: constants looked up once, rows in numpy."""
-
-    def __init__(self, of: Case) -> None:
-        self.phase, self.dt = of.phase, of.dt
-        self.pelvis = of.model.pelvis
-        above, below = of.phase.limits
-        self.q_max, self.q_min, self.eta_q = above.q_max - above.bound, below.q_min + below.bound, above.eta
-        self.com_task = isinstance(of.phase.tasks[0], ComOverFoot)
-        self.eye = of.phase.damping**2 * np.eye(of.model.n)
-
-    def point(self, point: Any, at: Places) -> tuple[Array, Array]:
-        """Return a point of the phase and its Jacobian."""
-        if isinstance(point, CenterOfMass):
-            return at.com, at.J_com
-        if point.frame == self.pelvis:
-            return at.pelvis, at.J_pelvis
-        r = at.R @ point.offset
-        return at.p + r, at.J_p + np.cross(at.J_w.T, r).T
-
-    def row(self, row: Any, at: Places) -> tuple[Array, float]:
-        """Return one row and its right-hand side."""
-        if isinstance(row, AxisLevel):
-            z = at.R[:, 2]
-            J, d = row.direction @ np.cross(at.J_w.T, z).T, row.direction @ z
-        else:
-            p, J_p = self.point(row.point, at)
-            if isinstance(row, PointOverPlane):
-                J, d = row.plane.n @ J_p, row.plane.n @ p - row.plane.d
-            elif isinstance(row, PointInCylinder):  # upright
-                v = (p - np.cross(row.cylinder.axis.l, row.cylinder.axis.m))[:2]
-                J, d = -2.0 * v @ J_p[:2], row.cylinder.radius**2 - v @ v
-            else:
-                assert isinstance(row, PointInsideWall)
-                b, J_b = self.point(row.moving, at)
-                t, v = (b - row.fixed)[:2], (p - row.fixed)[:2]
-                length = np.sqrt(t @ t)
-                n = np.array([-t[1], t[0]]) * (row.side / length)
-                J, d = n @ (J_p[:2] - (t @ v / length**2) * J_b[:2]), n @ v
-        return J, -min(row.eta, 1.0 / self.dt) * (d - row.bound)
-
-    def task(self, at: Places) -> tuple[Array, Array]:
-        """Return the Jacobian and the error of the task."""
-        task = self.phase.tasks[0]
-        if self.com_task:
-            p, J_p = self.point(task.foot, at)
-            return (at.J_com - J_p)[:2], (at.com - p)[:2]
-        sign = 1.0 if at.x[:4] @ task.target[:4] >= 0.0 else -1.0
-        return sign * at.J_x, sign * at.x - task.target
-
-    def holds(self, at: Places) -> tuple[Array, Array]:
-        """Return E and e of the equalities."""
-        return self._stack(self.phase.equalities, at)
-
-    def rows(self, at: Places) -> tuple[Array, Array]:
-        """Return G and h of the inequalities, G u >= h."""
-        return self._stack(self.phase.inequalities, at)
-
-    def _stack(self, of: Sequence[Any], at: Places) -> tuple[Array, Array]:
-        A, b = np.empty((len(of), self.q_max.size)), np.empty(len(of))
-        for k, row in enumerate(of):
-            A[k], b[k] = self.row(row, at)
-        return A, b
-
-    def __call__(self, q: Array, at: Places) -> tuple[Array, ...]:
-        """Return H, c, E, e, G, h, lower, upper."""
-        J, error = self.task(at)
-        upper, lower = self.eta_q * (self.q_max - q), self.eta_q * (self.q_min - q)
-        return J.T @ J + self.eye, self.phase.eta * (error @ J), *self.holds(at), *self.rows(at), lower, upper
+# ---------------------------------------------------------------------- solvers
 
 
-def ordered(program: Program, chain: Chain) -> Program:
-    """Return the program with its joints in the order of the chain."""
-    program.q_max, program.q_min = program.q_max[chain.order], program.q_min[chain.order]
-    return program
+def daqp_in_place(rows: Rows) -> Callable[[], Array]:
+    """Return a function that solves with DAQP."""
+    from daqp import solve
+
+    n, k, m = rows.c.size, rows.equalities, len(rows.b)
+    high, low, sense = np.full(n + m, 1e30), np.empty(n + m), np.zeros(n + m, dtype=np.int32)
+    sense[n : n + k] = 5
+
+    def answer() -> Array:
+        high[:n], low[:n], low[n:], high[n : n + k] = rows.upper, rows.lower, rows.b, rows.b[:k]
+        return solve(rows.H, rows.c, rows.A, high, low, sense, primal_tol=1e-12)[0]
+
+    return answer
 
 
-def quadprog(H: Array, c: Array, E: Array, e: Array, G: Array, h: Array, lower: Array, upper: Array) -> Array:
-    """Solve with quadprog."""
+def quadprog_in_place(rows: Rows) -> Callable[[], Array]:
+    """Return a function that solves with quadprog."""
     from quadprog import solve_qp
 
-    eye = np.eye(c.size)
-    return solve_qp(H, -c, np.concatenate([E, G, eye, -eye]).T, np.concatenate([e, h, lower, -upper]), e.size)[0]
+    n, k, m = rows.c.size, rows.equalities, len(rows.b)
+    C, b = np.zeros((n, m + 2 * n)), np.empty(m + 2 * n)
+    C[:, m : m + n], C[:, m + n :] = np.eye(n), -np.eye(n)
+
+    def answer() -> Array:
+        C[:, :m], b[:m], b[m : m + n] = rows.A.T, rows.b, rows.lower
+        np.negative(rows.upper, out=b[m + n :])
+        return solve_qp(rows.H, -rows.c, C, b, k)[0]
+
+    return answer
 
 
-def daqp(H: Array, c: Array, E: Array, e: Array, G: Array, h: Array, lower: Array, upper: Array) -> Array:
-    """Solve with daqp."""
-    import daqp as solver
+def clarabel_in_place(rows: Rows) -> Callable[[], Array]:
+    """Return a function that solves with one Clarabel, updated; its default tolerances, no scaling."""
+    import clarabel
+    from scipy import sparse
 
-    high = np.concatenate([upper, e, np.full(h.size, 1e30)])
-    low = np.concatenate([lower, e, h])
-    sense = np.zeros(high.size, dtype=np.int32)
-    sense[c.size : c.size + e.size] = 5
-    return np.array(solver.solve(H, c, np.concatenate([E, G]), high, low, sense, primal_tol=1e-12)[0])
+    n, k, m = rows.c.size, rows.equalities, len(rows.b)
+    triangle = np.tril_indices(n)  # row by row: the upper one column by column
+    sign = np.where(np.arange(m) < k, 1.0, -1.0)
+    pattern = sparse.csc_matrix(np.vstack([np.ones((m, n)), np.eye(n), -np.eye(n)]))
+    values = pattern.data.reshape(n, m + 2)
+    solver: Any = None
 
-
-class InPlace:
-    """Clarabel kept and updated in place, at its default tolerances and without scaling."""
-
-    def __init__(self) -> None:
-        self.solver: Any = None
-
-    def __call__(self, H: Array, c: Array, E: Array, e: Array, G: Array, h: Array, lower: Array, upper: Array) -> Array:
-        """Solve."""
-        n = c.size
-        eye = np.eye(n)
-        A, b = np.concatenate([E, -G, eye, -eye]), np.concatenate([e, -h, upper, -lower])
-        P = H[self.upper] if self.solver else None
-        if self.solver is None:
-            import clarabel
-            from scipy import sparse
-
-            self.upper = tuple(reversed(np.tril_indices(n)))  # of the upper triangle, column by column
-            full = np.ones_like(A, dtype=bool)
-            pattern = sparse.csc_matrix(full)
-            pattern.data = A.T.ravel()
-            triangle = sparse.csc_matrix(np.triu(np.ones((n, n))))
-            triangle.data = H[self.upper]
+    def answer() -> Array:
+        nonlocal solver
+        values[:, :m] = (sign[:, None] * rows.A).T
+        b = np.concatenate([sign * rows.b, rows.upper, -rows.lower])
+        if solver is None:
             settings = clarabel.DefaultSettings()
-            settings.verbose = False
-            settings.presolve_enable = False
-            cones = [clarabel.ZeroConeT(e.size)] if e.size else []
-            cones.append(clarabel.NonnegativeConeT(b.size - e.size))
-            self.solver = clarabel.DefaultSolver(triangle, c, pattern.astype(float), b, cones, settings)
+            settings.verbose = settings.presolve_enable = False
+            cones = [clarabel.ZeroConeT(k)] if k else []
+            cones.append(clarabel.NonnegativeConeT(m - k + 2 * n))
+            P = sparse.csc_matrix(np.triu(np.ones((n, n))))
+            P.data = rows.H[triangle]
+            solver = clarabel.DefaultSolver(P, rows.c, pattern, b, cones, settings)
         else:
-            self.solver.update(P=P.tolist(), q=c.tolist(), A=A.T.ravel().tolist(), b=b.tolist())
-        return np.array(self.solver.solve().x)
+            solver.update(P=rows.H[triangle].tolist(), q=rows.c.tolist(), A=pattern.data.tolist(), b=b.tolist())
+        return np.array(solver.solve().x)
+
+    return answer
 
 
-def pinocchio(of: Case, solve: Callable[..., Array]) -> Callable[[Array], Array]:
-    """Return the tick with Pinocchio's kinematics."""
-    import pinocchio as pin
-
-    chain, program = Chain(of), ordered(Program(of), Chain(of))
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "chain.urdf"
-        path.write_text(chain.urdf(), encoding="utf-8")
-        model = pin.buildModelFromUrdf(str(path))
-    data = model.createData()
-    end, pelvis = model.getFrameId("end"), model.getFrameId("pelvis")
-    share, rest = chain.moving()
-    x_end = Poses(of)
-
-    def tick(q: Array) -> Array:
-        q = q[chain.order]
-        pin.computeJointJacobians(model, data, q)
-        pin.updateFramePlacements(model, data)
-        J_com = share * pin.jacobianCenterOfMass(model, data, q, False)
-        J = pin.getFrameJacobian(model, data, end, pin.LOCAL_WORLD_ALIGNED)
-        J_pelvis = pin.getFrameJacobian(model, data, pelvis, pin.LOCAL_WORLD_ALIGNED)[:3]
-        T = data.oMf[end]
-        places = Places(
-            T.rotation, T.translation, J[:3], J[3:], data.oMf[pelvis].translation, J_pelvis,
-            share * data.com[0] + rest, J_com, *x_end(T.rotation, T.translation, J),
-        )  # fmt: skip
-        return solve(*program(q, places))[chain.back]
-
-    return tick
+# ---------------------------------------------------------------------- packages
 
 
-class Poses:
-    """The pose of the end sole as a dual quaternion, with its Jacobian, from rotation, translation and twist."""
+def pinocchio(solver: Callable[[Rows], Callable[[], Array]]) -> Callable[[Chain, Walk, str], Tick]:
+    """Return the maker of ticks with Pinocchio's kinematics."""
 
-    def __init__(self, of: Case) -> None:
-        self.needed = not isinstance(of.phase.tasks[0], ComOverFoot)
+    def make(chain: Chain, walk: Walk, phase: str) -> Tick:
+        import pinocchio as pin
 
-    def __call__(self, R: Array, p: Array, J: Array) -> tuple[Array | None, Array | None]:
-        """Return x (8,) and J_x (8, n); J is [velocity of the origin; angular velocity] in world axes."""
-        if not self.needed:
-            return None, None
-        x = DQ.from_matrix(R, p)
-        moment = J[:3] - np.cross(J[3:].T, p).T  # of the velocity at the world's origin
-        return x.vec8(), 0.5 * x.haminus8()[:, [1, 2, 3, 5, 6, 7]] @ np.concatenate([J[3:], moment])
+        rows = Rows(chain, walk, phase)
+        solve, dsp = solver(rows), phase == "dsp"
+        model = pin.buildModelFromXML(chain_urdf(chain))
+        data, world = model.createData(), pin.LOCAL_WORLD_ALIGNED
+        tip, pelvis = model.getFrameId("tip"), model.getFrameId("pelvis")
+        # what is fixed to the world has no mass for Pinocchio
+        share = chain.mass.sum() / (chain.base_mass + chain.mass.sum())
+        rest = (1.0 - share) * chain.base_com
+        cross = np.zeros((3, 3))  # p x
+        x, twist, J_x = np.empty(8), np.empty((6, chain.n)), np.empty((8, chain.n))
+        # half of H-(x), times a pure twist, is linear in x: one entry of x with a sign everywhere
+        basis = np.stack([DQ(one).haminus8()[:, _LINE] for one in np.eye(8)])
+        index, sign = np.abs(basis).argmax(axis=0), 0.5 * basis.sum(axis=0)
+
+        def tick(q: Array) -> Array:
+            J_com = pin.jacobianCenterOfMass(model, data, q, False)
+            J_com *= share
+            pin.computeJointJacobians(model, data, q)
+            T = pin.updateFramePlacement(model, data, tip)
+            T_pelvis = pin.updateFramePlacement(model, data, pelvis)
+            J = pin.getFrameJacobian(model, data, tip, world)
+            J_pelvis = pin.getFrameJacobian(model, data, pelvis, world)
+            p, com = T.translation, share * data.com[0] + rest
+            if dsp:
+                rows.double_support(q, com, J_com, p, J[:3], T_pelvis.translation, J_pelvis[:3])
+            else:
+                r = pin.Quaternion(T.rotation).coeffs()
+                x[0], x[1:4] = r[3], r[:3]
+                x[4] = -0.5 * (p @ r[:3])
+                cross[0, 1], cross[0, 2], cross[1, 2] = -p[2], p[1], -p[0]
+                cross[1, 0], cross[2, 0], cross[2, 1] = p[2], -p[1], p[0]
+                x[5:] = 0.5 * (r[3] * p + cross @ r[:3])
+                twist[:3] = J[3:]
+                np.dot(cross, J[3:], out=twist[3:])
+                twist[3:] += J[:3]  # of the point of the foot that is at the world's origin
+                np.dot(sign * x[index], twist, out=J_x)
+                rows.single_support(q, com, J_com, x, J_x, T_pelvis.translation, J_pelvis[:3])
+            return solve()
+
+        return tick
+
+    return make
 
 
-def dqrobotics(of: Case) -> Callable[[Array], Array]:
-    """Return the tick with dqrobotics' kinematics and its quadprog solver."""
+def haminus4(r: Array) -> Array:
+    """Return the matrix H-(r) of a quaternion, a r = H-(r) a."""
+    a, b, c, d = r
+    return np.array([[a, -b, -c, -d], [b, a, d, -c], [c, -d, a, b], [d, c, -b, a]])
+
+
+def pinocchio_plain(solver: str) -> Callable[[Chain, Walk, str], Tick]:
+    """Return the maker of ticks with Pinocchio's kinematics, matrices of numpy and qpsolvers."""
+
+    def make(chain: Chain, walk: Walk, phase: str) -> Tick:
+        import pinocchio as pin
+        import qpsolvers
+
+        w, eye = walk, np.eye(chain.n)
+        model = pin.buildModelFromXML(chain_urdf(chain))
+        data, world = model.createData(), pin.LOCAL_WORLD_ALIGNED
+        tip, pelvis = model.getFrameId("tip"), model.getFrameId("pelvis")
+        share = chain.mass.sum() / (chain.base_mass + chain.mass.sum())
+        rest = (1.0 - share) * chain.base_com
+
+        def tick(q: Array) -> Array:
+            pin.computeJointJacobians(model, data, q)
+            pin.updateFramePlacements(model, data)
+            J_com = share * pin.jacobianCenterOfMass(model, data, q, False)
+            com, T = share * data.com[0] + rest, data.oMf[tip]
+            J = pin.getFrameJacobian(model, data, tip, world)
+            J_pelvis = pin.getFrameJacobian(model, data, pelvis, world)
+            height = np.array([w.eta_pelvis * (data.oMf[pelvis].translation[2] - w.pelvis_height)])
+            if phase == "dsp":
+                p = T.translation
+                v = (p - w.slide_center) * [1.0, 1.0, 0.0]
+                task, error = J_com[:2], com[:2] - w.com_target
+                E, e = J[2:3], np.array([-w.eta_ground * p[2]])
+                rows = [2.0 * v @ J[:3], -w.tip_plane[0] @ J_com, -w.back_plane[0] @ J_com]
+                free = [
+                    w.eta_sliding * (w.slide_radius**2 - v @ v),
+                    w.eta_tip * (w.tip_plane[0] @ com - w.tip_plane[1]),
+                    w.eta_back * (w.back_plane[0] @ com - w.back_plane[1]),
+                ]
+            else:
+                r = np.roll(pin.Quaternion(T.rotation).coeffs(), 1)
+                x = np.concatenate([r, 0.5 * haminus4(r) @ [0.0, *T.translation]])
+                x *= 1.0 if x @ w.x_goal > 0.0 else -1.0
+                twist = np.vstack([J[3:], J[:3] - np.cross(J[3:].T, T.translation).T])
+                H = np.zeros((8, 8))
+                H[:4, :4] = H[4:, 4:] = haminus4(x[:4])
+                H[4:, :4] = haminus4(x[4:])
+                task, error = 0.5 * H[:, _LINE] @ twist, x - w.x_goal
+                v = (com - w.com_center) * [1.0, 1.0, 0.0]
+                E, e = None, None
+                rows, free = [2.0 * v @ J_com], [w.eta_com * (w.com_radius**2 - v @ v)]
+            G = np.vstack([*rows, -J_pelvis[2], eye, -eye])
+            h = np.concatenate([free, height, w.eta_q * (chain.q_max - q), w.eta_q * (q - chain.q_min)])
+            P, c = task.T @ task + w.lam**2 * eye, w.eta * (task.T @ error)
+            return qpsolvers.solve_qp(P, c, G, h, E, e, solver=solver)
+
+        return tick
+
+    return make
+
+
+def dqrobotics(chain: Chain, walk: Walk, phase: str) -> Tick:
+    """Return the tick with dqrobotics: distances and Jacobians as in the paper, its quadprog."""
     from dqrobotics import DQ as Dual
-    from dqrobotics import haminus8, translation, vec8
-    from dqrobotics.robot_modeling import DQ_Kinematics, DQ_SerialManipulatorDH
+    from dqrobotics import haminus8, translation, vec3, vec8
+    from dqrobotics.robot_modeling import DQ_Kinematics as K
+    from dqrobotics.robot_modeling import DQ_SerialManipulatorDH
     from dqrobotics.solvers import DQ_QuadprogSolver
+    from dqrobotics.utils import DQ_Geometry as G
 
-    from benchmark.denavit import parameters
-
-    chain, program, n = Chain(of), ordered(Program(of), Chain(of)), of.model.n
-    base, table, frames = parameters(chain)
+    n, eye = chain.n, np.eye(chain.n)
+    base, table, place = parameters(chain)
     robot = DQ_SerialManipulatorDH(table)
     robot.set_reference_frame(Dual(base))
     robot.set_base_frame(Dual(base))
-    solver, total = DQ_QuadprogSolver(), chain.mass.sum()
-    at_rest = chain.mass[0] * chain.com[0] / total
-    coms = [Dual(frames(k + 1, np.concatenate([[1, 0, 0, 0, 0], 0.5 * chain.com[k + 1]]))) for k in range(n)]
-    end, pelvis = Dual(frames(chain.end[0], chain.end[1])), Dual(frames(chain.pelvis[0], chain.pelvis[1]))
+    coms = [Dual(place(i, np.eye(3), chain.com[i])) for i in range(n)]
+    tip, pelvis = Dual(place(n - 1, chain.tip_R, chain.tip_p)), Dual(place(5, np.eye(3), chain.pelvis_point))
+    total = chain.base_mass + chain.mass.sum()
 
-    def frame(q: Array, body: int, x_local: Any) -> tuple[Any, Array, Array]:
-        x = robot.fkm(q, body - 1) * x_local
-        J_x = np.zeros((8, n))
-        J_x[:, :body] = haminus8(x_local) @ robot.pose_jacobian(q, body - 1)
-        return x, J_x, DQ_Kinematics.translation_jacobian(J_x, x)[1:]
+    def plane(normal: Array, offset: float) -> Any:
+        return Dual([0.0, *normal, offset, 0.0, 0.0, 0.0])
+
+    def upright(center: Array) -> Any:
+        return Dual([0.0, 0.0, 0.0, 1.0, 0.0, *np.cross(center, [0.0, 0.0, 1.0])])
+
+    up = np.array([0.0, 0.0, 1.0])
+    ground, floor = plane(up, 0.0), plane(up, walk.pelvis_height)
+    tip_plane, back_plane = plane(*walk.tip_plane), plane(*walk.back_plane)
+    sliding, cylinder = upright(walk.slide_center), upright(walk.com_center)
+    solver = DQ_QuadprogSolver()
+
+    def frame(q: Array, i: int, local: Any) -> tuple[Any, Array, Array]:
+        x = robot.fkm(q, i) * local
+        J_x = haminus8(local) @ robot.pose_jacobian(q, i)
+        return x, J_x, K.translation_jacobian(J_x, x)
 
     def tick(q: Array) -> Array:
-        q = q[chain.order]
-        com, J_com = at_rest.copy(), np.zeros((3, n))
-        for k in range(n):
-            x, _, J = frame(q, k + 1, coms[k])
-            com += (chain.mass[k + 1] / total) * vec8(translation(x))[1:4]
-            J_com += (chain.mass[k + 1] / total) * J
-        x, J_x, J_p = frame(q, chain.end[0], end)
-        x_pelvis, _, J_pelvis = frame(q, chain.pelvis[0], pelvis)
-        h = vec8(x)
-        J_w = 2.0 * (DQ(h[:4]).conj().haminus4() @ J_x[:4])[1:]  # w = 2 r' r*
-        R = DQ(h).rotation_matrix()
-        places = Places(
-            R, vec8(translation(x))[1:4], J_p, J_w, vec8(translation(x_pelvis))[1:4], J_pelvis, com, J_com, h, J_x
-        )
-        H, c, E, e, G, h, lower, upper = program(q, places)
-        eye = np.eye(n)
-        A, b = np.concatenate([-G, eye, -eye]), np.concatenate([-h, upper, -lower])
-        if not e.size:
-            return np.array(solver.solve_quadratic_program(H, c, A, b, None, None))[chain.back]
-        return np.array(solver.solve_quadratic_program(H, c, A, b, E, e))[chain.back]
+        com, J_com = Dual(chain.base_com) * chain.base_mass, np.zeros((4, n))
+        for i in range(n):
+            x, _, J = frame(q, i, coms[i])
+            com = com + chain.mass[i] * translation(x)
+            J_com[:, : i + 1] += chain.mass[i] * J
+        com, J_com = com * (1.0 / total), J_com / total
+        x, J_x, J_p = frame(q, n - 1, tip)
+        x_pelvis, _, J = frame(q, chain.pelvis_index, pelvis)
+        J_pelvis, p_pelvis = np.zeros((4, n)), translation(x_pelvis)
+        J_pelvis[:, : chain.pelvis_index + 1] = J
+        rows = [K.point_to_plane_distance_jacobian(J_pelvis, p_pelvis, floor)]
+        b = [walk.eta_pelvis * G.point_to_plane_distance(p_pelvis, floor)]
+        equality = None, None
+        if phase == "dsp":
+            p = translation(x)
+            J, error = J_com[1:3], vec3(com)[:2] - walk.com_target
+            d = walk.slide_radius**2 - G.point_to_line_squared_distance(p, sliding)
+            rows.append(-K.point_to_line_distance_jacobian(J_p, p, sliding))
+            b.append(walk.eta_sliding * d)
+            for wall, eta in ((tip_plane, walk.eta_tip), (back_plane, walk.eta_back)):
+                rows.append(K.point_to_plane_distance_jacobian(J_com, com, wall))
+                b.append(eta * G.point_to_plane_distance(com, wall))
+            J_ground = K.point_to_plane_distance_jacobian(J_p, p, ground)
+            equality = J_ground, np.array([-walk.eta_ground * G.point_to_plane_distance(p, ground)])
+        else:
+            h = vec8(x)
+            sign = 1.0 if h @ walk.x_goal > 0.0 else -1.0
+            J, error = sign * J_x, sign * h - walk.x_goal
+            rows.append(-K.point_to_line_distance_jacobian(J_com, com, cylinder))
+            b.append(walk.eta_com * (walk.com_radius**2 - G.point_to_line_squared_distance(com, cylinder)))
+        W = np.vstack([*(-row for row in rows), eye, -eye])
+        w = np.concatenate([b, walk.eta_q * (chain.q_max - q), walk.eta_q * (q - chain.q_min)])
+        return solver.solve_quadratic_program(J.T @ J + walk.lam**2 * eye, walk.eta * (J.T @ error), W, w, *equality)
 
     return tick
 
 
-PEERS: dict[str, Callable[[Case], Callable[[Array], Array]]] = {
-    "pinocchio + quadprog": lambda of: pinocchio(of, quadprog),
-    "pinocchio + daqp": lambda of: pinocchio(of, daqp),
+def pink(chain: Chain, walk: Walk, phase: str) -> Tick:
+    """Return the tick with pink: tasks and barriers, its quadprog."""
+    import pinocchio as pin
+    from pink import Configuration, solve_ik
+    from pink.barriers import Barrier
+    from pink.limits import ConfigurationLimit
+    from pink.tasks import ComTask, FrameTask
+
+    model = pin.buildModelFromXML(chain_urdf(chain))
+    configuration = Configuration(model, model.createData(), np.zeros(chain.n))
+    share = chain.mass.sum() / (chain.base_mass + chain.mass.sum())
+    rest = (1.0 - share) * chain.base_com
+
+    def com(of: Any) -> Array:
+        return share * pin.centerOfMass(of.model, of.data, of.q) + rest
+
+    def com_jacobian(of: Any) -> Array:
+        return share * pin.jacobianCenterOfMass(of.model, of.data, of.q)
+
+    def point(name: str) -> Callable[[Any], Array]:
+        return lambda of: of.get_transform_frame_to_world(name).translation
+
+    def point_jacobian(name: str) -> Callable[[Any], Array]:
+        return lambda of: of.get_transform_frame_to_world(name).rotation @ of.get_frame_jacobian(name)[:3]
+
+    class OverPlane(Barrier):
+        def __init__(self, p: Any, J: Any, plane: tuple[Array, float], gain: float) -> None:
+            super().__init__(1, gain=gain)
+            self.p, self.J, self.n, self.d = p, J, *plane
+
+        def compute_barrier(self, of: Any) -> Array:
+            return np.array([self.n @ self.p(of) - self.d])
+
+        def compute_jacobian(self, of: Any) -> Array:
+            return (self.n @ self.J(of))[None]
+
+    class InCylinder(Barrier):
+        def __init__(self, p: Any, J: Any, center: Array, radius: float, gain: float) -> None:
+            super().__init__(1, gain=gain)
+            self.p, self.J, self.center, self.radius = p, J, center[:2], radius
+
+        def compute_barrier(self, of: Any) -> Array:
+            v = self.p(of)[:2] - self.center
+            return np.array([self.radius**2 - v @ v])
+
+        def compute_jacobian(self, of: Any) -> Array:
+            return (-2.0 * (self.p(of)[:2] - self.center) @ self.J(of)[:2])[None]
+
+    class WholeCom(ComTask):
+        def compute_error(self, of: Any) -> Array:
+            return com(of) - self.target_com
+
+        def compute_jacobian(self, of: Any) -> Array:
+            return com_jacobian(of)
+
+    class Height(ComTask):
+        def compute_error(self, of: Any) -> Array:
+            return of.get_transform_frame_to_world("tip").translation[2:3]
+
+        def compute_jacobian(self, of: Any) -> Array:
+            return point_jacobian("tip")(of)[2:3]
+
+    up = np.array([0.0, 0.0, 1.0])
+    barriers: list[Any] = [
+        OverPlane(point("pelvis"), point_jacobian("pelvis"), (up, walk.pelvis_height), walk.eta_pelvis)
+    ]
+    limits = [ConfigurationLimit(model, config_limit_gain=walk.eta_q * walk.dt)]
+    constraints: list[Any] | None = None
+    if phase == "dsp":
+        task: Any = WholeCom(cost=[1.0, 1.0, 0.0], gain=walk.eta * walk.dt)
+        task.set_target(np.array([*walk.com_target, 0.0]))
+        height = Height(cost=1.0, gain=walk.eta_ground * walk.dt)
+        height.set_target(np.zeros(3))
+        constraints = [height]
+        tip = point("tip"), point_jacobian("tip")
+        barriers += [
+            InCylinder(*tip, walk.slide_center, walk.slide_radius, walk.eta_sliding),
+            OverPlane(com, com_jacobian, walk.tip_plane, walk.eta_tip),
+            OverPlane(com, com_jacobian, walk.back_plane, walk.eta_back),
+        ]
+    else:
+        task = FrameTask("tip", position_cost=1.0, orientation_cost=1.0, gain=walk.eta * walk.dt)
+        goal = DQ(walk.x_goal)
+        task.set_target(pin.SE3(goal.rotation_matrix(), goal.translation()))
+        barriers.append(InCylinder(com, com_jacobian, walk.com_center, walk.com_radius, walk.eta_com))
+
+    def tick(q: Array) -> Array:
+        configuration.update(q)
+        return solve_ik(
+            configuration, [task], walk.dt, solver="quadprog", damping=walk.lam**2, limits=limits,
+            barriers=barriers, constraints=constraints, safety_break=False,
+        )  # fmt: skip
+
+    return tick
+
+
+def mink(chain: Chain, walk: Walk, phase: str) -> Tick:
+    """Return the tick with mink (MuJoCo): tasks and limits, its quadprog."""
+    import mujoco
+    from mink import SE3, ComTask, Configuration, ConfigurationLimit, FrameTask, solve_ik
+    from mink.limits.limit import Constraint, Limit
+
+    model = mujoco.MjModel.from_xml_string(_mjcf(chain))
+    configuration, n = Configuration(model), chain.n
+    tip, pelvis = model.site("tip").id, model.site("pelvis").id
+    J_com, J_tip, J_pelvis = np.empty((3, n)), np.empty((3, n)), np.empty((3, n))
+    rows = 4 if phase == "dsp" else 2
+    G, h = np.empty((rows, n)), np.empty(rows)
+    planes = ((walk.tip_plane, walk.eta_tip), (walk.back_plane, walk.eta_back))
+
+    class Rows(Limit):
+        def compute_qp_inequalities(self, of: Any, dt: float) -> Any:
+            m, d = of.model, of.data
+            mujoco.mj_jacSubtreeCom(m, d, J_com, 1)
+            mujoco.mj_jacSite(m, d, J_pelvis, None, pelvis)
+            com = d.subtree_com[1]
+            G[0], h[0] = -J_pelvis[2], walk.eta_pelvis * (d.site_xpos[pelvis][2] - walk.pelvis_height)
+            if phase == "dsp":
+                mujoco.mj_jacSite(m, d, J_tip, None, tip)
+                v = d.site_xpos[tip][:2] - walk.slide_center[:2]
+                G[1], h[1] = 2.0 * v @ J_tip[:2], walk.eta_sliding * (walk.slide_radius**2 - v @ v)
+                for k, ((normal, offset), eta) in enumerate(planes, 2):
+                    G[k], h[k] = -normal @ J_com, eta * (normal @ com - offset)
+            else:
+                v = com[:2] - walk.com_center[:2]
+                G[1], h[1] = 2.0 * v @ J_com[:2], walk.eta_com * (walk.com_radius**2 - v @ v)
+            return Constraint(G, dt * h)
+
+    class Height(ComTask):
+        def compute_error(self, of: Any) -> Array:
+            return of.data.site_xpos[tip][2:3]
+
+        def compute_jacobian(self, of: Any) -> Array:
+            mujoco.mj_jacSite(of.model, of.data, J_tip, None, tip)
+            return J_tip[2:3]
+
+    limits = [Rows(), ConfigurationLimit(model, gain=walk.eta_q * walk.dt)]
+    constraints: list[Any] | None = None
+    if phase == "dsp":
+        task: Any = ComTask(cost=[1.0, 1.0, 0.0], gain=walk.eta * walk.dt)
+        task.set_target(np.array([*walk.com_target, 0.0]))
+        constraints = [Height(cost=1.0, gain=walk.eta_ground * walk.dt)]
+    else:
+        task = FrameTask("tip", "site", position_cost=1.0, orientation_cost=1.0, gain=walk.eta * walk.dt)
+        task.set_target(SE3(np.concatenate([walk.x_goal[:4], DQ(walk.x_goal).translation()])))
+
+    def tick(q: Array) -> Array:
+        configuration.update(q)
+        return solve_ik(configuration, [task], walk.dt, "quadprog", walk.lam**2, limits=limits, constraints=constraints)
+
+    return tick
+
+
+def _mjcf(chain: Chain) -> str:
+    def text(values: Any) -> str:
+        return " ".join(f"{value:.17g}" for value in values)
+
+    def inertial(mass: float, com: Array) -> str:
+        return f'<inertial pos="{text(com)}" mass="{mass:.17g}" diaginertia="1e-4 1e-4 1e-4"/>'
+
+    parts = ['<mujoco><compiler angle="radian" autolimits="true"/><worldbody><body name="base">']
+    parts.append(inertial(chain.base_mass, chain.base_com))
+    for i, name in enumerate(chain.names):
+        turn = DQ.from_matrix(chain.fixed_R[i], np.zeros(3)).vec8()[:4]
+        parts.append(
+            f'<body pos="{text(chain.fixed_p[i])}" quat="{text(turn)}">{inertial(chain.mass[i], chain.com[i])}'
+            f'<joint name="{name}" axis="{text(chain.axis[i])}" range="{chain.q_min[i]} {chain.q_max[i]}"/>'
+        )
+        if i == chain.pelvis_index:
+            parts.append(f'<site name="pelvis" pos="{text(chain.pelvis_point)}"/>')
+    turn = DQ.from_matrix(chain.tip_R, np.zeros(3)).vec8()[:4]
+    parts.append(f'<site name="tip" pos="{text(chain.tip_p)}" quat="{text(turn)}"/>')
+    return "".join([*parts, "</body>" * (chain.n + 1), "</worldbody></mujoco>"])
+
+
+def placo(chain: Chain, walk: Walk, phase: str) -> Tick:
+    """Return the tick with placo; rows that it does not know are half spaces over the joints, renewed at each tick."""
+    import placo as package
+
+    n, dt, dsp = chain.n, walk.dt, phase == "dsp"
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "robot.urdf"
+        path.write_text(chain_urdf(chain), encoding="utf-8")
+        robot = package.RobotWrapper(str(path), package.Flags.ignore_collisions)
+    if list(robot.joint_names()) != chain.names:
+        raise RuntimeError("placo orders the joints in another way")
+    solver = package.KinematicsSolver(robot)
+    solver.mask_fbase(True)
+    solver.dt = dt
+    solver.enable_joint_limits(False)
+    solver.enable_velocity_limits(False)
+    solver.add_regularization_task(walk.lam**2)
+    if dsp:
+        aim = solver.add_com_task(np.zeros(3))
+        aim.mask.set_axises("xy", "task")
+        aim.configure("aim", "soft", 1.0)
+        foot = solver.add_position_task("tip", np.zeros(3))
+        foot.mask.set_axises("z", "task")
+        foot.configure("foot", "hard", 1.0)
+    else:
+        aim = solver.add_frame_task("tip", np.eye(4))
+        aim.configure("aim", "soft", 1.0, 1.0)
+    rows = 4 if dsp else 2
+    A, b = np.zeros((rows + 2 * n, n + 7)), np.empty(rows + 2 * n)
+    A[rows : rows + n, 7:], A[rows + n :, 7:] = np.eye(n), -np.eye(n)
+    spaces = solver.add_joint_space_half_spaces_constraint(A, b)
+    spaces.configure("rows", "hard", 1.0)
+    goal = DQ(walk.x_goal).translation()
+    planes = ((walk.tip_plane, walk.eta_tip), (walk.back_plane, walk.eta_back))
+
+    def tick(q: Array) -> Array:
+        state = robot.state
+        state.q[7:] = q
+        robot.state = state
+        robot.update_kinematics()
+        com, J_com = robot.com_world(), robot.com_jacobian()[:, 6:]
+        T, T_pelvis = robot.get_T_world_frame("tip"), robot.get_T_world_frame("pelvis")
+        J_pelvis = robot.frame_jacobian("pelvis", "local_world_aligned")[:3, 6:]
+        A[0, 7:], b[0] = -J_pelvis[2], walk.eta_pelvis * (T_pelvis[2, 3] - walk.pelvis_height)
+        if dsp:
+            J = robot.frame_jacobian("tip", "local_world_aligned")[:3, 6:]
+            v = T[:2, 3] - walk.slide_center[:2]
+            A[1, 7:], b[1] = 2.0 * v @ J[:2], walk.eta_sliding * (walk.slide_radius**2 - v @ v)
+            for k, ((normal, offset), eta) in enumerate(planes, 2):
+                A[k, 7:], b[k] = -normal @ J_com, eta * (normal @ com - offset)
+            target = com.copy()
+            target[:2] -= walk.eta * dt * (com[:2] - walk.com_target)
+            aim.target_world = target
+            place = T[:3, 3].copy()
+            place[2] -= walk.eta_ground * dt * place[2]
+            foot.target_world = place
+        else:
+            v = com[:2] - walk.com_center[:2]
+            A[1, 7:], b[1] = 2.0 * v @ J_com[:2], walk.eta_com * (walk.com_radius**2 - v @ v)
+            T[:3, 3] -= walk.eta * dt * (T[:3, 3] - goal)
+            aim.T_world_frame = T
+        b[rows : rows + n], b[rows + n :] = walk.eta_q * (chain.q_max - q), walk.eta_q * (q - chain.q_min)
+        spaces.A, spaces.b = A, A[:, 7:] @ q + dt * b
+        return solver.solve(False)[6:] / dt
+
+    return tick
+
+
+PEERS: dict[str, Callable[[Chain, Walk, str], Tick]] = {
+    "pinocchio + daqp, in place": pinocchio(daqp_in_place),
+    "pinocchio + quadprog, in place": pinocchio(quadprog_in_place),
+    "pinocchio + clarabel, in place": pinocchio(clarabel_in_place),
+    "pinocchio + daqp, qpsolvers": pinocchio_plain("daqp"),
+    "pinocchio + quadprog, qpsolvers": pinocchio_plain("quadprog"),
     "dqrobotics + quadprog": dqrobotics,
-    "pinocchio + clarabel in place": lambda of: pinocchio(of, InPlace()),
-    "pink + quadprog": lambda of: _own("pink")(of),
-    "mink + quadprog": lambda of: _own("mink")(of),
-    "placo": lambda of: _own("placo")(of),
+    "placo": placo,
+    "mink + quadprog": mink,
+    "pink + quadprog": pink,
 }
-
-
-def _own(name: str) -> Callable[[Case], Callable[[Array], Array]]:
-    from benchmark import inverse_kinematics  # which needs what is above
-
-    return getattr(inverse_kinematics, name)
+"""Each of (chain, walk, phase), and returns u of q."""

@@ -11,75 +11,77 @@ benchmark/requirements.txt, for an environment of their own.
 from __future__ import annotations
 
 import argparse
+import math
+import warnings
 from collections.abc import Callable
 
 import numpy as np
 
-from benchmark.robots import KINDS, Case, case
+from benchmark.biped import PHASES, Chain, Walk, biped, states, walk_of
+from benchmark.peer_adapter import make_clarabel, make_daqp, phase_of, robot_of
 from benchmark.timing import interleaved, machine, table  # first: it sets the number of threads
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.qp import make_solver
 
-Tick = Callable[[np.ndarray], np.ndarray]
+Array = np.ndarray
+Tick = Callable[[Array], Array]
+OURS = {"dqwalk_ros + clarabel": make_clarabel, "dqwalk_ros + daqp": make_daqp}
 
 
-def ours(of: Case, solver: str) -> Tick:
-    """Return our tick, u of q."""
-    kept = make_solver(solver)
-    return lambda q: kept.solve(of.problem(q)).u
-
-
-def stages(of: Case, rounds: int) -> str:
+def stages(chain: Chain, walk: Walk, kind: str, rounds: int) -> str:
     """Time every stage; return a table."""
-    model, base, phase = of.model, of.phase.base, of.phase
-    kins = {id(q): Kinematics(model, q, base) for q in of.states}
-    problems = {id(q): of.problem(q) for q in of.states}
-    seen, free = {key: phase.evaluate(kin) for key, kin in kins.items()}, np.full(model.n, np.inf)
-    chosen, daqp = make_solver("clarabel"), make_solver("daqp")
+    model = robot_of(chain)
+    phase = phase_of(model, walk, kind)
+    # the stages run on their own: states in the order of the chain do as well as any
+    qs = states(make_daqp(chain, walk, kind), walk)
+    no_limit = np.full(model.n, math.inf)
+    kins = {id(q): Kinematics(model, q, phase.base) for q in qs}
+    seen = {id(q): phase.evaluate(kins[id(q)]) for q in qs}
+    problems = {id(q): seen[id(q)].problem(walk.dt, no_limit) for q in qs}
+    clarabel, daqp = make_solver("clarabel"), make_solver("daqp")
     inside: list[float] = []
 
-    def clarabel(q: np.ndarray) -> None:
-        inside.append(chosen.solve(problems[id(q)]).solve_time)
+    def solve(q: Array) -> None:
+        inside.append(clarabel.solve(problems[id(q)]).solve_time)
 
     cases = {
-        "kinematics": lambda q: Kinematics(model, q, base),
-        "errors, distances and gradients": lambda q: phase.evaluate(kins[id(q)]),
-        "rows and objective": lambda q: seen[id(q)].problem(of.dt, free),
-        "Clarabel, with scaling and check": clarabel,
+        "kinematics": lambda q: Kinematics(model, q, phase.base),
+        "errors, distances, Jacobians": lambda q: phase.evaluate(kins[id(q)]),
+        "rows and objective": lambda q: seen[id(q)].problem(walk.dt, no_limit),
+        "Clarabel, with scaling and check": solve,
         "DAQP, with scaling and check": lambda q: daqp.solve(problems[id(q)]),
-        "tick with Clarabel": ours(of, "clarabel"),
-        "tick with DAQP": ours(of, "daqp"),
+        "tick with Clarabel": make_clarabel(chain, walk, kind),
+        "tick with DAQP": make_daqp(chain, walk, kind),
     }
-    times = interleaved(cases, of.states, rounds)
-    tick = times["tick with Clarabel"]
-    rows = [[name, f"{t.median:.1f}", f"{t.ratio(tick):.2f}"] for name, t in times.items()]
-    solve = 1e6 * float(np.median(inside))
-    rows.insert(4, ["Clarabel's own solve alone", f"{solve:.1f}", f"{solve / tick.median:.2f}"])
+    times = interleaved(cases, qs, rounds)
+    whole = times["tick with Clarabel"]
+    rows = [[name, f"{t.median:.1f}", f"{t.ratio(whole):.2f}"] for name, t in times.items()]
+    alone = 1e6 * float(np.median(inside))
+    rows.insert(4, ["Clarabel's own solve alone", f"{alone:.1f}", f"{alone / whole.median:.2f}"])
     return table(["stage", "us", "/ tick with Clarabel"], rows)
 
 
-def beside(of: Case, rounds: int) -> str:
+def beside(chain: Chain, walk: Walk, kind: str, rounds: int) -> str:
     """Time our tick and the peers'; return a table."""
-    from benchmark import peers
+    from benchmark.peers import PEERS
 
-    exact = ours(of, "daqp")
-    ticks: dict[str, Tick] = {"dqwalk_ros + clarabel": ours(of, "clarabel"), "dqwalk_ros + daqp": ours(of, "daqp")}
+    exact = make_daqp(chain, walk, kind)
+    qs = states(exact, walk)
+    ticks: dict[str, Tick] = {name: make(chain, walk, kind) for name, make in OURS.items()}
     missing = []
-    for name, make in peers.PEERS.items():
+    for name, make in PEERS.items():
         try:
-            ticks[name] = make(of)
-            ticks[name](of.states[0])
+            ticks[name] = make(chain, walk, kind)
+            ticks[name](qs[0])
         except ImportError as error:
+            ticks.pop(name, None)
             missing.append(f"{name} is not here ({error})")
     errors = {}
     for name, tick in ticks.items():
-        relative = []
-        for q in of.states[::10]:
-            u = exact(q)
-            relative.append(np.abs(tick(q) - u).max() / np.abs(u).max())
-        errors[name] = max(relative)
-    times = interleaved(ticks, of.states, rounds, 10)
-    first, second = times["dqwalk_ros + clarabel"], times["dqwalk_ros + daqp"]
+        answers = [(tick(q), exact(q)) for q in qs[::10]]
+        errors[name] = max(np.abs(u - v).max() / np.abs(v).max() for u, v in answers)
+    times = interleaved(ticks, qs, rounds, 10)
+    first, second = (times[name] for name in OURS)
     rows = [
         [name, f"{t.median:.1f}", f"{first.ratio(t):.2f}", f"{second.ratio(t):.2f}", f"{errors[name]:.0e}"]
         for name, t in sorted(times.items(), key=lambda item: item[1].median)
@@ -91,19 +93,20 @@ def beside(of: Case, rounds: int) -> str:
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--peers", action="store_true", help="time the packages one would use instead, too")
-    parser.add_argument("--joints", type=int, default=12)
-    parser.add_argument("--rounds", type=int, default=30)
+    parser.add_argument("--peers", action="store_true", help="also time the packages one would use instead")
+    parser.add_argument("--rounds", type=int, default=40)
     args = parser.parse_args()
+    warnings.filterwarnings("ignore", message="Converted matrix")
     packages = ("numpy", "numba", "clarabel", "daqp", "quadprog")
     if args.peers:
-        packages += ("dqrobotics", "pin", "pin-pink", "mink", "placo")
+        packages += ("dqrobotics", "pin", "pin-pink", "mink", "placo", "qpsolvers")
     print(machine(packages))
-    for name, kind in KINDS.items():
-        of = case(args.joints, kind)
-        print(f"\n### {name}, {args.joints} joints\n\n{stages(of, args.rounds)}", flush=True)
+    chain = biped()
+    walk = walk_of(chain)
+    for kind, name in PHASES.items():
+        print(f"\n### {name.capitalize()}, {chain.n} joints\n\n{stages(chain, walk, kind, args.rounds)}", flush=True)
         if args.peers:
-            print(f"\n{beside(of, args.rounds)}", flush=True)
+            print(f"\n{beside(chain, walk, kind, args.rounds)}", flush=True)
 
 
 if __name__ == "__main__":
