@@ -37,6 +37,7 @@ __all__ = [
     "JointsConfig",
     "MonitorConfig",
     "NodeConfig",
+    "OdometryConfig",
     "PelvisConfig",
     "PhysicsConfig",
     "PlantConfig",
@@ -57,6 +58,9 @@ __all__ = [
     "load",
     "to_yaml",
 ]
+
+OF_RCLPY = ("use_sim_time", "qos_overrides", "start_type_description_service")
+"""Parameters that every node of rclpy has; ``ros2 param dump`` writes them too."""
 
 Value = bool | int | float | str | tuple[str, ...] | tuple[float, ...]
 
@@ -276,6 +280,7 @@ class PlantConfig:
     """The other side of the command."""
 
     lockstep: bool = _par(False, "each state waits for its command: exact, and as fast as the machine")
+    clock: bool = _par(False, "a simulated plant publishes /clock; the other nodes then take use_sim_time: true")
     imu: bool = _par(False, "each state comes with a message on imu; the controller waits for both")
     command_timeout: float = _par(0.1, "without a new command for this long the plant holds", "s", 0.0, 10.0)
 
@@ -312,6 +317,20 @@ class NodeConfig:
     exit_when_done: bool = _par(False, "the controller exits when the walk is over: 0 if it finished, 1 if it failed")
     wait_for_recorder: bool = _par(False, "the first tick waits for a recorder")
     wait_for_monitor: bool = _par(False, "the first tick waits for a phase_monitor")
+    robot_description: bool = _par(True, "publish robot_description; false where a robot_state_publisher does")
+    stamped_cmd_vel: bool = _par(False, "cmd_vel is a TwistStamped, as with Nav2's enable_stamped_cmd_vel")
+
+
+@dataclass(frozen=True)
+class OdometryConfig:
+    """Where the robot is, for Nav2 and RViz [REP-105, REP-120]."""
+
+    odom_frame: str = _par("odom", "frame of the base sole at the very start")
+    base_frame: str = _par("base_link", "frame of the URDF's root link, to which it is joined on /tf_static")
+    footprint_frame: str = _par("base_footprint", "frame on the ground below it; empty: none")
+    step_deviation: float = _par(0.003, "standard deviation of a step's length and width", "m", 0.0, 1.0)
+    turn_deviation: float = _par(0.005, "standard deviation of a step's turn", "rad", 0.0, 1.0)
+    window: float = _par(0.1, "the velocity is that of the last so long", "s", 0.001, 10.0)
 
 
 @dataclass(frozen=True)
@@ -424,6 +443,7 @@ class Config:
     safety: SafetyConfig = SafetyConfig()
     poppy: PoppyConfig = PoppyConfig()
     node: NodeConfig = NodeConfig()
+    odometry: OdometryConfig = OdometryConfig()
     whole_body: WholeBodyConfig = WholeBodyConfig()
 
     @classmethod
@@ -613,6 +633,7 @@ def from_yaml(text: str, *, source: str = "text", onto: Config | None = None) ->
         if set(body) != {"ros__parameters"} or not isinstance(body["ros__parameters"], dict):
             raise ConfigError(f"{source}: node '{node}' must hold 'ros__parameters' and nothing else")
         values = _flattened(body["ros__parameters"], "", source)
+        values = {name: value for name, value in values.items() if name.split(".")[0] not in OF_RCLPY}
         try:
             config = config.updated(values)
         except ConfigError:

@@ -79,6 +79,8 @@ class Inside:
             def get_logger(self) -> Any:
                 return log
 
+        self._domain = domain
+        self._strangers: list[tuple[Context, Node]] = []
         self.context = Context()
         rclpy.init(context=self.context, domain_id=domain)
         arguments = ["--ros-args", "--params-file", str(params), *ros]
@@ -106,10 +108,18 @@ class Inside:
         (found,) = (s for s in self.node.services if s.srv_name.endswith(service))
         return found.callback(request, found.srv_type.Response())
 
+    def stranger(self, name: str) -> Node:
+        """Return a node of somebody else's process; it ends with this one."""
+        context = Context()
+        rclpy.init(context=context, domain_id=self._domain)
+        self._strangers.append((context, Node(name, context=context)))
+        return self._strangers[-1][1]
+
     def close(self) -> None:
         """End the node."""
         self.node.destroy_node()
-        self.context.try_shutdown()
+        for context in (*(context for context, _ in self._strangers), self.context):
+            context.try_shutdown()
 
 
 @contextmanager

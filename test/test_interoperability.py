@@ -5,6 +5,9 @@ Each test is a defect that was found where the package was used beside Jazzy's o
 
 from __future__ import annotations
 
+import sys
+import time
+import types
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,15 +17,23 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
 
-from geometry_msgs.msg import Twist
+from geometry_msgs.msg import Twist, TwistStamped
 from inside import inside, state
+from nav_msgs.msg import Odometry as OdometryMessage
 from rclpy.node import Node
+from rclpy.qos import ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 
-from dqwalk_ros.config import load, to_yaml
+from dqwalk_ros.config import from_yaml, load, to_yaml
+from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.safety import DuplicateStates
-from dqwalk_ros.robot import load_model
+from dqwalk_ros.robot import Foot, load_model
+from dqwalk_ros.simulation import make_plant
+from dqwalk_ros.state import Command
 
 PAPER = load("paper")
 MODEL = load_model(PAPER.robot)
@@ -195,3 +206,218 @@ def test_a_file_for_other_nodes_only_is_taken_with_a_warning(make: Any) -> None:
 def test_a_misspelt_key_is_an_error_all_the_same(make: Any, key: str, meant: str) -> None:
     with pytest.raises(ConfigError, match=meant):
         make("controller", f"/**:\n  ros__parameters:\n    {key}: 0.04\n")
+
+
+# ---------------------------------------------------------------------- odometry and frames
+
+
+class TFMessage:
+    """The wheels of ROS have no tf2_msgs; this stands in for its one message."""
+
+    def __init__(self, transforms: list[Any]) -> None:
+        self.transforms = transforms
+
+
+@pytest.fixture
+def tf(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Any]]:
+    """What is sent on /tf and /tf_static."""
+    message = types.ModuleType("tf2_msgs.msg")
+    message.TFMessage = TFMessage
+    monkeypatch.setitem(sys.modules, "tf2_msgs", types.ModuleType("tf2_msgs"))
+    monkeypatch.setitem(sys.modules, "tf2_msgs.msg", message)
+    sent: dict[str, list[Any]] = {}
+    create = Node.create_publisher
+
+    def create_publisher(self: Any, kind: Any, topic: str, *args: Any, **keywords: Any) -> Any:
+        if kind is not TFMessage:
+            return create(self, kind, topic, *args, **keywords)
+        return types.SimpleNamespace(publish=sent.setdefault(topic, []).append)
+
+    monkeypatch.setattr(Node, "create_publisher", create_publisher)
+    return sent
+
+
+def pose_of(transform: Any) -> DQ:
+    p, r = transform.transform.translation, transform.transform.rotation
+    return DQ.from_pose([p.x, p.y, p.z], [r.w, r.x, r.y, r.z])
+
+
+def heard(one: Any, topic: str, kind: Any) -> Any:
+    """Let somebody listen to a topic."""
+    listener = Node("listener", context=one.context)
+    listener.create_subscription(kind, topic, lambda _: None, 10)
+    (offered,) = (p for p in one.node.publishers if p.topic_name == topic)
+    while not offered.get_subscription_count():
+        time.sleep(0.01)
+    return listener
+
+
+def test_frames_are_those_of_rep_105_and_120(make: Any, tf: dict[str, list[Any]]) -> None:
+    """odom -> base_link -> base_footprint, joined to the root of the URDF; from the first state on, walking or not."""
+    one = make("controller", PAPER.updated({"node.autostart": False}))
+    q = np.clip(0.1 * np.random.default_rng(2).normal(size=MODEL.n), MODEL.q_min, MODEL.q_max)
+    one.hand("joint_states", state(NAMES, q, 1.0))
+    (static,) = tf["/tf_static"][0].transforms
+    assert (static.header.frame_id, static.child_frame_id) == ("base_link", MODEL.root)
+    base, footprint = tf["/tf"][-1].transforms
+    assert (base.header.frame_id, base.child_frame_id) == ("odom", "base_link")
+    assert (footprint.header.frame_id, footprint.child_frame_id) == ("base_link", "base_footprint")
+    kin = Kinematics(MODEL, q, Foot.RIGHT)  # the base of double_support/left, with which the walk begins
+    np.testing.assert_allclose(pose_of(base).vec8(), kin.pose(MODEL.root), atol=1e-12)
+    ground = pose_of(base) * pose_of(footprint)
+    assert ground.translation()[2] == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(ground.translation()[:2], pose_of(base).translation()[:2], atol=1e-12)
+    np.testing.assert_allclose(ground.rotation_matrix()[2], [0.0, 0.0, 1.0], atol=1e-12)
+
+
+def test_odometry_has_pose_velocity_and_how_far_they_may_be_off(make: Any) -> None:
+    one = make("controller", load("poppy").updated({"plant.command_timeout": 10.0}))
+    model = one.node._model
+    listener = heard(one, "/odom", OdometryMessage)
+    plant = make_plant("kinematic", one.node.config, model)
+    try:
+        for k in range(700):  # through the first step
+            one.hand("joint_states", state(model.joint_names, plant.state.q, 1.0 + k * one.node.config.dt))
+            sent = np.array(one.got["joint_velocity_commands"][-1].velocity)
+            plant.step(Command(0.0, sent), one.node.config.dt)
+    finally:
+        listener.destroy_node()
+    odom = one.got["odom"]
+    assert {(m.header.frame_id, m.child_frame_id) for m in odom} == {("odom", "base_link")}
+    place = np.array([[m.pose.pose.position.x, m.pose.pose.position.y, m.pose.pose.position.z] for m in odom])
+    speed = np.array([[getattr(m.twist.twist.linear, axis) for axis in "xyz"] for m in odom])
+    between = (place[60:] - place[:-60]) / (60 * one.node.config.dt)  # it does not turn: base and odom agree
+    np.testing.assert_allclose(speed[60:].cumsum(axis=0)[-1] * one.node.config.dt, place[-1] - place[50], atol=2e-3)
+    assert np.abs(between).max() > 0.005
+    before, after = (np.diag(np.reshape(odom[k].pose.covariance, (6, 6))) for k in (0, -1))
+    assert (after[[0, 1, 5]] > before[[0, 1, 5]]).all()
+    np.testing.assert_array_equal(after[2:5], before[2:5])
+
+
+def test_odometry_does_not_jump_where_a_walk_begins_anew(make: Any) -> None:
+    one = make("controller", load("poppy").updated({"plant.command_timeout": 10.0}))
+    model, dt = one.node._model, one.node.config.dt
+    listener = heard(one, "/odom", OdometryMessage)
+    plant = make_plant("kinematic", one.node.config, model)
+    try:
+        for k in range(900):
+            if k == 700:
+                one.call("~/reset".removeprefix("~"), Trigger.Request())
+            one.hand("joint_states", state(model.joint_names, plant.state.q, 1.0 + k * dt))
+            plant.step(Command(0.0, np.array(one.got["joint_velocity_commands"][-1].velocity)), dt)
+    finally:
+        listener.destroy_node()
+    place = np.array([[m.pose.pose.position.x, m.pose.pose.position.y] for m in one.got["odom"]])
+    assert np.linalg.norm(place[699] - place[0]) > 0.01
+    assert np.abs(np.diff(place, axis=0)).max() < 2e-3
+
+
+# ---------------------------------------------------------------------- time
+
+
+def test_a_node_without_the_clock_it_was_told_of_says_so(make: Any) -> None:
+    """It used to say "two controllers: /controller", of which there was one."""
+    for name in ("controller", "integrator"):
+        one = make(name, PAPER, ros=("-p", "use_sim_time:=true"))
+        for _ in range(3):
+            one.tick()
+        assert "use_sim_time is set and nobody publishes /clock" in one.log
+        assert "use_sim_time" in one.got["diagnostics"][-1].status[0].message
+        assert not one.got.get("joint_states")
+        assert "two controllers" not in one.log
+
+
+def test_a_simulated_plant_is_the_clock_of_the_others(make: Any) -> None:
+    """RViz and /tf can follow a walk in lockstep, the stamps of which begin at zero."""
+    one = make("integrator", PAPER.updated({"plant.lockstep": True, "plant.clock": True}))
+    one.node._asked = -1.0
+    one.tick()
+    one.hand("joint_velocity_commands", state(NAMES, [], 0.0, velocity=ZERO))
+    assert [ros.nanoseconds(m.clock) for m in one.got["clock"]] == [0, round(DT * 1e9)]
+
+
+def test_the_integrator_moves_by_the_clock_it_is_given(make: Any) -> None:
+    """At half the speed of the clock it moved at the whole."""
+    one = make("integrator", PAPER, ros=("-p", "use_sim_time:=true"))
+    times = iter(np.cumsum(np.full(60, 0.5 * DT)) + 10.0)
+    one.node._now = lambda: next(times)
+    one.node.time_trouble = lambda: ""
+    (period, *_) = [t for t in one.node.timers if t.timer_period_ns == round(DT * 1e9)]
+    period.callback()
+    for _ in range(50):
+        one.hand("joint_velocity_commands", state(NAMES, [], 0.0, velocity=ZERO + 0.1))
+        period.callback()
+    assert one.node.plant.state.q == pytest.approx(ZERO + 0.1 * 50 * 0.5 * DT)
+
+
+def test_states_at_another_rate_are_told(make: Any) -> None:
+    one = make("controller", PAPER)
+    for k in range(60):
+        one.hand("joint_states", state(NAMES, ZERO, 1.0 + 2 * k * DT))
+    for _ in range(2):
+        one.tick()
+    assert "joint_states come every 0.0100 s, and dt is 0.005 s" in one.log
+
+
+# ---------------------------------------------------------------------- the rest of the face
+
+
+def test_diagnostics_name_the_robot(make: Any) -> None:
+    """Those of two robots merged: the name had no namespace."""
+    one = make("controller", PAPER, ros=("-r", "__ns:=/left"))
+    one.tick()
+    (status,) = one.got["diagnostics"][-1].status
+    assert (status.name, status.hardware_id) == ("left/controller: walk", "left/poppy_humanoid")
+    assert status.message == "waiting for joint_states"  # it said nothing at all before its first state
+
+
+def test_a_robot_state_publisher_has_the_description_for_itself(make: Any) -> None:
+    """ros2_control's controller_manager takes the first description that comes."""
+    one = make("controller", PAPER.updated({"node.robot_description": False}))
+    assert "robot_description" not in one.got
+    assert "walk_config" in one.got
+
+
+@pytest.mark.parametrize("stamped", [False, True])
+def test_cmd_vel_comes_as_nav2_sends_it(make: Any, stamped: bool) -> None:
+    one = make("controller", load("poppy").updated({"gait.steps": 0, "node.stamped_cmd_vel": stamped}))
+    msg = Twist()
+    msg.linear.x = 0.01
+    one.hand("cmd_vel", TwistStamped(twist=msg) if stamped else msg)
+    assert one.node._steering._asked == (0.01, 0.0, 0.0)
+    one.stranger("teleop").create_publisher(Twist if stamped else TwistStamped, "cmd_vel", 1)
+    deadline = time.monotonic() + 20.0
+    while "set node.stamped_cmd_vel" not in one.log and time.monotonic() < deadline:
+        one.node._steering._look_for_types()
+        time.sleep(0.01)
+    assert f"set node.stamped_cmd_vel to {str(not stamped).lower()}" in one.log
+
+
+def test_quality_of_service_can_be_overridden(make: Any) -> None:
+    override = "qos_overrides./joint_states.subscription.reliability:=reliable"
+    one = make("controller", PAPER, ros=("-p", override))
+    (found,) = (s for s in one.node.subscriptions if s.topic_name == "/joint_states")
+    assert found.qos_profile.reliability is ReliabilityPolicy.RELIABLE
+
+
+def test_a_recording_in_real_time_has_its_beginning(make: Any) -> None:
+    """The plant waits for the recorder as in lockstep; 289 commands were once without their states."""
+    one = make("integrator", PAPER.updated({"node.wait_for_recorder": True}))
+    (period, *_) = [t for t in one.node.timers if t.timer_period_ns == round(DT * 1e9)]
+    period.callback()
+    assert not one.got["joint_states"]
+    recorder = Node("recorder", context=one.context)
+    recorder.create_subscription(JointState, "joint_states", lambda _: None, 10)
+    try:
+        deadline = time.monotonic() + 20.0
+        while not one.got["joint_states"] and time.monotonic() < deadline:
+            period.callback()
+            time.sleep(0.01)
+    finally:
+        recorder.destroy_node()
+    assert one.got["joint_states"]
+
+
+def test_what_param_dump_writes_is_a_configuration() -> None:
+    text = to_yaml(PAPER) + "    use_sim_time: false\n    start_type_description_service: true\n"
+    assert from_yaml(text) == PAPER

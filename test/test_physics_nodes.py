@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-import types
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -24,7 +22,6 @@ from dqwalk_ros.config import load
 from dqwalk_ros.errors import StateError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.inputs import InertialSensor, Steering
-from dqwalk_ros.nodes.odometry import Odometry
 from dqwalk_ros.report import bag
 from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.runner import private_domain, run_walk
@@ -108,7 +105,7 @@ def test_lockstep_is_the_walk_of_one_process_and_says_more(tmp_path: Path, domai
             np.testing.assert_allclose([p.x, p.y, p.z], truth.cop, atol=1e-9)
         plant.step(command, config.dt)
     assert compared > 250
-    assert {m.header.frame_id for m in imus.values()} == {"imu"}
+    assert {m.header.frame_id for m in imus.values()} == {model.imu}
     assert {m.header.frame_id for m in pressures.values()} == {"world"}
 
 
@@ -120,8 +117,11 @@ class Deaf:
         self.lockstep = lockstep
         self.logged: list[str] = []
 
-    def create_subscription(self, kind: Any, topic: str, callback: Any, profile: Any) -> None:
+    def listen(self, kind: Any, topic: str, callback: Any, profile: Any) -> None:
         setattr(self, topic, callback)
+
+    def create_timer(self, *_: Any, **__: Any) -> None:
+        pass
 
     def get_logger(self) -> Any:
         return self
@@ -148,7 +148,7 @@ def state_at(stamp: int) -> tuple[JointState, State]:
 
 def test_in_lockstep_a_state_waits_for_the_imu_of_its_stamp() -> None:
     node, again = Deaf(lockstep=True), []
-    sensor = InertialSensor(node, again.append)
+    sensor = InertialSensor(node, "imu", again.append)
     msg, state = state_at(5_000_000)
     node.imu(imu_at(0))
     assert sensor.join(msg, state) is None
@@ -161,7 +161,7 @@ def test_in_lockstep_a_state_waits_for_the_imu_of_its_stamp() -> None:
 
 def test_in_real_time_the_newest_imu_counts_until_it_is_too_old() -> None:
     node = Deaf()
-    sensor = InertialSensor(node, lambda _: None)
+    sensor = InertialSensor(node, "imu", lambda _: None)
     with pytest.raises(StateError, match="nothing came yet"):
         sensor.join(*state_at(0))
     node.imu(imu_at(1_000_000_000))
@@ -172,9 +172,16 @@ def test_in_real_time_the_newest_imu_counts_until_it_is_too_old() -> None:
         sensor.join(*state_at(1_200_000_000))
 
 
+def in_frame(frame: str) -> Imu:
+    msg = imu_at(0)
+    msg.header.frame_id = frame
+    return msg
+
+
 @pytest.mark.parametrize(
     ("bad", "said"),
     [
+        (in_frame("imu_link"), "it is in the frame 'imu_link', and robot.imu is 'imu'"),
         (imu_at(0, w=0.0), "unit quaternion"),
         (imu_at(0, x=float("nan")), "unit quaternion"),
         (Imu(angular_velocity=Vector3(x=float("inf"))), "finite angular velocity"),
@@ -183,7 +190,7 @@ def test_in_real_time_the_newest_imu_counts_until_it_is_too_old() -> None:
 )
 def test_an_imu_that_cannot_be_used_is_refused(bad: Imu, said: str) -> None:
     node = Deaf(lockstep=True)
-    sensor = InertialSensor(node, lambda _: None)
+    sensor = InertialSensor(node, "imu", lambda _: None)
     node.imu(bad)
     with pytest.raises(StateError, match=said):
         sensor.join(*state_at(0))
@@ -290,45 +297,3 @@ def test_the_pilot_walks_an_arc(tmp_path: Path) -> None:
     report = reporting.report(reporting.analyse(bag.read(tmp_path / "bag")))
     assert report["ok"], report["violations"]
     assert report["physics"]["turned"] > np.radians(15.0)
-
-
-def test_odometry_is_a_transform_too_where_tf2_msgs_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The wheels of ROS have no tf2_msgs; a stand-in for its one message shows what is sent."""
-
-    class TFMessage:
-        def __init__(self, transforms: list[Any]) -> None:
-            self.transforms = transforms
-
-    class Publisher:
-        def __init__(self) -> None:
-            self.sent: list[Any] = []
-
-        publish = property(lambda self: self.sent.append)
-
-        def get_subscription_count(self) -> int:
-            return 0
-
-    class Node(Deaf):
-        tf = Publisher()
-
-        def create_publisher(self, kind: Any, topic: str, profile: Any) -> Publisher:
-            assert topic == "/tf"
-            return self.tf
-
-    message = types.ModuleType("tf2_msgs.msg")
-    message.TFMessage = TFMessage
-    monkeypatch.setitem(sys.modules, "tf2_msgs", types.ModuleType("tf2_msgs"))
-    monkeypatch.setitem(sys.modules, "tf2_msgs.msg", message)
-    config = load("poppy")
-    controller = make_controller(config, load_model(config.robot))
-    controller.step(State(0.0, np.zeros(controller.model.n)), config.dt)
-    poses = Publisher()
-    Odometry(Node(), poses).publish(1_500_000_000, controller)
-    (pose,), (sent,) = poses.sent, Node.tf.sent
-    (transform,) = sent.transforms
-    assert (transform.header.frame_id, transform.child_frame_id) == ("odom", "pelvis")
-    assert ros.nanoseconds(transform.header.stamp) == 1_500_000_000
-    np.testing.assert_allclose(ros.pose_dq(pose), controller.odometry(), atol=1e-12)
-    at, moved = pose.pose.position, transform.transform.translation
-    assert (moved.x, moved.y, moved.z) == (at.x, at.y, at.z)
-    assert transform.transform.rotation == pose.pose.orientation

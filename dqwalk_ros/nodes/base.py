@@ -17,6 +17,8 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.task import Future
 
 from dqwalk_ros.config import Config
@@ -98,20 +100,39 @@ class WalkNode(Node):
         if isinstance(topic, str):
             topic = (TOPICS | BODY_TOPICS)[topic]
         profile = ros.latched(topic.depth) if topic.latched else ros.stream(topic.depth)
-        return self.create_publisher(ros.message_type(topic.type), topic.name, profile)
+        overrides = None if topic.latched else QoSOverridingOptions.with_default_policies()
+        kind = ros.message_type(topic.type)
+        return self.create_publisher(kind, topic.name, profile, qos_overriding_options=overrides)
+
+    def listen(self, kind: Any, topic: str, callback: Callable[[Any], None], profile: QoSProfile) -> None:
+        """Subscribe to a topic whose quality of service may be set by the parameters ``qos_overrides``."""
+        overrides = QoSOverridingOptions.with_default_policies()
+        self.create_subscription(kind, topic, callback, profile, qos_overriding_options=overrides)
 
     def diagnose(
         self, what: str, hardware: str, level: str, message: str, values: Mapping[str, object], stamp: int
     ) -> None:
-        """Publish one status ``NODE: what`` on /diagnostics, with a state's stamp [ns]."""
+        """Publish one status ``NAMESPACE/NODE: what`` on /diagnostics, with a state's stamp [ns]."""
         assert self._diagnostics is not None
-        status = ros.status(f"{self.get_name()}: {what}", hardware, level, message, values)
+        name, space = self.get_fully_qualified_name().lstrip("/"), self.get_namespace().strip("/")
+        status = ros.status(f"{name}: {what}", f"{space}/{hardware}".lstrip("/"), level, message, values)
         self._diagnostics.publish(ros.diagnostics(stamp, status))
 
     def report(self, event: str, **values: Any) -> None:
         """Print one line of JSON for the program that started this node (see `dqwalk_ros.runner`)."""
         if self.is_child:
             print(json.dumps({"event": event, **values}), flush=True)
+
+    @property
+    def uses_sim_time(self) -> bool:
+        """Whether the node's time is that of /clock."""
+        return bool(self.get_parameter("use_sim_time").value)
+
+    def time_trouble(self) -> str:
+        """Return what is wrong with the node's time, which is an error; empty if nothing is."""
+        if self.uses_sim_time and not self.get_clock().now().nanoseconds:
+            return "use_sim_time is set and nobody publishes /clock"
+        return ""
 
     def stop(self, exit_code: int = 0) -> None:
         """End this node after the current callback."""

@@ -11,28 +11,38 @@ import argparse
 import enum
 import time
 import traceback
+from collections import deque
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, String
+from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from dqwalk_ros import provenance
-from dqwalk_ros.config import to_yaml
+from dqwalk_ros.config import Config
 from dqwalk_ros.errors import DqwalkError, QPError, StateError
+from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
 from dqwalk_ros.nodes.inputs import InertialSensor, Steering
 from dqwalk_ros.nodes.odometry import Odometry
-from dqwalk_ros.nodes.phase_log import phase_messages
+from dqwalk_ros.nodes.phases import PhasePublisher
 from dqwalk_ros.nodes.safety import DuplicateStates, FaultCounter, StateGate
-from dqwalk_ros.robot import load_model
-from dqwalk_ros.simulation import WALKS, make_controller, warm_up
+from dqwalk_ros.robot import Foot, RobotModel, load_model
+from dqwalk_ros.simulation import WALKS, make_controller, make_walk, warm_up
 from dqwalk_ros.state import Command, State
-from dqwalk_ros.topics import FINISHED, PHASE_LOG, TOPICS
+from dqwalk_ros.topics import FINISHED
+from dqwalk_ros.walk import PhaseKind
 
 __all__ = ["Controller", "Mode"]
+
+Array = NDArray[np.float64]
+
+_PERIODS = 50
+"""Periods over which the rate of the states is judged."""
+_OFF = 0.2
+"""States that come at another rate than 1/dt by more than this part are a warning."""
 
 
 class Mode(enum.Enum):
@@ -95,6 +105,8 @@ class Controller(WalkNode):
         self._command_msg = ros.JointWriter(self._model.joint_names)
         self._still = self._sent = Command(0.0, np.zeros(self._model.n))
         self._stamp = self._stamp0 = -1  # of the last and the first state answered [ns]
+        self._seen = -1  # stamp of the last state accepted [ns]
+        self._periods: deque[float] = deque(maxlen=_PERIODS)  # between states [s]
         self._gate = StateGate(
             self._model,
             config.dt,
@@ -113,18 +125,16 @@ class Controller(WalkNode):
         self._compute_time = 0.0  # from the last state in to its command out [s]
         self._diagnosed = self._reported = -float("inf")  # steady time [s]
 
-        self._pub = {name: self.advertise(name) for name in TOPICS if TOPICS[name].source == "controller"}
-        self._pub["phase_log"] = self.advertise(PHASE_LOG)
-        self._odometry = Odometry(self, self._pub["base_pose"])
-        self._pub["walk_config"].publish(String(data=to_yaml(config)))
-        self._pub["walk_origin"].publish(String(data=provenance.to_text(provenance.here())))
-        self._pub["robot_description"].publish(String(data=self._model.urdf))
-        self._publish_phase_name()
+        self._commands = self.advertise("joint_velocity_commands")
+        self._phases = PhasePublisher(self, self._model)
+        self._odometry = Odometry(self, self._model)
+        self._first_base = first_base(config, self._model)
+        self._show_phase()
 
         # Only the newest state counts, and a late one is worthless, except in lockstep, where each counts.
-        self.create_subscription(JointState, "joint_states", self._on_state, ros.stream(1, reliable=self.lockstep))
+        self.listen(JointState, "joint_states", self._on_state, ros.stream(1, reliable=self.lockstep))
         self.create_subscription(Bool, "plant_ready", self._on_plant_ready, ros.latched())
-        self._imu = InertialSensor(self, self._on_state) if config.plant.imu else None
+        self._imu = InertialSensor(self, self._model.imu, self._on_state) if config.plant.imu else None
         steered = config.gait.style == "standing" and not config.gait.steps
         self._steering = Steering(self, self._walk) if steered else None
         self.create_service(Trigger, "~/start", self._start)
@@ -157,6 +167,9 @@ class Controller(WalkNode):
             self._reject(error)
             return
         self._stale = False
+        if stamp - self._seen > 0:
+            self._periods.append(1e-9 * (stamp - self._seen))
+        self._seen = stamp
         if not self._may_answer():
             return
         before = self._mode
@@ -171,13 +184,18 @@ class Controller(WalkNode):
             self._publish_command()
             self._compute_time = time.perf_counter() - began
             self._ticks += 1
-            if self._phase_index >= 0:
-                self._odometry.publish(stamp, self._walk)
+            self._odometry.publish(stamp, self._pelvis(state))
         if self._mode is not before:
             self._done()
         elif self._is_time_to_diagnose():
             self._diagnose()
         self._report_progress()
+
+    def _pelvis(self, state: State) -> Array:
+        """Return the pose of the pelvis in the world of the first phase, also before that has begun."""
+        if self._phase_index >= 0:
+            return self._walk.odometry()
+        return Kinematics(self._model, state.q, self._first_base).pose(self._model.pelvis)
 
     def _reject(self, error: StateError) -> None:
         """Note a state that cannot be used; it has changed nothing."""
@@ -211,8 +229,9 @@ class Controller(WalkNode):
         """Hold the first answer of a recorded walk until nothing of it can be lost."""
         if self._ticks or not self.config.node.wait_for_recorder:
             return True
-        streams = ("joint_velocity_commands", "base_pose")
-        return all(ros.is_heard_by(self, self._pub[name], "recorder") for name in streams)
+        ends = self.get_subscriptions_info_by_topic(self.resolve_topic_name("joint_states"))
+        hears_states = any(end.node_name == "recorder" for end in ends)
+        return hears_states and ros.is_heard_by(self, self._commands, "recorder")
 
     def _step(self, state: State, stamp: int) -> Command:
         """Return the answer; whatever goes wrong, zeros."""
@@ -237,7 +256,7 @@ class Controller(WalkNode):
             self._stamp0 = stamp
         if self._walk.phase_index != self._phase_index:
             self._phase_index = self._walk.phase_index
-            self._publish_phase(stamp)
+            self._begin_phase(stamp)
         if self._walk.finished:
             self._mode = Mode.DONE
             return self._still
@@ -249,7 +268,7 @@ class Controller(WalkNode):
 
     def _done(self) -> None:
         """Say once how the walk ended."""
-        self._publish_phase_name()
+        self._show_phase()
         if self._mode is Mode.DONE:
             self.get_logger().info(f"the walk is over after {self._ticks} ticks")
         else:
@@ -261,6 +280,8 @@ class Controller(WalkNode):
 
     def _look_for_silence(self) -> None:
         """Answer a plant that fell silent with zeros, once (real time only: in lockstep it may take its time)."""
+        if self._stamp < 0 and self._is_time_to_diagnose():
+            self._diagnose("WARN", f"waiting for joint_states{' and imu' if self._imu else ''}")
         if self.lockstep or self._stale or self._stamp < 0 or not self._gate.watchdog.silent:
             return
         self._stale = True
@@ -271,12 +292,24 @@ class Controller(WalkNode):
     def _look_for_duplicates(self) -> None:
         """Stand still where two plants publish the robot's state."""
         duplicates = self._plants.judge(ros.other_publishers(self, "joint_states"))
+        log = self.get_logger()
         if duplicates != self._duplicates:
             self._duplicates = duplicates
-            log = self.get_logger()
-            log.error(f"standing still: two plants: {duplicates}") if duplicates else log.info(
-                "one plant again: going on"
-            )
+            text = f"standing still: two plants: {duplicates}"
+            log.error(text) if duplicates else log.info("one plant again: going on")
+        self._judge_rate()
+        if trouble := self.time_trouble():
+            log.error(trouble, throttle_duration_sec=10.0, throttle_time_source_type=STEADY)
+            self._diagnose("ERROR", trouble)
+
+    def _judge_rate(self) -> None:
+        """Warn where the states come at another rate than the commands are made for."""
+        if self.lockstep or len(self._periods) < _PERIODS:
+            return
+        period, dt = float(np.percentile(self._periods, 25)), self.config.dt  # a state that was lost doubles one
+        if abs(period / dt - 1.0) > _OFF:
+            text = f"joint_states come every {period:.4f} s, and dt is {dt:g} s: set dt to the period of the states"
+            self.get_logger().warning(text, throttle_duration_sec=30.0, throttle_time_source_type=STEADY)
 
     def _on_plant_ready(self, msg: Bool) -> None:
         """Stand still where the plant cannot do what it is told, such as a robot whose torque is off."""
@@ -294,7 +327,7 @@ class Controller(WalkNode):
     def _start(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._mode in (Mode.IDLE, Mode.PAUSED):
             self._mode = Mode.WALKING
-            self._publish_phase_name()
+            self._show_phase()
             return self._answer(response, True, "walking")
         if self._mode is Mode.WALKING:
             return self._answer(response, True, "already walking")
@@ -305,7 +338,7 @@ class Controller(WalkNode):
         if self._mode is not Mode.WALKING:
             return self._answer(response, self._mode is Mode.PAUSED, f"not walking: {self._mode.value}")
         self._mode = Mode.PAUSED
-        self._publish_phase_name()
+        self._show_phase()
         return self._answer(response, True, "paused: holding still; ~/start goes on")
 
     def _stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -319,12 +352,13 @@ class Controller(WalkNode):
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._walk.reset()
+        self._odometry.begin_anew()
         self._mode, self._problem, self._phase_index = Mode.IDLE, "", -1
         self._stamp = self._stamp0 = -1
         self._sent = self._still
         self._gate.reset()
         self._failures.reset()
-        self._publish_phase_name()
+        self._show_phase()
         return self._answer(response, True, "the walk begins anew from where the robot stands; ~/start starts it")
 
     def _answer(self, response: Trigger.Response, success: bool, message: str) -> Trigger.Response:
@@ -336,21 +370,19 @@ class Controller(WalkNode):
 
     def _publish_command(self) -> None:
         msg = self._command_msg(self._stamp, velocity=self._sent.velocity, effort=self._sent.effort)
-        self._pub["joint_velocity_commands"].publish(msg)
+        self._commands.publish(msg)
 
-    def _publish_phase_name(self) -> None:
+    def _show_phase(self) -> None:
         walking = self._mode is Mode.WALKING and self._phase_index >= 0
         name = self._walk.phase.name if walking else self._mode.value
         if name != Mode.WALKING.value:  # nothing to tell before the first state
-            self._pub["phase"].publish(String(data=name))
-            self._pub["phase_log"].publish(String(data=name))
+            self._phases.show(name)
 
-    def _publish_phase(self, stamp: int) -> None:
-        """Say where the phase began; `stamp` [ns] is that of the state, which seconds of the clock would round."""
+    def _begin_phase(self, stamp: int) -> None:
         phase = self._walk.phase
-        for name, msg in phase_messages(self._model, phase, stamp):
-            self._pub[name].publish(msg)
-        self._publish_phase_name()
+        self._phases.begin(phase, stamp)
+        if phase.kind is PhaseKind.SINGLE_SUPPORT:
+            self._odometry.note_step()
         self.get_logger().info(f"{(stamp - self._stamp0) * 1e-9:8.3f} s  phase {self._phase_index}: {phase.name}")
 
     def _is_time_to_diagnose(self) -> bool:
@@ -399,3 +431,12 @@ class Controller(WalkNode):
         if self._stamp >= 0 and not self.lockstep:
             self._sent = self._still
             self._publish_command()
+
+
+def first_base(config: Config, model: RobotModel) -> Foot:
+    """Return the foot whose sole is odom: the base of the first phase."""
+    walk = make_walk(config, model)
+    following = walk.following(None)
+    assert following is not None  # no walk is without a phase
+    kind, support, target = following
+    return walk.phase(kind, support, walk.posture, target).base

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from geometry_msgs.msg import Twist
+from geometry_msgs.msg import Twist, TwistStamped
 from sensor_msgs.msg import Imu, JointState
 
 from dqwalk_ros.errors import StateError
@@ -29,6 +29,8 @@ __all__ = ["EFFORT", "VELOCITY", "CommandInput", "InertialSensor", "Steering"]
 VELOCITY, EFFORT = "joint_velocity_commands", "joint_effort_commands"
 _LOOK = 0.25
 """Time between two looks at who publishes [s]."""
+_LOOK_FOR_TYPES = 2.0
+"""Time between two looks at how cmd_vel is published [s]."""
 _STILL = (0.0, 0.0, 0.0)
 
 
@@ -41,15 +43,17 @@ class InertialSensor:
     Parameters
     ----------
     node : WalkNode
+    frame : str
+        Link of the sensor: messages of another frame are refused.
     again : callable
         Called with a state that had to wait.
     """
 
-    def __init__(self, node: WalkNode, again: Callable[[JointState], None]) -> None:
-        self._node, self._again = node, again
+    def __init__(self, node: WalkNode, frame: str, again: Callable[[JointState], None]) -> None:
+        self._node, self._frame, self._again = node, frame, again
         self._newest: Imu | None = None
         self._waiting: JointState | None = None
-        node.create_subscription(Imu, "imu", self._on_imu, ros.stream(1, reliable=node.lockstep))
+        node.listen(Imu, "imu", self._on_imu, ros.stream(1, reliable=node.lockstep))
 
     def _on_imu(self, msg: Imu) -> None:
         self._newest = msg
@@ -77,6 +81,8 @@ class InertialSensor:
             age = 1e-9 * abs(ros.nanoseconds(msg.header.stamp) - ros.nanoseconds(newest.header.stamp))
             if age > self._node.config.plant.command_timeout:
                 raise StateError(f"imu: its stamp is {age:.3f} s away from the state's")
+        if (given := newest.header.frame_id) not in ("", self._frame):
+            raise StateError(f"imu: it is in the frame '{given}', and robot.imu is '{self._frame}': they must agree")
         up, gyro = ros.up_and_gyro(newest)
         return dataclasses.replace(state, up=up, gyro=gyro)
 
@@ -101,7 +107,20 @@ class Steering:
         self._asked = self._walked = _STILL
         self._heard = False
         self.rejected = 0
-        node.create_subscription(Twist, "cmd_vel", self._on_twist, ros.stream(1))
+        if node.config.node.stamped_cmd_vel:
+            node.listen(TwistStamped, "cmd_vel", lambda msg: self._on_twist(msg.twist), ros.stream(1))
+        else:
+            node.listen(Twist, "cmd_vel", self._on_twist, ros.stream(1))
+        node.create_timer(_LOOK_FOR_TYPES, self._look_for_types, clock=STEADY)
+
+    def _look_for_types(self) -> None:
+        """Warn of a publisher whose messages never come, because they are of the other type."""
+        stamped = self._node.config.node.stamped_cmd_vel
+        other = "geometry_msgs/msg/Twist" if stamped else "geometry_msgs/msg/TwistStamped"
+        ends = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name("cmd_vel"))
+        if names := [end.node_name for end in ends if end.topic_type == other]:
+            text = f"cmd_vel of {', '.join(names)} is a {other}: set node.stamped_cmd_vel to {str(not stamped).lower()}"
+            self._node.get_logger().error(text, throttle_duration_sec=10.0, throttle_time_source_type=STEADY)
 
     def _on_twist(self, msg: Twist) -> None:
         asked = (msg.linear.x, msg.linear.y, msg.angular.z)

@@ -19,16 +19,13 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from dqwalk_ros.config import Config, Spec, beside
+from dqwalk_ros.config import OF_RCLPY, Config, Spec, beside
 from dqwalk_ros.errors import ConfigError
 
 __all__ = ["changes", "declare"]
 
 LIVE = frozenset({"plant.command_timeout", "monitor.rate", "monitor.warn_margin", "monitor.tolerance"})
 """What may change while a node runs: what shapes the walk is fixed when the walk is built."""
-
-_OF_RCLPY = ("use_sim_time", "qos_overrides", "start_type_description_service")
-"""Parameters that rclpy itself declares."""
 
 
 def declare(node: Node, argv: Sequence[str], nodes: Collection[str]) -> Config:
@@ -51,12 +48,12 @@ def declare(node: Node, argv: Sequence[str], nodes: Collection[str]) -> Config:
     given = {
         name: () if parameter.value is None else parameter.value  # an empty list has no type
         for name, parameter in node._parameter_overrides.items()  # rclpy has no public way to ask for all of them
-        if name.split(".")[0] not in _OF_RCLPY
+        if name.split(".")[0] not in OF_RCLPY
     }
     for path in _parameter_files(argv):
         sections = _sections_of(path)
         _check_names(path, sections, nodes)
-        if not any(given.keys() & names for names in sections.values()):
+        if any(sections.values()) and not any(given.keys() & names for names in sections.values()):
             found = ", ".join(f"'{section}'" for section in sections) or "none"
             log.warning(
                 f"{path}: no section reaches {node.get_fully_qualified_name()} (sections: {found}); '/**' is for all"
@@ -77,7 +74,7 @@ def declare(node: Node, argv: Sequence[str], nodes: Collection[str]) -> Config:
 
 def changes(parameters: Sequence[Parameter]) -> dict[str, Any]:
     """Return the values of those parameters that are of the schema, for `Config.updated`."""
-    return {p.name: p.value for p in parameters if p.name.split(".")[0] not in _OF_RCLPY}
+    return {p.name: p.value for p in parameters if p.name.split(".")[0] not in OF_RCLPY}
 
 
 def _is_foreign(name: str) -> bool:

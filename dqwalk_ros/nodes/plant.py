@@ -14,6 +14,7 @@ import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
 from rclpy.publisher import Publisher
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -52,13 +53,15 @@ class SimulatedPlant(WalkNode):
         self.ticks = 0
         self._missed = 0
         self._stamp = 0  # of the state published last [ns]
-        self._asked = self._moved = time.monotonic()
+        self._asked = time.monotonic()
+        self._moved = self._now()
         self._state_msg = ros.JointWriter(self.model.joint_names)
+        self._clock_topic = self.create_publisher(Clock, "/clock", ros.stream(10)) if self.config.plant.clock else None
         if self.lockstep:
-            self.create_subscription(JointState, VELOCITY, self._on_answer, ros.stream(1))
+            self.listen(JointState, VELOCITY, self._on_answer, ros.stream(1))
             self.create_timer(_FIRST_ASK, self._ask, clock=STEADY)
         else:
-            self.create_subscription(JointState, VELOCITY, self._on_command, ros.stream(1))
+            self.listen(JointState, VELOCITY, self._on_command, ros.stream(1))
             self.create_timer(self.dt, self._on_period, clock=STEADY)
         self.create_timer(1.0 / self.config.monitor.rate, self._diagnose, clock=STEADY)
 
@@ -101,6 +104,8 @@ class SimulatedPlant(WalkNode):
 
     def publish(self, stamp: int) -> None:
         """Publish the state, with its stamp [ns], and what belongs to it."""
+        if self._clock_topic is not None:
+            self._clock_topic.publish(Clock(clock=ros.time_msg(stamp)))
         state = self.plant.state
         self.streams["joint_states"].publish(self._state_msg(stamp, position=state.q, velocity=state.dq))
 
@@ -143,9 +148,15 @@ class SimulatedPlant(WalkNode):
     def _on_command(self, msg: JointState) -> None:
         self.commands.take(msg, self._stamp)
 
+    def _now(self) -> float:
+        """Return the time in which a period is counted [s]: steady, or /clock's with use_sim_time."""
+        return 1e-9 * self.get_clock().now().nanoseconds if self.uses_sim_time else time.monotonic()
+
     def _on_period(self) -> None:
-        now = time.monotonic()
-        passed, self._moved = now - self._moved, now
+        now = self._now()
+        passed, self._moved = max(now - self._moved, 0.0), now
+        if self.time_trouble() or not self._may_begin():
+            return
         if passed > 2.0 * self.dt:
             self._missed += int(passed / self.dt) - 1
         self.commands.log_motion()
@@ -162,7 +173,9 @@ class SimulatedPlant(WalkNode):
         if self.lockstep and level == "WARN":
             waits = self.commands.gate.watchdog.age
             level, text = ("OK", "lockstep") if waits < 2.0 else ("WARN", "waiting for a command")
-        if trouble := self.trouble():
+        if time_trouble := self.time_trouble():
+            self.get_logger().error(time_trouble, throttle_duration_sec=10.0, throttle_time_source_type=STEADY)
+        if trouble := time_trouble or self.trouble():
             level, text = "ERROR", trouble
         values = {"ticks": self.ticks, "periods missed": self._missed, **self.commands.counts()}
         self.diagnose("plant", self.model.name, level, text, values, self._stamp)
@@ -178,6 +191,7 @@ class Integrator(SimulatedPlant):
     Publishes::
 
         joint_states             sensor_msgs/JointState [rad, rad/s]
+        /clock                   rosgraph_msgs/Clock with plant.clock: its time is that of the others
         /diagnostics             diagnostic_msgs/DiagnosticArray
 
     Sections of the schema: dt, robot, plant, node.
@@ -214,6 +228,7 @@ class Physics(SimulatedPlant):
         true_base_pose           geometry_msgs/PoseStamped: the pelvis in the world; for analysis, as the rest:
         left_foot_wrench, right_foot_wrench   geometry_msgs/WrenchStamped: ground on the sole, in its frame
         center_of_pressure       geometry_msgs/PointStamped: of both feet in the world; none in the air
+        /clock                   rosgraph_msgs/Clock with plant.clock: its time is that of the others
         /diagnostics             diagnostic_msgs/DiagnosticArray: ERROR when the robot has fallen
         ~/reset                  std_srvs/Trigger: puts the robot back on its feet (real time)
 

@@ -21,7 +21,7 @@ from dqwalk_ros.errors import DqwalkError, StateError
 from dqwalk_ros.kinematics import Kinematics, compose
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
-from dqwalk_ros.nodes.phase_log import PhaseLog
+from dqwalk_ros.nodes.phases import PhaseLog
 from dqwalk_ros.report.scene import Moment, Scene
 from dqwalk_ros.report.viewer.page import FRAME, Page
 from dqwalk_ros.robot import RobotModel

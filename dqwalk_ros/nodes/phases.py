@@ -1,8 +1,7 @@
-"""The phases of a walk, rebuilt from the topics that say where each began."""
+"""The phases of a walk on topics: published where they begin, built again by who watches."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -11,36 +10,63 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from dqwalk_ros.config import Config, from_yaml
+from dqwalk_ros import provenance
+from dqwalk_ros.config import Config, from_yaml, to_yaml
 from dqwalk_ros.errors import DqwalkError
 from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.base import WalkNode
 from dqwalk_ros.report.assessment import Assessor
 from dqwalk_ros.robot import Foot, RobotModel, parse_model
 from dqwalk_ros.simulation import make_walk
+from dqwalk_ros.topics import PHASE_LOG
 from dqwalk_ros.walk import Phase, PhaseKind, com_target
 
-__all__ = ["PhaseLog", "phase_messages"]
+__all__ = ["PhaseLog", "PhasePublisher"]
 
 _KEPT = 100
 
 
-def phase_messages(model: RobotModel, phase: Phase, stamp: int) -> Iterator[tuple[str, Any]]:
-    """Yield topic and message of what is said where a phase begins, from which a `PhaseLog` builds it again.
+class PhasePublisher:
+    """Publishes the walk: what it is, and what goes on; from that a `PhaseLog` builds its phases again.
 
     Parameters
     ----------
+    node : WalkNode
     model : RobotModel
-    phase : Phase
-    stamp : int
-        Of its first state [ns].
     """
-    frame = model.soles[phase.base].frame
-    yield "phase_start", ros.JointWriter(model.joint_names, frame)(stamp, position=phase.q_start)
-    yield "support_foot", String(data=phase.support.value)
-    if phase.swing_target is not None:
-        yield "swing_target", ros.pose(stamp, frame, phase.swing_target)
-    else:
-        yield "com_target", ros.point(stamp, frame, com_target(model, phase.kind, phase.base, phase.q_start))
+
+    def __init__(self, node: WalkNode, model: RobotModel) -> None:
+        self._model = model
+        latched = {
+            "walk_config": to_yaml(node.config),
+            "walk_origin": provenance.to_text(provenance.here()),
+            "robot_description": model.urdf,
+        }
+        if not node.config.node.robot_description:
+            del latched["robot_description"]
+        names = ("phase", "phase_start", "support_foot", "swing_target", "com_target", *latched)
+        self._pub = {name: node.advertise(name) for name in names}
+        self._log = node.advertise(PHASE_LOG)
+        for name, text in latched.items():
+            self._pub[name].publish(String(data=text))
+
+    def show(self, text: str) -> None:
+        """Publish what goes on now, such as ``double_support/left`` or ``idle``."""
+        self._pub["phase"].publish(String(data=text))
+        self._log.publish(String(data=text))
+
+    def begin(self, phase: Phase, stamp: int) -> None:
+        """Publish a phase that begins at the state of a stamp [ns], which seconds of the clock would round."""
+        model, frame = self._model, self._model.soles[phase.base].frame
+        start = ros.JointWriter(model.joint_names, frame)(stamp, position=phase.q_start)
+        self._pub["phase_start"].publish(start)
+        self._pub["support_foot"].publish(String(data=phase.support.value))
+        if phase.swing_target is not None:
+            self._pub["swing_target"].publish(ros.pose(stamp, frame, phase.swing_target))
+        else:
+            goal = com_target(model, phase.kind, phase.base, phase.q_start)
+            self._pub["com_target"].publish(ros.point(stamp, frame, goal))
+        self.show(phase.name)
 
 
 class PhaseLog:
