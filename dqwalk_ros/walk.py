@@ -453,7 +453,7 @@ class EndRule:
         self._stall, self._timeout, self._dt = config.dsp.stall_rate, config.gait.phase_timeout, config.dt
 
     def is_over(self, error: float, elapsed: float) -> bool:
-        """Return whether the phase ends at the state with this error; see `Rule.is_over`."""
+        """Return whether the phase ends at the state with this error, by the switching rule of section 5."""
         errors = self._errors
         errors.append(error)
         full = len(errors) == errors.maxlen
