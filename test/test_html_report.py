@@ -8,12 +8,14 @@ import re
 import resource
 import time
 from base64 import b64decode
+from html import escape
 
 import numpy as np
 import pytest
 from recorded import rewrite, short_config, short_walk
 
 from dqwalk_ros import cli, load, load_model, make_controller, report, simulate
+from dqwalk_ros.config import to_yaml
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.plants.kinematic import KinematicPlant
@@ -26,7 +28,7 @@ from dqwalk_ros.robot import Foot
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
     path = tmp_path_factory.mktemp("bag") / "short"
-    bag.write(short_walk(), path)
+    bag.write(short_walk(0.025), path)
     return path
 
 
@@ -59,7 +61,7 @@ def test_the_page_says_what_the_report_says(page):
 
 def test_the_replay_stands_where_the_walk_did():
     """The tree of the replay, put together as `replay.js` does it, has its soles where the kinematics has them."""
-    trace = short_walk()
+    trace = short_walk(0.025)
     data = replay_data(report.analyse(trace))
     t, q, root = (np.frombuffer(b64decode(data[k]), "<f4") for k in ("t", "q", "root"))
     q, root = q.reshape(len(t), -1), root.reshape(len(t), 7)
@@ -80,7 +82,7 @@ def test_the_replay_stands_where_the_walk_did():
 
 def test_it_says_who_walked_and_who_reports(path, tmp_path):
     walked = {"began": "2020-02-20 20:20:20 UTC", "numpy": "1.2.3", "host": "the <lab>"}
-    bag.write(dataclasses.replace(short_walk(), origin=walked), tmp_path / "old", diagnostics=False)
+    bag.write(dataclasses.replace(short_walk(0.025), origin=walked), tmp_path / "old", diagnostics=False)
     assert bag.read(tmp_path / "old").origin == walked
     cli.main(["report", str(tmp_path / "old"), "--html", "--no-figures", "--quiet", "--out", str(tmp_path / "out")])
     text = (tmp_path / "out/report.html").read_text()
@@ -92,9 +94,9 @@ def test_it_says_who_walked_and_who_reports(path, tmp_path):
 
 
 def test_two_walks_side_by_side(path, tmp_path):
-    trace = short_walk()
+    trace = short_walk(0.025)
     other = tmp_path / "wider"
-    bag.write(dataclasses.replace(trace, config=short_config(**{"ssp.com_radius": 0.06})), other)
+    bag.write(dataclasses.replace(trace, config=short_config(**{"ssp.com_radius": 0.06, "dt": 0.025})), other)
     cli.main(["report", str(path), "--compare", str(other), "--no-figures", "--quiet", "--out", str(tmp_path / "out")])
     text = (tmp_path / "out/report.html").read_text()
     assert "Side by side" in text
@@ -117,8 +119,33 @@ def test_a_standing_walk_beside_one_of_the_paper(path, tmp_path):
     assert "<td>paper's margin, least</td><td class=n>–</td><td class=n>+" in text
 
 
+def test_no_name_becomes_a_tag(path, tmp_path):
+    """Names of joints, robots, parameters and bags are text, wherever they come from."""
+    tag, config = "<img src=x onerror=alert(1)>", short_config(**{"poppy.lower_port": "<img src=y>", "dt": 0.025})
+
+    def rename(topic, stamp, message):
+        if topic == "/robot_description":
+            message.data = message.data.replace("l_knee_y", escape(tag)).replace("poppy_humanoid", "&lt;!--&lt;script>")
+        elif topic == "/walk_config":
+            message.data = to_yaml(config)
+        elif hasattr(message, "name"):
+            message.name = [tag if name == "l_knee_y" else name for name in message.name]
+        return stamp, message
+
+    hostile = rewrite(path, tmp_path / "<img src=z>", edit=rename)
+    out = ["--no-figures", "--quiet", "--out", str(tmp_path / "out")]
+    cli.main(["report", str(hostile), "--compare", str(path), *out])
+    text = (tmp_path / "out/report.html").read_text()
+    assert "<img src=" not in re.sub(r"<img alt=[^>]*>", "", text)
+    assert "&lt;img src=x" in text
+    assert "&lt;img src=y" in text
+    assert "&lt;img src=z" in text
+    assert "<!--" not in text
+    assert text.count("</script>") == 2
+
+
 def test_series_as_csv(page):
-    trace = short_walk()
+    trace = short_walk(0.025)
     with (page / "series.csv").open() as file:
         head = file.readline().strip().split(",")
         table = np.genfromtxt(file, delimiter=",")
@@ -145,7 +172,7 @@ def test_faults_are_said_once(path, tmp_path):
 @pytest.mark.timeout(600)
 def test_ten_minutes_are_reported_in_time(tmp_path):
     """120 000 states: in under 20 s of processor time and 1 GiB."""
-    trace = short_walk()
+    trace = short_walk(0.025)
     times = -(-120_000 // len(trace))
     phases = [
         dataclasses.replace(r, start=r.start + k * len(trace), time=r.time + k * len(trace) * trace.config.dt)

@@ -6,9 +6,11 @@ import io
 import socket
 import time
 import urllib.request
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import viser
 import yourdfpy
 from recorded import short_walk
 
@@ -25,7 +27,14 @@ from dqwalk_ros.walk import PhaseKind
 
 @pytest.fixture(scope="module")
 def trace():
-    return short_walk()
+    return short_walk(0.025)
+
+
+@pytest.fixture(scope="module")
+def page():
+    page = Page(0)
+    yield page
+    page.close()
 
 
 def views(trace, count=40):
@@ -158,6 +167,49 @@ def test_the_page_serves_and_plays(trace):
         assert "double support" in page._status.content
     finally:
         page.close()
+
+
+@pytest.mark.parametrize(
+    ("host", "origin", "allowed"),
+    [
+        ("127.0.0.1:{port}", None, True),
+        ("localhost:9000", "http://localhost:9000", True),  # through a tunnel
+        ("127.0.0.1:{port}", "http://127.0.0.1:{port}", True),
+        ("127.0.0.1:{port}", "https://evil.example", False),
+        ("evil.example:{port}", "https://evil.example", False),  # DNS rebinding
+        ("evil.example:{port}", None, False),
+        ("127.0.0.1:{port}", "null", False),
+    ],
+)
+def test_only_pages_of_this_machine_are_answered(page, host, origin, allowed):
+    port = page.server.get_port()
+    lines = ["GET / HTTP/1.1", f"Host: {host.format(port=port)}", "Upgrade: websocket", "Connection: Upgrade"]
+    lines += ["Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Version: 13"]
+    lines += ["Sec-WebSocket-Protocol: viser-v" + viser.__version__]
+    lines += [f"Origin: {origin.format(port=port)}"] if origin else []
+    with socket.create_connection((HOST, port), timeout=10.0) as connection:
+        connection.sendall("\r\n".join([*lines, "", ""]).encode())
+        status = connection.recv(64).decode().split()[1]
+    assert status == ("101" if allowed else "403")
+
+
+@pytest.mark.parametrize("value", ["abc", float("nan"), 1e308, None, [1], {}])
+def test_a_control_of_a_wrong_type_moves_nothing_and_ends_nothing(page, trace, value):
+    """A browser may send anything: the page plays on."""
+    player = Player(page, trace)
+    event = SimpleNamespace(client=object(), target=SimpleNamespace(value=value))
+    player._on_slider(event)
+    player._on_jump(value)
+    assert trace.time[0] <= player._at <= trace.time[-1]
+    player._speed = SimpleNamespace(value=value)
+    player.toggle()
+    pictures = page.shown
+    player.run(going=lambda: page.shown < pictures + 2)
+
+
+def test_a_name_of_a_bag_is_text(page):
+    page.say("reading <img src=x onerror=alert(3)>")
+    assert "<img" not in page._status.content
 
 
 def test_the_page_is_for_this_machine_only(trace):

@@ -16,7 +16,7 @@ import numpy as np
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.report.figures.reaching import reactions, solver, walk_from_above
 from dqwalk_ros.report.figures.style import drawing
-from dqwalk_ros.report.html.page import document, origin_table, replay, table
+from dqwalk_ros.report.html.page import Markup, document, origin_table, replay, table
 from dqwalk_ros.report.html.replay import FRAMES, packed, robot_data, rounded
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.whole_body.demands import Demand
@@ -76,7 +76,7 @@ def _page(subject: BodySubject) -> str:
         _figures(w),
         f"<h2>Notes</h2><div class='card'>{_notes(subject)}</div>",
         "<h2>Configuration</h2><details class='card'><summary>Every parameter</summary>"
-        + table(("", ""), [(key, escape(str(value))) for key, value in w.config.flat().items()])
+        + table(("", ""), [(key, str(value)) for key, value in w.config.flat().items()])
         + "</details>",
         origin_table([(subject.name, w.origin)]),
     ]
@@ -111,9 +111,9 @@ def _heading(subject: BodySubject) -> str:
 def _checks(found: Sequence[Demand]) -> str:
     rows = []
     for check in found:
-        verdict = "" if not check.bound else "ok" if check.ok else "<span class='bad'>not reached</span>"
+        verdict = "" if not check.bound else "ok" if check.ok else Markup("<span class='bad'>not reached</span>")
         authors = "" if check.authors is None else f"{check.authors:.4g}"
-        rows.append((escape(check.name), escape(check.bound), escape(check.got), authors, verdict))
+        rows.append((check.name, check.bound, check.got, authors, verdict))
     return table(("", "asked", "got", "authors", ""), rows, (2, 3))
 
 

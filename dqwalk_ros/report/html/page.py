@@ -87,7 +87,7 @@ def _page(subjects: Sequence[Subject]) -> str:
 
 def document(name: str, parts: Sequence[str], walks: Sequence[Any]) -> str:
     """Return the whole of a page: its parts, and the walks that its replay draws."""
-    data = json.dumps(walks, separators=(",", ":")).replace("</", "<\\/")
+    data = json.dumps(walks, separators=(",", ":")).replace("<", "\\u003c")  # no tag or comment begins in it
     return (
         f"<!doctype html><html lang='en'><head><meta charset='utf-8'><title>dqwalk: {escape(name)}</title>"
         "<meta name='viewport' content='width=device-width, initial-scale=1'>"
@@ -110,11 +110,16 @@ def _label(subject: Subject, subjects: Sequence[Subject]) -> str:
     return f"<p><b>{escape(subject.name)}</b></p>" if len(subjects) > 1 else ""
 
 
+class Markup(str):
+    """A cell of a table that is HTML already; any other is text, and escaped."""
+
+
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: Sequence[int] = ()) -> str:
     """Return a table; `numbers` are the columns that are set to the right."""
 
     def cells(tag: str, row: Sequence[str]) -> str:
-        return "".join(f"<{tag}{' class=n' if c in numbers else ''}>{cell}</{tag}>" for c, cell in enumerate(row))
+        texts = (cell if isinstance(cell, Markup) else escape(cell) for cell in row)
+        return "".join(f"<{tag}{' class=n' if c in numbers else ''}>{text}</{tag}>" for c, text in enumerate(texts))
 
     body = "".join(f"<tr>{cells('td', row)}</tr>" for row in rows)
     return f"<table><tr>{cells('th', head)}</tr>{body}</table>"
@@ -186,7 +191,7 @@ def _margins(subject: Subject) -> str:
         for name in names:
             found = phase["minimum"].get(name)
             value = "" if found is None else f"{found['value']:.4g}"
-            cells.append(f"<span class='bad'>{value}</span>" if found and found["value"] < 0.0 else value)
+            cells.append(Markup(f"<span class='bad'>{value}</span>") if found and found["value"] < 0.0 else value)
         rows.append((phase["name"], *cells))
     note = "<p class='muted'>[m], cylinders (sliding, com_cylinder) [m²], joints [rad]; at or above zero is kept.</p>"
     return table(("phase", *names), rows, range(1, len(names) + 1)) + note
@@ -239,10 +244,10 @@ def _joints(subject: Subject) -> str:
     rows = []
     for i, name in enumerate(model.joint_names):
         share = float(fastest[i] / model.velocity_max[i])
-        meter = f"<span class='meter'><i style='width:{100 * min(1.0, share):.1f}%'></i></span>"
+        meter = f"<span class='meter'><i style='width:{100 * min(1.0, share):.1f}%'></i></span> {100 * share:.1f} %"
         left = float(np.degrees(series.joint_margin[:, i].min()))
         limit = f"{model.velocity_max[i]:.2f}"
-        rows.append((name, f"{fastest[i]:.4f}", limit, f"{meter} {100 * share:.1f} %", f"{left:.2f}°"))
+        rows.append((name, f"{fastest[i]:.4f}", limit, Markup(meter), f"{left:.2f}°"))
     head = ("joint", "fastest [rad/s]", "limit [rad/s]", "share of the limit", "closest to a limit")
     return table(head, rows, (1, 2, 4))
 
@@ -287,9 +292,9 @@ def _faults(subject: Subject) -> str:
     epoch = subject.series.trace.epoch / 1e9
     rows = [
         (
-            f"<span class='level-{fault.level}'>{fault.level}</span>",
-            escape(fault.name),
-            escape(fault.message[:160]),
+            Markup(f"<span class='level-{fault.level}'>{fault.level}</span>"),
+            fault.name,
+            fault.message[:160],
             f"{fault.first - epoch:.2f}",
             f"{fault.last - epoch:.2f}",
             str(fault.count),
@@ -317,8 +322,12 @@ def _comparison(subjects: Sequence[Subject]) -> str:
     )
     a, b = (s.report["config"] for s in subjects)
     changed = [(key, str(a.get(key)), str(b.get(key))) for key in a if a.get(key) != b.get(key)]
+    config = (
+        table(("parameter", *(s.name for s in subjects)), changed)
+        if changed
+        else "<p class='muted'>The same configuration.</p>"
+    )
     names = [escape(s.name) for s in subjects]
-    config = table(("parameter", *names), changed) if changed else "<p class='muted'>The same configuration.</p>"
     return (
         f"<h2>Side by side</h2><div class='two'><div class='card'><table><tr><th></th><th class=n>{names[0]}</th>"
         f"<th class=n>{names[1]}</th></tr>{rows}</table></div><div class='card scroll'>{config}</div></div>"
@@ -331,7 +340,7 @@ def _comparison(subjects: Sequence[Subject]) -> str:
 def _configuration(subjects: Sequence[Subject]) -> str:
     out = []
     for s in subjects:
-        rows = [(key, escape(str(value))) for key, value in s.report["config"].items()]
+        rows = [(key, str(value)) for key, value in s.report["config"].items()]
         title = f"<summary>Configuration of {escape(s.name)}</summary>"
         out.append(f"<details class='card'>{title}{table(('', ''), rows)}</details>")
     return f"<h2>Configuration</h2><div class='two'>{''.join(out)}</div>"
@@ -340,10 +349,10 @@ def _configuration(subjects: Sequence[Subject]) -> str:
 def origin_table(walked: Sequence[tuple[str, Mapping[str, str]]]) -> str:
     """Say who walked, by the name of each walk, beside who made this report."""
     made = provenance.here()
-    head = ("", *(f"walked: {escape(name)}" if len(walked) > 1 else "walked" for name, _ in walked), "reported")
+    head = ("", *(f"walked: {name}" if len(walked) > 1 else "walked" for name, _ in walked), "reported")
     columns = [*(dict(entry) for _, entry in walked), made]
     rows = []
     for key in dict.fromkeys(key for column in columns for key in column):
-        cells = [escape(column.get(key, "")) if column else "not recorded" for column in columns]
-        rows.append((escape("at" if key == "began" else key), *cells))
+        cells = [column.get(key, "") if column else "not recorded" for column in columns]
+        rows.append(("at" if key == "began" else key, *cells))
     return f"<h2>Where this comes from</h2><div class='card scroll'>{table(head, rows)}</div>"

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import http
 import io
 import socket
 import time
 from collections import deque
 from collections.abc import Iterator
+from html import escape
+from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import viser
+import websockets.asyncio.server
 from numpy.typing import NDArray
 
 from dqwalk_ros.dual_quaternions import DQ
@@ -56,7 +61,7 @@ class Page:
     """
 
     def __init__(self, port: int | None = None) -> None:
-        with contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
+        with contextlib.redirect_stdout(io.StringIO()), _local_only():  # viser prints a banner
             self.server = viser.ViserServer(host=HOST, port=_free(port), label="dqwalk", verbose=False)
         gui = self.server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium", brand_color=(31, 95, 180))
@@ -195,7 +200,37 @@ def prints_of(records: Iterator[tuple[int, Foot, Array]]) -> Iterator[tuple[int,
 
 
 def _message(text: str) -> str:
-    return f'<div data-dqwalk="status" style="font:14px system-ui,sans-serif;color:#57606a;padding:10px">{text} …</div>'
+    style = "font:14px system-ui,sans-serif;color:#57606a;padding:10px"
+    return f'<div data-dqwalk="status" style="{style}">{escape(text)} …</div>'
+
+
+_LOCAL = {HOST, "localhost", "::1"}
+
+
+@contextlib.contextmanager
+def _local_only() -> Iterator[None]:
+    """Let a server that is started within answer only to this machine's own names, and to pages that came from it.
+
+    viser has no setting for that. A page on the internet whose name leads to this machine (DNS rebinding), or that
+    opens a websocket to it, could else watch the walk and move the controls.
+    """
+    serve = websockets.asyncio.server.serve
+
+    def guarded(*args: Any, process_request: Any = None, **options: Any) -> Any:
+        def check(connection: Any, request: Any) -> Any:
+            headers = [*request.headers.get_all("Host"), *request.headers.get_all("Origin")]
+            names = {urlsplit(text if "//" in text else f"//{text}").hostname for text in headers}
+            if not names or not names <= _LOCAL:
+                return connection.respond(http.HTTPStatus.FORBIDDEN, "this page is for this machine only\n")
+            return process_request(connection, request) if process_request is not None else None
+
+        return serve(*args, process_request=check, **options)
+
+    websockets.asyncio.server.serve = guarded  # type: ignore[assignment,misc]
+    try:
+        yield
+    finally:
+        websockets.asyncio.server.serve = serve  # type: ignore[misc]
 
 
 def _free(port: int | None) -> int:

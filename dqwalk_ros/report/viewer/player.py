@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -98,17 +99,25 @@ class Player:
         self._at = min(max(at, self._first), self._last)
         self._moved.set()
 
+    @property
+    def _pace(self) -> float:
+        """Times as fast as it was walked; a browser may send anything."""
+        return float(self._speed.value) if self._speed.value in _SPEEDS else 1.0
+
     def _on_slider(self, event: viser.GuiEvent[viser.GuiSliderHandle[float]]) -> None:
-        if event.client is not None:  # moved by a person, not by us
+        at = event.target.value
+        if event.client is not None and isinstance(at, int | float) and math.isfinite(at):  # moved by a person
             self._changed_at = time.monotonic()
-            self.seek(float(event.target.value))
+            self.seek(float(at))
 
     def _on_jump(self, key: str) -> None:
         starts = [float(self._trace.time[record.start]) for record in self._trace.phases]
         before = [t for t in starts if t < self._at - 1e-3]
         after = [t for t in starts if t > self._at + 1e-3]
         at = {"start": self._first, "‹": before[-1] if before else self._first, "end": self._last}
-        self.seek(at.get(key, after[0] if after else self._last))
+        at["›"] = after[0] if after else self._last
+        if isinstance(key, str) and key in at:
+            self.seek(at[key])
 
     def show(self) -> None:
         """Draw the current time."""
@@ -138,7 +147,7 @@ class Player:
             began = time.monotonic()
             elapsed, last = began - last, began
             if self.playing:
-                self._at = min(self._at + elapsed * float(self._speed.value), self._last)
+                self._at = min(self._at + elapsed * self._pace, self._last)
                 if self._at >= self._last:
                     self.toggle()
                 self._moved.clear()
