@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from dqwalk_ros.config import load
 from dqwalk_ros.errors import StateError
 from dqwalk_ros.nodes.safety import (
+    BodyGate,
     CommandGate,
     FaultCounter,
     JointOrder,
@@ -334,3 +335,57 @@ def test_torques_stay_within_the_limits(model: RobotModel) -> None:
     np.testing.assert_array_equal(
         given[np.abs(asked) <= limited.effort_max], asked[np.abs(asked) <= limited.effort_max]
     )
+
+
+# ---------------------------------------------------------------------- whole bodies
+
+
+def accepted_body() -> tuple[BodyGate, dict[str, np.ndarray]]:
+    """Return a gate that has taken a state, and that state."""
+    body = load_model(load("whole_body").robot)
+    gate = BodyGate(body, DT, lambda: 0.5)
+    q = np.clip(np.zeros(body.n), body.q_min, body.q_max)
+    state = {"q": q, "dq": np.zeros(body.n), "place": np.array([0.0, 0.0, 0.7]), "v_base": np.zeros(6)}
+    gate.accept_body(0, **state)
+    return gate, state
+
+
+@pytest.mark.parametrize(
+    ("what", "value", "why"),
+    [
+        ("q", 0.5, "a jump that the velocity limits do not allow"),
+        ("q", 9.0, "outside the joint limits"),
+        ("dq", 1000.0, "turns at 1e\\+03 rad/s"),
+        ("dq", 1e300, "turns at"),
+        ("dq", np.nan, "not finite"),
+        ("v_base", 1e200, "the base moves at"),
+        ("v_base", np.inf, "not finite"),
+        ("place", 1.0, "the base jumped by"),
+    ],
+)
+def test_one_glitch_of_a_body_is_refused_and_changes_nothing(what: str, value: float, why: str) -> None:
+    gate, state = accepted_body()
+    wrong = {**state, what: state[what].copy()}
+    wrong[what][-1] += value
+    with pytest.raises(StateError, match=why):
+        gate.accept_body(PERIOD, **wrong)
+    gate.accept_body(2 * PERIOD, **state)
+    assert gate.rejected == 1
+
+
+def test_a_body_may_be_pushed() -> None:
+    """A push changes velocities at once, a joint beyond its own limits too; neither is refused."""
+    gate, state = accepted_body()
+    pushed = {**state, "dq": state["dq"] + 13.0, "v_base": np.array([0.0, 1.0, 0.0, 2.0, 0.0, 0.0])}
+    gate.accept_body(PERIOD, **pushed)
+    gate.accept_body(2 * PERIOD, **{**pushed, "q": state["q"] + 13.0 * DT})
+
+
+def test_a_body_that_keeps_jumping_is_refused_for_good() -> None:
+    gate, state = accepted_body()
+    for k in range(5):
+        far = {**state, "place": state["place"] + [5.0 + k, 0.0, 0.0]}
+        with pytest.raises(StateError, match="jump"):
+            gate.accept_body((k + 1) * PERIOD, **far)
+    with pytest.raises(StateError, match="in a row"):
+        gate.accept_body(9 * PERIOD, **state)

@@ -8,9 +8,11 @@ message's stamp is data, good for its order alone.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +21,7 @@ from dqwalk_ros.errors import StateError
 from dqwalk_ros.robot import RobotModel
 
 __all__ = [
+    "BodyGate",
     "CommandGate",
     "DuplicatePublishers",
     "DuplicateStates",
@@ -372,6 +375,60 @@ class StateGate:
     def _refusal(self, why: str) -> StateError:
         self.rejected += 1
         return StateError(why)
+
+
+class BodyGate(StateGate):
+    """Decide which states of a whole body a controller may act on: those of its joints, and of its base.
+
+    Time is that of the stamps. A push or a touchdown changes velocities at once, and what a robot can do to itself is
+    no bound for what is done to it; so joints may turn `fast` times as fast as their limits say.
+    """
+
+    fast = 3.0
+    """Joint velocities beyond this many times their limits are refused."""
+    speed, turn = 10.0, 30.0
+    """So are faster bases [m/s, rad/s]."""
+
+    def __init__(self, model: RobotModel, dt: float, timeout: Callable[[], float], **options: Any) -> None:
+        able = dataclasses.replace(model, velocity_max=self.fast * model.velocity_max)
+        super().__init__(able, dt, timeout, by_stamp=True, **options)
+        self._place: Array | None = None
+
+    def accept_body(self, stamp: int, q: Array, dq: Array, place: Array, v_base: Array) -> None:
+        """Take in a state, or refuse it and change nothing.
+
+        Parameters
+        ----------
+        stamp : int
+            [ns]
+        q, dq : ndarray, shape (n,)
+            [rad, rad/s]
+        place : ndarray, shape (3,)
+            Of the base [m].
+        v_base : ndarray, shape (6,)
+            [m/s, rad/s]
+
+        Raises
+        ------
+        StateError
+            If a number is not finite, a velocity is beyond what can be, or joints or base jumped.
+        """
+        if not all(np.isfinite(part).all() for part in (q, dq, place, v_base)):
+            raise self._refusal("a number is not finite")
+        if not (np.abs(dq) <= self._model.velocity_max).all():
+            joint = int(np.argmax(np.abs(dq) / self._model.velocity_max))
+            raise self._refusal(f"{self._model.joint_names[joint]} turns at {dq[joint]:.3g} rad/s")
+        if not (np.abs(v_base[:3]).max() <= self.speed and np.abs(v_base[3:]).max() <= self.turn):
+            raise self._refusal(f"the base moves at {np.abs(v_base[:3]).max():.3g} m/s")
+        if self._place is not None and not self.jumped:
+            moved = float(np.linalg.norm(place - self._place))
+            if not moved <= self.speed * (max((stamp - self._stamp) * 1e-9, 0.0) + self._dt):
+                why = f"the base jumped by {moved:.3g} m"
+                if self.jumped.fault(f"{why}; {self.jumped.limit} jumps in a row, refused from now on"):
+                    why = self.jumped.reason
+                raise self._refusal(why)
+        self.accept(stamp, q)
+        self._place = place
 
 
 class CommandGate:

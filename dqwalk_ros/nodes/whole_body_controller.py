@@ -22,6 +22,7 @@ from dqwalk_ros.errors import DqwalkError, StateError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import THROTTLE, WalkNode
 from dqwalk_ros.nodes.inputs import EFFORT
+from dqwalk_ros.nodes.safety import BodyGate, FaultCounter
 from dqwalk_ros.provenance import here, to_text
 from dqwalk_ros.robot import load_model
 from dqwalk_ros.topics import ODOM
@@ -66,6 +67,12 @@ class WholeBodyController(WalkNode):
         super().__init__("whole_body_controller", options, **keywords)
         model = load_model(self.config.robot)
         self._controller = core.WholeBodyController(self.config, model)
+        safety = self.config.safety
+        self._gate = BodyGate(
+            model, self.config.dt, lambda: self.config.plant.command_timeout, outside=safety.outside, jumps=safety.jumps
+        )
+        self._failures = FaultCounter(safety.failures)
+        self._most = np.minimum(model.effort_max, self.config.whole_body.effort)
         self._names = {name: i for i, name in enumerate(model.joint_names)}
         self._hardware = model.name
         self._begin: int | None = None  # stamp of the first state [ns]
@@ -128,6 +135,8 @@ class WholeBodyController(WalkNode):
         q, dq = np.full(len(self._names), np.nan), np.full(len(self._names), np.nan)
         if not len(msg.name) == len(msg.position) == len(msg.velocity):
             raise StateError("joint_states must have as many positions and velocities as names")
+        if len(set(msg.name)) < len(msg.name):
+            raise StateError("joint_states names a joint twice")
         for name, angle, speed in zip(msg.name, msg.position, msg.velocity, strict=True):
             if name in self._names:
                 q[self._names[name]], dq[self._names[name]] = angle, speed
@@ -149,20 +158,22 @@ class WholeBodyController(WalkNode):
         for part in (self._joints, self._poses, self._twists):
             for old in [key for key in part if key <= stamp]:
                 del part[old]
-        if self._begin is None:
-            self._begin = stamp
-        state = BodyState(1e-9 * (stamp - self._begin), q, dq=dq, x_base=pose, v_base=twist)
+        begin = stamp if self._begin is None else self._begin
+        state = BodyState(1e-9 * (stamp - begin), q, dq=dq, x_base=pose, v_base=twist)
         try:
+            self._gate.accept_body(stamp, q, dq, np.array(DQ(pose).translation()), twist)
             command = self._controller.step(state, self.config.dt)
         except StateError as error:
             self._reject(error)
             return
         except DqwalkError as error:
-            self._failed = str(error)
-            self.get_logger().error(f"no command any more: {error}")
-            self._diagnose(stamp)
-            self.stop(1)
+            self._fail(f"no motion for this state: {error}", stamp)
             return
+        if not np.isfinite(command.effort).all():
+            self._fail("the torques are not finite", stamp)
+            return
+        self._failures.good()
+        self._begin = begin
         if self._new_target is not None:
             x_target = DQ.from_pose(self._new_target).vec8()
             self._pub["hand_target_applied"].publish(ros.pose(stamp, ODOM, x_target))
@@ -170,12 +181,21 @@ class WholeBodyController(WalkNode):
         msg = JointState()
         msg.header.stamp = ros.time_msg(stamp)
         msg.name = list(self._names)
-        msg.effort = command.effort.tolist()
+        msg.effort = np.clip(command.effort, -self._most, self._most).tolist()
         self._pub[EFFORT].publish(msg)
         self._counts["ticks"] += 1
         self._counts["capturability missed"] += self._controller.last.answer.residual > 1e-6
         if self._counts["ticks"] % self._every == 1:
             self._diagnose(stamp)
+
+    def _fail(self, why: str, stamp: int) -> None:
+        """Leave a state without an answer, and end after `safety.failures` of them in a row."""
+        self.get_logger().error(why, **THROTTLE)
+        if self._failures.fault(why):
+            self._failed = why
+            self.get_logger().error(f"no command any more: {why}")
+            self._diagnose(stamp)
+            self.stop(1)
 
     def _may_answer(self) -> bool:
         """Hold the first answer of a recorded walk until nothing of it can be lost."""
