@@ -297,7 +297,8 @@ class EstimationConfig:
     accelerometer_drift: float = _par(1e-4, "random walk of the accelerometer's bias", "m/s^2/sqrt(s)", 0.0, 10.0)
     kinematics: float = _par(0.002, "place of a sole's heel or toe by the joint angles", "m", 1e-5, 0.1)
     slip: float = _par(0.001, "random walk of a sole that stands", "m/sqrt(s)", 1e-6, 0.1)
-    floor: float = _par(0.003, "height of the floor from footfall to footfall", "m", 1e-5, 1.0)
+    pivot: float = _par(0.002, "random walk of the direction of a sole that stands", "rad/sqrt(s)", 1e-6, 0.1)
+    floor: float = _par(0.0015, "height of the floor from footfall to footfall", "m", 1e-5, 1.0)
 
 
 @dataclass(frozen=True)

@@ -81,6 +81,7 @@ class BaseEstimator:
         c = config.estimation
         deviations = [c.gyro_noise] * 3 + [c.accelerometer_noise] * 3 + [c.slip]
         deviations += [c.gyro_drift] * 3 + [c.accelerometer_drift] * 3
+        deviations += [c.pivot * 0.5 * min(sole.length for sole in model.soles.values())]
         self._noise = np.array(deviations) ** 2
         self._time = math.nan
         self._felt = np.zeros(3), np.zeros(3)
@@ -105,7 +106,7 @@ class BaseEstimator:
         x_imu = DQ(kin.pose(self._imu))
         R_imu, p_imu = x_imu.rotation_matrix(), x_imu.translation()
         points = [kin.point(frame, offset) for frame, offset in self._points]
-        h = (np.array(points) - p_imu) @ R_imu  # (4, 3), from the sensor in its frame
+        h = np.ascontiguousarray((np.array(points) - p_imu) @ R_imu)  # (4, 3), from the sensor in its frame
         stands = np.array([foot in standing for foot in foot_of])
         if math.isnan(self._time):
             self._begin(R_imu, p_imu, h)
@@ -127,8 +128,8 @@ class BaseEstimator:
 
     def _begin(self, R: Array, p: Array, h: Array) -> None:
         c = self._config
-        self._R, self._v, self._p, self._bias = R, np.zeros(3), p, np.zeros(6)
-        self._d = p + h @ R.T
+        self._R, self._v, self._p, self._bias = np.ascontiguousarray(R), np.zeros(3), p.copy(), np.zeros(6)
+        self._d = np.ascontiguousarray(p + h @ R.T)
         tilt = c.floor / 0.07  # two points of a sole that lie on an uneven floor
         first = np.array([tilt, tilt, 1e-4, *[0.01] * 3, *[c.kinematics] * 3])
         P = np.zeros((_SIZE, _SIZE))
@@ -137,7 +138,7 @@ class BaseEstimator:
         P[_ACCELEROMETER, _ACCELEROMETER] = np.eye(3) * c.accelerometer_bias**2
         self._P = P
         for k in range(len(_POINTS)):
-            _put_down(k, h[k], R, p, self._d, P, c.kinematics**2)
+            _put_down(k, h[k], self._R, self._p, self._d, P, c.kinematics**2)
 
     def _covariance(self, p: Array) -> Array:
         """Return the covariance (9, 9) of plain errors of orientation, velocity and the position `p`."""
@@ -180,8 +181,10 @@ def _predict(dt, gyro, acceleration, R, v, p, d, bias, P, noise):  # type: ignor
     F = np.eye(_SIZE) + dt * A + 0.5 * dt**2 * (A @ A)
     G = np.ascontiguousarray(A[:, 21:])  # the sensors' noise comes in where their biases do
     Q = (G * noise[:6]) @ G.T
-    for i in range(12):
-        Q[9 + i, 9 + i] += noise[6]
+    for i in range(12):  # a sole creeps as a whole, and its heel against its toe
+        Q[9 + i, 9 + i] += noise[6] + noise[13]
+        partner = i + 3 if i % 6 < 3 else i - 3
+        Q[9 + i, 9 + partner] += noise[6]
     for i in range(6):
         Q[21 + i, 21 + i] += noise[7 + i]
     P[:] = F @ P @ F.T + dt * Q
@@ -223,7 +226,7 @@ def _contact(h, standing, stood, R, v, p, d, bias, P, kinematics, floor):  # typ
             H[m, 0], H[m, 1], H[m, i + 2], z[m], noise[m] = d[k, 1], -d[k, 0], 1.0, d[k, 2], floor
             m += 1
     if m > 0:
-        _correct(H[:m], z[:m], noise[:m], R, v, p, d, bias, P)
+        _correct(np.ascontiguousarray(H[:m]), z[:m], noise[:m], R, v, p, d, bias, P)
     return lost
 
 
