@@ -393,6 +393,7 @@ class SafetyConfig:
     """What a node refuses (docs/faults.md)."""
 
     outside: float = _par(0.1, "a state further outside the joint limits is refused", "rad", 0.0, 1.0)
+    tilt: float = _par(0.5, "a pelvis that leans further (plant.imu) has fallen: the walk ends", "rad", 0.1, 1.5)
     jumps: int = _par(5, "consecutive jumps of the state that end the walk", "", 1, 1000)
     failures: int = _par(10, "consecutive infeasible QPs that end the walk", "", 1, 1000)
 

@@ -8,6 +8,7 @@ __all__ = [
     "BODY_REQUIRED",
     "BODY_TOPICS",
     "FAILED",
+    "FALLEN",
     "FINISHED",
     "ODOM",
     "PHASE_LOG",
@@ -25,6 +26,9 @@ WORLD = "world"
 
 FINISHED = "finished"
 """What `phase` says once the walk is over."""
+
+FALLEN = "fallen"
+"""What `phase` says once the robot has fallen."""
 
 FAILED = "failed"
 """What `phase` says where the walk could not go on."""

@@ -20,7 +20,7 @@ from dynamixel_bus import LOAD, MOTORS, TEMPERATURE, VOLTAGE, FaultyServos, Term
 from live import LATCHED, Live
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool
 
 from dqwalk_ros.config import load
@@ -288,6 +288,15 @@ def test_a_hot_motor_is_not_walked_on_after_the_torque_was_off(walking: Robot) -
     assert "l_knee_y is at 70 degC, too hot" in answer.message
     walking.stands()
     assert walking.torques() == {0}
+
+
+def test_a_robot_that_has_fallen_goes_limp(walking: Robot) -> None:
+    phase = walking.node.create_publisher(String, "phase", LATCHED)
+    walking.until(phase.get_subscription_count, 10.0, "the driver listening")
+    phase.publish(String(data="fallen"))
+    walking.until(lambda: walking.torques() == {0}, 10.0, "the torque off")
+    walking.node.destroy_publisher(phase)
+    walking.until(lambda: not walking.ready[-1], 5.0, "plant_ready: false")
 
 
 def test_two_drivers_do_not_share_a_port(walking: Robot, tmp_path: Path) -> None:

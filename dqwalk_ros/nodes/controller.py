@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import enum
+import math
 import time
 import traceback
 from collections import deque
@@ -32,7 +33,7 @@ from dqwalk_ros.nodes.safety import DuplicateStates, FaultCounter, StateGate
 from dqwalk_ros.robot import Foot, RobotModel, load_model
 from dqwalk_ros.simulation import WALKS, make_controller, make_walk, warm_up
 from dqwalk_ros.state import Command, State
-from dqwalk_ros.topics import FINISHED
+from dqwalk_ros.topics import FALLEN, FINISHED
 from dqwalk_ros.walk import PhaseKind
 
 __all__ = ["Controller", "Mode"]
@@ -53,6 +54,15 @@ class Mode(enum.Enum):
     PAUSED = "paused"
     DONE = FINISHED
     FAILED = "failed"
+    FALLEN = FALLEN
+
+
+def upright_axis(model: RobotModel) -> NDArray[np.float64] | None:
+    """Return the direction in the inertial sensor's frame that points up in the robot's zero posture, shape (3,)."""
+    if model.imu not in model.frames:
+        return None
+    kin = Kinematics(model, np.zeros(model.n), Foot.LEFT)
+    return np.array([kin.direction(model.imu, axis)[2] for axis in np.eye(3)])
 
 
 class Controller(WalkNode):
@@ -69,7 +79,7 @@ class Controller(WalkNode):
 
         joint_velocity_commands  sensor_msgs/JointState [rad/s]; stamp: that of the state it answers;
                                  with an imu also torques that hold the robot [N m]
-        phase, support_foot      std_msgs/String, latched: what goes on now; at the end 'finished' or 'failed'
+        phase, support_foot      std_msgs/String, latched: what goes on now; at the end 'finished', 'failed' or 'fallen'
         phase_log                std_msgs/String, latched: the last hundred that `phase` has shown
         phase_start              sensor_msgs/JointState, latched: the posture in which the phase began
         com_target, swing_target geometry_msgs/PointStamped, PoseStamped, latched, in the support sole's frame
@@ -98,6 +108,7 @@ class Controller(WalkNode):
         self._model = load_model(config.robot)
         warm_up(config, self._model)
         self._walk = make_controller(config, self._model)
+        self._upright = upright_axis(self._model) if config.plant.imu else None
         self._mode = Mode.WALKING if config.node.autostart else Mode.IDLE
         self._problem = ""
 
@@ -119,6 +130,7 @@ class Controller(WalkNode):
         self._plants = DuplicateStates(config.dt)
         self._duplicates = ""
         self._plant_ready = True
+        self._lying = ""  # how far the pelvis leans, where that is too far
         self._stale = False
         self._ticks = self._rejected = 0
         self._phase_index = -1
@@ -173,6 +185,7 @@ class Controller(WalkNode):
         if not self._may_answer():
             return
         before = self._mode
+        self._look_for_a_fall(state)
         if self._mode is Mode.WALKING and self._plant_ready and not self._duplicates:
             answer: Command | None = self._step(state, stamp)
         elif self.lockstep:
@@ -262,6 +275,17 @@ class Controller(WalkNode):
             return self._still
         return command
 
+    def _look_for_a_fall(self, state: State) -> None:
+        """End the walk where the pelvis leans too far: what is commanded on the ground does only harm."""
+        self._lying = ""
+        if state.up is None or self._upright is None:
+            return
+        lean = math.acos(min(max(float(self._upright @ state.up), -1.0), 1.0))
+        if lean > self.config.safety.tilt:
+            self._lying = f"the robot has fallen: its pelvis leans by {math.degrees(lean):.0f} deg"
+            if self._mode in (Mode.WALKING, Mode.PAUSED):
+                self._mode, self._problem = Mode.FALLEN, self._lying
+
     def _fail(self, reason: str) -> Command:
         self._mode, self._problem = Mode.FAILED, reason
         return self._still
@@ -331,7 +355,7 @@ class Controller(WalkNode):
             return self._answer(response, True, "walking")
         if self._mode is Mode.WALKING:
             return self._answer(response, True, "already walking")
-        why = f"it failed: {self._problem}" if self._mode is Mode.FAILED else "it is over"
+        why = "it is over" if self._mode is Mode.DONE else f"it failed: {self._problem}"
         return self._answer(response, False, f"this walk cannot go on, {why}; call ~/reset first")
 
     def _pause(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -351,6 +375,8 @@ class Controller(WalkNode):
         return self._answer(response, True, "stopping: the feet are put together after the step under way")
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._lying:
+            return self._answer(response, False, f"{self._lying}; put it on its feet first")
         self._walk.reset()
         self._odometry.begin_anew()
         self._mode, self._problem, self._phase_index = Mode.IDLE, "", -1

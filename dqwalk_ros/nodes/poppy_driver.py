@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 
 from dqwalk_ros.errors import ConfigError, PlantError
@@ -18,6 +18,7 @@ from dqwalk_ros.nodes.inputs import VELOCITY, CommandInput
 from dqwalk_ros.plants.poppy import PoppyPlant
 from dqwalk_ros.robot import load_model
 from dqwalk_ros.state import Command
+from dqwalk_ros.topics import FALLEN
 
 __all__ = ["PoppyDriver"]
 
@@ -34,6 +35,7 @@ class PoppyDriver(WalkNode):
     Subscribes to::
 
         joint_velocity_commands  sensor_msgs/JointState [rad/s]; effort [N m] is fed forward
+        phase                    std_msgs/String: 'fallen' switches the torque off
 
     Publishes::
 
@@ -89,6 +91,7 @@ class PoppyDriver(WalkNode):
         self._goals = self.create_publisher(JointState, "joint_goals", ros.stream(10))
         self._ready = self.create_publisher(Bool, "plant_ready", ros.latched())
         self.create_subscription(JointState, VELOCITY, self._on_command, ros.stream(1))
+        self.create_subscription(String, "phase", self._on_phase, ros.stream(1))
         self.create_service(Trigger, "~/activate", self._on_activate)
         self.create_service(SetBool, "~/compliant", self._on_compliant)
         self.create_timer(self._period, self._on_period, clock=STEADY)
@@ -164,6 +167,12 @@ class PoppyDriver(WalkNode):
 
     def _on_compliant(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         return self._switch(not request.data, response)
+
+    def _on_phase(self, msg: String) -> None:
+        """Go limp where the robot has fallen; a walk that fell before this driver began is none of its own."""
+        if msg.data == FALLEN and self._plant.active:
+            self.get_logger().error("the robot has fallen: the torque goes off")
+            self._switch(False, SetBool.Response())
 
     def _switch(self, on: bool, response: Any) -> Any:
         self._commands.gate.hold()

@@ -80,8 +80,8 @@ class StandingWalk(Walk):
         asked = (forward * period, left * period, turn * period)
         most = (gait.most_length, gait.most_side, gait.most_turn)
         # a direction the legs cannot go is left out; the others share the step
-        parts = [a / m if m else 0.0 for a, m in zip(asked, most, strict=True)]
-        size = max(1.0, math.sqrt(sum(part**2 for part in parts)))
+        parts = [min(max(a / m, -1e9), 1e9) if m else 0.0 for a, m in zip(asked, most, strict=True)]
+        size = max(1.0, math.hypot(*parts))
         x, y, z = (part * m / (size * period) for part, m in zip(parts, most, strict=True))
         self._twist = (x, y, z)
         return self._twist

@@ -20,7 +20,7 @@ from dqwalk_ros.report.bag.columns import NS, JointStates, aligned, joint_states
 from dqwalk_ros.report.bag.storage import Column, Content, load
 from dqwalk_ros.robot import Foot, RobotModel, load_model, parse_model
 from dqwalk_ros.simulation import PhaseRecord, PhysicsRecord, Trace
-from dqwalk_ros.topics import FAILED, FINISHED, REQUIRED, TOPICS
+from dqwalk_ros.topics import FAILED, FALLEN, FINISHED, REQUIRED, TOPICS
 from dqwalk_ros.walk import PhaseKind
 
 __all__ = [
@@ -98,7 +98,7 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
     u = _commands(path, model, stamps, columns["joint_velocity_commands"], notes)
     unanswered = np.flatnonzero(np.isnan(u).any(axis=1))
     last_word = texts(columns["phase"])[-1]
-    if last_word == FAILED:
+    if last_word in (FAILED, FALLEN):
         notes.append("the walk failed: a phase could not end by its rule")
     if last_word == FINISHED and len(unanswered) < len(u):  # what the plant published after the walk is no part of it
         end = int(np.setdiff1d(np.arange(len(u)), unanswered)[-1]) + 1
