@@ -29,7 +29,7 @@ from dqwalk_ros.whole_body import (
 )
 from dqwalk_ros.whole_body.demands import checks, render_checks, summary
 from dqwalk_ros.whole_body.exactness import Answers
-from dqwalk_ros.whole_body.experiments import PushLimit, push_limit
+from dqwalk_ros.whole_body.experiments import PushLimit, fitted, push_limit
 from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 
 
@@ -126,6 +126,26 @@ def test_the_papers_pushes_and_jumps_are_what_it_says() -> None:
     assert [push for _, push in SCENARIOS["2"].pushes] == [(0.0, 15.0, 0.0), (-15.0, 0.0, 0.0)]
     assert [when for when, _ in SCENARIOS["2"].pushes] == [2.5, 7.0]
     assert SCENARIOS["1"].pushes == ()
+
+
+def test_tests_are_fitted_to_the_robot() -> None:
+    """Half as high and an eighth of the mass: half the way, and pushes of the same capture point in its own lengths."""
+    controller = WholeBodyController(load("whole_body"), walked().model)
+    assert fitted(SCENARIOS["2"], controller) is SCENARIOS["2"]
+    h, weight = controller.point_mass.height, controller.weight
+    controller.point_mass = replace(controller.point_mass, height=0.5 * h)
+    controller.weight = weight / 8.0
+    small = fitted(SCENARIOS["2"], controller)
+    assert small.size == pytest.approx(0.5, rel=0.01)
+    for (t, place), (t0, place0) in zip(small.targets, SCENARIOS["2"].targets, strict=True):
+        assert t == pytest.approx(t0)
+        assert place == pytest.approx(small.size * np.array(place0))
+    # the capture point moves by J/(m omega), which is to scale with the height
+    moved = [
+        np.linalg.norm(s.pushes[0][1]) / (m * np.sqrt(9.81 / z))
+        for s, m, z in ((small, weight / 8.0, 0.5 * h), (SCENARIOS["2"], weight, h))
+    ]
+    assert moved[0] / moved[1] == pytest.approx(0.5, rel=0.02)
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

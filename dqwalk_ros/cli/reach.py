@@ -110,19 +110,23 @@ def reach(
         return _pushes(asked, output, made, out)
     if everything:
         return _all(asked, output, made, out)
-    return _tests(asked, output, made, _scenarios(asked), out)
+    return _tests(asked, output, made, _scenarios(asked, made), out)
 
 
-def _scenarios(args: _Options) -> list[Scenario]:
-    """Return the tests that were asked for, changed as was asked for."""
-    from dqwalk_ros.whole_body.experiments import PAPER_TIMES, SCENARIOS
+def _scenarios(args: _Options, config: Config) -> list[Scenario]:
+    """Return the tests that were asked for, fitted to the robot and changed as was asked for."""
+    from dqwalk_ros.robot import load_model
+    from dqwalk_ros.whole_body import WholeBodyController
+    from dqwalk_ros.whole_body.experiments import PAPER_TIMES, SCENARIOS, fitted
 
+    controller = WholeBodyController(config, load_model(config.robot))
     extra = [(t, (x, y, z)) for t, x, y, z in args.push]
     scenarios = []
     for name in ("1", "2") if args.test == "both" else (args.test,):
         scenario = SCENARIOS[name]
         if args.paper_times:
             scenario = replace(scenario, name=f"{scenario.name}, the paper's times", targets=PAPER_TIMES)
+        scenario = fitted(scenario, controller)
         if args.target is not None:
             scenario = replace(scenario, name="your target", targets=((0.0, args.target),))
         pushes = (*scenario.pushes, *extra)

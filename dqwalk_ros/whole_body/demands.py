@@ -123,23 +123,24 @@ def checks(walked: WholeBodyTrace, without: Sequence[WholeBodyTrace] = ()) -> li
         For each push of its scenario the same walk without that one.
     """
     name = walked.scenario.name
-    authors = _AUTHORS.get(name, {})
+    size = walked.scenario.size
+    authors = _AUTHORS.get(name, {}) if size == 1.0 else {}
     found = [Demand("stood for", float(walked.time[-1]), "s", "to the end", walked.stood)]
     for when in (4.0, 8.0):
         if walked.time[-1] > when and np.isfinite(walked.error[walked.at(when)]):
-            error, most = float(walked.error[walked.at(when)]), _AT.get((name, when), np.inf)
+            error, most = float(walked.error[walked.at(when)]), size * _AT.get((name, when), np.inf)
             bound = f"<= {most:g}" if np.isfinite(most) else ""
             found.append(Demand(f"hand from target at {when:g} s", error, "m", bound, error <= most, authors.get(when)))
     late = walked.error[walked.time > walked.scenario.duration - 3.0]
     if walked.stood and walked.scenario.duration >= 11.0 and late.size and np.isfinite(late).all():
         must = name.startswith("Test")  # when the hand could have reached another target is not known
         for what, key, value, most in (
-            ("rms", "rms", float(np.sqrt((late**2).mean())), 0.01),
-            ("most", "max", float(late.max()), 0.03),
+            ("rms", "rms", float(np.sqrt((late**2).mean())), 0.01 * size),
+            ("most", "max", float(late.max()), 0.03 * size),
         ):
             bound, ok = f"<= {most:g}" if must else "", not must or value <= most
             found.append(Demand(f"hand from target, {what} of the last 3 s", value, "m", bound, ok, authors.get(key)))
-    found += [_reaction(jump, must=name in _AUTHORS) for jump in walked.reactions]
+    found += [_reaction(jump, must=name in _AUTHORS, least=_MOVED * size) for jump in walked.reactions]
     if without:
         for push, other in zip(walked.scenario.pushes, without, strict=True):
             found.append(_shift(walked, other, push, authors.get(push[0])))
@@ -158,7 +159,7 @@ def checks(walked: WholeBodyTrace, without: Sequence[WholeBodyTrace] = ()) -> li
     return found
 
 
-def _reaction(jump: Reaction, *, must: bool) -> Demand:
+def _reaction(jump: Reaction, *, must: bool, least: float) -> Demand:
     """Say what the preview did in the tick of a jump of the target.
 
     The next footstep may stay where it is in a corner of its box (as long as it can be, and as wide), or settled: then
@@ -167,9 +168,9 @@ def _reaction(jump: Reaction, *, must: bool) -> Demand:
     """
     when = f"in the tick of the jump at {jump.time:g} s, {'in mid-swing' if jump.swinging else 'in double support'}"
     which, value = "next footstep moved", jump.moved[0]
-    if jump.held and value < _MOVED and len(jump.moved) > 1:
+    if jump.held and value < least and len(jump.moved) > 1:
         which, value = "next footstep in the corner of its box, the one after moved", max(jump.moved[1:])
-    return Demand(f"{which} {when}", value, "m", f">= {_MOVED:g}" if must else "", not must or value >= _MOVED)
+    return Demand(f"{which} {when}", value, "m", f">= {least:g}" if must else "", not must or value >= least)
 
 
 def _shift(
@@ -180,7 +181,8 @@ def _shift(
     along = np.array(impulse[:2]) / np.linalg.norm(impulse[:2])
     pairs = list(zip(walked.footholds(), other.footholds(), strict=False))
     shift = next((float((a - b) @ along) for (t, a), (_, b) in pairs if t > when), float("nan"))
-    return Demand(f"footstep moved by the push at {when:g} s", shift, "m", ">= 0.05", shift >= 0.05, authors)
+    least = 0.05 * walked.scenario.size
+    return Demand(f"footstep moved by the push at {when:g} s", shift, "m", f">= {least:g}", shift >= least, authors)
 
 
 def summary(walked: WholeBodyTrace, found: Sequence[Demand]) -> dict[str, Any]:

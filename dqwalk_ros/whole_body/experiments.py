@@ -8,7 +8,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -30,6 +30,7 @@ __all__ = [
     "PushLimit",
     "Walk",
     "each",
+    "fitted",
     "follow",
     "make_body_plant",
     "push_limit",
@@ -46,6 +47,8 @@ SCENARIOS = {
 """The paper's tests, with the times of the thesis, where the target jumps in mid-swing."""
 PAPER_TIMES = ((0.0, (1.2, -0.8, 0.9)), (4.0, (2.0, -0.8, 0.9)), (8.0, (1.8, -0.4, 0.9)))
 """The targets at the times that the paper's text has."""
+_HEIGHT, _MASS, _STEP = 0.73, 58.0, 0.8
+"""CoM height and mass of the robot that the tests are for, and the duration of its steps [m, kg, s]."""
 PLANTS = ("rigid", "physics")
 """What closes the loop: rigid bodies on rigid ground, or MuJoCo."""
 
@@ -56,6 +59,23 @@ _LEANS = 1.0
 
 Progress = Callable[[float, str], None]
 """Called with the fraction done, and some text."""
+
+
+def fitted(scenario: Scenario, controller: WholeBodyController) -> Scenario:
+    """Return a test for a robot of any size: places scale with its CoM height h, impulses with m sqrt(h).
+
+    Times scale with the duration of its steps.
+
+    A robot within 2 % of the size and weight that the test is for, and as fast, gets the test as it is.
+    """
+    size = controller.point_mass.height / _HEIGHT
+    impulse = controller.weight / (_MASS * controller.point_mass.gravity) * math.sqrt(size)
+    slow = controller.stepping.period / _STEP
+    if max(abs(size - 1.0), abs(impulse - 1.0), abs(slow - 1.0)) < 0.02:
+        return scenario
+    targets = tuple((slow * when, (size * x, size * y, size * z)) for when, (x, y, z) in scenario.targets)
+    pushes = tuple((slow * when, (impulse * x, impulse * y, impulse * z)) for when, (x, y, z) in scenario.pushes)
+    return replace(scenario, duration=slow * scenario.duration, targets=targets, pushes=pushes, size=size)
 
 
 # ---------------------------------------------------------------------- the closed loop

@@ -37,6 +37,8 @@ class Scenario:
         From when on the hand should be where [s, m].
     pushes : tuple of (float, tuple)
         When which impulse hits the torso [s, N s].
+    size : float
+        Of the robot it is for, compared with that of the paper: lengths that are demanded scale with it.
 
     Raises
     ------
@@ -48,6 +50,7 @@ class Scenario:
     duration: float
     targets: tuple[Timed, ...] = ()
     pushes: tuple[Timed, ...] = ()
+    size: float = 1.0
 
     def __post_init__(self) -> None:
         """Check times and numbers."""
