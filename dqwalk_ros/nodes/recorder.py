@@ -122,6 +122,9 @@ class Recorder(WalkNode):
             except StateError as error:
                 self.get_logger().error(f"{name} not recorded: {error}", **THROTTLE)
                 return
+            if own < 0:  # before 1970, which no bag can hold
+                self.get_logger().error(f"{name} not recorded: its stamp is {own / 1e9:.3f} s", **THROTTLE)
+                return
             if name in self._last:
                 if raw == self._last_raw.get(name):
                     return
@@ -152,6 +155,8 @@ class Recorder(WalkNode):
 
     def _flush(self) -> None:
         try:
+            if not self._path.exists():
+                raise OSError("its folder was removed")
             flush(self._writer)
         except (OSError, WriterError) as error:
             self.get_logger().error(f"cannot write '{self._path}': {error}")
@@ -171,10 +176,13 @@ class Recorder(WalkNode):
 
     def close(self) -> None:
         """Finish the bag and log what is in it."""
-        for name, data in self._early:  # no state ever came: the walk's own messages are still worth keeping
-            self._write(name, 0, data)
-        self._writer.close()
         log = self.get_logger()
+        try:
+            for name, data in self._early:  # no state ever came: the walk's own messages are still worth keeping
+                self._write(name, 0, data)
+            self._writer.close()
+        except (OSError, WriterError) as error:
+            log.error(f"'{self._path}' is not complete, `dqwalk report` reads what is on the disk: {error}")
         log.info(f"{self._path}: " + ", ".join(f"{n} {count}" for n, count in self._counts.items() if count))
         missing = {name: count for name, count in self._missing.items() if count}
         if missing:

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dqwalk_ros.report.figures import save
-    from dqwalk_ros.report.promises import Violation
     from dqwalk_ros.report.series import Series, analyse
     from dqwalk_ros.report.table import render
     from dqwalk_ros.report.verdict import report
+    from dqwalk_ros.report.violations import Violation
 
 __all__ = ["Series", "Violation", "analyse", "render", "report", "save"]
 
 _HOME = {
     "Series": "series",
-    "Violation": "promises",
+    "Violation": "violations",
     "analyse": "series",
     "render": "table",
     "report": "verdict",

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from dqwalk_ros import __version__
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.report.ground import numbers
-from dqwalk_ros.report.promises import groenwall, landing, settled_height, unit_norm_error, violations
 from dqwalk_ros.report.series import Series
+from dqwalk_ros.report.violations import groenwall, landing, settled_height, unit_norm_error, violations
 from dqwalk_ros.robot import Foot
 
 __all__ = ["report"]
@@ -26,7 +26,7 @@ def report(series: Series) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``ok``, ``violations`` (see `promises.Violation`), ``walk``, ``physics`` (None without), ``phases`` (a list),
+        ``ok``, ``violations`` (see `violations.Violation`), ``walk``, ``physics`` (None without), ``phases`` (a list),
         ``solve_time``, ``robot``, ``config`` and ``notes``. Lengths in metres, angles in radians, times in seconds.
     """
     trace = series.trace

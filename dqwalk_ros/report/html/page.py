@@ -78,7 +78,7 @@ def _page(subjects: Sequence[Subject]) -> str:
         _section("Joint speeds and limits", _joints, subjects),
         _section("Time of a tick", _tick_times, subjects),
         _section("Faults seen", _faults, subjects),
-        _section("Broken promises and notes", _violations, subjects),
+        _section("Violations and notes", _violations, subjects),
         _configuration(subjects),
         origin_table([(s.name, s.series.trace.origin) for s in subjects]),
     ]

@@ -1,6 +1,6 @@
-"""What a walk promises, and whether it kept it.
+"""Where a walk broke a rule.
 
-The promises are those of the paper, in discrete time: no distance below its bound, each falling no faster than
+The rules are those of the paper, in discrete time: no distance below its bound, each falling no faster than
 ``d[k] >= (1 - eta dt)^k d[0]`` (Groenwall's inequality for Euler's method), the end foot on the ground in double
 support, every phase ended by its own rule, every step landed where it should.
 """
@@ -39,7 +39,7 @@ UNIT_TOLERANCE = 1e-12
 
 @dataclass(frozen=True)
 class Violation:
-    """A promise that was broken.
+    """A rule that was broken.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Violation:
 
 
 def violations(series: Series) -> list[Violation]:
-    """Return every promise that was broken, in the order of time within each phase."""
+    """Return every rule that was broken, in the order of time within each phase."""
     return [*_of_the_phases(series), *_of_the_walk(series), *_of_the_ground(series)]
 
 
