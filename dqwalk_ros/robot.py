@@ -257,9 +257,10 @@ def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
         key = f"{foot.value}_sole"
         feet[foot], xyz, rpy = (getattr(config, key + end) for end in ("", "_xyz", "_rpy"))
         if any((*xyz, *rpy)) and feet[foot] in urdf.links:
-            if f"dqwalk_{key}" not in urdf.links:
-                urdf.add_frame(f"dqwalk_{key}", feet[foot], Origin(xyz, rpy))
-            feet[foot] = f"dqwalk_{key}"
+            placed = f"{feet[foot]}_placed"
+            if placed not in urdf.links:
+                urdf.add_frame(placed, feet[foot], Origin(xyz, rpy))
+            feet[foot] = placed
     links = urdf.links
     imu = config.imu or config.pelvis
     if published and imu == "imu" and imu not in links:  # earlier recordings name it also where a robot has none

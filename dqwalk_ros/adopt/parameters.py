@@ -16,7 +16,7 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.robot import Foot, RobotModel
 
-__all__ = ["Entry", "Numbers", "leg_inertia", "measure", "paper_parameters", "parameters"]
+__all__ = ["Entry", "Numbers", "measure", "paper_parameters", "parameters", "robot_entries"]
 
 Array = NDArray[np.float64]
 
@@ -212,7 +212,7 @@ def robot_entries(
     ]
 
 
-def paper_parameters(numbers: Numbers, standing: Standing) -> list[Entry]:
+def paper_parameters(numbers: Numbers, standing: Standing, anatomy: Anatomy) -> list[Entry]:
     """Return the parameters of the paper's walk."""
     return [
         Entry("gait.style", "paper", "Urban & Adorno"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -76,12 +75,11 @@ def stand(model: RobotModel, anatomy: Anatomy, width: float) -> Standing:
     """
     pitches = {foot: _pitch(model, joints, anatomy) for foot, joints in anatomy.legs.items()}
     found = []
-    for signs in itertools.product((1.0, -1.0), repeat=2):
+    turns = _turns(model)
+    for way in (1.0, -1.0):
         start = np.zeros(model.n)
-        for hip, knee, ankle in pitches.values():
-            start[[hip, knee, ankle]] = np.array([-0.3, 0.6, -0.3]) * signs[0]
-            if signs[1] < 0.0:  # the joints may turn about opposite axes
-                start[[hip, ankle]] *= -1.0
+        for pitch in pitches.values():
+            start[list(pitch)] = way * np.array([-0.3, 0.6, -0.3]) * turns[list(pitch)]
         found.append(_solve(model, anatomy, width, pitches, start))
     good = [one for one in found if one.error < _LEAST * max(anatomy.leg, 0.2)]
     if not good:
@@ -175,6 +173,15 @@ def _solve(
         error=float(np.abs(kept(q)).max()),
         knee=float(np.mean(knees)),
     )
+
+
+def _turns(model: RobotModel) -> Array:
+    """Return 1 for joints that turn about the left, -1 for those about the right, in the zero posture, shape (n,)."""
+    kin = Kinematics(model, np.zeros(model.n), Foot.LEFT)
+    frames = _joint_frames(model)
+    axes = {body.joint: body.axis for body in model.bodies}
+    y = [kin.direction(frames[name], axes[k])[1] for k, name in enumerate(model.joint_names)]
+    return np.where(np.array(y) < 0.0, -1.0, 1.0)
 
 
 def _joint_frames(model: RobotModel) -> dict[str, str]:

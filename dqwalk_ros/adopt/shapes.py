@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pathlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -52,6 +52,15 @@ class Shapes:
     def file(self, mesh: str) -> pathlib.Path | None:
         """Return the file of a mesh, or None."""
         return find_package_file(mesh, self._near, self._places)
+
+    def named(self, link: Link) -> Link:
+        """Return a link whose meshes are named by their files, as far as they were found."""
+
+        def renamed(shape: Shape) -> Shape:
+            file = self.file(shape.mesh) if shape.kind == "mesh" else None
+            return shape if file is None else replace(shape, mesh=file.resolve().as_uri())
+
+        return replace(link, visuals=tuple(map(renamed, link.visuals)), collisions=tuple(map(renamed, link.collisions)))
 
     def of(self, name: str, which: str) -> list[Surface]:
         """Return the surfaces of a link; `which` is ``visuals`` or ``collisions``."""

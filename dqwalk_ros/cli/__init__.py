@@ -30,6 +30,7 @@ COMMANDS = (
     "pushes",
     "footsteps",
     "study",
+    "adopt",
     "config",
     "version",
 )
@@ -43,6 +44,7 @@ examples:
   dqwalk view walk/bag                      replay it in the browser
   dqwalk robustness, dqwalk pushes          what the standing walk survives in physics
   dqwalk study studies/step_length.yaml     walk many times with parameters varied
+  dqwalk adopt my_robot.urdf                another robot: a configuration that walks
   dqwalk config                             every parameter with its unit, range and meaning
 
 exit code: 0 success; 1 the walk failed or violated a constraint; 2 wrong arguments or configuration

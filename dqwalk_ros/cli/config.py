@@ -11,7 +11,7 @@ from dqwalk_ros.cli.options import command, config_of, parse_overrides, set_opti
 from dqwalk_ros.errors import ConfigError
 
 if TYPE_CHECKING:
-    from dqwalk_ros.config import Spec
+    from dqwalk_ros.config import Config, Spec
 
 __all__ = ["config"]
 
@@ -26,7 +26,7 @@ examples:
 """)
 @click.argument("config", required=False)
 @click.option("--section", metavar="NAME", help="List one section only.")
-@click.option("--check", is_flag=True, help="Only say whether it can be used.")
+@click.option("--check", is_flag=True, help="Only say whether it can be used, and fits its robot.")
 @set_option
 def config(config: str | None, section: str | None, check: bool, changes: tuple[str, ...]) -> int:
     """List, check or print parameters.
@@ -38,12 +38,30 @@ def config(config: str | None, section: str | None, check: bool, changes: tuple[
 
     if config is not None:
         made = config_of(config, changes)
-        print(f"{config}: can be used" if check else to_yaml(made), end="\n" if check else "")
-        return 0
+        if not check:
+            print(to_yaml(made), end="")
+            return 0
+        return _check(config, made)
     Config.from_flat(parse_overrides(changes), source="command line")
     if not check:
         print(_listing(section))
     return 0
+
+
+def _check(name: str, made: Config) -> int:
+    """Print what does not fit the robot; a configuration whose robot is not there cannot be used."""
+    from dqwalk_ros.adopt.check import check
+    from dqwalk_ros.robot import load_model
+
+    model = load_model(made.robot)
+    for repair in model.repairs:
+        print(f"repaired: {repair}")
+    findings = check(made, model)
+    for finding in findings:
+        print(f"{name}: {finding}")
+    if not findings:
+        print(f"{name}: can be used")
+    return 1 if findings else 0
 
 
 def _listing(section: str | None) -> str:

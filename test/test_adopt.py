@@ -1,0 +1,163 @@
+"""Robots that nobody prepared: what is found in them, what is refused, and that they walk."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dqwalk_ros import cli
+from dqwalk_ros.adopt import Adoption, adopt
+from dqwalk_ros.adopt.check import check
+from dqwalk_ros.config import load
+from dqwalk_ros.errors import ModelError
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.robot import Foot, load_model
+
+DATA = Path(__file__).parent / "data"
+SMALL, SMALLER = DATA / "small_humanoid.urdf", DATA / "smaller_humanoid.urdf"
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Adoption:
+    return adopt(SMALL, tmp_path_factory.mktemp("small"))
+
+
+def edited(tmp_path: Path, source: Path, *changes: tuple[str, str]) -> Path:
+    text = source.read_text()
+    for pattern, replacement in changes:
+        text, hits = re.subn(pattern, replacement, text, flags=re.DOTALL)
+        assert hits, pattern
+    path = tmp_path / "edited.urdf"
+    path.write_text(text)
+    return path
+
+
+def test_the_parts_are_found(small: Adoption) -> None:
+    anatomy = small.anatomy
+    assert anatomy.legs[Foot.LEFT] == tuple(
+        f"l_{name}" for name in ("hip_yaw", "hip_roll", "hip_pitch", "knee", "ankle_pitch", "ankle_roll")
+    )
+    assert anatomy.kinds == "YRPPPR"
+    assert (anatomy.pelvis, anatomy.torso, anatomy.imu) == ("trunk", "trunk", "imu")
+    assert anatomy.hands == {Foot.LEFT: "l_lower_arm", Foot.RIGHT: "r_lower_arm"}
+    # the feet are boxes of 115 x 75 x 12 mm, made 1.1 times as large
+    for foot, side in ((Foot.LEFT, 1.0), (Foot.RIGHT, -1.0)):
+        sole = anatomy.soles[foot]
+        np.testing.assert_allclose([sole.length, sole.width], [0.1265, 0.0825], atol=1e-4)
+        np.testing.assert_allclose(sole.pose[:3, 3], 1.1 * np.array([0.012, side * 0.008, -0.042]), atol=1e-4)
+
+
+def test_the_posture_stands(small: Adoption) -> None:
+    """Soles level side by side, CoM over their middle, knees ahead: these bend both ways."""
+    model, q = small.model, small.model.posture(small.config.standing.posture)
+    kin = Kinematics(model, q, Foot.LEFT)
+    np.testing.assert_allclose(kin.pose(model.soles[Foot.RIGHT].frame)[:4], [1.0, 0.0, 0.0, 0.0], atol=1e-3)
+    right = kin.point(model.soles[Foot.RIGHT].frame)
+    np.testing.assert_allclose(right, [0.0, -small.config.gait.step_width, 0.0], atol=1e-3)
+    np.testing.assert_allclose(kin.com[:2], 0.5 * right[:2], atol=1e-3)
+    assert kin.point("l_shank")[0] > kin.point("l_foot")[0]
+    assert not check(small.config, model)
+
+
+def test_arms_that_cannot_be_straight_are_held_at_their_limit(small: Adoption) -> None:
+    assert "l_elbow=-0.1" in small.config.robot.lock
+
+
+def test_files_are_found_from_anywhere(small: Adoption, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("robot.yaml", "paper.yaml"):
+        assert load_model(load(small.folder / name).robot).joint_names == small.model.joint_names
+    text = (small.folder / "robot.yaml").read_text()
+    values = [line for line in text.splitlines() if re.match(r"\s+\w+: \S", line)]
+    assert all("  # " in line for line in values), "every number has its reason beside it"
+
+
+def test_a_robot_that_looks_back_is_turned(tmp_path: Path) -> None:
+    """The same robot under a root that is turned by half a turn."""
+    root = '<link name="base"/><joint name="base_joint" type="fixed"><parent link="base"/><child link="trunk"/>'
+    root += '<origin rpy="0 0 3.14159265358979"/></joint>'
+    path = edited(tmp_path, SMALL, (r'(<robot name="small_humanoid">)', r"\1" + root))
+    found = adopt(path, tmp_path / "out")
+    assert found.anatomy.legs[Foot.LEFT][0] == "l_hip_yaw"
+    assert not found.findings
+    ahead = next(e for e in found.evidence if e.what == "ahead")
+    assert ahead.value == "-x of base"
+    assert "against it: x of the root link" in ahead.source
+
+
+REFUSED = {
+    "no shapes": ((r"<visual>.*?</visual>|<collision>.*?</collision>", ""), "no moving part has a shape"),
+    "point feet": ((r'<box size="0.1265 0.0825 0.0132"/>', '<box size="0.01 0.01 0.0132"/>'), "points or edges"),
+    "one leg": ((r'name="r_knee" type="revolute"', 'name="r_knee" type="fixed"'), "mirror each other"),
+    "truncated": ((r"</robot>", ""), "not XML"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_walk_is_refused_in_one_sentence(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    change, expected = REFUSED[name]
+    path = edited(tmp_path, SMALL, change)
+    assert cli.main(["adopt", str(path), "--out", str(tmp_path / "out"), "--yes"]) == 2
+    error = capsys.readouterr().err
+    assert expected in error
+    assert error.count("\n") == 1
+
+
+MUTATIONS: dict[str, tuple[dict[str, Any], str]] = {
+    "soles exchanged": (
+        {"robot.left_sole": "dqwalk_right_sole", "robot.right_sole": "dqwalk_left_sole"},
+        "left and right are exchanged",
+    ),
+    "soles 35 mm high": (
+        {"robot.left_sole_xyz": [0.0, 0.0, 0.035], "robot.right_sole_xyz": [0.0, 0.0, 0.035]},
+        "reaches 35 mm below its sole",
+    ),
+    "soles that look back": (
+        {"robot.left_sole_rpy": [0.0, 0.0, np.pi], "robot.right_sole_rpy": [0.0, 0.0, np.pi]},
+        "look back",
+    ),
+    "knees the other way": ({"standing.posture": ["l_knee=-0.57", "r_knee=0.57"]}, "not level|ahead of|behind|degrees"),
+    "a soft servo": ({"servo.stiffness": 22.0}, "m g h"),
+    "a quarter of the damping": ({"servo.damping": 0.005}, "damping ratio"),
+    "half the effort": ({"servo.torque_scale": 0.35}, "to stand on one foot"),
+}
+
+
+@pytest.mark.parametrize("name", MUTATIONS)
+def test_check_sees_a_mistake_before_a_fall(name: str, small: Adoption) -> None:
+    changes, expected = MUTATIONS[name]
+    config = small.config.updated(changes)
+    found = check(config, load_model(config.robot))
+    assert any(re.search(expected, str(finding)) for finding in found), found
+
+
+def test_config_check_opens_the_robot(small: Adoption, capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(small.folder / "robot.yaml")
+    assert cli.main(["config", path, "--check"]) == 0
+    assert cli.main(["config", path, "--check", "--set", "servo.stiffness=10"]) == 1
+    assert "servo.stiffness" in capsys.readouterr().out
+    assert cli.main(["config", path, "--check", "--set", "robot.urdf=/nonexistent.urdf"]) == 2
+
+
+def test_a_small_robot_walks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["adopt", str(SMALLER), "--out", str(tmp_path), "--yes", "--quiet"]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"kinematic: walked 0\.\d", out)
+    assert re.search(r"physics: walked 0\.\d", out)
+
+
+def test_no_robot_has_a_place_in_the_code() -> None:
+    code = "".join(path.read_text().lower() for path in (Path(adopt.__code__.co_filename).parent).glob("*.py"))
+    for name in ("talos", "g1_", "jvrc", "icub", "romeo", "darwin", "op3", "atlas", "valkyrie", "unitree"):
+        assert name not in code
+
+
+def test_a_robot_without_a_file_is_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="cannot read"):
+        adopt(tmp_path / "nowhere.urdf", tmp_path)
