@@ -1,110 +1,126 @@
-"""Walk: controller, plant, monitor and, if asked for, recorder.
+"""Walk: controller, plant, monitor and, if asked for, recorder, page and RViz.
 
 ros2 launch dqwalk_ros walk.launch.py lockstep:=true bag:=my_walk
+ros2 launch dqwalk_ros walk.launch.py plant:=physics rviz:=true namespace:=robot1
 """
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler, SetEnvironmentVariable
-from launch.conditions import IfCondition
-from launch.event_handlers import OnProcessExit
-from launch.events import Shutdown
-from launch.substitutions import (
-    EnvironmentVariable,
-    EqualsSubstitution,
-    LaunchConfiguration,
-    NotEqualsSubstitution,
-    OrSubstitution,
-    PathJoinSubstitution,
+from launch import LaunchContext, LaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    EmitEvent,
+    OpaqueFunction,
+    RegisterEventHandler,
+    SetEnvironmentVariable,
 )
+from launch.event_handlers import OnProcessExit
+from launch.events import matches_action
+from launch.events.process import ShutdownProcess
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.substitutions import FindPackageShare
+
+from dqwalk_ros.config import find_share, load
+
+PLANTS = {
+    "integrator": "integrator",
+    "physics": "physics",
+    "poppy_as_built": "physics",
+    "poppy": "poppy_driver",
+}
+TRUE_OR_FALSE = ["true", "false"]
+ARGUMENTS = {
+    "config": ("", "parameter file of all nodes, `dqwalk config` explains each key; empty: paper.yaml, or poppy.yaml "
+               "where the robot must stand, with physics and poppy", None),
+    "plant": ("integrator", "other side of the command: integrator, an ideal robot; physics, MuJoCo; "
+              "poppy_as_built, the same with Poppy's own servos, delays and sensors; poppy, the real "
+              "one; config/plants/NAME.yaml is what it asks of all nodes", list(PLANTS)),
+    "lockstep": ("false", "true: each state waits for its command, exact and as fast as the machine, and everything "
+                 "ends with the walk, with an error if it failed; false: by the clock, until Ctrl-C", TRUE_OR_FALSE),
+    "namespace": ("", "of all nodes and topics of this robot, /tf included", None),
+    "use_sim_time": ("false", "take the time of /clock, which a simulated plant then publishes", TRUE_OR_FALSE),
+    "autostart": ("", "walk at the first state; empty: what the configuration says, which is false for poppy", None),
+    "dummy": ("false", "with plant:=poppy: dummy motors instead of a robot", TRUE_OR_FALSE),
+    "respawn": ("false", "start controller and monitor again when they die; not in lockstep", TRUE_OR_FALSE),
+    "log_level": ("info", "debug, info, warn, error or fatal", None),
+    "rviz": ("false", "show the robot in RViz, with a robot_state_publisher", TRUE_OR_FALSE),
+    "view": ("false", "show the walk in the browser, on 127.0.0.1; the address is logged (needs viser)", TRUE_OR_FALSE),
+    "bag": ("", "record to this folder, which must not be there yet; empty: do not", None),
+}  # fmt: skip
 
 
-def generate_launch_description() -> LaunchDescription:
-    config = LaunchConfiguration("config")
-    plant = LaunchConfiguration("plant")
-    in_physics = OrSubstitution(EqualsSubstitution(plant, "physics"), EqualsSubstitution(plant, "poppy_as_built"))
-    lockstep = LaunchConfiguration("lockstep")
-    bag = LaunchConfiguration("bag")
-    recorded = NotEqualsSubstitution(bag, "")
+def nodes(context: LaunchContext) -> list[object]:
+    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    lockstep, rviz = given["lockstep"] == "true", given["rviz"] == "true"
+    sim_time = given["use_sim_time"] == "true"
+    plant = PLANTS[given["plant"]]
+    config = given["config"] or str(
+        find_share("config", "paper.yaml" if given["plant"] == "integrator" else "poppy.yaml")
+    )
+    values: dict[str, object] = {
+        "plant.lockstep": lockstep,
+        "node.exit_when_done": lockstep,
+        "node.wait_for_recorder": bool(given["bag"]),
+        "node.wait_for_monitor": lockstep,
+        "node.robot_description": not rviz,
+    }
+    if given["autostart"]:
+        values["node.autostart"] = given["autostart"] == "true"
+    if given["dummy"] == "true":
+        values["poppy.dummy"] = True
+    remappings = [("/tf", "tf"), ("/tf_static", "tf_static")] if given["namespace"] else []
 
-    arguments = [
-        DeclareLaunchArgument(
-            "config",
-            default_value=PathJoinSubstitution([FindPackageShare("dqwalk_ros"), "config", "paper.yaml"]),
-            description="parameter file of all nodes; `dqwalk config` explains each key",
-        ),
-        DeclareLaunchArgument(
-            "plant",
-            default_value="integrator",
-            choices=["integrator", "physics", "poppy_as_built", "poppy"],
-            description="other side of the command: integrator, an ideal robot; physics, MuJoCo; "
-            "poppy_as_built, the same with Poppy's own servos, delays and sensors; poppy, the real one; "
-            "config/plants/NAME.yaml is what it asks of all nodes",
-        ),
-        DeclareLaunchArgument(
-            "lockstep",
-            default_value="false",
-            choices=["true", "false"],
-            description="true: each state waits for its command, exact and as fast as the machine, and everything "
-            "ends with the walk; false: by the clock, and the robot is held still after the walk until Ctrl-C",
-        ),
-        DeclareLaunchArgument(
-            "discovery",
-            default_value=EnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", default_value="LOCALHOST"),
-            choices=["LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT"],
-            description="who can see the nodes: LOCALHOST this machine only, SUBNET the network as well",
-        ),
-        DeclareLaunchArgument(
-            "view",
-            default_value="false",
-            choices=["true", "false"],
-            description="show the walk in the browser, on 127.0.0.1; the address is logged (needs viser)",
-        ),
-        DeclareLaunchArgument(
-            "bag", default_value="", description="record to this folder, which must not be there yet; empty: do not"
-        ),
-    ]
-    parameters = [
-        config,
-        [PathJoinSubstitution([FindPackageShare("dqwalk_ros"), "config", "plants", plant]), ".yaml"],
-        {
-            "plant.lockstep": lockstep,
-            "node.exit_when_done": lockstep,
-            "node.wait_for_recorder": recorded,
-            "node.wait_for_monitor": lockstep,
-        },
-    ]
-
-    def node(name: str, **options: object) -> Node:
+    def node(name: str, package: str = "dqwalk_ros", **options: object) -> Node:
+        own = options.pop("parameters", [config, str(find_share("config/plants", f"{given['plant']}.yaml")), values])
+        simulated = name in ("integrator", "physics")
+        time = {"plant.clock": True} if sim_time and simulated else {"use_sim_time": sim_time}
         return Node(
-            package="dqwalk_ros",
+            package=package,
             executable=name,
             name=name,
-            parameters=parameters,
+            namespace=given["namespace"],
+            parameters=[*own, time],
+            remappings=remappings,
             output="screen",
-            ros_arguments=["--enclave", f"/dqwalk/{name}"],  # see docs/security.md; nothing without SROS 2
+            # see docs/security.md; nothing without SROS 2
+            ros_arguments=["--enclave", f"/dqwalk/{name}", "--log-level", given["log_level"]],
             **options,
         )
 
-    controller = node("controller")
-    return LaunchDescription(
-        [
-            *arguments,
-            # nothing leaves this machine unless somebody asks for it
-            SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery")),
-            node("recorder", arguments=["--bag", bag], condition=IfCondition(recorded)),
-            node("phase_monitor"),
-            node("viewer", condition=IfCondition(LaunchConfiguration("view"))),
-            node("integrator", condition=IfCondition(EqualsSubstitution(plant, "integrator"))),
-            node("physics", condition=IfCondition(in_physics)),
-            node("poppy_driver", condition=IfCondition(EqualsSubstitution(plant, "poppy"))),
-            controller,
-            # in lockstep the controller ends with the walk; without a controller there is nothing left to do
-            RegisterEventHandler(
-                OnProcessExit(
-                    target_action=controller, on_exit=[EmitEvent(event=Shutdown(reason="the controller has ended"))]
-                )
-            ),
-        ]
+    again = {"respawn": given["respawn"] == "true" and not lockstep, "respawn_delay": 2.0}
+    controller = node("controller", **again)
+    others = [node("phase_monitor", **again), node(plant)]
+    if given["bag"]:
+        others.append(node("recorder", arguments=["--bag", given["bag"]]))
+    if given["view"] == "true":
+        others.append(node("viewer"))
+    if rviz:
+        from dqwalk_ros.robot import load_model
+
+        described = {"robot_description": load_model(load(config).robot).urdf}
+        shown = ["-d", str(find_share("config", "walk.rviz"))]
+        others.append(node("robot_state_publisher", "robot_state_publisher", parameters=[described]))
+        others.append(node("rviz2", "rviz2", parameters=[], arguments=shown))
+
+    def end(event: object, _: LaunchContext) -> list[object]:
+        """End what belongs to this walk, and nothing else that was launched with it."""
+        if event.returncode:
+            raise RuntimeError(f"the walk failed: the controller ended with {event.returncode}")
+        return [EmitEvent(event=ShutdownProcess(process_matcher=matches_action(other))) for other in others]
+
+    # a robot's driver outlives its controller: with it, whoever holds the robot would lose ~/compliant
+    handlers = [RegisterEventHandler(OnProcessExit(target_action=controller, on_exit=end))] if lockstep else []
+    return [*others, controller, *handlers]
+
+
+def generate_launch_description() -> LaunchDescription:
+    arguments = []
+    for name, (default, description, choices) in ARGUMENTS.items():
+        arguments.append(DeclareLaunchArgument(name, default_value=default, description=description, choices=choices))
+    discovery = DeclareLaunchArgument(
+        "discovery",
+        default_value=EnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", default_value="LOCALHOST"),
+        choices=["LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT"],
+        description="who can see the nodes: LOCALHOST this machine only, SUBNET the network as well",
     )
+    # nothing leaves this machine unless somebody asks for it
+    stays = SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery"))
+    return LaunchDescription([*arguments, discovery, stays, OpaqueFunction(function=nodes)])

@@ -53,7 +53,7 @@ def declare(node: Node, argv: Sequence[str], nodes: Collection[str]) -> Config:
     for path in _parameter_files(argv):
         sections = _sections_of(path)
         _check_names(path, sections, nodes)
-        if any(sections.values()) and not any(given.keys() & names for names in sections.values()):
+        if any(sections.values()) and not any(node._parameter_overrides.keys() & names for names in sections.values()):
             found = ", ".join(f"'{section}'" for section in sections) or "none"
             log.warning(
                 f"{path}: no section reaches {node.get_fully_qualified_name()} (sections: {found}); '/**' is for all"
