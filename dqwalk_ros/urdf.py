@@ -43,6 +43,8 @@ _LEAST_MASS = 1e-3
 """Mass of a body that moves, where the file gives it none [kg]."""
 _GYRATION = 0.01
 """Radius of gyration of a body whose inertia is not known [m]."""
+_LEAST_MOMENT = 1e-12
+"""Engines take a smaller moment of inertia for zero [kg m^2]."""
 _ROUNDING = 1e-3
 """Relative: inertias are printed with few digits, and those of thin plates meet the triangle inequality exactly."""
 
@@ -446,9 +448,11 @@ class _Reader:
         xx, xy, xz, yy, yz, zz = (_float(moments, f"i{key}", 0.0) if moments is not None else 0.0 for key in keys)
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         (a, b, c), axes = np.linalg.eigh(inertia)
-        if not (a > 0.0 and a + b >= c * (1.0 - _ROUNDING)):
+        if not (a > _LEAST_MOMENT and a + b >= c * (1.0 - _ROUNDING)):
             found = (
-                [mass * _GYRATION**2] * 3 if c <= 0.0 else [max(a, 1e-3 * c, c - max(b, 1e-3 * c)), max(b, 1e-3 * c), c]
+                [mass * _GYRATION**2] * 3
+                if c < 1e3 * _LEAST_MOMENT
+                else [max(a, 1e-3 * c, c - max(b, 1e-3 * c)), max(b, 1e-3 * c), c]
             )
             self._repairs.append(
                 f"{_place(link)} has the principal moments {a:.2g}, {b:.2g}, {c:.2g} kg m^2, which no body has: "
