@@ -100,6 +100,7 @@ class GaitConfig:
     style: Literal["paper", "standing"] = _par(
         "paper", "'paper' (Fig. 1: planes and a cylinder) or 'standing' (the CoM stays over the true soles)"
     )
+    walk: str = _par("", "a walk of your own in place of the style's, as MODULE:CLASS; docs/tutorial.md makes one")
     first_support: Literal["left", "right"] = _par("left", "the foot that carries the weight first")
     cycles: int = _par(1, "walking cycles, of four phases each (Fig. 1)", "", 1, 100000)
     step_length: float = _par(0.05, "landing place of the swing foot ahead of the support foot", "m", -0.5, 0.5)

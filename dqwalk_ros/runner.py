@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from dqwalk_ros.config import Config, to_yaml
-from dqwalk_ros.simulation import WALKS
+from dqwalk_ros.simulation import walk_type
 from dqwalk_ros.standing.course import Course
 
 __all__ = ["PLANTS", "Outcome", "Processes", "environment", "private_domain", "run_walk"]
@@ -180,7 +180,7 @@ class _Walk:
         progress: Callable[[float, str], None] | None,
     ) -> None:
         self._processes, self._plant, self._duration, self._progress = processes, plant, duration, progress
-        self._phases = WALKS[config.gait.style].phases(config) or math.inf
+        self._phases = walk_type(config).phases(config) or math.inf
         self.last: dict[str, Any] = {}
         self.took = 0.0
         self._began = self._heard = time.monotonic()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from dqwalk_ros import provenance
 from dqwalk_ros.config import Config
 from dqwalk_ros.controller import VelocityController
-from dqwalk_ros.errors import DqwalkError, PlantError
+from dqwalk_ros.errors import ConfigError, DqwalkError, PlantError
 from dqwalk_ros.plants import Inertial, Plant, Truth
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.robot import Foot, RobotModel
@@ -33,6 +34,7 @@ __all__ = [
     "make_plant",
     "make_walk",
     "simulate",
+    "walk_type",
     "warm_up",
 ]
 
@@ -42,14 +44,35 @@ WALKS: Mapping[str, type[Walk]] = {"paper": PaperWalk, "standing": StandingWalk}
 """The walk of each ``gait.style``."""
 
 
+def walk_type(config: Config) -> type[Walk]:
+    """Return the class of the walk that `config` describes: that of ``gait.style``, or one of your own.
+
+    Raises
+    ------
+    ConfigError
+        If ``gait.walk`` is not MODULE:CLASS of a `Walk` that can be imported.
+    """
+    own = config.gait.walk
+    if not own:
+        return WALKS[config.gait.style]
+    module, _, name = own.partition(":")
+    try:
+        found = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ConfigError(f"gait.walk is '{own}'; it must be MODULE:CLASS that can be imported: {error}") from error
+    if not (isinstance(found, type) and issubclass(found, Walk)):
+        raise ConfigError(f"gait.walk is '{own}'; it must be a subclass of dqwalk_ros.walk.Walk")
+    return found
+
+
 def make_walk(config: Config, model: RobotModel) -> Walk:
     """Return the walk that `config` describes, at its beginning."""
-    return WALKS[config.gait.style](config, model)
+    return walk_type(config)(config, model)
 
 
 def make_controller(config: Config, model: RobotModel) -> VelocityController:
     """Return the controller that `config` describes."""
-    return VelocityController(config, model, WALKS[config.gait.style])
+    return VelocityController(config, model, walk_type(config))
 
 
 def make_plant(name: str, config: Config, model: RobotModel) -> Plant:
@@ -142,7 +165,7 @@ def simulate(
     config = controller.config
     recorder = Recorder(config, controller.model)
     end = math.inf if max_time is None else plant.state.time + max_time - 0.5 * config.dt
-    total = WALKS[config.gait.style].phases(config) or math.inf
+    total = walk_type(config).phases(config) or math.inf
     due = 0.0
     state = plant.state
     try:

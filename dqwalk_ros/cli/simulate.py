@@ -136,9 +136,9 @@ class _Fraction:
 
     def __init__(self, controller: VelocityController) -> None:
         self._controller = controller
-        from dqwalk_ros.simulation import WALKS
+        from dqwalk_ros.simulation import walk_type
 
-        self._total = WALKS[controller.config.gait.style].phases(controller.config) or math.inf
+        self._total = walk_type(controller.config).phases(controller.config) or math.inf
         self._threshold = controller.config.ssp.threshold
         self._index, self._first = -1, 0.0
 

@@ -31,7 +31,7 @@ from dqwalk_ros.nodes.odometry import Odometry
 from dqwalk_ros.nodes.phases import PhasePublisher
 from dqwalk_ros.nodes.safety import DuplicateStates, FaultCounter, StateGate
 from dqwalk_ros.robot import Foot, RobotModel, load_model
-from dqwalk_ros.simulation import WALKS, make_controller, make_walk, warm_up
+from dqwalk_ros.simulation import make_controller, make_walk, walk_type, warm_up
 from dqwalk_ros.state import Command, State
 from dqwalk_ros.topics import FALLEN, FINISHED
 from dqwalk_ros.walk import PhaseKind
@@ -156,7 +156,7 @@ class Controller(WalkNode):
         self.create_timer(0.02, self._look_for_silence, clock=STEADY)
         self.create_timer(0.25, self._look_for_duplicates, clock=STEADY)
         self.get_logger().info(
-            f"{self._model.name}: {self._model.n} joints, {WALKS[config.gait.style].describe(config)}, "
+            f"{self._model.name}: {self._model.n} joints, {walk_type(config).describe(config)}, "
             f"{'lockstep' if self.lockstep else f'real time, dt {config.dt} s'}, {self._mode.value}"
         )
 

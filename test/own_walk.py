@@ -1,0 +1,31 @@
+"""A walk of one's own, as docs/tutorial.md makes it, in a module that ``gait.walk`` names."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from dqwalk_ros.constraints import Constraint
+from dqwalk_ros.kinematics import CenterOfMass
+from dqwalk_ros.walk import PaperWalk
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ComAbove(Constraint):
+    """The centre of mass stays above a height [m]."""
+
+    height: float
+    watches = (CenterOfMass(),)
+
+    def value(self, s):
+        return s[2] - self.height, np.array([0.0, 0.0, 1.0])
+
+
+class HighWalk(PaperWalk):
+    """The paper's walk, with the centre of mass held high in double support."""
+
+    def both_feet(self, kind, support, q_start):
+        phase = super().both_feet(kind, support, q_start)
+        high = ComAbove(name="com_above", eta=5.0, height=0.25)
+        return dataclasses.replace(phase, inequalities=(*phase.inequalities, high))

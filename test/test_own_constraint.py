@@ -1,0 +1,53 @@
+"""A constraint in one file is in the rows, the monitor, the report and on the page, by configuration alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dqwalk_ros import KinematicPlant, Kinematics, load, load_model, make_controller, simulate
+from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.report import analyse, report
+from dqwalk_ros.report.assessment import Assessor
+from dqwalk_ros.report.scene import Scene, moment_of
+from dqwalk_ros.simulation import make_walk
+
+CONFIG = load("paper").updated({"gait.walk": "own_walk:HighWalk"})
+MODEL = load_model(CONFIG.robot)
+
+
+@pytest.fixture(scope="module")
+def walked():
+    controller = make_controller(CONFIG, MODEL)
+    return controller, simulate(controller, KinematicPlant(MODEL), max_time=0.2)
+
+
+def test_it_is_a_row_of_the_quadratic_program(walked):
+    controller, trace = walked
+    problem = controller.problem
+    row = problem.names.index("com_above") - problem.equalities
+    kin = Kinematics(MODEL, trace.q[-1], controller.phase.base)
+    np.testing.assert_allclose(problem.G[row], kin.com_jacobian[2], atol=1e-15)
+    assert problem.h[row] == pytest.approx(-5.0 * (kin.com[2] - 0.25), abs=1e-12)
+
+
+def test_the_report_and_the_monitor_judge_it(walked):
+    _, trace = walked
+    series = analyse(trace)
+    np.testing.assert_allclose(series.distances["com_above"], series.com[:, 2] - 0.25, atol=1e-15)
+    assert "com_above" in str(report(series))
+    kin = Kinematics(MODEL, trace.q[-1], trace.phases[0].base)
+    values = Assessor(CONFIG, MODEL, trace.phases[0].phase(CONFIG, MODEL))(kin, 0.2).values
+    assert values["distance/com_above"] == pytest.approx(kin.com[2] - 0.25)
+
+
+def test_the_page_shows_it(walked):
+    _, trace = walked
+    view = Scene(CONFIG, MODEL).look(moment_of(trace, 20, {}))
+    assert "com_above" in [gauge.name for gauge in view.gauges]
+
+
+@pytest.mark.parametrize("name", ["own_walk", "own_walk:LowWalk", "nowhere:HighWalk", "own_walk:ComAbove", ":"])
+def test_a_walk_that_cannot_be_found_is_named(name):
+    with pytest.raises(ConfigError, match=r"gait\.walk is"):
+        make_walk(CONFIG.updated({"gait.walk": name}), MODEL)
