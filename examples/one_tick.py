@@ -1,0 +1,28 @@
+"""One tick of the controller by hand: a state, the phase, its quadratic program, its answer."""
+
+import numpy as np
+
+from dqwalk_ros.config import load
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.qp import make_solver
+from dqwalk_ros.robot import Foot, load_model
+from dqwalk_ros.simulation import make_walk
+from dqwalk_ros.walk import PhaseKind
+
+config = load("paper")  # section 5 of the paper
+model = load_model(config.robot)
+q = np.zeros(model.n)  # a measured state [rad]
+
+# the double support that brings the CoM over the left foot; its world is the sole of the right one
+phase = make_walk(config, model).phase(PhaseKind.DOUBLE_SUPPORT, Foot.LEFT, q)
+kin = Kinematics(model, q, phase.base)
+now = phase.evaluate(kin)
+problem = now.problem(config.dt, model.velocity_max)  # (U6)
+solution = make_solver("clarabel").solve(problem)
+
+print(f"{phase.name}: error {now.error:.4f} m")
+for name, distance in phase.distances(kin).items():
+    print(f"  {name:12s} {distance: .4f}")
+for name, speed in zip(model.joint_names, solution.u, strict=True):
+    print(f"  {name:12s} {speed: .5f} rad/s")
+print(f"largest KKT residual {solution.residuals(problem).largest:.1e}")

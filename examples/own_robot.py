@@ -1,0 +1,20 @@
+"""Another robot: a URDF, its pelvis and its soles are all that the paper's walk needs. See also `dqwalk adopt`."""
+
+from dqwalk_ros import Config, KinematicPlant, load_model, make_controller, simulate
+
+config = Config.from_flat(
+    {
+        "robot.urdf": "hrp2_like.urdf",  # a path, or a file of the package
+        "robot.pelvis": "pelvis",
+        "robot.left_sole": "L_sole",
+        "robot.right_sole": "R_sole",
+        "robot.drop": ["waist_yaw"],  # cut off with all they carry
+        "robot.sole_length": 0.24,
+        "robot.sole_width": 0.14,
+        "pelvis.height": 0.5,
+    }
+)
+model = load_model(config.robot)
+trace = simulate(make_controller(config, model), KinematicPlant(model), max_time=1.0)
+print(f"{model.name}: {model.n} joints, {model.mass:.1f} kg, {len(trace)} states of {trace.phases[0].name}")
+print("; ".join(trace.notes))

@@ -1,0 +1,44 @@
+"""A node around the core: joint_states in, joint_velocity_commands out (ROS 2). The package's own node does far more.
+
+With the integrator beside it (`ros2 run dqwalk_ros integrator`) it walks; here it answers one state and ends.
+"""
+
+import numpy as np
+import rclpy
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+from dqwalk_ros import load, load_model, make_controller
+from dqwalk_ros.state import State
+
+
+class Walker(Node):
+    """The paper's controller on two topics."""
+
+    def __init__(self) -> None:
+        super().__init__("walker")
+        self.config = load("paper")
+        self.model = load_model(self.config.robot)
+        self.controller = make_controller(self.config, self.model)
+        self.commands = self.create_publisher(JointState, "joint_velocity_commands", 1)
+        self.create_subscription(JointState, "joint_states", self.on_state, 1)
+
+    def on_state(self, msg: JointState) -> JointState:
+        """Answer a state with joint velocities."""
+        angles = dict(zip(msg.name, msg.position, strict=True))
+        q = np.array([angles[name] for name in self.model.joint_names])
+        time = msg.header.stamp.sec + 1e-9 * msg.header.stamp.nanosec
+        command = self.controller.step(State(time, q), self.config.dt)
+        answer = JointState(header=msg.header, name=list(self.model.joint_names))
+        answer.velocity = command.velocity.tolist()
+        self.commands.publish(answer)
+        return answer
+
+
+rclpy.init()
+node = Walker()
+state = JointState(name=list(node.model.joint_names), position=[0.0] * node.model.n)
+answer = node.on_state(state)
+print("first command:", np.round(answer.velocity, 4))
+node.destroy_node()
+rclpy.shutdown()

@@ -1,0 +1,44 @@
+"""Every example runs as it stands and says what its reader expects."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+EXAMPLES = {
+    "one_tick": "largest KKT residual",
+    "walk": "double_support/left",
+    "bag_to_figure": "401 of 401 states",
+    "physics": "finished after",
+    "push": "it stands",
+    "study": "0.02 m: finished True",
+    "own_constraint": "com_above",
+    "own_robot": "201 states of double_support/left",
+    "whole_body": "it stands; the hand",
+    "ros_node": "first command",
+}
+
+
+def test_every_example_is_run():
+    assert {path.stem for path in (ROOT / "examples").glob("*.py")} == set(EXAMPLES)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_it_runs_and_says_so(name, tmp_path):
+    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "examples" / f"{name}.py")],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+        env=env,
+    )
+    assert done.returncode == 0, done.stderr
+    assert EXAMPLES[name] in done.stdout
+    assert list(tmp_path.iterdir()) == []
