@@ -76,7 +76,7 @@ def test_damping_is_fed_forward_as_the_servos_have_it() -> None:
     ids=["25", "40"],
 )
 def test_soft_servos_behind_a_delay_walk(cell: dict[str, float]) -> None:
-    found = robustness.walk(CONFIG.updated({"gait.steps": 2, "qp.solver": "daqp"}), cell)
+    found = robustness.walk(CONFIG.updated({"gait.steps": 2, "qp.solver": "daqp"}), 0, cell)
     assert found.stood, found.reason
 
 
