@@ -36,6 +36,14 @@ def test_without_a_delay_nothing_is_pending() -> None:
         history.add(0.005 * k, np.ones(2), 0.005)
 
 
+@pytest.mark.parametrize("delay", [0.0, 0.05])
+def test_what_is_kept_does_not_grow(delay: float) -> None:
+    history = CommandHistory(delay, 2)
+    for k in range(1000):
+        history.add(0.005 * k, np.ones(2), 0.005)
+    assert len(history._sums) <= delay / 0.005 + 3
+
+
 def told(**values: float) -> VelocityController:
     config = CONFIG.updated({f"servo.{key}": value for key, value in values.items()})
     return make_controller(config, MODEL)

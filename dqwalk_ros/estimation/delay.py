@@ -39,15 +39,20 @@ class CommandHistory:
             self._sums.append((time, self._sum))
         self._sum = self._sum + dt * velocity
         self._sums.append((time + dt, self._sum))
+        self._forget(time - self._delay)
 
     def pending(self, time: float) -> Array:
         """Return what the joints will have moved when the command of `time` [s] has its effect, shape (n,) [rad]."""
         begin, sums = time - self._delay, self._sums
-        while len(sums) > 1 and sums[1][0] <= begin:
-            sums.popleft()
+        self._forget(begin)
         if len(sums) < 2:
             return np.zeros_like(self._sum)
         (t0, s0), (t1, s1) = sums[0], sums[1]
         part = min(max((begin - t0) / (t1 - t0), 0.0), 1.0)
         ahead: Array = self._sum - (s0 + part * (s1 - s0))
         return ahead
+
+    def _forget(self, begin: float) -> None:
+        """Drop what ended before `begin` [s]."""
+        while len(self._sums) > 1 and self._sums[1][0] <= begin:
+            self._sums.popleft()
