@@ -73,10 +73,10 @@ def test_lockstep_is_the_walk_of_one_process_and_says_more(tmp_path: Path, domai
 
         weight = 9.81 * load_model(live.config.robot).mass
         assert heaviest() < 1.4 * weight
-        push.wrench.force.z = -2.0  # 20 N for a tenth of a second
+        push.wrench.force.z = -4.0  # 40 N for a tenth of a second: seen in whatever part of a step it comes
         pushes.publish(push)
         live.until(lambda: heaviest() > 1.5 * weight, 60.0, "a robot that is pushed to the ground")
-        assert "pushed: 0, 0, -2 N s" in live.processes.log("physics")
+        assert "pushed: 0, 0, -4 N s" in live.processes.log("physics")
     finally:
         live.close()
     config = live.config
