@@ -118,7 +118,7 @@ class Link:
 class Joint:
     """A joint: its place in the parent link, its unit axis (3,), and its limits.
 
-    `lower` and `upper` [rad or m], `velocity` [rad/s or m/s] and `effort` [N m or N] are infinite where there are none.
+    `lower` and `upper` [rad or m], `velocity` [rad/s or m/s] and `effort` [N m or N] are infinite without a limit.
     A joint that has a `mimic` is at multiplier * (that joint's angle) + offset.
     """
 

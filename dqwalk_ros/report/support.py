@@ -59,7 +59,7 @@ def _hull_margin(points: Array, p: Array) -> Array:
 
 
 def urdf_soles(trace: Trace) -> Mapping[Foot, Sole] | None:
-    """Return the soles as the URDF's own boxes have them; None where there are none, or none but these."""
+    """Return the soles as the collision boxes of the URDF have them; None where ours agree."""
     robot = dataclasses.replace(trace.config.robot, sole_length=0.0, sole_width=0.0, sole_center="link")
     try:
         soles = parse_model(trace.model.urdf, robot).soles

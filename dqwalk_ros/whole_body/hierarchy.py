@@ -133,7 +133,7 @@ class HierarchySolver:
         return Answer(x, method, residual, violation, iterations, self._clock() - began)
 
     def _program(self, h: Hierarchy) -> tuple[Array | None, int]:
-        """Return the optimum under all rows, None where there is none, and the number of iterations."""
+        """Return the optimum under all rows, None if the rows contradict each other, and the number of iterations."""
         start = self._multipliers.get(h.A.shape)
         x, multipliers, iterations = _solve(h.H, h.c, h.A, h.lower, h.upper, dual_start=start)
         if x is not None:

@@ -184,7 +184,7 @@ def _places(column: Column | None) -> list[tuple[int, tuple[float, float, float]
 
 
 def _efforts(path: Path, model: RobotModel, column: Column, stamps: Stamps, notes: list[str]) -> Array:
-    """Return the torques (N, n) [N m] of each stamp, nan where there are none: the first that a plant would take."""
+    """Return the torques (N, n) [N m] of each stamp, nan where none was sent: the first that a plant would take."""
     told = joint_states(column, model.joint_names)
     finite = np.isfinite(told.effort).all(axis=1)
     if not finite.any():
