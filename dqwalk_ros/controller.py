@@ -182,7 +182,8 @@ class VelocityController:
         self.problem = now.problem(dt, self._limit)  # (U6)
         self.solution = self._solve(self.problem)
         u = np.minimum(np.maximum(self.solution.u, -self._limit), self._limit)
-        self._sent.add(state.time, u, dt)
+        if self._drive.delay > 0.0:
+            self._sent.add(state.time, u, dt)
         return Command(state.time, u, self._effort(kin, state, u))
 
     def _effort(self, kin: Kinematics, state: State, u: Array) -> Array | None:

@@ -56,7 +56,7 @@ class KinematicPlant(Plant):
             If the command is not finite or does not fit.
         """
         u, q = np.asarray(command.velocity, dtype=np.float64), self._state.q
-        if u.shape != q.shape or not math.isfinite(u.sum()):
+        if u.shape != q.shape or not math.isfinite(u @ u):
             raise PlantError(f"the command must have {q.size} finite velocities, got {u}")
         u = np.minimum(np.maximum(u, -self._limit), self._limit)
         self._periods += 1
