@@ -70,6 +70,18 @@ def test_the_page_of_a_node_is_that_of_the_schema(node):
     assert all(line.replace("::", ":") in made for line in docstring(node).splitlines())
 
 
+@pytest.mark.parametrize(("name", "folder"), [("equations", "dqwalk_ros"), ("whole_body", "dqwalk_ros/whole_body")])
+def test_places_of_equations_are_there(name, folder):
+    count = 0
+    for row in re.findall(r"^\|.*\|$", (ROOT / f"docs/{name}.md").read_text(), re.M):
+        for file, names in re.findall(r"`(\w+\.py)`(?:: |, )((?:`\w+`(?:, )?)+)", row):
+            text = (ROOT / folder / file).read_text()
+            for found in re.findall(r"\w+", names):
+                assert re.search(rf"^ *(def|class) {found}\b", text, re.M), f"{file} has no {found}"
+                count += 1
+    assert count >= 1
+
+
 def test_layouts_name_topics_there_are():
     known = {f"/{name}" for name in TOPICS} | {"/com", "/support_polygon", "/walk_markers"}
     layout = json.loads((ROOT / "config/foxglove.json").read_text())
