@@ -102,6 +102,7 @@ setup(
         "rosbags>=0.11",
         "scipy>=1.11",
         "pycollada>=0.8",
+        "rich>=13.0",
         "tqdm>=4.60",
         "trimesh>=4.0",
         "xacro>=2.0",

@@ -18,7 +18,7 @@ from dqwalk_ros.geometry import ConvexPolygon
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.report.figures import FIGURES, FORMATS, figure7, figure8, figure9, fits, top_view
 from dqwalk_ros.report.figures.style import thinned
-from dqwalk_ros.report.support import hull_margin
+from dqwalk_ros.report.metrics import hull_margin
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.walk import PhaseKind
 

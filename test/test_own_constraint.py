@@ -8,8 +8,8 @@ import pytest
 from dqwalk_ros import KinematicPlant, Kinematics, load, load_model, make_controller, simulate
 from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.report import analyse, report
-from dqwalk_ros.report.assessment import Assessor
 from dqwalk_ros.report.scene import Scene, moment_of
+from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.simulation import make_walk
 
 CONFIG = load("paper").updated({"gait.walk": "own_walk:HighWalk"})

@@ -16,7 +16,7 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.plants import upward
 from dqwalk_ros.report import bag
-from dqwalk_ros.report.ground import Circle
+from dqwalk_ros.report.metrics import Circle
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.simulation import make_controller, make_plant, simulate
 from dqwalk_ros.standing.course import Course, Leg

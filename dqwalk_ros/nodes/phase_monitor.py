@@ -26,7 +26,8 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
 from dqwalk_ros.nodes.markers import markers
 from dqwalk_ros.nodes.phases import PhaseLog
-from dqwalk_ros.report.assessment import Assessor, support_polygon
+from dqwalk_ros.report.metrics import support_polygon
+from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.topics import FINISHED, TOPICS
 

@@ -15,7 +15,7 @@ from dqwalk_ros.config import Config, from_yaml, to_yaml
 from dqwalk_ros.errors import DqwalkError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode
-from dqwalk_ros.report.assessment import Assessor
+from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.robot import Foot, RobotModel, parse_model
 from dqwalk_ros.simulation import make_walk
 from dqwalk_ros.topics import PHASE_LOG

@@ -10,17 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dqwalk_ros.report.figures import save
-    from dqwalk_ros.report.series import Series, analyse
+    from dqwalk_ros.report.metrics import Series, analyse
     from dqwalk_ros.report.table import render
-    from dqwalk_ros.report.verdict import report
-    from dqwalk_ros.report.violations import Violation
+    from dqwalk_ros.report.verdict import Violation, report
 
 __all__ = ["Series", "Violation", "analyse", "render", "report", "save"]
 
 _HOME = {
-    "Series": "series",
-    "Violation": "violations",
-    "analyse": "series",
+    "Series": "metrics",
+    "Violation": "verdict",
+    "analyse": "metrics",
     "render": "table",
     "report": "verdict",
     "save": "figures",

@@ -23,7 +23,8 @@ from dqwalk_ros.constraints import (
 )
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics, compose
-from dqwalk_ros.report.assessment import Assessment, Assessor, support_polygon
+from dqwalk_ros.report.metrics import support_polygon
+from dqwalk_ros.report.verdict import Assessment, Assessor
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.simulation import Trace
 from dqwalk_ros.urdf import Urdf

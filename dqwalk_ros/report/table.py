@@ -1,19 +1,20 @@
-"""A report as text for the terminal."""
+"""Tables for the terminal, and a report as such."""
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-__all__ = ["render"]
+__all__ = ["aligned", "render"]
 
 _EDGE = 1e-5
 """Closer than this to the edge of its support the CoM is on it [m]: what Euler's method may be off."""
-
-
 _TURNED = math.radians(0.5)
 """A walk that turned less than this went straight on [rad]."""
+_WIDTH = 10_000
+"""Nothing is cut off or wrapped: what reads the output may be a program."""
 
 
 def render(report: Mapping[str, Any]) -> str:
@@ -23,8 +24,7 @@ def render(report: Mapping[str, Any]) -> str:
 
 
 def _phases(phases: Sequence[Mapping[str, Any]]) -> str:
-    head = ("phase", "start", "end", "ticks", "error", "", "tightest distance", "", "violation")
-    units = ("", "[s]", "[s]", "", "first", "last", "", "", "")
+    head = ("phase", "start\n[s]", "end\n[s]", "ticks", "error\nfirst", "\nlast", "tightest distance", "", "violation")
     rows = [
         (
             phase["name"] + ("" if phase["ended"] else " (stopped)"),
@@ -39,7 +39,7 @@ def _phases(phases: Sequence[Mapping[str, Any]]) -> str:
         )
         for phase in phases
     ]
-    return _aligned([head, units, *rows], right=(1, 2, 3, 4, 5, 7, 8), rule=1)
+    return aligned(rows, head, right=(1, 2, 3, 4, 5, 7, 8))
 
 
 def _minima(phases: Sequence[Mapping[str, Any]]) -> str:
@@ -55,7 +55,7 @@ def _minima(phases: Sequence[Mapping[str, Any]]) -> str:
         least = (min(phase["minimum"][name]["value"] for phase in phases if name in phase["minimum"]) for name in names)
         rows.append(("the whole walk", *(f"{value:.4g}" for value in least)))
     head = ("least distance to the bound", *names)
-    return _aligned([head, *rows], right=range(1, len(head)), rule=0)
+    return aligned(rows, head, right=range(1, len(head)))
 
 
 def _walk(report: Mapping[str, Any]) -> str:
@@ -100,7 +100,7 @@ def _walk(report: Mapping[str, Any]) -> str:
     if walk["unanswered"]:
         lines.append(("unanswered", f"{walk['unanswered']} states without a command"))
     lines += [("note", note) for note in report["notes"]]
-    return _aligned(lines, right=(), rule=None)
+    return aligned(lines)
 
 
 def _physics(of: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -146,15 +146,29 @@ def _verdict(report: Mapping[str, Any]) -> str:
     return "\n".join([f"NOT OK, {times}:", *shown, *more])
 
 
-def _aligned(rows: Sequence[Sequence[str]], right: Sequence[int], rule: int | None) -> str:
-    """Return rows in columns; `right` are the right-aligned ones, a line goes below row `rule`."""
-    widths = [max(len(row[c]) for row in rows) for c in range(len(rows[0]))]
-    lines = []
-    for r, row in enumerate(rows):
-        cells = [
-            cell.rjust(w) if c in right else cell.ljust(w) for c, (cell, w) in enumerate(zip(row, widths, strict=True))
-        ]
-        lines.append("  ".join(cells).rstrip())
-        if r == rule:
-            lines.append("-" * (sum(widths) + 2 * (len(widths) - 1)))
-    return "\n".join(lines)
+def aligned(rows: Sequence[Sequence[str]], head: Sequence[str] = (), right: Sequence[int] = ()) -> str:
+    """Return rows of text in columns.
+
+    Parameters
+    ----------
+    rows : sequence of sequence of str
+    head : sequence of str
+        Names of the columns, with a line below them; a name may have several lines.
+    right : sequence of int
+        The columns that are set to the right.
+    """
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    made = Table(box=box.SIMPLE_HEAD if head else None, show_header=bool(head), show_edge=False, pad_edge=False)
+    for c in range(len(head) or len(rows[0])):
+        name = Text(head[c]) if head else ""
+        made.add_column(name, justify="right" if c in right else "left", no_wrap=True, header_style="")
+    for row in rows:
+        made.add_row(*map(Text, row))  # what looks like rich's markup is text
+    console = Console(file=io.StringIO(), width=_WIDTH, color_system=None)
+    console.print(made)
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    return "\n".join(line.rstrip() for line in text.splitlines())

@@ -1,23 +1,295 @@
-"""What a walk was worth: each phase and all of it, in numbers."""
+"""What a walk is worth: one state judged, the rules a whole walk broke, and everything in numbers.
+
+The rules are those of the paper in discrete time, Groenwall's inequality for Euler's method: a distance that began at
+d_0 stays above ``(1 - eta dt)^k d_0``, an equality that began at r_0 below ``(1 - eta dt)^k |r_0|``; the end foot is on
+the ground in double support, every phase ends by its own rule, and every step lands where it should.
+"""
 
 from __future__ import annotations
 
-from dataclasses import asdict
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros import __version__
+from dqwalk_ros.config import Config, MonitorConfig
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.report.ground import numbers
-from dqwalk_ros.report.series import Series
-from dqwalk_ros.report.violations import groenwall, landing, settled_height, unit_norm_error, violations
-from dqwalk_ros.robot import Foot
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.report.metrics import FALLEN, Ending, Ground, Series, Span, left_of, support_polygon
+from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.walk import Phase
 
-__all__ = ["report"]
+__all__ = ["Assessment", "Assessor", "Violation", "report", "violations"]
 
 Array = NDArray[np.float64]
+
+TILT = np.radians(2.0)
+"""The sole that carries most may lean by this [rad]."""
+COP_INSIDE = 0.99
+"""The centre of pressure must be inside the support polygon on this part of the ticks."""
+LANDING = 5e-3
+"""A swing foot must land this close to its footprint in physics [m]."""
+GROUND_TOLERANCE = 2e-5
+"""Height [m] the end foot's tip may have once it has come down; the paper saw 1e-5 of discretisation."""
+LANDING_TOLERANCE = 2.1
+"""Largest landing error [m] per unit of `ssp.threshold`: ||vec8|| of a pure translation t is |t| / 2."""
+UNIT_TOLERANCE = 1e-12
+"""How far from one the norm of a pose may be."""
+
+
+# ---------------------------------------------------------------------- one state
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """What is to be said of one state.
+
+    Attributes
+    ----------
+    level : str
+        ``"OK"``, ``"WARN"`` where a distance is closer to its bound than ``monitor.warn_margin``, ``"ERROR"`` where
+        one is beyond what is promised by more than ``monitor.tolerance``.
+    message : str
+        The phase, and what decided the level.
+    values : mapping of str to float
+        ``distance/NAME``, ``residual/NAME``, ``error``, and the margins: ``margin/paper`` of the CoM to the paper's
+        planes (U9), (U10) or cylinder (U14), ``margin/polygon`` to the true support polygon, ``margin/joints``.
+    """
+
+    level: str
+    message: str
+    values: Mapping[str, float]
+
+
+class Assessor:
+    """Judges the states of one phase.
+
+    Parameters
+    ----------
+    config : Config
+    model : RobotModel
+    phase : Phase
+    """
+
+    def __init__(self, config: Config, model: RobotModel, phase: Phase) -> None:
+        self.config, self.model, self.phase = config, model, phase
+        start = phase.distances(Kinematics(model, phase.q_start, phase.base))
+        self._kept = [(row, start[row.name], _decay(row.eta, config.dt)) for row in phase.constraints]
+        self._held = [(row.name, abs(start[row.name]), _decay(row.eta, config.dt)) for row in phase.equalities]
+
+    def __call__(self, kin: Kinematics, elapsed: float, monitor: MonitorConfig | None = None) -> Assessment:
+        """Judge one state.
+
+        Parameters
+        ----------
+        kin : Kinematics
+            Seen from the base of the phase.
+        elapsed : float
+            Time since the phase began [s].
+        monitor : MonitorConfig, optional
+            Instead of the configuration's own.
+        """
+        monitor = monitor or self.config.monitor
+        ticks = max(elapsed, 0.0) / self.config.dt
+        now = self.phase.evaluate(kin)
+        distances = now.distances()
+        values: dict[str, float] = {"error": float(now.error), "time in phase": elapsed}
+        broken: list[str] = []
+        close: list[str] = []
+        for name, start, decay in self._held:
+            d = values[f"residual/{name}"] = float(distances[name])
+            if abs(d) > start * decay**ticks + monitor.tolerance:
+                broken.append(f"{name} is off by {d:.3g}")
+        for row, start, decay in self._kept:
+            d = values[f"distance/{row.name}"] = float(distances[row.name])
+            if d < min(0.0, start * decay**ticks) - monitor.tolerance:
+                broken.append(f"{row.name} is {-d:.3g} beyond its bound")
+            elif (margin := left_of(row, d)) < monitor.warn_margin:
+                close.append(f"{row.name} within {margin:.2g}")
+        values |= self._margins(kin, distances)
+        text = "; ".join(broken or close)
+        level = "ERROR" if broken else "WARN" if close else "OK"
+        return Assessment(level, f"{self.phase.name}: {text}" if text else self.phase.name, values)
+
+    def _margins(self, kin: Kinematics, distances: Mapping[str, float]) -> dict[str, float]:
+        model, phase = self.model, self.phase
+        margins: dict[str, float] = {}
+        if "com_cylinder" in distances:
+            center = model.soles[phase.base].center
+            margins["margin/paper"] = self.config.ssp.com_radius - float(np.hypot(*(kin.com - center)[:2]))
+        elif "tip_plane" in distances:
+            margins["margin/paper"] = min(distances["tip_plane"], distances["back_plane"])
+        return margins | {
+            "margin/polygon": support_polygon(model, phase, kin).distance(kin.com),
+            "margin/joints": float(np.minimum(kin.q - model.q_min, model.q_max - kin.q).min()),
+        }
+
+
+def _decay(eta: float, dt: float) -> float:
+    return 1.0 - min(1.0, eta * dt)
+
+
+# ---------------------------------------------------------------------- the rules that were broken
+
+
+@dataclass(frozen=True)
+class Violation:
+    """A rule that was broken.
+
+    Attributes
+    ----------
+    what : str
+        Name of the distance or of the rule.
+    phase : str
+        Name of the phase; empty where it is the whole walk.
+    time : float
+        [s]
+    value, allowed : float
+    message : str
+        All of it in one sentence.
+    """
+
+    what: str
+    phase: str
+    time: float
+    value: float
+    allowed: float
+    message: str
+
+
+def violations(series: Series) -> list[Violation]:
+    """Return every rule that was broken, in the order of time within each phase."""
+    found = [violation for span in series.spans for violation in _of_a_phase(series, span)]
+    return [*found, *_of_the_walk(series), *([] if series.ground is None else _of_the_ground(series, series.ground))]
+
+
+def _broken(series: Series, what: str, tick: int, value: float, allowed: float, text: str, name: str = "") -> Violation:
+    name, time = name or series.spans[int(series.span_of[tick])].phase.name, float(series.time[tick])
+    return Violation(what, name, time, value, allowed, f"{name} at {time:.3f} s: {text}")
+
+
+def _landing(span: Span, ending: Ending) -> dict[str, float]:
+    """Return where the swing foot landed and how far from its target [m, rad], in the support sole's frame."""
+    assert span.record.swing_target is not None  # single support has one
+    off = DQ(span.record.swing_target).conj() * DQ(ending.end)
+    place = dict(zip("xyz", DQ(ending.end).translation().tolist(), strict=True))
+    angle = 2.0 * np.arctan2(np.linalg.norm(off.vec4()[1:]), abs(off.vec4()[0]))
+    return {**place, "error": float(np.linalg.norm(off.translation())), "angle": float(angle)}
+
+
+def _groenwall(series: Series, span: Span) -> Iterator[tuple[str, float, int]]:
+    """Yield name, least slack ``d[k] - (1 - eta dt)^k d[0]`` and its tick for each constraint of a phase.
+
+    An equality converges from either side: its slack is ``(1 - eta dt)^k |d[0]| - |d[k]|``.
+    """
+    dt = series.trace.config.dt
+    k = np.round((series.time[span.ticks] - series.time[span.start]) / dt)
+    for table, rows, sign in (
+        (series.distances, span.phase.constraints, 1.0),
+        (series.residuals, span.phase.equalities, -1.0),
+    ):
+        for row in rows:
+            if math.isfinite(row.return_speed):
+                continue  # its return is not at the rate eta
+            d = table[row.name][span.ticks]
+            d = d if sign > 0.0 else -np.abs(d)
+            slack = d - _decay(row.eta, dt) ** k * d[0]
+            at = int(np.nanargmin(slack))
+            yield row.name, float(slack[at]), span.start + at
+
+
+def _settled_height(series: Series, span: Span) -> tuple[float | None, int]:
+    """Return the largest height of the end foot's tip [m] once it has come down to the ground, and its tick."""
+    settle = 10.0 / series.trace.config.dsp.eta_ground
+    first = span.start + int(np.searchsorted(series.time[span.ticks], series.time[span.start] + settle))
+    if first >= span.end:
+        return None, first
+    at = first + int(np.argmax(np.abs(series.tip_height[first : span.end])))
+    return float(series.tip_height[at]), at
+
+
+def _of_a_phase(series: Series, span: Span) -> Iterator[Violation]:
+    """Yield what a phase broke."""
+    config, tolerance, name = series.trace.config, series.trace.config.monitor.tolerance, span.phase.name
+    for row in span.phase.constraints:
+        d = series.distances[row.name][span.ticks]
+        at = int(np.nanargmin(d))
+        if d[at] < -tolerance:
+            text = f"{row.name} is {d[at]:.3g} beyond its bound"
+            yield _broken(series, row.name, span.start + at, float(d[at]), -tolerance, text, name)
+    for what, slack, tick in _groenwall(series, span):
+        if slack < -tolerance:
+            text = f"{what} moved towards its bound faster than eta allows, by {-slack:.3g}"
+            yield _broken(series, f"groenwall/{what}", tick, slack, -tolerance, text, name)
+    if span.double:
+        height, tick = _settled_height(series, span)
+        allowed = max(GROUND_TOLERANCE, tolerance)
+        if height is not None and abs(height) > allowed:
+            text = f"the end foot's tip is {1e3 * height:.3f} mm off the ground"
+            yield _broken(series, "ground", tick, height, allowed, text, name)
+    if (ending := span.ending) is None:
+        return
+    last, standing = min(span.end, len(series.time) - 1), config.gait.style == "standing"
+    radius, threshold = config.ssp.com_radius, config.standing.swing_threshold if standing else config.ssp.threshold
+    if span.double and not standing and ending.com_to_axis > radius:
+        far = f"{1e3 * ending.com_to_axis:.1f} mm from the foot's centre, {1e3 * radius:.1f} mm are allowed"
+        yield _broken(series, "end/cylinder", last, ending.com_to_axis, radius, f"ended with the CoM {far}", name)
+    if span.phase.swing_target is None:
+        return
+    if not standing and ending.error >= threshold:
+        text = f"ended with an error of {ending.error:.3g}, not below {threshold:g}"
+        yield _broken(series, "end/error", last, ending.error, threshold, text, name)
+    miss = _landing(span, ending)["error"]
+    allowed = LANDING if standing and series.ground is not None else LANDING_TOLERANCE * threshold
+    if miss > allowed:
+        yield _broken(series, "landing", last, miss, allowed, f"landed {1e3 * miss:.2f} mm from its target", name)
+
+
+def _of_the_walk(series: Series) -> Iterator[Violation]:
+    """Yield what the walk as a whole broke."""
+    tolerance, end = series.trace.config.monitor.tolerance, float(series.time[-1])
+    if not series.trace.finished:
+        name = series.spans[-1].phase.name
+        text = f"the walk stopped before its end, in {name} at {end:.2f} s"
+        yield Violation("finished", name, end, 0.0, 1.0, text)
+    for i, name in enumerate(series.trace.model.joint_names):
+        tick = int(np.argmin(series.joint_margin[:, i]))
+        least, time = float(series.joint_margin[tick, i]), float(series.time[tick])
+        if least < -tolerance:
+            text = f"{name} is {-least:.3g} rad beyond its limit at {time:.3f} s"
+            yield Violation(f"joint/{name}", "", time, least, -tolerance, text)
+    if (error := _unit_norm_error(series)) > UNIT_TOLERANCE:
+        yield Violation("unit_norm", "", end, error, UNIT_TOLERANCE, f"a pose is {error:.2g} off unit norm")
+
+
+def _of_the_ground(series: Series, of: Ground) -> Iterator[Violation]:
+    """Yield where a walk in physics did not stand."""
+    low = of.height < FALLEN * of.height[0]
+    if low.any():
+        tick = int(np.argmax(low))
+        text = f"the robot has fallen: its pelvis is {1e3 * of.height[tick]:.0f} mm high"
+        yield _broken(series, "fallen", tick, float(of.height[tick]), float(FALLEN * of.height[0]), text)
+    tick = int(np.nanargmax(of.tilt))
+    if of.tilt[tick] > TILT:
+        text = f"the sole that carries leans by {np.degrees(of.tilt[tick]):.2f} degrees"
+        yield _broken(series, "tilt", tick, float(of.tilt[tick]), float(TILT), text)
+    if of.inside < COP_INSIDE:
+        text = f"the centre of pressure is inside the support polygon on {100 * of.inside:.2f} % of ticks only"
+        tick = int(np.argmin(np.nan_to_num(of.cop_margin, nan=-1.0)))
+        yield Violation("cop", "", float(series.time[tick]), of.inside, COP_INSIDE, text)
+
+
+def _unit_norm_error(series: Series) -> float:
+    """Return the largest deviation from one of the norms of the feet's poses and of the odometry."""
+    x = DQ(np.concatenate([series.end, [span.record.x_odom_base for span in series.spans]]))
+    return float(np.abs(x.norm().vec8() - DQ(1.0).vec8()).max())
+
+
+# ---------------------------------------------------------------------- in numbers
 
 
 def report(series: Series) -> dict[str, Any]:
@@ -26,38 +298,38 @@ def report(series: Series) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``ok``, ``violations`` (see `violations.Violation`), ``walk``, ``physics`` (None without), ``phases`` (a list),
+        ``ok``, ``violations`` (see `Violation`), ``walk``, ``physics`` (None without), ``phases`` (a list),
         ``solve_time``, ``robot``, ``config`` and ``notes``. Lengths in metres, angles in radians, times in seconds.
     """
-    trace = series.trace
-    phases = [_phase(series, index) for index in range(len(series.spans))]
-    broken, stood = violations(series), series.ground
+    trace, broken, sole = series.trace, violations(series), series.trace.model.soles[Foot.LEFT]
+    phases = [_phase(series, index, span) for index, span in enumerate(series.spans)]
+    solved = trace.solve_time[np.isfinite(trace.solve_time)]
     return {
         "format": "dqwalk_ros report 1",
         "version": __version__,
         "ok": not broken,
         "violations": [asdict(violation) for violation in broken],
         "walk": _walk(series, phases),
-        "physics": None if stood is None else numbers(series, stood),
+        "physics": None if series.ground is None else _physics(series, series.ground),
         "phases": phases,
-        "solve_time": _solve_time(trace.solve_time),
+        "solve_time": {
+            "median": float(np.median(solved)),
+            "p99": float(np.percentile(solved, 99)),
+            "max": float(solved.max()),
+        }
+        if len(solved)
+        else None,
         "robot": {
             "name": trace.model.name,
             "joints": list(trace.model.joint_names),
             "mass": trace.model.mass,
-            "sole": {
-                "length": trace.model.soles[Foot.LEFT].length,
-                "width": trace.model.soles[Foot.LEFT].width,
-            },
+            "sole": {"length": sole.length, "width": sole.width},
         },
         "config": {
             name: list(value) if isinstance(value, tuple) else value for name, value in trace.config.flat().items()
         },
         "notes": list(trace.notes),
     }
-
-
-# ---------------------------------------------------------------------- numbers
 
 
 def _least(series: Series, values: Array, ticks: slice = slice(None)) -> dict[str, float]:
@@ -67,15 +339,9 @@ def _least(series: Series, values: Array, ticks: slice = slice(None)) -> dict[st
     return {"value": float(part[at]), "time": float(series.time[ticks][at])}
 
 
-def _phase(series: Series, index: int) -> dict[str, Any]:
-    span = series.spans[index]
-    ending = span.ending
-    distances = {name: column[span.ticks] for name, column in series.distances.items()}
-    minimum = {
-        name: _least(series, series.distances[name], span.ticks)
-        for name, d in distances.items()
-        if np.isfinite(d).any()
-    }
+def _phase(series: Series, index: int, span: Span) -> dict[str, Any]:
+    ticks, ending = span.ticks, span.ending
+    minimum = {name: _least(series, d, ticks) for name, d in series.distances.items() if np.isfinite(d[ticks]).any()}
     worst = min(minimum, key=lambda name: minimum[name]["value"])
     out: dict[str, Any] = {
         "index": index,
@@ -93,60 +359,58 @@ def _phase(series: Series, index: int) -> dict[str, Any]:
         "minimum": minimum,
         "worst": {"name": worst, **minimum[worst], "violation": max(0.0, -minimum[worst]["value"])},
         "residual": {
-            name: float(np.nanmax(np.abs(column[span.ticks])))
+            name: float(np.nanmax(np.abs(column[ticks])))
             for name, column in series.residuals.items()
-            if np.isfinite(column[span.ticks]).any()
+            if np.isfinite(column[ticks]).any()
         },
-        "groenwall": {name: slack for name, slack, _ in groenwall(series, span)},
-        "margin": _margins(series, span.ticks),
+        "groenwall": {name: slack for name, slack, _ in _groenwall(series, span)},
+        "margin": _margins(series, ticks),
     }
     if span.double:
-        out["slide"] = float(np.nanmax(series.slide[span.ticks]))
-        out["tip_height_settled"] = settled_height(series, span)[0]
+        out["slide"] = float(np.nanmax(series.slide[ticks]))
+        out["tip_height_settled"] = _settled_height(series, span)[0]
         out["com_to_axis"] = float(ending.com_to_axis if ending else series.com_to_axis[span.end - 1])
     elif ending is not None:
-        out["landing"] = landing(span, ending)
+        out["landing"] = _landing(span, ending)
     return out
 
 
-def _margins(series: Series, ticks: slice) -> dict[str, dict[str, float]]:
+def _margins(series: Series, ticks: slice = slice(None)) -> dict[str, dict[str, float]]:
     """Return the least of each margin of the CoM and of the joints."""
-    out = {}
-    if series.trace.config.gait.style == "paper":
-        out["paper"] = _least(series, series.paper_margin, ticks)
-    out["true"] = _least(series, series.true_margin, ticks)
-    if series.urdf_margin is not None:
-        out["true_urdf_sole"] = _least(series, series.urdf_margin, ticks)
-    for name, values in (("true", series.true_margin), ("true_urdf_sole", series.urdf_margin)):
-        if values is not None and (outside := np.flatnonzero(values[ticks] < 0.0)).size:
+    hulls = {"true": series.true_margin, "true_urdf_sole": series.urdf_margin}
+    known = {name: values for name, values in hulls.items() if values is not None}
+    paper = {"paper": series.paper_margin} if series.trace.config.gait.style == "paper" else {}
+    out = {name: _least(series, values, ticks) for name, values in (paper | known).items()}
+    for name, values in known.items():
+        if (outside := np.flatnonzero(values[ticks] < 0.0)).size:
             out[name]["outside_from"] = float(series.time[ticks][outside[0]])
-    out["joints"] = _least(series, series.joint_margin.min(axis=1), ticks)
-    return out
+    return out | {"joints": _least(series, series.joint_margin.min(axis=1), ticks)}
 
 
 def _walk(series: Series, phases: list[dict[str, Any]]) -> dict[str, Any]:
     trace = series.trace
     landings = [phase["landing"] for phase in phases if "landing" in phase]
     joint = int(np.argmin(series.joint_margin.min(axis=0)))
-    begin, end = _between_the_feet(series, 0), _between_the_feet(series, len(series.time) - 1)
-    speed = np.abs(trace.u) / trace.model.velocity_max
+    way = _between_the_feet(series, len(series.time) - 1) - _between_the_feet(series, 0)
+    ahead = np.array([DQ(span.record.x_odom_base).rotation_matrix()[:, 0] for span in series.spans])
+    yaw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))  # of the base soles, beyond a full turn too
     return {
         "finished": trace.finished,
         "duration": float(series.time[-1] - series.time[0]),
         "ticks": len(series.time),
         "steps": len(landings),
-        "distance": float(np.linalg.norm(end - begin)),
-        "forward": float(end[0] - begin[0]),
-        "lateral": float(end[1] - begin[1]),
-        "turned": _turned(series),
+        "distance": float(np.linalg.norm(way)),
+        "forward": float(way[0]),
+        "lateral": float(way[1]),
+        "turned": float(yaw[-1] - yaw[0]),
         "landing_error": max((landing["error"] for landing in landings), default=None),
-        "margin": _margins(series, slice(None)),
+        "margin": _margins(series),
         "closest_joint": trace.model.joint_names[joint],
         "joint_speed": {
             "largest": float(np.nanmax(np.abs(trace.u), initial=0.0)),
-            "of_limit": float(np.nanmax(speed, initial=0.0)),
+            "of_limit": float(np.nanmax(np.abs(trace.u) / trace.model.velocity_max, initial=0.0)),
         },
-        "unit_norm_error": unit_norm_error(series),
+        "unit_norm_error": _unit_norm_error(series),
         "unanswered": int(np.count_nonzero(~np.isfinite(trace.u).all(axis=1))),
     }
 
@@ -160,19 +424,30 @@ def _between_the_feet(series: Series, tick: int) -> Array:
     return middle
 
 
-def _turned(series: Series) -> float:
-    """Return how far the base soles turned to the left, beyond a full turn too [rad]."""
-    ahead = np.array([DQ(span.record.x_odom_base).rotation_matrix()[:, 0] for span in series.spans])
-    yaw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
-    return float(yaw[-1] - yaw[0])
-
-
-def _solve_time(values: Array) -> dict[str, float] | None:
-    known = values[np.isfinite(values)]
-    if not len(known):
-        return None
-    return {
-        "median": float(np.median(known)),
-        "p99": float(np.percentile(known, 99)),
-        "max": float(known.max()),
+def _physics(series: Series, of: Ground) -> dict[str, Any]:
+    """Return the figures of a walk in physics."""
+    stands, at = of.stands, int(np.nanargmax(of.tilt))
+    landed = [span for span in series.spans if not span.double and span.ending is not None]
+    heights = [
+        float(DQ(of.soles[span.phase.support.other][span.end]).translation()[2])
+        for span in landed
+        if span.end < len(series.time)
+    ]
+    steps, duration = len(landed), float(series.time[-1] - series.time[0])
+    out: dict[str, Any] = {
+        "steps": steps,
+        "way": float(np.linalg.norm(np.diff(stands[:, :2], axis=0), axis=1).sum()),
+        "displacement": [float(x) for x in stands[-1, :2] - stands[0, :2]],
+        "turned": float(stands[-1, 2] - stands[0, 2]),
+        "seconds_per_step": duration / steps if steps else None,
+        "tilt": {"value": float(of.tilt[at]), "time": float(series.time[at])},
+        "cop_inside": of.inside,
+        "cop_margin": float(np.nanmin(of.cop_margin)) if np.isfinite(of.cop_margin).any() else None,
+        "landing_height": max(heights, default=None),
+        "fallen": of.fallen,
+        "swing_load": of.swing_load(series),
+        "odometry_drift": of.drift(series),
     }
+    if of.circle is not None:
+        out["circle"] = {"radius": of.circle.radius, "deviation": of.circle.deviation}
+    return out

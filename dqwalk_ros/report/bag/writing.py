@@ -13,10 +13,10 @@ from dqwalk_ros.config import to_yaml
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import BagError
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.report.assessment import Assessor
 from dqwalk_ros.report.bag import columns
 from dqwalk_ros.report.bag.columns import NS, new, pack, pack_joint_states, pack_poses, pose_numbers, text
 from dqwalk_ros.report.bag.storage import connect, flush, writing
+from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.simulation import PhaseRecord, Trace
 from dqwalk_ros.topics import FINISHED, ODOM, TOPICS, WORLD

@@ -20,8 +20,8 @@ from dqwalk_ros.report.figures.style import (
     set_time_limits,
     thinned,
 )
-from dqwalk_ros.report.ground import TILT, Ground
-from dqwalk_ros.report.series import Series
+from dqwalk_ros.report.metrics import Ground, Series
+from dqwalk_ros.report.verdict import TILT
 from dqwalk_ros.robot import Foot
 
 if TYPE_CHECKING:

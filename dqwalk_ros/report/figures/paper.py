@@ -21,7 +21,7 @@ from dqwalk_ros.report.figures.style import (
     thinned,
     tone,
 )
-from dqwalk_ros.report.series import Series, Span
+from dqwalk_ros.report.metrics import Series, Span
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.report.series import Series
+from dqwalk_ros.report.metrics import Series
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -24,8 +24,7 @@ from dqwalk_ros.report.figures.style import (
     set_time_limits,
     thinned,
 )
-from dqwalk_ros.report.series import Series, Span
-from dqwalk_ros.report.support import urdf_soles
+from dqwalk_ros.report.metrics import Series, Span, urdf_soles
 from dqwalk_ros.robot import Foot, Sole
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from dqwalk_ros.report.bag.diagnostics import Status, faults
 from dqwalk_ros.report.figures import FIGURES, fits
 from dqwalk_ros.report.figures.style import drawing
 from dqwalk_ros.report.html.replay import replay_data
-from dqwalk_ros.report.series import Series
+from dqwalk_ros.report.metrics import Series
 
 __all__ = ["Subject", "document", "origin_table", "replay", "table", "write"]
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import compose
+from dqwalk_ros.report.metrics import Series
 from dqwalk_ros.report.scene import Scene, moment_of, shapes_of, tightest
-from dqwalk_ros.report.series import Series
 from dqwalk_ros.robot import Foot, RobotModel
 
 __all__ = ["FRAMES", "packed", "replay_data", "robot_data", "rounded"]

@@ -1,0 +1,486 @@
+"""What is computed from a walk: every distance at every tick, from the joint angles and the phases alone.
+
+Nothing the controller said about itself is used: the phases are rebuilt from where they began, and evaluated again at
+the recorded angles. A bag is judged in the same way whatever recorded it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros.constraints import Constraint, PointInCylinder
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import ModelError
+from dqwalk_ros.geometry import ConvexPolygon
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.robot import Foot, RobotModel, Sole, parse_model
+from dqwalk_ros.simulation import PhaseRecord, PhysicsRecord, Trace
+from dqwalk_ros.walk import Phase, PhaseKind
+
+__all__ = [
+    "Circle", "Ending", "Ground", "Series", "Span", "analyse", "hull_margin", "left_of", "support_polygon", "urdf_soles"
+]  # fmt: skip
+
+Array = NDArray[np.float64]
+
+FALLEN = 0.6
+"""A robot whose pelvis is below this part of its first height has fallen."""
+TIPPED = np.radians(20.0)
+"""And so has one whose soles lean by this, the one that carries [rad]."""
+_TOUCH = 1e-4
+"""Contacts are soft: the centre of pressure counts as inside up to here beyond an edge [m]."""
+_TURNED = np.radians(60.0)
+"""From this turn on a way is taken for an arc."""
+
+
+# ---------------------------------------------------------------------- one state
+
+
+def left_of(constraint: Constraint, d: float) -> float:
+    """Return a distance in its plain unit: that to a cylinder is r^2 - d^2 [m^2], of which r - d [m] is returned."""
+    if isinstance(constraint, PointInCylinder):
+        r = constraint.cylinder.radius
+        return r - float(np.sqrt(max(0.0, r * r - d)))
+    return d
+
+
+def support_polygon(model: RobotModel, phase: Phase, kin: Kinematics) -> ConvexPolygon:
+    """Return the convex hull of the soles on the ground, in the base sole's frame [m]."""
+    corners = model.soles[phase.base].corners
+    if phase.kind is not PhaseKind.SINGLE_SUPPORT:
+        end = model.soles[phase.base.other]
+        corners = np.concatenate([corners, DQ(kin.pose(end.frame)).transform_point(end.corners)])
+    return ConvexPolygon.hull(corners)
+
+
+# ---------------------------------------------------------------------- many states
+
+_BLOCK = 2000
+"""Hulls at a time; one takes some kilobytes."""
+_TINY = 1e-12
+
+
+def hull_margin(points: Array, p: Array) -> Array:
+    """Signed distance of many points, each to the convex hull of its own points, positive inside.
+
+    What `geometry.ConvexPolygon.hull(points[i]).distance(p[i])` gives, for all at once: a segment between two of the
+    points is an edge of the hull where all others are to its left.
+
+    Parameters
+    ----------
+    points : ndarray, shape (N, k, 2) [m]
+    p : ndarray, shape (N, 2) [m]
+
+    Returns
+    -------
+    ndarray, shape (N,) [m]
+    """
+    if len(p) > _BLOCK:
+        blocks = [slice(first, first + _BLOCK) for first in range(0, len(p), _BLOCK)]
+        return np.concatenate([hull_margin(points[block], p[block]) for block in blocks])
+    i, j = np.nonzero(~np.eye(points.shape[1], dtype=bool))  # m ordered pairs
+    a = points[:, i]  # (N, m, 2)
+    t = points[:, j] - a
+    length = np.maximum(np.linalg.norm(t, axis=2), _TINY)
+    n = np.stack([-t[..., 1], t[..., 0]], axis=2) / length[..., None]
+    side = np.einsum("nmc,nkc->nmk", n, points) - np.einsum("nmc,nmc->nm", n, a)[..., None]
+    edge = (side >= -_TINY).all(axis=2) & (length > 10.0 * _TINY)
+    v = p[:, None] - a
+    inside = np.where(edge, np.einsum("nmc,nmc->nm", v, n), np.inf).min(axis=1)
+    s = np.clip(np.einsum("nmc,nmc->nm", v, t) / length**2, 0.0, 1.0)
+    outside = np.where(edge, np.linalg.norm(v - s[..., None] * t, axis=2), np.inf).min(axis=1)
+    out: Array = np.where(inside >= 0.0, inside, -outside)
+    return out
+
+
+def urdf_soles(trace: Trace) -> Mapping[Foot, Sole] | None:
+    """Return the soles as the collision boxes of the URDF have them; None where ours agree."""
+    robot = dataclasses.replace(trace.config.robot, sole_length=0.0, sole_width=0.0, sole_center="link")
+    try:
+        soles = parse_model(trace.model.urdf, robot).soles
+    except ModelError:
+        return None
+    mine = trace.model.soles
+    same = all(np.allclose(soles[foot].corners, mine[foot].corners, atol=1e-6) for foot in Foot)
+    return None if same else soles
+
+
+@dataclass(frozen=True)
+class Ending:
+    """A phase at the state that ended it, which is the first state of the next one.
+
+    Attributes
+    ----------
+    error : float
+        Norm of the task error, as in `Series.error`.
+    com_to_axis : float
+        Horizontal distance of the CoM from the centre of the foot that carries the weight from here on [m].
+    end : ndarray, shape (8,)
+        Pose of the other sole in the base sole's frame.
+    """
+
+    error: float
+    com_to_axis: float
+    end: Array
+
+    @classmethod
+    def at(cls, model: RobotModel, phase: Phase, q: Array) -> Ending:
+        """Return the end of a phase at joint angles `q` (n,)."""
+        kin = Kinematics(model, q, phase.base)
+        center = kin.point(model.soles[phase.support].frame, model.soles[phase.support].center)
+        return cls(phase.error(kin), float(np.linalg.norm((kin.com - center)[:2])), kin.pose(kin.swing))
+
+
+@dataclass(frozen=True)
+class Span:
+    """One phase of the walk.
+
+    Attributes
+    ----------
+    record : PhaseRecord
+        How it was recorded.
+    phase : Phase
+        The phase itself, rebuilt.
+    start, end : int
+        Its ticks, ``start <= tick < end``.
+    ending : Ending or None
+        None where the walk stopped before the phase did.
+    """
+
+    record: PhaseRecord
+    phase: Phase
+    start: int
+    end: int
+    ending: Ending | None
+
+    @property
+    def ticks(self) -> slice:
+        """The ticks of the phase."""
+        return slice(self.start, self.end)
+
+    @property
+    def double(self) -> bool:
+        """Whether both feet are on the ground."""
+        return self.phase.kind is not PhaseKind.SINGLE_SUPPORT
+
+
+@dataclass(frozen=True)
+class Series:
+    """Time series of a walk, one value per tick (N of them); nan where a quantity has no meaning.
+
+    Attributes
+    ----------
+    trace : Trace
+    spans : tuple of Span
+    error : ndarray, shape (N,)
+        Norm of the task error: [m] in double support, of vec8 in single support.
+    distances : dict of str to ndarray, shape (N,)
+        Every inequality, its distance minus its bound: at or above zero where it is kept.
+    residuals : dict of str to ndarray, shape (N,)
+        Every equality: zero where it is kept.
+    com, pelvis : ndarray, shape (N, 3)
+        Centre of mass (U4) and pelvis in the base sole's frame [m].
+    end : ndarray, shape (N, 8)
+        Pose of the other sole in the base sole's frame.
+    com_on_ground : ndarray, shape (N, 2)
+        Where the vertical through the CoM meets the base sole's plane [m]; an inertial sensor tells which way is up.
+    """
+
+    trace: Trace
+    spans: tuple[Span, ...]
+    error: Array
+    distances: dict[str, Array]
+    residuals: dict[str, Array]
+    com: Array
+    end: Array
+    pelvis: Array
+    com_on_ground: Array
+
+    @property
+    def time(self) -> Array:
+        """Time of each tick [s], shape (N,)."""
+        return self.trace.time
+
+    def distance(self, name: str) -> Array:
+        """Return an inequality's distance less its bound, shape (N,); all nan where no phase of the walk has it."""
+        return self.distances.get(name, np.full(len(self.time), np.nan))
+
+    @cached_property
+    def com_odom(self) -> Array:
+        """Centre of mass in odom [m], shape (N, 3)."""
+        return self._over_spans((3,), lambda span: DQ(span.record.x_odom_base).transform_point(self.com[span.ticks]))
+
+    @cached_property
+    def tip_height(self) -> Array:
+        """Height of the other foot's tip above the base sole's ground [m], the distance of (U8)."""
+        return self._of_end_foot(lambda sole: sole.tip)[:, 2]
+
+    @cached_property
+    def slide(self) -> Array:
+        """Distance of the end foot's tip from where it was when double support began [m], that of (U7)."""
+        tip = self._of_end_foot(lambda sole: sole.tip)[:, :2]
+        out = np.full(len(self.time), np.nan)
+        for span in self.spans:
+            if span.double:
+                kin = Kinematics(self.trace.model, span.record.q_start, span.phase.base)
+                sole = self.trace.model.soles[span.phase.base.other]
+                out[span.ticks] = np.linalg.norm(tip[span.ticks] - kin.point(sole.frame, sole.tip)[:2], axis=1)
+        return out
+
+    @cached_property
+    def com_to_axis(self) -> Array:
+        """Horizontal distance of the CoM from the centre of the foot that carries the weight, or will [m]."""
+        center = self._of_end_foot(lambda sole: sole.center)[:, :2]
+        for span in self.spans:
+            if not span.double:
+                center[span.ticks] = self.trace.model.soles[span.phase.base].center[:2]
+        out: Array = np.linalg.norm(self.com[:, :2] - center, axis=1)
+        return out
+
+    @cached_property
+    def joint_margin(self) -> Array:
+        """Distance of each joint from the nearer limit [rad], shape (N, n)."""
+        model, q = self.trace.model, self.trace.q
+        out: Array = np.minimum(q - model.q_min, model.q_max - q)
+        return out
+
+    @cached_property
+    def paper_margin(self) -> Array:
+        """How far inside the support region of the paper the CoM is [m].
+
+        Double support: the nearer of the tip and the back plane (U9), (U10). Single support: the radius of the cylinder
+        (U14) minus the distance from its axis. A standing walk has neither, and its margin is nan.
+        """
+        if self.trace.config.gait.style != "paper":
+            return np.full(len(self.time), np.nan)
+        out = self.trace.config.ssp.com_radius - self.com_to_axis
+        for span in self.spans:
+            if span.double:
+                planes = [self.distances[name][span.ticks] for name in ("tip_plane", "back_plane")]
+                out[span.ticks] = np.minimum(*planes)
+        return out
+
+    @cached_property
+    def true_margin(self) -> Array:
+        """Signed distance [m] of the CoM's projection to the hull of the soles on the ground, positive inside."""
+        return self._hull_margin(self.trace.model.soles)
+
+    @cached_property
+    def urdf_margin(self) -> Array | None:
+        """`true_margin` over the soles the URDF has, where the configuration states others; else None."""
+        soles = urdf_soles(self.trace)
+        return None if soles is None else self._hull_margin(soles)
+
+    @cached_property
+    def ground(self) -> Ground | None:
+        """What the ground says of a walk in physics; None of another."""
+        physics = self.trace.physics
+        return None if physics is None or not np.isfinite(physics.pelvis).any() else Ground(self, physics)
+
+    def corners(self, tick: int, soles: Mapping[Foot, Sole] | None = None) -> tuple[Array, Array]:
+        """Return the corners (4, 3) of the base and of the other sole at a tick, in the base sole's frame [m]."""
+        soles = soles or self.trace.model.soles
+        base = self.spans[int(self.span_of[tick])].phase.base
+        return soles[base].corners, DQ(self.end[tick]).transform_point(soles[base.other].corners)
+
+    @cached_property
+    def span_of(self) -> NDArray[np.intp]:
+        """Index of each tick's span, shape (N,)."""
+        starts = [span.start for span in self.spans]
+        return np.clip(np.searchsorted(starts, np.arange(len(self.time)), side="right") - 1, 0, None)
+
+    def _over_spans(self, shape: tuple[int, ...], value: Callable[[Span], Array]) -> Array:
+        """Return a series (N, ...) from the values of each phase."""
+        out = np.full((len(self.time), *shape), np.nan)
+        for span in self.spans:
+            out[span.ticks] = value(span)
+        return out
+
+    def _of_end_foot(self, pick: Callable[[Sole], Array]) -> Array:
+        """Return a point of the other sole in the base sole's frame at every tick, shape (N, 3)."""
+        soles = self.trace.model.soles
+        return self._over_spans(
+            (3,), lambda span: DQ(self.end[span.ticks]).transform_point(pick(soles[span.phase.base.other]))
+        )
+
+    def _hull_margin(self, soles: Mapping[Foot, Sole]) -> Array:
+        def margin(span: Span) -> Array:
+            base, other = soles[span.phase.base], soles[span.phase.base.other]
+            corners = np.broadcast_to(base.corners[:, :2], (span.end - span.start, 4, 2))
+            if span.double:
+                x = DQ(self.end[span.ticks])
+                ends = [x.transform_point(corner)[:, :2] for corner in other.corners]
+                corners = np.concatenate([corners, np.stack(ends, axis=1)], axis=1)
+            return hull_margin(corners, self.com_on_ground[span.ticks])
+
+        return self._over_spans((), margin)
+
+
+def analyse(trace: Trace) -> Series:
+    """Compute every series of a walk."""
+    model, config = trace.model, trace.config
+    count = len(trace.time)
+    shapes = ((), (3,), (8,), (3,), (2,))
+    task_error, com, end, pelvis, ground = (np.full((count, *shape), np.nan) for shape in shapes)
+    up = None  # unit vectors against gravity in the inertial sensor's frame, (N, 3)
+    if trace.physics is not None:
+        up = DQ(trace.physics.orientation).conj().Ad(DQ(np.array([0.0, 0.0, 1.0]))).vec3()
+    kept: dict[str, Array] = {}
+    residuals: dict[str, Array] = {}
+    spans: list[Span] = []
+    stops = [record.start for record in trace.phases[1:]] + [count]
+    ends: list[Array | None] = [record.q_start for record in trace.phases[1:]]
+    ends.append(trace.q[-1] if trace.finished else None)
+    for record, stop, q_end in zip(trace.phases, stops, ends, strict=True):
+        phase = record.phase(config, model)
+        ending = None if q_end is None else Ending.at(model, phase, q_end)
+        spans.append(Span(record, phase, record.start, stop, ending))
+        tables = [(row.name, residuals) for row in phase.equalities] + [(row.name, kept) for row in phase.constraints]
+        columns = [(name, table.setdefault(name, np.full(count, np.nan))) for name, table in tables]
+        for tick in range(record.start, stop):
+            kin = Kinematics(model, trace.q[tick], phase.base)
+            if up is not None and np.isfinite(up[tick]).all():
+                kin = kin.tilted(kin.direction(model.imu, up[tick]))
+            now = phase.evaluate(kin)
+            task_error[tick], com[tick], ground[tick] = now.error, kin.com, kin.com_on_ground
+            end[tick], pelvis[tick] = kin.pose(kin.swing), kin.point(model.pelvis)
+            distances = now.distances()
+            for name, column in columns:
+                column[tick] = distances[name]
+    return Series(trace, tuple(spans), task_error, kept, residuals, com, end, pelvis, ground)
+
+
+# ---------------------------------------------------------------------- in physics
+
+
+@dataclass(frozen=True)
+class Circle:
+    """The circle nearest to a way.
+
+    Attributes
+    ----------
+    center : ndarray, shape (2,)
+        In the world [m].
+    radius, deviation : float
+        And the root of the mean square distance from it [m].
+    """
+
+    center: Array
+    radius: float
+    deviation: float
+
+    @classmethod
+    def through(cls, p: Array) -> Circle:
+        """Return the circle of least squares through the points `p` (N, 2) [m]."""
+        A = np.column_stack([2.0 * p, np.ones(len(p))])
+        x, y, c = np.linalg.lstsq(A, (p**2).sum(axis=1), rcond=None)[0]
+        center, radius = np.array([x, y]), float(np.sqrt(c + x**2 + y**2))
+        off = np.linalg.norm(p - center, axis=1) - radius
+        return cls(center, radius, float(np.sqrt(np.mean(off**2))))
+
+
+class Ground:
+    """What the ground says of a walk in physics: tilt of the soles, centre of pressure, the true way.
+
+    Everything is computed from the true pose of the pelvis, the joint angles and the wrenches on the soles; of what the
+    controller believes only the phases are used, which say on which soles the robot means to stand. Series have one
+    value per tick (N of them), in the world.
+
+    Attributes
+    ----------
+    physics : PhysicsRecord
+    soles : dict of Foot to ndarray, shape (N, 8)
+        True poses.
+    com : ndarray, shape (N, 3)
+        [m]
+    tilt : ndarray, shape (N,)
+        Of the sole that carries more [rad].
+    cop_margin : ndarray, shape (N,)
+        How far the centre of pressure is inside the soles that the phase stands on [m]; nan in the air.
+    height : ndarray, shape (N,)
+        Of the pelvis [m].
+    stands : ndarray, shape (M, 3)
+        x, y [m] and yaw [rad, without jumps] halfway between the feet, where a double support or stance begins and at
+        the end.
+    circle : Circle or None
+        Where the way turned far enough.
+    """
+
+    def __init__(self, series: Series, physics: PhysicsRecord) -> None:
+        trace, model, count = series.trace, series.trace.model, len(series.trace)
+        self.physics = physics
+        self.soles = {foot: np.empty((count, 8)) for foot in Foot}
+        self.com, self.cop_margin = np.empty((count, 3)), np.full(count, np.nan)
+        self.height = DQ(physics.pelvis).translation()[:, 2]
+        for span in series.spans:
+            ticks, base = span.ticks, span.phase.base
+            pelvis = np.array([Kinematics(model, q, base).pose(model.pelvis) for q in trace.q[ticks]])
+            x = DQ(physics.pelvis[ticks]) * DQ(pelvis).conj()
+            self.soles[base][ticks] = x.vec8()
+            self.soles[base.other][ticks] = (x * DQ(series.end[ticks])).vec8()
+            self.com[ticks] = x.transform_point(series.com[ticks])
+            feet = tuple(Foot) if span.double else (span.phase.support,)
+            poses = {foot: DQ(self.soles[foot][ticks]) for foot in feet}
+            corners = [x.transform_point(c)[:, :2] for foot, x in poses.items() for c in model.soles[foot].corners]
+            self.cop_margin[ticks] = hull_margin(np.stack(corners, axis=1), physics.cop[ticks, :2])
+        self.cop_margin[~np.isfinite(physics.cop).all(axis=1)] = np.nan
+        loads = np.stack([physics.wrenches[foot][:, 2] for foot in Foot], axis=1)
+        tilts = np.stack([_tilt(self.soles[foot]) for foot in Foot], axis=1)
+        self.tilt = tilts[np.arange(count), np.argmax(np.nan_to_num(loads), axis=1)]
+        self.stands = self._stands(series)
+        turned = abs(float(self.stands[-1, 2] - self.stands[0, 2]))
+        arc = turned > _TURNED and len(self.stands) > 5
+        self.circle = Circle.through(self.stands[1:, :2]) if arc else None
+
+    @property
+    def inside(self) -> float:
+        """Part of the ticks whose centre of pressure is inside; one in the air is not."""
+        return float(np.mean(np.nan_to_num(self.cop_margin, nan=-np.inf) >= -_TOUCH))
+
+    @property
+    def fallen(self) -> bool:
+        """Whether the robot fell: its pelvis came down, or it tipped over."""
+        low = np.nanmin(self.height) < FALLEN * self.height[np.isfinite(self.height)][0]
+        return bool(low or np.nanmax(self.tilt) > TIPPED)
+
+    def swing_load(self, series: Series) -> float | None:
+        """Return the part of the weight on the foot that swings, the median of all ticks; None where none swings."""
+        parts = []
+        for span in series.spans:
+            if not span.double:
+                swing, support = (
+                    self.physics.wrenches[foot][span.ticks, 2]
+                    for foot in (span.phase.support.other, span.phase.support)
+                )
+                parts.append(swing / np.maximum(swing + support, 1e-3))
+        part = np.concatenate(parts) if parts else np.empty(0)
+        return float(np.nanmedian(part)) if np.isfinite(part).any() else None
+
+    def drift(self, series: Series) -> float:
+        """Return how far odometry ends from the truth, both seen from the first base sole [m]."""
+        first, last = series.spans[0], series.spans[-1]
+        true = DQ(self.soles[first.phase.base][0]).conj() * DQ(self.soles[last.phase.base][-1])
+        told = DQ(first.record.x_odom_base).conj() * DQ(last.record.x_odom_base)
+        return float(np.linalg.norm((true.translation() - told.translation())[:2]))
+
+    def _stands(self, series: Series) -> Array:
+        ticks = [span.start for span in series.spans if span.double] + [len(series.time) - 1]
+        places, yaws = [], []
+        for foot in Foot:
+            x = DQ(self.soles[foot][ticks])
+            places.append(x.transform_point(series.trace.model.soles[foot].center)[:, :2])
+            ahead = x.P().Ad(DQ(np.array([1.0, 0.0, 0.0]))).vec3()
+            yaws.append(np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0])))
+        return np.column_stack([np.mean(places, axis=0), np.mean(yaws, axis=0)])
+
+
+def _tilt(x: Array) -> Array:
+    """Return the angle between the normals of soles (N, 8) and the vertical, shape (N,) [rad]."""
+    out: Array = 2.0 * np.arcsin(np.clip(np.hypot(x[:, 1], x[:, 2]), 0.0, 1.0))
+    return out
