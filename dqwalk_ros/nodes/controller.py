@@ -11,8 +11,6 @@ import argparse
 import enum
 import math
 import time
-import traceback
-from collections import deque
 from typing import Any
 
 import numpy as np
@@ -22,15 +20,14 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.errors import DqwalkError, QPError, StateError
+from dqwalk_ros.errors import DqwalkError, StateError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
+from dqwalk_ros.nodes.answering import AnsweringNode
 from dqwalk_ros.nodes.inputs import InertialSensor, Steering
 from dqwalk_ros.nodes.odometry import Odometry
 from dqwalk_ros.nodes.phases import PhasePublisher
-from dqwalk_ros.nodes.safety import DuplicateStates, FaultCounter, StateGate
-from dqwalk_ros.robot import Foot, RobotModel, load_model
+from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.simulation import make_controller, make_walk, walk_type, warm_up
 from dqwalk_ros.state import Command, State
 from dqwalk_ros.topics import FALLEN, FINISHED
@@ -39,11 +36,6 @@ from dqwalk_ros.walk import PhaseKind
 __all__ = ["Controller", "Mode"]
 
 Array = NDArray[np.float64]
-
-_PERIODS = 50
-"""Periods over which the rate of the states is judged."""
-_OFF = 0.2
-"""States that come at another rate than 1/dt by more than this part are a warning."""
 
 
 class Mode(enum.Enum):
@@ -65,7 +57,7 @@ def upright_axis(model: RobotModel) -> NDArray[np.float64] | None:
     return np.array([kin.direction(model.imu, axis)[2] for axis in np.eye(3)])
 
 
-class Controller(WalkNode):
+class Controller(AnsweringNode):
     """Walk: answer each measured state with joint velocities, from one quadratic program per tick.
 
     Subscribes to::
@@ -105,37 +97,19 @@ class Controller(WalkNode):
     def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
         super().__init__("controller", options, **keywords)
         config = self.config
-        self._model = load_model(config.robot)
+        if config.plant.imu:
+            self._awaited = "joint_states and imu"
         warm_up(config, self._model)
         self._walk = make_controller(config, self._model)
         self._upright = upright_axis(self._model) if config.plant.imu else None
         self._mode = Mode.WALKING if config.node.autostart else Mode.IDLE
-        self._problem = ""
-
-        self._reader = ros.JointReader(self._model.joint_names)
-        self._command_msg = ros.JointWriter(self._model.joint_names)
         self._still = self._sent = Command(0.0, np.zeros(self._model.n))
-        self._stamp = self._stamp0 = -1  # of the last and the first state answered [ns]
-        self._seen = -1  # stamp of the last state accepted [ns]
-        self._periods: deque[float] = deque(maxlen=_PERIODS)  # between states [s]
-        self._gate = StateGate(
-            self._model,
-            config.dt,
-            lambda: self.config.plant.command_timeout,
-            outside=config.safety.outside,
-            jumps=config.safety.jumps,
-            by_stamp=self.lockstep,
-        )
-        self._failures = FaultCounter(config.safety.failures)
-        self._plants = DuplicateStates(config.dt)
-        self._duplicates = ""
+        self._stamp0 = -1  # of the first state answered [ns]
         self._plant_ready = True
         self._lying = ""  # how far the pelvis leans, where that is too far
-        self._stale = False
-        self._ticks = self._rejected = 0
         self._phase_index = -1
         self._compute_time = 0.0  # from the last state in to its command out [s]
-        self._diagnosed = self._reported = -float("inf")  # steady time [s]
+        self._reported = -float("inf")  # steady time [s]
 
         self._commands = self.advertise("joint_velocity_commands")
         self._phases = PhasePublisher(self, self._model)
@@ -153,8 +127,6 @@ class Controller(WalkNode):
         self.create_service(Trigger, "~/pause", self._pause)
         self.create_service(Trigger, "~/stop", self._stop)
         self.create_service(Trigger, "~/reset", self._reset)
-        self.create_timer(0.02, self._look_for_silence, clock=STEADY)
-        self.create_timer(0.25, self._look_for_duplicates, clock=STEADY)
         self.get_logger().info(
             f"{self._model.name}: {self._model.n} joints, {walk_type(config).describe(config)}, "
             f"{'lockstep' if self.lockstep else f'real time, dt {config.dt} s'}, {self._mode.value}"
@@ -178,10 +150,7 @@ class Controller(WalkNode):
         except StateError as error:
             self._reject(error)
             return
-        self._stale = False
-        if stamp - self._seen > 0:
-            self._periods.append(1e-9 * (stamp - self._seen))
-        self._seen = stamp
+        self._note(stamp)
         if not self._may_answer():
             return
         before = self._mode
@@ -210,61 +179,24 @@ class Controller(WalkNode):
             return self._walk.odometry()
         return Kinematics(self._model, state.q, self._first_base).pose(self._model.pelvis)
 
-    def _reject(self, error: StateError) -> None:
-        """Note a state that cannot be used; it has changed nothing."""
-        self._rejected += 1
-        self.get_logger().error(f"joint_states rejected ({self._rejected} so far): {error}", **THROTTLE)
-        if self._gate.jumped and self._mode is Mode.WALKING:
-            self._sent = self._fail(self._gate.jumped.reason)
-            self._publish_zero()
-            self._done()
-        elif self._is_time_to_diagnose():
-            self._diagnose("ERROR", f"joint_states rejected: {error}")
+    @property
+    def _is_walking(self) -> bool:
+        return self._mode is Mode.WALKING
 
-    def _is_new(self, stamp: int) -> bool:
-        if self.lockstep:
-            if stamp == self._stamp:  # the plant asks again: our answer was lost
-                self._publish_command()
-            elif stamp < self._stamp:
-                self.get_logger().error(
-                    f"the plant began again at {stamp * 1e-9:.3f} s, this walk is at {self._stamp * 1e-9:.3f} s: "
-                    "call ~/reset",
-                    **THROTTLE,
-                )
-            return stamp > self._stamp
-        if not self._gate.is_new(stamp):
-            return False
-        if stamp <= self._stamp:
-            self.get_logger().warning(f"the stamps went back by {(self._stamp - stamp) * 1e-9:.3f} s")
-        return True
-
-    def _may_answer(self) -> bool:
-        """Hold the first answer of a recorded walk until nothing of it can be lost."""
-        if self._ticks or not self.config.node.wait_for_recorder:
-            return True
-        ends = self.get_subscriptions_info_by_topic(self.resolve_topic_name("joint_states"))
-        hears_states = any(end.node_name == "recorder" for end in ends)
-        return hears_states and ros.is_heard_by(self, self._commands, "recorder")
+    def _numbers(self, command: Command) -> Array:
+        return command.velocity if command.effort is None else np.concatenate([command.velocity, command.effort])
 
     def _step(self, state: State, stamp: int) -> Command:
         """Return the answer; whatever goes wrong, zeros."""
-        try:
+
+        def step() -> Command:
             if self._steering is not None:
                 self._steering.apply()
-            command = self._walk.step(state, self.config.dt)
-            self._failures.good()
-        except QPError as error:
-            if self._failures.fault(str(error)):
-                return self._fail(f"{error} ({self._failures.limit} times in a row)")
-            self.get_logger().error(f"standing still for a tick: {error}", **THROTTLE)
+            return self._walk.step(state, self.config.dt)
+
+        command: Command | None = self._guarded(step)
+        if command is None:
             return self._still
-        except DqwalkError as error:
-            return self._fail(str(error))
-        except Exception as error:  # a fault of ours must stop the robot like any other
-            traceback.print_exc()
-            return self._fail(f"internal error: {type(error).__name__}: {error}")
-        if not np.isfinite(command.velocity).all():
-            return self._fail("internal error: the controller's answer is not finite")
         if self._stamp0 < 0:
             self._stamp0 = stamp
         if self._walk.phase_index != self._phase_index:
@@ -286,9 +218,8 @@ class Controller(WalkNode):
             if self._mode in (Mode.WALKING, Mode.PAUSED):
                 self._mode, self._problem = Mode.FALLEN, self._lying
 
-    def _fail(self, reason: str) -> Command:
+    def _fail(self, reason: str) -> None:
         self._mode, self._problem = Mode.FAILED, reason
-        return self._still
 
     def _done(self) -> None:
         """Say once how the walk ended."""
@@ -302,49 +233,11 @@ class Controller(WalkNode):
         if self.config.node.exit_when_done:
             self.stop(0 if self._mode is Mode.DONE else 1)
 
-    def _look_for_silence(self) -> None:
-        """Answer a plant that fell silent with zeros, once (real time only: in lockstep it may take its time)."""
-        if self._stamp < 0 and self._is_time_to_diagnose():
-            self._diagnose("WARN", f"waiting for joint_states{' and imu' if self._imu else ''}")
-        if self.lockstep or self._stale or self._stamp < 0 or not self._gate.watchdog.silent:
-            return
-        self._stale = True
-        self._publish_zero()
-        self.get_logger().warning("joint_states fell silent: commanding zero velocity", **THROTTLE)
-        self._diagnose("STALE", "joint_states fell silent")
-
-    def _look_for_duplicates(self) -> None:
-        """Stand still where two plants publish the robot's state."""
-        duplicates = self._plants.judge(ros.other_publishers(self, "joint_states"))
-        log = self.get_logger()
-        if duplicates != self._duplicates:
-            self._duplicates = duplicates
-            text = f"standing still: two plants: {duplicates}"
-            log.error(text) if duplicates else log.info("one plant again: going on")
-        self._judge_rate()
-        if trouble := self.time_trouble():
-            log.error(trouble, throttle_duration_sec=10.0, throttle_time_source_type=STEADY)
-            self._diagnose("ERROR", trouble)
-
-    def _judge_rate(self) -> None:
-        """Warn where the states come at another rate than the commands are made for."""
-        if self.lockstep or len(self._periods) < _PERIODS:
-            return
-        period, dt = float(np.percentile(self._periods, 25)), self.config.dt  # a state that was lost doubles one
-        if abs(period / dt - 1.0) > _OFF:
-            text = f"joint_states come every {period:.4f} s, and dt is {dt:g} s: set dt to the period of the states"
-            self.get_logger().warning(text, throttle_duration_sec=30.0, throttle_time_source_type=STEADY)
-
     def _on_plant_ready(self, msg: Bool) -> None:
         """Stand still where the plant cannot do what it is told, such as a robot whose torque is off."""
         if msg.data != self._plant_ready:
             self._plant_ready = msg.data
             self.get_logger().info("the plant is ready" if msg.data else "standing still until the plant is ready")
-
-    def _publish_zero(self) -> None:
-        if not self.lockstep and self._stamp >= 0:
-            self._sent = self._still
-            self._publish_command()
 
     # ------------------------------------------------------------------ services
 
@@ -387,11 +280,6 @@ class Controller(WalkNode):
         self._show_phase()
         return self._answer(response, True, "the walk begins anew from where the robot stands; ~/start starts it")
 
-    def _answer(self, response: Trigger.Response, success: bool, message: str) -> Trigger.Response:
-        self.get_logger().info(message)
-        response.success, response.message = success, message
-        return response
-
     # ------------------------------------------------------------------ topics
 
     def _publish_command(self) -> None:
@@ -410,9 +298,6 @@ class Controller(WalkNode):
         if phase.kind is PhaseKind.SINGLE_SUPPORT:
             self._odometry.note_step()
         self.get_logger().info(f"{(stamp - self._stamp0) * 1e-9:8.3f} s  phase {self._phase_index}: {phase.name}")
-
-    def _is_time_to_diagnose(self) -> bool:
-        return time.perf_counter() - self._diagnosed >= 1.0 / self.config.monitor.rate
 
     def _diagnose(self, level: str = "", message: str = "") -> None:
         last = self._walk.last if self._phase_index >= 0 else None
@@ -451,12 +336,6 @@ class Controller(WalkNode):
             error=float(self._walk.last.error) if walking and self._walk.last else None,
             reason=self._problem,
         )
-
-    def close(self) -> None:
-        """Command zero velocity; in lockstep the plant stands still without an answer."""
-        if self._stamp >= 0 and not self.lockstep:
-            self._sent = self._still
-            self._publish_command()
 
 
 def first_base(config: Config, model: RobotModel) -> Foot:

@@ -391,7 +391,7 @@ class BodyGate(StateGate):
 
     def __init__(self, model: RobotModel, dt: float, timeout: Callable[[], float], **options: Any) -> None:
         able = dataclasses.replace(model, velocity_max=self.fast * model.velocity_max)
-        super().__init__(able, dt, timeout, by_stamp=True, **options)
+        super().__init__(able, dt, timeout, **{**options, "by_stamp": True})
         self._place: Array | None = None
 
     def accept_body(self, stamp: int, q: Array, dq: Array, place: Array, v_base: Array) -> None:
