@@ -12,6 +12,7 @@ from __future__ import annotations
 import fnmatch
 import re
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import msgspec
@@ -173,8 +174,11 @@ class Drive:
 
     def angles(self, effort: Array) -> Array:
         """Return the change of the goals (n,) [rad] that gives the torques `effort` (n,) [N m]."""
-        angles: Array = np.divide(effort, self.stiffness, out=np.zeros_like(effort), where=self.stiffness > 0.0)
-        return angles
+        return effort * self._compliance
+
+    @cached_property
+    def _compliance(self) -> Array:
+        return np.divide(1.0, self.stiffness, out=np.zeros_like(self.stiffness), where=self.stiffness > 0.0)
 
 
 def _entries(key: str, entries: tuple[str, ...], model: RobotModel) -> list[tuple[list[int], str]]:

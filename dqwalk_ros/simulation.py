@@ -348,8 +348,8 @@ class Recorder:
         plant : Plant, optional
             The plant at that state, for what no sensor measures.
         """
-        if plant is not None and plant.truth is not None and plant.inertial is not None:
-            self._seen.append((plant.truth, plant.inertial))
+        if plant is not None and (truth := plant.truth) is not None and (felt := plant.inertial) is not None:
+            self._seen.append((truth, felt))
         self._finished = finished = controller.finished
         if controller.phase_index >= len(self._phases) and not finished:
             phase = controller.phase

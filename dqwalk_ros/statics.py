@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from dqwalk_ros.compiled import jit
 from dqwalk_ros.kinematics import Kinematics, direction
 
-__all__ = ["GRAVITY", "gravity_torques", "ground_torques"]
+__all__ = ["GRAVITY", "borne_by_other", "gravity_torques", "ground_torques"]
 
 Array = NDArray[np.float64]
 
@@ -46,12 +46,12 @@ def ground_torques(kin: Kinematics, force: Array, pressure: Array, *, both: bool
         a, b = base.center, kin.point(other.frame, other.center)
         moves, x_other = kin.tree.moves[kin.tree.frames[other.frame][0]], kin.pose(other.frame)
         half = 0.5 * min(base.length, other.length)
-        tau -= _borne_by_other(force, pressure, kin.com, a, b, half, x_other, kin.lines, moves)
+        tau -= borne_by_other(force, pressure, kin.com, a, b, half, x_other, kin.lines, moves)
     return tau
 
 
 @jit
-def _borne_by_other(force, pressure, com, a, b, half, x_other, lines, moves):  # type: ignore[no-untyped-def]
+def borne_by_other(force, pressure, com, a, b, half, x_other, lines, moves):  # type: ignore[no-untyped-def]
     """Return w (F.J_po + m.J_omega) (n,); `a` and `b` are the soles' centres, `half` is half of their length."""
     x, y = b[0] - a[0], b[1] - a[1]
     w = ((pressure[0] - a[0]) * x + (pressure[1] - a[1]) * y) / (x * x + y * y)

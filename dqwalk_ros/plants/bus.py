@@ -13,6 +13,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros.compiled import jit
 from dqwalk_ros.config import ServoConfig
 from dqwalk_ros.servos import Drive, Servos
 
@@ -64,14 +65,13 @@ class Bus:
         time, dt : float
         """
         c = self._config
-        wanted = self._wanted + dt * velocity
-        wanted = np.minimum(np.maximum(wanted, q - c.window), q + c.window)
-        self._wanted = np.minimum(np.maximum(wanted, self._lower), self._upper)
         if effort is not None:
             self._fed = self._drive.angles(effort)
+        self._wanted, goal = _goals(
+            self._wanted, velocity, dt, q, c.window, self._lower, self._upper, self._fed, self._step
+        )
         if c.rate <= 0.0 or time - self._written >= 1.0 / c.rate - 1e-9:
             self._written = time
-            goal = np.rint((self._wanted + self._fed) / self._step) * self._step
             self._queue.append((time + c.latency, goal))
 
     def output(self, time: float) -> tuple[Array, float]:
@@ -79,3 +79,14 @@ class Bus:
         while self._queue and self._queue[0][0] <= time + 1e-9:
             self._goal = self._queue.popleft()[1]
         return self._goal, self._queue[0][0] if self._queue else math.inf
+
+
+@jit
+def _goals(wanted, velocity, dt, q, window, lower, upper, fed, step):  # type: ignore[no-untyped-def]
+    """Return the commanded positions a period later, and the goals in steps of the servos, both (n,)."""
+    moved, goal = np.empty_like(q), np.empty_like(q)
+    for i in range(q.shape[0]):
+        near = min(max(wanted[i] + dt * velocity[i], q[i] - window), q[i] + window)
+        moved[i] = min(max(near, lower[i]), upper[i])
+        goal[i] = np.rint((moved[i] + fed[i]) / step[i]) * step[i]
+    return moved, goal

@@ -36,6 +36,7 @@ _THICK = 0.008
 """Of the boxes of the soles [m]."""
 _SOLID = [0.95, 0.99, 0.0005, 0.5, 2.0]
 """Impedance of a contact: firm from half a millimetre on."""
+_NO_ACCELERATION = np.zeros(3)
 
 
 class PhysicsPlant(World):
@@ -50,10 +51,14 @@ class PhysicsPlant(World):
     """
 
     def __init__(self, config: Config, model: RobotModel, q0: ArrayLike | None = None) -> None:
-        self.config, self.model = config, model
+        self.config, self.model, self._shape = config, model, (model.n,)
+        self._dt, self._timestep = config.dt, config.physics.timestep
+        self._effort_min, self._effort_max = -model.effort_max, model.effort_max
         q = np.zeros(model.n) if q0 is None else np.array(q0, dtype=np.float64)
         self.mj = build(config, model)
         self.data: Any = mujoco.MjData(self.mj)
+        self._qpos, self._qvel = self.data.qpos, self.data.qvel  # views, and so are these
+        self._xpos, self._xquat, self._xmat = self.data.xpos, self.data.xquat, self.data.xmat
         joints = [self.mj.joint(name) for name in model.joint_names]
         self._qadr = np.array([int(j.qposadr[0]) for j in joints])
         self._vadr = np.array([int(j.dofadr[0]) for j in joints])
@@ -88,16 +93,10 @@ class PhysicsPlant(World):
         PlantError
             If the command does not fit, or the simulation has gone astray.
         """
-        u = np.asarray(command.velocity, dtype=np.float64)
-        if u.shape != (self.model.n,) or not np.isfinite(u).all():
-            raise PlantError(f"the command must have {self.model.n} finite velocities, got {u}")
-        tau = command.effort
+        u, tau = self._checked(command.velocity, "velocities"), command.effort
         if tau is not None:
-            tau = np.asarray(tau, dtype=np.float64)
-            if tau.shape != u.shape or not np.isfinite(tau).all():
-                raise PlantError(f"the command must have {self.model.n} finite torques, got {tau}")
-            tau = np.minimum(np.maximum(tau, -self.model.effort_max), self.model.effort_max)
-        mj, data, h = self.mj, self.data, self.config.physics.timestep
+            tau = np.minimum(np.maximum(self._checked(tau, "torques"), self._effort_min), self._effort_max)
+        mj, data, h = self.mj, self.data, self._timestep
         now = data.time
         self._bus.command(u, tau, self._state.q, now, dt)
         left = max(1, round(dt / h))
@@ -110,7 +109,7 @@ class PhysicsPlant(World):
                 mujoco.mj_step(mj, data, steps - 1)
             mujoco.mj_step1(mj, data)
             left, now = left - steps, data.time
-        if not math.isfinite(data.qpos.sum()):
+        if not math.isfinite(self._qpos.sum()):
             raise PlantError("the simulation is not finite any more")
         self._ticks += 1
         self._state = self._measured()
@@ -146,19 +145,24 @@ class PhysicsPlant(World):
     @property
     def fallen(self) -> bool:
         """Whether the pelvis has come down to 60 % of its first height or leans by more than 60 degrees."""
-        up = self.data.xmat[self._root, 8]
-        return bool(self.data.xpos[self._root, 2] < 0.6 * self._height or up < 0.5)
+        return bool(self._xpos[self._root, 2] < 0.6 * self._height or self._xmat[self._root, 8] < 0.5)
 
     # ------------------------------------------------------------------ inside
 
+    def _checked(self, values: Array, what: str) -> Array:
+        values = np.asarray(values, dtype=np.float64)
+        if values.shape != self._shape or not math.isfinite(values.sum()):
+            raise PlantError(f"the command must have {self.model.n} finite {what}, got {values}")
+        return values
+
     def _measured(self) -> State:
-        data, turning, orientation = self.data, np.empty(6), np.empty(4)
-        mujoco.mj_objectVelocity(self.mj, data, mujoco.mjtObj.mjOBJ_XBODY, self._imu, turning, 1)
-        mujoco.mju_mulQuat(orientation, self._level, data.xquat[self._imu])
-        time = round(self._ticks * self.config.dt * 1e9) * 1e-9  # as a stamp of ROS has it
-        q, dq = data.qpos[self._qadr], data.qvel[self._vadr]
+        turning, orientation = np.empty(6), np.empty(4)
+        mujoco.mj_objectVelocity(self.mj, self.data, mujoco.mjtObj.mjOBJ_XBODY, self._imu, turning, 1)
+        mujoco.mju_mulQuat(orientation, self._level, self._xquat[self._imu])
+        time = round(self._ticks * self._dt * 1e9) * 1e-9  # as a stamp of ROS has it
+        q, dq = self._qpos[self._qadr], self._qvel[self._vadr]
         # an exact sensor's acceleration is computed where it is asked for
-        acceleration = np.zeros(3) if self._sensors.exact else self._acceleration()
+        acceleration = _NO_ACCELERATION if self._sensors.exact else self._acceleration()
         r = self._reading = self._sensors.measure(time, Reading(q, dq, orientation, turning[:3], acceleration))
         return State(time, r.q, r.dq, upward(*r.orientation.tolist()), r.gyro)
 

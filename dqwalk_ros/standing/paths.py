@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from dqwalk_ros.compiled import jit
 from dqwalk_ros.constraints import pose_error
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.kinematics import CenterOfMassOnGround, Feature, Kinematics, Point, Rotation
+from dqwalk_ros.kinematics import CenterOfMassOnGround, Feature, Point, Rotation
 from dqwalk_ros.tasks import Task
 
-__all__ = ["ComPath", "SwingPath"]
+__all__ = ["ComPath", "SwingPath", "com_path"]
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ def _minimum_jerk(s):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _com_path(s, start, elapsed, duration):  # type: ignore[no-untyped-def]
+def com_path(s, start, elapsed, duration):  # type: ignore[no-untyped-def]
     """Return place, velocity and acceleration (2,) of the path from `start` (2,) to the mean of the points in s[2:]."""
     goal, count = np.zeros(2), (s.shape[0] - 2) // 3
     for k in range(count):
@@ -73,21 +73,15 @@ class ComPath(Task):
 
     def value(self, s: Array, elapsed: float) -> tuple[Array, Array]:
         """Offset of the CoM from its path, shape (2,) [m]."""
-        place, _, _ = _com_path(s, self.start, elapsed, self.duration)
+        place, _, _ = com_path(s, self.start, elapsed, self.duration)
         return s[:2] - place, self._gradient
 
     def rate(self, s: Array, e: Array, elapsed: float, eta: float) -> Array:
         """Return the e' asked for: the path's velocity and the way back to it, shape (2,) [m/s]."""
-        _, velocity, _ = _com_path(s, self.start, elapsed, self.duration)
+        _, velocity, _ = com_path(s, self.start, elapsed, self.duration)
         size = float(e @ e) ** 0.5
         back: Array = velocity - eta * min(1.0, self.saturation / max(size, 1e-12)) * e
         return back
-
-    def reference(self, kin: Kinematics) -> tuple[Array, Array, Array]:
-        """Return place [m], velocity [m/s] and acceleration [m/s^2] of the path, shape (2,) each."""
-        s = np.concatenate([np.zeros(2), *(kin.point(point.frame, point.offset) for point in self.over)])
-        path: tuple[Array, Array, Array] = _com_path(s, self.start, kin.elapsed, self.duration)
-        return path
 
 
 @jit

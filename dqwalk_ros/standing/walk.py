@@ -20,7 +20,7 @@ from dqwalk_ros.errors import PhaseError
 from dqwalk_ros.geometry import ConvexPolygon, Plane
 from dqwalk_ros.kinematics import Kinematics, Point
 from dqwalk_ros.robot import Foot, RobotModel
-from dqwalk_ros.standing.balance import balance_torques
+from dqwalk_ros.standing.balance import Balance
 from dqwalk_ros.standing.footsteps import Footsteps, flat
 from dqwalk_ros.standing.paths import ComPath, SwingPath
 from dqwalk_ros.state import State
@@ -50,6 +50,7 @@ class StandingWalk(Walk):
         self._together = False
         self._done = 0
         self._first = Foot(config.gait.first_support)
+        self._balance: Balance | None = None
 
     @staticmethod
     def phases(config: Config) -> int:
@@ -235,7 +236,9 @@ class StandingWalk(Walk):
 
     def effort(self, phase: Phase, kin: Kinematics, state: State) -> Array:
         """Return the torques that hold the robot against gravity and draw its CoM to its path, shape (n,) [N m]."""
-        return balance_torques(phase, kin, state, self.config)
+        if self._balance is None or self._balance.phase is not phase:
+            self._balance = Balance(phase, self.config)
+        return self._balance(kin, state)
 
 
 class PathEnd:
