@@ -19,6 +19,7 @@ from distributed import LocalCluster
 from pyarrow import parquet
 
 from dqwalk_ros import cli
+from dqwalk_ros.cli.options import overlaid
 from dqwalk_ros.cli.robustness import table
 from dqwalk_ros.config import load
 from dqwalk_ros.errors import ConfigError, PlantError, StudyError
@@ -285,6 +286,19 @@ def test_stiffness_is_varied_relative_to_the_robots_own():
     big = robustness.axes_of(POPPY.updated({"servo.stiffness": 4000.0}))["servo.stiffness"]
     assert big[2] == 4000.0
     assert big[0] == pytest.approx(4000.0 * 25 / 60)
+
+
+def test_the_controller_may_be_told_a_wrong_latency():
+    config = POPPY.updated({"servo.latency": 0.03, "sensors.age": 0.01})
+    for error, expected in ((0.0, 0.04), (0.02, 0.06), (-0.02, 0.02), (-0.1, 0.0)):
+        assert robustness.told(config, error)["servo.assumed_latency"] == pytest.approx(expected)
+
+
+def test_as_built_is_walked_at_two_gains_and_with_many_seeds():
+    axes = robustness.axes_of(overlaid(POPPY, "poppy_as_built"))
+    assert len(robustness.cells(axes)) == 40
+    done = [robustness.Cell({"servo.p_gain": 255.0, "sensors.seed": k}, True, 1.0, 3, "", 0.001 * k) for k in range(3)]
+    assert "leaned by 0.06 degrees" in table(done, axes)
 
 
 def test_a_robot_with_weak_servos_that_nothing_holds_falls(tmp_path):

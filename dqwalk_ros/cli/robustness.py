@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
+import statistics
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -42,8 +44,17 @@ examples:
   dqwalk robustness --jobs 4 --set qp.solver=daqp          daqp gives the same answers in less time
   dqwalk robustness --sample 40
   dqwalk robustness --axis servo.stiffness=60 --axis servo.latency=0,0.06 --steps 4
+  dqwalk robustness --axis latency_error=-0.02,0.02 --sample 72      the controller is told a wrong latency
+  dqwalk robustness --plant poppy_as_built --steps 20                40 walks: two P gains, 20 seeds of the sensors
 """)
 @config_option("poppy")
+@click.option(
+    "--plant",
+    type=click.Choice(["physics", "poppy_as_built"]),
+    default="physics",
+    show_default=True,
+    help="MuJoCo with ideal sensors, or Poppy as it is built.",
+)
 @click.option("--steps", metavar="N", type=int, default=10, show_default=True, help="Steps of each walk.")
 @click.option("--axis", metavar="KEY=A,B", multiple=True, help="Vary this parameter over these values instead.")
 @click.option("--sample", metavar="N", type=int, default=0, show_default="all", help="Walk N random combinations.")
@@ -56,6 +67,7 @@ examples:
 @set_option
 def robustness(
     config: str,
+    plant: str,
     steps: int,
     axis: tuple[str, ...],
     sample: int,
@@ -77,7 +89,7 @@ def robustness(
     from dqwalk_ros.report.figures.style import drawing
     from dqwalk_ros.studies import robustness as study
 
-    made = config_of(config, changes, also={"gait.steps": steps})
+    made = config_of(config, changes, plant=plant, also={"gait.steps": steps})
     axes = study.axes_of(made)
     for text in axis:
         name, _, values = text.partition("=")
@@ -86,7 +98,7 @@ def robustness(
         except ValueError:
             raise ConfigError(f"--axis needs KEY=NUMBER,NUMBER..., not {text!r}") from None
     for name, numbers in axes.items():  # what cannot be walked is refused now
-        for number in numbers:
+        for number in numbers if name != study.LATENCY_ERROR else ():
             made.updated({name: number}, source="--axis")
     combinations = study.cells(axes, sample, seed)
     with Progress(quiet=quiet) as bar:
@@ -110,7 +122,13 @@ def table(done: Sequence[Cell], axes: dict[str, tuple[float, ...]]) -> str:
     total = 1
     for values in axes.values():
         total *= len(values)
-    lines = [f"{stood} of {len(done)} cells stood ({len(done)} of the {total} combinations were walked)", ""]
+    lines = [f"{stood} of {len(done)} cells stood ({len(done)} of the {total} combinations were walked)"]
+    tilts = [math.degrees(cell.tilt) for cell in done if cell.stood and cell.tilt is not None]
+    if tilts:
+        lines.append(
+            f"the sole that carries leaned by {statistics.median(tilts):.2f} degrees (median of those that stood)"
+        )
+    lines.append("")
     for name, values in axes.items():
         for value in values:
             part = [cell for cell in done if cell.values[name] == value]
@@ -130,8 +148,8 @@ def table(done: Sequence[Cell], axes: dict[str, tuple[float, ...]]) -> str:
 def _write(path: Path, done: Sequence[Cell], names: list[str]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow([*names, "stood", "time", "steps", "reason"])
+        writer.writerow([*names, "stood", "time", "steps", "reason", "tilt"])
         for cell in done:
             writer.writerow(
-                [*(cell.values[name] for name in names), int(cell.stood), cell.time, cell.steps, cell.reason]
+                [*(cell.values[name] for name in names), int(cell.stood), cell.time, cell.steps, cell.reason, cell.tilt]
             )

@@ -13,7 +13,7 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.state import Command, State
 
-__all__ = ["Inertial", "Plant", "Truth", "World", "upward"]
+__all__ = ["Inertial", "Plant", "Truth", "World", "tilt", "upward"]
 
 Array = NDArray[np.float64]
 
@@ -111,6 +111,18 @@ class Truth:
                 total += w[2]
                 moment += w[2] * DQ(self.soles[foot]).transform_point([-w[4] / w[2], w[3] / w[2], 0.0])
         return moment / total if total > 1e-2 else None
+
+    @property
+    def tilt(self) -> float:
+        """Angle of the sole that bears most against the floor [rad]."""
+        carries = max(self.wrenches, key=lambda foot: float(self.wrenches[foot][2]))
+        return float(tilt(self.soles[carries]))
+
+
+def tilt(x: Array) -> Array:
+    """Return the angle between the normals of soles (..., 8) and that of the floor [rad]."""
+    out: Array = 2.0 * np.arcsin(np.clip(np.hypot(x[..., 1], x[..., 2]), 0.0, 1.0))
+    return out
 
 
 def upward(w: float, i: float, j: float, k: float) -> Array:

@@ -19,6 +19,7 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.geometry import ConvexPolygon
 from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.plants import tilt
 from dqwalk_ros.robot import Foot, RobotModel, Sole, parse_model
 from dqwalk_ros.simulation import PhaseRecord, PhysicsRecord, Trace
 from dqwalk_ros.walk import Phase, PhaseKind
@@ -431,7 +432,7 @@ class Ground:
             self.cop_margin[ticks] = hull_margin(np.stack(corners, axis=1), physics.cop[ticks, :2])
         self.cop_margin[~np.isfinite(physics.cop).all(axis=1)] = np.nan
         loads = np.stack([physics.wrenches[foot][:, 2] for foot in Foot], axis=1)
-        tilts = np.stack([_tilt(self.soles[foot]) for foot in Foot], axis=1)
+        tilts = np.stack([tilt(self.soles[foot]) for foot in Foot], axis=1)
         self.tilt = tilts[np.arange(count), np.argmax(np.nan_to_num(loads), axis=1)]
         self.stands = self._stands(series)
         turned = abs(float(self.stands[-1, 2] - self.stands[0, 2]))
@@ -478,9 +479,3 @@ class Ground:
             ahead = x.P().Ad(DQ(np.array([1.0, 0.0, 0.0]))).vec3()
             yaws.append(np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0])))
         return np.column_stack([np.mean(places, axis=0), np.mean(yaws, axis=0)])
-
-
-def _tilt(x: Array) -> Array:
-    """Return the angle between the normals of soles (N, 8) and the vertical, shape (N,) [rad]."""
-    out: Array = 2.0 * np.arcsin(np.clip(np.hypot(x[:, 1], x[:, 2]), 0.0, 1.0))
-    return out

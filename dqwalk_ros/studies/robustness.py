@@ -24,12 +24,21 @@ from dqwalk_ros.walk import PhaseKind
 __all__ = ["Cell", "Outcome", "axes_of", "cells", "told", "walk", "walk_all"]
 
 
+LATENCY_ERROR = "latency_error"
+"""An axis of its own: so much more latency is the controller told than there is [s]."""
+_LOOK = 0.02
+"""The tilt of the soles is looked at this often [s]."""
+
+
 def axes_of(config: Config) -> dict[str, tuple[float, ...]]:
     """Return what is varied by default.
 
     The controller is told stiffness, damping, rate and latency of the servos, nothing of the rest. Stiffness is varied
-    relative to the robot's own, which grows with its weight and height.
+    relative to the robot's own, which grows with its weight and height. Servos of a type are what they are: at the
+    highest P gain and half of it, with other faults of the sensors in each walk.
     """
+    if config.servo.types:
+        return {"servo.p_gain": (255, 127), "sensors.seed": tuple(range(20))}
     return {
         "physics.friction": (0.4, 0.8, 1.2),
         "physics.mass_scale": (0.9, 1.0, 1.1),
@@ -53,12 +62,15 @@ class Outcome(msgspec.Struct, frozen=True):
         Steps that were landed.
     reason : str
         Why it did not stand.
+    tilt : float or None
+        The most that the sole that carries leaned [rad].
     """
 
     stood: bool
     time: float
     steps: int
     reason: str
+    tilt: float | None = None
 
 
 @dataclass(frozen=True)
@@ -70,6 +82,7 @@ class Cell:
     time: float
     steps: int = 0
     reason: str = ""
+    tilt: float | None = None
 
 
 def cells(axes: Mapping[str, Sequence[float]], sample: int = 0, seed: int = 0) -> list[dict[str, float]]:
@@ -87,34 +100,36 @@ def cells(axes: Mapping[str, Sequence[float]], sample: int = 0, seed: int = 0) -
     return random.Random(seed).sample(every, sample) if 0 < sample < len(every) else every
 
 
-def told(config: Config) -> dict[str, float]:
-    """Return what the controller is told of its servos where it is told what is so."""
+def told(config: Config, latency_error: float = 0.0) -> dict[str, float]:
+    """Return what the controller is told of its servos; all of it is so but for `latency_error` [s]."""
     s = config.servo
     return {
         "servo.assumed_stiffness": s.stiffness,
         "servo.assumed_damping": s.damping,
-        "servo.assumed_latency": s.latency + config.sensors.age,
+        "servo.assumed_latency": max(s.latency + config.sensors.age + latency_error, 0.0),
         "servo.assumed_rate": s.rate or 1.0 / config.dt,
     }
 
 
 def walk(config: Config, index: int, values: Mapping[str, Any]) -> Outcome:
     """Walk one combination in physics, to the end or to the fall."""
-    time, steps, phase = 0.0, 0, None
+    time, steps, phase, tilt = 0.0, 0, None, 0.0
+    parameters = {name: value for name, value in values.items() if name != LATENCY_ERROR}
     try:
-        varied = config.updated(values)
-        varied = varied.updated({**told(varied), **values})
+        varied = config.updated(parameters)
+        varied = varied.updated({**told(varied, values.get(LATENCY_ERROR, 0.0)), **parameters})
         model = load_model(varied.robot)
         controller, plant = make_controller(varied, model), make_plant("physics", varied, model)
         for state, _ in closed_loop(controller, plant):
-            time = state.time
+            if state.time >= time + _LOOK - 1e-9 and (truth := plant.truth) is not None:
+                time, tilt = state.time, max(tilt, truth.tilt)
             if controller.phase is not phase:
                 steps += phase is not None and phase.kind is PhaseKind.SINGLE_SUPPORT
                 phase = controller.phase
     except DqwalkError as error:
-        return Outcome(False, time, steps, str(error))
+        return Outcome(False, time, steps, str(error), tilt)
     reason = "" if controller.finished else f"fell in {controller.phase.name}"
-    return Outcome(not reason, time, steps, reason)
+    return Outcome(not reason, time, steps, reason, tilt)
 
 
 def walk_all(
