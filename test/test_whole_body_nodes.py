@@ -1,23 +1,33 @@
-"""The whole-body controller and its plant as real processes, in lockstep."""
+"""The whole-body controller and its plant: the walk as processes in lockstep, and in one process what they refuse."""
 
 from __future__ import annotations
 
 import ast
+import math
+import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from inside import inside, state
 from live import Live
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import load
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import QPError
+from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.report import bag
 from dqwalk_ros.robot import load_model
 from dqwalk_ros.runner import private_domain
-from dqwalk_ros.whole_body import WholeBodyController, retrace
+from dqwalk_ros.whole_body import BodyCommand, BodyState, WholeBodyController, retrace
+from dqwalk_ros.whole_body import controller as core
 from dqwalk_ros.whole_body.demands import checks
 from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 
@@ -87,7 +97,8 @@ def test_it_walks_over_topics(live: Live, tmp_path: Path) -> None:
     target.publish(goal)
     moved = len(efforts)
     live.until(lambda: len(efforts) > moved + 100, 60.0, "half a second more")
-    assert all(s.level == b"\x00" for s in live.statuses("whole_body_controller"))
+    statuses = live.statuses("whole_body_controller")
+    assert {s.message for s in statuses} <= {"waiting for body state", "in balance"}
     live.until(lambda: live.status("rigid") is not None, 20.0, "a word of the plant")
     assert live.status("rigid").level == b"\x00"
 
@@ -114,6 +125,228 @@ def test_it_walks_over_topics(live: Live, tmp_path: Path) -> None:
     assert walked.stood
     assert off < 1e-3
     assert [check.name for check in checks(walked) if not check.ok] == []
+
+
+# ---------------------------------------------------------------------- one node, handed messages
+
+REAL = load("whole_body")
+MODEL = load_model(REAL.robot)
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Any]:
+    with inside(tmp_path) as made:
+        yield made
+
+
+def tell(node: Any, stamp: float, body: BodyState, **changed: Any) -> None:
+    """Hand a node the three messages of a state; `changed` are other joint names, angles, velocities, pose or twist."""
+    said = {"names": MODEL.joint_names, "q": body.q, "dq": body.dq, "x": body.x_base, "twist": body.v_base} | changed
+    node.hand("joint_states", state(said["names"], said["q"], stamp, velocity=said["dq"]))
+    ns = round(stamp * 1e9)
+    pose = ros.pose(ns, "odom", said["x"])
+    if "turned" in said:
+        pose.pose.orientation.w *= said["turned"]
+    node.hand("base_pose", pose)
+    twist = TwistStamped(header=pose.header)
+    for vector, numbers in ((twist.twist.linear, said["twist"][:3]), (twist.twist.angular, said["twist"][3:])):
+        vector.x, vector.y, vector.z = map(float, numbers)
+    node.hand("base_twist", twist)
+
+
+def answers(node: Any) -> list[JointState]:
+    return node.got["joint_effort_commands"]
+
+
+def last_status(node: Any) -> Any:
+    return node.got["diagnostics"][-1].status[0]
+
+
+def one(values: Any, value: float) -> np.ndarray:
+    """Return a copy with another first number."""
+    out = np.array(values, dtype=np.float64)
+    out[0] = value
+    return out
+
+
+START = WholeBodyController(REAL, MODEL).start
+KNEE = MODEL.joint_names.index("L_knee")
+GLITCHES: dict[str, tuple[dict[str, Any], str]] = {
+    "jump": ({"q": START.q + 1.0 * (np.arange(MODEL.n) == KNEE)}, "a jump that the velocity limits do not allow"),
+    "beyond a limit": ({"q": one(START.q, MODEL.q_max[0] + 0.5)}, "outside the joint limits"),
+    "fast": ({"dq": one(START.dq, 1000.0)}, "turns at 1e+03 rad/s"),
+    "much too fast": ({"dq": one(START.dq, 1e300)}, "turns at 1e+300 rad/s"),
+    "angle not finite": ({"q": one(START.q, math.nan)}, "not a finite position"),
+    "velocity not finite": ({"dq": one(START.dq, math.inf)}, "without a finite velocity"),
+    "no velocities": ({"dq": []}, "without a finite velocity"),
+    "a name twice": ({"names": [*MODEL.joint_names[:-1], MODEL.joint_names[0]]}, "joints missing"),
+    "a name twice, all there": (
+        {
+            "names": [*MODEL.joint_names, MODEL.joint_names[0]],
+            "q": [*START.q, 0.0],
+            "dq": [*START.dq, 0.0],
+        },
+        "joints named twice",
+    ),
+    "lengths": ({"q": START.q[:-1]}, "names with"),
+    "base jumps": ({"x": DQ.from_pose([0.0, 0.0, 1.7]).vec8()}, "the base jumped by"),
+    "quaternion": ({"turned": 2.0}, "quaternion of norm 2"),
+    "quaternion not finite": ({"turned": math.nan}, "quaternion of norm nan"),
+    "twist": ({"twist": one(START.v_base, 1e200)}, "the base moves at"),
+    "twist not finite": ({"twist": one(START.v_base, math.nan)}, "not finite"),
+}
+
+
+def test_one_glitch_is_refused_by_name_and_the_walk_goes_on(make: Any) -> None:
+    """Each between two good states: no answer, ERROR that names it, and the next state is answered."""
+    node = make("whole_body_controller", REAL)
+    tell(node, 0.0, START)
+    for k, (name, (changed, why)) in enumerate(GLITCHES.items()):
+        before = len(answers(node))
+        node.node._diagnosed = -math.inf
+        tell(node, 0.01 * k + 0.005, START, **changed)
+        assert len(answers(node)) == before, name
+        assert last_status(node).level == b"\x02", name
+        assert why in last_status(node).message, name
+        tell(node, 0.01 * k + 0.010, START)
+        assert len(answers(node)) == before + 1, name
+    assert not node.node.done.done()
+    node.node._diagnose()
+    assert last_status(node).level == b"\x00"
+    assert all(np.isfinite(msg.effort).all() for msg in answers(node))
+
+
+def test_when_the_plant_falls_silent_the_torques_are_zero_once_and_it_is_stale(make: Any) -> None:
+    node = make("whole_body_controller", REAL)
+    node.tick()
+    assert last_status(node).message == "waiting for body state"
+    tell(node, 0.0, START)
+    assert max(map(abs, answers(node)[-1].effort)) > 10.0
+    time.sleep(1.5 * REAL.plant.command_timeout)
+    node.tick()
+    assert not any(answers(node)[-1].effort)
+    assert (last_status(node).level, last_status(node).message) == (b"\x03", "body state fell silent")
+    said = len(answers(node))
+    node.tick()
+    assert len(answers(node)) == said
+    tell(node, 0.005, START)
+    assert max(map(abs, answers(node)[-1].effort)) > 10.0
+    node.node.close()
+    assert not any(answers(node)[-1].effort)
+
+
+@pytest.mark.parametrize("fault", ["no answer", "not finite", "a fault of ours"])
+def test_a_controller_that_fails_sends_zero_and_stays_until_it_is_reset(
+    make: Any, fault: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = make("whole_body_controller", REAL)
+    tell(node, 0.0, START)
+    good = core.WholeBodyController.step
+
+    def step(self: Any, body: Any, dt: float) -> Any:
+        if fault == "no answer":
+            raise QPError("no motion obeys the laws", status="Infeasible")
+        if fault == "not finite":
+            return replace(good(self, body, dt), effort=np.full(MODEL.n, math.nan))
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(core.WholeBodyController, "step", step)
+    for k in range(1, REAL.safety.failures + 1):
+        tell(node, 0.005 * k, START)
+    monkeypatch.undo()
+    assert all(np.isfinite(msg.effort).all() for msg in answers(node))
+    assert len(answers(node)) == 2
+    assert not any(answers(node)[-1].effort)
+    assert last_status(node).level == b"\x02"
+    assert not node.node.done.done()  # it does not leave the robot to itself
+    tell(node, 0.1, START)
+    assert len(answers(node)) == 2
+    assert node.call("reset", Trigger.Request()).success
+    tell(node, 0.105, START)
+    assert max(map(abs, answers(node)[-1].effort)) > 10.0
+
+
+def test_jumps_in_a_row_end_the_walk_until_it_is_reset(make: Any) -> None:
+    node = make("whole_body_controller", REAL.updated({"node.exit_when_done": True}))
+    tell(node, 0.0, START)
+    for k in range(REAL.safety.jumps):
+        tell(node, 0.005 * (k + 1), START, x=DQ.from_pose([5.0 + k, 0.0, 0.7]).vec8())
+    assert not any(answers(node)[-1].effort)
+    assert "in a row" in last_status(node).message
+    assert node.node.done.result() == 1
+
+
+def test_a_controller_that_is_started_anew_in_mid_swing_takes_up_the_walk(make: Any) -> None:
+    """The plant waits; the new controller knows from the stamps which foot swings, and the robot stays on its feet."""
+    plant = RigidPlant(MODEL, START, pushed="chest")
+    stepping = WholeBodyController(REAL, MODEL).stepping
+    node = make("whole_body_controller", REAL)
+    for tick in range(240):
+        if tick == 140:  # 0.3 s into the swing
+            assert stepping.swing(0.005 * tick) is not None
+            node = make("whole_body_controller", REAL)
+        now = 0.005 * tick
+        tell(node, now, plant.state)
+        effort = np.array(answers(node)[-1].effort)
+        assert np.abs(effort).max() <= REAL.whole_body.effort
+        zero = np.zeros(MODEL.n)
+        stance, landing = stepping.stance(now), stepping.landing(now, 0.005)
+        plant.step(
+            BodyCommand(now, zero, acceleration=np.zeros(6 + MODEL.n), effort=effort, stance=stance, landing=landing),
+            0.005,
+        )
+    assert "in balance" in last_status(node).message
+    assert plant.state.x_base is not None
+    assert abs(DQ(plant.state.x_base).translation()[2] - DQ(START.x_base).translation()[2]) < 0.02
+
+
+def test_where_stamps_do_not_tell_a_walk_begins_at_rest(make: Any) -> None:
+    node = make("whole_body_controller", REAL)
+    moving = replace(START, dq=START.dq + 0.2)
+    tell(node, 1.7e9, moving)
+    assert answers(node) == []
+    assert "a walk begins at rest" in last_status(node).message
+    tell(node, 1.7e9 + 1.0, START)
+    assert len(answers(node)) == 1
+
+
+def effort_message(stamp: float, effort: Any) -> JointState:
+    return state(MODEL.joint_names, [], stamp, effort=effort)
+
+
+def test_the_plant_holds_without_a_command_and_takes_the_first_answer_to_a_state(make: Any) -> None:
+    """A controller that hears nothing more says zero to a state that it has answered: the answer counts."""
+    node = make("rigid", REAL)
+    period = node.node._on_period
+    period()
+    assert len(node.got["joint_states"]) == 1
+    for _ in range(3):
+        period()
+    assert len(node.got["joint_states"]) == 1  # it waits: time stands still
+    first = np.array(WholeBodyController(REAL, MODEL).step(START, REAL.dt).effort)
+    node.hand("joint_effort_commands", effort_message(0.0, first))
+    node.hand("joint_effort_commands", effort_message(0.0, 0.0 * first))
+    period()
+    np.testing.assert_allclose(node.node._plant.effort, first)
+    time.sleep(1.5 * REAL.plant.command_timeout)
+    period()
+    assert "holding still: no command for 0.1 s" in node.log
+    node.node._diagnose()
+    assert (last_status(node).level, last_status(node).message) == (b"\x01", "holding: no commands")
+
+
+def test_torques_beyond_the_limits_are_cut_off_and_pushes_out_of_range_refused(make: Any) -> None:
+    node = make("rigid", REAL)
+    node.node._on_period()
+    node.hand("joint_effort_commands", effort_message(0.0, np.full(MODEL.n, 6e4)))
+    for newtons in (1e300, 1e5, math.nan):
+        push = WrenchStamped()
+        push.wrench.force.y = newtons
+        node.hand("push", push)
+    node.node._on_period()
+    np.testing.assert_allclose(node.node._plant.effort, MODEL.effort_max)
+    assert sum("push rejected" in text for _, text in node.log.lines) == 3
+    assert np.isfinite(node.got["joint_states"][-1].velocity).all()
 
 
 def test_the_launch_file_starts_what_is_installed() -> None:

@@ -15,11 +15,11 @@ import numpy as np
 from geometry_msgs.msg import TwistStamped, WrenchStamped
 from sensor_msgs.msg import JointState
 
-from dqwalk_ros.errors import DqwalkError
+from dqwalk_ros.errors import DqwalkError, PlantError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import STEADY, WalkNode
 from dqwalk_ros.nodes.inputs import EFFORT, CommandInput
-from dqwalk_ros.nodes.safety import clamp_effort
+from dqwalk_ros.nodes.safety import BodyGate, clamp_effort
 from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.topics import ODOM
 from dqwalk_ros.whole_body.controller import BodyCommand, WholeBodyController, Wrench
@@ -63,6 +63,7 @@ class Rigid(WalkNode):
         start = WholeBodyController(config, model).start  # where a walk begins
         damping = config.whole_body.contact_damping
         self._plant = RigidPlant(model, start, pushed=config.whole_body.torso, damping=damping)
+        self._hardest = BodyGate.speed * model.mass  # a body that is faster is no state for a controller [N s]
         self._commands = CommandInput(self, model, EFFORT)
         self._write = ros.JointWriter(model.joint_names)
         self._pelvis = config.robot.pelvis
@@ -72,7 +73,7 @@ class Rigid(WalkNode):
         self._pushes: list[WrenchStamped] = []  # that the next state will show
         streams = ("joint_states", "base_pose", "base_twist", "left_wrench", "right_wrench", "push_applied")
         self._pub = {name: self.advertise(name) for name in streams}
-        self.create_subscription(JointState, EFFORT, self._on_command, ros.stream(1))
+        self.create_subscription(JointState, EFFORT, self._on_command, ros.stream(10))
         self.create_subscription(WrenchStamped, "push", self._on_push, ros.stream(10))
         self.create_timer(self._dt, self._on_period, clock=STEADY)
         self.create_timer(1.0 / config.monitor.rate, self._diagnose, clock=STEADY)
@@ -81,8 +82,8 @@ class Rigid(WalkNode):
 
     def _on_command(self, msg: JointState) -> None:
         command = self._commands.take_answer(msg, self._stamp)
-        if command is None or command.effort is None:
-            return
+        if command is None or command.effort is None or self._command is not None:
+            return  # what answers a state first counts: a controller that hears nothing more says zero after it
         effort = clamp_effort(command.effort, self._model)
         now = self._ticks * self._dt
         self._command = BodyCommand(
@@ -101,11 +102,13 @@ class Rigid(WalkNode):
         self._pushes.append(msg)
 
     def _hit(self) -> None:
-        """Take each force times one second as the impulse [N s]; moments are not in (23)."""
+        """Take each force times one second as the impulse [N s]; moments are not in (S23)."""
         log = self.get_logger()
         for msg in self._pushes:
             f = msg.wrench.force
             try:
+                if not np.abs([f.x, f.y, f.z]).max() <= self._hardest:
+                    raise PlantError(f"{f.x:g}, {f.y:g}, {f.z:g} N s are beyond {self._hardest:.0f} N s, or not finite")
                 self._plant.push([f.x, f.y, f.z])
             except DqwalkError as error:
                 log.error(f"push rejected: {error}")
@@ -116,6 +119,8 @@ class Rigid(WalkNode):
         self._pushes.clear()
 
     def _on_period(self) -> None:
+        if not self.lockstep:
+            self._commands.log_motion()
         if self._command is not None:
             self._step()
         elif time.monotonic() - self._asked > _ASK_AGAIN and self._may_begin():
@@ -166,7 +171,7 @@ class Rigid(WalkNode):
 
     def _diagnose(self) -> None:
         level, text = self._commands.level()
-        if level == "WARN" and not self._commands.gate.rejected:  # time is the simulation's: it waits, and that is fine
+        if self.lockstep and level == "WARN" and not self._commands.gate.rejected:  # it waits, and that is fine
             waits = self._commands.gate.watchdog.age
             level, text = ("OK", "in step") if waits < 2.0 else ("WARN", "waiting for a command")
         counts = {"ticks": self._ticks, **self._commands.counts()}

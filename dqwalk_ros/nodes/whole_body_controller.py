@@ -8,6 +8,7 @@ on which target was in force.
 from __future__ import annotations
 
 import argparse
+import time
 from typing import Any
 
 import numpy as np
@@ -15,19 +16,20 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import to_yaml
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import DqwalkError, StateError
+from dqwalk_ros.errors import StateError
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.base import THROTTLE, WalkNode
+from dqwalk_ros.nodes.answering import AnsweringNode
 from dqwalk_ros.nodes.inputs import EFFORT
-from dqwalk_ros.nodes.safety import BodyGate, FaultCounter
+from dqwalk_ros.nodes.safety import BodyGate
 from dqwalk_ros.provenance import here, to_text
-from dqwalk_ros.robot import load_model
 from dqwalk_ros.topics import ODOM
 from dqwalk_ros.whole_body import controller as core
-from dqwalk_ros.whole_body.controller import BodyState
+from dqwalk_ros.whole_body.controller import BodyCommand, BodyState
+from dqwalk_ros.whole_body.hierarchy import Answer
 
 __all__ = ["WholeBodyController"]
 
@@ -35,9 +37,13 @@ Array = NDArray[np.float64]
 
 _PARTS = 20
 """So many messages of each kind wait for the rest of their state."""
+_AT_REST = 0.05
+"""A robot all of whose velocities are below this stands, and may begin a walk [m/s, rad/s]."""
+_DAY = 86_400_000_000_000
+"""Stamps below this count from the beginning of a simulation, and of its walk [ns]."""
 
 
-class WholeBodyController(WalkNode):
+class WholeBodyController(AnsweringNode):
     """Walk where the hand wants to go, and keep able to stop: answer each state with joint torques.
 
     Subscribes to::
@@ -54,9 +60,14 @@ class WholeBodyController(WalkNode):
         walk_config              std_msgs/String, latched: all parameters in force
         walk_origin              std_msgs/String, latched: versions and machine
         robot_description        std_msgs/String, latched: URDF
-        /diagnostics             diagnostic_msgs/DiagnosticArray: WARN where it cannot stop within the preview
+        /diagnostics             diagnostic_msgs/DiagnosticArray: WARN where it cannot stop within the preview,
+                                 ERROR where states are refused or the walk has failed, STALE without states
 
-    Sections of the schema: dt, robot, gait, whole_body.
+    Services::
+
+        ~/reset                  std_srvs/Trigger: the walk begins anew, without a target
+
+    Sections of the schema: dt, robot, gait, whole_body, plant, monitor, safety, node.
 
     Example::
 
@@ -64,155 +75,179 @@ class WholeBodyController(WalkNode):
     """
 
     def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
-        super().__init__("whole_body_controller", options, **keywords)
-        model = load_model(self.config.robot)
+        name, states = "whole_body_controller", "body state"
+        super().__init__(name, options, gate=BodyGate, states=states, stopping="zero torque", **keywords)
+        model = self._model
         self._controller = core.WholeBodyController(self.config, model)
-        safety = self.config.safety
-        self._gate = BodyGate(
-            model, self.config.dt, lambda: self.config.plant.command_timeout, outside=safety.outside, jumps=safety.jumps
-        )
-        self._failures = FaultCounter(safety.failures)
         self._most = np.minimum(model.effort_max, self.config.whole_body.effort)
-        self._names = {name: i for i, name in enumerate(model.joint_names)}
-        self._hardware = model.name
-        self._begin: int | None = None  # stamp of the first state [ns]
-        self._joints: dict[int, tuple[Array, Array]] = {}
+        self._still = self._sent = np.zeros(model.n)  # torques [N m]
+        self._begin: int | None = None  # stamp at which the walk began [ns]
+        self._last: Answer | None = None  # of the hierarchy
+        self._joints: dict[int, JointState] = {}
         self._poses: dict[int, Array] = {}
         self._twists: dict[int, Array] = {}
-        self._failed = ""
-        self._counts = {"ticks": 0, "states rejected": 0, "targets rejected": 0, "capturability missed": 0}
-        self._new_target: list[float] | None = None  # of which no state has been told yet
+        self._targets_rejected = self._missed = 0
+        self._new_target: Array | None = None  # of which no state has been told yet
         latched = {
             "walk_config": to_yaml(self.config),
             "walk_origin": to_text(here()),
             "robot_description": model.urdf,
         }
-        streams = (EFFORT, "hand_target_applied", *latched)
-        self._pub = {name: self.advertise(name) for name in streams}
+        self._commands = self.advertise(EFFORT)
+        self._applied = self.advertise("hand_target_applied")
         for name, text in latched.items():
-            self._pub[name].publish(String(data=text))
+            self.advertise(name).publish(String(data=text))
         self.create_subscription(JointState, "joint_states", self._on_joints, ros.stream(10))
         self.create_subscription(PoseStamped, "base_pose", self._on_pose, ros.stream(10))
         self.create_subscription(TwistStamped, "base_twist", self._on_twist, ros.stream(10))
         self.create_subscription(PoseStamped, "hand_target", self._on_target, ros.stream(10))
-        self._every = max(round(1.0 / (self.config.monitor.rate * self.config.dt)), 1)
+        self.create_service(Trigger, "~/reset", self._reset)
         self.get_logger().info(f"{model.name}: {model.n} joints, {model.mass:.1f} kg, no target yet")
 
+    # ------------------------------------------------------------------ a state in three messages
+
     def _on_joints(self, msg: JointState) -> None:
-        try:
-            q, dq = self._read(msg)
-        except StateError as error:
-            self._reject(error)
+        if self._reader.is_foreign(msg):
             return
-        self._joints[ros.nanoseconds(msg.header.stamp)] = q, dq
-        self._tick(ros.nanoseconds(msg.header.stamp))
+        stamp = ros.nanoseconds(msg.header.stamp)
+        self._plants.note(msg.name, stamp)
+        self._part(self._joints, stamp, msg)
 
     def _on_pose(self, msg: PoseStamped) -> None:
-        r = msg.pose.orientation
-        norm = float(np.linalg.norm([r.w, r.x, r.y, r.z]))
-        if not abs(norm - 1.0) < 1e-3:
-            self._reject(StateError(f"base_pose has a quaternion of norm {norm:.3g}"))
-            return
-        self._poses[ros.nanoseconds(msg.header.stamp)] = DQ(ros.pose_dq(msg)).normalized().vec8()
-        self._tick(ros.nanoseconds(msg.header.stamp))
+        p, r = msg.pose.position, msg.pose.orientation
+        pose = np.array([p.x, p.y, p.z, r.w, r.x, r.y, r.z])
+        self._part(self._poses, ros.nanoseconds(msg.header.stamp), pose)
 
     def _on_twist(self, msg: TwistStamped) -> None:
         v, w = msg.twist.linear, msg.twist.angular
-        self._twists[ros.nanoseconds(msg.header.stamp)] = np.array([v.x, v.y, v.z, w.x, w.y, w.z])
-        self._tick(ros.nanoseconds(msg.header.stamp))
+        self._part(self._twists, ros.nanoseconds(msg.header.stamp), np.array([v.x, v.y, v.z, w.x, w.y, w.z]))
+
+    def _part(self, parts: dict[int, Any], stamp: int, part: Any) -> None:
+        """Keep a part of the state with a stamp, and answer the state once it is complete."""
+        parts[stamp] = part
+        while len(parts) > _PARTS:  # of states that never got complete
+            del parts[min(parts)]
+        every = (self._joints, self._poses, self._twists)
+        if not all(stamp in kept for kept in every):
+            return
+        joints, pose, twist = (kept[stamp] for kept in every)
+        for kept in every:
+            for old in [key for key in kept if key <= stamp]:
+                del kept[old]
+        try:
+            if self._is_new(stamp):
+                state = self._state(stamp, joints, pose, twist)
+                self._note(stamp)
+                if self._may_answer():
+                    self._on_state(stamp, state)
+        except StateError as error:
+            self._reject(error)
+
+    def _state(self, stamp: int, joints: JointState, pose: Array, twist: Array) -> BodyState:
+        """Return the state of three messages.
+
+        Raises
+        ------
+        StateError
+            If it cannot be used.
+        """
+        read = self._reader.state(joints)
+        if read.dq is None:
+            raise StateError("joint_states without a finite velocity of each joint")
+        norm = float(np.linalg.norm(pose[3:]))
+        if not abs(norm - 1.0) < 1e-3:
+            raise StateError(f"base_pose has a quaternion of norm {norm:.3g}")
+        if stamp < self._stamp:
+            back = 1e-9 * (self._stamp - stamp)
+            raise StateError(f"the plant began again, {back:.3f} s before the last state answered: call ~/reset")
+        begin = self._begin
+        if begin is None:
+            # a robot that moves is in the middle of a walk: that of a controller before this one
+            moving = bool(max(np.abs(read.dq).max(), np.abs(twist).max()) > _AT_REST)
+            if moving and stamp >= _DAY:
+                raise StateError("the robot moves, and its stamps do not say since when: a walk begins at rest")
+            begin = 0 if moving else stamp
+        assert isinstance(self._gate, BodyGate)
+        self._gate.accept_body(stamp, read.q, read.dq, pose[:3], twist)
+        self._begin = begin
+        x_base = DQ.from_pose(pose[:3], pose[3:] / norm).vec8()
+        return BodyState(1e-9 * (stamp - begin), read.q, dq=read.dq, x_base=x_base, v_base=twist)
+
+    # ------------------------------------------------------------------ its answer
+
+    def _on_state(self, stamp: int, state: BodyState) -> None:
+        """Answer a state; without an answer the plant holds."""
+        if not (self._problem or self._duplicates):
+            command: BodyCommand | None = self._guarded(lambda: self._controller.step(state, self.config.dt))
+            if command is not None:
+                self._stamp, self._sent = stamp, np.clip(command.effort, -self._most, self._most)
+                if self._new_target is not None:
+                    self._applied.publish(ros.pose(stamp, ODOM, DQ.from_pose(self._new_target).vec8()))
+                    self._new_target = None
+                self._publish_command()
+                self._ticks += 1
+                self._last = self._controller.last.answer
+                self._missed += self._last.residual > 1e-6
+            elif self._problem:
+                self._publish_zero()
+                self._done()
+        if self._is_time_to_diagnose():
+            self._diagnose()
+
+    @property
+    def _is_walking(self) -> bool:
+        return not self._problem
+
+    def _numbers(self, command: BodyCommand) -> Array:
+        return command.effort
+
+    def _publish_command(self) -> None:
+        self._commands.publish(self._command_msg(self._stamp, effort=self._sent))
+
+    def _fail(self, reason: str) -> None:
+        self._problem = reason
+
+    def _done(self) -> None:
+        self.get_logger().error(f"the walk failed; no torques any more: {self._problem}")
+        self._diagnose()
+        if self.config.node.exit_when_done:
+            self.stop(1)
+
+    # ------------------------------------------------------------------ what is asked of it
 
     def _on_target(self, msg: PoseStamped) -> None:
         p = msg.pose.position
         try:
             self._controller.reach([p.x, p.y, p.z])
-            self._new_target = [p.x, p.y, p.z]
+            self._new_target = self._controller.target
         except StateError as error:
-            self._counts["targets rejected"] += 1
+            self._targets_rejected += 1
             self.get_logger().error(f"hand_target rejected: {error}")
 
-    def _read(self, msg: JointState) -> tuple[Array, Array]:
-        """Return angles and velocities in the order of the model."""
-        q, dq = np.full(len(self._names), np.nan), np.full(len(self._names), np.nan)
-        if not len(msg.name) == len(msg.position) == len(msg.velocity):
-            raise StateError("joint_states must have as many positions and velocities as names")
-        if len(set(msg.name)) < len(msg.name):
-            raise StateError("joint_states names a joint twice")
-        for name, angle, speed in zip(msg.name, msg.position, msg.velocity, strict=True):
-            if name in self._names:
-                q[self._names[name]], dq[self._names[name]] = angle, speed
-        missing = [name for name, i in self._names.items() if not np.isfinite(q[i] + dq[i])]
-        if missing:
-            raise StateError(f"joint_states has no finite angle and velocity of {', '.join(missing)}")
-        return q, dq
+    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._controller.reset()
+        self._problem, self._begin, self._new_target, self._last = "", None, None, None
+        self._stamp, self._sent = -1, self._still
+        self._gate.reset()
+        self._failures.reset()
+        return self._answer(response, True, "the walk begins anew from where the robot stands, without a target")
 
-    def _tick(self, stamp: int) -> None:
-        """Answer the state with this stamp once it is complete."""
-        for part in (self._joints, self._poses, self._twists):
-            while len(part) > _PARTS:  # of states that never got complete
-                del part[min(part)]
-        if self._failed or not all(stamp in part for part in (self._joints, self._poses, self._twists)):
-            return
-        if not self._may_answer():
-            return  # the plant asks again
-        (q, dq), pose, twist = self._joints[stamp], self._poses[stamp], self._twists[stamp]
-        for part in (self._joints, self._poses, self._twists):
-            for old in [key for key in part if key <= stamp]:
-                del part[old]
-        begin = stamp if self._begin is None else self._begin
-        state = BodyState(1e-9 * (stamp - begin), q, dq=dq, x_base=pose, v_base=twist)
-        try:
-            self._gate.accept_body(stamp, q, dq, np.array(DQ(pose).translation()), twist)
-            command = self._controller.step(state, self.config.dt)
-        except StateError as error:
-            self._reject(error)
-            return
-        except DqwalkError as error:
-            self._fail(f"no motion for this state: {error}", stamp)
-            return
-        if not np.isfinite(command.effort).all():
-            self._fail("the torques are not finite", stamp)
-            return
-        self._failures.good()
-        self._begin = begin
-        if self._new_target is not None:
-            x_target = DQ.from_pose(self._new_target).vec8()
-            self._pub["hand_target_applied"].publish(ros.pose(stamp, ODOM, x_target))
-            self._new_target = None
-        msg = JointState()
-        msg.header.stamp = ros.time_msg(stamp)
-        msg.name = list(self._names)
-        msg.effort = np.clip(command.effort, -self._most, self._most).tolist()
-        self._pub[EFFORT].publish(msg)
-        self._counts["ticks"] += 1
-        self._counts["capturability missed"] += self._controller.last.answer.residual > 1e-6
-        if self._counts["ticks"] % self._every == 1:
-            self._diagnose(stamp)
-
-    def _fail(self, why: str, stamp: int) -> None:
-        """Leave a state without an answer, and end after `safety.failures` of them in a row."""
-        self.get_logger().error(why, **THROTTLE)
-        if self._failures.fault(why):
-            self._failed = why
-            self.get_logger().error(f"no command any more: {why}")
-            self._diagnose(stamp)
-            self.stop(1)
-
-    def _may_answer(self) -> bool:
-        """Hold the first answer of a recorded walk until nothing of it can be lost."""
-        if self._counts["ticks"] or not self.config.node.wait_for_recorder:
-            return True
-        return ros.is_heard_by(self, self._pub[EFFORT], "recorder")
-
-    def _reject(self, error: StateError) -> None:
-        self._counts["states rejected"] += 1
-        self.get_logger().error(f"state rejected ({self._counts['states rejected']} so far): {error}", **THROTTLE)
-
-    def _diagnose(self, stamp: int) -> None:
-        level, text = ("ERROR", self._failed) if self._failed else ("OK", "in balance")
-        values: dict[str, Any] = dict(self._counts)
-        if not self._failed:
-            last = self._controller.last.answer
-            if last.residual > 1e-6:
-                level, text = "WARN", "cannot stop within the preview"
+    def _diagnose(self, level: str = "", message: str = "") -> None:
+        values: dict[str, Any] = {
+            "ticks": self._ticks,
+            "states rejected": self._rejected,
+            "targets rejected": self._targets_rejected,
+            "capturability missed": self._missed,
+        }
+        last = self._last
+        if last is not None:
             values |= {"capturability": last.residual, "solve time": last.solve_time, "solver": last.method}
-        self.diagnose("balance", self._hardware, level, text, values, stamp)
+        if not level:
+            trouble = self._problem or (f"two plants: {self._duplicates}" if self._duplicates else "")
+            level, message = ("ERROR", trouble) if trouble else ("OK", "in balance")
+            if self._failures.count:
+                level, message = "ERROR", trouble or "no motion for the last state"
+            elif not trouble and last is not None and last.residual > 1e-6:
+                level, message = "WARN", "cannot stop within the preview"
+        self._diagnosed = time.perf_counter()
+        self.diagnose("balance", self._model.name, level, message, values, max(self._stamp, 0))
