@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -66,6 +67,7 @@ def layer(file: Path) -> str:
     return file.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
+@cache
 def imports(file: Path) -> list[str]:
     """Every module a file imports, also within functions, but not for type checking only."""
     tree = ast.parse(file.read_text(encoding="utf-8"))

@@ -15,7 +15,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import BagError
 from dqwalk_ros.report import bag
-from dqwalk_ros.report.bag import columns, storage
+from dqwalk_ros.report.bag import messages, storage
 from dqwalk_ros.topics import FINISHED, TOPICS
 
 
@@ -148,7 +148,7 @@ def test_velocities_of_the_states_are_those_applied(path, trace):
 def test_base_pose_is_continuous(path, trace):
     """Where the base changes the pelvis does not jump: odometry goes on."""
     content = storage.load(path, lambda topic, kind: topic == "/base_pose").columns["/base_pose"]
-    (poses,) = (columns.pose_of(table.numbers) for table in columns.tables(content))
+    (poses,) = (messages.pose_of(table.numbers) for table in messages.tables(content))
     step = np.linalg.norm(np.diff(DQ(poses).translation(), axis=0), axis=1)
     assert len(poses) == len(trace.time)
     assert step.max() < 5e-3
@@ -156,7 +156,7 @@ def test_base_pose_is_continuous(path, trace):
 
 def test_diagnostics_come_at_their_rate_and_say_every_distance(path, trace):
     content = storage.load(path, lambda topic, kind: topic == "/diagnostics").columns["/diagnostics"]
-    found = [columns.unpack(raw, content.type) for raw in content.raws]
+    found = [messages.unpack(raw, content.type) for raw in content.raws]
     stamps = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in found])
     assert np.diff(stamps).max() <= 1.0 / trace.config.monitor.rate + 1e-9
     assert len(found) <= (trace.time[-1] - trace.time[0]) * trace.config.monitor.rate + len(trace.phases) + 1
@@ -167,7 +167,7 @@ def test_diagnostics_come_at_their_rate_and_say_every_distance(path, trace):
 
 def column(trace, path, topic):
     found = storage.load(path, lambda name, kind: name == topic).columns[topic]
-    return columns.joint_states(found, trace.model.joint_names)
+    return messages.joint_states(found, trace.model.joint_names)
 
 
 def test_nothing_is_overwritten_unasked(trace, path, tmp_path):
@@ -184,7 +184,7 @@ def test_an_interrupted_write_leaves_nothing(trace, tmp_path, monkeypatch):
     def stop(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("dqwalk_ros.report.bag.writing._opening", stop)
+    monkeypatch.setattr("dqwalk_ros.report.bag.storage.connect", stop)
     with pytest.raises(KeyboardInterrupt):
         bag.write(trace, tmp_path / "walk")
     assert list(tmp_path.iterdir()) == []
@@ -284,7 +284,7 @@ def test_a_recording_that_began_late(trace, path, tmp_path):
 def test_states_after_the_walk_are_left_out(trace, path, tmp_path):
     """A plant goes on to publish where the robot stands."""
     store, end = storage.typestore(), round(trace.time[-1] * 1e9)
-    standing = columns.pack_joint_states(
+    standing = messages.pack_joint_states(
         end + np.arange(1, 11) * 5_000_000, trace.model.joint_names, position=np.tile(trace.q[-1], (10, 1))
     )
     longer = tmp_path / "longer"
@@ -321,7 +321,7 @@ def test_states_before_the_walk_are_left_out(trace, path, tmp_path):
 
     later = rewrite(path, tmp_path / "later", edit=edit)
     store = storage.typestore()
-    waiting = columns.pack_joint_states(
+    waiting = messages.pack_joint_states(
         np.arange(0, shift, 5_000_000), trace.model.joint_names, position=np.zeros((200, trace.model.n))
     )
     queue = [store.deserialize_cdr(raw, "sensor_msgs/msg/JointState") for raw in waiting]

@@ -23,7 +23,7 @@ from rosbags.rosbag2 import StoragePlugin
 from dqwalk_ros import cli
 from dqwalk_ros.errors import BagError
 from dqwalk_ros.report import bag
-from dqwalk_ros.report.bag import columns
+from dqwalk_ros.report.bag import messages
 
 RECORDED = pathlib.Path(__file__).parent / "data" / "recorded"
 """Bags of an earlier version: a walk of 581 states and four phases, and one of the whole body."""
@@ -177,9 +177,9 @@ def solver(text):
     def change(number, message):
         for status in message.status:
             status.name = "controller: walk"
-            status.values = [columns.new("diagnostic_msgs/msg/KeyValue", key="solve time", value=text)]
+            status.values = [messages.new("diagnostic_msgs/msg/KeyValue", key="solve time", value=text)]
             if number % 2:
-                status.values.append(columns.new("diagnostic_msgs/msg/KeyValue", key="iterations", value="many"))
+                status.values.append(messages.new("diagnostic_msgs/msg/KeyValue", key="iterations", value="many"))
 
     return change
 
@@ -303,7 +303,7 @@ def test_memory_and_time_are_bounded(path, tmp_path):
         import json, pathlib, resource, sys, time
         from dqwalk_ros.errors import BagError
         from dqwalk_ros.report import bag
-        from dqwalk_ros.report.bag.diagnostics import diagnostics_of
+        from dqwalk_ros.report.bag.messages import diagnostics_of
         for file in sorted(pathlib.Path(sys.argv[1]).iterdir()):
             began = time.process_time()
             try:

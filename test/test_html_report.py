@@ -20,7 +20,7 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report import bag
-from dqwalk_ros.report.bag.diagnostics import diagnostics_of, faults
+from dqwalk_ros.report.bag.messages import diagnostics_of, faults
 from dqwalk_ros.report.html.replay import replay_data
 from dqwalk_ros.robot import Foot
 

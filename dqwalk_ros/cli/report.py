@@ -88,7 +88,7 @@ def _html(
     """Write the page, of one walk or of two, and return its file."""
     from dqwalk_ros import report as reporting
     from dqwalk_ros.report import html
-    from dqwalk_ros.report.bag.diagnostics import diagnostics_of
+    from dqwalk_ros.report.bag.messages import diagnostics_of
 
     subjects = [html.Subject(_name(path), series, found, diagnostics_of(path))]
     if compare:

@@ -18,14 +18,15 @@ from dqwalk_ros.constraints import Constraint, PointInCylinder
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.geometry import ConvexPolygon
-from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.kinematics import Kinematics, compose
 from dqwalk_ros.plants import tilt
 from dqwalk_ros.robot import Foot, RobotModel, Sole, parse_model
 from dqwalk_ros.simulation import PhaseRecord, PhysicsRecord, Trace
 from dqwalk_ros.walk import Phase, PhaseKind
 
 __all__ = [
-    "Circle", "Ending", "Ground", "Series", "Span", "analyse", "hull_margin", "left_of", "support_polygon", "urdf_soles"
+    "Circle", "Ending", "Ground", "Series", "Span", "analyse", "hull_margin", "left_of", "pelvis_in_odom",
+    "support_polygon", "urdf_soles",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -97,6 +98,18 @@ def hull_margin(points: Array, p: Array) -> Array:
     s = np.clip(np.einsum("nmc,nmc->nm", v, t) / length**2, 0.0, 1.0)
     outside = np.where(edge, np.linalg.norm(v - s[..., None] * t, axis=2), np.inf).min(axis=1)
     out: Array = np.where(inside >= 0.0, inside, -outside)
+    return out
+
+
+def pelvis_in_odom(trace: Trace) -> Array:
+    """Return the pose of the pelvis in odom at every tick, as the legs' odometry has it, shape (N, 8)."""
+    out = np.tile(DQ(1.0).vec8(), (len(trace), 1))
+    ends = [record.start for record in trace.phases[1:]] + [len(trace)]
+    for record, end in zip(trace.phases, ends, strict=True):
+        for tick in range(record.start, end):
+            out[tick] = compose(
+                record.x_odom_base, Kinematics(trace.model, trace.q[tick], record.base).pose(trace.model.pelvis)
+            )
     return out
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.report.metrics import pelvis_in_odom
 from dqwalk_ros.simulation import Trace
 
 __all__ = ["frames", "pelvis_poses", "save_movie", "save_strip"]
@@ -23,18 +21,7 @@ Image = NDArray[np.uint8]
 
 def pelvis_poses(trace: Trace) -> Array:
     """Return the pelvis in the world at every tick, shape (N, 8): the true one where the physics engine told it."""
-    physics = getattr(trace, "physics", None)
-    if physics is not None:
-        out: Array = physics.pelvis
-        return out
-    out = np.full((len(trace), 8), math.nan)
-    ends = [record.start for record in trace.phases[1:]] + [len(trace)]
-    for record, end in zip(trace.phases, ends, strict=True):
-        x_base = DQ(record.x_odom_base)
-        for tick in range(record.start, end):
-            kin = Kinematics(trace.model, trace.q[tick], record.base)
-            out[tick] = (x_base * DQ(kin.pose(trace.model.pelvis))).vec8()
-    return out
+    return pelvis_in_odom(trace) if trace.physics is None else trace.physics.pelvis
 
 
 def frames(

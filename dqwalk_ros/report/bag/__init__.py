@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dqwalk_ros.report.bag.body import is_body, read_body, write_body
-from dqwalk_ros.report.bag.reading import read
-from dqwalk_ros.report.bag.writing import write
+from dqwalk_ros.report.bag.walk import read, write
 
 __all__ = ["is_body", "read", "read_body", "write", "write_body"]

@@ -12,21 +12,21 @@ from dqwalk_ros.config import to_yaml
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import BagError
 from dqwalk_ros.provenance import to_text
-from dqwalk_ros.report.bag.columns import (
+from dqwalk_ros.report.bag.messages import (
     NS,
     aligned,
     joint_states,
-    new,
     pack,
     pack_joint_states,
     pack_poses,
     pose_of,
+    stamped,
+    stamps_of,
     tables,
     text,
 )
-from dqwalk_ros.report.bag.reading import check_same_robot, columns_of, config_in, last_run, model_in, origin_in
-from dqwalk_ros.report.bag.storage import Column, connect, load, writing
-from dqwalk_ros.report.bag.writing import stamps_of
+from dqwalk_ros.report.bag.recording import open_recording
+from dqwalk_ros.report.bag.storage import Column, load, write_columns
 from dqwalk_ros.robot import RobotModel
 from dqwalk_ros.topics import BODY_REQUIRED, BODY_TOPICS, ODOM
 from dqwalk_ros.whole_body.controller import BodyState
@@ -37,7 +37,6 @@ __all__ = ["is_body", "read_body", "write_body"]
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
-_WANTED = {name: topic.type for name, topic in BODY_TOPICS.items() if name != "diagnostics"}
 
 
 def is_body(path: str | os.PathLike[str]) -> bool:
@@ -63,17 +62,8 @@ def write_body(walked: WholeBodyTrace, path: str | os.PathLike[str], *, overwrit
     BagError
         If something is there already, or the disk refuses.
     """
-    with writing(path, overwrite=overwrite) as writer:
-        connections = {
-            name: connect(writer, "/" + name, topic) for name, topic in BODY_TOPICS.items() if name != "diagnostics"
-        }
-        entries = [
-            (int(stamp), order, connections[name], raw)
-            for order, (name, stamps, raws) in enumerate(_columns(walked))
-            for stamp, raw in zip(stamps, raws, strict=True)
-        ]
-        for stamp, _, connection, raw in sorted(entries, key=lambda entry: entry[:2]):
-            writer.write(connection, stamp, raw)
+    topics = {name: topic for name, topic in BODY_TOPICS.items() if name != "diagnostics"}
+    write_columns(path, topics, _columns(walked), overwrite=overwrite)
 
 
 def _columns(walked: WholeBodyTrace) -> list[tuple[str, Stamps, list[bytes]]]:
@@ -88,9 +78,9 @@ def _columns(walked: WholeBodyTrace) -> list[tuple[str, Stamps, list[bytes]]]:
         ("walk_config", first, [text(to_yaml(walked.config))]),
         ("walk_origin", first, [text(to_text(walked.origin))]),
         ("robot_description", first, [text(model.urdf)]),
-        ("push_applied", pushed, pack(_stamped("push_applied", ODOM), pushed, impulses)),
+        ("push_applied", pushed, pack(stamped(BODY_TOPICS["push_applied"].type, ODOM), pushed, impulses)),
         ("base_pose", stamps, pack_poses(stamps, ODOM, walked.x_base)),
-        ("base_twist", stamps, pack(_stamped("base_twist", model.pelvis), stamps, walked.v_base)),
+        ("base_twist", stamps, pack(stamped(BODY_TOPICS["base_twist"].type, model.pelvis), stamps, walked.v_base)),
         ("joint_states", stamps, pack_joint_states(stamps, model.joint_names, position=walked.q, velocity=walked.dq)),
         ("hand_target_applied", led, pack_poses(led, ODOM, places)),
         ("joint_effort_commands", stamps, pack_joint_states(stamps, model.joint_names, effort=walked.effort)),
@@ -98,13 +88,9 @@ def _columns(walked: WholeBodyTrace) -> list[tuple[str, Stamps, list[bytes]]]:
     for foot, column in zip(FEET, walked.wrenches.swapaxes(0, 1), strict=True):
         stands = np.isfinite(column).all(axis=1)
         name = f"{foot.value}_wrench"
-        found.append((name, stamps[stands], pack(_stamped(name, ODOM), stamps[stands], column[stands])))
+        empty = stamped(BODY_TOPICS[name].type, ODOM)
+        found.append((name, stamps[stands], pack(empty, stamps[stands], column[stands])))
     return found
-
-
-def _stamped(name: str, frame: str) -> object:
-    """Return an empty message of a topic in a frame."""
-    return new(BODY_TOPICS[name].type, header=new("std_msgs/msg/Header", frame_id=frame))
 
 
 def _when(timed: tuple[Timed, ...], stamps: Stamps) -> Stamps:
@@ -132,21 +118,9 @@ def read_body(path: str | os.PathLike[str], *, namespace: str | None = None) -> 
     BagError
         If the bag cannot be read, lacks a topic that is needed, or is that of another robot.
     """
-    path = Path(path)
-    content = load(path, lambda topic, kind: _WANTED.get(topic.rpartition("/")[2]) == kind)
-    notes = list(content.notes)
-    columns = columns_of(path, content, namespace, _WANTED, BODY_REQUIRED)
-    config = config_in(path, columns)
-    model = model_in(path, config, columns, notes)
-    joints = joint_states(columns["joint_states"], model.joint_names)
-    check_same_robot(path, model, joints)
-    rows, begin_row = last_run(joints.stamps, notes)
-    if begin_row:
-        since = columns["joint_states"].order[joints.rows[begin_row]]
-        columns = {name: column.since(since) for name, column in columns.items()}
-
-    stamps, first = np.unique(joints.stamps[rows], return_index=True)
-    rows = rows[first]
+    bag = open_recording(path, namespace, BODY_TOPICS, BODY_REQUIRED)
+    path, model, columns, notes = bag.path, bag.model, bag.columns, bag.notes
+    joints, rows, stamps = bag.states, bag.rows, bag.stamps
     poses, twists = aligned(columns["base_pose"], stamps, 7), aligned(columns["base_twist"], stamps, 6)
     efforts = _efforts(path, model, columns["joint_effort_commands"], stamps, notes)
     everything = np.hstack([joints.position[rows], joints.velocity[rows], poses, twists, efforts])
@@ -156,7 +130,7 @@ def read_body(path: str | os.PathLike[str], *, namespace: str | None = None) -> 
     if left_out := int(np.count_nonzero(~whole)):
         notes.append(f"{left_out} states are not complete, or have no answer, and are left out")
     stamps, rows, poses, twists, efforts = stamps[whole], rows[whole], poses[whole], twists[whole], efforts[whole]
-    if gaps := int(np.count_nonzero(np.diff(stamps) > 1.5 * NS * config.dt)):
+    if gaps := int(np.count_nonzero(np.diff(stamps) > 1.5 * NS * bag.config.dt)):
         notes.append(f"{gaps} times a period or more is missing between two states")
     begin, end = int(stamps[0]), int(stamps[-1])
     time = (stamps - begin) / NS
@@ -168,8 +142,8 @@ def read_body(path: str | os.PathLike[str], *, namespace: str | None = None) -> 
     targets = tuple(((stamp - begin) / NS, place) for stamp, place in led.items())
     pushed = [(stamp, place) for stamp, place in _places(columns.get("push_applied")) if begin <= stamp <= end]
     pushes = tuple(((stamp - begin) / NS, impulse) for stamp, impulse in pushed)
-    scenario = _named(Scenario("recorded walk", len(stamps) * config.dt, targets, pushes))
-    return BodyLog(config, model, scenario, states, efforts, wrenches, tuple(notes), origin_in(columns))
+    scenario = _named(Scenario("recorded walk", len(stamps) * bag.config.dt, targets, pushes))
+    return BodyLog(bag.config, model, scenario, states, efforts, wrenches, tuple(notes), bag.origin)
 
 
 def _places(column: Column | None) -> list[tuple[int, tuple[float, float, float]]]:

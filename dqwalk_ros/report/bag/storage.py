@@ -16,18 +16,20 @@ import stat
 import struct
 import tempfile
 import zlib
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
 from typing import IO, Any
 
 import lz4.frame
+import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Schema, Statistics
+from numpy.typing import NDArray
 from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 from rosbags.typesys import Stores, get_typestore
@@ -35,7 +37,7 @@ from rosbags.typesys import Stores, get_typestore
 from dqwalk_ros.errors import BagError
 from dqwalk_ros.topics import Topic
 
-__all__ = ["Column", "Content", "connect", "flush", "load", "open_writer", "typestore", "writing"]
+__all__ = ["Column", "Content", "connect", "flush", "load", "open_writer", "typestore", "write_columns"]
 
 
 @cache
@@ -93,9 +95,24 @@ def flush(writer: Writer) -> None:
         storage.bio.flush()
 
 
-@contextmanager
-def writing(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterator[Writer]:
-    """Give a writer of the bag `path`, which appears only once it is complete.
+def write_columns(
+    path: str | os.PathLike[str],
+    topics: Mapping[str, Topic],
+    columns: Iterable[tuple[str, NDArray[np.int64], Sequence[bytes]]],
+    *,
+    overwrite: bool,
+) -> None:
+    """Write the bag `path`, which appears only once it is complete.
+
+    Parameters
+    ----------
+    path : path-like
+    topics : mapping of str to Topic
+        Of the bag.
+    columns : iterable of (str, ndarray of int64, sequence of bytes)
+        Topic, stamps [ns] and messages; at the same stamp they are written in the order of the columns.
+    overwrite : bool
+        Replace what is there.
 
     Raises
     ------
@@ -105,12 +122,23 @@ def writing(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterato
     target = Path(path)
     if target.exists() and not overwrite:
         raise BagError(f"'{target}' is there already; choose another folder, or ask for it to be overwritten")
+    entries = [
+        (stamp, order, name, raw)
+        for order, (name, stamps, raws) in enumerate(columns)
+        for stamp, raw in zip(stamps.tolist(), raws, strict=True)
+    ]
+    entries.sort(key=lambda entry: entry[:2])
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}-") as scratch:
-            made = Path(scratch) / target.name
+            made, due = Path(scratch) / target.name, 0
             with closing(open_writer(made)) as writer:
-                yield writer
+                connections = {name: connect(writer, "/" + name, topic) for name, topic in topics.items()}
+                for stamp, _, name, raw in entries:
+                    writer.write(connections[name], stamp, raw)
+                    if stamp >= due:  # a second of walking is the most that damage takes
+                        due = stamp + 1_000_000_000
+                        flush(writer)
             if target.is_dir():
                 shutil.rmtree(target)
             elif target.exists():

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from dqwalk_ros import provenance
-from dqwalk_ros.report.bag.diagnostics import Status, faults
+from dqwalk_ros.report.bag.messages import Status, faults
 from dqwalk_ros.report.figures import FIGURES, fits
 from dqwalk_ros.report.figures.style import drawing
 from dqwalk_ros.report.html.replay import replay_data

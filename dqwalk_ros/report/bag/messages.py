@@ -7,6 +7,8 @@ serialises one of them; of the others only those bytes are copied that change wi
 from __future__ import annotations
 
 import copy
+import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
@@ -17,32 +19,26 @@ from rosbags.interfaces import Nodetype
 
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import BagError
-from dqwalk_ros.report.bag.storage import Column, typestore
+from dqwalk_ros.report.bag.storage import Column, load, typestore
 
 __all__ = [
-    "JointStates",
-    "Table",
-    "aligned",
-    "diagnostics",
-    "joint_states",
-    "new",
-    "pack",
-    "pack_joint_states",
-    "pack_poses",
-    "pose_numbers",
-    "pose_of",
-    "serialize",
-    "tables",
-    "text",
-    "texts",
-    "unpack",
-]
+    "Fault", "JointStates", "Status", "Table", "aligned", "diagnostics", "diagnostics_of", "faults", "joint_states",
+    "new", "pack", "pack_joint_states", "pack_poses", "pose_numbers", "pose_of", "serialize", "stamped", "stamps_of",
+    "tables", "text", "texts", "unpack",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 NS = 1_000_000_000
 """Nanoseconds of a second."""
+LEVELS = ("OK", "WARN", "ERROR", "STALE")
+"""Of diagnostic_msgs/DiagnosticStatus [REP-107]."""
 _ALL_BITS = float(np.frombuffer(b"\xff" * 8)[0])  # a nan of which every bit is set
+
+
+def stamps_of(time: Array) -> Stamps:
+    """Return the time stamps [ns] of times [s]."""
+    return np.round(time * NS).astype(np.int64)
 
 
 # ---------------------------------------------------------------------- one message
@@ -103,8 +99,9 @@ def _header(stamp: int, frame: str) -> Any:
     return new("std_msgs/msg/Header", stamp=time, frame_id=frame)
 
 
-LEVELS = ("OK", "WARN", "ERROR", "STALE")
-"""Of diagnostic_msgs/DiagnosticStatus [REP-107]."""
+def stamped(kind: str, frame: str) -> Any:
+    """Return an empty message of a type that has a header."""
+    return new(kind, header=_header(0, frame))
 
 
 def diagnostics(stamp: int, name: str, hardware: str, level: str, message: str, values: Mapping[str, Any]) -> bytes:
@@ -378,3 +375,83 @@ def pack_joint_states(
     sized = {name: np.zeros(len(names)) for name in known}
     message = new("sensor_msgs/msg/JointState", header=_header(0, frame), name=list(names), **sized)
     return pack(message, stamps, np.concatenate(list(known.values()), axis=1))
+
+
+# ---------------------------------------------------------------------- diagnostics
+
+_DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+_WORST = ("ERROR", "STALE", "WARN")
+
+
+@dataclass(frozen=True)
+class Status:
+    """One status.
+
+    Attributes
+    ----------
+    time : float
+        When it was recorded [s].
+    name, level, message : str
+    values : mapping of str to str
+    """
+
+    time: float
+    name: str
+    level: str
+    message: str
+    values: Mapping[str, str]
+
+    def number(self, key: str) -> float:
+        """Return a value as a number, nan where it is none."""
+        try:
+            return float(self.values.get(key, "nan"))
+        except ValueError:
+            return float("nan")
+
+
+@dataclass(frozen=True)
+class Fault:
+    """The same complaint, however often it was made."""
+
+    name: str
+    level: str
+    message: str
+    first: float
+    last: float
+    count: int
+
+
+def diagnostics_of(path: str | os.PathLike[str]) -> list[Status]:
+    """Return every status in the order of time; messages that cannot be read are left out.
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read.
+    """
+    out = []
+    for column in load(path, lambda topic, kind: kind == _DIAGNOSTICS).columns.values():
+        for time, raw in zip(column.times, column.raws, strict=True):
+            try:
+                array = unpack(raw, _DIAGNOSTICS)
+            except BagError:
+                continue
+            for status in array.status:
+                values = {pair.key: pair.value for pair in status.values}
+                level = LEVELS[min(int(status.level), len(LEVELS) - 1)]
+                out.append(Status(time / NS, status.name, level, status.message, values))
+    return sorted(out, key=lambda status: status.time)
+
+
+def faults(said: list[Status]) -> list[Fault]:
+    """Return every complaint once, the worst first; numbers in a message make no difference."""
+    found: dict[tuple[str, str, str], Fault] = {}
+    for status in said:
+        if status.level == "OK":
+            continue
+        key = status.name, status.level, re.sub(r"[-+.\d]+(e[-+]?\d+)?", "#", status.message)
+        before = found.get(key)
+        first, count = (before.first, before.count) if before else (status.time, 0)
+        message = before.message if before else status.message
+        found[key] = Fault(status.name, status.level, message, first, status.time, count + 1)
+    return sorted(found.values(), key=lambda fault: (_WORST.index(fault.level), fault.first))

@@ -1,4 +1,4 @@
-"""Read a walk of phases back from a rosbag2, whatever recorded it."""
+"""A walk of phases as a rosbag2: written as the recorder node would have made it, and read back from any recording."""
 
 from __future__ import annotations
 
@@ -10,36 +10,150 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros import config as configuration
 from dqwalk_ros import provenance
-from dqwalk_ros.config import Config
+from dqwalk_ros.config import to_yaml
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import BagError, ConfigError, ModelError
+from dqwalk_ros.errors import BagError
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.report.bag.columns import NS, JointStates, aligned, joint_states, pose_of, tables, texts
-from dqwalk_ros.report.bag.storage import Column, Content, load
-from dqwalk_ros.robot import Foot, RobotModel, load_model, parse_model
+from dqwalk_ros.report.bag import messages
+from dqwalk_ros.report.bag.messages import (
+    NS,
+    aligned,
+    joint_states,
+    pack,
+    pack_joint_states,
+    pack_poses,
+    pose_numbers,
+    pose_of,
+    stamped,
+    stamps_of,
+    tables,
+    text,
+    texts,
+)
+from dqwalk_ros.report.bag.recording import listed, open_recording
+from dqwalk_ros.report.bag.storage import Column, write_columns
+from dqwalk_ros.report.metrics import pelvis_in_odom
+from dqwalk_ros.report.verdict import Assessor
+from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.simulation import PhaseRecord, PhysicsRecord, Trace
-from dqwalk_ros.topics import FAILED, FALLEN, FINISHED, REQUIRED, TOPICS
-from dqwalk_ros.walk import PhaseKind
+from dqwalk_ros.topics import FAILED, FALLEN, FINISHED, ODOM, REQUIRED, TOPICS, WORLD
+from dqwalk_ros.walk import PhaseKind, com_target
 
-__all__ = [
-    "check_same_robot",
-    "columns_of",
-    "config_in",
-    "last_run",
-    "model_in",
-    "origin_in",
-    "read",
-]
+__all__ = ["read", "write"]
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
-_WANTED = {name: topic.type for name, topic in TOPICS.items() if name != "diagnostics"}
+_Messages = tuple[str, Stamps, list[bytes]]
 _CLOCK = 10**18
 """A stamp beyond this [ns], in 2001, is that of a clock; a simulation's time begins by itself."""
 _FARTHEST = 100.0
 """An angle beyond this [rad] is an error of a sensor or of a file."""
+
+
+# ---------------------------------------------------------------------- writing
+
+
+def write(trace: Trace, path: str | os.PathLike[str], *, diagnostics: bool = True, overwrite: bool = False) -> None:
+    """Write a walk to the folder `path`, which appears only once it is complete.
+
+    Parameters
+    ----------
+    trace : Trace
+        With one state at least.
+    path : path-like
+        The bag's folder.
+    diagnostics : bool
+        Add ``/diagnostics`` at ``monitor.rate``.
+    overwrite : bool
+        Replace a bag that is there already.
+
+    Raises
+    ------
+    BagError
+        If there is nothing to write, something is there already, or the disk refuses.
+    """
+    if len(trace.time) == 0:
+        raise BagError("a walk without a single state makes no bag")
+    topics = {name: topic for name, topic in TOPICS.items() if topic.source != "physics" or trace.physics is not None}
+    if not diagnostics:
+        del topics["diagnostics"]
+    write_columns(path, topics, _columns(trace, diagnostics), overwrite=overwrite)
+
+
+def _columns(trace: Trace, diagnostics: bool) -> list[_Messages]:
+    """Return the messages of each topic, in the order in which they are published within one period."""
+    stamps, names, model = stamps_of(trace.time) + trace.epoch, trace.model.joint_names, trace.model
+    applied = np.zeros_like(trace.u)  # the velocity that led to a state is the command before it
+    applied[1:] = np.nan_to_num(trace.u[:-1])
+    answered = ~np.isnan(trace.u[:, 0])
+    found = [("walk_config", stamps[:1], [text(to_yaml(trace.config))])]
+    if trace.origin:
+        found.append(("walk_origin", stamps[:1], [text(provenance.to_text(trace.origin))]))
+    found += [
+        ("robot_description", stamps[:1], [text(model.urdf)]),
+        *([] if trace.physics is None else _physics_messages(model, stamps, trace.physics)),
+        ("joint_states", stamps, pack_joint_states(stamps, names, position=trace.q, velocity=applied)),
+        *(column for record in trace.phases for column in _phase_start(model, record, stamps[[record.start]])),
+        (
+            "joint_velocity_commands",
+            stamps[answered],
+            pack_joint_states(stamps[answered], names, velocity=trace.u[answered]),
+        ),
+        ("base_pose", stamps, pack_poses(stamps, ODOM, pelvis_in_odom(trace))),
+        *(_diagnostics(trace, stamps) if diagnostics else []),
+    ]
+    if trace.finished:
+        found.append(("phase", stamps[-1:], [text(FINISHED)]))
+    return found
+
+
+def _physics_messages(model: RobotModel, stamps: Stamps, known: PhysicsRecord) -> list[_Messages]:
+    """Return the messages of a physics engine, one per tick where they are known."""
+    unsure = np.zeros((len(stamps), 9))
+    turned = known.orientation[:, [1, 2, 3, 0]]
+    numbers = {
+        "imu": (model.imu, np.concatenate([turned, unsure, known.gyro, unsure, known.acceleration, unsure], axis=1)),
+        "true_base_pose": (WORLD, pose_numbers(known.pelvis)),
+        **{f"{foot.value}_foot_wrench": (model.soles[foot].frame, known.wrenches[foot]) for foot in Foot},
+        "center_of_pressure": (WORLD, known.cop),
+    }
+    found = []
+    for name, (frame, column) in numbers.items():
+        there = np.isfinite(column).all(axis=1)
+        found.append((name, stamps[there], pack(stamped(TOPICS[name].type, frame), stamps[there], column[there])))
+    return found
+
+
+def _phase_start(model: RobotModel, record: PhaseRecord, stamp: Stamps) -> list[_Messages]:
+    """Return what is published where a phase begins."""
+    frame = model.soles[record.base].frame
+    found = [
+        ("phase", stamp, [text(record.name)]),
+        ("support_foot", stamp, [text(record.support.value)]),
+        ("phase_start", stamp, pack_joint_states(stamp, model.joint_names, position=record.q_start[None], frame=frame)),
+    ]
+    if record.swing_target is not None:
+        return [*found, ("swing_target", stamp, pack_poses(stamp, frame, record.swing_target[None]))]
+    target = com_target(model, record.kind, record.base, record.q_start)
+    return [*found, ("com_target", stamp, pack(stamped(TOPICS["com_target"].type, frame), stamp, target[None]))]
+
+
+def _diagnostics(trace: Trace, stamps: Stamps) -> list[_Messages]:
+    """Return what the phase monitor would have published, at its rate from the beginning of each phase."""
+    period, found = round(NS / trace.config.monitor.rate), []
+    for record, end in zip(trace.phases, [*(record.start for record in trace.phases[1:]), len(stamps)], strict=True):
+        assess = Assessor(trace.config, trace.model, record.phase(trace.config, trace.model))
+        due = np.arange(stamps[record.start], stamps[end - 1] + 1, period)
+        for tick in np.unique(np.searchsorted(stamps, due)).tolist():
+            seen = assess(Kinematics(trace.model, trace.q[tick], record.base), float(trace.time[tick]) - record.time)
+            values = {"phase": assess.phase.name, **seen.values}
+            status = "phase_monitor: walk", trace.model.name, seen.level, seen.message, values
+            found.append(("diagnostics", stamps[[tick]], [messages.diagnostics(int(stamps[tick]), *status)]))
+    return found
+
+
+# ---------------------------------------------------------------------- reading
 
 
 def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace:
@@ -65,36 +179,22 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
     BagError
         If the bag cannot be read, lacks a topic that is needed, or is that of another robot.
     """
-    path = Path(path)
-    content = load(path, lambda topic, kind: _WANTED.get(topic.rpartition("/")[2]) == kind)
-    notes = list(content.notes)
-    columns = columns_of(path, content, namespace, _WANTED, REQUIRED)
-    config = config_in(path, columns)
-    model = model_in(path, config, columns, notes)
-    states = joint_states(columns["joint_states"], model.joint_names)
-    check_same_robot(path, model, states)
-
-    rows, begin = last_run(states.stamps, notes)
-    if begin:
-        since = columns["joint_states"].order[states.rows[begin]]
-        columns = {name: column.since(since) for name, column in columns.items()}
+    bag = open_recording(path, namespace, TOPICS, REQUIRED)
+    path, model, columns, notes, stamps = bag.path, bag.model, bag.columns, bag.notes, bag.stamps
     starts = _starts(path, model, columns, notes)
-    stamps, first = np.unique(states.stamps[rows], return_index=True)
-    rows = rows[first]
+    q = bag.states.position[bag.rows]
     walking = stamps >= starts[0].stamp
-    whole = ~(~(np.abs(states.position[rows]) < _FARTHEST)).any(axis=1)  # no nan is less
+    whole = ~(~(np.abs(q) < _FARTHEST)).any(axis=1)  # no nan is less
     if early := int(np.count_nonzero(~walking)):
         notes.append(f"{early} states before the first phase are left out")
     if not walking.any():
         raise BagError(f"'{path}': every joint state is older than the first phase")
     if not (whole & walking).any():
-        lack = [n for n, q in zip(model.joint_names, states.position.T, strict=True) if not np.isfinite(q).all()]
+        lack = [n for n, a in zip(model.joint_names, bag.states.position.T, strict=True) if not np.isfinite(a).all()]
         raise BagError(f"'{path}': joint_states lack positions of {', '.join(lack) or 'every joint'}")
     if bad := int(np.count_nonzero(walking & ~whole)):
         notes.append(f"{bad} states without a number for every joint are left out")
-    kept = np.flatnonzero(walking & whole)
-    rows, stamps = rows[kept], stamps[kept]
-    q: Array = np.ascontiguousarray(states.position[rows])
+    stamps, q = stamps[walking & whole], q[walking & whole]
     u = _commands(path, model, stamps, columns["joint_velocity_commands"], notes)
     unanswered = np.flatnonzero(np.isnan(u).any(axis=1))
     last_word = texts(columns["phase"])[-1]
@@ -107,7 +207,7 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
         notes.append(f"{len(unanswered)} of {len(stamps)} states have no command")
     epoch = int(stamps[0]) if stamps[0] > _CLOCK else 0
     return Trace(
-        config=config,
+        config=bag.config,
         model=model,
         time=(stamps - epoch) / NS,
         q=q,
@@ -116,148 +216,10 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
         solve_time=np.full(len(stamps), np.nan),
         finished=last_word == FINISHED,
         notes=tuple(notes),
-        origin=origin_in(columns),
+        origin=bag.origin,
         physics=_physics(stamps, columns),
         epoch=epoch,
     )
-
-
-# ---------------------------------------------------------------------- whose walk it is
-
-
-def columns_of(
-    path: Path, content: Content, namespace: str | None, wanted: Mapping[str, str], required: Sequence[str]
-) -> dict[str, Column]:
-    """Return the columns of one namespace by the names of the contract.
-
-    Parameters
-    ----------
-    path : Path
-        For the messages.
-    content : Content
-    namespace : str or None
-        Of the robot, where the bag holds several.
-    wanted : mapping of str to str
-        The type of each topic.
-    required : sequence of str
-        Without these it is not a walk.
-
-    Raises
-    ------
-    BagError
-        If one of those is missing, or there are several robots to choose from.
-    """
-    found: dict[str, set[str]] = {}
-    for topic, kind in content.topics.items():
-        prefix, _, name = topic.rpartition("/")
-        if wanted.get(name) == kind:
-            found.setdefault(prefix, set()).add(name)
-    if namespace is not None:
-        prefix = "/" + namespace.strip("/") if namespace.strip("/") else ""
-    else:
-        prefix = max(sorted(found), key=lambda key: len(found[key] & set(required)), default="")
-        whole = [key for key, names in found.items() if names >= set(required)]
-        if len(whole) > 1:
-            raise BagError(f"'{path}' holds the walks of {len(whole)} robots; choose a namespace: {_listed(whole)}")
-    columns = {name: content.columns[key] for name in wanted if (key := f"{prefix}/{name}") in content.columns}
-    missing = [name for name in required if name not in columns]
-    if missing:
-        have = _listed(content.topics) or "none"
-        raise BagError(f"'{path}' is not a walk: it has no messages on {', '.join(missing)}; its topics are {have}")
-    return columns
-
-
-def _listed(names: Sequence[str] | Mapping[str, str]) -> str:
-    """Return some names of a bag, for a message that fits on a line; whatever is in them cannot act on a terminal."""
-    shown = [ascii(name)[1:-1][:60] for name in sorted(names)[:12]]
-    return ", ".join([*shown, f"and {len(names) - 12} more"] if len(names) > 12 else shown)
-
-
-def config_in(path: Path, columns: Mapping[str, Column]) -> Config:
-    """Return the configuration of the walk.
-
-    Raises
-    ------
-    BagError
-        If it cannot be used.
-    """
-    try:
-        return configuration.from_yaml(texts(columns["walk_config"])[-1], source=f"{path} walk_config")
-    except ConfigError as error:
-        raise BagError(str(error)) from error
-
-
-def model_in(path: Path, config: Config, columns: Mapping[str, Column], notes: list[str]) -> RobotModel:
-    """Return the robot of the bag; the URDF that is installed serves where the bag has none."""
-    if "robot_description" not in columns:
-        notes.append(f"robot_description is missing: {config.robot.urdf} as installed here was used")
-        return load_model(config.robot)
-    try:
-        return parse_model(texts(columns["robot_description"])[-1], config.robot)
-    except ModelError as error:
-        raise BagError(f"'{path}' is of another robot than its walk_config: {error}") from error
-
-
-def origin_in(columns: Mapping[str, Column]) -> dict[str, str]:
-    """Return the versions and the machine that walked, where the bag has them and they can be read."""
-    try:
-        return provenance.from_text(texts(columns["walk_origin"])[-1]) if "walk_origin" in columns else {}
-    except BagError:
-        return {}
-
-
-def check_same_robot(path: Path, model: RobotModel, states: JointStates) -> None:
-    """Check that the states name every joint of the model.
-
-    Raises
-    ------
-    BagError
-        If they do not.
-    """
-    missing = [name for name in model.joint_names if name not in states.named]
-    if missing:
-        raise BagError(
-            f"'{path}' is of another robot: joint_states lack {', '.join(missing)} of {model.name}; "
-            f"they name {_listed(states.named)}"
-        )
-
-
-# ---------------------------------------------------------------------- time
-
-_GAP = NS
-"""A stamp this far ahead of the one before it [ns] may be an error of one message."""
-_FEW, _PART = 5, 0.01
-"""So many states, or this part of all, may have a stamp that cannot be; more of them are another run."""
-
-
-def last_run(stamps: Stamps, notes: list[str]) -> tuple[NDArray[np.intp], int]:
-    """Return the rows of the last run, in the order of time, and the row it begins with.
-
-    Where time goes back the plant began anew. But a few states whose stamp fits neither before nor after them are
-    errors of messages: they alone are left out.
-    """
-    few = max(_FEW, _PART * len(stamps))
-    step = np.diff(stamps)
-    kept: list[NDArray[np.intp]] = []
-    wrong = again = begin = 0
-    for run in np.split(np.arange(len(stamps)), np.flatnonzero((step < 0) | (step > _GAP)) + 1):
-        while kept and stamps[kept[-1][-1]] > stamps[run[0]] and len(kept[-1]) <= min(few, len(run)):
-            wrong += len(kept.pop())  # it lay ahead of what follows
-        if not kept or stamps[run[0]] - stamps[kept[-1][-1]] > _GAP:
-            kept.append(run)
-        elif stamps[run[0]] >= stamps[kept[-1][-1]]:
-            kept[-1] = np.concatenate([kept[-1], run])
-        elif len(run) <= few:
-            wrong += len(run)  # it lies behind what came before
-        else:
-            again, begin, kept = again + 1, int(run[0]), [run]
-    if len(kept) > 1 and len(kept[-1]) <= _FEW:
-        wrong += len(kept.pop())  # it lies ahead, and nothing follows
-    if again:
-        notes.append(f"time went back {again} times: only the last run is read")
-    if wrong:
-        notes.append(f"{wrong} states whose stamp cannot be are left out")
-    return np.concatenate([np.zeros(0, np.intp), *kept]), begin
 
 
 # ---------------------------------------------------------------------- phases
@@ -284,7 +246,7 @@ def _starts(path: Path, model: RobotModel, columns: Mapping[str, Column], notes:
         raise BagError(f"'{path}' holds no phase of a walk")
     feet = {model.soles[foot].frame: foot for foot in Foot}
     if not set(begun.frames) <= set(feet) or not set(model.joint_names) <= set(begun.named):
-        told = f"{ascii(begun.frames[0])[1:-1][:60]} and {_listed(begun.named)}"
+        told = f"{ascii(begun.frames[0])[1:-1][:60]} and {listed(begun.named)}"
         raise BagError(f"'{path}' is of another robot: phase_start names {told}")
     targets = _swing_targets(columns.get("swing_target"))
     known = [_parsed(name) for name in names]

@@ -1,0 +1,183 @@
+"""What a bag of either kind of walk holds: one robot's topics, configuration and model, and the states of one run."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros import config as configuration
+from dqwalk_ros import provenance
+from dqwalk_ros.config import Config
+from dqwalk_ros.errors import BagError, ConfigError, ModelError
+from dqwalk_ros.report.bag.messages import NS, JointStates, joint_states, texts
+from dqwalk_ros.report.bag.storage import Column, Content, load
+from dqwalk_ros.robot import RobotModel, load_model, parse_model
+from dqwalk_ros.topics import Topic
+
+__all__ = ["Recording", "listed", "open_recording"]
+
+Stamps = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """The last run in a bag.
+
+    Attributes
+    ----------
+    path : Path
+    columns : dict of str to Column
+        By the names of the topics' table.
+    config : Config
+    model : RobotModel
+    states : JointStates
+        All messages of joint_states that can be read.
+    rows : ndarray of int, shape (N,)
+        Those of the last run, in the order of time, one for each stamp.
+    stamps : ndarray of int64, shape (N,)
+        Their stamps [ns].
+    origin : dict of str to str
+        Versions and machine that walked; empty where the bag does not say.
+    notes : list of str
+        What is missing or was left out.
+    """
+
+    path: Path
+    columns: dict[str, Column]
+    config: Config
+    model: RobotModel
+    states: JointStates
+    rows: NDArray[np.intp]
+    stamps: Stamps
+    origin: dict[str, str]
+    notes: list[str]
+
+
+def open_recording(
+    path: str | os.PathLike[str], namespace: str | None, topics: Mapping[str, Topic], required: Sequence[str]
+) -> Recording:
+    """Read the topics of a walk from a bag.
+
+    Parameters
+    ----------
+    path : path-like
+        The bag's folder, or one of its files.
+    namespace : str or None
+        Of the robot, where the bag holds several.
+    topics : mapping of str to Topic
+        Those of a walk.
+    required : sequence of str
+        Without these it is not a walk.
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read, lacks a topic that is needed, or is that of another robot.
+    """
+    path, wanted = Path(path), {name: topic.type for name, topic in topics.items() if name != "diagnostics"}
+    content = load(path, lambda topic, kind: wanted.get(topic.rpartition("/")[2]) == kind)
+    notes = list(content.notes)
+    columns = _columns_of(path, content, namespace, wanted, required)
+    try:
+        config = configuration.from_yaml(texts(columns["walk_config"])[-1], source=f"{path} walk_config")
+    except ConfigError as error:
+        raise BagError(str(error)) from error
+    model = _model_in(path, config, columns, notes)
+    states = joint_states(columns["joint_states"], model.joint_names)
+    if missing := [name for name in model.joint_names if name not in states.named]:
+        raise BagError(
+            f"'{path}' is of another robot: joint_states lack {', '.join(missing)} of {model.name}; "
+            f"they name {listed(states.named)}"
+        )
+    try:
+        origin = provenance.from_text(texts(columns["walk_origin"])[-1]) if "walk_origin" in columns else {}
+    except BagError:
+        origin = {}
+    rows, begin = _last_run(states.stamps, notes)
+    if begin:
+        since = columns["joint_states"].order[states.rows[begin]]
+        columns = {name: column.since(since) for name, column in columns.items()}
+    stamps, first = np.unique(states.stamps[rows], return_index=True)
+    return Recording(path, columns, config, model, states, rows[first], stamps, origin, notes)
+
+
+def _columns_of(
+    path: Path, content: Content, namespace: str | None, wanted: Mapping[str, str], required: Sequence[str]
+) -> dict[str, Column]:
+    """Return the columns of one namespace by the names of the topics' table."""
+    found: dict[str, set[str]] = {}
+    for topic, kind in content.topics.items():
+        prefix, _, name = topic.rpartition("/")
+        if wanted.get(name) == kind:
+            found.setdefault(prefix, set()).add(name)
+    if namespace is not None:
+        prefix = "/" + namespace.strip("/") if namespace.strip("/") else ""
+    else:
+        prefix = max(sorted(found), key=lambda key: len(found[key] & set(required)), default="")
+        whole = [key for key, names in found.items() if names >= set(required)]
+        if len(whole) > 1:
+            raise BagError(f"'{path}' holds the walks of {len(whole)} robots; choose a namespace: {listed(whole)}")
+    columns = {name: content.columns[key] for name in wanted if (key := f"{prefix}/{name}") in content.columns}
+    missing = [name for name in required if name not in columns]
+    if missing:
+        have = listed(content.topics) or "none"
+        raise BagError(f"'{path}' is not a walk: it has no messages on {', '.join(missing)}; its topics are {have}")
+    return columns
+
+
+def listed(names: Sequence[str] | Mapping[str, str]) -> str:
+    """Return some names of a bag, for a message that fits on a line; whatever is in them cannot act on a terminal."""
+    shown = [ascii(name)[1:-1][:60] for name in sorted(names)[:12]]
+    return ", ".join([*shown, f"and {len(names) - 12} more"] if len(names) > 12 else shown)
+
+
+def _model_in(path: Path, config: Config, columns: Mapping[str, Column], notes: list[str]) -> RobotModel:
+    """Return the robot of the bag; the URDF that is installed serves where the bag has none."""
+    if "robot_description" not in columns:
+        notes.append(f"robot_description is missing: {config.robot.urdf} as installed here was used")
+        return load_model(config.robot)
+    try:
+        return parse_model(texts(columns["robot_description"])[-1], config.robot)
+    except ModelError as error:
+        raise BagError(f"'{path}' is of another robot than its walk_config: {error}") from error
+
+
+_GAP = NS
+"""A stamp this far ahead of the one before it [ns] may be an error of one message."""
+_FEW, _PART = 5, 0.01
+"""So many states, or this part of all, may have a stamp that cannot be; more of them are another run."""
+
+
+def _last_run(stamps: Stamps, notes: list[str]) -> tuple[NDArray[np.intp], int]:
+    """Return the rows of the last run, in the order of time, and the row it begins with.
+
+    Where time goes back the plant began anew. But a few states whose stamp fits neither before nor after them are
+    errors of messages: they alone are left out.
+    """
+    few = max(_FEW, _PART * len(stamps))
+    step = np.diff(stamps)
+    kept: list[NDArray[np.intp]] = []
+    wrong = again = begin = 0
+    for run in np.split(np.arange(len(stamps)), np.flatnonzero((step < 0) | (step > _GAP)) + 1):
+        while kept and stamps[kept[-1][-1]] > stamps[run[0]] and len(kept[-1]) <= min(few, len(run)):
+            wrong += len(kept.pop())  # it lay ahead of what follows
+        if not kept or stamps[run[0]] - stamps[kept[-1][-1]] > _GAP:
+            kept.append(run)
+        elif stamps[run[0]] >= stamps[kept[-1][-1]]:
+            kept[-1] = np.concatenate([kept[-1], run])
+        elif len(run) <= few:
+            wrong += len(run)  # it lies behind what came before
+        else:
+            again, begin, kept = again + 1, int(run[0]), [run]
+    if len(kept) > 1 and len(kept[-1]) <= _FEW:
+        wrong += len(kept.pop())  # it lies ahead, and nothing follows
+    if again:
+        notes.append(f"time went back {again} times: only the last run is read")
+    if wrong:
+        notes.append(f"{wrong} states whose stamp cannot be are left out")
+    return np.concatenate([np.zeros(0, np.intp), *kept]), begin
