@@ -7,6 +7,7 @@ from setuptools import find_packages, setup
 NAME = "dqwalk_ros"
 NODES = (
     "controller",
+    "drive",
     "integrator",
     "phase_monitor",
     "physics",
@@ -28,6 +29,7 @@ ROS = [
     "ros-jazzy-rosgraph-msgs>=2.0",
     "ros-jazzy-sensor-msgs>=5.3",
     "ros-jazzy-std-srvs>=5.3",
+    "ros-jazzy-trajectory-msgs>=5.3",
     "ros-jazzy-visualization-msgs>=5.3",
 ]
 DAQP = ["daqp>=0.7"]
@@ -75,7 +77,8 @@ setup(
         (f"share/{NAME}/config/motors", sorted(glob("config/motors/*.yaml"))),
         (f"share/{NAME}/config/security", sorted(glob("config/security/*.xml"))),
         (f"share/{NAME}/config/plants", sorted(glob("config/plants/*.yaml"))),
-        (f"share/{NAME}/urdf", sorted(glob("urdf/*.urdf"))),
+        (f"share/{NAME}/config/ros2_control", sorted(glob("config/ros2_control/*.yaml"))),
+        (f"share/{NAME}/urdf", sorted(glob("urdf/*.urdf*"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
         # `ros2 run dqwalk_ros controller` looks here. They are no console scripts, because pip would put such general
         # names on everybody's PATH; there the nodes are dqwalk_controller and so on.

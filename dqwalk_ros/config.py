@@ -38,6 +38,7 @@ __all__ = [
     "MonitorConfig",
     "NodeConfig",
     "OdometryConfig",
+    "OutputConfig",
     "PelvisConfig",
     "PhysicsConfig",
     "PlantConfig",
@@ -287,6 +288,22 @@ class PlantConfig:
 
 
 @dataclass(frozen=True)
+class OutputConfig:
+    """What the node `drive` tells the controllers of a robot of your own."""
+
+    type: Literal["joint_state", "float64_multi_array", "joint_trajectory"] = _par(
+        "float64_multi_array",
+        "messages: 'float64_multi_array' for a forward_command_controller, 'joint_trajectory' for a "
+        "joint_trajectory_controller, or 'joint_state'",
+    )
+    interface: Literal["velocity", "position"] = _par(
+        "position", "what the joints are told: velocities, or positions within servo.window of the measured ones"
+    )
+    topic: str = _par("", "topic of the robot's controller; empty: that of ros2_control's own for type and interface")
+    joints: tuple[str, ...] = _par((), "joints of that controller in its order; empty: those of the walk")
+
+
+@dataclass(frozen=True)
 class EstimationConfig:
     """How sure the estimate of the base takes its sources to be; standard deviations."""
 
@@ -441,6 +458,7 @@ class Config:
     physics: PhysicsConfig = PhysicsConfig()
     sensors: SensorsConfig = SensorsConfig()
     plant: PlantConfig = PlantConfig()
+    output: OutputConfig = OutputConfig()
     estimation: EstimationConfig = EstimationConfig()
     monitor: MonitorConfig = MonitorConfig()
     safety: SafetyConfig = SafetyConfig()

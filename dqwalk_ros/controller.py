@@ -5,6 +5,7 @@ A state comes in, a command goes out; `VelocityController.step` is the whole way
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -99,6 +100,7 @@ class VelocityController:
         self.solution: Solution | None = None
         self._phase: Phase | None = None
         self._kin: Kinematics | None = None
+        self._last_state: State | None = None
         self._answered = math.inf
         self._sent = CommandHistory(self._drive.delay, self.model.n)
         self._x_odom_base = DQ(1.0)
@@ -166,6 +168,7 @@ class VelocityController:
             self._enter(state)
         elif (held := state.time - self._answered - self.config.plant.command_timeout) > 0.0:
             self._resume(state, held)
+        state = self._with_velocity(state)
         kin = self._kinematics(state)
         now = self.phase.evaluate(kin)
         self._answered = state.time
@@ -185,6 +188,16 @@ class VelocityController:
         if self._drive.delay > 0.0:
             self._sent.add(state.time, u, dt)
         return Command(state.time, u, self._effort(kin, state, u))
+
+    def _with_velocity(self, state: State) -> State:
+        """Return a state whose joint velocities, where nobody measures them, are the differences of its angles."""
+        before, self._last_state = self._last_state, state
+        if state.dq is not None or before is None:
+            return state
+        passed = state.time - before.time
+        if not 0.0 < passed <= self.config.plant.command_timeout:
+            return state
+        return dataclasses.replace(state, dq=(state.q - before.q) / passed)
 
     def _effort(self, kin: Kinematics, state: State, u: Array) -> Array | None:
         """Return the torques fed forward, those that damp the joints as the servos themselves do among them."""

@@ -15,8 +15,8 @@ from dqwalk_ros.errors import ModelError
 __all__ = ["expanded", "find_package_file"]
 
 
-def expanded(path: pathlib.Path) -> bytes:
-    """Return the URDF of a xacro file.
+def expanded(path: pathlib.Path, **arguments: str) -> bytes:
+    """Return the URDF of a xacro file with values for its arguments.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def expanded(path: pathlib.Path) -> bytes:
 
     found._eval_find = find
     try:
-        return str(xacro.process_file(str(path)).toxml()).encode()
+        return str(xacro.process_file(str(path), mappings=arguments).toxml()).encode()
     except (Exception, SystemExit) as error:  # xacro has many of its own, and lets those of XML and of Python pass
         if missing:
             raise ModelError(f"'{path}' needs the ROS package '{missing[0]}', which is not installed") from error

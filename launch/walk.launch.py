@@ -24,20 +24,25 @@ PLANTS = {
     "integrator": "integrator",
     "physics": "physics",
     "poppy_as_built": "physics",
+    "ros2_control": "drive",
     "poppy": "poppy_driver",
 }
 TRUE_OR_FALSE = ["true", "false"]
 ARGUMENTS = {
     "config": ("", "parameter file of all nodes, `dqwalk config` explains each key; empty: paper.yaml, or poppy.yaml "
-               "where the robot must stand, with physics and poppy", None),
+               "where the robot must stand, with all plants but the integrator", None),
     "plant": ("integrator", "other side of the command: integrator, an ideal robot; physics, MuJoCo; "
-              "poppy_as_built, the same with Poppy's own servos, delays and sensors; poppy, the real "
-              "one; config/plants/NAME.yaml is what it asks of all nodes", list(PLANTS)),
+              "poppy_as_built, the same with Poppy's own servos, delays and sensors; ros2_control, a robot whose "
+              "controllers are up (ros2_control.launch.py starts Poppy's); poppy, the real one with its own driver; "
+              "config/plants/NAME.yaml is what it asks of all nodes", list(PLANTS)),
     "lockstep": ("false", "true: each state waits for its command, exact and as fast as the machine, and everything "
                  "ends with the walk, with an error if it failed; false: by the clock, until Ctrl-C", TRUE_OR_FALSE),
     "namespace": ("", "of all nodes and topics of this robot, /tf included", None),
     "use_sim_time": ("false", "take the time of /clock, which a simulated plant then publishes", TRUE_OR_FALSE),
-    "autostart": ("", "walk at the first state; empty: what the configuration says, which is false for poppy", None),
+    "autostart": ("", "walk at the first state; empty: what the configuration says, which is false for poppy "
+                  "and ros2_control", None),
+    "interface": ("", "with plant:=ros2_control: what the joints are told, position or velocity; empty: what the "
+                  "configuration says, output.interface", None),
     "dummy": ("false", "with plant:=poppy: dummy motors instead of a robot", TRUE_OR_FALSE),
     "respawn": ("false", "start controller and monitor again when they die; not in lockstep", TRUE_OR_FALSE),
     "log_level": ("info", "debug, info, warn, error or fatal", None),
@@ -60,13 +65,18 @@ def nodes(context: LaunchContext) -> list[object]:
         "node.exit_when_done": lockstep,
         "node.wait_for_recorder": bool(given["bag"]),
         "node.wait_for_monitor": lockstep,
-        "node.robot_description": not rviz,
     }
+    if rviz:
+        values["node.robot_description"] = False
     if given["autostart"]:
         values["node.autostart"] = given["autostart"] == "true"
+    if given["interface"]:
+        values["output.interface"] = given["interface"]
     if given["dummy"] == "true":
         values["poppy.dummy"] = True
     remappings = [("/tf", "tf"), ("/tf_static", "tf_static")] if given["namespace"] else []
+    if given["plant"] == "ros2_control":
+        remappings.append(("imu", "imu_sensor_broadcaster/imu"))
 
     def node(name: str, package: str = "dqwalk_ros", **options: object) -> Node:
         own = options.pop("parameters", [config, str(find_share("config/plants", f"{given['plant']}.yaml")), values])

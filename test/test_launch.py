@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parent.parent
 FILE = ROOT / "launch" / "walk.launch.py"
 ARGUMENTS = {
     *("config", "plant", "lockstep", "namespace", "use_sim_time", "autostart", "dummy", "respawn"),
-    *("log_level", "rviz", "view", "bag"),
+    *("log_level", "rviz", "view", "bag", "interface"),
 }
 
 
@@ -36,7 +36,7 @@ def test_every_node_it_starts_is_installed() -> None:
     calls = [n for n in ast.walk(tree) if isinstance(n, ast.Call) and getattr(n.func, "id", "") == "node"]
     started = {c.args[0].value for c in calls if isinstance(c.args[0], ast.Constant) and len(c.args) == 1}
     started |= set(assigned("PLANTS").values())
-    assert started == {"controller", "integrator", "physics", "poppy_driver", "phase_monitor", "recorder", "viewer"}
+    assert started == {"controller", "integrator", "physics", "poppy_driver", "drive", "phase_monitor", "recorder", "viewer"}
     for name in started:
         script = ROOT / "scripts" / name
         assert script.stat().st_mode & 0o111, f"{script} cannot be executed"

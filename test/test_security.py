@@ -72,7 +72,7 @@ def test_every_node_has_an_enclave_and_a_person_may_call_every_service() -> None
     "group",
     [
         ("controller", "physics", "pilot"),
-        ("integrator", "phase_monitor", "poppy_driver", "recorder", "viewer"),
+        ("integrator", "drive", "phase_monitor", "poppy_driver", "recorder", "viewer"),
         ("whole_body_controller", "rigid"),
     ],
     ids="+".join,

@@ -22,6 +22,7 @@ __all__ = ["NODES", "docstring", "main", "parameters_of", "parse", "script"]
 
 NODES = {
     "controller": "controller.Controller",
+    "drive": "drive.RobotDrive",
     "integrator": "plant.Integrator",
     "phase_monitor": "phase_monitor.PhaseMonitor",
     "physics": "plant.Physics",

@@ -1,0 +1,236 @@
+"""Any robot's drive: commands of the walk become what the robot's own controllers take, such as ros2_control's.
+
+What a robot is told is first of all positions: velocities integrated around what is measured, and torques as angles
+(`plants.bus`). Where its interface is one of velocities it is told how fast to get there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import array
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.duration import Duration
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from dqwalk_ros.errors import ConfigError, StateError
+from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
+from dqwalk_ros.nodes.inputs import VELOCITY, CommandInput
+from dqwalk_ros.plants.bus import Bus
+from dqwalk_ros.robot import load_model
+from dqwalk_ros.servos import Drive, Servos
+
+__all__ = ["RobotDrive"]
+
+Array = NDArray[np.float64]
+
+_TOPICS = {
+    ("float64_multi_array", "velocity"): "forward_velocity_controller/commands",
+    ("float64_multi_array", "position"): "forward_position_controller/commands",
+    ("joint_trajectory", "position"): "joint_trajectory_controller/joint_trajectory",
+    ("joint_state", "velocity"): "joint_commands",
+    ("joint_state", "position"): "joint_commands",
+}
+"""What ros2_control's own controllers, and its joint_state_topic_hardware_interface, are called by default."""
+_TYPES = {
+    "float64_multi_array": Float64MultiArray,
+    "joint_trajectory": JointTrajectory,
+    "joint_state": JointState,
+}
+_LOOK = 0.02
+"""Time between two looks at whether commands still come [s]."""
+_PERIODS = 2.0
+"""A command moves the robot for so many periods at most: a late one is never made up for."""
+
+
+class RobotDrive(WalkNode):
+    """Drive a robot of your own: the walk's commands to the topic of its controllers, with a watchdog.
+
+    The robot's joint_state_broadcaster publishes joint_states, and the controller of the walk listens to it as to every
+    plant. This node stands between joint_velocity_commands and the robot's forward_command_controller, which goes on
+    with its last command for ever: without a command for plant.command_timeout the robot is told to stay. It tells the
+    robot nothing before the first command.
+
+    Subscribes to::
+
+        joint_velocity_commands  sensor_msgs/JointState [rad/s]; effort [N m] is fed forward as angles
+        joint_states             sensor_msgs/JointState [rad]: where the joints are
+
+    Publishes, as output.type, output.interface and output.topic say::
+
+        forward_position_controller/commands           std_msgs/Float64MultiArray [rad], in the order of output.joints
+        forward_velocity_controller/commands           the same [rad/s]
+        joint_trajectory_controller/joint_trajectory   trajectory_msgs/JointTrajectory of one point [rad]
+        joint_commands                                 sensor_msgs/JointState [rad or rad/s]
+        plant_ready              std_msgs/Bool, latched: whether somebody listens there, and states come
+        /diagnostics             diagnostic_msgs/DiagnosticArray
+
+    Sections of the schema: dt, robot, plant, servo, output.
+
+    Example::
+
+        dqwalk_drive --ros-args --params-file config/poppy.yaml -p output.interface:=velocity
+
+    Raises
+    ------
+    ConfigError
+        In lockstep, or where `output` cannot be used.
+    """
+
+    def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
+        super().__init__("drive", options, **keywords)
+        config = self.config
+        if config.plant.lockstep:
+            raise ConfigError("'plant.lockstep' must be false: a robot does not wait for its command")
+        self._model = load_model(config.robot)
+        self._output = Output(self, self._model.joint_names)
+        self._commands = CommandInput(self, self._model)
+        self._reader = ros.JointReader(self._output.joints)
+        self._measured = self._rest = np.zeros(len(self._output.joints))  # now, and at the first command [rad]
+        self._stamp = self._moved = -1  # of the last state, and of the one at which the robot was moved last [ns]
+        self._goals: Bus | None = None  # none before the first command
+        self._told = np.zeros(self._model.n)  # where the robot is when it has done as it was told [rad]
+        self._reason = "not looked at yet"
+        self._rejected = 0
+        self._ready = self.create_publisher(Bool, "plant_ready", ros.latched())
+        self.listen(JointState, "joint_states", self._on_state, ros.stream(1, reliable=False))
+        self.create_subscription(JointState, VELOCITY, self._on_command, ros.stream(1))
+        self.create_timer(_LOOK, self._look, clock=STEADY)
+        self.create_timer(1.0 / config.monitor.rate, self._diagnose, clock=STEADY)
+        self.get_logger().info(f"{self._model.name}: {self._output.description}")
+
+    def _on_state(self, msg: JointState) -> None:
+        if self._reader.is_foreign(msg):
+            return
+        try:
+            self._measured = self._reader.state(msg).q
+        except StateError as error:
+            self._rejected += 1
+            self.get_logger().error(f"joint_states rejected ({self._rejected} so far): {error}", **THROTTLE)
+            return
+        self._stamp = ros.nanoseconds(msg.header.stamp)
+
+    def _on_command(self, msg: JointState) -> None:
+        if self._stamp < 0 or not self._commands.take(msg, self._stamp):
+            return
+        if not self._commands.gate.holding:
+            self._tell(min(1e-9 * max(self._stamp - self._moved, 0), _PERIODS * self.config.dt))
+
+    def _look(self) -> None:
+        """Tell the robot to stay where no command counts; again each time, for a message may be lost."""
+        self._commands.log_motion()
+        if self._goals is not None and self._commands.gate.holding:
+            self._tell(0.0)
+        reason = "" if self._stamp >= 0 else "no joint_states yet"
+        reason = reason or self._output.trouble()
+        if reason != self._reason:
+            self._reason = reason
+            self._ready.publish(Bool(data=not reason))
+
+    def _tell(self, dt: float) -> None:
+        """Tell the robot to move as commanded for `dt` [s]; 0 is to stay."""
+        model, gate, q = self._model, self._commands.gate, self._measured[self._output.own]
+        if self._goals is None:
+            self._goals = self._make_goals(q)
+            self._told, self._rest = q.copy(), self._measured.copy()
+            dt = self.config.dt
+        u = gate.velocity(self._goals.wanted, dt)
+        self._goals.command(u, gate.effort, q, 1e-9 * self._stamp, dt)
+        goals, _ = self._goals.output(1e-9 * self._stamp)
+        self._moved = self._stamp
+        if self.config.output.interface == "position":
+            out = self._rest.copy()  # joints that the walk does not move stay where they were
+            out[self._output.own] = goals
+        else:
+            out, period = np.zeros_like(self._rest), self.config.dt
+            if dt > 0.0:
+                v = np.clip((goals - self._told) / period, -model.velocity_max, model.velocity_max)
+                self._told = self._told + period * v
+                out[self._output.own] = v
+        self._output.publish(self._stamp, out)
+
+    def _make_goals(self, q: Array) -> Bus:
+        """Return what integrates commands from the angles q (n,) [rad]: a bus without delay, of servos without steps."""
+        direct = self.config.updated({"servo.rate": 0.0, "servo.latency": 0.0})
+        model, drive = self._model, Drive.of(self.config, self._model)
+        servos = dataclasses.replace(Servos.of(direct, model), resolution=np.zeros(model.n))
+        return Bus(direct.servo, servos, drive, q, model.q_min, model.q_max)
+
+    def _diagnose(self) -> None:
+        level, text = self._commands.level()
+        if self._reason:
+            level, text = "WARN", self._reason
+        values = {"states rejected": self._rejected, **self._commands.counts()}
+        self.diagnose("plant", self._model.name, level, text, values, max(self._stamp, 0))
+
+    def close(self) -> None:
+        """Tell the robot to stay: its own controllers would go on."""
+        if self._goals is not None:
+            self._commands.gate.hold()
+            self._tell(0.0)
+
+
+class Output:
+    """The topic of a robot's controller, in the type and the order of joints that it takes.
+
+    Parameters
+    ----------
+    node : WalkNode
+        Its parameters ``output`` say which.
+    own : sequence of str
+        Joints of the walk.
+
+    Attributes
+    ----------
+    joints : tuple of str
+        Of the controller.
+    own : ndarray of int, shape (n,)
+        Where those of the walk are among them.
+    description : str
+
+    Raises
+    ------
+    ConfigError
+        If ``output`` cannot be used.
+    """
+
+    def __init__(self, node: WalkNode, own: Sequence[str]) -> None:
+        o = node.config.output
+        if o.type == "joint_trajectory" and o.interface == "velocity":
+            raise ConfigError("'output.type' joint_trajectory needs 'output.interface' position")
+        self.joints = o.joints or tuple(own)
+        if missing := [name for name in own if name not in self.joints]:
+            raise ConfigError(f"'output.joints' lacks {', '.join(missing)}, which the walk moves")
+        if len(set(self.joints)) < len(self.joints):
+            raise ConfigError("'output.joints' names a joint twice")
+        self.own = np.array([self.joints.index(name) for name in own])
+        self._type, self._field = o.type, o.interface
+        self._after = Duration(seconds=node.config.dt).to_msg()
+        self._publisher = node.create_publisher(_TYPES[o.type], o.topic or _TOPICS[o.type, o.interface], ros.stream(1))
+        self.description = f"{len(self.joints)} joints on {self._publisher.topic_name}, {o.interface} as {o.type}"
+
+    def trouble(self) -> str:
+        """Return why the robot does not hear, empty if it does."""
+        if self._publisher.get_subscription_count():
+            return ""
+        return f"nobody listens on {self._publisher.topic_name}: is the robot's controller active?"
+
+    def publish(self, stamp: int, values: Array) -> None:
+        """Publish what the joints (N,) are told [rad or rad/s] in answer to the state with a stamp [ns]."""
+        data = array.array("d", values.tobytes())
+        if self._type == "float64_multi_array":
+            self._publisher.publish(Float64MultiArray(data=data))
+        elif self._type == "joint_trajectory":
+            point = JointTrajectoryPoint(positions=data, time_from_start=self._after)
+            self._publisher.publish(JointTrajectory(joint_names=list(self.joints), points=[point]))  # stamp 0: at once
+        else:
+            msg = JointState(name=list(self.joints), **{self._field: data})
+            msg.header.stamp = ros.time_msg(stamp)
+            self._publisher.publish(msg)

@@ -1,0 +1,98 @@
+"""Poppy behind ros2_control, and the walk: controller_manager, broadcasters, a forward controller, then walk.launch.py.
+
+ros2 launch dqwalk_ros ros2_control.launch.py interface:=velocity
+ros2 launch dqwalk_ros ros2_control.launch.py plugin:=mujoco_ros2_control/MujocoSystemInterface mujoco_model:=poppy.xml
+
+A robot whose controllers are up already needs walk.launch.py plant:=ros2_control only.
+"""
+
+from launch import LaunchContext, LaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    IncludeLaunchDescription,
+    OpaqueFunction,
+    RegisterEventHandler,
+    SetEnvironmentVariable,
+)
+from launch.event_handlers import OnProcessExit
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterFile
+
+from dqwalk_ros.config import find_share
+from dqwalk_ros.packages import expanded
+
+PLUGINS = [
+    "mock_components/GenericSystem",
+    "mujoco_ros2_control/MujocoSystemInterface",
+    "gz_ros2_control/GazeboSimSystem",
+    "joint_state_topic_hardware_interface/JointStateTopicSystem",
+]
+ARGUMENTS = {
+    "plugin": (PLUGINS[0], "hardware component of ros2_control: joints that go where they are told, MuJoCo, Gazebo, or a "
+               "plant behind topics; another robot's own is a name like these", None),
+    "mujoco_model": ("", "model file (MJCF) of mujoco_ros2_control; others do without", None),
+    "interface": ("position", "what the joints are told", ["position", "velocity"]),
+    "controllers": (str(find_share("config/ros2_control", "controllers.yaml")), "parameter file of the controllers", None),
+    "walk": ("true", "start the walk as well; false: only the robot", ["true", "false"]),
+    "config": ("", "parameter file of the walk; empty: poppy.yaml", None),
+    "namespace": ("", "of all nodes and topics of this robot", None),
+    "use_sim_time": ("false", "take the time of /clock, as with Gazebo", ["true", "false"]),
+}  # fmt: skip
+
+
+def nodes(context: LaunchContext) -> list[object]:
+    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    space, time = given["namespace"], {"use_sim_time": given["use_sim_time"] == "true"}
+    urdf = expanded(
+        find_share("urdf", "poppy.ros2_control.urdf.xacro"),
+        plugin=given["plugin"],
+        mujoco_model=given["mujoco_model"],
+    )
+    package = given["plugin"].partition("/")[0]
+    # MuJoCo runs in a manager of its own; Gazebo brings one along
+    manager = {"mujoco_ros2_control": "mujoco_ros2_control", "gz_ros2_control": ""}.get(package, "controller_manager")
+    forward = f"forward_{given['interface']}_controller"
+
+    def node(package: str, executable: str, **options: object) -> Node:
+        enclave = ["--enclave", f"/dqwalk/{options.get('name', executable)}"]
+        return Node(
+            package=package, executable=executable, namespace=space, output="screen", ros_arguments=enclave, **options
+        )
+
+    publisher = node("robot_state_publisher", "robot_state_publisher",
+                     parameters=[{"robot_description": urdf.decode()}, time])  # fmt: skip
+    spawner = node(
+        "controller_manager", "spawner", name="spawner",
+        arguments=["joint_state_broadcaster", "imu_sensor_broadcaster", forward, "--controller-manager",
+                   "controller_manager"],
+        parameters=[time],
+    )  # fmt: skip
+    started: list[object] = [publisher, spawner]
+    if manager:
+        file = ParameterFile(given["controllers"])
+        started.append(node(manager, "ros2_control_node", parameters=[file, time]))
+    if given["walk"] == "true":
+        values = {"plant": "ros2_control", "interface": given["interface"], "namespace": space,
+                  "config": given["config"], "use_sim_time": given["use_sim_time"]}  # fmt: skip
+        walk = IncludeLaunchDescription(
+            PythonLaunchDescriptionSource(str(find_share("launch", "walk.launch.py"))),
+            launch_arguments={name: value for name, value in values.items() if value}.items(),
+        )
+        started.append(RegisterEventHandler(OnProcessExit(target_action=spawner, on_exit=[walk])))
+    return started
+
+
+def generate_launch_description() -> LaunchDescription:
+    arguments = []
+    for name, (default, description, choices) in ARGUMENTS.items():
+        arguments.append(DeclareLaunchArgument(name, default_value=default, description=description, choices=choices))
+    discovery = DeclareLaunchArgument(
+        "discovery",
+        default_value=EnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", default_value="LOCALHOST"),
+        choices=["LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT"],
+        description="who can see the nodes: LOCALHOST this machine only, SUBNET the network as well",
+    )
+    stays = SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery"))
+    return LaunchDescription([*arguments, discovery, stays, OpaqueFunction(function=nodes)])
