@@ -30,11 +30,12 @@ PLUGINS = [
     "joint_state_topic_hardware_interface/JointStateTopicSystem",
 ]
 ARGUMENTS = {
-    "plugin": (PLUGINS[0], "hardware component of ros2_control: joints that go where they are told, MuJoCo, Gazebo, or a "
-               "plant behind topics; another robot's own is a name like these", None),
+    "plugin": (PLUGINS[0], "hardware component of ros2_control: joints that go where they are told, MuJoCo, Gazebo, or "
+               "a plant behind topics; another robot's own is a name like these", None),
     "mujoco_model": ("", "model file (MJCF) of mujoco_ros2_control; others do without", None),
     "interface": ("position", "what the joints are told", ["position", "velocity"]),
-    "controllers": (str(find_share("config/ros2_control", "controllers.yaml")), "parameter file of the controllers", None),
+    "controllers": (str(find_share("config/ros2_control", "controllers.yaml")), "parameter file of the controllers",
+                    None),
     "walk": ("true", "start the walk as well; false: only the robot", ["true", "false"]),
     "config": ("", "parameter file of the walk; empty: poppy.yaml", None),
     "namespace": ("", "of all nodes and topics of this robot", None),

@@ -5,8 +5,14 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
+import yaml
+
+from dqwalk_ros.config import load
+from dqwalk_ros.packages import expanded
+from dqwalk_ros.robot import load_model, parse_model
 
 ROOT = Path(__file__).resolve().parent.parent
 FILE = ROOT / "launch" / "walk.launch.py"
@@ -36,11 +42,40 @@ def test_every_node_it_starts_is_installed() -> None:
     calls = [n for n in ast.walk(tree) if isinstance(n, ast.Call) and getattr(n.func, "id", "") == "node"]
     started = {c.args[0].value for c in calls if isinstance(c.args[0], ast.Constant) and len(c.args) == 1}
     started |= set(assigned("PLANTS").values())
-    assert started == {"controller", "integrator", "physics", "poppy_driver", "drive", "phase_monitor", "recorder", "viewer"}
+    assert started == {
+        "controller",
+        "integrator",
+        "physics",
+        "poppy_driver",
+        "drive",
+        "phase_monitor",
+        "recorder",
+        "viewer",
+    }
     for name in started:
         script = ROOT / "scripts" / name
         assert script.stat().st_mode & 0o111, f"{script} cannot be executed"
         assert f'main("{name}"' in script.read_text(encoding="utf-8")
+
+
+def test_poppy_behind_ros2_control_is_the_robot_that_walks() -> None:
+    """All its joints with both interfaces, and controllers in the order in which the node drive tells them."""
+    config = load("poppy")
+    urdf = expanded(ROOT / "urdf" / "poppy.ros2_control.urdf.xacro", plugin="a/Plugin").decode()
+    assert parse_model(urdf, config.robot).joint_names == load_model(config.robot).joint_names
+    root = ElementTree.fromstring(urdf)
+    (component,) = root.iter("ros2_control")
+    assert component.findtext("hardware/plugin") == "a/Plugin"
+    moving = {joint.get("name") for joint in root.iter("joint") if joint.get("type") == "revolute"}
+    told = {joint.get("name"): [i.get("name") for i in joint.iter("command_interface")] for joint in component}
+    assert {name for name, interfaces in told.items() if interfaces} == moving
+    assert all(interfaces in ([], ["position", "velocity"]) for interfaces in told.values())
+    controllers = yaml.safe_load((ROOT / "config" / "ros2_control" / "controllers.yaml").read_text())
+    for interface in ("position", "velocity"):
+        controller = controllers[f"/**/forward_{interface}_controller"]["ros__parameters"]
+        assert controller["interface_name"] == interface
+        assert tuple(controller["joints"]) == load_model(config.robot).joint_names
+    assert 1.0 / controllers["/**/controller_manager"]["ros__parameters"]["update_rate"] == config.dt
 
 
 @pytest.mark.native

@@ -157,7 +157,7 @@ class RobotDrive(WalkNode):
         self._output.publish(self._stamp, out)
 
     def _make_goals(self, q: Array) -> Bus:
-        """Return what integrates commands from the angles q (n,) [rad]: a bus without delay, of servos without steps."""
+        """Return what integrates commands from the angles q (n,) [rad]: a bus without delay, servos without steps."""
         direct = self.config.updated({"servo.rate": 0.0, "servo.latency": 0.0})
         model, drive = self._model, Drive.of(self.config, self._model)
         servos = dataclasses.replace(Servos.of(direct, model), resolution=np.zeros(model.n))
