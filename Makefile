@@ -41,7 +41,7 @@ simulate: $(VENV)/.installed  ## the same walk in one process, without ROS
 	$(BIN)/dqwalk simulate --config $(CONFIG) --cycles $(CYCLES) --out $(OUT) --force
 
 reach: $(VENV)/.installed-wholebody  ## everything the whole-body controller must show, asked and got, and figures 2 to 5
-	OPENBLAS_NUM_THREADS=1 $(BIN)/dqwalk reach --all --jobs $(JOBS) --out results/reach --force
+	PYTHONPATH=test OPENBLAS_NUM_THREADS=1 $(BIN)/python -m acceptance --jobs $(JOBS) --out results/reach $(ARGS)
 
 test: $(VENV)/.installed-test  ## run all tests (JOBS=2 at a time)
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m 'not colcon and not native and not long and not browser' $(ARGS)

@@ -37,9 +37,7 @@ def main() -> None:
     times, methods = [], []
     for scenario in scenarios:
         controller = WholeBodyController(config, model, clock=time.thread_time)
-        walked = follow(
-            controller, RigidPlant(model, controller.start, pushed="chest"), scenario, clock=time.thread_time
-        )
+        walked = follow(controller, RigidPlant(model, controller.start, pushed="chest"), scenario)
         times.append(walked.times)
         methods += walked.method
         print(f"{scenario.name}: {len(walked.time)} ticks {walked.note}", flush=True)

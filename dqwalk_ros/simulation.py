@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,16 +105,23 @@ def warm_up(config: Config, model: RobotModel) -> None:
 
 
 def closed_loop(
-    controller: VelocityController, plant: Plant, before_step: Callable[[float], None] | None = None
-) -> Iterator[tuple[State, Command]]:
+    controller: Any,
+    plant: Any,
+    before_step: Callable[[float], None] | None = None,
+    is_over: Callable[[Any, Any], bool] | None = None,
+) -> Iterator[tuple[Any, Any]]:
     """Walk, and yield every state with its command, until the controller has finished or the robot has fallen.
 
     Parameters
     ----------
-    controller : VelocityController
-    plant : Plant
+    controller : VelocityController or WholeBodyController
+    plant : Plant or BodyPlant
+        Of joint velocities or of torques, as the controller commands.
     before_step : callable, optional
         Called before each step with the time of walking [s]; it may steer, stop or push.
+    is_over : callable, optional
+        Called after each step of the plant with the state before it and the command; where it returns true, the walk
+        ends.
 
     Raises
     ------
@@ -121,16 +129,18 @@ def closed_loop(
         What the controller or the plant raises.
     """
     dt = controller.config.dt
-    state = plant.state
-    begin = state.time
+    begin = plant.state.time
     while True:
         if before_step is not None:
-            before_step(state.time - begin)
+            before_step(plant.state.time - begin)
+        state = plant.state
         command = controller.step(state, dt)
         yield state, command
         if controller.finished or plant.fallen:
             return
-        state = plant.step(command, dt)
+        plant.step(command, dt)
+        if is_over is not None and is_over(state, command):
+            return
 
 
 _REPORT_EVERY = 0.1

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from exactness import clarabel_solution
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
 from dqwalk_ros.errors import QPError
-from dqwalk_ros.whole_body.exactness import clarabel_solution
 from dqwalk_ros.whole_body.hierarchy import BALANCE, LAW, LIMIT, Hierarchy, HierarchySolver
 
 N, EQUALITIES, INEQUALITIES = 12, 3, 8

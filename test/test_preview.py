@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 import pytest
+from exactness import discretized
 from hypothesis import given
 from hypothesis import strategies as st
 
 from dqwalk_ros.config import WholeBodyConfig
 from dqwalk_ros.robot import Foot
-from dqwalk_ros.whole_body.exactness import discretized
 from dqwalk_ros.whole_body.preview import PointMass, Stepping, previewed, swing_acceleration, swing_jerk
 
 CONFIG = WholeBodyConfig()
@@ -28,7 +28,7 @@ def test_alpha_sums_to_one(height: float, interval: float, intervals: int) -> No
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.3, 1.2))
 def test_capturability_is_the_condensed_form(seed: int, height: float) -> None:
-    """c'_N + c''_N/omega of (10), stepped with A and B, equals omega e^(omega N T) (xi_0 - sum alpha z)."""
+    """c'_N + c''_N/omega of (S10), stepped with A and B, equals omega e^(omega N T) (xi_0 - sum alpha z)."""
     mass, rng = PointMass(height, 0.1, 16), np.random.default_rng(seed)
     A, B, D = discretized(mass)
     x = rng.normal(size=3) * [0.1, 0.3, 1.0]
@@ -41,7 +41,7 @@ def test_capturability_is_the_condensed_form(seed: int, height: float) -> None:
 
 
 def test_the_matrices_solve_the_differential_equation() -> None:
-    """(10) integrated in a thousand small steps."""
+    """(S10) integrated in a thousand small steps."""
     mass = PointMass(0.8, 0.1, 16)
     A, B, D = discretized(mass)
     w2 = mass.omega**2

@@ -7,30 +7,31 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import acceptance
 import numpy as np
 import pytest
+from exactness import Answers
 
 from dqwalk_ros import cli
 from dqwalk_ros.config import load
 from dqwalk_ros.errors import BagError
 from dqwalk_ros.report import bag
-from dqwalk_ros.report.figures.reach_pushes import save_pushes
+from dqwalk_ros.report.figures.pushes import pushes_figure
 from dqwalk_ros.report.figures.reaching import reactions, save_reaching
-from dqwalk_ros.robot import Foot, load_model
+from dqwalk_ros.robot import load_model
+from dqwalk_ros.studies import torso_pushes
+from dqwalk_ros.studies.pushes import Limit
 from dqwalk_ros.whole_body import (
     SCENARIOS,
     Scenario,
     WholeBodyController,
     WholeBodyTrace,
-    demands,
-    experiments,
     follow,
     retrace,
 )
 from dqwalk_ros.whole_body.demands import checks, render_checks, summary
-from dqwalk_ros.whole_body.exactness import Answers
-from dqwalk_ros.whole_body.experiments import PushLimit, fitted, push_limit
 from dqwalk_ros.whole_body.rigid_plant import RigidPlant
+from dqwalk_ros.whole_body.scenario import fitted
 
 
 @cache
@@ -185,40 +186,43 @@ def test_a_jump_in_mid_swing_moves_the_next_footstep_at_once() -> None:
 
 
 def test_the_equations_are_what_they_should_be() -> None:
-    rows = demands.unit_demands(load("whole_body"))
+    rows = acceptance.unit_demands(load("whole_body"))
     assert len(rows) == 7
-    assert all(row.ok and row.must for row in rows), demands.render(rows)
+    assert all(row.ok and row.must for row in rows), acceptance.render(rows)
 
 
 def test_every_demand_is_judged() -> None:
     """With a walk that is too short and answers that are off, what fails is said; the exit code follows `must`."""
     w = walked()
-    names = demands.walks()
+    names = acceptance.walks()
     short = {name: replace(w, scenario=one.scenario) for name, one in names.items()}
     short |= {name: replace(short[name], note="fell at 0.9 s") for name in names if "level 2" in name}
-    good = demands.judge(short, Answers(ticks=10, sampled=1))
+    good = acceptance.judge(short, Answers(ticks=10, sampled=1))
     by_name = {row.name: row for row in good}
     assert by_name["without level 2, in place"].ok
     assert by_name["15 N s, N = 8"].ok
     assert not by_name["footstep moved by the push at 2.5 s"].ok  # it never came
-    bad = demands.judge(
+    bad = acceptance.judge(
         short | {"15 N s, N = 8": replace(w, note="fell at 0.9 s")}, Answers(ticks=10, sampled=1, acceleration=2e-3)
     )
     wrong = {row.name for row in bad if not row.ok} - {row.name for row in good if not row.ok}
     assert wrong == {"15 N s, N = 8", "v' and Clarabel's, 1 ticks, differ by [rad/s^2]"}
-    text = demands.render(bad)
+    text = acceptance.render(bad)
     assert "NOT OK" in text
     assert f"of {sum(row.must for row in bad)} demands met" in text
 
 
 @pytest.mark.long
-def test_all_that_must_hold_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code = cli.main(["reach", "--all", "--out", str(tmp_path), "--quiet"])
+def test_all_that_must_hold_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.argv", ["acceptance", "--out", str(tmp_path)])
+    code = acceptance.main()
     demands = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["demands"]
-    assert len(demands) > 40
-    missed = [row for row in demands if row["must"] and not row["ok"]]
+    must = [row for row in demands if row["must"]]
+    assert len(must) == 56
+    missed = [row for row in must if not row["ok"]]
     assert code == bool(missed)
     assert [row for row in missed if not row["topic"].startswith("CPU time")] == []  # those are the machine's as well
+    assert {file.name for file in tmp_path.iterdir()} >= {"bag_1", "bag_2", "figure2.png", "figure5.png"}
 
 
 # ---------------------------------------------------------------------- pushes
@@ -232,10 +236,12 @@ def test_the_hardest_push_is_found_by_bisection(monkeypatch: pytest.MonkeyPatch)
         hits.append((when, *impulse))
         return replace(walked(), note="" if np.linalg.norm(impulse) < 21.3 else "fell at 3 s")
 
-    monkeypatch.setattr(experiments, "walk", walk)
-    found = push_limit(load("whole_body"), 135.0, when=1.5)
-    assert (found.stood, found.fell) == (21.0, 22.0)
-    assert [impulse for impulse, _ in found.tried] == [8.0, 16.0, 20.0, 21.0, 22.0, 24.0, 32.0]
+    monkeypatch.setattr(torso_pushes, "walk", walk)
+    point = {"moment": "physics", "direction": np.radians(135.0)}
+    found = torso_pushes.limit(load("whole_body"), 1.5, 1.0, 0, point)
+    assert (found.survived, found.failed, found.reason) == (21.0, 22.0, "fell at 3 s")
+    tried = [float(np.linalg.norm(hit[1:])) for hit in hits]
+    assert tried == pytest.approx([8.0, 16.0, 32.0, 24.0, 20.0, 22.0, 21.0])
     assert hits[0] == pytest.approx((1.5, -8.0 / np.sqrt(2), 8.0 / np.sqrt(2), 0.0))
 
 
@@ -250,10 +256,12 @@ def test_the_command_for_pushes(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert (tmp_path / "pushes.png").exists()
 
 
-def test_the_figure_of_pushes(tmp_path: Path) -> None:
-    limits = {"physics": [PushLimit(45.0 * k, 10.0 + k, 11.0 + k, ()) for k in range(8)]}
-    (file,) = save_pushes(limits, Foot.RIGHT, tmp_path)
-    assert file.stat().st_size > 10_000
+def test_the_figure_of_pushes() -> None:
+    limits = [Limit("physics", 0.25 * np.pi * k, 10.0 + k, 11.0 + k, "fell") for k in range(8)]
+    figure = pushes_figure({"physics": limits, "rigid": limits}, "hit")
+    lines = figure.axes[0].get_lines()
+    assert [line.get_label() for line in lines] == ["physics", "rigid"]
+    assert lines[0].get_ydata() == pytest.approx([*range(10, 18), 10])
 
 
 # ---------------------------------------------------------------------- bags

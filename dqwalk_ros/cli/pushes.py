@@ -29,6 +29,13 @@ if TYPE_CHECKING:
 __all__ = ["pushes", "table"]
 
 
+_LABELS = {
+    "standing": "standing on both feet",
+    "left": "in mid-step on the left foot",
+    "right": "in mid-step on the right foot",
+}
+
+
 @command("""
 writes to the folder of --out:
   limits.jsonl            a line per finished direction; a run that was stopped goes on from here
@@ -124,7 +131,9 @@ def pushes(
     text = table(found, duration, study.impulse_scale(made))
     (out / "pushes.txt").write_text(text + "\n", encoding="utf-8")
     with drawing():
-        pushes_figure(found, load_model(made.robot).name).savefig(out / "pushes.png")
+        by_moment = {label: [one for one in found if one.moment == key] for key, label in _LABELS.items()}
+        title = f"{load_model(made.robot).name}: largest push survived [N s]"
+        pushes_figure({label: ones for label, ones in by_moment.items() if ones}, title).savefig(out / "pushes.png")
     print(text)
     return 0
 

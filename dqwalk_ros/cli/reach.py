@@ -1,7 +1,8 @@
-"""``dqwalk reach``: the tests of the whole-body paper, evaluated and drawn; pushes, and the acceptance table."""
+"""``dqwalk reach``: the tests of the whole-body paper, evaluated and drawn, and how hard a push may be."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -18,13 +19,13 @@ from dqwalk_ros.cli.options import (
     output_options,
     set_option,
 )
-from dqwalk_ros.errors import BagError, ConfigError
+from dqwalk_ros.errors import BagError, ConfigError, StudyError
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from dqwalk_ros.config import Config
-    from dqwalk_ros.whole_body.trace import Scenario, WholeBodyTrace
+    from dqwalk_ros.whole_body import Scenario, WholeBodyTrace
 
 __all__ = ["reach"]
 
@@ -53,7 +54,6 @@ writes to the folder of --out:
 
 examples:
   dqwalk reach                                             both tests of the paper
-  dqwalk reach --all                                       every acceptance demand, with its result
   dqwalk reach --pushes --plant both                       the hardest push survived, in MuJoCo and on rigid ground
   dqwalk reach --test 1 --target 0.8,-0.3,0.9              a target of your own
   dqwalk reach --test 1 --push 2.5,0,20,0                  hit it harder: 20 N s to the left at 2.5 s
@@ -64,7 +64,6 @@ examples:
 @click.option(
     "--test", type=click.Choice(["1", "2", "both"]), default="both", show_default=True, help="Test of the paper."
 )
-@click.option("--all", "everything", is_flag=True, help="Every acceptance demand, with its result.")
 @click.option("--pushes", is_flag=True, help="The hardest push survived, in eight directions.")
 @click.option("--when", metavar="S", type=float, default=2.5, show_default=True, help="--pushes: time of the push.")
 @click.option("--exact", metavar="R", type=float, default=1.0, show_default=True, help="--pushes: resolution [N s].")
@@ -84,18 +83,14 @@ examples:
 @click.option("--duration", metavar="S", type=float, help="Instead of the test's 14 s.")
 @set_option
 @output_options("reach")
-def reach(
-    config: str, everything: bool, pushes: bool, changes: tuple[str, ...], output: Output, **options: object
-) -> int:
+def reach(config: str, pushes: bool, changes: tuple[str, ...], output: Output, **options: object) -> int:
     """Reach for a target with the whole body, and get pushed.
 
     A robot of HRP-2's size reaches for a target with its right hand and walks there by itself; no footsteps are
     planned beforehand. Test 1 moves the target in mid-swing, Test 2 also pushes the torso, 15 N s twice. Needs
     pinocchio: pip install pin
 
-    --all makes 14 walks (a minute or two on two processors) and prints each acceptance demand beside its result:
-    exactness of equations and answers, Tests 1 and 2, walking in place, harder pushes, less friction, no balance,
-    times. Exit code 1 where a demand is not met; an aim may be missed.
+    Exit code 1 where a demand of its table is not met.
 
     Times are CPU time of this process; OPENBLAS_NUM_THREADS=1 keeps it from using threads that do not help here.
     """
@@ -108,16 +103,14 @@ def reach(
     out.mkdir(parents=True, exist_ok=True)
     if pushes:
         return _pushes(asked, output, made, out)
-    if everything:
-        return _all(asked, output, made, out)
     return _tests(asked, output, made, _scenarios(asked, made), out)
 
 
 def _scenarios(args: _Options, config: Config) -> list[Scenario]:
     """Return the tests that were asked for, fitted to the robot and changed as was asked for."""
     from dqwalk_ros.robot import load_model
-    from dqwalk_ros.whole_body import WholeBodyController
-    from dqwalk_ros.whole_body.experiments import PAPER_TIMES, SCENARIOS, fitted
+    from dqwalk_ros.whole_body import PAPER_TIMES, SCENARIOS, WholeBodyController
+    from dqwalk_ros.whole_body.scenario import fitted
 
     controller = WholeBodyController(config, load_model(config.robot))
     extra = [(t, (x, y, z)) for t, x, y, z in args.push]
@@ -163,67 +156,53 @@ def _tests(args: _Options, output: Output, config: Config, scenarios: Sequence[S
     return 0 if all(report["ok"] for report in reports) else 1
 
 
-def _all(args: _Options, output: Output, config: Config, out: Path) -> int:
-    """Make every walk that something must be shown by, and print what was asked and what was got."""
-    from dqwalk_ros.cli.body import leave
-    from dqwalk_ros.cli.progress import Progress
-    from dqwalk_ros.whole_body.demands import checks, judge, render, summary, unit_demands, walks, watched_walk
-    from dqwalk_ros.whole_body.experiments import each
-
-    wanted = walks()
-    total, done = sum(one.scenario.duration for one in wanted.values()), 0.0
-    walked, answers = {}, {}
-    with Progress(quiet=output.quiet) as bar:
-        demands = unit_demands(config)
-        for key, (made, seen) in each(watched_walk, {key: (config, one) for key, one in wanted.items()}, args.jobs):
-            walked[key], answers[key] = made, seen
-            done += wanted[key].scenario.duration
-            bar(done / total, f"{len(walked)} of {len(wanted)} walks")
-    demands += judge(walked, answers["1"].joined(answers["2"]))
-    both = [walked["1"], walked["2"]]
-    report = {"demands": [one.row for one in demands], "tests": [summary(one, checks(one)) for one in both]}
-    if not output.quiet:
-        print(render(demands) + "\n")
-    leave(output, out, report, both, _bags(output, both, out))
-    return 0 if all(one.ok for one in demands if one.must) else 1
-
-
 def _pushes(args: _Options, output: Output, config: Config, out: Path) -> int:
     """Look for the hardest push in every direction."""
     from dqwalk_ros.cli.body import leave
     from dqwalk_ros.cli.progress import Progress
-    from dqwalk_ros.report.figures.reach_pushes import save_pushes
+    from dqwalk_ros.report.figures.pushes import pushes_figure
+    from dqwalk_ros.report.figures.style import drawing
     from dqwalk_ros.robot import Foot
-    from dqwalk_ros.whole_body.experiments import DIRECTIONS, PushLimit, each, push_limit
+    from dqwalk_ros.studies.torso_pushes import DIRECTIONS, limits
     from dqwalk_ros.whole_body.preview import Stepping
 
     plants = ("physics", "rigid") if args.plant == "both" else (args.plant,)
-    asked = {
-        (plant, way): (config, way, plant, args.when, args.exact) for plant in plants for way in DIRECTIONS.values()
-    }
-    found: dict[tuple[str, float], PushLimit] = {}
     with Progress(quiet=output.quiet) as bar:
-        for key, one in each(push_limit, asked, args.jobs):
-            found[key] = one
-            bar(len(found) / len(asked), f"{len(found)} of {len(asked)} directions")
+        found = limits(
+            config,
+            out,
+            plants,
+            when=args.when,
+            exact=args.exact,
+            force=output.force,
+            jobs=args.jobs,
+            progress=lambda count, total, _: bar(count / total, f"{count} of {total} directions"),
+        )
+    by_plant = {plant: [one for one in found if one.moment == plant] for plant in plants}
+    if len(found) < len(plants) * len(DIRECTIONS):
+        raise StudyError(f"interrupted; {len(found)} directions are kept, the same command goes on")
     swing = Stepping.of(config.whole_body, Foot(config.gait.first_support)).swing(args.when)
-    limits = {plant: [found[plant, way] for way in DIRECTIONS.values()] for plant in plants}
+    stands = "both feet stand" if swing is None else f"the {swing.foot.other.value} foot stands"
+    title = f"hit at {args.when:g} s, walking in place, {stands}"
     if not output.quiet:
-        stands = "both feet stand" if swing is None else f"the {swing.foot.other.value} foot stands"
-        print(f"largest push survived, smallest that was not [N s]; hit at {args.when:g} s, walking in place, {stands}")
+        print(f"largest push survived, smallest that was not [N s]; {title}")
         print(f"{'':14}" + "".join(f"{plant:>16}" for plant in plants))
-        for name, way in DIRECTIONS.items():
-            cells = [found[plant, way] for plant in plants]
-            print(f"{name:14}" + "".join(f"{f'{one.stood:g}, {one.fell:g}':>16}" for one in cells))
+        for k, name in enumerate(DIRECTIONS):
+            cells = [by_plant[plant][k] for plant in plants]
+            print(f"{name:14}" + "".join(f"{f'{one.survived:g}, {one.failed or math.inf:g}':>16}" for one in cells))
         print()
-    leave(output, out, {plant: [vars(one) for one in ones] for plant, ones in limits.items()}, [])
-    files = (
-        []
-        if not output.figures
-        else save_pushes(limits, None if swing is None else swing.foot.other, out, output.formats)
-    )
-    if files and not output.quiet:
-        print("wrote " + ", ".join(map(str, files)))
+    rows = {
+        plant: [
+            {"direction": math.degrees(one.direction), "stood": one.survived, "fell": one.failed, "reason": one.reason}
+            for one in ones
+        ]
+        for plant, ones in by_plant.items()
+    }
+    files = [out / f"pushes.{kind}" for kind in output.formats] if output.figures else []
+    with drawing():
+        for file in files:
+            pushes_figure(by_plant, f"Largest push survived [N s]\n{title}").savefig(file)
+    leave(output, out, rows, [], files)
     return 0
 
 

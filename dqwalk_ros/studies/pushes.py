@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from dqwalk_ros.studies.plan import digest
 from dqwalk_ros.studies.runner import Store, run
 from dqwalk_ros.walk import PhaseKind
 
-__all__ = ["MOMENTS", "Limit", "Outcome", "Push", "impulse_scale", "limit", "limits", "pushed"]
+__all__ = ["MOMENTS", "Limit", "Outcome", "Push", "every_limit", "impulse_scale", "limit", "limits", "pushed"]
 
 MOMENTS = ("standing", "left", "right")
 """In a stance on both feet, or in the middle of a step on the left or on the right foot."""
@@ -173,7 +173,6 @@ def limits(
     *,
     duration: float = 0.1,
     tolerance: float | None = None,
-    force: bool = False,
     **options: Any,
 ) -> list[Limit]:
     """Find the limit of every moment and direction.
@@ -191,16 +190,47 @@ def limits(
         Of each push [s].
     tolerance : float, optional
         [N s]; by default 0.36 % of `impulse_scale`.
+    **options
+        As `every_limit`.
+    """
+    exact = _TOLERANCE * impulse_scale(config) if tolerance is None else tolerance
+    task = functools.partial(limit, config, duration, exact)
+    return every_limit(task, (config, duration, exact), out, moments, directions, **options)
+
+
+def every_limit(
+    task: Callable[[int, Mapping[str, Any]], Outcome],
+    settings: tuple[Any, ...],
+    out: Path,
+    moments: Sequence[str],
+    directions: int,
+    *,
+    force: bool = False,
+    **options: Any,
+) -> list[Limit]:
+    """Find a limit for every moment and direction.
+
+    Parameters
+    ----------
+    task : callable
+        Finds one, as `limit` does.
+    settings : tuple
+        All that its outcome depends on, besides the point.
+    out : Path
+        Folder of ``limits.jsonl``.
+    moments : sequence of str
+    directions : int
+        So many, evenly spread.
     force : bool
         Begin anew.
     **options
         As `runner.run`.
     """
-    exact = _TOLERANCE * impulse_scale(config) if tolerance is None else tolerance
     points = [{"moment": m, "direction": 2.0 * math.pi * k / directions} for m in moments for k in range(directions)]
-    store = Store(out / "limits.jsonl", digest(config, points, duration, exact), points, Outcome, force=force)
+    key = digest(settings[0], points, *settings[1:])
+    store = Store(out / "limits.jsonl", key, points, Outcome, force=force)
     try:
-        done = run(functools.partial(limit, config, duration, exact), points, store, **options)
+        done = run(task, points, store, **options)
     finally:
         store.close()
     return [Limit(**points[k], **msgspec.to_builtins(outcome)) for k, outcome in done.items()]  # type: ignore[arg-type]

@@ -119,7 +119,7 @@ class BodyTick:
     answer : Answer
         Of the hierarchy.
     times : tuple of float
-        For model, assembly and solution [s].
+        For model, assembly, solution, and the whole tick [s].
     """
 
     com: Array
@@ -135,7 +135,7 @@ class BodyTick:
     height_error: float
     tilt: float
     answer: Answer
-    times: tuple[float, float, float]
+    times: tuple[float, float, float, float]
 
 
 class WholeBodyController:
@@ -161,12 +161,16 @@ class WholeBodyController:
     point_mass : PointMass
     hierarchy : Hierarchy or None
         The last problem; its answer is in `last`.
+    finished : bool
+        False: a whole-body walk has no end of its own.
 
     Raises
     ------
     ModelError
         If the robot lacks a link or a joint that `config` names, or cannot stand as it says.
     """
+
+    finished = False
 
     def __init__(
         self,
@@ -294,14 +298,25 @@ class WholeBodyController:
         """
         self._check(state)
         times = [self._clock()]
-        dynamics = self._body.at(state.x_base, state.q, state.v)
+        d = self._body.at(state.x_base, state.q, state.v)
         times.append(self._clock())
-        self._scene = scene = self._look(state.time, dynamics)
+        self._scene = scene = self._look(state.time, d)
         self.hierarchy = self._hierarchy(scene, self._reach)
         times.append(self._clock())
         answer = self._solver.solve(self.hierarchy)
-        spent = (times[1] - times[0], times[2] - times[1], answer.solve_time)
-        return self._command(state, dt, scene, answer, spent)
+        acceleration, wrenches = answer.x[: d.nv], scene.wrenches(self.config.whole_body, answer.x)
+        effort = d.H[6:] @ acceleration + d.h[6:]
+        for sole, wrench in zip(scene.stance, wrenches, strict=True):
+            effort -= sole.jacobian[:, 6:].T @ wrench
+        self._note(scene, answer, self.stepping.stance(state.time), wrenches, times)
+        return BodyCommand(
+            state.time,
+            state.dq + dt * acceleration[6:],
+            acceleration=acceleration,
+            effort=effort,
+            stance=self.stepping.stance(state.time),
+            landing=self.stepping.landing(state.time, dt),
+        )
 
     def _check(self, state: BodyState) -> None:
         n = self.model.n
@@ -334,31 +349,28 @@ class WholeBodyController:
             settled=self._landing if settled else None,
         )
 
-    def _command(
-        self, state: BodyState, dt: float, scene: Scene, answer: Answer, times: tuple[float, float, float]
-    ) -> BodyCommand:
-        """Read the answer."""
-        d, x, settings, stepping = scene.dynamics, answer.x, self.config.whole_body, self.stepping
+    def _note(
+        self, scene: Scene, answer: Answer, stance: tuple[Foot, ...], wrenches: Sequence[Array], times: Sequence[float]
+    ) -> None:
+        """Keep what was found, in `last`."""
+        d, x, settings = scene.dynamics, answer.x, self.config.whole_body
         footsteps = scene.footsteps(x)
         if scene.swing is not None and scene.settled is None:
             self._landing = footsteps[0]
-        acceleration, stance = x[: d.nv], stepping.stance(state.time)
-        effort = d.H[6:] @ acceleration + d.h[6:]
-        found, pressed = {}, np.zeros(3)  # f_z times the CoP, and f_z
-        for foot, sole, wrench in zip(stance, scene.stance, scene.wrenches(settings, x), strict=True):
-            effort = effort - sole.jacobian[:, 6:].T @ wrench
-            found[foot] = Wrench(wrench[:3], wrench[3:])
+        pressed = np.zeros(3)  # f_z times the CoP, and f_z
+        for sole, wrench in zip(scene.stance, wrenches, strict=True):
             up, (x_sole, y_sole) = wrench[2], sole.position[:2]
             pressed += [up * x_sole - wrench[4], up * y_sole + wrench[3], up]
         dP = np.diff(footsteps, axis=0, prepend=scene.support[None])
         lower, upper = scene.preview.lower[scene.preview.feet], scene.preview.upper[scene.preview.feet]
         first = [scene.layout.y(axis).start for axis in (0, 1)]
+        began, looked, assembled = times
         self._last = BodyTick(
             com=d.com,
             com_velocity=d.com_velocity,
             hand=d.frames[settings.hand].position,
             soles={foot: d.frames[frame].position for foot, frame in self._soles.items()},
-            wrenches=found,
+            wrenches={foot: Wrench(wrench[:3], wrench[3:]) for foot, wrench in zip(stance, wrenches, strict=True)},
             cop=pressed[:2] / pressed[2] if pressed[2] > 0.0 else np.full(2, np.nan),
             cop_preview=d.com[:2] - self.point_mass.zeta * x[first],
             support=scene.support,
@@ -367,15 +379,7 @@ class WholeBodyController:
             height_error=float(d.com[2] - self.point_mass.height),
             tilt=float(np.linalg.norm(rotation_error(d.frames[settings.torso].rotation))),
             answer=answer,
-            times=times,
-        )
-        return BodyCommand(
-            state.time,
-            state.dq + dt * acceleration[6:],
-            acceleration=acceleration,
-            effort=effort,
-            stance=stance,
-            landing=stepping.landing(state.time, dt),
+            times=(looked - began, assembled - looked, answer.solve_time, self._clock() - began),
         )
 
 

@@ -1,36 +1,21 @@
-"""What the whole-body controller must achieve, demanded and got: for a single walk, and for ``dqwalk reach --all``."""
+"""What a whole-body walk must achieve, demanded and got."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.config import Config
-from dqwalk_ros.robot import load_model
-from dqwalk_ros.whole_body.controller import WholeBodyController
-from dqwalk_ros.whole_body.exactness import Answers, condensed_difference, infeasible, model_difference
-from dqwalk_ros.whole_body.experiments import PAPER_TIMES, SCENARIOS, Walk, walk
-from dqwalk_ros.whole_body.trace import MARGINS, Reaction, Scenario, WholeBodyTrace
+from dqwalk_ros.whole_body.trace import MARGINS, Reaction, WholeBodyTrace
 
-__all__ = [
-    "Demand",
-    "checks",
-    "judge",
-    "render",
-    "render_checks",
-    "summary",
-    "unit_demands",
-    "walks",
-    "watched_walk",
-]
+__all__ = ["KEPT", "Demand", "aligned", "checks", "render_checks", "spread", "summary"]
 
 Array = NDArray[np.float64]
 
-_KEPT = dict.fromkeys(MARGINS, -1e-6) | {"joint": -1e-5}
+KEPT = dict.fromkeys(MARGINS, -1e-6) | {"joint": -1e-5}
 """Less than this is a violation; the integration of (S9), and an impact, are no more exact than that."""
 _LIMITS = {
     "cop_margin": ("CoP to the edge of its rectangle", "m"),
@@ -49,16 +34,6 @@ _AT = {("Test 1", 4.0): 0.10, ("Test 1", 8.0): 0.14, ("Test 1, the paper's times
 """How close the hand must be at a time [m]."""
 _MOVED = 0.001
 """A footstep has moved that moves so far [m]."""
-_TARGET = SCENARIOS["1"].targets[:1]
-_HARD: dict[str, tuple[float, float, dict[str, float]]] = {
-    "10 N s to the left at 2.5 s": (2.5, 10.0, {}),
-    "15 N s to the left at 2.5 s": (2.5, 15.0, {}),
-    "20 N s to the left at 2.5 s": (2.5, 20.0, {}),
-    "15 N s to the left at 2.3 s": (2.3, 15.0, {}),
-    "15 N s, friction 0.4": (2.5, 15.0, {"whole_body.friction": 0.4}),
-    "15 N s, N = 8": (2.5, 15.0, {"whole_body.intervals": 8}),
-}
-"""When, how hard, and what else is different."""
 
 
 @dataclass(frozen=True)
@@ -106,13 +81,6 @@ class Demand:
         }
 
 
-def _at_most(name: str, value: float, most: float, unit: str = "", **more: Any) -> Demand:
-    return Demand(name, value, unit, f"<= {most:g}", value <= most, **more)
-
-
-# ---------------------------------------------------------------------- one walk
-
-
 def checks(walked: WholeBodyTrace, without: Sequence[WholeBodyTrace] = ()) -> list[Demand]:
     """Judge a walk.
 
@@ -147,7 +115,7 @@ def checks(walked: WholeBodyTrace, without: Sequence[WholeBodyTrace] = ()) -> li
     for key, (text, unit) in _LIMITS.items():
         least = float(walked.margins[key].min())
         if np.isfinite(least):  # the forces of some plants are not judged
-            found.append(Demand(f"least {text}", least, unit, ">= 0", least >= _KEPT[key]))
+            found.append(Demand(f"least {text}", least, unit, ">= 0", least >= KEPT[key]))
     for what, column, most in (
         ("ticks that miss capturability (S14)", walked.residual, 1e-6),
         ("ticks whose level 1 gave way", walked.violation, 0.0),
@@ -196,13 +164,14 @@ def summary(walked: WholeBodyTrace, found: Sequence[Demand]) -> dict[str, Any]:
         "ticks": len(walked.time),
         "checks": {check.name: {key: getattr(check, key) for key in keys} for check in found},
         "footholds": [[round(when, 3), *map(float, place)] for when, place in walked.footholds()],
-        "solve_ms": _spread(1e3 * walked.times[:, 2]),
-        "tick_ms": _spread(1e3 * walked.times[:, 3]),
+        "solve_ms": spread(1e3 * walked.times[:, 2]),
+        "tick_ms": spread(1e3 * walked.times[:, 3]),
         "methods": {method: walked.method.count(method) for method in dict.fromkeys(walked.method)},
     }
 
 
-def _spread(values: Array) -> dict[str, float]:
+def spread(values: Array) -> dict[str, float]:
+    """Return mean, median, 99th percentile and maximum."""
     return {
         "mean": float(values.mean()),
         "median": float(np.median(values)),
@@ -217,8 +186,8 @@ def render_checks(walked: WholeBodyTrace, found: Sequence[Demand]) -> str:
     for check in found:
         known = f"{check.authors:.4g}" if check.authors is not None else ""
         rows.append((check.name, check.got, check.bound, known, "" if check.ok else "NOT REACHED"))
-    lines = _aligned(rows)
-    solve, tick = _spread(1e3 * walked.times[:, 2]), _spread(1e3 * walked.times[:, 3])
+    lines = aligned(rows)
+    solve, tick = spread(1e3 * walked.times[:, 2]), spread(1e3 * walked.times[:, 3])
     return "\n".join(
         [
             f"{walked.scenario.name}{': ' + walked.note if walked.note else ''}",
@@ -232,173 +201,7 @@ def render_checks(walked: WholeBodyTrace, found: Sequence[Demand]) -> str:
     )
 
 
-def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return the lines of a table."""
     width = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     return ["  ".join(cell.ljust(w) for cell, w in zip(row, width, strict=True)).rstrip() for row in rows]
-
-
-# ---------------------------------------------------------------------- every demand
-
-
-def walks() -> dict[str, Walk]:
-    """Return the walks that `judge` needs, by name."""
-    one, two = SCENARIOS["1"], SCENARIOS["2"]
-    off = {"whole_body.capturability": False}
-    found = {"1": Walk(one), "2": Walk(two)}
-    for k, (when, _) in enumerate(two.pushes):
-        others = (*two.pushes[:k], *two.pushes[k + 1 :])
-        name = f"Test 2 without push {k + 1}"
-        found[f"2 without {k}"] = Walk(replace(two, name=name, pushes=others, duration=when + 1.4))
-    found["paper"] = Walk(replace(one, name="Test 1, the paper's times", targets=PAPER_TIMES))
-    found["in place"] = Walk(Scenario("in place", 8.0))
-    for name, (when, push, changes) in _HARD.items():
-        found[name] = Walk(Scenario(name, 6.0, _TARGET, ((when, (0.0, push, 0.0)),)), changes)
-    found["no level 2"] = Walk(Scenario("without level 2, with the hand's target", 2.0, _TARGET), off)
-    found["no level 2, in place"] = Walk(Scenario("without level 2, in place", 2.0), off)
-    return found
-
-
-def watched_walk(config: Config, wanted: Walk) -> tuple[WholeBodyTrace, Answers]:
-    """Make a walk and watch how exact its answers are; its times are CPU time of this process."""
-    answers = Answers()
-    return walk(config, wanted, watch=answers), answers
-
-
-def unit_demands(config: Config) -> list[Demand]:
-    """Judge the equations by themselves."""
-    model = load_model(config.robot)
-    mass = WholeBodyController(config, model).point_mass
-    forces, places = model_difference(model)
-    far = infeasible(config, model)
-    least = f"{far.residual:.7f}, {far.least:.7f}"
-    found = [
-        _at_most("sum of the alpha of (S14), less 1", abs(float(mass.alpha.sum()) - 1.0), 1e-12),
-        _at_most("(S14) in closed form, and condensed with A and B: difference", condensed_difference(mass), 1e-12),
-        _at_most("H v' + h and Newton's and Euler's laws link by link differ by [N, N m]", forces, 1e-10),
-        _at_most("places of soles and CoM, and by dual quaternions, differ by [m]", places, 1e-10),
-        Demand("(S14) out of reach: solved by", far.method, "", "level 2 relaxed", far.method == "level 2 relaxed"),
-        _at_most("(S14) out of reach: level 1 violated by", far.level1, 1e-6),
-        Demand(
-            "(S14) out of reach: ||E x - e||, and the least there is [m]",
-            least,
-            "",
-            "equal to 1e-5",
-            abs(far.residual - far.least) <= 1e-5 < far.least,
-        ),
-    ]
-    return [replace(demand, topic="equations") for demand in found]
-
-
-def judge(walked: Mapping[str, WholeBodyTrace], answers: Answers) -> list[Demand]:
-    """Judge the walks of `walks`, and the answers of Tests 1 and 2."""
-    one, two = walked["1"], walked["2"]
-    found = {"1": checks(one), "2": checks(two, [walked["2 without 0"], walked["2 without 1"]])}
-    found["paper"] = checks(walked["paper"])
-    rows = _answers(answers)
-    for key in ("1", "paper", "2"):
-        topic = walked[key].scenario.name
-        rows += [replace(check, topic=topic) for check in found[key] if check.bound and not _every_tick(check)]
-        rows += _aims(topic, found[key])
-    both = [check for key in ("1", "2") for check in found[key] if _every_tick(check)]
-    for name in dict.fromkeys(check.name for check in both):
-        worst = max if name.startswith("ticks") else min
-        tightest = worst((check for check in both if check.name == name), key=lambda check: check.value)
-        rows.append(replace(tightest, topic="every tick of both"))
-    rows += _in_place(walked["in place"])
-    rows += [_stands("robust", name, walked[name]) for name in _HARD]
-    for name in ("no level 2", "no level 2, in place"):
-        w = walked[name]
-        end = w.note.partition(":")[0] or "stood"
-        falls = w.note.startswith("fell")
-        rows.append(Demand(w.scenario.name, end, "", "falls within 2 s", falls, topic="negative"))
-    return rows + _times([one, two])
-
-
-def _every_tick(check: Demand) -> bool:
-    return check.name.startswith(("least ", "ticks "))
-
-
-def _answers(seen: Answers) -> list[Demand]:
-    topic, ticks = "answers", f"{seen.ticks} ticks"
-    return [
-        _at_most(f"equality residual of {ticks} of Tests 1 and 2", seen.equality, 1e-6, topic=topic),
-        _at_most(f"inequality violation of {ticks}", seen.inequality, 1e-6, topic=topic),
-        _at_most(f"v' and Clarabel's, {seen.sampled} ticks, differ by [rad/s^2]", seen.acceleration, 1e-3, topic=topic),
-    ]
-
-
-def _aims(topic: str, found: Sequence[Demand]) -> list[Demand]:
-    """Return the goals beyond what must be: the authors' figures, and 0.10 m where they have that and more."""
-    rows = []
-    for check in found:
-        value = float(check.value)
-        if check.name.startswith("footstep moved"):
-            name = check.name.replace("footstep", "aim: footstep")
-            rows.append(Demand(name, value, "m", ">= 0.1", value >= 0.1, topic=topic, must=False))
-        elif check.name.endswith("rms of the last 3 s") and topic != "Test 2":
-            ok = round(1e3 * value, 1) <= 8.4
-            rows.append(
-                Demand("the authors' figure for that", 1e3 * value, "mm", "<= 8.4 mm", ok, topic=topic, must=False)
-            )
-    return rows
-
-
-def _in_place(w: WholeBodyTrace) -> list[Demand]:
-    topic = "in place, 8 s"
-    places = np.array([place for _, place in w.footholds()])
-    drift = float(np.abs(places[2:] - places[:-2]).max()) if len(places) > 2 else float("nan")
-    speed = float(np.abs(w.com_velocity[:, 1]).max())
-    missed = int((w.residual > 1e-6).sum())
-    least = {name: float(w.margins[name].min()) for name in MARGINS}
-    tightest = min(least, key=lambda name: least[name])
-    return [
-        _stands(topic, "without the hand's objective", w),
-        _at_most("a foot's place from one of its steps to the next, at most [m]", drift, 0.06, topic=topic),
-        _at_most("CoM off its height, at most [m]", float(np.abs(w.height_error).max()), 1e-3, topic=topic),
-        _at_most("torso off upright, at most [rad]", float(w.tilt.max()), 0.02, topic=topic),
-        Demand("lateral speed of the CoM, at most", speed, "m/s", "0.2 to 0.45", 0.2 <= speed <= 0.45, topic=topic),
-        Demand("ticks that miss capturability (S14)", missed, "", "0", missed == 0, topic=topic),
-        Demand(
-            "CoP, forces, torques, joints, steps: least distance to a limit",
-            f"{least[tightest]:.2g} ({tightest.removesuffix('_margin')})",
-            "",
-            ">= 0",
-            all(value >= _KEPT[name] for name, value in least.items()),
-            topic=topic,
-        ),
-    ]
-
-
-def _times(walked: Sequence[WholeBodyTrace]) -> list[Demand]:
-    spent = 1e3 * np.vstack([w.times for w in walked])
-    solve, tick, topic = _spread(spent[:, 2]), _spread(spent[:, 3]), "CPU time, Tests 1, 2"
-
-    def below(name: str, value: float, most: float, *, must: bool = True) -> Demand:
-        return Demand(name, f"{value:.2f} ms", "", f"< {most:g} ms", value < most, topic=topic, must=must)
-
-    return [
-        below("solution, mean (the paper's: 0.92 ms, 2012)", solve["mean"], 0.92),
-        below("solution, mean", solve["mean"], 0.5, must=False),
-        below("solution, 99 %", solve["p99"], 1.5),
-        below("whole tick, 99 %", tick["p99"], 5.0),
-    ]
-
-
-def _stands(topic: str, name: str, w: WholeBodyTrace) -> Demand:
-    end = f"stood {w.time[-1] + w.config.dt:.1f} s" if w.stood else w.note
-    return Demand(name, end, "", "stands", w.stood, topic=topic)
-
-
-def render(demands: Sequence[Demand]) -> str:
-    """Return the table of all demands, and below it how many are met."""
-    rows = [("", "", "asked", "got", "")]
-    topic = ""
-    for demand in demands:
-        word = "ok" if demand.ok else "NOT OK" if demand.must else "aim not reached"
-        rows.append(("" if demand.topic == topic else demand.topic, demand.name, demand.bound, demand.got, word))
-        topic = demand.topic
-    lines = _aligned(rows)
-    must, aims = [one for one in demands if one.must], [one for one in demands if not one.must]
-    met, reached = sum(one.ok for one in must), sum(one.ok for one in aims)
-    total = f"{met} of {len(must)} demands met, {reached} of {len(aims)} aims reached"
-    return "\n".join([lines[0], "-" * max(map(len, lines)), *lines[1:], "", total])

@@ -43,7 +43,11 @@ class RigidPlant:
         Joint torques of the last period [N m].
     wrenches : mapping of Foot to Wrench
         What the ground did to the feet in the last period.
+    fallen : bool
+        False: it knows no fall, only forces that no ground could give.
     """
+
+    fallen = False
 
     def __init__(self, model: RobotModel, state: BodyState, *, pushed: str, damping: float = 10.0) -> None:
         self._soles = {foot: model.soles[foot].frame for foot in Foot}

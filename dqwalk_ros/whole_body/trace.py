@@ -9,54 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.whole_body.controller import BodyState, WholeBodyController, Wrench
+from dqwalk_ros.whole_body.scenario import Scenario
 
-__all__ = ["FEET", "BodyLog", "Collector", "Reaction", "Scenario", "Timed", "WholeBodyTrace"]
+__all__ = ["FEET", "MARGINS", "BodyLog", "Collector", "Reaction", "WholeBodyTrace"]
 
 Array = NDArray[np.float64]
 
-Timed = tuple[float, tuple[float, float, float]]
-"""A time, and a place or an impulse."""
 FEET = (Foot.LEFT, Foot.RIGHT)
 """The order of feet in arrays."""
+_OF_TICK = ("hand", "com", "com_velocity", "support", "cop", "cop_preview", "height_error", "tilt", "times")
 MARGINS = ("cop_margin", "friction", "normal", "torque", "joint", "step")
-
-
-@dataclass(frozen=True)
-class Scenario:
-    """What happens to the robot.
-
-    Attributes
-    ----------
-    name : str
-    duration : float
-        [s]
-    targets : tuple of (float, tuple)
-        From when on the hand should be where [s, m].
-    pushes : tuple of (float, tuple)
-        When which impulse hits the torso [s, N s].
-    size : float
-        Of the robot it is for, compared with that of the paper: lengths that are demanded scale with it.
-
-    Raises
-    ------
-    ConfigError
-        If a target or a push is not three finite numbers, or its time is negative.
-    """
-
-    name: str
-    duration: float
-    targets: tuple[Timed, ...] = ()
-    pushes: tuple[Timed, ...] = ()
-    size: float = 1.0
-
-    def __post_init__(self) -> None:
-        """Check times and numbers."""
-        for when, what in (*self.targets, *self.pushes):
-            if len(what) != 3 or not np.isfinite((when, *what)).all() or not when >= 0.0:
-                raise ConfigError(f"'{self.name}': {what} at {when} s is not a place or an impulse at a time from 0 on")
 
 
 @dataclass(frozen=True)
@@ -226,38 +190,23 @@ class Collector:
         self._rows: dict[str, list[object]] = {}
         self.reactions: list[Reaction] = []
 
-    def add(self, state: BodyState, effort: Array, wrenches: Mapping[Foot, Wrench], spent: float) -> None:
+    def add(self, state: BodyState, effort: Array, wrenches: Mapping[Foot, Wrench]) -> None:
         """Add the tick that the controller has just made, with the plant's torques and contact forces after it."""
         tick, target = self._controller.last, self._controller.target
         forces = np.full((2, 6), np.nan)
         for foot, wrench in wrenches.items():
             forces[FEET.index(foot)] = np.concatenate([wrench.force, wrench.moment])
         row = {
-            "time": state.time,
-            "q": state.q,
-            "dq": state.dq,
-            "x_base": state.x_base,
-            "v_base": state.v_base,
+            **{name: getattr(state, name) for name in ("time", "q", "dq", "x_base", "v_base")},
+            **{name: getattr(tick, name) for name in _OF_TICK},
+            **{name: getattr(tick.answer, name) for name in ("residual", "violation", "iterations", "method")},
             "effort": effort,
             "wrenches": forces,
             "target": np.full(3, np.nan) if target is None else target,
-            "hand": tick.hand,
-            "com": tick.com,
-            "com_velocity": tick.com_velocity,
             "left": tick.soles[Foot.LEFT],
             "right": tick.soles[Foot.RIGHT],
-            "support": tick.support,
             "landing": tick.footsteps[0],
-            "cop": tick.cop,
-            "cop_preview": tick.cop_preview,
             "single": len(tick.wrenches) == 1,
-            "height_error": tick.height_error,
-            "tilt": tick.tilt,
-            "residual": tick.answer.residual,
-            "violation": tick.answer.violation,
-            "iterations": tick.answer.iterations,
-            "method": tick.answer.method,
-            "times": (*tick.times, spent),
             **self._margins(state.q, effort, wrenches),
         }
         for name, value in row.items():

@@ -30,8 +30,8 @@ from dqwalk_ros.report.bag.storage import Column, load, write_columns
 from dqwalk_ros.robot import RobotModel
 from dqwalk_ros.topics import BODY_REQUIRED, BODY_TOPICS, ODOM
 from dqwalk_ros.whole_body.controller import BodyState
-from dqwalk_ros.whole_body.experiments import PAPER_TIMES, SCENARIOS
-from dqwalk_ros.whole_body.trace import FEET, BodyLog, Scenario, Timed, WholeBodyTrace
+from dqwalk_ros.whole_body.scenario import PAPER_TIMES, SCENARIOS, Scenario, Timed
+from dqwalk_ros.whole_body.trace import FEET, BodyLog, WholeBodyTrace
 
 __all__ = ["is_body", "read_body", "write_body"]
 

@@ -1,8 +1,9 @@
-"""Equations and answers beside the same quantities computed another way, for ``dqwalk reach --all`` and the tests."""
+"""Equations and answers of the whole-body controller beside the same quantities computed another way."""
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -16,10 +17,11 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import QPError
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.robot import Foot, RobotModel, load_model
 from dqwalk_ros.urdf import Urdf
-from dqwalk_ros.whole_body.controller import WholeBodyController
+from dqwalk_ros.whole_body import BodyCommand, BodyState, WholeBodyController, WholeBodyTrace, follow
 from dqwalk_ros.whole_body.dynamics import GRAVITY, Multibody
+from dqwalk_ros.whole_body.experiments import Walk, make_body_plant
 from dqwalk_ros.whole_body.hierarchy import BALANCE, Hierarchy, HierarchySolver
 from dqwalk_ros.whole_body.preview import PointMass
 from dqwalk_ros.whole_body.rigid_plant import RigidPlant
@@ -33,6 +35,7 @@ __all__ = [
     "infeasible",
     "inverse_dynamics",
     "model_difference",
+    "watched_walk",
 ]
 
 Array = NDArray[np.float64]
@@ -176,9 +179,30 @@ def _links(robot: Urdf, model: RobotModel, root: _Link, q: Array, dq: Array, ddq
 # ---------------------------------------------------------------------- the answers
 
 
+class Watched(WholeBodyController):
+    """A controller whose answers are looked at, outside the times that it measures."""
+
+    answers: Answers
+
+    def step(self, state: BodyState, dt: float) -> BodyCommand:
+        command = super().step(state, dt)
+        self.answers.look(self)
+        return command
+
+
+def watched_walk(config: Config, wanted: Walk) -> tuple[WholeBodyTrace, Answers]:
+    """Make a walk and watch how exact its answers are; its times are CPU time of this process."""
+    config = config.updated(dict(wanted.changes))
+    model = load_model(config.robot)
+    controller = Watched(config, model, clock=time.process_time)
+    controller.answers = Answers()
+    plant = make_body_plant(wanted.plant, config, model, controller.start)
+    return follow(controller, plant, wanted.scenario), controller.answers
+
+
 @dataclass
 class Answers:
-    """Watches a walk and measures how exact its answers were.
+    """How exact the answers of a walk were.
 
     Attributes
     ----------
@@ -199,7 +223,7 @@ class Answers:
     inequality: float = 0.0
     acceleration: float = 0.0
 
-    def __call__(self, controller: WholeBodyController) -> None:
+    def look(self, controller: WholeBodyController) -> None:
         """Look at the last tick; one whose levels 1 and 2 could not both hold is not judged here."""
         h, answer, nv = controller.hierarchy, controller.last.answer, controller.scene.layout.nv
         if h is None or "relaxed" in answer.method:

@@ -1,0 +1,80 @@
+"""What happens to the robot: Tests 1 and 2 of section VII [Sherikov2014], and any other targets and pushes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.whole_body.controller import WholeBodyController
+
+__all__ = ["PAPER_TIMES", "SCENARIOS", "Scenario", "Timed", "fitted"]
+
+Timed = tuple[float, tuple[float, float, float]]
+"""A time, and a place or an impulse."""
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """What happens to the robot.
+
+    Attributes
+    ----------
+    name : str
+    duration : float
+        [s]
+    targets : tuple of (float, tuple)
+        From when on the hand should be where [s, m].
+    pushes : tuple of (float, tuple)
+        When which impulse hits the torso [s, N s].
+    size : float
+        Of the robot it is for, compared with that of the paper: lengths that are demanded scale with it.
+
+    Raises
+    ------
+    ConfigError
+        If a target or a push is not three finite numbers, or its time is negative.
+    """
+
+    name: str
+    duration: float
+    targets: tuple[Timed, ...] = ()
+    pushes: tuple[Timed, ...] = ()
+    size: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Check times and numbers."""
+        for when, what in (*self.targets, *self.pushes):
+            if len(what) != 3 or not np.isfinite((when, *what)).all() or not when >= 0.0:
+                raise ConfigError(f"'{self.name}': {what} at {when} s is not a place or an impulse at a time from 0 on")
+
+
+_TARGETS = ((0.0, (1.2, -0.8, 0.9)), (4.6, (2.0, -0.8, 0.9)), (6.25, (2.0, -0.2, 0.9)), (8.0, (1.8, -0.4, 0.9)))
+_PUSHES = ((2.5, (0.0, 15.0, 0.0)), (7.0, (-15.0, 0.0, 0.0)))
+SCENARIOS = {
+    "1": Scenario("Test 1", 14.0, _TARGETS),
+    "2": Scenario("Test 2", 14.0, _TARGETS, _PUSHES),
+}
+"""The paper's tests, with the times of the thesis, where the target jumps in mid-swing."""
+PAPER_TIMES = ((0.0, (1.2, -0.8, 0.9)), (4.0, (2.0, -0.8, 0.9)), (8.0, (1.8, -0.4, 0.9)))
+"""The targets at the times that the paper's text has."""
+_HEIGHT, _MASS, _STEP = 0.73, 58.0, 0.8
+"""CoM height and mass of the robot that the tests are for, and the duration of its steps [m, kg, s]."""
+
+
+def fitted(scenario: Scenario, controller: WholeBodyController) -> Scenario:
+    """Return a test for a robot of any size: places scale with its CoM height h, impulses with m sqrt(h).
+
+    Times scale with the duration of its steps. A robot within 2 % of the size and weight that the test is for, and as
+    fast, gets the test as it is.
+    """
+    size = controller.point_mass.height / _HEIGHT
+    impulse = controller.weight / (_MASS * controller.point_mass.gravity) * math.sqrt(size)
+    slow = controller.stepping.period / _STEP
+    if max(abs(size - 1.0), abs(impulse - 1.0), abs(slow - 1.0)) < 0.02:
+        return scenario
+    targets = tuple((slow * when, (size * x, size * y, size * z)) for when, (x, y, z) in scenario.targets)
+    pushes = tuple((slow * when, (impulse * x, impulse * y, impulse * z)) for when, (x, y, z) in scenario.pushes)
+    return replace(scenario, duration=slow * scenario.duration, targets=targets, pushes=pushes, size=size)
