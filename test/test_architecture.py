@@ -22,6 +22,7 @@ LAYERS = (
     "geometry",
     "packages",
     "urdf",
+    "shapes",
     "robot",
     "servos",
     "state",

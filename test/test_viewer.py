@@ -18,8 +18,8 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ViewerError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.report.scene import Scene, moment_of, shapes_of
-from dqwalk_ros.report.viewer.gauges import History, margins_html, status_html
 from dqwalk_ros.report.viewer.page import HOST, Page
+from dqwalk_ros.report.viewer.panels import History, margins_html, status_html
 from dqwalk_ros.report.viewer.player import Player
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.walk import PhaseKind
@@ -44,7 +44,7 @@ def views(trace, count=40):
 
 
 def test_shapes_are_those_of_the_urdf(trace):
-    shapes = shapes_of(trace.model)
+    shapes = shapes_of(trace.config, trace.model)
     kept = trace.model.urdf.count("<visual>")
     assert len(shapes) == kept > 40  # what is dropped is not in the model's URDF
     assert {shape.kind for shape in shapes} == {"box", "cylinder", "sphere"}

@@ -20,11 +20,11 @@ from dqwalk_ros.adopt.anatomy import Anatomy, find_anatomy
 from dqwalk_ros.adopt.check import Finding, check
 from dqwalk_ros.adopt.parameters import Entry, Numbers, measure, paper_parameters, parameters, robot_entries
 from dqwalk_ros.adopt.posture import Standing, over_one_foot, stand
-from dqwalk_ros.adopt.shapes import Shapes
 from dqwalk_ros.adopt.skeleton import Evidence, Skeleton
 from dqwalk_ros.config import Config, RobotConfig, load
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.robot import Foot, RobotModel, load_model
+from dqwalk_ros.shapes import Shapes
 from dqwalk_ros.urdf import Origin, Urdf
 
 __all__ = ["Adoption", "Finding", "adopt", "changed", "check", "table", "write_yaml"]

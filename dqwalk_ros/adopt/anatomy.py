@@ -16,11 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.adopt.shapes import Shapes
 from dqwalk_ros.adopt.skeleton import Evidence, Points, Skeleton
 from dqwalk_ros.adopt.soles import FoundSole, find_soles, foot_links, plane_below
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.robot import Foot
+from dqwalk_ros.shapes import Shapes
 from dqwalk_ros.urdf import Urdf
 
 __all__ = ["Anatomy", "find_anatomy"]

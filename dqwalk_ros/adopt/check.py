@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.adopt.shapes import Shapes
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.robot import Foot, RobotModel, find_urdf
+from dqwalk_ros.shapes import Shapes
 from dqwalk_ros.statics import GRAVITY, gravity_torques
 from dqwalk_ros.urdf import Urdf
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from dqwalk_ros.adopt.shapes import Shapes
+from dqwalk_ros.shapes import Shapes
 from dqwalk_ros.urdf import Urdf
 
 __all__ = ["Evidence", "Points", "Skeleton"]

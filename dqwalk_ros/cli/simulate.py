@@ -16,7 +16,7 @@ from dqwalk_ros.errors import ViewerError
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config
     from dqwalk_ros.controller import VelocityController
-    from dqwalk_ros.report.viewer.feed import Feed
+    from dqwalk_ros.report.viewer.player import Feed
     from dqwalk_ros.standing.course import Course
 
 __all__ = ["simulate"]
@@ -105,7 +105,7 @@ def _page(config: Config, port: int | None) -> Feed:
     """Return a page in a process of its own."""
     if importlib.util.find_spec("viser") is None:
         raise ViewerError("--view needs viser: pip install 'dqwalk_ros[view]'")
-    from dqwalk_ros.report.viewer.feed import Feed
+    from dqwalk_ros.report.viewer.player import Feed
 
     feed = Feed(config, port)
     print(f"{feed.url} shows the walk", flush=True)

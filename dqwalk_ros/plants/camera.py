@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -11,14 +13,17 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import PlantError
+from dqwalk_ros.errors import ModelError, PlantError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.plants.mujoco import build
-from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.robot import Foot, RobotModel, find_urdf
+from dqwalk_ros.shapes import meshes_of
+from dqwalk_ros.urdf import Urdf
 
 __all__ = ["Camera", "add_scenery"]
 
 Array = NDArray[np.float64]
+_GREY = (0.7, 0.72, 0.75, 1.0)
 
 
 class Camera:
@@ -53,7 +58,30 @@ class Camera:
         distance: float = 1.4,
     ) -> None:
         self._model = model
-        self._mj = build(config, model, scenery=add_scenery)
+        seen = Urdf(model.urdf, model.name)
+        try:
+            near = find_urdf(config.robot.urdf)
+        except ModelError:
+            near = Path(config.robot.urdf)
+        meshes = meshes_of(seen, near)
+        for name, link in seen.links.items():  # MuJoCo itself reads neither all files nor all their names
+            plain = tuple(shape for shape in link.visuals if shape.kind != "mesh")
+            collide = tuple(shape for shape in link.collisions if shape.kind != "mesh")
+            seen.links[name] = replace(link, visuals=plain, collisions=collide)
+
+        def add(spec: Any) -> None:
+            add_scenery(spec)
+            for number, (name, surface) in enumerate(meshes):
+                spec.add_mesh(
+                    name=f"mesh{number}", uservert=surface.vertices.ravel(), userface=surface.faces.ravel(),
+                    inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+                )  # fmt: skip
+                spec.body(name).add_geom(
+                    type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"mesh{number}", group=1, contype=0, conaffinity=0,
+                    mass=0.0, rgba=surface.color or _GREY,
+                )  # fmt: skip
+
+        self._mj = build(config, replace(model, urdf=seen.text()), scenery=add)
         self._data: Any = mujoco.MjData(self._mj)
         self._mj.vis.global_.offwidth, self._mj.vis.global_.offheight = width, height
         self._qadr = np.array([int(self._mj.joint(name).qposadr[0]) for name in model.joint_names])

@@ -1,13 +1,15 @@
 """What there is to see of a walk at one moment: bodies, soles, constraints as shapes, and every margin.
 
-Nothing here draws. The live page (`dqwalk_ros.report.viewer`) and the replay in a report show the same `View`.
+Nothing here draws. The live page (`dqwalk_ros.report.viewer`), the replay in a report and the markers for RViz show the
+same shapes and the same `View`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from functools import singledispatch
+from functools import cached_property, singledispatch
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +24,12 @@ from dqwalk_ros.constraints import (
     PointOverPlane,
 )
 from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import ModelError
 from dqwalk_ros.kinematics import Kinematics, compose
-from dqwalk_ros.report.metrics import support_polygon
+from dqwalk_ros.report.metrics import left_of, support_polygon
 from dqwalk_ros.report.verdict import Assessment, Assessor
-from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.robot import Foot, RobotModel, find_urdf
+from dqwalk_ros.shapes import PRIMITIVES, meshes_of
 from dqwalk_ros.simulation import Trace
 from dqwalk_ros.urdf import Urdf
 from dqwalk_ros.walk import Phase
@@ -33,27 +37,45 @@ from dqwalk_ros.walk import Phase
 __all__ = ["Gauge", "Moment", "Region", "Scene", "Shape", "View", "moment_of", "region", "shapes_of", "tightest"]
 
 Array = NDArray[np.float64]
+Rgb = tuple[int, int, int]
 Rgba = tuple[float, float, float, float]
 _GREY: Rgba = (0.7, 0.72, 0.75, 1.0)
 _MARGIN = 1.25
 """Regions are drawn this much taller than the point they hold is high."""
 
+COM: Rgb = (209, 36, 47)
+FOOT: dict[Foot, Rgb] = {Foot.LEFT: (31, 95, 180), Foot.RIGHT: (29, 154, 78)}
+_REGIONS: dict[str, Rgb] = {
+    "tip_plane": (31, 95, 180),
+    "back_plane": (120, 80, 190),
+    "pelvis": (110, 119, 129),
+    "com_cylinder": (29, 154, 78),
+    "sliding": (0, 140, 150),
+}
+
+
+def color_of(name: str) -> Rgb:
+    """Return the colour of a constraint's shape."""
+    return _REGIONS.get(name, (90, 100, 160))
+
 
 @dataclass(frozen=True)
 class Shape:
-    """One primitive of the robot's looks.
+    """One part of the robot's looks.
 
     Attributes
     ----------
     body : int
         Index of the body that carries it.
     kind : str
-        ``box`` (size: x, y, z), ``cylinder`` (radius, length; along z) or ``sphere`` (radius).
+        ``box`` (size: x, y, z), ``cylinder`` (radius, length; along z), ``sphere`` (radius), or ``mesh``.
     size : tuple of float [m]
     pose : ndarray, shape (8,)
         In the frame of the body.
     color : tuple of four float
         Red, green, blue, opacity.
+    vertices, faces : ndarray, shapes (N, 3) [m] and (M, 3), or None
+        Of a mesh.
     """
 
     body: int
@@ -61,27 +83,35 @@ class Shape:
     size: tuple[float, ...]
     pose: Array
     color: Rgba
+    vertices: Array | None = None
+    faces: NDArray[np.int64] | None = None
 
 
-def shapes_of(model: RobotModel) -> tuple[Shape, ...]:
-    """Return the visual shapes of the model's URDF; meshes are left out, the robot is drawn from primitives."""
-    links = Urdf(model.urdf, model.name).links
-    return tuple(
+def shapes_of(config: Config, model: RobotModel) -> tuple[Shape, ...]:
+    """Return the visual shapes of the model's URDF; a mesh whose file is not there is left out."""
+    urdf = Urdf(model.urdf, model.name)
+    try:
+        near = find_urdf(config.robot.urdf)
+    except ModelError:
+        near = Path(config.robot.urdf)
+    plain = [
         Shape(
             frame.body,
             shape.kind,
             shape.size,
-            (DQ(frame.pose) * _pose(shape.origin.matrix)).vec8(),
+            (DQ(frame.pose) * DQ.from_matrix(shape.origin.matrix[:3, :3], shape.origin.matrix[:3, 3])).vec8(),
             shape.color or _GREY,
         )
         for name, frame in model.frames.items()
-        for shape in links[name].visuals
-        if shape.kind in ("box", "cylinder", "sphere")
-    )
-
-
-def _pose(origin: Array) -> DQ:
-    return DQ.from_matrix(origin[:3, :3], origin[:3, 3])
+        for shape in urdf.links[name].visuals
+        if shape.kind in PRIMITIVES
+    ]
+    meshes = [
+        Shape(frame.body, "mesh", (), frame.pose, surface.color or _GREY, surface.vertices, surface.faces)
+        for name, surface in meshes_of(urdf, near)
+        if (frame := model.frames.get(name)) is not None
+    ]
+    return (*plain, *meshes)
 
 
 @dataclass(frozen=True)
@@ -169,33 +199,18 @@ class Gauge:
     role: str
 
 
-@singledispatch
 def _gauge(constraint: Constraint, d: float, model: RobotModel) -> Gauge:
-    return Gauge(constraint.name, 1e3 * d, "mm", d / 0.1, "kept")
-
-
-@_gauge.register
-def _(constraint: PointInCylinder, d: float, model: RobotModel) -> Gauge:
-    r = constraint.cylinder.radius
-    left = r - float(np.sqrt(max(r * r - d, 0.0)))
-    return Gauge(constraint.name, 1e3 * left, "mm", left / r, "kept")
-
-
-@_gauge.register
-def _(constraint: PointOverPlane, d: float, model: RobotModel) -> Gauge:
-    return Gauge(constraint.name, 1e3 * d, "mm", d / max(abs(constraint.plane.d), 0.05), "kept")
-
-
-@_gauge.register
-def _(constraint: PointInsideWall, d: float, model: RobotModel) -> Gauge:
-    return Gauge(constraint.name, 1e3 * d, "mm", d / (0.5 * model.soles[Foot.LEFT].length), "kept")
-
-
-@_gauge.register(JointMaximum)
-@_gauge.register(JointMinimum)
-def _(constraint: Constraint, d: float, model: RobotModel) -> Gauge:
-    half = 0.5 * float(np.min(model.q_max - model.q_min))
-    return Gauge(constraint.name, float(np.degrees(d)), "°", d / half, "kept")
+    left, whole = left_of(constraint, d), 0.1
+    if isinstance(constraint, JointMaximum | JointMinimum):
+        half = 0.5 * float(np.min(model.q_max - model.q_min))
+        return Gauge(constraint.name, float(np.degrees(left)), "°", left / half, "kept")
+    if isinstance(constraint, PointInCylinder):
+        whole = constraint.cylinder.radius
+    elif isinstance(constraint, PointOverPlane):
+        whole = max(abs(constraint.plane.d), 0.05)
+    elif isinstance(constraint, PointInsideWall):
+        whole = 0.5 * model.soles[Foot.LEFT].length
+    return Gauge(constraint.name, 1e3 * left, "mm", left / whole, "kept")
 
 
 @dataclass(frozen=True)
@@ -297,6 +312,11 @@ class Scene:
         identity = DQ(1.0).vec8()
         links = {f.body: name for name, f in self.model.frames.items() if np.array_equal(f.pose, identity)}
         self._links = tuple(links[body] for body in range(len(self.model.bodies)))
+
+    @cached_property
+    def shapes(self) -> tuple[Shape, ...]:
+        """The robot's looks."""
+        return shapes_of(self.config, self.model)
 
     @property
     def root(self) -> str:

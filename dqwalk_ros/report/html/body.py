@@ -164,7 +164,7 @@ def body_replay_data(walked: WholeBodyTrace) -> dict[str, Any]:
             exact = np.where(np.abs(values) < _ROUNDING, 0.0, values)
             curves.append({"name": name, "unit": unit, "v": packed(scale * np.where(told, exact, np.nan))})
     return {
-        **robot_data(model),
+        **robot_data(walked.config, model),
         "t": packed(walked.time[rows] - began),
         "q": packed(walked.q[rows]),
         "root": packed(np.concatenate([x.translation(), walked.x_base[rows][:, :4]], axis=1)),

@@ -1,11 +1,8 @@
 "use strict";
 // Draws recorded walks with WebGL and their margins with a 2D canvas. DATA is a list of walks, one or two.
 (() => {
-  const floats = (text) => {
-    const raw = atob(text), bytes = new Uint8Array(raw.length);
-    for (let i = 0; i < raw.length; i++) bytes[i] = raw.charCodeAt(i);
-    return new Float32Array(bytes.buffer);
-  };
+  const buffer = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
+  const floats = (text) => new Float32Array(buffer(text));
   const qmul = (a, b) => [
     a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
     a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
@@ -54,6 +51,15 @@
     return out;
   };
 
+  const triangles = (shape) => {  // each with its own normal
+    const v = floats(shape.v), f = new Uint32Array(buffer(shape.f)), out = [];
+    for (let i = 0; i < f.length; i += 3) {
+      const [a, b, c] = [0, 1, 2].map((k) => [...v.subarray(3 * f[i + k], 3 * f[i + k] + 3)]), n = unit(cross(sub(b, a), sub(c, a)));
+      for (const p of [a, b, c]) out.push(...p, ...n);
+    }
+    return out;
+  };
+
   class Stage {
     constructor(canvas, walk) {
       this.canvas = canvas; this.walk = walk;
@@ -76,7 +82,9 @@
       gl.linkProgram(program); gl.useProgram(program);
       this.u = {}; for (const k of ["view", "r", "o", "s", "color", "lit", "eye", "far"]) this.u[k] = gl.getUniformLocation(program, k);
       this.mesh = {};
-      for (const [k, f] of [["box", box], ["cylinder", cylinder], ["sphere", sphere]]) {
+      const meshes = walk.shapes.filter((s) => s.k === "mesh");
+      meshes.forEach((s, i) => { s.k = `mesh${i}`; });
+      for (const [k, f] of [["box", box], ["cylinder", cylinder], ["sphere", sphere], ...meshes.map((s) => [s.k, () => triangles(s)])]) {
         const v = f(), b = gl.createBuffer(); gl.bindBuffer(gl.ARRAY_BUFFER, b);
         gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(v), gl.STATIC_DRAW); this.mesh[k] = { b, n: v.length / 6 };
       }
@@ -145,7 +153,7 @@
       this.flat(gl.TRIANGLE_FAN, hull, [0.11, 0.6, 0.31, 0.16]); this.ribbon([...hull, hull[0]], 0.0015, [0.14, 0.16, 0.18, 1]);
       this.ribbon(w.way(t).map((c) => [c[0], c[1], ground + 0.002]), 0.0013, red);
       for (const s of w.shapes) {
-        const size = s.k === "box" ? s.s : s.k === "cylinder" ? [s.s[0], s.s[0], s.s[1]] : [s.s[0], s.s[0], s.s[0]];
+        const size = s.k === "cylinder" ? [s.s[0], s.s[0], s.s[1]] : s.k === "sphere" ? [s.s[0], s.s[0], s.s[0]] : s.s;
         this.solid(s.k, joined(now.bodies[s.b], s), size, s.c);
       }
       const id = [1, 0, 0, 0];

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import compose
 from dqwalk_ros.report.metrics import Series
-from dqwalk_ros.report.scene import Scene, moment_of, shapes_of, tightest
+from dqwalk_ros.report.scene import Scene, Shape, moment_of, shapes_of, tightest
 from dqwalk_ros.robot import Foot, RobotModel
 
 __all__ = ["FRAMES", "packed", "replay_data", "robot_data", "rounded"]
@@ -50,7 +51,7 @@ def replay_data(series: Series) -> dict[str, Any]:
         prints.append({"t": start - began, "foot": span.phase.base.value, "c": [rounded(c) for c in corners]})
     names = list(dict.fromkeys(tight))
     return {
-        **robot_data(model),
+        **robot_data(trace.config, model),
         "t": packed(trace.time[ticks] - trace.time[0]),
         "q": packed(trace.q[ticks]),
         "root": packed(np.concatenate([x.translation(), np.array(root)[:, :4]], axis=1)),
@@ -70,7 +71,7 @@ def replay_data(series: Series) -> dict[str, Any]:
     }
 
 
-def robot_data(model: RobotModel) -> dict[str, Any]:
+def robot_data(config: Config, model: RobotModel) -> dict[str, Any]:
     """Return what stays the same: bodies, their shapes, and where the soles are."""
     soles = {}
     for foot in Foot:
@@ -83,11 +84,18 @@ def robot_data(model: RobotModel) -> dict[str, Any]:
             {"parent": b.parent, "joint": b.joint, **_pose(b.origin), "axis": rounded(b.axis)} for b in model.bodies
         ],
         "shapes": [
-            {"b": s.body, "k": s.kind, "s": list(s.size), "c": list(s.color), **_pose(s.pose)} for s in shapes_of(model)
+            {"b": s.body, "k": s.kind, **_size(s), "c": list(s.color), **_pose(s.pose)}
+            for s in shapes_of(config, model)
         ],
         "n": model.n,
         "soles": soles,
     }
+
+
+def _size(shape: Shape) -> dict[str, Any]:
+    if shape.vertices is None or shape.faces is None:
+        return {"s": list(shape.size)}
+    return {"s": [1.0, 1.0, 1.0], "v": packed(shape.vertices), "f": packed(shape.faces, "<u4")}
 
 
 def _pose(x: Array) -> dict[str, list[float]]:
@@ -99,6 +107,6 @@ def rounded(values: Array) -> list[float]:
     return [round(float(v), _ROUND + 2) for v in values]
 
 
-def packed(values: Array) -> str:
-    """Return numbers as base64 of little-endian float32."""
-    return base64.b64encode(np.ascontiguousarray(values, "<f4").tobytes()).decode()
+def packed(values: NDArray[Any], kind: str = "<f4") -> str:
+    """Return numbers as base64 of little-endian float32, or of another type."""
+    return base64.b64encode(np.ascontiguousarray(values, kind).tobytes()).decode()

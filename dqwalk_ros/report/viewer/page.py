@@ -1,4 +1,4 @@
-"""The page: a viser server on this machine only, the drawing, and the panels beside it."""
+"""The page: a viser server on this machine only, and the walk in three dimensions."""
 
 from __future__ import annotations
 
@@ -20,11 +20,9 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ViewerError
-from dqwalk_ros.report.scene import Moment, Scene, View
-from dqwalk_ros.report.viewer import PORT
-from dqwalk_ros.report.viewer.drawing import Drawing, home
-from dqwalk_ros.report.viewer.gauges import History, margins_html, status_html
-from dqwalk_ros.robot import Foot
+from dqwalk_ros.report.scene import COM, FOOT, Moment, Region, Scene, Shape, View, color_of
+from dqwalk_ros.report.viewer.panels import TIGHT, History, margins_html, status_html
+from dqwalk_ros.robot import Foot, RobotModel
 
 __all__ = ["HOST", "Page"]
 
@@ -32,6 +30,8 @@ Array = NDArray[np.float64]
 
 HOST = "127.0.0.1"
 """The page is for this machine only: it has no password."""
+PORT = 8080
+"""Where the page is, on 127.0.0.1, unless somebody is there already."""
 FRAME = 1.0 / 30.0
 """Time between two pictures [s]."""
 _TEXT = 0.2
@@ -91,7 +91,7 @@ class Page:
         self.history = History()
         self.shown = 0
         self.total_steps = 0
-        self._drawing: Drawing | None = None
+        self._drawing: _Drawing | None = None
         self._scene: Scene | None = None
         self._way: deque[Array] = deque(maxlen=6000)
         self._pictures: deque[float] = deque(maxlen=60)
@@ -124,7 +124,7 @@ class Page:
         if self._drawing is not None:
             self.server.scene.remove_by_name("/robot")
         self._scene = scene
-        self._drawing = Drawing(self.server, scene)
+        self._drawing = _Drawing(self.server, scene)
 
     def replay_of(self, history: History, prints: Iterator[tuple[int, Foot, Array]]) -> None:
         """Take curves and footprints that are known already, instead of collecting them."""
@@ -156,7 +156,7 @@ class Page:
             self._drawing.show(view)
             if self.shown == 0:
                 camera = self.server.initial_camera
-                camera.position, camera.look_at = home(self._scene.model, view)
+                camera.position, camera.look_at = _home(self._scene.model, view)
             if force or now - self._text_at >= _TEXT:
                 self._text_at = now
                 self._drawing.trail(np.array(self._way) if way is None else way, view.ground)
@@ -187,16 +187,6 @@ class Page:
         """Stop serving."""
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.stop()
-
-
-def prints_of(records: Iterator[tuple[int, Foot, Array]]) -> Iterator[tuple[int, Foot, Array]]:
-    """Yield footprints, each place once."""
-    seen: list[Array] = []
-    for index, foot, x in records:
-        place = DQ(x).translation()
-        if all(np.abs(place - other).max() > 1e-3 for other in seen):
-            seen.append(place)
-            yield index, foot, x
 
 
 def _message(text: str) -> str:
@@ -250,3 +240,188 @@ def _free(port: int | None) -> int:
                 continue
             return int(probe.getsockname()[1])
     raise ViewerError(f"port {port} is taken on this machine; choose another with --port, or 0 for any")
+
+
+# ---------------------------------------------------------------------- the drawing
+
+_INK, _COM_SOFT = (36, 41, 47), (240, 160, 160)
+_TRAIL = 600
+"""Points of the way of the centre of mass."""
+_THIN = 0.0012
+_ORIGIN = np.zeros(3)
+_LIFT = np.array([0.0, 0.0, 0.002])
+_FAR_BELOW = (0.0, 0.0, -100.0)
+
+
+def _place(x: Array) -> dict[str, Any]:
+    return {"position": DQ(x).translation(), "wxyz": x[:4]}
+
+
+class _Drawing:
+    """Draws the views of one robot into a viser scene.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+    scene : Scene
+    """
+
+    def __init__(self, server: viser.ViserServer, scene: Scene) -> None:
+        self._scene, self._server, self._model = server.scene, server, scene.model
+        self._bodies = [self._scene.add_frame(f"/robot/{b}", show_axes=False) for b in range(len(self._model.bodies))]
+        for number, shape in enumerate(scene.shapes):
+            _add_shape(self._scene, f"/robot/{shape.body}/{number}", shape)
+        self._soles = {foot: self._sole(f"/soles/{foot.value}", foot, 0.9) for foot in Foot}
+        self._target = {foot: self._sole(f"/target/{foot.value}", foot, 0.35) for foot in Foot}
+        self._com = self._scene.add_icosphere("/com/point", 0.011, color=COM)
+        self._shadow = self._scene.add_cylinder("/com/shadow", 0.008, 0.0015, color=COM, cast_shadow=False)
+        self._plumb = self._scene.add_cylinder("/com/plumb", 0.0012, 1.0, color=COM, cast_shadow=False)
+        self._regions: dict[str, tuple[Region, Any]] = {}
+        self._footprints: dict[int, Any] = {}
+        self._polygon: Array | None = None
+        self._phase = -1
+        self.follow: Array | None = None
+
+    def show(self, view: View) -> None:
+        """Draw a view."""
+        for handle, x in zip(self._bodies, view.bodies, strict=True):
+            _move(handle, x, _ORIGIN)
+        for foot, x in view.soles.items():
+            _move(self._soles[foot], x, self._model.soles[foot].center)
+        swing = view.moment.phase.base.other
+        for foot, handle in self._target.items():
+            handle.visible = view.target is not None and foot is swing
+        if view.target is not None:
+            _move(self._target[swing], view.target, self._model.soles[swing].center)
+        self._show_com(view)
+        self._show_polygon(view)
+        self._show_regions(view)
+        for index, handles in self._footprints.items():
+            if handles.visible != (index <= view.moment.index):
+                handles.visible = index <= view.moment.index
+
+    def add_footprint(self, index: int, foot: Foot, x: Array) -> None:
+        """Leave a print of a sole at `x` (8,) that is seen from phase `index` on; a phase has one print."""
+        if index in self._footprints:
+            return
+        name = f"/footprints/{index}"
+        sole = self._model.soles[foot]
+        x = (DQ(x) * DQ.from_pose(sole.center)).vec8()
+        frame = self._scene.add_frame(name, show_axes=False, **_place(x))
+        size = np.array([sole.length, sole.width, 0.0])
+        corners = 0.5 * size * np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]]) + [0.0, 0.0, 0.0008]
+        self._outline(f"{name}/outline", corners, FOOT[foot], 2.0)
+        self._footprints[index] = frame
+
+    def forget(self) -> None:
+        """Wipe the footprints and the trail."""
+        for handle in self._footprints.values():
+            handle.remove()
+        self._footprints.clear()
+        self.trail(np.empty((0, 3)), 0.0)
+
+    def trail(self, way: Array, ground: float) -> None:
+        """Draw the way (N, 3) of the centre of mass, and its projection on the ground."""
+        name = "/com/trail"
+        if len(way) < 2:
+            self._scene.remove_by_name(name)
+            self._scene.remove_by_name(f"{name}_ground")
+            return
+        way = way[:: max(1, len(way) // _TRAIL)]
+        flat = way * [1.0, 1.0, 0.0] + [0.0, 0.0, ground + 0.0015]
+        for path, points, color in ((name, way, _COM_SOFT), (f"{name}_ground", flat, COM)):
+            pairs = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+            self._scene.add_line_segments(path, pairs, np.array(color), thickness=2.5, thickness_units="screen")
+
+    def _sole(self, name: str, foot: Foot, opacity: float) -> Any:
+        sole = self._model.soles[foot]
+        return self._scene.add_box(
+            name,
+            FOOT[foot],
+            (sole.length, sole.width, _THIN),
+            opacity=opacity,
+            cast_shadow=False,
+            receive_shadow=False,
+            position=_FAR_BELOW,
+        )
+
+    def _show_com(self, view: View) -> None:
+        x, y, z = view.com
+        self._com.position = view.com
+        self._shadow.position = (x, y, view.ground + 0.0015)
+        self._plumb.position = (x, y, 0.5 * (z + view.ground))
+        self._plumb.scale = (1.0, 1.0, max(float(z - view.ground), 1e-3))
+
+    def _show_polygon(self, view: View) -> None:
+        before = self._polygon
+        if before is not None and before.shape == view.polygon.shape and np.abs(before - view.polygon).max() < 2e-4:
+            return
+        self._polygon = view.polygon
+        outside = view.gauges[-1].value < 0.0
+        self._outline("/support/polygon", view.polygon + _LIFT, COM if outside else _INK, 3.0)
+
+    def _outline(self, name: str, corners: Array, color: tuple[int, int, int], thickness: float) -> None:
+        pairs = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1).astype(np.float32)
+        self._scene.add_line_segments(name, pairs, np.array(color), thickness=thickness, thickness_units="screen")
+
+    def _show_regions(self, view: View) -> None:
+        # kept and hidden, not removed and added again: the browser may show a new one before it is placed
+        present = {r.name for r in view.regions}
+        for name, (_, handle) in self._regions.items():
+            if handle.visible != (name in present):
+                handle.visible = name in present
+        tight = view.tightest.name
+        for found in view.regions:
+            if found.name not in self._regions:
+                self._regions[found.name] = (found, self._add_region(found))
+            first, handle = self._regions[found.name]
+            _move(handle, found.pose, _ORIGIN)
+            a, b = found.size[0] / first.size[0], found.size[1] / first.size[1]
+            scale = {"cylinder": (a, a, b), "plane": (a, b, 1.0)}.get(found.kind, (a, 1.0, b))
+            if not np.allclose(handle.scale, scale, rtol=0.005):
+                handle.scale = scale
+            color = TIGHT if found.name == tight else color_of(found.name)
+            if tuple(handle.color) != color:
+                handle.color = color
+
+    def _add_region(self, found: Region) -> Any:
+        name, color = f"/regions/{found.name}", color_of(found.name)
+        looks: dict[str, Any] = {
+            "opacity": 0.22,
+            "side": "double",
+            "cast_shadow": False,
+            "receive_shadow": False,
+            **_place(found.pose),
+        }
+        a, b = found.size
+        if found.kind == "cylinder":
+            return self._scene.add_cylinder(name, a, b, color, radial_segments=64, **looks)
+        size = (a, b, _THIN) if found.kind == "plane" else (a, _THIN, b)
+        return self._scene.add_box(name, color, size, **looks)
+
+
+def _move(handle: Any, x: Array, offset: Array) -> None:
+    handle.position, handle.wxyz = DQ(x).transform_point(offset), x[:4]
+
+
+def _add_shape(scene: viser.SceneApi, name: str, shape: Shape) -> None:
+    r, g, b, a = shape.color
+    color = (round(255 * r), round(255 * g), round(255 * b))
+    looks: dict[str, Any] = {"opacity": None if a >= 1.0 else a, **_place(shape.pose)}
+    if shape.kind == "box":
+        scene.add_box(name, color, np.array(shape.size), **looks)
+    elif shape.kind == "cylinder":
+        scene.add_cylinder(name, shape.size[0], shape.size[1], color, **looks)
+    elif shape.vertices is not None and shape.faces is not None:
+        # viser.extras.ViserUrdf draws meshes, too, but needs the file, not the repaired robot, and moves its own joints
+        scene.add_mesh_simple(name, shape.vertices, shape.faces, color=color, side="double", flat_shading=True, **looks)
+    else:
+        scene.add_icosphere(name, shape.size[0], color, **looks)
+
+
+def _home(model: RobotModel, view: View) -> tuple[Array, Array]:
+    """Return where the camera stands and what it looks at: from ahead and the left, the whole robot in sight."""
+    height = float(np.max(DQ(view.bodies).translation()[:, 2])) - view.ground
+    reach = max(height, 0.2)
+    at = np.array([view.com[0], view.com[1], view.ground + 0.52 * reach])
+    return at + reach * np.array([1.25, 0.95, 0.5]), at

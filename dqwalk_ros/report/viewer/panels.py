@@ -6,14 +6,16 @@ from html import escape
 
 import numpy as np
 
-from dqwalk_ros.report.scene import Gauge, View
-from dqwalk_ros.report.viewer import colors
+from dqwalk_ros.report.scene import COM, FOOT, Gauge, Rgb, View, color_of
+from dqwalk_ros.robot import Foot
 
-__all__ = ["History", "margins_html", "status_html"]
+__all__ = ["TIGHT", "History", "margins_html", "status_html"]
 
 _MOST = 900
 """Points kept of a curve; then every second one is dropped."""
 _WIDTH, _HEIGHT = 300.0, 34.0
+TIGHT: Rgb = (230, 126, 0)
+"""The tightest margin, and its shape."""
 _MUTED = "#6e7781"
 _FONT = "font:13px/1.35 system-ui,-apple-system,'Segoe UI',sans-serif;color:#24292f"
 
@@ -71,13 +73,13 @@ def margins_html(view: View, history: History) -> str:
 
 _ORDER = ("sliding", "tip_plane", "back_plane", "com_cylinder", "pelvis", "joint_min", "joint_max")
 _TITLES = {
-    "sliding": "sliding (7)",
-    "tip_plane": "tip plane (9)",
-    "back_plane": "back plane (10)",
-    "com_cylinder": "CoM cylinder (14)",
-    "pelvis": "pelvis plane (11)",
-    "joint_max": "upper joint limits (12)",
-    "joint_min": "lower joint limits (13)",
+    "sliding": "sliding (U7)",
+    "tip_plane": "tip plane (U9)",
+    "back_plane": "back plane (U10)",
+    "com_cylinder": "CoM cylinder (U14)",
+    "pelvis": "pelvis plane (U11)",
+    "joint_max": "upper joint limits (U12)",
+    "joint_min": "lower joint limits (U13)",
     "support_polygon": "CoM in the soles (watched)",
 }
 
@@ -92,9 +94,8 @@ def _title(name: str) -> str:
 
 
 def _row(name: str, gauge: Gauge | None, tight: bool, history: History, span: tuple[float, float], now: float) -> str:
-    color = colors.hexed(colors.of_region(name)) if gauge is None or gauge.value >= 0.0 else colors.hexed(colors.BAD)
-    if tight:
-        color = colors.hexed(colors.TIGHT)
+    kept = gauge is None or gauge.value >= 0.0
+    color = _hexed(TIGHT if tight else color_of(name) if kept else COM)
     value = "–" if gauge is None else f"{gauge.value:.2f} {gauge.unit}"
     fade = "opacity:.38;" if gauge is None else ""
     mark = "background:#fff4e0;box-shadow:inset 3px 0 0 #e67e00;" if tight else ""
@@ -145,7 +146,12 @@ def _curve(name: str, color: str, history: History, span: tuple[float, float], n
     )
 
 
-_LEVEL = {"OK": colors.hexed(colors.GOOD), "WARN": colors.hexed(colors.TIGHT), "ERROR": colors.hexed(colors.BAD)}
+def _hexed(color: Rgb) -> str:
+    """Return a colour as HTML writes it."""
+    return "#{:02x}{:02x}{:02x}".format(*color)
+
+
+_LEVEL = {"OK": _hexed(FOOT[Foot.RIGHT]), "WARN": _hexed(TIGHT), "ERROR": _hexed(COM)}
 
 
 def status_html(view: View, *, steps: int, total: int, note: str) -> str:

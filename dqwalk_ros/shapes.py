@@ -13,9 +13,12 @@ from numpy.typing import NDArray
 from dqwalk_ros.packages import find_package_file
 from dqwalk_ros.urdf import Link, Shape, Urdf
 
-__all__ = ["Shapes", "Surface"]
+__all__ = ["PRIMITIVES", "Shapes", "Surface", "meshes_of"]
 
 Array = NDArray[np.float64]
+
+PRIMITIVES = ("box", "cylinder", "sphere")
+"""What everything that draws has; what else there is, is drawn as triangles."""
 
 
 @dataclass(frozen=True)
@@ -65,10 +68,11 @@ class Shapes:
     def of(self, name: str, which: str) -> list[Surface]:
         """Return the surfaces of a link; `which` is ``visuals`` or ``collisions``."""
         link = self._links[name]
-        found = (self._surface(link, shape) for shape in getattr(link, which))
+        found = (self.surface(link, shape) for shape in getattr(link, which))
         return [surface for surface in found if surface is not None]
 
-    def _surface(self, link: Link, shape: Shape) -> Surface | None:
+    def surface(self, link: Link, shape: Shape) -> Surface | None:
+        """Return a shape of a link as triangles; None where its mesh cannot be had, which `missing` explains."""
         if shape.kind == "mesh":
             file = self.file(shape.mesh)
             if file is None:
@@ -90,6 +94,39 @@ class Shapes:
             return None
         pose = shape.origin.matrix
         return Surface(vertices @ pose[:3, :3].T + pose[:3, 3], faces, shape.color, what)
+
+
+def meshes_of(urdf: Urdf, near: pathlib.Path, most: int = 60_000) -> list[tuple[str, Surface]]:
+    """Return what is seen of a robot and is no primitive, by its link.
+
+    Parameters
+    ----------
+    urdf : Urdf
+    near : path
+        The file of the robot description.
+    most : int
+        So many triangles in all, about: finer meshes are made coarser.
+    """
+    shapes = Shapes(urdf, near)
+    found = [
+        (name, surface)
+        for name, link in urdf.links.items()
+        for shape in link.visuals
+        if shape.kind not in PRIMITIVES and (surface := shapes.surface(link, shape)) is not None
+    ]
+    fine, cell = found, 0.5e-3
+    while sum(len(surface.faces) for _, surface in found) > most:
+        cell *= 2.0
+        found = [(name, _coarser(surface, cell)) for name, surface in fine]
+    return found
+
+
+def _coarser(surface: Surface, cell: float) -> Surface:
+    """Return a surface whose vertices are merged within cells of that size [m]."""
+    _, first, place = np.unique(np.round(surface.vertices / cell), axis=0, return_index=True, return_inverse=True)
+    faces = place.reshape(-1)[surface.faces]
+    a, b, c = faces.T
+    return replace(surface, vertices=surface.vertices[first], faces=faces[(a != b) & (b != c) & (c != a)])
 
 
 _UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
