@@ -131,6 +131,19 @@ def test_what_is_public_says_what_it_is(file):
             assert ast.get_docstring(node), f"{node.name} has no docstring"
 
 
+def test_a_walk_of_phases_is_recorded_and_reported_without_extras():
+    """``make walk`` installs none of them, and was over without Pinocchio once."""
+    import subprocess
+    import sys
+
+    used = ("report.bag", "report.html.page", "report.figures.paper", "cli.report", "cli.walk", "cli.results", "runner")
+    optional = ("mujoco", "viser", "pinocchio", "daqp", "distributed", "pyarrow", "trimesh")
+    code = "import sys\n" + "".join(f"import dqwalk_ros.{name}\n" for name in used)
+    code += f"print([name for name in {optional!r} if name in sys.modules])"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert out.stdout.strip() == "[]"
+
+
 def test_the_core_does_without_ros_and_extras():
     """Importing the core brings in none of the optional packages."""
     import subprocess

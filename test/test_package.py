@@ -87,3 +87,57 @@ def test_colcon_builds_and_its_executables_run(tmp_path: Path) -> None:
         )
         assert shown.returncode == 0, shown.stderr
         assert "Example:" in shown.stdout
+
+
+# ---------------------------------------------------------------------- rosdep
+
+KNOWN = "2026-08-22"
+KEYS = """
+builtin_interfaces diagnostic_msgs dynamixel_sdk geometry_msgs launch launch_ros nav_msgs rcl_interfaces rclpy
+rosgraph_msgs sensor_msgs std_msgs std_srvs tf2_msgs trajectory_msgs visualization_msgs xacro python3-click
+python3-collada python3-hypothesis python3-joblib python3-matplotlib python3-numba python3-numpy
+python3-psutil python3-pytest python3-pytest-timeout python3-pytest-xdist python3-rich python3-rosbags-pip
+python3-scipy python3-serial python3-tqdm python3-yaml python3-yourdfpy-pip
+"""
+"""Keys that exist, as rosdistro had them on that day: packages of Jazzy, and rosdep/python.yaml."""
+ROSDISTRO = "https://raw.githubusercontent.com/ros/rosdistro/master/"
+
+
+def keys() -> set[str]:
+    return {e.text or "" for e in ElementTree.parse(ROOT / "package.xml").iter() if e.tag.endswith("depend")}
+
+
+def test_every_dependency_has_a_rosdep_key() -> None:
+    """With one that does not exist `rosdep install` installs nothing at all."""
+    known = set(KEYS.split())
+    assert keys() <= known, f"look {keys() - known} up in rosdistro, then add it to the table"
+
+
+@pytest.mark.long
+def test_rosdistro_has_the_keys_still() -> None:
+    import urllib.error
+    import urllib.request
+
+    known: set[str] = set()
+    for name in ("jazzy/distribution.yaml", "rosdep/python.yaml"):
+        try:
+            text = urllib.request.urlopen(ROSDISTRO + name, timeout=20).read().decode()
+        except (urllib.error.URLError, TimeoutError) as error:
+            pytest.skip(f"rosdistro cannot be reached ({error}); the table of {KNOWN} is checked")
+        known |= set(re.findall(r"^ *(?:- )?([\w-]+):? *$", text, re.M))
+    assert keys() <= known, keys() - known
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_the_tests_run_with_declared_dependencies_only() -> None:
+    """As `colcon test` does where nothing else is installed: 12 files could not be collected, and none ran."""
+    run = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "declared"]
+    where = {"cwd": ROOT, "env": {**os.environ, "PYTHONPATH": f"{ROOT}:{ROOT / 'test'}"}, "text": True}
+    collected = subprocess.run([*run, "--co", "test"], capture_output=True, check=False, **where)
+    assert collected.returncode == 0, collected.stdout[-3000:]
+    some = ["test/test_solvers.py", "test/test_qp.py", "test/test_launch.py", "test/test_steering.py"]
+    done = subprocess.run([*run, *some], capture_output=True, check=False, **where)
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert "which has no rosdep key" in done.stdout
+    assert " passed" in done.stdout

@@ -26,29 +26,17 @@ from dqwalk_ros.report.bag.messages import (
     text,
 )
 from dqwalk_ros.report.bag.recording import open_recording
-from dqwalk_ros.report.bag.storage import Column, load, write_columns
+from dqwalk_ros.report.bag.storage import Column, write_columns
 from dqwalk_ros.robot import RobotModel
 from dqwalk_ros.topics import BODY_REQUIRED, BODY_TOPICS, ODOM
 from dqwalk_ros.whole_body.controller import BodyState
 from dqwalk_ros.whole_body.scenario import PAPER_TIMES, SCENARIOS, Scenario, Timed
 from dqwalk_ros.whole_body.trace import FEET, BodyLog, WholeBodyTrace
 
-__all__ = ["is_body", "read_body", "write_body"]
+__all__ = ["read_body", "write_body"]
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
-
-
-def is_body(path: str | os.PathLike[str]) -> bool:
-    """Tell whether a bag holds a whole-body walk rather than one of phases.
-
-    Raises
-    ------
-    BagError
-        If there is no bag, or it cannot be read.
-    """
-    names = {topic.rpartition("/")[2] for topic in load(path, lambda topic, kind: False).topics}
-    return "joint_effort_commands" in names and "phase_start" not in names
 
 
 # ---------------------------------------------------------------------- writing

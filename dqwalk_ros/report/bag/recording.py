@@ -19,7 +19,7 @@ from dqwalk_ros.report.bag.storage import Column, Content, load
 from dqwalk_ros.robot import RobotModel, load_model, parse_model
 from dqwalk_ros.topics import Topic
 
-__all__ = ["Recording", "listed", "open_recording"]
+__all__ = ["Recording", "is_body", "listed", "open_recording"]
 
 Stamps = NDArray[np.int64]
 
@@ -56,6 +56,18 @@ class Recording:
     stamps: Stamps
     origin: dict[str, str]
     notes: list[str]
+
+
+def is_body(path: str | os.PathLike[str]) -> bool:
+    """Tell whether a bag holds a whole-body walk rather than one of phases.
+
+    Raises
+    ------
+    BagError
+        If there is no bag, or it cannot be read.
+    """
+    names = {topic.rpartition("/")[2] for topic in load(path, lambda topic, kind: False).topics}
+    return "joint_effort_commands" in names and "phase_start" not in names
 
 
 def open_recording(

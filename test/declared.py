@@ -1,0 +1,64 @@
+"""What package.xml cannot declare: packages without a rosdep key, which `colcon test` may lack.
+
+A test that needs one of them is skipped where it is not installed. As a plugin (``-p declared``) this file hides all of
+them, so that the tests run as on such a machine.
+"""
+
+from __future__ import annotations
+
+import importlib.abc
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+OPTIONAL = frozenset(
+    {
+        *("daqp", "distributed", "dqrobotics", "mink", "mujoco", "pin", "pink", "pinocchio", "placo", "playwright"),
+        *("pyarrow", "quadprog", "qpsolvers", "viser", "trimesh", "collada"),
+    }
+)
+
+
+def missing(error: BaseException | None) -> str:
+    """Return the optional package for want of which something failed; empty if it is another failure."""
+    while error is not None:
+        name = (getattr(error, "name", None) or "").partition(".")[0]
+        if isinstance(error, ModuleNotFoundError) and name in OPTIONAL:
+            return name
+        error = error.__cause__ or error.__context__
+    return ""
+
+
+class Module(pytest.Module):
+    """A file of tests, skipped where it imports an optional package that is not installed."""
+
+    def _getobj(self) -> Any:
+        try:
+            return super()._getobj()
+        except self.CollectError as error:
+            if name := missing(error):
+                pytest.skip(f"needs {name}, which has no rosdep key", allow_module_level=True)
+            raise
+
+
+def skip_where_missing() -> Iterator[None]:
+    """Run a test or a fixture within; skip it where an optional package is missing."""
+    try:
+        return (yield)
+    except Exception as error:
+        if name := missing(error):
+            pytest.skip(f"needs {name}, which has no rosdep key")
+        raise
+
+
+class _Hidden(importlib.abc.MetaPathFinder):
+    def find_spec(self, name: str, path: Any, target: Any = None) -> None:
+        if name.partition(".")[0] in OPTIONAL:
+            raise ModuleNotFoundError(f"No module named {name!r} (hidden)", name=name)
+
+
+def pytest_load_initial_conftests() -> None:
+    """Hide them, as ``-p declared`` asks."""
+    sys.meta_path.insert(0, _Hidden())
