@@ -32,6 +32,7 @@ from dqwalk_ros.errors import ConfigError
 __all__ = [
     "Config",
     "DspConfig",
+    "DynamicConfig",
     "EstimationConfig",
     "GaitConfig",
     "JointsConfig",
@@ -98,8 +99,10 @@ class RobotConfig:
 class GaitConfig:
     """Where the feet go."""
 
-    style: Literal["paper", "standing"] = _par(
-        "paper", "'paper' (Fig. 1: planes and a cylinder) or 'standing' (the CoM stays over the true soles)"
+    style: Literal["paper", "standing", "dynamic"] = _par(
+        "paper",
+        "'paper' (Fig. 1: planes and a cylinder), 'standing' (the CoM stays over the true soles) or 'dynamic' (it does "
+        "not: docs/dynamic.md)",
     )
     walk: str = _par("", "a walk of your own in place of the style's, as MODULE:CLASS; docs/tutorial.md makes one")
     first_support: Literal["left", "right"] = _par("left", "the foot that carries the weight first")
@@ -179,6 +182,37 @@ class StandingConfig:
 
 
 @dataclass(frozen=True)
+class DynamicConfig:
+    """The walk that moves; durations of a step, weights and gains that it shares with the standing walk are there."""
+
+    start_duration: float = _par(0.6, "time in which the first step begins, from rest", "s", 0.1, 10.0)
+    stop_duration: float = _par(1.0, "time in which the CoM comes to rest between the feet", "s", 0.1, 10.0)
+    ramp: int = _par(3, "steps over which the length grows to that asked for, and shrinks", "", 0, 100)
+    aim_ahead: float = _par(0.0, "the zero-moment point is aimed this far ahead of the sole's centre", "m", -0.1, 0.1)
+    aim_inside: float = _par(0.0, "and this far towards the other foot", "m", -0.05, 0.05)
+    side_frequency: float = _par(
+        1.0, "part of the pendulum's frequency to the side by the model that is used", "", 0.5, 1.5
+    )
+    com_weight: float = _par(20.0, "weight of the CoM's path", "", 1e-3, 1e4)
+    com_rate: float = _par(2.0, "convergence of the CoM to its path", "1/s", 0.0, 100.0)
+    height_weight: float = _par(5.0, "weight of the CoM's height, that of the posture", "", 0.0, 1e4)
+    height_rate: float = _par(4.0, "convergence of the CoM's height", "1/s", 0.0, 100.0)
+    upright_weight: float = _par(0.1, "weight of an upright pelvis", "", 0.0, 1e4)
+    upright_rate: float = _par(5.0, "convergence of the pelvis to upright", "1/s", 0.0, 100.0)
+    catch: bool = _par(True, "adjust time and place of a step to the divergent component as it is measured")
+    catch_margin: float = _par(
+        0.012, "the ankle is trusted with a zero-moment point this far inside the sole", "m", 0.0, 0.1
+    )
+    catch_length: float = _par(0.1, "a landing place is moved this far ahead or back at most", "m", 0.0, 0.5)
+    catch_side: float = _par(0.0, "and to the side; 0 without ankle roll", "m", 0.0, 0.2)
+    shortest_step: float = _par(0.26, "least time of a single support that is adjusted", "s", 0.05, 10.0)
+    longest_step: float = _par(1.5, "its greatest time, as a multiple of the planned one", "", 1.0, 5.0)
+    hurry: float = _par(0.03, "the time of landing changes by this at most at one state", "s", 0.0, 1.0)
+    untouched: float = _par(0.04, "a step is not adjusted this long after it has begun", "s", 0.0, 1.0)
+    settled: float = _par(0.12, "nor this long before the foot lands", "s", 0.0, 1.0)
+
+
+@dataclass(frozen=True)
 class PelvisConfig:
     """The pelvis plane (U11)."""
 
@@ -235,6 +269,9 @@ class ServoConfig:
     )
     assumed_damping: float = _par(
         0.0, "damping that is fed forward; more than the servos truly have falls; a type has its own", "s", 0.0, 0.2
+    )
+    assumed_lead: float = _par(
+        0.0, "torque fed forward per commanded speed, divided by the stiffness: no lag by damping", "s", 0.0, 0.2
     )
     assumed_latency: float = _par(0.0, "delay from a measurement to the effect of its answer", "s", 0.0, 0.25)
     assumed_rate: float = _par(0.0, "positions are written this often; 0: every period", "Hz", 0.0, 1e4)
@@ -451,6 +488,7 @@ class Config:
     dsp: DspConfig = DspConfig()
     ssp: SspConfig = SspConfig()
     standing: StandingConfig = StandingConfig()
+    dynamic: DynamicConfig = DynamicConfig()
     pelvis: PelvisConfig = PelvisConfig()
     joints: JointsConfig = JointsConfig()
     qp: QpConfig = QpConfig()

@@ -169,13 +169,11 @@ class VelocityController:
         elif (held := state.time - self._answered - self.config.plant.command_timeout) > 0.0:
             self._resume(state, held)
         state = self._with_velocity(state)
-        kin = self._kinematics(state)
-        now = self.phase.evaluate(kin)
+        kin, now = self._look(state)
         self._answered = state.time
         while not self.finished and self._is_over(now, state.time):
             self._enter(state, kin)
-            kin = self._kinematics(state)
-            now = self.phase.evaluate(kin)
+            kin, now = self._look(state)
         self._kin, self.error = kin, now.error
         if self.finished:
             return Command(state.time, np.zeros(self.model.n))
@@ -203,7 +201,7 @@ class VelocityController:
         """Return the torques fed forward, those that damp the joints as the servos themselves do among them."""
         if state.up is None:
             return None
-        effort = self.walk.effort(self.phase, kin.later(self._drive.delay), state)
+        effort = self.walk.effort(self.phase, kin.later(self._drive.delay), state) + self._drive.lead * u
         return effort if state.dq is None else effort - self._drive.damping * (state.dq - u)
 
     def _check(self, state: State) -> None:
@@ -213,6 +211,12 @@ class VelocityController:
             raise StateError(f"the angle of {', '.join(bad)} is not finite")
         if state.up is not None and self._imu not in self.model.frames:
             raise ConfigError(f"the state has an inertial sensor, and the robot has no link '{self._imu}' (robot.imu)")
+
+    def _look(self, state: State) -> tuple[Kinematics, Evaluation]:
+        """Return the robot at `state`, and what the phase makes of it."""
+        kin = self._kinematics(state)
+        self.walk.observe(self.phase, kin, state)
+        return kin, self.phase.evaluate(kin)
 
     def _kinematics(self, state: State) -> Kinematics:
         kin = Kinematics(self.model, state.q, self.phase.base, elapsed=state.time - self.phase_time0)

@@ -141,13 +141,16 @@ class Drive:
         By which torques are fed forward as angles [N m/rad]; 0: not at all.
     damping : ndarray, shape (n,)
         Torque per speed [N m s/rad].
+    lead : ndarray, shape (n,)
+        Torque per commanded speed that makes a damped servo keep up with its goal [N m s/rad].
     delay : float
         From a measurement to the effect of its answer [s]: latency, half of the time for which a goal is held, and the
-        lag of a servo that is damped against the world.
+        lag of a servo that is damped against the world, less the lead.
     """
 
     stiffness: Array
     damping: Array
+    lead: Array
     delay: float
 
     @classmethod
@@ -170,7 +173,8 @@ class Drive:
             stiffness[joints] = told.get("stiffness", stiffness[joints])
             lag[joints] = told.get("damping", lag[joints])
         hold = 1.0 / c.assumed_rate if c.assumed_rate > 0.0 else 0.0
-        return cls(stiffness, lag * stiffness, c.assumed_latency + 0.5 * hold + float(lag.mean()))
+        late = c.assumed_latency + 0.5 * hold + max(float(lag.mean()) - c.assumed_lead, 0.0)
+        return cls(stiffness, lag * stiffness, c.assumed_lead * stiffness, late)
 
     def angles(self, effort: Array) -> Array:
         """Return the change of the goals (n,) [rad] that gives the torques `effort` (n,) [N m]."""

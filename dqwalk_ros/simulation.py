@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from dqwalk_ros import provenance
 from dqwalk_ros.config import Config
 from dqwalk_ros.controller import VelocityController
+from dqwalk_ros.dynamic.walk import DynamicWalk
 from dqwalk_ros.errors import ConfigError, DqwalkError, PlantError
 from dqwalk_ros.plants import Inertial, Plant, Truth
 from dqwalk_ros.plants.kinematic import KinematicPlant
@@ -41,7 +42,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-WALKS: Mapping[str, type[Walk]] = {"paper": PaperWalk, "standing": StandingWalk}
+WALKS: Mapping[str, type[Walk]] = {"paper": PaperWalk, "standing": StandingWalk, "dynamic": DynamicWalk}
 """The walk of each ``gait.style``."""
 
 

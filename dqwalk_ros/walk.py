@@ -225,6 +225,9 @@ class Walk(ABC):
         """Return whether a phase begins anew after states without an answer; else it goes on where it was."""
         return False
 
+    def observe(self, phase: Phase, kin: Kinematics, state: State) -> None:  # noqa: B027 - most walks need not
+        """Look at a state before it is answered: a walk that plans anew sets here what the tasks of `phase` follow."""
+
     def effort(self, phase: Phase, kin: Kinematics, state: State) -> Array:
         """Return torques to be fed forward, shape (n,) [N m]: those that hold the robot against gravity."""
         return gravity_torques(kin, both=phase.kind is not PhaseKind.SINGLE_SUPPORT)

@@ -1,0 +1,391 @@
+"""The walk that moves: its phases, and what they follow from state to state.
+
+Single supports of a fixed time, short double supports between them; the divergent component of motion is planned over
+the footprints ahead (`plan`) and fed back through the zero-moment point, which the ground's force goes through. A
+stance brings the CoM to rest between the feet, before the walk and after it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros.config import Config
+from dqwalk_ros.constraints import Constraint, FrameHeld, PointsOverPlane
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.dynamic.adjust import Step, adjusted
+from dqwalk_ros.dynamic.pendulum import Pendulum
+from dqwalk_ros.dynamic.plan import Course, Pressed, Rest, single_supports
+from dqwalk_ros.dynamic.swing import Swing
+from dqwalk_ros.dynamic.tasks import Follow, FollowPose, Target
+from dqwalk_ros.geometry import ConvexPolygon, Plane
+from dqwalk_ros.kinematics import CenterOfMass, CenterOfMassOnGround, Direction, Kinematics
+from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.servos import Drive
+from dqwalk_ros.standing.balance import com_velocity
+from dqwalk_ros.standing.footsteps import flat
+from dqwalk_ros.standing.walk import StandingWalk
+from dqwalk_ros.state import State
+from dqwalk_ros.statics import GRAVITY, ground_torques
+from dqwalk_ros.tasks import Posture, Task
+from dqwalk_ros.walk import Phase, PhaseKind, com_target, joint_limits
+
+__all__ = ["DynamicWalk"]
+
+Array = NDArray[np.float64]
+
+_UP = np.array([0.0, 0.0, 1.0])
+_JOINT_RETURN = 0.5
+"""A joint beyond its limit returns no faster than this [rad/s]."""
+_AHEAD = 6
+"""So many footprints are planned ahead."""
+_LATE = 0.05
+"""A delay as long as this halves the gain of the feedback [s]."""
+_BEYOND, _YIELD = 0.002, 0.1
+"""While more than this is left over [m], the CoM's path gives way to the CoM by this part at each state."""
+_GAP = 0.1
+"""After a longer time without a state the reference begins anew where the robot is [s]."""
+
+
+class Timed:
+    """A phase is over after a time, which may change while it lasts.
+
+    Attributes
+    ----------
+    duration : float
+        [s]
+    """
+
+    def __init__(self, duration: float) -> None:
+        self.duration = duration
+
+    def is_over(self, error: float, elapsed: float) -> bool:
+        """Return whether the time is up; see `walk.Rule.is_over`."""
+        return elapsed >= self.duration - 1e-9
+
+
+@dataclass(eq=False)
+class _Flight:
+    """What may change while a foot is in the air; `goal` is where it was to land, `shift` how far that was moved."""
+
+    rule: Timed
+    course: Pressed
+    step: Step
+    swing: Swing
+    goal: Array
+    shift: Array = field(default_factory=lambda: np.zeros(2))
+
+
+class DynamicWalk(StandingWalk):
+    """Steps of a fixed rhythm; order, steering and the end are those of the standing walk, with a stance before it."""
+
+    def __init__(self, config: Config, model: RobotModel) -> None:
+        super().__init__(config, model)
+        self._step_now = np.zeros(3)  # length, side and turn of the step under way
+        self._gain = config.standing.balance / (1.0 + Drive.of(config, model).delay / _LATE)
+        self._known: Phase | None = None
+        self._time = -math.inf
+        self._com = self._xi = self._z = np.zeros(2)
+        self._force, self._pressure = GRAVITY * _UP, np.zeros(2)
+        self._course: Course
+        self._flight: _Flight | None = None
+        self._targets: dict[str, Target] = {}
+
+    @staticmethod
+    def phases(config: Config) -> int:
+        """Return two for each step and for the feet together, and a stance before and after; 0 where it is steered."""
+        return 2 * config.gait.steps + 4 if config.gait.steps else 0
+
+    @cached_property
+    def pendulum(self) -> Pendulum:
+        """The robot in its posture as a pendulum."""
+        kin = Kinematics(self.model, self.posture, self._first)
+        phase = self.one_foot(self._first, self.posture, kin.pose(kin.swing))
+        found = Pendulum.of(phase, kin)
+        return replace(found, omega=found.omega * np.array([1.0, self.config.dynamic.side_frequency]))
+
+    # ------------------------------------------------------------------ order
+
+    @property
+    def _period(self) -> float:
+        s = self.config.standing
+        return s.transfer_duration + s.swing_duration
+
+    def following(self, phase: Phase | None) -> tuple[PhaseKind, Foot, Array | None] | None:
+        """Return kind, support foot and swing target of the phase after `phase`; None after the last one."""
+        steps = self.config.gait.steps
+        if phase is None:
+            return PhaseKind.STANCE, self._first, None
+        if phase.kind is PhaseKind.STANCE:
+            over = self._together and (steps or self._stopping)
+            return None if over else (PhaseKind.DOUBLE_SUPPORT, self._leading(), None)
+        if phase.kind is PhaseKind.DOUBLE_SUPPORT:
+            self._step_now, self._together = self._after(self._step_now, self._done)
+            self._done += 1
+            return PhaseKind.SINGLE_SUPPORT, phase.support, self._footprint(phase.support, self._step_now)
+        kind = PhaseKind.STANCE if self._together else PhaseKind.DOUBLE_SUPPORT
+        return kind, phase.support.other, None
+
+    def restarts(self, phase: Phase) -> bool:
+        """Return True: what is followed has moved on without the robot."""
+        return True
+
+    def _after(self, step: Array, done: int) -> tuple[Array, bool]:
+        """Return the step after `step`, when `done` are done, and whether it puts the feet together."""
+        gait, ramp = self.config.gait, self.config.dynamic.ramp
+        if gait.steps:
+            ramp = min(ramp, (gait.steps - 1) // 2)
+            full = np.array([gait.step_length, gait.step_side, gait.step_turn])
+            most, ended = np.abs(full), self._stopping or done >= gait.steps
+            wanted = np.zeros(3) if ended or done >= gait.steps - ramp else full
+        else:
+            most = np.array([gait.most_length, gait.most_side, gait.most_turn])
+            wanted = np.zeros(3) if self._stopping else np.array(self._twist) * self._period
+            ended = not wanted.any()
+        change = most / (ramp + 1)
+        new = step + np.clip(wanted - step, -change, change)
+        return new, bool(ended and np.abs(new).max() < 1e-9)
+
+    def _footprint(self, support: Foot, step: Array) -> Array:
+        """Return where the swing sole lands, in the sole of `support`, shape (8,)."""
+        return self.footsteps.wanted(support, *step.tolist())
+
+    # ------------------------------------------------------------------ phases
+
+    def both_feet(self, kind: PhaseKind, support: Foot, q_start: Array) -> Phase:
+        """Return the phase that brings the CoM to the sole of `support`, in a stance between both soles."""
+        s, model = self.config.standing, self.model
+        kin = Kinematics(model, q_start, support.other)
+        end = model.soles[support]
+        held = FrameHeld(
+            name="end_sole", eta=s.eta_feet, return_speed=s.recovery, frame=end.frame, pose=flat(kin.pose(end.frame))
+        )
+        goal = com_target(model, kind, kin.base, q_start)[:2]
+        return self._of(kind, support, kin, None, self._com_task(goal), (held,), ())
+
+    def one_foot(self, support: Foot, q_start: Array, swing_target: Array) -> Phase:
+        """Return the single support on the foot `support` that swings the other one to its target."""
+        s, model = self.config.standing, self.model
+        kin = Kinematics(model, q_start, support)
+        sole, swing = model.soles[support], model.soles[support.other]
+        side = 1.0 if support is Foot.RIGHT else -1.0
+        inner = Plane(side * np.array([0.0, 1.0, 0.0]), side * float(sole.center[1]) + 0.5 * sole.width)
+        gap = PointsOverPlane(
+            name="sole_gap", eta=s.eta_edges, bound=s.sole_gap, return_speed=s.recovery, frame=swing.frame,
+            points=swing.corners, plane=inner,
+        )  # fmt: skip
+        x = DQ(swing_target)
+        task = FollowPose(
+            name="swing",
+            weight=s.swing_weight,
+            frame=swing.frame,
+            target=Target(np.array([*x.translation(), *swing_target[:4]]), np.zeros(6)),
+            convergence=s.swing_rate,
+            lever=s.lever,
+        )
+        com = self._com_task(sole.center[:2])
+        return self._of(PhaseKind.SINGLE_SUPPORT, support, kin, swing_target, (task, *com), (), (gap,))
+
+    def _com_task(self, place: Array) -> tuple[Task, ...]:
+        d = self.config.dynamic
+        target = Target(place, np.zeros(2))
+        return (
+            Follow(
+                name="com", weight=d.com_weight, feature=CenterOfMassOnGround(), target=target, convergence=d.com_rate
+            ),
+        )
+
+    def _of(
+        self,
+        kind: PhaseKind,
+        support: Foot,
+        kin: Kinematics,
+        swing_target: Array | None,
+        tasks: Sequence[Task],
+        equalities: tuple[Constraint, ...],
+        inequalities: tuple[Constraint, ...],
+    ) -> Phase:
+        config, d, model = self.config, self.config.dynamic, self.model
+        height = Kinematics(model, self.posture, kin.base).com[2:]
+        also = (
+            Follow(
+                name="height",
+                weight=d.height_weight,
+                feature=CenterOfMass(),
+                A=_UP[None],
+                target=Target(height, np.zeros(1)),
+                convergence=d.height_rate,
+            ),
+            Follow(
+                name="upright",
+                weight=d.upright_weight,
+                feature=Direction(model.pelvis, _UP),
+                A=np.eye(2, 3),
+                target=Target(np.zeros(2), np.zeros(2)),
+                convergence=d.upright_rate,
+            ),
+            Posture(name="posture", weight=config.task.posture_weight, q_ref=self.posture),
+        )
+        return Phase(
+            model=model,
+            kind=kind,
+            support=support,
+            base=kin.base,
+            q_start=kin.q,
+            swing_target=swing_target,
+            eta=config.task.eta,
+            damping=config.task.damping,
+            tasks=(*tasks, *also),
+            equalities=equalities,
+            inequalities=inequalities,
+            limits=joint_limits(config, model, _JOINT_RETURN),
+            rule=Timed(self._duration(kind)),
+        )
+
+    def _duration(self, kind: PhaseKind) -> float:
+        s, d = self.config.standing, self.config.dynamic
+        if kind is PhaseKind.STANCE:
+            return d.stop_duration
+        return s.swing_duration if kind is PhaseKind.SINGLE_SUPPORT else s.transfer_duration
+
+    # ------------------------------------------------------------------ from state to state
+
+    def observe(self, phase: Phase, kin: Kinematics, state: State) -> None:
+        """Move on what the phase follows, and find the ground's force that draws the robot to it."""
+        omega, up = self.pendulum.omega, kin.up
+        dt = state.time - self._time
+        self._time = state.time
+        c, v = kin.com_on_ground, com_velocity(kin, state, self.model.imu)
+        if not 0.0 <= dt <= _GAP:
+            self._com, self._xi = c, c
+        else:
+            self._com = self._com + dt * omega * (self._xi - self._com)  # c' = w (xi - c)
+        if phase is not self._known:
+            self._begin(phase, kin)
+        t = kin.elapsed
+        xi = c + (v[:2] - v[2] / up[2] * up[:2]) / omega
+        flight = self._flight
+        if flight is not None:
+            self._catch(flight, c, xi, t)
+        self._xi, z = self._course.at(t)
+        z = z + (1.0 + self._gain) * (xi - self._xi)
+        if flight is not None:
+            place, velocity, acceleration = flight.swing.step(t, flight.rule.duration)
+            self._targets["swing"].set(place, velocity)
+            z[0] += self.pendulum.swing * acceleration[0]
+        self._pressure = z = self._inside(z)
+        a = omega**2 * (c - z)  # of the pendulum
+        self._force = GRAVITY * up + np.array([a[0], a[1], -(a @ up[:2]) / up[2]])
+        self._targets["com"].set(self._com, omega * (self._xi - self._com))
+        self._targets["upright"].set(up[:2], np.zeros(2))
+
+    def _catch(self, flight: _Flight, c: Array, xi: Array, t: float) -> None:
+        """Adjust time and place of the step under way to xi (2,) as it is measured, `t` [s] into it."""
+        d, rule, step = self.config.dynamic, flight.rule, flight.step
+        if not (d.catch and d.untouched <= t <= rule.duration - d.settled):
+            return
+        rule.duration, flight.shift, over = adjusted(step, xi, t, rule.duration, flight.shift, d)
+        flight.course.duration = rule.duration
+        flight.course.end = step.landing + step.offset + flight.shift
+        flight.swing.goal = flight.goal + flight.shift
+        if np.abs(over).max() > _BEYOND:
+            self._com = self._com + _YIELD * (c - self._com)
+
+    def _begin(self, phase: Phase, kin: Kinematics) -> None:
+        """Plan a phase as its feet stand; the plan is in the axes of its base sole."""
+        before, self._known = self._known, phase
+        other = DQ(flat(kin.pose(kin.swing)))
+        if before is not None and before.base is not phase.base:  # the base sole was the other one
+            self._com, self._xi = (other.transform_point(np.array([*p, 0.0]))[:2] for p in (self._com, self._xi))
+        self._targets = {task.name: task.target for task in phase.tasks if isinstance(task, Follow | FollowPose)}
+        self._flight = None
+        base, end = self._aim(phase.base, DQ(1.0)), self._aim(phase.base.other, other)
+        corners, omega, rule = self.model.soles[phase.base].corners, self.pendulum.omega, phase.rule
+        assert isinstance(rule, Timed)
+        if phase.swing_target is not None:
+            self._course = self._flight_course(phase, kin, rule, base)
+        else:
+            corners = np.concatenate([corners, other.transform_point(self.model.soles[phase.base.other].corners)])
+            if phase.kind is PhaseKind.STANCE:
+                self._course = Rest(self._xi, 0.5 * (base + end), rule.duration, omega)
+            else:
+                start, _ = self._plan(phase.support, other, self._step_now, self._done)
+                if before is not None and before.kind is PhaseKind.SINGLE_SUPPORT:
+                    self._course = Pressed(base, end, start, rule.duration, omega)
+                else:
+                    rule.duration = self.config.dynamic.start_duration
+                    self._course = Rest(self._xi, start, rule.duration, omega)
+        self._support = ConvexPolygon.hull(corners).edges()
+
+    def _flight_course(self, phase: Phase, kin: Kinematics, rule: Timed, base: Array) -> Pressed:
+        """Begin a single support, and return its course."""
+        d, omega, target = self.config.dynamic, self.pendulum.omega, phase.swing_target
+        assert target is not None
+        _, end = self._plan(phase.support, DQ(1.0), self._step_now, self._done, target)
+        course = Pressed(base, base, end, rule.duration, omega)
+        sole, landing = self.model.soles[phase.base], self._aim(phase.base.other, DQ(target))
+        half = 0.5 * np.array([sole.length, sole.width]) - d.catch_margin
+        step = Step(
+            z=base, landing=landing, offset=end - landing, duration=rule.duration, omega=omega,
+            low=sole.center[:2] - half, high=sole.center[:2] + half, reach=np.array([d.catch_length, d.catch_side]),
+        )  # fmt: skip
+        swing = Swing(kin.pose(kin.swing), target, self.config.gait.step_height)
+        self._flight = _Flight(rule, course, step, swing, swing.goal)
+        return course
+
+    def _plan(
+        self, support: Foot, pose: DQ, step: Array, done: int, landing: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Return xi (2,) at the beginning and the end of the single support on a foot that stands at `pose`."""
+        together = self._together and landing is not None
+        aims, foot = [self._aim(support, pose)], support
+        while len(aims) <= _AHEAD:
+            if landing is None:
+                step, together = self._after(step, done)
+                done += 1
+                landing = self._footprint(foot, step)
+            foot, pose, landing = foot.other, pose * DQ(landing), None
+            aims.append(self._aim(foot, pose))
+            if together:
+                break
+        s = self.config.standing
+        plan = single_supports(aims, s.swing_duration, s.transfer_duration, self.pendulum.omega, ends=together)
+        return plan[0]
+
+    def _aim(self, foot: Foot, pose: DQ) -> Array:
+        """Return where the zero-moment point is to be on a sole, shape (2,) [m]."""
+        d, side = self.config.dynamic, 1.0 if foot is Foot.LEFT else -1.0
+        aim = self.model.soles[foot].center + np.array([d.aim_ahead, -side * d.aim_inside, 0.0])
+        return pose.transform_point(aim)[:2]
+
+    def _inside(self, z: Array) -> Array:
+        """Return the point nearest to `z` (2,) that keeps its distance from all edges of the support polygon [m]."""
+        n, edge = self._support
+        for _ in range(6):
+            short = np.maximum(edge + self.config.standing.pressure_margin - n @ z, 0.0)
+            if not short.any():
+                break
+            k = int(np.argmax(short))
+            z = z + short[k] * n[k]
+        return z
+
+    def effort(self, phase: Phase, kin: Kinematics, state: State) -> Array:
+        """Return the torques by which the ground bears the robot through the zero-moment point, shape (n,) [N m].
+
+        The joints between the base sole and the pelvis bear the ground's force less the weight of what is below them:
+        the leg that stands hardly moves, so all inertia is above it.
+        """
+        m, f, up = self.model.mass, self._force, kin.up
+        both = phase.kind is not PhaseKind.SINGLE_SUPPORT
+        tau = ground_torques(kin, m * f, self._pressure, both=both)
+        line, moment = kin.lines[:, :3], kin.lines[:, 3:]
+        z, a = np.array([*self._pressure, 0.0]), f - GRAVITY * up
+        through = (np.cross(line, z) + moment) @ f - (np.cross(line, kin.com) + moment) @ (GRAVITY * up)
+        legs = kin.tree.moves[kin.tree.frames[self.model.pelvis][0]]
+        out: Array = tau + m * np.where(legs, through - a @ kin.com_jacobian, 0.0)
+        return out

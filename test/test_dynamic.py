@@ -1,0 +1,283 @@
+"""The walk that moves: laws of its plan, its steps and its tasks, and a short walk in physics."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+import dqwalk_ros as dq
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.dynamic.adjust import Step, adjusted, left_over
+from dqwalk_ros.dynamic.pendulum import angular_momentum
+from dqwalk_ros.dynamic.plan import Pressed, Rest, before, single_supports
+from dqwalk_ros.dynamic.swing import Swing
+from dqwalk_ros.dynamic.tasks import Follow, FollowPose, Target
+from dqwalk_ros.dynamic.walk import DynamicWalk
+from dqwalk_ros.kinematics import CenterOfMass, CenterOfMassOnGround, Direction, Kinematics
+from dqwalk_ros.robot import Foot
+from dqwalk_ros.simulation import make_controller, make_plant, simulate
+from dqwalk_ros.walk import PhaseKind
+
+CONFIG = dq.load("poppy_dynamic")
+MODEL = dq.load_model(CONFIG.robot)
+OMEGA = np.array([4.4, 3.7])
+MIRROR = np.array([1.0, -1.0])
+DYNAMIC = CONFIG.dynamic
+
+
+def somewhere(seed: int) -> np.ndarray:
+    q = MODEL.posture(CONFIG.standing.posture) + 0.2 * np.random.default_rng(seed).normal(size=MODEL.n)
+    return np.clip(q, MODEL.q_min, MODEL.q_max)
+
+
+def footprints(length: float = 0.05, width: float = 0.08, first: float = 1.0) -> list[np.ndarray]:
+    """Aims of a foot and six steps from it, `length` apart; the first is on the left."""
+    return [np.array([k * length, first * 0.5 * width * (-1.0) ** k]) for k in range(7)]
+
+
+# ---------------------------------------------------------------------- the plan
+
+
+def test_the_closed_form_is_what_integration_gives() -> None:
+    a, b, end, time = np.array([0.0, 0.04]), np.array([0.05, -0.04]), np.array([0.04, 0.01]), 0.1
+    xi, n = before(a, b, end, time, OMEGA), 20000
+    for k in range(n):  # the midpoint rule, forward
+        z = a + (k + 0.5) / n * (b - a)
+        half = xi + 0.5 * time / n * OMEGA * (xi - z)
+        xi = xi + time / n * OMEGA * (half - z)
+    assert xi == pytest.approx(end, abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    "course",
+    [
+        Pressed(np.array([0.0, 0.04]), np.array([0.05, -0.04]), np.array([0.04, 0.01]), 0.1, OMEGA),
+        Pressed(np.array([0.0, 0.04]), np.array([0.0, 0.04]), np.array([0.03, 0.01]), 0.4, OMEGA),
+        Rest(np.array([0.0, 0.0]), np.array([0.01, 0.02]), 0.6, OMEGA),
+    ],
+    ids=["double", "single", "rest"],
+)
+def test_xi_diverges_from_z(course: Pressed | Rest) -> None:
+    h = 1e-6
+    for t in np.linspace(0.05, 0.9, 7) * course.duration:
+        xi, z = course.at(t)
+        slope = (course.at(t + h)[0] - course.at(t - h)[0]) / (2.0 * h)
+        assert slope == pytest.approx(OMEGA * (xi - z), abs=1e-7)
+
+
+def test_the_plan_has_no_jumps() -> None:
+    aims = footprints()
+    plan = single_supports(aims, 0.4, 0.1, OMEGA, ends=False)
+    assert len(plan) == len(aims) - 1
+    for k, (start, end) in enumerate(plan):
+        assert Pressed(aims[k], aims[k], end, 0.4, OMEGA).at(0.0)[0] == pytest.approx(start)
+        if k + 1 < len(plan):
+            double = Pressed(aims[k], aims[k + 1], plan[k + 1][0], 0.1, OMEGA)
+            assert double.at(0.0)[0] == pytest.approx(end)
+            assert double.at(0.1)[0] == pytest.approx(plan[k + 1][0])
+
+
+@pytest.mark.parametrize("ends", [False, True])
+def test_left_and_right_are_mirrored(ends: bool) -> None:
+    left = single_supports(footprints(), 0.4, 0.1, OMEGA, ends=ends)
+    right = single_supports(footprints(first=-1.0), 0.4, 0.1, OMEGA, ends=ends)
+    assert np.array(left) * MIRROR == pytest.approx(np.array(right))
+
+
+def test_what_comes_far_ahead_hardly_matters() -> None:
+    aims = footprints()
+    on, off = (single_supports(aims, 0.4, 0.1, OMEGA, ends=ends)[0][0] for ends in (False, True))
+    assert np.abs(on - off).max() < 1e-4
+
+
+def test_on_the_spot_it_comes_back_to_where_it_was() -> None:
+    plan = single_supports(footprints(length=0.0), 0.4, 0.1, OMEGA, ends=False)
+    assert plan[0][0] == pytest.approx(plan[2][0], abs=1e-4)
+    assert plan[0][0] * MIRROR == pytest.approx(plan[1][0], abs=1e-3)
+    assert plan[0][0][0] == pytest.approx(0.0, abs=1e-12)
+
+
+# ---------------------------------------------------------------------- the pendulum
+
+
+@pytest.mark.parametrize("base", list(Foot))
+def test_angular_momentum_is_that_of_the_physics(base: Foot) -> None:
+    from dqwalk_ros.plants.mujoco import build
+
+    rng = np.random.default_rng(3)
+    q, u = somewhere(2), rng.normal(size=MODEL.n)
+    kin, h = Kinematics(MODEL, q, base), 1e-7
+    mj = build(CONFIG, MODEL)
+    data = mujoco.MjData(mj)
+
+    def place(kin: Kinematics) -> np.ndarray:
+        x = DQ(kin.pose(MODEL.root))
+        qpos = np.zeros(mj.nq)
+        qpos[:7] = [*x.translation(), *x.vec8()[:4]]
+        qpos[[mj.joint(name).qposadr[0] for name in MODEL.joint_names]] = kin.q
+        return qpos
+
+    a, b = place(Kinematics(MODEL, q - h * u, base)), place(Kinematics(MODEL, q + h * u, base))
+    mujoco.mj_differentiatePos(mj, data.qvel, 2.0 * h, a, b)
+    data.qpos[:] = place(kin)
+    mujoco.mj_forward(mj, data)
+    mujoco.mj_subtreeVel(mj, data)
+    assert angular_momentum(kin, u) == pytest.approx(data.subtree_angmom[mj.body(MODEL.root).id], abs=1e-6)
+
+
+def test_a_robot_that_tilts_is_a_slow_pendulum() -> None:
+    plainly = CONFIG.updated({"dynamic.side_frequency": 1.0})
+    found = [DynamicWalk(plainly.updated({"gait.first_support": foot.value}), MODEL).pendulum.omega for foot in Foot]
+    assert found[0] == pytest.approx(found[1], rel=1e-3)
+    plain = np.sqrt(9.80665 / Kinematics(MODEL, MODEL.posture(CONFIG.standing.posture), Foot.LEFT).com[2])
+    assert 0.75 < found[0][1] / plain < 0.85  # 0.81 by regression of c'' on c - z in the physics
+
+
+# ---------------------------------------------------------------------- steps
+
+
+def a_step() -> Step:
+    aims = footprints()
+    (_, end), *_ = single_supports(aims, 0.4, 0.1, OMEGA, ends=False)
+    half = np.array([0.06, 0.015])
+    return Step(
+        z=aims[0], landing=aims[1], offset=end - aims[1], duration=0.4, omega=OMEGA,
+        low=aims[0] - half, high=aims[0] + half, reach=np.array([0.1, 0.0]),
+    )  # fmt: skip
+
+
+def at(step: Step, elapsed: float) -> np.ndarray:
+    return Pressed(step.z, step.z, step.landing + step.offset, step.duration, OMEGA).at(elapsed)[0]
+
+
+def test_a_step_as_planned_is_left_alone() -> None:
+    step = a_step()
+    for elapsed in (0.05, 0.15, 0.25):
+        for error in ([0.0, 0.0], [0.01, 0.0], [0.0, 0.003], [-0.008, -0.003]):  # of the ankle
+            xi = at(step, elapsed) + np.array(error)
+            time, shift, over = adjusted(step, xi, elapsed, 0.4, np.zeros(2), DYNAMIC)
+            assert time == pytest.approx(0.4, abs=0.006)
+            assert np.abs(shift).max() < 0.002
+            assert over == pytest.approx([0.0, 0.0], abs=1e-3)
+
+
+def test_left_over_is_what_the_ankle_cannot_do() -> None:
+    step, elapsed, left = a_step(), 0.1, 0.3
+    xi = at(step, elapsed) + np.array([0.08, 0.02])
+    over, _ = left_over(step, xi, elapsed, np.array([left]))
+    # with the zero-moment point in the corner of the sole, xi ends beyond its end by as much
+    reached = step.high + np.exp(OMEGA * left) * (xi - step.high)
+    assert over[0] == pytest.approx(reached - step.landing - step.offset)
+
+
+def test_a_push_moves_the_step() -> None:
+    step, xi = a_step(), at(a_step(), 0.15)
+    time, shift = 0.4, np.zeros(2)
+    for _ in range(20):
+        time, shift, _ = adjusted(step, xi + np.array([0.06, 0.0]), 0.15, time, shift, DYNAMIC)
+    assert shift[0] > 0.02
+    for _ in range(20):  # towards the other foot: it must land sooner
+        time, shift, _ = adjusted(step, xi - np.array([0.0, 0.03]), 0.15, time, shift, DYNAMIC)
+    assert time < 0.35
+    assert shift[1] == 0.0  # there is no ankle roll
+
+
+def test_a_swing_lands_where_and_when_it_is_told() -> None:
+    start, goal = DQ.from_pose([-0.05, 0.08, 0.002]).vec8(), DQ.from_pose([0.05, 0.08, 0.0]).vec8()
+    swing, dt, duration = Swing(start, goal, 0.02), 0.001, 0.4
+    places = []
+    for k in range(1, 450):
+        t = k * dt
+        if t > 0.2:
+            swing.goal, duration = np.array([0.08, 0.08]), 0.44
+        pose, velocity, _ = swing.step(t, duration)
+        places.append([*pose[:3], *velocity[:3]])
+    path = np.array(places)
+    slope = np.diff(path[:, :3], axis=0) / dt
+    assert path[-1, :3] == pytest.approx([0.08, 0.08, 0.0], abs=1e-6)
+    assert np.abs(path[-1, 3:]).max() < 1e-3
+    assert np.abs(slope - 0.5 * (path[1:, 3:] + path[:-1, 3:]))[np.arange(448) != 199].max() < 0.02
+    assert path[:, 2].max() == pytest.approx(0.02, abs=0.002)
+
+
+# ---------------------------------------------------------------------- tasks
+
+
+@pytest.mark.parametrize("base", list(Foot))
+def test_jacobians_are_derivatives(base: Foot) -> None:
+    swing = MODEL.soles[base.other].frame
+    pose = np.array([0.05, 0.1, 0.01, *DQ(Kinematics(MODEL, somewhere(1), base).pose(swing)).vec4()])
+    two, up = Target(np.ones(2), np.ones(2)), np.array([0.05, -0.08, np.sqrt(1.0 - 0.05**2 - 0.08**2)])
+    one, upright = Target(np.ones(1), np.ones(1)), Direction(MODEL.pelvis, np.eye(3)[2])
+    for task in (
+        Follow(name="com", feature=CenterOfMassOnGround(), target=two, convergence=2.0),
+        Follow(name="height", feature=CenterOfMass(), A=np.eye(3)[2:], target=one, convergence=2.0),
+        Follow(name="upright", feature=upright, A=np.eye(2, 3), target=two, convergence=2.0),
+        FollowPose(name="swing", frame=swing, target=Target(pose, np.zeros(6)), convergence=2.0, lever=0.2),
+    ):  # fmt: skip
+        q, h, eye = somewhere(4), 1e-6, np.eye(MODEL.n)
+        columns = [
+            (task.error(Kinematics(MODEL, q + h * e, base, up)) - task.error(Kinematics(MODEL, q - h * e, base, up)))
+            / (2.0 * h)
+            for e in eye
+        ]
+        assert task.jacobian(Kinematics(MODEL, q, base, up)) == pytest.approx(np.stack(columns, axis=1), abs=1e-7)
+
+
+def test_a_pose_is_followed_with_its_velocity() -> None:
+    kin = Kinematics(MODEL, somewhere(5), Foot.LEFT)
+    x = DQ(kin.pose(kin.swing))
+    place, velocity = np.array([*x.translation(), *x.vec4()[:4]]), np.arange(6.0)
+    task = FollowPose(name="swing", frame=kin.swing, target=Target(place, velocity), convergence=12.0, lever=0.2)
+    e = task.error(kin)
+    assert e == pytest.approx(np.zeros(6), abs=1e-9)
+    assert task.rate(np.zeros(7), e, 0.0, 1.0) == pytest.approx(velocity * [1, 1, 1, 0.2, 0.2, 0.2])
+
+
+# ---------------------------------------------------------------------- the walk
+
+
+def test_phases_follow_one_another() -> None:
+    walk = DynamicWalk(CONFIG.updated({"gait.steps": 2}), MODEL)
+    names, phase, q = [], None, walk.posture
+    while (following := walk.following(phase)) is not None:
+        phase = walk.phase(following[0], following[1], q, following[2])
+        names.append(phase.name)
+    left, right = "left", "right"
+    assert names == [
+        "stance/left",
+        *(f"{kind}/{foot}" for foot in (left, right, left) for kind in ("double_support", "single_support")),
+        "stance/right",
+    ]
+    assert len(names) == DynamicWalk.phases(walk.config)
+
+
+def test_a_steered_walk_grows_its_steps_and_puts_the_feet_together() -> None:
+    walk = DynamicWalk(CONFIG.updated({"gait.steps": 0}), MODEL)
+    stance = walk.phase(PhaseKind.STANCE, Foot.LEFT, walk.posture)
+    walk.following(None)
+    assert walk.is_waiting(stance)
+    assert walk.steer(1.0, 0.0, 0.0)[0] == pytest.approx(CONFIG.gait.most_length / 0.5)
+    assert not walk.is_waiting(stance)
+    step, lengths = np.zeros(3), []
+    for k in range(6):
+        step, _ = walk._after(step, k)
+        lengths.append(step[0])
+    assert lengths == pytest.approx([0.015, 0.03, 0.045, 0.06, 0.06, 0.06])
+    walk.steer(0.0, 0.0, 0.0)
+    for _ in range(3):
+        step, together = walk._after(step, 9)
+        assert not together
+    assert walk._after(step, 9)[1]
+
+
+def test_poppy_walks_in_physics() -> None:
+    config = CONFIG.updated({"gait.steps": 4, "dynamic.stop_duration": 0.6})
+    trace = simulate(make_controller(config, MODEL), make_plant("physics", config, MODEL))
+    assert trace.finished, trace.notes
+    # 25, 50, 50 and 25 mm: the length grows and shrinks
+    assert trace.physics is not None
+    assert DQ(trace.physics.pelvis[-1]).translation()[0] - DQ(trace.physics.pelvis[0]).translation()[
+        0
+    ] == pytest.approx(0.15, abs=0.03)
