@@ -252,6 +252,8 @@ class PhysicsRecord:
         Of the inertial sensor in the world, a unit quaternion, real part first.
     gyro, acceleration : ndarray, shape (N, 3)
         In the sensor's frame [rad/s, m/s^2].
+    effort : ndarray, shape (N, n)
+        Torques of the servos on the joints [N m].
     """
 
     pelvis: Array
@@ -260,6 +262,7 @@ class PhysicsRecord:
     orientation: Array
     gyro: Array
     acceleration: Array
+    effort: Array
 
     @classmethod
     def of(cls, seen: list[tuple[Truth, Inertial]]) -> PhysicsRecord:
@@ -273,6 +276,7 @@ class PhysicsRecord:
             orientation=np.array([sensor.orientation for _, sensor in seen]),
             gyro=np.array([sensor.gyro for _, sensor in seen]),
             acceleration=np.array([sensor.acceleration for _, sensor in seen]),
+            effort=np.array([truth.effort for truth, _ in seen]),
         )
 
 

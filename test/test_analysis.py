@@ -18,8 +18,9 @@ from dqwalk_ros.geometry import ConvexPolygon
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.report.figures import FIGURES, FORMATS, figure7, figure8, figure9, fits, top_view
 from dqwalk_ros.report.figures.style import thinned
-from dqwalk_ros.report.metrics import hull_margin
+from dqwalk_ros.report.metrics import hull_margin, pelvis_in_odom
 from dqwalk_ros.robot import Foot
+from dqwalk_ros.simulation import PhysicsRecord
 from dqwalk_ros.walk import PhaseKind
 
 RED = "#d1242f"
@@ -155,6 +156,30 @@ def test_hulls_of_soles_that_touch():
     points = np.concatenate([square, square + np.array([1.0, 0.0])])[None]
     for p, expected in (([1.0, 0.4], 0.4), ([0.25, 0.5], 0.25), ([3.0, 0.5], -1.0), ([3.0, 2.0], -np.sqrt(2.0))):
         assert hull_margin(points, np.array([p]))[0] == pytest.approx(expected)
+
+
+def test_power_is_torque_times_velocity(trace):
+    """A constant torque on one joint does the work tau (q_end - q_start); its modulus goes into the power."""
+    count, joint, torque = len(trace), 3, 2.0
+    effort = np.zeros((count, trace.model.n))
+    effort[:, joint] = torque
+    known = PhysicsRecord(
+        pelvis=pelvis_in_odom(trace),
+        wrenches={foot: np.tile([0.0, 0.0, 10.0, 0.0, 0.0, 0.0], (count, 1)) for foot in Foot},
+        cop=np.zeros((count, 3)),
+        orientation=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+        gyro=np.zeros((count, 3)),
+        acceleration=np.zeros((count, 3)),
+        effort=effort,
+    )
+    part = dataclasses.replace(trace, physics=known)
+    ground, angle = reporting.analyse(part).ground, trace.q[:, joint]
+    rises = np.maximum(np.diff(angle), 0.0).sum()
+    assert np.trapezoid(ground.work, trace.time) == pytest.approx(torque * rises, rel=0.02)
+    assert np.trapezoid(ground.power, trace.time) == pytest.approx(torque * np.abs(np.diff(angle)).sum(), rel=0.02)
+    energy = reporting.report(reporting.analyse(part))["physics"]["energy"]
+    assert energy["positive"] == pytest.approx(ground.work.mean())
+    assert energy["cost_of_transport"] > 0.0
 
 
 # ---------------------------------------------------------------------- report

@@ -147,6 +147,23 @@ def test_a_state_five_seconds_ahead_near_the_end(trace, path, tmp_path):
     assert back.finished
 
 
+def test_a_state_from_the_future_does_not_set_the_time_of_a_recording():
+    from dqwalk_ros.nodes.recorder import WalkTime
+
+    second, year = 1_000_000_000, 2_145_916_800_000_000_000
+    for states, newest in (
+        ([1, 2, year, 3, 4], 4),  # one message whose stamp cannot be
+        ([year, 1, 2, 3], 3),  # the first one
+        ([50 * second, 1, 2], 2),  # a plant that began again
+        ([1, 2, 50 * second, 51 * second], 51 * second),  # a gap
+        ([5, 3, 4], 5),  # out of order
+    ):
+        time = WalkTime()
+        for stamp in states:
+            time.add(stamp)
+        assert time.newest == newest
+
+
 def nan(number, message):
     message.pose.orientation.x = np.nan
 

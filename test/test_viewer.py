@@ -6,10 +6,12 @@ import io
 import socket
 import time
 import urllib.request
+from base64 import b64decode
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import trimesh
 import viser
 import yourdfpy
 from recorded import short_walk
@@ -17,11 +19,12 @@ from recorded import short_walk
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ViewerError
 from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.report.html.replay import robot_data
 from dqwalk_ros.report.scene import Scene, moment_of, shapes_of
 from dqwalk_ros.report.viewer.page import HOST, Page
 from dqwalk_ros.report.viewer.panels import History, margins_html, status_html
 from dqwalk_ros.report.viewer.player import Player
-from dqwalk_ros.robot import Foot
+from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.walk import PhaseKind
 
 
@@ -67,6 +70,23 @@ def test_shapes_are_those_of_the_urdf(trace):
         if frame.body == shape.body
     )
     assert -1e-3 < lowest < 0.03
+
+
+def test_meshes_are_seen(trace, tmp_path):
+    """A mesh of the URDF is among the shapes, at its scale and place, coarser where it is fine, and in the replay."""
+    trimesh.creation.icosphere(subdivisions=6, radius=60.0).export(tmp_path / "part.stl")
+    mesh = '<geometry><mesh filename="part.stl" scale="0.001 0.001 0.001"/></geometry>'
+    look = f'<visual><origin xyz="0 0 0.1"/>{mesh}</visual>'
+    lost = '<visual><geometry><mesh filename="lost.stl"/></geometry></visual>'
+    text = trace.model.urdf
+    end = text.index("</link>", text.index('<link name="pelvis"'))
+    (tmp_path / "robot.urdf").write_text(text[:end] + look + lost + text[end:])
+    config = trace.config.updated({"robot.urdf": str(tmp_path / "robot.urdf"), "robot.drop": ()})
+    (mesh,) = (shape for shape in shapes_of(config, load_model(config.robot)) if shape.kind == "mesh")
+    np.testing.assert_allclose(np.linalg.norm(mesh.vertices - [0.0, 0.0, 0.1], axis=1), 0.06, atol=1e-6)
+    assert 10_000 < len(mesh.faces) < 60_000
+    (drawn,) = (shape for shape in robot_data(config, load_model(config.robot))["shapes"] if shape["k"] == "mesh")
+    assert len(b64decode(drawn["f"])) == 4 * mesh.faces.size
 
 
 def test_a_view_stands_where_the_walk_does(trace):

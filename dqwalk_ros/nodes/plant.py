@@ -102,12 +102,12 @@ class SimulatedPlant(WalkNode):
         self.ticks += 1
         return True
 
-    def publish(self, stamp: int) -> None:
-        """Publish the state, with its stamp [ns], and what belongs to it."""
+    def publish(self, stamp: int, effort: NDArray[Any] | None = None) -> None:
+        """Publish the state, with its stamp [ns] and the torques of the joints where they are known, and its like."""
         if self._clock_topic is not None:
             self._clock_topic.publish(Clock(clock=ros.time_msg(stamp)))
         state = self.plant.state
-        self.streams["joint_states"].publish(self._state_msg(stamp, position=state.q, velocity=state.dq))
+        self.streams["joint_states"].publish(self._state_msg(stamp, position=state.q, velocity=state.dq, effort=effort))
 
     def trouble(self) -> str:
         """Return what is wrong with the plant, which is an error; empty if nothing is."""
@@ -285,13 +285,14 @@ class Physics(SimulatedPlant):
             self.plant.push(np.zeros(3))
         return super().move(command, dt)
 
-    def publish(self, stamp: int) -> None:
+    def publish(self, stamp: int, effort: NDArray[Any] | None = None) -> None:
         """Publish the sensors first, for the controller waits for them with the state."""
         streams = self.streams
+        others = (streams[name] for name in streams if name not in ("imu", "joint_states"))
+        truth = self.plant.truth if any(stream.get_subscription_count() for stream in others) else None
         streams["imu"].publish(ros.imu(stamp, self.model.imu, self.plant.inertial))
-        super().publish(stamp)
-        if any(streams[name].get_subscription_count() for name in streams if name not in ("imu", "joint_states")):
-            truth = self.plant.truth
+        super().publish(stamp, None if truth is None else truth.effort)
+        if truth is not None:
             streams["true_base_pose"].publish(ros.pose(stamp, WORLD, truth.pelvis))
             for foot in Foot:
                 name = f"{foot.value}_foot_wrench"

@@ -1,9 +1,9 @@
 """Record a walk as a rosbag2, byte for byte as it went over the wire.
 
-The bag's time is the walk's: a message is filed under its own stamp, one without a stamp under the newest stamp so
-far. In lockstep that is simulated time, so that a bag plays back, plots and compares alike however fast the machine
-was; in real time the two differ by the transport's delay. A message that was published again, word for word, because
-its answer was late is recorded once.
+The bag's time is the walk's: a message is filed under its own stamp, one without a stamp, or with one that is seconds
+ahead of the walk, under the newest stamp so far. In lockstep that is simulated time, so that a bag plays back, plots
+and compares alike however fast the machine was; in real time the two differ by the transport's delay. A message that
+was published again, word for word, because its answer was late is recorded once.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
 from dqwalk_ros.report.bag.storage import connect, flush, open_writer
 from dqwalk_ros.topics import BODY_TOPICS, PHASE_LOG, TOPICS, Topic
 
-__all__ = ["OTHERS", "Recorder"]
+__all__ = ["OTHERS", "Recorder", "WalkTime"]
 
 _DEPTH = 50_000
 """Messages that may wait here: minutes of real time, most of a minute of lockstep at full speed."""
@@ -40,6 +40,33 @@ OTHERS = ("cmd_vel", "footsteps", "push", "hand_target", "joint_goals", "/tf", "
 """What steers a walk or goes with it; it is filed under the newest stamp of joint_states."""
 _EACH_TICK = ("joint_states", "joint_velocity_commands", "base_pose", "joint_effort_commands", "base_twist", *_PHYSICS)
 _STAMPED = ("sensor_msgs/", "geometry_msgs/", "diagnostic_msgs/")
+
+
+FAR = 5_000_000_000
+"""A state whose stamp is so far from those before it [ns] may be the error of one message."""
+
+
+class WalkTime:
+    """The newest stamp of a walk, which one state with a stamp that cannot be does not move.
+
+    Attributes
+    ----------
+    newest : int
+        [ns]; -1 before the first state.
+    """
+
+    def __init__(self) -> None:
+        self.newest = -1
+        self._far: int | None = None  # of the state before, where it was far from all others
+
+    def add(self, stamp: int) -> None:
+        """Take the stamp of a state [ns]; one that is far away counts once the next state is beside it."""
+        known = self.newest if self._far is None or abs(stamp - self._far) > FAR else self._far
+        if self.newest < 0 or abs(stamp - known) <= FAR:
+            self.newest = max(known, stamp)
+            self._far = None
+        else:
+            self._far = stamp
 
 
 class Recorder(WalkNode):
@@ -83,7 +110,7 @@ class Recorder(WalkNode):
         self._last = dict.fromkeys(_EACH_TICK, -1)
         self._last_raw: dict[str, bytes] = {}
         self._missing = dict.fromkeys(_EACH_TICK, 0)
-        self._newest = -1  # stamp [ns]
+        self._time = WalkTime()
         self._early: list[tuple[str, bytes]] = []  # what came before the first stamp
         self._handled = 0
         self._seen = -1
@@ -115,7 +142,7 @@ class Recorder(WalkNode):
 
     def _on_message(self, name: str, topic: Topic, raw: bytes) -> None:
         self._handled += 1
-        stamp = self._newest
+        stamp = self._time.newest
         if topic.source != "other" and topic.type.startswith(_STAMPED):
             try:
                 own = ros.stamp_of(raw)
@@ -129,17 +156,20 @@ class Recorder(WalkNode):
                 if raw == self._last_raw.get(name):
                     return
                 self._last_raw[name] = raw
-                self._note_gap(name, own)
-            # what is latched may be far older than the recording
-            stamp = max(own, self._newest) if topic.latched else own
             if name == "joint_states":
-                self._newest = max(self._newest, own)
-        if self._newest < 0:
+                self._time.add(own)
+            # what is latched may be far older than the recording
+            stamp = max(own, self._time.newest) if topic.latched else own
+            if stamp > self._time.newest + FAR >= FAR:  # no bag is to end in another year
+                stamp = self._time.newest
+            elif name in self._last:
+                self._note_gap(name, own)
+        if self._time.newest < 0:
             self._early.append((name, bytes(raw)))
             return
         try:
             for early, data in self._early:
-                self._write(early, self._newest, data)
+                self._write(early, self._time.newest, data)
             self._early.clear()
             self._write(name, stamp, raw)
         except (OSError, WriterError) as error:

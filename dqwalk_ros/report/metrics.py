@@ -424,6 +424,10 @@ class Ground:
         the end.
     circle : Circle or None
         Where the way turned far enough.
+    power : ndarray, shape (N,)
+        Of all joints, sum |tau dq| [W]; nan where torques were not recorded.
+    work : ndarray, shape (N,)
+        The positive part of each joint's power, summed [W]: what the servos put in, where braking gives nothing back.
     """
 
     def __init__(self, series: Series, physics: PhysicsRecord) -> None:
@@ -451,6 +455,9 @@ class Ground:
         turned = abs(float(self.stands[-1, 2] - self.stands[0, 2]))
         arc = turned > _TURNED and len(self.stands) > 5
         self.circle = Circle.through(self.stands[1:, :2]) if arc else None
+        dq = np.gradient(trace.q, trace.time, axis=0) if count > 1 else np.zeros_like(trace.q)
+        joints = physics.effort * dq  # (N, n) [W]
+        self.power, self.work = np.abs(joints).sum(axis=1), np.maximum(joints, 0.0).sum(axis=1)
 
     @property
     def inside(self) -> float:

@@ -126,6 +126,11 @@ def _physics(of: Mapping[str, Any]) -> list[tuple[str, str]]:
     lines.append(("  pressure", f"centre inside the support polygon on {inside:.2f} % of ticks{margin}"))
     if (load := of["swing_load"]) is not None:
         lines.append(("  swing foot", f"carries {100.0 * load:.1f} % of the weight while it swings (median)"))
+    if (energy := of.get("energy")) is not None:
+        text = f"{energy['power']:.2f} W at the joints on average (sum |tau dq|), {energy['positive']:.2f} W positive"
+        if energy["cost_of_transport"] is not None:
+            text += f"; cost of transport {energy['cost_of_transport']:.2f}"
+        lines.append(("  energy", text))
     lines.append(("  odometry", f"{mm * of['odometry_drift']:.1f} mm off at the end"))
     return lines
 

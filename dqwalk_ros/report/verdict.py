@@ -21,6 +21,7 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.report.metrics import FALLEN, Ending, Ground, Series, Span, left_of, support_polygon
 from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.statics import GRAVITY
 from dqwalk_ros.walk import Phase
 
 __all__ = ["Assessment", "Assessor", "Violation", "report", "violations"]
@@ -448,6 +449,15 @@ def _physics(series: Series, of: Ground) -> dict[str, Any]:
         "swing_load": of.swing_load(series),
         "odometry_drift": of.drift(series),
     }
+    if np.isfinite(of.power).any():
+        # what the servos put in over the time, per weight and way
+        work = float(np.nanmean(of.work)) * duration
+        moved = series.trace.model.mass * GRAVITY * out["way"]
+        out["energy"] = {
+            "power": float(np.nanmean(of.power)),
+            "positive": float(np.nanmean(of.work)),
+            "cost_of_transport": work / moved if steps else None,
+        }
     if of.circle is not None:
         out["circle"] = {"radius": of.circle.radius, "deviation": of.circle.deviation}
     return out

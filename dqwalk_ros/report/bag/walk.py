@@ -31,7 +31,7 @@ from dqwalk_ros.report.bag.messages import (
     text,
     texts,
 )
-from dqwalk_ros.report.bag.recording import listed, open_recording
+from dqwalk_ros.report.bag.recording import Recording, listed, open_recording
 from dqwalk_ros.report.bag.storage import Column, write_columns
 from dqwalk_ros.report.metrics import pelvis_in_odom
 from dqwalk_ros.report.verdict import Assessor
@@ -87,13 +87,14 @@ def _columns(trace: Trace, diagnostics: bool) -> list[_Messages]:
     applied = np.zeros_like(trace.u)  # the velocity that led to a state is the command before it
     applied[1:] = np.nan_to_num(trace.u[:-1])
     answered = ~np.isnan(trace.u[:, 0])
+    effort = None if trace.physics is None else trace.physics.effort
     found = [("walk_config", stamps[:1], [text(to_yaml(trace.config))])]
     if trace.origin:
         found.append(("walk_origin", stamps[:1], [text(provenance.to_text(trace.origin))]))
     found += [
         ("robot_description", stamps[:1], [text(model.urdf)]),
         *([] if trace.physics is None else _physics_messages(model, stamps, trace.physics)),
-        ("joint_states", stamps, pack_joint_states(stamps, names, position=trace.q, velocity=applied)),
+        ("joint_states", stamps, pack_joint_states(stamps, names, position=trace.q, velocity=applied, effort=effort)),
         *(column for record in trace.phases for column in _phase_start(model, record, stamps[[record.start]])),
         (
             "joint_velocity_commands",
@@ -217,7 +218,7 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
         finished=last_word == FINISHED,
         notes=tuple(notes),
         origin=bag.origin,
-        physics=_physics(stamps, columns),
+        physics=_physics(stamps, columns, bag),
         epoch=epoch,
     )
 
@@ -365,7 +366,7 @@ def _commands(path: Path, model: RobotModel, stamps: Stamps, column: Column, not
     return u
 
 
-def _physics(stamps: Stamps, columns: Mapping[str, Column]) -> PhysicsRecord | None:
+def _physics(stamps: Stamps, columns: Mapping[str, Column], bag: Recording) -> PhysicsRecord | None:
     """Return what a physics engine said at each state, nan where it did not; None where there was none."""
     if "true_base_pose" not in columns:
         return None
@@ -377,4 +378,5 @@ def _physics(stamps: Stamps, columns: Mapping[str, Column]) -> PhysicsRecord | N
         orientation=imu[:, [3, 0, 1, 2]],
         gyro=imu[:, 13:16],
         acceleration=imu[:, 25:28],
+        effort=bag.states.effort[bag.rows[np.searchsorted(bag.stamps, stamps)]],
     )
