@@ -260,7 +260,7 @@ class DynamicWalk(StandingWalk):
         omega, up = self.pendulum.omega, kin.up
         dt = state.time - self._time
         self._time = state.time
-        c, v = kin.com_on_ground, com_velocity(kin, state, self.model.imu)
+        c, v = kin.com_on_ground, self._com_velocity(kin, state)
         if not 0.0 <= dt <= _GAP:
             self._com, self._xi = c, c
         else:
@@ -283,6 +283,17 @@ class DynamicWalk(StandingWalk):
         self._force = GRAVITY * up + np.array([a[0], a[1], -(a @ up[:2]) / up[2]])
         self._targets["com"].set(self._com, omega * (self._xi - self._com))
         self._targets["upright"].set(up[:2], np.zeros(2))
+
+    def _com_velocity(self, kin: Kinematics, state: State) -> Array:
+        """Return the velocity of the CoM, shape (3,) [m/s]; zero where no joint velocities are known."""
+        if state.dq is None:
+            return np.zeros(3)
+        body, pose = kin.tree.frames[self.model.imu]
+        gyro = np.empty(0) if state.gyro is None else state.gyro
+        v: Array = com_velocity(
+            kin.com, kin.com_jacobian, kin.lines, kin.poses, body, pose, kin.tree.moves[body], state.dq, gyro
+        )
+        return v
 
     def _catch(self, flight: _Flight, c: Array, xi: Array, t: float) -> None:
         """Adjust time and place of the step under way to xi (2,) as it is measured, `t` [s] into it."""
