@@ -61,7 +61,8 @@ docs: $(VENV)/.installed  ## build the documentation as a website in site/
 chaos: $(VENV)/.installed-test  ## put a live walk through every fault of docs/faults.md, and print what it did
 	command -v cc gcc >/dev/null 2>&1 || { $(SUDO) apt-get update -qq && \
 	    $(SUDO) apt-get install -y -qq --no-install-recommends gcc libc6-dev; }
-	PYTHONPATH=test $(BIN)/python -m pytest -q -p chaos -m long --timeout 900 test/test_chaos.py test/test_chaos_clocks.py $(ARGS)
+	PYTHONPATH=test $(BIN)/python -m pytest -q -p chaos -m long --timeout 900 test/test_chaos.py test/test_chaos_clocks.py \
+	    test/test_chaos_whole_body.py $(ARGS)
 
 fuzz: $(VENV)/.installed-test  ## 10 000 hostile robots, parameter files and messages
 	DQWALK_FUZZ=10000 $(BIN)/python -m pytest --timeout 3000 --durations 6 test/test_fuzz.py $(ARGS)

@@ -6,16 +6,8 @@ as the paper's. A second copy of a formula, or one that nothing executes, would 
 
 from __future__ import annotations
 
-import os
-import shutil
-import subprocess
-import sys
-from functools import cache
-from pathlib import Path
-
 import pytest
-
-ROOT = Path(__file__).resolve().parent.parent
+from mutated import changes, copied, printed
 
 PLACES = {
     "(U1)": ("dqwalk_ros/kinematics.py", "2.0 * t[1], 2.0 * t[2]", "2.1 * t[1], 2.0 * t[2]"),
@@ -67,39 +59,20 @@ print([(phase.name, round(phase.time, 6)) for phase in trace.phases], trace.note
 """
 
 
-def look(package: Path) -> str:
-    here = os.environ | {"PYTHONPATH": str(package), "NUMBA_DISABLE_JIT": "1", "PYTHONDONTWRITEBYTECODE": "1"}
-    done = subprocess.run([sys.executable, "-c", LOOK], capture_output=True, text=True, cwd=package, env=here)
-    return done.stdout if done.returncode == 0 else done.stderr
-
-
-@cache
-def whole() -> str:
-    return look(ROOT)
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("tag", PLACES)
 def test_an_equation_stands_at_its_tag_and_is_executed_there(tag, tmp_path):
-    name, line, broken = PLACES[tag]
-    text = (ROOT / name).read_text(encoding="utf-8")
-    assert text.count(line) == 1
-    at = text[: text.index(line)].count("\n")
-    assert tag in " ".join(" ".join(text.splitlines()[max(0, at - 14) : at + 2]).split())
-    for folder in ("dqwalk_ros", "config", "urdf"):
-        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
-    (tmp_path / name).write_text(text.replace(line, broken), encoding="utf-8")
-    assert "double_support/left" in whole()
-    assert look(tmp_path) != whole()
+    assert "double_support/left" in printed(LOOK)
+    assert changes(tmp_path, LOOK, tag, *PLACES[tag])
 
 
 @pytest.mark.long
 def test_the_numbers_of_section_5_are_those_of_the_configuration(tmp_path):
-    for folder in ("dqwalk_ros", "config", "urdf"):
-        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
-    assert look(tmp_path) == whole()
+    copied(tmp_path)
+    assert printed(LOOK, tmp_path) == printed(LOOK)
+    printed.cache_clear()
     config = tmp_path / "config" / "paper.yaml"
     text = config.read_text(encoding="utf-8")
     assert text.count("eta_tip: 10.0") == 1
     config.write_text(text.replace("eta_tip: 10.0", "eta_tip: 11"), encoding="utf-8")
-    assert look(tmp_path) != whole()
+    assert printed(LOOK, tmp_path) != printed(LOOK)

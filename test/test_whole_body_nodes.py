@@ -229,6 +229,13 @@ def test_when_the_plant_falls_silent_the_torques_are_zero_once_and_it_is_stale(m
     said = len(answers(node))
     node.tick()
     assert len(answers(node)) == said
+    for _ in range(
+        2
+    ):  # it only waited, and asks again: the same answer, and no other zero, or the plant takes it for two
+        tell(node, 0.0, START)
+        node.tick()
+        assert len(answers(node)) == said + 1
+        assert answers(node).pop().effort == answers(node)[0].effort
     tell(node, 0.005, START)
     assert max(map(abs, answers(node)[-1].effort)) > 10.0
     node.node.close()

@@ -80,7 +80,7 @@ class WholeBodyController(AnsweringNode):
         model = self._model
         self._controller = core.WholeBodyController(self.config, model)
         self._most = np.minimum(model.effort_max, self.config.whole_body.effort)
-        self._still = self._sent = np.zeros(model.n)  # torques [N m]
+        self._still = self._sent = self._answered = np.zeros(model.n)  # torques [N m]
         self._begin: int | None = None  # stamp at which the walk began [ns]
         self._last: Answer | None = None  # of the hierarchy
         self._joints: dict[int, JointState] = {}
@@ -134,6 +134,10 @@ class WholeBodyController(AnsweringNode):
         for kept in every:
             for old in [key for key in kept if key <= stamp]:
                 del kept[old]
+        if stamp == self._stamp and not (self._problem or self._duplicates):  # the plant asks again
+            self._sent = self._answered
+            self._publish_command()
+            return
         try:
             if self._is_new(stamp):
                 state = self._state(stamp, joints, pose, twist)
@@ -180,7 +184,8 @@ class WholeBodyController(AnsweringNode):
         if not (self._problem or self._duplicates):
             command: BodyCommand | None = self._guarded(lambda: self._controller.step(state, self.config.dt))
             if command is not None:
-                self._stamp, self._sent = stamp, np.clip(command.effort, -self._most, self._most)
+                self._stamp, self._answered = stamp, np.clip(command.effort, -self._most, self._most)
+                self._sent = self._answered
                 if self._new_target is not None:
                     self._applied.publish(ros.pose(stamp, ODOM, DQ.from_pose(self._new_target).vec8()))
                     self._new_target = None
