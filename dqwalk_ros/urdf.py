@@ -509,6 +509,9 @@ class _Reader:
         joint = replace(joint, velocity=highest["velocity"], effort=highest["effort"])
         if not ranged:
             return joint
+        if limit.get("lower") is None and limit.get("upper") is None:
+            self._repairs.append(f"{where} has a <limit> without lower and upper: it moves without them")
+            return joint
         lower, upper = (_float(limit, what, 0.0, unbounded=True) for what in ("lower", "upper"))
         if lower == upper:
             self._repairs.append(f"{where} has no range, lower and upper are {lower:g}: fixed there")

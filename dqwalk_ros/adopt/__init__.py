@@ -6,6 +6,7 @@ the walk. What `anatomy`, `posture` and `parameters` found is told with its sour
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import os
@@ -18,7 +19,15 @@ import numpy as np
 
 from dqwalk_ros.adopt.anatomy import Anatomy, find_anatomy
 from dqwalk_ros.adopt.check import Finding, check
-from dqwalk_ros.adopt.parameters import Entry, Numbers, measure, paper_parameters, parameters, robot_entries
+from dqwalk_ros.adopt.parameters import (
+    Entry,
+    Numbers,
+    measure,
+    paper_parameters,
+    parameters,
+    robot_entries,
+    whole_body_parameters,
+)
 from dqwalk_ros.adopt.posture import Standing, over_one_foot, stand
 from dqwalk_ros.adopt.skeleton import Evidence, Skeleton
 from dqwalk_ros.config import Config, RobotConfig, load
@@ -29,6 +38,8 @@ from dqwalk_ros.urdf import Origin, Urdf
 
 __all__ = ["Adoption", "Finding", "adopt", "changed", "check", "table", "write_yaml"]
 
+_CROUCH = 0.91
+"""Distance of hip and ankle as a part of the straight leg, for the whole-body controller: room for long steps."""
 _CLEARANCE = 0.02
 """The soles stand at least this far apart, as a part of a leg."""
 
@@ -40,7 +51,8 @@ class Adoption:
     Attributes
     ----------
     folder : Path
-        With ``robot.urdf``, ``robot.yaml``, ``paper.yaml`` and ``adopt.json``.
+        With ``robot.urdf``, ``robot.yaml``, ``paper.yaml``, ``whole_body.yaml`` (where the ankles roll and there are
+        arms) and ``adopt.json``.
     config : Config
         Of ``robot.yaml``.
     model : RobotModel
@@ -116,14 +128,17 @@ def adopt(
 
     say("looking for a posture")
     sole = anatomy.soles[Foot.LEFT]
-    locked = _locked(urdf, anatomy)
+    free = {joint for leg in anatomy.legs.values() for joint in leg}
+    if "R" not in anatomy.kinds[-2:]:
+        free |= set(anatomy.waist)  # without ankles that roll the trunk must bring the CoM over a sole
+    locked = _locked(urdf, free)
     robot = RobotConfig(
         urdf=str(folder / "robot.urdf"),
         pelvis=anatomy.pelvis,
         left_sole=soles[Foot.LEFT],
         right_sole=soles[Foot.RIGHT],
         imu=anatomy.imu,
-        lock=tuple(name if not angle else f"{name}={angle:.6g}" for name, angle in locked.items()),
+        lock=_lock_entries(locked),
         sole_length=float(f"{sole.length:.4g}"),
         sole_width=float(f"{sole.width:.4g}"),
     )
@@ -145,6 +160,8 @@ def adopt(
     write_yaml(folder / "robot.yaml", entries, f"{urdf.name}, adopted from {path.name}: the walk that stands.")
     paper = [*about, *paper_parameters(numbers, standing, anatomy)]
     write_yaml(folder / "paper.yaml", paper, f"{urdf.name}, adopted from {path.name}: the walk of Urban & Adorno.")
+    if "R" in anatomy.kinds[-2:] and len(anatomy.hands) == len(Foot):
+        _write_whole_body(folder, urdf, anatomy, robot, numbers, path.name)
     config = load(folder / "robot.yaml")
     model = load_model(config.robot)
     evidence = (*anatomy.evidence, *_measured(numbers, standing))
@@ -239,11 +256,28 @@ def _find_meshes(urdf: Urdf, shapes: Shapes) -> None:
         urdf.links[link.name] = shapes.named(link)
 
 
-def _locked(urdf: Urdf, anatomy: Anatomy) -> dict[str, float]:
-    """Return every joint that does not walk, and where it is held."""
-    free = {joint for leg in anatomy.legs.values() for joint in leg}
-    if "R" not in anatomy.kinds[-2:]:
-        free |= set(anatomy.waist)  # without ankles that roll the trunk must bring the CoM over a sole
+def _write_whole_body(
+    folder: pathlib.Path, urdf: Urdf, anatomy: Anatomy, robot: RobotConfig, numbers: Numbers, source: str
+) -> None:
+    """Write the configuration of the whole-body controller, in which waist and arms move, too."""
+    chain = Skeleton(urdf).chain
+    arms = {foot: tuple(j for j in chain[hand] if j not in anatomy.waist) for foot, hand in anatomy.hands.items()}
+    legs = {joint for leg in anatomy.legs.values() for joint in leg}
+    locked = _locked(urdf, legs | set(anatomy.waist) | {joint for arm in arms.values() for joint in arm})
+    model = load_model(dataclasses.replace(robot, lock=_lock_entries(locked)))
+    standing = stand(model, anatomy, numbers.apart, bent=_CROUCH)
+    names = {foot: model.soles[foot].frame for foot in Foot}
+    about = robot_entries(model, anatomy, locked, "robot.urdf", names)
+    entries = [*about, *whole_body_parameters(model, anatomy, numbers, standing, arms)]
+    write_yaml(folder / "whole_body.yaml", entries, f"{urdf.name}, adopted from {source}: Sherikov et al.")
+
+
+def _lock_entries(locked: Mapping[str, float]) -> tuple[str, ...]:
+    return tuple(name if not angle else f"{name}={angle:.6g}" for name, angle in locked.items())
+
+
+def _locked(urdf: Urdf, free: set[str]) -> dict[str, float]:
+    """Return every joint that is not free, and where it is held."""
     out = {}
     for joint in urdf.joints.values():
         if joint.moves and joint.name not in free and not joint.mimic:

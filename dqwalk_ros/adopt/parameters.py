@@ -16,7 +16,7 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.robot import Foot, RobotModel
 
-__all__ = ["Entry", "Numbers", "measure", "paper_parameters", "parameters", "robot_entries"]
+__all__ = ["Entry", "Numbers", "measure", "paper_parameters", "parameters", "robot_entries", "whole_body_parameters"]
 
 Array = NDArray[np.float64]
 
@@ -223,6 +223,47 @@ def paper_parameters(numbers: Numbers, standing: Standing, anatomy: Anatomy) -> 
             "ssp.com_radius", rounded(max(0.5 * numbers.width, 0.6 * numbers.apart)), "reached before the feet slide"
         ),
         Entry("pelvis.height", rounded(0.7 * standing.pelvis), "0.7 of the standing height"),
+    ]
+
+
+def whole_body_parameters(
+    model: RobotModel, anatomy: Anatomy, numbers: Numbers, standing: Standing, arms: dict[Foot, tuple[str, ...]]
+) -> list[Entry]:
+    """Return the parameters of the whole-body controller; lengths scale with the CoM's height, times with its root.
+
+    The numbers scaled are those of the second paper's robot, whose CoM is 0.73 m high.
+    """
+    size = float(standing.com[2]) / 0.73
+    slow = math.sqrt(size)
+    interval = rounded(0.1 * slow, 2)
+    posture = [
+        f"{name}: {angle:.4f}" for name, angle in zip(model.joint_names, standing.q, strict=True) if abs(angle) > 5e-5
+    ]
+    most = model.effort_max[np.isfinite(model.effort_max)]
+    scaled = "as the paper's robot, scaled by the height of the CoM"
+    return [
+        Entry("dt", 0.005, "200 Hz"),
+        Entry("gait.first_support", "right", "as the paper's robot"),
+        Entry("whole_body.torso", anatomy.torso, "link that carries the arms"),
+        Entry("whole_body.hand", anatomy.hands[Foot.RIGHT], "end of the right arm"),
+        Entry("whole_body.posture", posture, "soles level, knees bent by 9 % of the leg"),
+        Entry(
+            "whole_body.free",
+            [*anatomy.legs[Foot.LEFT], *anatomy.legs[Foot.RIGHT], *arms[Foot.RIGHT]],
+            "legs and right arm, which have tasks of their own",
+        ),
+        Entry("whole_body.interval", interval, "as the paper's robot, scaled by the root of that height"),
+        Entry("whole_body.single_support", rounded(7.0 * interval), "seven intervals"),
+        Entry("whole_body.double_support", interval, "one interval"),
+        Entry("whole_body.first_double_support", rounded(3.0 * interval), "three intervals"),
+        Entry("whole_body.feet_distance", rounded(numbers.apart, 4), "distance of the soles in the posture"),
+        Entry("whole_body.cop_length", rounded(0.6 * numbers.length), "0.6 of the sole"),
+        Entry("whole_body.cop_width", rounded(0.5 * numbers.width), "half of the sole"),
+        Entry("whole_body.step_length", rounded(0.2 * size), scaled),
+        Entry("whole_body.step_width_min", rounded(numbers.apart, 4), "distance of the soles in the posture"),
+        Entry("whole_body.step_width_max", rounded(numbers.apart + 0.11 * size, 4), scaled),
+        Entry("whole_body.step_height", rounded(0.07 * size), scaled),
+        Entry("whole_body.effort", rounded(float(most.max()) if most.size else 150.0), "largest limit of the URDF"),
     ]
 
 

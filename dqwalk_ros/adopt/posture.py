@@ -57,7 +57,7 @@ class Standing:
     knee: float
 
 
-def stand(model: RobotModel, anatomy: Anatomy, width: float) -> Standing:
+def stand(model: RobotModel, anatomy: Anatomy, width: float, bent: float = _BENT) -> Standing:
     """Find the standing posture.
 
     Parameters
@@ -67,6 +67,8 @@ def stand(model: RobotModel, anatomy: Anatomy, width: float) -> Standing:
     anatomy : Anatomy
     width : float
         Lateral distance of the soles' centres [m].
+    bent : float
+        Distance of hip and ankle as a part of the straight leg.
 
     Raises
     ------
@@ -80,7 +82,7 @@ def stand(model: RobotModel, anatomy: Anatomy, width: float) -> Standing:
         start = np.zeros(model.n)
         for pitch in pitches.values():
             start[list(pitch)] = way * np.array([-0.3, 0.6, -0.3]) * turns[list(pitch)]
-        found.append(_solve(model, anatomy, width, pitches, start))
+        found.append(_solve(model, anatomy, width, bent, pitches, start))
     good = [one for one in found if one.error < _LEAST * max(anatomy.leg, 0.2)]
     if not good:
         best = min(found, key=lambda one: one.error)
@@ -96,7 +98,7 @@ def over_one_foot(model: RobotModel, anatomy: Anatomy, standing: Standing, foot:
     """Return a posture (n,) with the CoM over one sole, both soles level, and how far off it is at best [m]."""
     pitches = {side: _pitch(model, joints, anatomy) for side, joints in anatomy.legs.items()}
     y = 0.0 if foot is Foot.LEFT else -standing.width
-    best = _solve(model, anatomy, standing.width, pitches, standing.q, com=(0.0, y), free_pelvis=True)
+    best = _solve(model, anatomy, standing.width, _BENT, pitches, standing.q, com=(0.0, y), free_pelvis=True)
     return best.q, best.error
 
 
@@ -115,6 +117,7 @@ def _solve(
     model: RobotModel,
     anatomy: Anatomy,
     width: float,
+    bent: float,
     pitches: Mapping[Foot, tuple[int, int, int]],
     start: Array,
     com: tuple[float, float] | None = None,
@@ -146,7 +149,7 @@ def _solve(
     def residual(q: Array) -> Array:
         kin = Kinematics(model, q, Foot.LEFT)
         legs = [
-            float(np.linalg.norm(kin.point(frames[hip]) - kin.point(frames[ankle]))) - _BENT * straight[foot]
+            float(np.linalg.norm(kin.point(frames[hip]) - kin.point(frames[ankle]))) - bent * straight[foot]
             for foot, (hip, _, ankle) in bodies.items()
         ]
         return np.concatenate([kept(q), 0.3 * np.array(legs), 1e-3 * anatomy.leg * (q - rest)])
