@@ -154,7 +154,7 @@ def adopt(
         )
     step = math.floor(0.09 * anatomy.leg * 1e3 + 1e-6) / 1e3
     numbers = measure(model, anatomy, standing, [q for q, _ in single], step)
-    about = robot_entries(model, anatomy, locked, "robot.urdf", soles)
+    about = robot_entries(model, anatomy, locked, soles, "what walks")
     entries = [*about, *parameters(model, anatomy, numbers, standing)]
     entries = changed(entries, changes or {}, "given by --set")
     write_yaml(folder / "robot.yaml", entries, f"{urdf.name}, adopted from {path.name}: the walk that stands.")
@@ -267,7 +267,7 @@ def _write_whole_body(
     model = load_model(dataclasses.replace(robot, lock=_lock_entries(locked)))
     standing = stand(model, anatomy, numbers.apart, bent=_CROUCH)
     names = {foot: model.soles[foot].frame for foot in Foot}
-    about = robot_entries(model, anatomy, locked, "robot.urdf", names)
+    about = robot_entries(model, anatomy, locked, names, "legs, waist and arms")
     entries = [*about, *whole_body_parameters(model, anatomy, numbers, standing, arms)]
     write_yaml(folder / "whole_body.yaml", entries, f"{urdf.name}, adopted from {source}: Sherikov et al.")
 

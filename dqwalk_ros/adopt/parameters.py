@@ -181,12 +181,12 @@ def _below(model: RobotModel, body: int, joint: int) -> bool:
 
 
 def robot_entries(
-    model: RobotModel, anatomy: Anatomy, locked: dict[str, float], urdf: str, soles: dict[Foot, str]
+    model: RobotModel, anatomy: Anatomy, locked: dict[str, float], soles: dict[Foot, str], free: str
 ) -> list[Entry]:
-    """Return the section that says which robot it is."""
+    """Return the section that says which robot it is; `free` says in words which joints move."""
     sole = model.soles[Foot.LEFT]
     return [
-        Entry("robot.urdf", urdf, "repaired and with soles, beside this file"),
+        Entry("robot.urdf", "robot.urdf", "repaired and with soles, beside this file"),
         Entry("robot.pelvis", anatomy.pelvis, "link that carries both legs"),
         Entry(
             "robot.left_sole", soles[Foot.LEFT], anatomy.soles[Foot.LEFT].source, anatomy.soles[Foot.LEFT].confidence
@@ -205,7 +205,7 @@ def robot_entries(
         Entry(
             "robot.lock",
             [name if not angle else f"{name}={angle:.6g}" for name, angle in locked.items()] or [""],
-            "all but the legs; an angle where zero is beyond the limits",
+            f"all but {free}; an angle where zero is beyond the limits",
         ),
         Entry("robot.sole_length", rounded(sole.length, 4), "largest rectangle in the foot"),
         Entry("robot.sole_width", rounded(sole.width, 4), "largest rectangle in the foot"),
@@ -235,7 +235,7 @@ def whole_body_parameters(
     """
     size = float(standing.com[2]) / 0.73
     slow = math.sqrt(size)
-    interval = rounded(0.1 * slow, 2)
+    interval = rounded(0.005 * max(4, round(20.0 * slow)))  # whole control periods
     posture = [
         f"{name}: {angle:.4f}" for name, angle in zip(model.joint_names, standing.q, strict=True) if abs(angle) > 5e-5
     ]

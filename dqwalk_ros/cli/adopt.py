@@ -16,6 +16,7 @@ writes to the folder of --out:
   robot.urdf       the robot repaired, with soles; the original is not changed
   robot.yaml       the walk that stands; beside each number stands where it is from
   paper.yaml       the walk of Urban & Adorno
+  whole_body.yaml  the whole-body controller, where the ankles roll and there are arms
   adopt.json       all that was found
 
 exit code: 0 it walks; 1 it was adopted and falls; 2 this robot cannot walk here, and why
@@ -25,6 +26,7 @@ examples:
   dqwalk adopt robot.urdf.xacro --package-path ~/ws/src --out my_robot
   dqwalk adopt robot.urdf --left l_foot --right r_foot --forward -x
   dqwalk simulate --config adopted/robot.yaml --plant physics
+  dqwalk reach --config adopted/whole_body.yaml --test 1
 """)
 @click.argument("urdf", type=click.Path(path_type=Path))
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path), default="adopted", show_default=True,
@@ -92,6 +94,8 @@ def adopt(
                 result = trial.walk(config, model, plant, 4, lambda text: bar(0.0, text))
                 cured = what
             if not result.stood:
+                title = f"{found.model.name}, adopted from {urdf.name}: the walk that stands."
+                adopting.write_yaml(out / "robot.yaml", found.entries, title)  # without cures that did not help
                 print(f"{plant}: falls: {first.note}; no cure helped")
                 return 1
             print(f"{result}" + (f", after {first.note}: cured by {cured}" if result is not first else ""))
