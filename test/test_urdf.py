@@ -95,6 +95,7 @@ REPAIRED = {
     "infinite limit": (robot(A, B, joint(more='<limit lower="-inf" upper="1e999" effort="1"/>')), ""),
     "no limit": (robot(A, B, joint(more="")), "line 4: <joint> 'j' has no <limit>: it moves without one"),
     "turned limits": (robot(A, B, joint(more='<limit lower="1" upper="-1"/>')), "lower 1 above upper -1: exchanged"),
+    "no range": (robot(A, B, joint(more='<limit effort="1"/>')), "without lower and upper: it moves"),
     "equal limits": (robot(A, B, joint(more='<limit lower="1" upper="1"/>')), "no range, .*: fixed there"),
     "no effort": (robot(A, B, joint(more='<limit upper="1" effort="0"/>')), "effort limit 0: taken as none"),
     "long axis": (robot(A, B, joint(more='<axis xyz="0 0 2"/><limit upper="1"/>')), "axis of length 2: made a unit"),
