@@ -17,6 +17,7 @@ writes to the folder of --out:
   robot.yaml       the walk that stands; beside each number stands where it is from
   paper.yaml       the walk of Urban & Adorno
   whole_body.yaml  the whole-body controller, where the ankles roll and there are arms
+  robot.png        the robot in the posture, its soles, its CoM, and which way is ahead
   adopt.json       all that was found
 
 exit code: 0 it walks; 1 it was adopted and falls; 2 this robot cannot walk here, and why
@@ -55,6 +56,7 @@ def adopt(
     """Make a configuration that walks of a robot description, URDF or xacro."""
     from dqwalk_ros import adopt as adopting
     from dqwalk_ros.adopt import trial
+    from dqwalk_ros.adopt.picture import draw
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.config import load
     from dqwalk_ros.errors import ConfigError
@@ -73,6 +75,7 @@ def adopt(
     unsure = [e.what for e in found.anatomy.evidence if e.what == "ahead" and e.confidence == "guess"]
     if unsure and not yes:
         click.confirm("which way is ahead is a guess (see the table); go on?", abort=True)
+    draw(found.config, found.model, out / "robot.png")
     for finding in found.findings:
         print(f"check: {finding}")
     if no_walk:

@@ -1,0 +1,85 @@
+"""A picture of an adopted robot: its shapes in the posture, both soles, the CoM, and which way is ahead."""
+
+from __future__ import annotations
+
+import pathlib
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros.adopt.shapes import Shapes
+from dqwalk_ros.config import Config
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.report.figures.style import BLUE, GREEN, INK, RED, drawing, new_figure
+from dqwalk_ros.robot import Foot, RobotModel, find_urdf
+from dqwalk_ros.urdf import Urdf
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["draw"]
+
+Array = NDArray[np.float64]
+
+_MOST_TRIANGLES = 60_000
+_LIGHT = np.array([0.5, -0.4, 0.77])
+_VIEWS = {"from the side": (0, 2, -1.0, 1), "from the front": (1, 2, 1.0, 0), "from above": (0, 1, 1.0, 2)}
+"""Axes to the right and up of each view, and the axis towards the eye with its sign."""
+
+
+def draw(config: Config, model: RobotModel, path: pathlib.Path) -> None:
+    """Draw the robot in the posture in which its walk begins, seen from three sides."""
+    from matplotlib.collections import PolyCollection
+
+    kin = Kinematics(model, model.posture(config.standing.posture), Foot.LEFT)
+    triangles = _triangles(model, kin, find_urdf(config.robot.urdf))
+    soles = {foot: DQ(kin.pose(sole.frame)).transform_point(sole.corners) for foot, sole in model.soles.items()}
+    with drawing():
+        figure = new_figure(9.0, 4.6)
+        for ax, (title, (right, up, sign, depth)) in zip(figure.subplots(1, 3), _VIEWS.items(), strict=True):
+            if len(triangles):
+                order = np.argsort(sign * triangles[:, :, depth].mean(axis=1))
+                shown = triangles[order]
+                normals = np.cross(shown[:, 1] - shown[:, 0], shown[:, 2] - shown[:, 0])
+                bright = np.abs(normals @ _LIGHT) / np.maximum(np.linalg.norm(normals, axis=1), 1e-12)
+                colors = np.repeat(0.55 + 0.4 * bright[:, None], 3, axis=1)
+                ax.add_collection(PolyCollection(shown[:, :, [right, up]], facecolors=colors, edgecolors="none"))
+            for foot, corners in soles.items():
+                ring = corners[[0, 1, 2, 3, 0]]
+                color = BLUE if foot is Foot.LEFT else RED
+                ax.plot(ring[:, right], ring[:, up], color=color, label=f"{foot.value} sole")
+            ax.plot(kin.com[right], kin.com[up], "o", color=GREEN, markersize=6, label="CoM")
+            _arrow(ax, kin, right, up)
+            ax.set_aspect("equal")
+            ax.autoscale_view()
+            ax.set_title(title)
+            ax.set_xlabel("xy"[right] + " [m]")
+        figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8.0)
+        figure.savefig(path)
+
+
+def _arrow(ax: Axes, kin: Kinematics, right: int, up: int) -> None:
+    """Draw the direction of walking from halfway between the soles."""
+    if right == 0:
+        middle = 0.5 * kin.point(kin.swing)
+        begin, end = middle[[right, up]], middle[[right, up]] + np.array([0.4 * kin.com[2], 0.0])
+        ax.plot(*end, alpha=0.0)  # room for the arrow
+        ax.annotate("", end, begin, arrowprops={"arrowstyle": "->", "color": INK})
+        ax.annotate("ahead", end, (2, 0), textcoords="offset points", fontsize=8.0, va="center")
+
+
+def _triangles(model: RobotModel, kin: Kinematics, file: pathlib.Path) -> Array:
+    """Return the triangles of what is seen, or of what collides where nothing is, shape (k, 3, 3) [m]."""
+    shapes = Shapes(Urdf(model.urdf, model.name), file)
+    for which in ("visuals", "collisions"):
+        found = [
+            DQ(kin.pose(link)).transform_point(surface.vertices)[surface.faces]
+            for link in model.frames
+            for surface in shapes.of(link, which)
+        ]
+        if found:
+            triangles = np.concatenate(found)
+            return triangles[:: 1 + len(triangles) // _MOST_TRIANGLES]
+    return np.empty((0, 3, 3))
