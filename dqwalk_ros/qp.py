@@ -41,6 +41,8 @@ Array = NDArray[np.float64]
 
 PRIMAL = 1e-7
 """Largest scaled violation of a row that is accepted."""
+STILL = 1e-9
+"""Steps shorter than this [rad/s] are rounding: what asks for no more is solved to this scale."""
 OPTIMAL = 1e-7
 """Largest relative residual of the other Karush-Kuhn-Tucker conditions that is accepted."""
 
@@ -226,7 +228,7 @@ def _scale(H, c, W, w, lower, upper, l):  # type: ignore[no-untyped-def] # noqa:
     s = max(math.sqrt(c @ c) / curvature, asked)
     if not math.isfinite(H.sum() + W.sum() + w.sum() + lower.sum() + upper.sum() + c.sum()):
         return math.nan, curvature
-    return (s if s > 0.0 else 1.0), curvature
+    return max(s, STILL), curvature
 
 
 @jit

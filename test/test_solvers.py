@@ -63,6 +63,18 @@ def test_answers_are_optimal_whatever_the_scale(name, scale):
 
 
 @pytest.mark.parametrize("name", SOLVERS)
+def test_rounding_is_no_motion_that_is_asked_for(name):
+    rng, solver = np.random.default_rng(5), SOLVERS[name]()
+    for _ in range(40):
+        problem = random_problem(rng, n=12, equalities=6)
+        still = dataclasses.replace(
+            problem, c=np.zeros(12), w=np.minimum(problem.w, -0.1), lower=np.full(12, -0.3), upper=np.full(12, 0.3)
+        )
+        still.w[:6] = 1e-16 * rng.normal(size=6)
+        assert np.abs(solver.solve(still).u).max() < 1e-12
+
+
+@pytest.mark.parametrize("name", SOLVERS)
 def test_no_answer_names_rows(name):
     solver, rng = SOLVERS[name](), np.random.default_rng(5)
     problem = random_problem(rng, equalities=0)

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.adopt.shapes import Shapes
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.report.figures.style import BLUE, GREEN, INK, RED, drawing, new_figure
 from dqwalk_ros.robot import Foot, RobotModel, find_urdf
+from dqwalk_ros.shapes import Shapes
 from dqwalk_ros.urdf import Urdf
 
 if TYPE_CHECKING:
@@ -45,7 +45,8 @@ def draw(config: Config, model: RobotModel, path: pathlib.Path) -> None:
                 normals = np.cross(shown[:, 1] - shown[:, 0], shown[:, 2] - shown[:, 0])
                 bright = np.abs(normals @ _LIGHT) / np.maximum(np.linalg.norm(normals, axis=1), 1e-12)
                 colors = np.repeat(0.55 + 0.4 * bright[:, None], 3, axis=1)
-                ax.add_collection(PolyCollection(shown[:, :, [right, up]], facecolors=colors, edgecolors="none"))
+                seen = [*shown[:, :, [right, up]]]
+                ax.add_collection(PolyCollection(seen, facecolors=colors, edgecolors="none"))
             for foot, corners in soles.items():
                 ring = corners[[0, 1, 2, 3, 0]]
                 color = BLUE if foot is Foot.LEFT else RED
@@ -64,7 +65,8 @@ def _arrow(ax: Axes, kin: Kinematics, right: int, up: int) -> None:
     """Draw the direction of walking from halfway between the soles."""
     if right == 0:
         middle = 0.5 * kin.point(kin.swing)
-        begin, end = middle[[right, up]], middle[[right, up]] + np.array([0.4 * kin.com[2], 0.0])
+        begin = float(middle[right]), float(middle[up])
+        end = begin[0] + 0.4 * float(kin.com[2]), begin[1]
         ax.plot(*end, alpha=0.0)  # room for the arrow
         ax.annotate("", end, begin, arrowprops={"arrowstyle": "->", "color": INK})
         ax.annotate("ahead", end, (2, 0), textcoords="offset points", fontsize=8.0, va="center")
