@@ -118,6 +118,9 @@ class GaitConfig:
     most_length: float = _par(0.05, "standing: longest step that cmd_vel can ask for", "m", 0.0, 0.5)
     most_side: float = _par(0.05, "standing: longest step to a side that cmd_vel can ask for", "m", 0.0, 0.2)
     most_turn: float = _par(0.1, "standing: largest turn per step that cmd_vel can ask for", "rad", 0.0, 0.8)
+    footstep_tolerance: float = _par(
+        0.01, "standing: a commanded footstep is moved by so much at most to where the legs reach", "m", 0.0, 0.1
+    )
     cmd_vel_timeout: float = _par(0.5, "without a new cmd_vel for this long the feet are put together", "s", 0.0, 60.0)
     phase_timeout: float = _par(900.0, "a phase that takes longer has failed", "s", 0.1, 1e5)
 

@@ -19,7 +19,7 @@ from dqwalk_ros.errors import ConfigError, PhaseError, QPError, StateError
 from dqwalk_ros.estimation.delay import CommandHistory
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.qp import Problem, Solution, explained, lead_back, make_solver
-from dqwalk_ros.robot import RobotModel
+from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.servos import Drive
 from dqwalk_ros.state import Command, State
 from dqwalk_ros.walk import Phase, Walk
@@ -134,6 +134,13 @@ class VelocityController:
         if self._kin is None:
             raise RuntimeError("a walk has no odometry before its first step")
         return (self._x_odom_base * DQ(self._kin.pose(self.model.pelvis))).vec8()
+
+    def soles(self) -> dict[Foot, Array]:
+        """Poses of both soles in the world of the first phase, shape (8,) each."""
+        if self._kin is None:
+            raise RuntimeError("a walk has no soles before its first step")
+        kin, base = self._kin, self._x_odom_base
+        return {kin.base: base.vec8(), kin.base.other: (base * DQ(kin.pose(kin.swing))).vec8()}
 
     def steer(self, forward: float, left: float, turn: float) -> tuple[float, float, float]:
         """Set the velocity of a walk that is steered [m/s, m/s, rad/s]; see `Walk.steer`."""

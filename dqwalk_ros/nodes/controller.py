@@ -24,6 +24,7 @@ from dqwalk_ros.errors import DqwalkError, StateError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.answering import AnsweringNode
+from dqwalk_ros.nodes.footsteps import FootstepInput
 from dqwalk_ros.nodes.inputs import InertialSensor, Steering
 from dqwalk_ros.nodes.odometry import Odometry
 from dqwalk_ros.nodes.phases import PhasePublisher
@@ -65,6 +66,7 @@ class Controller(AnsweringNode):
         joint_states             sensor_msgs/JointState [rad, rad/s], joints matched by name
         imu                      sensor_msgs/Imu with plant.imu: roll and pitch, and angular velocity
         cmd_vel                  geometry_msgs/Twist, standing walk with gait.steps: 0: linear x, y, angular z
+        footsteps                nav_msgs/Path of soles in odom or in a sole, standing walk with gait.steps: 0
         plant_ready              std_msgs/Bool, latched: the walk waits for a plant that says that it is not ready
 
     Publishes::
@@ -75,6 +77,7 @@ class Controller(AnsweringNode):
         phase_log                std_msgs/String, latched: the last hundred that `phase` has shown
         phase_start              sensor_msgs/JointState, latched: the posture in which the phase began
         com_target, swing_target geometry_msgs/PointStamped, PoseStamped, latched, in the support sole's frame
+        footstep_status          std_msgs/String, latched: 'walking 2/5', 'done 5/5', 'refused: why', 'cancelled 2/5'
         base_pose                geometry_msgs/PoseStamped: the pelvis in odom (and /tf where tf2_msgs exists)
         walk_config              std_msgs/String, latched: all parameters in force
         walk_origin              std_msgs/String, latched: versions and machine
@@ -123,6 +126,7 @@ class Controller(AnsweringNode):
         self._imu = InertialSensor(self, self._model.imu, self._on_state) if config.plant.imu else None
         steered = config.gait.style == "standing" and not config.gait.steps
         self._steering = Steering(self, self._walk) if steered else None
+        self._footsteps = FootstepInput(self, self._walk, self._odometry) if steered else None
         self.create_service(Trigger, "~/start", self._start)
         self.create_service(Trigger, "~/pause", self._pause)
         self.create_service(Trigger, "~/stop", self._stop)
@@ -297,6 +301,8 @@ class Controller(AnsweringNode):
         self._phases.begin(phase, stamp)
         if phase.kind is PhaseKind.SINGLE_SUPPORT:
             self._odometry.note_step()
+        if self._footsteps is not None:
+            self._footsteps.show()
         self.get_logger().info(f"{(stamp - self._stamp0) * 1e-9:8.3f} s  phase {self._phase_index}: {phase.name}")
 
     def _diagnose(self, level: str = "", message: str = "") -> None:

@@ -62,6 +62,11 @@ class Odometry:
         self._is_new = bool(self._window)
         self._window.clear()
 
+    @property
+    def origin(self) -> Array:
+        """Pose in odom of the world of the walk's first phase, shape (8,)."""
+        return self._origin.vec8()
+
     def note_step(self) -> None:
         """Count a step, by which the pose is less certain."""
         self._steps += 1

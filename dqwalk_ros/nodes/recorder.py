@@ -36,7 +36,17 @@ _LINGER = {True: 3.0, False: 0.5}
 _ALL = TOPICS | BODY_TOPICS
 """Those of either kind of walk; the bag has the ones that something was said on."""
 _PHYSICS = tuple(name for name, topic in TOPICS.items() if topic.source == "physics")
-OTHERS = ("cmd_vel", "footsteps", "push", "hand_target", "joint_goals", "/tf", "/tf_static", "/rosout")
+OTHERS = (
+    "cmd_vel",
+    "footsteps",
+    "footstep_status",
+    "push",
+    "hand_target",
+    "joint_goals",
+    "/tf",
+    "/tf_static",
+    "/rosout",
+)
 """What steers a walk or goes with it; it is filed under the newest stamp of joint_states."""
 _EACH_TICK = ("joint_states", "joint_velocity_commands", "base_pose", "joint_effort_commands", "base_twist", *_PHYSICS)
 _STAMPED = ("sensor_msgs/", "geometry_msgs/", "diagnostic_msgs/")
@@ -77,8 +87,8 @@ class Recorder(WalkNode):
         joint_states, joint_velocity_commands, phase, phase_start, com_target, swing_target, support_foot, base_pose,
         walk_config, walk_origin, robot_description, /diagnostics; those of the node physics where it runs;
         of the whole body: joint_effort_commands, base_twist, left_wrench, right_wrench, hand_target_applied,
-        push_applied; and where somebody publishes them: cmd_vel, footsteps, push, hand_target, joint_goals,
-        /tf, /tf_static, /rosout
+        push_applied; and where somebody publishes them: cmd_vel, footsteps, footstep_status, push, hand_target,
+        joint_goals, /tf, /tf_static, /rosout
 
     Writes::
 

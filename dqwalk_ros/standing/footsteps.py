@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from dqwalk_ros.config import Config
 from dqwalk_ros.constraints import pose_error
 from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import StateError
 from dqwalk_ros.kinematics import Kinematics, Observer, Point, Rotation
 from dqwalk_ros.robot import Foot, RobotModel
 
@@ -52,6 +54,7 @@ class Footsteps:
             half = 0.5 * rest[Foot.LEFT].translation()
             self._place = {Foot.RIGHT: DQ.from_pose(-half), Foot.LEFT: DQ.from_pose(half)}
         self._known: dict[tuple[object, ...], Array] = {}
+        self._config = config
 
     def beside(self, support: Foot) -> Array:
         """Return where the other sole stands when the feet are together, in the sole of `support`, shape (8,)."""
@@ -74,8 +77,75 @@ class Footsteps:
         moved = DQ.from_pose([length, side, 0.0], about_z)
         return (self._place[support].conj() * moved * self._place[support.other]).vec8()
 
+    def planned(self, support: Foot, wanted: Sequence[Array]) -> list[Array]:
+        """Return footprints (8,) that the legs reach for commanded ones, each in the sole that it is stepped from.
+
+        Parameters
+        ----------
+        support : Foot
+            Stands first; the feet alternate.
+        wanted : sequence of ndarray, shape (8,)
+            Each in the footprint before it, the first in the sole of `support`.
+
+        Raises
+        ------
+        StateError
+            If one cannot be stepped on; the message names the footprint and the limit.
+        """
+        out = []
+        for k, x in enumerate(wanted, start=1):
+            try:
+                out.append(self._allowed(support, x))
+            except StateError as error:
+                raise StateError(f"footstep {k}, of the {support.other.value} foot: {error}") from None
+            support = support.other
+        return out
+
+    def _allowed(self, support: Foot, wanted: Array) -> Array:
+        gait, s = self._config.gait, self._config.standing
+        x = DQ(wanted)
+        height, up = float(x.translation()[2]), float(x.rotation_matrix()[2, 2])
+        if abs(height) > gait.footstep_tolerance:
+            raise StateError(f"{1e3 * height:.0f} mm above the ground, where both soles stand")
+        if up < math.cos(gait.footstep_tolerance / s.lever):
+            raise StateError(
+                f"it leans by {math.degrees(math.acos(min(max(up, -1.0), 1.0))):.1f} deg; the floor is level"
+            )
+        off, ahead = x.translation() - DQ(self.wanted(support, 0.0, 0.0, 0.0)).translation(), x.rotation_matrix()[:, 0]
+        turn = math.atan2(ahead[1], ahead[0])
+        if abs(off[0]) > gait.most_length + gait.footstep_tolerance:
+            raise StateError(
+                f"{off[0]:.3g} m ahead of its place beside the other; gait.most_length is {gait.most_length:g} m"
+            )
+        if abs(turn) > gait.most_turn + gait.footstep_tolerance / s.lever:
+            raise StateError(f"turned by {turn:.3g} rad; gait.most_turn is {gait.most_turn:g} rad")
+        here, there = self._model.soles[support], self._model.soles[support.other]
+        side = 1.0 if support is Foot.RIGHT else -1.0
+        corners = DQ(flat(wanted)).transform_point(there.corners)
+        gap = float((side * (corners[:, 1] - here.center[1])).min() - 0.5 * here.width)
+        if gap < s.sole_gap - 1e-9:
+            raise StateError(
+                f"{1e3 * gap:.0f} mm beside the other sole; standing.sole_gap is {1e3 * s.sole_gap:.0f} mm"
+            )
+        reached, stuck = self._nearest(support, wanted)
+        off_by = DQ(flat(wanted)).conj() * DQ(reached)
+        far, half = float(np.linalg.norm(off_by.translation())), abs(float(off_by.log().vec3()[2]))
+        angle = 2.0 * min(half, math.pi - half)
+        if max(far, s.lever * angle) > gait.footstep_tolerance:
+            where = ", ".join(f"{1e3 * v:.0f}" for v in DQ(reached).translation()[:2])
+            why = f"{', '.join(stuck)} at the limit" if stuck else "no ankle that gives way"
+            raise StateError(
+                f"out of reach by {1e3 * far:.0f} mm and {math.degrees(angle):.1f} deg ({why}); the nearest is at "
+                f"{where} mm in the other sole, gait.footstep_tolerance is {1e3 * gait.footstep_tolerance:.0f} mm"
+            )
+        return reached
+
     def reachable(self, support: Foot, wanted: Array) -> Array:
-        """Return the flat pose of the swing sole nearest to `wanted` that the legs reach, shape (8,).
+        """Return the flat pose of the swing sole nearest to `wanted` that the legs reach, shape (8,)."""
+        return self._nearest(support, wanted)[0]
+
+    def _nearest(self, support: Foot, wanted: Array) -> tuple[Array, tuple[str, ...]]:
+        """Return the nearest footprint (8,), and the joints that are at a limit there.
 
         It is looked for with two postures at once: one with the CoM over the support sole, in which the swing foot
         lands, and one with the CoM over the swing sole, in which the double support after it ends. Levenberg-Marquardt
@@ -134,7 +204,9 @@ class Footsteps:
             q, e, J, damping = moved, e_moved, J_moved, max(0.2 * damping, _DAMPING)
             if done:
                 break
-        return flat(Kinematics(model, q[:n], support).pose(frame))
+        at_limit = ((q <= low + 1e-6) | (q >= high - 1e-6)).reshape(2, n).any(axis=0)
+        joints = tuple(model.joint_names[i] for i in np.flatnonzero(at_limit))
+        return flat(Kinematics(model, q[:n], support).pose(frame)), joints
 
 
 def flat(x: Array) -> Array:

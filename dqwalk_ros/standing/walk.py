@@ -7,6 +7,7 @@ edge is a plane, "as many planes as necessary" (section 3.1 [Urban2020]), moved 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from functools import cached_property
 
@@ -49,6 +50,8 @@ class StandingWalk(Walk):
         self._stopping = False
         self._together = False
         self._done = 0
+        self._planned: deque[Array] = deque()  # commanded footprints to come, each in the sole it is stepped from
+        self._support: Foot | None = None  # stands first
         self._first = Foot(config.gait.first_support)
         self._balance: Balance | None = None
 
@@ -91,9 +94,25 @@ class StandingWalk(Walk):
         """Put the feet together after the step under way, and end the walk."""
         self._stopping = True
 
+    def place(self, support: Foot, footprints: Sequence[Array]) -> None:
+        """Step on commanded footprints (8,), each in the sole it is stepped from, then wait on them; none cancels.
+
+        Raises
+        ------
+        StateError
+            If one cannot be stepped on; see `Footsteps.planned`.
+        """
+        self._planned = deque(self.footsteps.planned(support, footprints))
+        self._support = support
+
+    @property
+    def placed(self) -> int:
+        """Number of commanded footprints that are still to be stepped on."""
+        return len(self._planned)
+
     def is_waiting(self, phase: Phase) -> bool:
         """Return whether it is a stance of a steered walk with nothing to do."""
-        idle = not (self.config.gait.steps or self._stopping or any(self._twist))
+        idle = not (self.config.gait.steps or self._stopping or any(self._twist) or self._planned)
         return idle and phase.kind is PhaseKind.STANCE
 
     @property
@@ -109,6 +128,10 @@ class StandingWalk(Walk):
             return (PhaseKind.DOUBLE_SUPPORT, self._first, None) if steps else (PhaseKind.STANCE, self._first, None)
         if phase.kind is PhaseKind.STANCE:
             return None if steps or self._stopping else (PhaseKind.DOUBLE_SUPPORT, self._leading(), None)
+        if phase.kind is PhaseKind.DOUBLE_SUPPORT and self._planned and not self._stopping:
+            target = self._planned.popleft()
+            self._together = not self._planned
+            return PhaseKind.SINGLE_SUPPORT, phase.support, target
         if phase.kind is PhaseKind.DOUBLE_SUPPORT:
             step = self._step()
             self._together = step is None
@@ -136,6 +159,8 @@ class StandingWalk(Walk):
 
     def _leading(self) -> Foot:
         """Return the foot to stand on first: the one on the side the robot turns away from or leaves."""
+        if self._planned and self._support is not None:
+            return self._support
         _, left, turn = self._twist
         sideways = turn if turn else left
         return self._first if not sideways else Foot.RIGHT if sideways > 0.0 else Foot.LEFT

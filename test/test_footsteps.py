@@ -1,0 +1,140 @@
+"""Commanded footsteps: what can be stepped on is, what cannot is refused by the limit that is in the way."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dqwalk_ros.config import load
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import StateError
+from dqwalk_ros.robot import Foot, load_model
+from dqwalk_ros.simulation import make_plant
+from dqwalk_ros.standing.walk import StandingWalk
+from dqwalk_ros.state import Command
+
+QUICK = {"standing.transfer_duration": 0.5, "standing.swing_duration": 0.5, "node.robot_description": False}
+CONFIG = load("poppy").updated({"gait.steps": 0, "plant.command_timeout": 10.0, **QUICK})
+MODEL = load_model(CONFIG.robot)
+STEPS = StandingWalk(CONFIG, MODEL).footsteps
+
+
+def turned(x: float, y: float, yaw: float = 0.0, z: float = 0.0) -> DQ:
+    return DQ.from_pose([x, y, z], [np.cos(0.5 * yaw), 0.0, 0.0, np.sin(0.5 * yaw)])
+
+
+BESIDE = DQ(STEPS.beside(Foot.LEFT))  # the right footprint in the left sole
+
+
+@pytest.mark.parametrize(
+    ("footprint", "limit"),
+    [
+        (turned(0.2, 0.0) * BESIDE, r"0\.2 m ahead .* gait\.most_length is 0\.06 m"),
+        (turned(0.0, 0.0, -0.5) * BESIDE, r"gait\.most_turn is 0\.14 rad"),
+        (turned(0.0, 0.12) * BESIDE, r"standing\.sole_gap is 4 mm"),
+        (turned(0.0, -0.04) * BESIDE, r"out of reach by .* gait\.footstep_tolerance is 10 mm"),
+        (turned(0.0, 0.0, 0.0, 0.05) * BESIDE, "50 mm above the ground"),
+        (BESIDE * DQ.from_pose([0.0, 0.0, 0.0], [np.cos(0.1), np.sin(0.1), 0.0, 0.0]), "leans by 11.5 deg"),
+    ],
+)
+def test_a_footstep_that_cannot_be_is_refused_by_its_limit(footprint: DQ, limit: str) -> None:
+    with pytest.raises(StateError, match=limit) as refused:
+        STEPS.planned(Foot.LEFT, [BESIDE.vec8(), DQ(STEPS.beside(Foot.RIGHT)).vec8(), footprint.vec8()])
+    assert str(refused.value).startswith("footstep 3, of the right foot: ")
+
+
+def test_a_footstep_is_moved_to_where_the_legs_reach_by_no_more_than_the_tolerance() -> None:
+    wanted = turned(0.03, -0.01) * BESIDE
+    (x,) = STEPS.planned(Foot.LEFT, [wanted.vec8()])
+    off = (wanted.conj() * DQ(x)).translation()
+    assert 1e-3 < np.linalg.norm(off) < CONFIG.gait.footstep_tolerance
+
+
+class Walked:
+    """The controller in this process, over joints that move exactly as they are told."""
+
+    def __init__(self, make: Any) -> None:
+        self.node = make("controller", CONFIG)
+        self.plant = make_plant("kinematic", CONFIG, MODEL)
+        self.ticks = 0
+
+    def until(self, wanted: str, most: int = 4000) -> list[str]:
+        from inside import state
+
+        said = self.node.got["footstep_status"]
+        while not (said and said[-1].data.startswith(wanted)):
+            assert self.ticks < most, [msg.data for msg in said]
+            self.node.hand("joint_states", state(MODEL.joint_names, self.plant.state.q, 1.0 + self.ticks * CONFIG.dt))
+            sent = self.node.got["joint_velocity_commands"][-1]
+            self.plant.step(Command(0.0, np.array(sent.velocity)), CONFIG.dt)
+            self.ticks += 1
+        return [msg.data for msg in said]
+
+    def walk(self, ticks: int) -> None:
+        with pytest.raises(AssertionError):
+            self.until("nothing", self.ticks + ticks)
+
+    def send(self, *footprints: DQ, frame: str = "odom") -> str:
+        from geometry_msgs.msg import PoseStamped
+        from nav_msgs.msg import Path as PathMessage
+
+        from dqwalk_ros.nodes import messages as ros
+
+        path = PathMessage()
+        path.header.frame_id = frame
+        path.poses = [PoseStamped(pose=ros.pose_fields(x.vec8())) for x in footprints]
+        self.node.hand("footsteps", path)
+        return str(self.node.got["footstep_status"][-1].data)
+
+
+@pytest.fixture
+def walked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Walked]:
+    pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
+    from inside import inside
+
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with inside(tmp_path) as make:
+        yield Walked(make)
+
+
+def test_footsteps_in_odom_are_walked_one_foot_after_the_other(walked: Walked) -> None:
+    controller = walked.node.node._walk
+    assert "not in a stance" in walked.send(BESIDE)
+    walked.walk(10)
+    soles = {foot: DQ(x) for foot, x in controller.soles().items()}
+    left = soles[Foot.LEFT] * turned(0.04, 0.0, 0.05)
+    right = left * turned(0.03, 0.0) * BESIDE
+    assert walked.send(left, right) == "walking 0/2"
+    assert "not in a stance" not in walked.node.log.lines[-1]
+    said = walked.until("done")
+    assert said[-3:] == ["walking 1/2", "walking 1/2", "done 2/2"] or said[-2:] == ["walking 1/2", "done 2/2"]
+    assert controller.phase.name.startswith("stance")
+    for foot, wanted in ((Foot.LEFT, left), (Foot.RIGHT, right)):
+        off = (wanted.conj() * DQ(controller.soles()[foot])).translation()
+        assert np.linalg.norm(off) < CONFIG.gait.footstep_tolerance, foot
+    walked.walk(50)
+    assert controller.phase.name.startswith("stance")  # and it waits there
+
+
+def test_an_empty_path_cancels_and_a_path_may_be_seen_from_a_sole(walked: Walked) -> None:
+    walked.walk(10)
+    frame = MODEL.soles[Foot.LEFT].frame
+    assert "must be odom, or a sole" in walked.send(BESIDE, frame="map")
+    assert walked.send(*[turned(0.02 * k, 0.0) * (BESIDE if k % 2 else DQ(1.0)) for k in range(1, 6)], frame=frame) == (
+        "walking 0/5"
+    )
+    walked.until("walking 1/5")
+    assert "not in a stance" in walked.send(BESIDE)
+    assert walked.send() == "cancelled: 4 footsteps are left out, the feet are put together"
+    controller = walked.node.node._walk
+    names = []
+    while not (names and names[-1].startswith("stance")):
+        walked.walk(20)
+        names.append(controller.phase.name)
+        assert len(names) < 100
+    apart = DQ(controller.soles()[Foot.LEFT]).conj() * DQ(controller.soles()[Foot.RIGHT])
+    np.testing.assert_allclose(apart.translation(), BESIDE.translation(), atol=5e-3)
