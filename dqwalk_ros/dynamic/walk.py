@@ -23,6 +23,7 @@ from dqwalk_ros.dynamic.pendulum import Pendulum
 from dqwalk_ros.dynamic.plan import Course, Pressed, Rest, single_supports
 from dqwalk_ros.dynamic.swing import Swing
 from dqwalk_ros.dynamic.tasks import Follow, FollowPose, Target
+from dqwalk_ros.errors import StateError
 from dqwalk_ros.geometry import ConvexPolygon, Plane
 from dqwalk_ros.kinematics import CenterOfMass, CenterOfMassOnGround, Direction, Kinematics
 from dqwalk_ros.robot import Foot, RobotModel
@@ -115,6 +116,17 @@ class DynamicWalk(StandingWalk):
     def _period(self) -> float:
         s = self.config.standing
         return s.transfer_duration + s.swing_duration
+
+    def place(self, support: Foot, footprints: Sequence[Array]) -> None:
+        """Refuse commanded footprints: this walk plans its own ahead; none of them cancels nothing.
+
+        Raises
+        ------
+        StateError
+            If there is one.
+        """
+        if footprints:
+            raise StateError("a dynamic walk takes no footsteps; gait.style must be standing")
 
     def following(self, phase: Phase | None) -> tuple[PhaseKind, Foot, Array | None] | None:
         """Return kind, support foot and swing target of the phase after `phase`; None after the last one."""

@@ -51,7 +51,7 @@ class StandingWalk(Walk):
         self._together = False
         self._done = 0
         self._planned: deque[Array] = deque()  # commanded footprints to come, each in the sole it is stepped from
-        self._support: Foot | None = None  # stands first
+        self._stands_first: Foot | None = None  # on the way to them
         self._first = Foot(config.gait.first_support)
         self._balance: Balance | None = None
 
@@ -103,7 +103,7 @@ class StandingWalk(Walk):
             If one cannot be stepped on; see `Footsteps.planned`.
         """
         self._planned = deque(self.footsteps.planned(support, footprints))
-        self._support = support
+        self._stands_first = support
 
     @property
     def placed(self) -> int:
@@ -159,8 +159,8 @@ class StandingWalk(Walk):
 
     def _leading(self) -> Foot:
         """Return the foot to stand on first: the one on the side the robot turns away from or leaves."""
-        if self._planned and self._support is not None:
-            return self._support
+        if self._planned and self._stands_first is not None:
+            return self._stands_first
         _, left, turn = self._twist
         sideways = turn if turn else left
         return self._first if not sideways else Foot.RIGHT if sideways > 0.0 else Foot.LEFT
