@@ -7,7 +7,8 @@ recorded walk again; both return a `WholeBodyTrace`.
 from __future__ import annotations
 
 from dqwalk_ros.whole_body.controller import BodyCommand, BodyState, BodyTick, WholeBodyController, Wrench
-from dqwalk_ros.whole_body.experiments import BodyPlant, follow, retrace
+from dqwalk_ros.whole_body.experiments import follow, retrace
+from dqwalk_ros.whole_body.rigid_plant import BodyPlant
 from dqwalk_ros.whole_body.scenario import PAPER_TIMES, SCENARIOS, Scenario
 from dqwalk_ros.whole_body.trace import BodyLog, Reaction, WholeBodyTrace
 

@@ -5,21 +5,21 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.errors import ConfigError, DqwalkError
 from dqwalk_ros.provenance import here
-from dqwalk_ros.robot import Foot, RobotModel, load_model
+from dqwalk_ros.robot import RobotModel, load_model
 from dqwalk_ros.simulation import closed_loop
 from dqwalk_ros.whole_body.controller import BodyCommand, BodyState, WholeBodyController, Wrench
-from dqwalk_ros.whole_body.rigid_plant import RigidPlant
+from dqwalk_ros.whole_body.rigid_plant import BodyPlant, RigidPlant
 from dqwalk_ros.whole_body.scenario import Scenario
 from dqwalk_ros.whole_body.trace import FEET, Array, BodyLog, Collector, Reaction, WholeBodyTrace
 
-__all__ = ["PLANTS", "BodyPlant", "Walk", "follow", "make_body_plant", "retrace", "walk"]
+__all__ = ["PLANTS", "Walk", "follow", "make_body_plant", "retrace", "walk"]
 
 PLANTS = ("rigid", "physics")
 """What closes the loop: rigid bodies on rigid ground, or MuJoCo."""
@@ -30,32 +30,6 @@ _LEANS = 1.0
 
 Progress = Callable[[float, str], None]
 """Called with the fraction done, and some text."""
-
-
-class BodyPlant(Protocol):
-    """A body that takes torques and pushes."""
-
-    @property
-    def state(self) -> BodyState:
-        """The state now."""
-
-    @property
-    def fallen(self) -> bool:
-        """Whether the robot lies on the ground, where the plant knows that."""
-
-    @property
-    def effort(self) -> Array:
-        """The joint torques of the last period, shape (n,) [N m]."""
-
-    @property
-    def wrenches(self) -> Mapping[Foot, Wrench]:
-        """What the ground did to the feet in the last period; empty where that is not judged."""
-
-    def step(self, command: BodyCommand, dt: float) -> BodyState:
-        """Return the state one period later."""
-
-    def push(self, impulse: tuple[float, float, float]) -> None:
-        """Hit the robot [N s]."""
 
 
 def make_body_plant(name: str, config: Config, model: RobotModel, state: BodyState) -> BodyPlant:
@@ -192,33 +166,20 @@ def retrace(
     return follow(controller, plant, log.scenario, progress=progress), plant.off
 
 
-class _RecordedPlant:
+class _RecordedPlant(BodyPlant):
     """A plant that does what it did when it was recorded, whatever the command."""
 
-    fallen = False
-
     def __init__(self, log: BodyLog) -> None:
-        self.log, self._next = log, 0
-        self.off = 0.0
+        super().__init__(log.states[0])
+        self.log, self.off = log, 0.0
 
-    @property
-    def state(self) -> BodyState:
-        return self.log.states[min(self._next, len(self.log.states) - 1)]
-
-    @property
-    def effort(self) -> Array:
-        effort: Array = self.log.effort[self._next - 1]
-        return effort
-
-    @property
-    def wrenches(self) -> Mapping[Foot, Wrench]:
-        rows = zip(FEET, self.log.wrenches[self._next - 1], strict=True)
-        return {foot: Wrench(row[:3], row[3:]) for foot, row in rows if np.isfinite(row).all()}
-
-    def step(self, command: BodyCommand, dt: float) -> BodyState:
-        self._next += 1
+    def _move(self, command: BodyCommand, time: float, dt: float) -> None:
+        done = self._periods - 1
+        self.effort = self.log.effort[done]
         self.off = max(self.off, float(np.abs(command.effort - self.effort).max()))
-        return self.state
+        rows = zip(FEET, self.log.wrenches[done], strict=True)
+        self.wrenches = {foot: Wrench(row[:3], row[3:]) for foot, row in rows if np.isfinite(row).all()}
+        self.state = self.log.states[min(self._periods, len(self.log.states) - 1)]
 
-    def push(self, impulse: tuple[float, float, float]) -> None:
+    def _hit(self, impulse: Array) -> None:
         """Do nothing: the recorded states contain the push."""

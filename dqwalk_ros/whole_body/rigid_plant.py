@@ -7,6 +7,7 @@ in this world of perfect contacts is seen.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 
 import numpy as np
@@ -17,13 +18,77 @@ from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.whole_body.controller import BodyCommand, BodyState, Wrench
 from dqwalk_ros.whole_body.dynamics import Dynamics, Multibody
 
-__all__ = ["RigidPlant"]
+__all__ = ["BodyPlant", "RigidPlant"]
 
 Array = NDArray[np.float64]
 
 
-class RigidPlant:
-    """Integrates (S1) under (S8).
+class BodyPlant(ABC):
+    """A body that takes torques and pushes.
+
+    Parameters
+    ----------
+    state : BodyState
+        Where it begins.
+
+    Attributes
+    ----------
+    state : BodyState
+        The state now, as a perfect sensor has it.
+    effort : ndarray, shape (n,)
+        Joint torques of the last period [N m].
+    wrenches : mapping of Foot to Wrench
+        What the ground did to the feet in the last period; empty where that is not judged.
+    fallen : bool
+        False: a fall is seen by the controller's CoM and torso.
+    """
+
+    fallen = False
+
+    def __init__(self, state: BodyState) -> None:
+        self.state, self.effort = state, np.zeros(len(state.q))
+        self.wrenches: Mapping[Foot, Wrench] = {}
+        self._begin, self._periods = state.time, 0
+
+    def step(self, command: BodyCommand, dt: float) -> BodyState:
+        """Return the state one period later.
+
+        Raises
+        ------
+        PlantError
+            If the command is not finite or does not fit, or the simulation has gone astray.
+        """
+        if command.effort.shape != self.effort.shape or not np.isfinite(command.effort).all():
+            raise PlantError(f"the command must have {self.effort.size} finite torques, got {command.effort}")
+        self.effort = command.effort
+        self._periods += 1
+        self._move(command, self._begin + self._periods * dt, dt)
+        return self.state
+
+    def push(self, impulse: ArrayLike) -> None:
+        """Hit the robot: an impulse (3,) [N s] at the link that pushes act on.
+
+        Raises
+        ------
+        PlantError
+            If it is not three finite numbers, or too hard for finite velocities.
+        """
+        r = np.asarray(impulse, dtype=np.float64)
+        if r.shape != (3,) or not np.isfinite(r).all():
+            raise PlantError(f"an impulse is three finite numbers [N s], got {impulse!r}")
+        self._hit(r)
+
+    @abstractmethod
+    def _move(self, command: BodyCommand, time: float, dt: float) -> None:
+        """Set the state at a time [s], one period `dt` later."""
+
+    @abstractmethod
+    def _hit(self, impulse: Array) -> None:
+        """Change the motion by an impulse (3,) [N s]."""
+
+
+class RigidPlant(BodyPlant):
+    """Integrates (S1) under (S8); a push acts at the origin of its link.
 
     Parameters
     ----------
@@ -34,42 +99,17 @@ class RigidPlant:
         The link that pushes act on.
     damping : float
         Rate at which a velocity of a standing foot, left over by the integration, decays [1/s].
-
-    Attributes
-    ----------
-    state : BodyState
-        The state now.
-    effort : ndarray, shape (n,)
-        Joint torques of the last period [N m].
-    wrenches : mapping of Foot to Wrench
-        What the ground did to the feet in the last period.
-    fallen : bool
-        False: it knows no fall, only forces that no ground could give.
     """
 
-    fallen = False
-
     def __init__(self, model: RobotModel, state: BodyState, *, pushed: str, damping: float = 10.0) -> None:
+        super().__init__(state)
         self._soles = {foot: model.soles[foot].frame for foot in Foot}
         self._body = Multibody(model, (*self._soles.values(), pushed))
         self._pushed, self._damping = pushed, damping
-        self._begin, self._periods = state.time, 0
         self._stance: tuple[Foot, ...] = tuple(Foot)
-        self.state, self.effort = state, np.zeros(model.n)
-        self.wrenches: Mapping[Foot, Wrench] = {}
 
-    def step(self, command: BodyCommand, dt: float) -> BodyState:
-        """Return the state one period later.
-
-        Raises
-        ------
-        PlantError
-            If the command is not finite or does not fit.
-        """
-        s = self.state
-        if command.effort.shape != s.q.shape or not np.isfinite(command.effort).all():
-            raise PlantError(f"the command must have {s.q.size} finite torques, got {command.effort}")
-        self._stance, self.effort = command.stance, command.effort
+    def _move(self, command: BodyCommand, time: float, dt: float) -> None:
+        s, self._stance = self.state, command.stance
         d = self._body.at(s.x_base, s.q, s.v)
         J, soles = self._contact_jacobian(d), [d.frames[self._soles[foot]] for foot in self._stance]
         drift = np.concatenate([sole.drift + self._damping * sole.velocity for sole in soles])
@@ -78,27 +118,12 @@ class RigidPlant:
         parts = zip(self._stance, force.reshape(-1, 6), strict=True)
         self.wrenches = {foot: Wrench(f[:3], f[3:]) for foot, f in parts}
         x_base, q = self._body.integrate(s.x_base, s.q, dt * s.v + 0.5 * dt**2 * acceleration)
-        self._periods += 1
-        self._set(self._begin + self._periods * dt, x_base, q, s.v + dt * acceleration)
+        self._set(time, x_base, q, s.v + dt * acceleration)
         if command.landing is not None:
             self._stance = (*command.stance, command.landing)
-            self._impact(np.zeros(3))
-        return self.state
+            self._hit(np.zeros(3))
 
-    def push(self, impulse: ArrayLike) -> None:
-        """Hit the robot: an impulse (3,) [N s] at the origin of the link that pushes act on.
-
-        Raises
-        ------
-        PlantError
-            If it is not three finite numbers, or too hard for finite velocities.
-        """
-        r = np.asarray(impulse, dtype=np.float64)
-        if r.shape != (3,) or not np.isfinite(r).all():
-            raise PlantError(f"an impulse is three finite numbers [N s], got {impulse!r}")
-        self._impact(r)
-
-    def _impact(self, impulse: Array) -> None:
+    def _hit(self, impulse: Array) -> None:
         """Change the velocity at once: by an impulse, and by the feet that stand."""
         s = self.state
         d = self._body.at(s.x_base, s.q, s.v)

@@ -6,18 +6,18 @@ taken from the command. Robot, soles and floor are those of `plants.mujoco`; the
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import PlantError
 from dqwalk_ros.plants.mujoco import robot_spec
-from dqwalk_ros.robot import Foot, RobotModel
-from dqwalk_ros.whole_body.controller import BodyCommand, BodyState, Wrench
+from dqwalk_ros.robot import RobotModel
+from dqwalk_ros.whole_body.controller import BodyCommand, BodyState
+from dqwalk_ros.whole_body.rigid_plant import BodyPlant
 
 __all__ = ["TorquePlant"]
 
@@ -29,8 +29,8 @@ _PUSH = 0.05
 """Duration of a push [s]."""
 
 
-class TorquePlant:
-    """MuJoCo with torques on the joints; only the soles touch the ground.
+class TorquePlant(BodyPlant):
+    """MuJoCo with torques on the joints; a push acts at the centre of mass of its link, for 50 ms.
 
     Parameters
     ----------
@@ -43,22 +43,12 @@ class TorquePlant:
         Of the engine [s].
     friction : float
         Of soles and ground.
-
-    Attributes
-    ----------
-    state : BodyState
-        The state now, as a perfect sensor has it.
-    effort : ndarray, shape (n,)
-        Joint torques of the last period [N m].
     """
-
-    wrenches: Mapping[Foot, Wrench] = {}
-    """The forces of a soft contact are not judged."""
-    fallen = False
 
     def __init__(
         self, model: RobotModel, state: BodyState, *, pushed: str, timestep: float = 0.001, friction: float = 0.9
     ) -> None:
+        super().__init__(state)
         spec = robot_spec(model, friction=friction, contact_time=_SOFT)
         spec.option.timestep = timestep
         self._mj = spec.compile()
@@ -71,49 +61,21 @@ class TorquePlant:
         d.qpos[:3], d.qpos[3:7], d.qpos[self._qadr] = x.translation(), x.rotation(), state.q
         d.qvel[:3], d.qvel[3:6], d.qvel[self._vadr] = x.rotation_matrix() @ state.v_base[:3], state.v_base[3:], state.dq
         mujoco.mj_forward(self._mj, d)
-        self._begin, self._periods = state.time, 0
-        self.state, self.effort = state, np.zeros(model.n)
         self._pushes: list[tuple[float, Array]] = []  # until when, and the force
 
-    def step(self, command: BodyCommand, dt: float) -> BodyState:
-        """Return the state one period later.
-
-        Raises
-        ------
-        PlantError
-            If the command is not finite or does not fit, or the simulation has gone astray.
-        """
+    def _move(self, command: BodyCommand, time: float, dt: float) -> None:
         d = self._data
-        if command.effort.shape != self._qadr.shape or not np.isfinite(command.effort).all():
-            raise PlantError(f"the command must have {self._qadr.size} finite torques, got {command.effort}")
-        self.effort = d.qfrc_applied[self._vadr] = command.effort
+        d.qfrc_applied[self._vadr] = command.effort
         for _ in range(max(1, round(dt / self._mj.opt.timestep))):
             self._pushes = [(end, force) for end, force in self._pushes if d.time < end - 1e-9]
             d.xfrc_applied[self._pushed, :3] = sum((force for _, force in self._pushes), np.zeros(3))
             mujoco.mj_step(self._mj, d)
         if not np.isfinite(d.qpos).all():
             raise PlantError("the simulation is not finite any more")
-        self._periods += 1
         x = DQ.from_pose(d.qpos[:3], d.qpos[3:7] / np.linalg.norm(d.qpos[3:7]))
         linear = x.rotation_matrix().T @ d.qvel[:3]  # MuJoCo has it in the axes of the world
-        self.state = BodyState(
-            self._begin + self._periods * dt,
-            d.qpos[self._qadr].copy(),
-            dq=d.qvel[self._vadr].copy(),
-            x_base=x.vec8(),
-            v_base=np.concatenate([linear, d.qvel[3:6]]),
-        )
-        return self.state
+        q, dq, v_base = d.qpos[self._qadr], d.qvel[self._vadr], np.concatenate([linear, d.qvel[3:6]])
+        self.state = BodyState(time, q, dq=dq, x_base=x.vec8(), v_base=v_base)
 
-    def push(self, impulse: ArrayLike) -> None:
-        """Push for 50 ms: an impulse (3,) [N s] at the centre of mass of the link that pushes act on.
-
-        Raises
-        ------
-        PlantError
-            If it is not three finite numbers.
-        """
-        r = np.asarray(impulse, dtype=np.float64)
-        if r.shape != (3,) or not np.isfinite(r).all():
-            raise PlantError(f"an impulse is three finite numbers [N s], got {impulse!r}")
-        self._pushes.append((float(self._data.time) + _PUSH, r / _PUSH))
+    def _hit(self, impulse: Array) -> None:
+        self._pushes.append((float(self._data.time) + _PUSH, impulse / _PUSH))
