@@ -44,6 +44,8 @@ def solver(walked: WholeBodyTrace) -> Figure:
         top.set(ylabel="time [ms]", title=title, yscale="log")
         top.legend(fontsize=8, loc="upper right", ncols=3)
         top.set_ylim(0.5 * solve.min(), 4.0 * solve.max())
+        for formatter in (top.yaxis.set_major_formatter, top.yaxis.set_minor_formatter):
+            formatter("{x:g}")
         bottom.plot(walked.time, walked.iterations, color=BLUE, linewidth=0.7)
         bottom.set(xlabel="time [s]", ylabel="iterations", title="Iterations of the active set (1: guessed right)")
         bottom.yaxis.set_major_locator(MaxNLocator(integer=True))
@@ -108,7 +110,7 @@ def reactions(walked: WholeBodyTrace) -> Figure:
             ax.plot(walked.time, single, color=GREEN, linewidth=0.9, alpha=0.55, label="its next place, previewed [m]")
             velocity = walked.com_velocity[:, axis]
             ax.plot(*thinned(walked.time, velocity), color=INK, linewidth=1.1, label="CoM velocity [m/s]")
-            ax.set(ylabel=f"along {'xy'[axis]}", title=f"({'ab'[axis]}) along {'xy'[axis]}")
+            ax.set(ylabel="[m], [m/s]", title=f"({'ab'[axis]}) along {'xy'[axis]}")
             ax.set_xlim(0.0, walked.time[-1])
         panels[-1].set_xlabel("time [s]")
         for when, _ in walked.scenario.targets[1:]:
