@@ -206,6 +206,9 @@ class DynamicConfig:
     catch_margin: float = _par(
         0.012, "the ankle is trusted with a zero-moment point this far inside the sole", "m", 0.0, 0.1
     )
+    catch_beyond: float = _par(
+        0.01, "a step is adjusted where the ankle leaves over more than this at the landing", "m", 0.0, 1.0
+    )
     catch_length: float = _par(0.1, "a landing place is moved this far ahead or back at most", "m", 0.0, 0.5)
     catch_side: float = _par(0.0, "and to the side; 0 without ankle roll", "m", 0.0, 0.2)
     shortest_step: float = _par(0.26, "least time of a single support that is adjusted", "s", 0.05, 10.0)

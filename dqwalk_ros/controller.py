@@ -222,7 +222,7 @@ class VelocityController:
     def _look(self, state: State) -> tuple[Kinematics, Evaluation]:
         """Return the robot at `state`, and what the phase makes of it."""
         kin = self._kinematics(state)
-        self.walk.observe(self.phase, kin, state)
+        self._phase = self.walk.observe(self.phase, kin, state)
         return kin, self.phase.evaluate(kin)
 
     def _kinematics(self, state: State) -> Kinematics:

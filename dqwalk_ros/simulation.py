@@ -7,7 +7,7 @@ import importlib
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -219,6 +219,8 @@ class PhaseRecord:
     swing_target : ndarray, shape (8,), or None
     x_odom_base : ndarray, shape (8,)
         Pose of its base sole in the world of the first phase.
+    decision : str
+        What was changed while it lasted, and why.
     """
 
     name: str
@@ -230,6 +232,7 @@ class PhaseRecord:
     q_start: Array
     swing_target: Array | None
     x_odom_base: Array
+    decision: str = ""
 
     def phase(self, config: Config, model: RobotModel) -> Phase:
         """Return the phase, built again."""
@@ -381,6 +384,9 @@ class Recorder:
                     x_odom_base=controller.x_odom_base,
                 )
             )
+        elif not finished and controller.phase.decision != self._phases[-1].decision:
+            now = controller.phase
+            self._phases[-1] = replace(self._phases[-1], swing_target=now.swing_target, decision=now.decision)
         self._time.append(state.time)
         self._q.append(state.q)
         self._u.append(command.velocity if command is not None else np.full(state.q.shape, math.nan))

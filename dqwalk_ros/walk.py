@@ -101,6 +101,8 @@ class Phase:
         Joint limits (U12) and (U13), which the quadratic program takes as bounds on u.
     rule : Rule
         When it ends.
+    decision : str
+        What was changed while it lasted, and why; empty where nothing was.
     """
 
     model: RobotModel
@@ -116,6 +118,7 @@ class Phase:
     inequalities: tuple[Constraint, ...]
     limits: tuple[JointMaximum, JointMinimum]
     rule: Rule
+    decision: str = ""
 
     @property
     def name(self) -> str:
@@ -225,8 +228,13 @@ class Walk(ABC):
         """Return whether a phase begins anew after states without an answer; else it goes on where it was."""
         return False
 
-    def observe(self, phase: Phase, kin: Kinematics, state: State) -> None:  # noqa: B027 - most walks need not
-        """Look at a state before it is answered: a walk that plans anew sets here what the tasks of `phase` follow."""
+    def observe(self, phase: Phase, kin: Kinematics, state: State) -> Phase:
+        """Look at a state before it is answered, and return the phase as it goes on.
+
+        A walk that plans anew sets here what the tasks of `phase` follow. Where it decides that the foot lands
+        elsewhere, it returns the phase with that swing target and its decision in words.
+        """
+        return phase
 
     def effort(self, phase: Phase, kin: Kinematics, state: State) -> Array:
         """Return torques to be fed forward, shape (n,) [N m]: those that hold the robot against gravity."""

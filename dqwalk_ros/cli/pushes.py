@@ -54,6 +54,13 @@ examples:
     help="Standing, or in the middle of a step on this foot.",
 )
 @click.option(
+    "--part",
+    type=click.FloatRange(0.0, 0.95),
+    default=0.5,
+    show_default=True,
+    help="Of a step, after which the push begins.",
+)
+@click.option(
     "--directions", metavar="N", type=click.IntRange(1, 360), default=8, show_default=True, help="Evenly spread."
 )
 @click.option(
@@ -81,6 +88,7 @@ def pushes(
     config: str,
     moment: str,
     directions: int,
+    part: float,
     duration: float,
     tolerance: float | None,
     jobs: int,
@@ -103,8 +111,8 @@ def pushes(
     from dqwalk_ros.studies import pushes as study
 
     made = config_of(config, changes)
-    if made.gait.style != "standing":
-        raise ConfigError(f"pushes need a standing walk; gait.style of '{config}' is {made.gait.style}")
+    if made.gait.style == "paper":
+        raise ConfigError(f"pushes need a walk that stands; gait.style of '{config}' is {made.gait.style}")
     moments = study.MOMENTS if moment == "all" else (moment,)
     with Progress(quiet=quiet) as bar:
         found = study.limits(
@@ -113,6 +121,7 @@ def pushes(
             moments,
             directions,
             duration=duration,
+            part=part,
             tolerance=tolerance,
             force=force,
             jobs=jobs,

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dqwalk_ros.config import Config
 from dqwalk_ros.constraints import Constraint, FrameHeld, PointsOverPlane
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.dynamic.adjust import Step, adjusted
+from dqwalk_ros.dynamic.adjust import Step, adjusted, left_over
 from dqwalk_ros.dynamic.pendulum import Pendulum
 from dqwalk_ros.dynamic.plan import Course, Pressed, Rest, single_supports
 from dqwalk_ros.dynamic.swing import Swing
@@ -49,6 +49,8 @@ _LATE = 0.05
 """A delay as long as this halves the gain of the feedback [s]."""
 _BEYOND, _YIELD = 0.002, 0.1
 """While more than this is left over [m], the CoM's path gives way to the CoM by this part at each state."""
+_SURE = 3
+"""After so many such states in a row a step is adjusted: the noise of one state is no push."""
 _GAP = 0.1
 """After a longer time without a state the reference begins anew where the robot is [s]."""
 
@@ -72,7 +74,11 @@ class Timed:
 
 @dataclass(eq=False)
 class _Flight:
-    """What may change while a foot is in the air; `goal` is where it was to land, `shift` how far that was moved."""
+    """What may change while a foot is in the air.
+
+    `goal` is where it was to land, `shift` how far that was moved; `lost` counts states in a row that the ankle alone
+    cannot bring back, `most` is the most that it left over [m].
+    """
 
     rule: Timed
     course: Pressed
@@ -80,6 +86,8 @@ class _Flight:
     swing: Swing
     goal: Array
     shift: Array = field(default_factory=lambda: np.zeros(2))
+    lost: int = 0
+    most: float = 0.0
 
 
 class DynamicWalk(StandingWalk):
@@ -267,8 +275,8 @@ class DynamicWalk(StandingWalk):
 
     # ------------------------------------------------------------------ from state to state
 
-    def observe(self, phase: Phase, kin: Kinematics, state: State) -> None:
-        """Move on what the phase follows, and find the ground's force that draws the robot to it."""
+    def observe(self, phase: Phase, kin: Kinematics, state: State) -> Phase:
+        """Move on what the phase follows, find the ground's force that draws the robot to it, and adjust the step."""
         omega, up = self.pendulum.omega, kin.up
         dt = state.time - self._time
         self._time = state.time
@@ -283,7 +291,7 @@ class DynamicWalk(StandingWalk):
         xi = c + (v[:2] - v[2] / up[2] * up[:2]) / omega
         flight = self._flight
         if flight is not None:
-            self._catch(flight, c, xi, t)
+            phase = self._catch(flight, phase, c, xi, t)
         self._xi, z = self._course.at(t)
         z = z + (1.0 + self._gain) * (xi - self._xi)
         if flight is not None:
@@ -295,6 +303,8 @@ class DynamicWalk(StandingWalk):
         self._force = GRAVITY * up + np.array([a[0], a[1], -(a @ up[:2]) / up[2]])
         self._targets["com"].set(self._com, omega * (self._xi - self._com))
         self._targets["upright"].set(up[:2], np.zeros(2))
+        self._known = phase
+        return phase
 
     def _com_velocity(self, kin: Kinematics, state: State) -> Array:
         """Return the velocity of the CoM, shape (3,) [m/s]; zero where no joint velocities are known."""
@@ -307,17 +317,41 @@ class DynamicWalk(StandingWalk):
         )
         return v
 
-    def _catch(self, flight: _Flight, c: Array, xi: Array, t: float) -> None:
-        """Adjust time and place of the step under way to xi (2,) as it is measured, `t` [s] into it."""
+    def _catch(self, flight: _Flight, phase: Phase, c: Array, xi: Array, t: float) -> Phase:
+        """Adjust time and place of the step under way to xi (2,) as it is measured, `t` [s] into it.
+
+        Return the phase: where nothing can be changed any more, with what was decided.
+        """
         d, rule, step = self.config.dynamic, flight.rule, flight.step
-        if not (d.catch and d.untouched <= t <= rule.duration - d.settled):
-            return
+        if not d.catch or t < d.untouched:
+            return phase
+        if t > rule.duration - d.settled:
+            return phase if phase.decision or flight.lost < _SURE else self._decided(flight, phase)
+        if flight.lost < _SURE:
+            over, _ = left_over(step, xi, t, np.array([step.duration - t]))
+            flight.lost = flight.lost + 1 if np.abs(over).max() > d.catch_beyond else 0
+            if flight.lost < _SURE:
+                return phase
         rule.duration, flight.shift, over = adjusted(step, xi, t, rule.duration, flight.shift, d)
         flight.course.duration = rule.duration
         flight.course.end = step.landing + step.offset + flight.shift
         flight.swing.goal = flight.goal + flight.shift
+        flight.most = max(flight.most, float(np.abs(over).max()))
         if np.abs(over).max() > _BEYOND:
             self._com = self._com + _YIELD * (c - self._com)
+        return phase
+
+    def _decided(self, flight: _Flight, phase: Phase) -> Phase:
+        """Return the phase with the landing place that was decided, and why."""
+        late, ahead = flight.rule.duration - flight.step.duration, float(flight.shift[0])
+        when, where = "later" if late > 0.0 else "sooner", "ahead" if ahead > 0.0 else "back"
+        text = (
+            f"the step lands {1e3 * abs(late):.0f} ms {when} and {1e3 * abs(ahead):.0f} mm further {where}: "
+            f"the ankle left over {1e3 * flight.most:.0f} mm"
+        )
+        assert phase.swing_target is not None
+        moved = DQ.from_pose([*flight.shift, 0.0]) * DQ(phase.swing_target)
+        return replace(phase, swing_target=moved.vec8(), decision=text)
 
     def _begin(self, phase: Phase, kin: Kinematics) -> None:
         """Plan a phase as its feet stand; the plan is in the axes of its base sole."""

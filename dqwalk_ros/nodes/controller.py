@@ -110,7 +110,8 @@ class Controller(AnsweringNode):
         self._stamp0 = -1  # of the first state answered [ns]
         self._plant_ready = True
         self._lying = ""  # how far the pelvis leans, where that is too far
-        self._phase_index = -1
+        self._phase_index = self._phase_stamp = -1
+        self._decision = ""
         self._compute_time = 0.0  # from the last state in to its command out [s]
         self._reported = -float("inf")  # steady time [s]
 
@@ -124,7 +125,7 @@ class Controller(AnsweringNode):
         self.listen(JointState, "joint_states", self._on_state, ros.stream(1, reliable=self.lockstep))
         self.create_subscription(Bool, "plant_ready", self._on_plant_ready, ros.latched())
         self._imu = InertialSensor(self, self._model.imu, self._on_state) if config.plant.imu else None
-        steered = config.gait.style == "standing" and not config.gait.steps
+        steered = not walk_type(config).phases(config)
         self._steering = Steering(self, self._walk) if steered else None
         self._footsteps = FootstepInput(self, self._walk, self._odometry) if steered else None
         self.create_service(Trigger, "~/start", self._start)
@@ -206,6 +207,10 @@ class Controller(AnsweringNode):
         if self._walk.phase_index != self._phase_index:
             self._phase_index = self._walk.phase_index
             self._begin_phase(stamp)
+        elif self._walk.phase.decision != self._decision:
+            self._decision = self._walk.phase.decision
+            self._phases.change(self._walk.phase, self._phase_stamp)
+            self.get_logger().info(self._decision)
         if self._walk.finished:
             self._mode = Mode.DONE
             return self._still
@@ -298,6 +303,7 @@ class Controller(AnsweringNode):
 
     def _begin_phase(self, stamp: int) -> None:
         phase = self._walk.phase
+        self._phase_stamp, self._decision = stamp, phase.decision
         self._phases.begin(phase, stamp)
         if phase.kind is PhaseKind.SINGLE_SUPPORT:
             self._odometry.note_step()

@@ -68,6 +68,13 @@ class PhasePublisher:
             self._pub["com_target"].publish(ros.point(stamp, frame, goal))
         self.show(phase.name)
 
+    def change(self, phase: Phase, stamp: int) -> None:
+        """Publish that the foot lands elsewhere, and why; the stamp [ns] is that of the phase's beginning."""
+        if phase.swing_target is not None:
+            frame = self._model.soles[phase.base].frame
+            self._pub["swing_target"].publish(ros.pose(stamp, frame, phase.swing_target))
+        self.show(phase.decision)
+
 
 class PhaseLog:
     """Knows which phase a state belongs to, in whatever order the messages came.
@@ -137,7 +144,9 @@ class PhaseLog:
             target = PhaseKind.SINGLE_SUPPORT, ros.pose_dq(msg)
         else:
             target = PhaseKind.DOUBLE_SUPPORT, np.array([msg.point.x, msg.point.y])
-        _keep(self._targets, ros.nanoseconds(msg.header.stamp), target)
+        stamp = ros.nanoseconds(msg.header.stamp)
+        self._assessors.pop(stamp, None)  # a foot that is led to another place
+        _keep(self._targets, stamp, target)
 
     def begun(self, after: int, until: int) -> list[int]:
         """Return when phases began, after one stamp and up to another [ns], in order."""

@@ -234,7 +234,7 @@ def _of_a_phase(series: Series, span: Span) -> Iterator[Violation]:
             yield _broken(series, "ground", tick, height, allowed, text, name)
     if (ending := span.ending) is None:
         return
-    last, standing = min(span.end, len(series.time) - 1), config.gait.style == "standing"
+    last, standing = min(span.end, len(series.time) - 1), config.gait.style != "paper"
     radius, threshold = config.ssp.com_radius, config.standing.swing_threshold if standing else config.ssp.threshold
     if span.double and not standing and ending.com_to_axis > radius:
         far = f"{1e3 * ending.com_to_axis:.1f} mm from the foot's centre, {1e3 * radius:.1f} mm are allowed"

@@ -51,12 +51,15 @@ class Push:
         [N s]
     duration : float
         [s]
+    part : float
+        Of the step, after which it begins.
     """
 
     moment: str
     direction: float
     impulse: float
     duration: float = 0.1
+    part: float = 0.5
 
 
 class Outcome(msgspec.Struct, frozen=True):
@@ -107,18 +110,19 @@ def pushed(config: Config, push: Push) -> str:
         If the walk ends, or falls, before it is pushed.
     """
     standing = push.moment == "standing"
-    values: dict[str, object] = {"gait.steps": 0 if standing else 2}
-    if not standing:  # the second step is on the foot that is asked for
+    pushed_at = 2 if config.gait.style == "standing" else 6  # a moving walk is to have its full length
+    values: dict[str, object] = {"gait.steps": 0 if standing else 2 * pushed_at - 2}
+    if not standing:  # the step that is pushed, an even one, is on the foot that is asked for
         values["gait.first_support"] = Foot(push.moment).other.value
     varied = config.updated(values)
     model = load_model(varied.robot)
     controller, plant = make_controller(varied, model), make_plant("physics", varied, model)
     assert isinstance(plant, World)
     force = push.impulse / push.duration * np.array([math.cos(push.direction), math.sin(push.direction), 0.0])
-    began, why, transfer = math.inf, "", varied.standing.transfer_duration
+    began, why, transfer = math.inf, "", _transfer(varied)
     try:
         for state, _ in closed_loop(controller, plant):
-            if began == math.inf and _due(controller, state.time, standing=standing):
+            if began == math.inf and _due(controller, state.time, 0 if standing else pushed_at, push.part):
                 began = state.time
             plant.push(force if began <= state.time < began + push.duration - 1e-9 else np.zeros(3))
             if standing and state.time > min(began, transfer + _LATE) + _STANDS:
@@ -132,16 +136,23 @@ def pushed(config: Config, push: Push) -> str:
     return why
 
 
-def _due(controller: VelocityController, time: float, *, standing: bool) -> bool:
-    """Return whether the moment of the push has come."""
-    since, s = time - controller.phase_time0, controller.config.standing
-    if standing:
-        return since >= s.transfer_duration
-    second = controller.phase_index == 3 and controller.phase.kind is PhaseKind.SINGLE_SUPPORT
-    return second and since >= 0.5 * s.swing_duration
+def _transfer(config: Config) -> float:
+    """Return the time after which a stance is at rest [s]."""
+    return config.standing.transfer_duration if config.gait.style == "standing" else config.dynamic.stop_duration
 
 
-def limit(config: Config, duration: float, tolerance: float, index: int, point: Mapping[str, Any]) -> Outcome:
+def _due(controller: VelocityController, time: float, number: int, part: float) -> bool:
+    """Return whether the moment of the push has come: in a stance, or in a part of the step of a number, 1, 2, ..."""
+    since = time - controller.phase_time0
+    if not number:
+        return since >= _transfer(controller.config)
+    steps = (controller.phase_index + 1) // 2 == number and controller.phase.kind is PhaseKind.SINGLE_SUPPORT
+    return steps and since >= part * controller.config.standing.swing_duration - 1e-9
+
+
+def limit(
+    config: Config, duration: float, part: float, tolerance: float, index: int, point: Mapping[str, Any]
+) -> Outcome:
     """Find the largest impulse that is survived at a moment in a direction.
 
     Parameters
@@ -149,6 +160,8 @@ def limit(config: Config, duration: float, tolerance: float, index: int, point: 
     config : Config
     duration : float
         Of each push [s].
+    part : float
+        Of a step, after which it begins.
     tolerance : float
         [N s]
     index : int
@@ -159,7 +172,7 @@ def limit(config: Config, duration: float, tolerance: float, index: int, point: 
     scale = impulse_scale(config)
 
     def fails(impulse: float) -> str:
-        return pushed(config, Push(point["moment"], point["direction"], impulse, duration))
+        return pushed(config, Push(point["moment"], point["direction"], impulse, duration, part))
 
     found: Bracket = largest(fails, _FIRST * scale, _MOST * scale, tolerance)
     return Outcome(found.survived, found.failed, found.reason)
@@ -172,6 +185,7 @@ def limits(
     directions: int = 8,
     *,
     duration: float = 0.1,
+    part: float = 0.5,
     tolerance: float | None = None,
     **options: Any,
 ) -> list[Limit]:
@@ -188,14 +202,16 @@ def limits(
         So many, evenly spread.
     duration : float
         Of each push [s].
+    part : float
+        Of a step, after which it begins.
     tolerance : float, optional
         [N s]; by default 0.36 % of `impulse_scale`.
     **options
         As `every_limit`.
     """
     exact = _TOLERANCE * impulse_scale(config) if tolerance is None else tolerance
-    task = functools.partial(limit, config, duration, exact)
-    return every_limit(task, (config, duration, exact), out, moments, directions, **options)
+    task = functools.partial(limit, config, duration, part, exact)
+    return every_limit(task, (config, duration, part, exact), out, moments, directions, **options)
 
 
 def every_limit(

@@ -103,9 +103,10 @@ def cells(axes: Mapping[str, Sequence[float]], sample: int = 0, seed: int = 0) -
 def told(config: Config, latency_error: float = 0.0) -> dict[str, float]:
     """Return what the controller is told of its servos; all of it is so but for `latency_error` [s]."""
     s = config.servo
+    damping = {"servo.assumed_lead": s.damping} if s.assumed_lead else {"servo.assumed_damping": s.damping}
     return {
         "servo.assumed_stiffness": s.stiffness,
-        "servo.assumed_damping": s.damping,
+        **damping,
         "servo.assumed_latency": max(s.latency + config.sensors.age + latency_error, 0.0),
         "servo.assumed_rate": s.rate or 1.0 / config.dt,
     }

@@ -129,8 +129,9 @@ def _physics_messages(model: RobotModel, stamps: Stamps, known: PhysicsRecord) -
 def _phase_start(model: RobotModel, record: PhaseRecord, stamp: Stamps) -> list[_Messages]:
     """Return what is published where a phase begins."""
     frame = model.soles[record.base].frame
+    shown = [said for said in (record.name, record.decision) if said]
     found = [
-        ("phase", stamp, [text(record.name)]),
+        ("phase", np.repeat(stamp, len(shown)), [text(said) for said in shown]),
         ("support_foot", stamp, [text(record.support.value)]),
         ("phase_start", stamp, pack_joint_states(stamp, model.joint_names, position=record.q_start[None], frame=frame)),
     ]
