@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -15,6 +17,8 @@ from dqwalk_ros.dynamic.swing import Swing
 from dqwalk_ros.dynamic.tasks import Follow, FollowPose, Target
 from dqwalk_ros.dynamic.walk import DynamicWalk
 from dqwalk_ros.kinematics import CenterOfMass, CenterOfMassOnGround, Direction, Kinematics
+from dqwalk_ros.plants import World
+from dqwalk_ros.report import bag
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.simulation import make_controller, make_plant, simulate
 from dqwalk_ros.walk import PhaseKind
@@ -272,12 +276,28 @@ def test_a_steered_walk_grows_its_steps_and_puts_the_feet_together() -> None:
     assert walk._after(step, 9)[1]
 
 
-def test_poppy_walks_in_physics() -> None:
+def test_poppy_walks_in_physics_and_steps_to_catch_a_push(tmp_path: Path) -> None:
     config = CONFIG.updated({"gait.steps": 4, "dynamic.stop_duration": 0.6})
-    trace = simulate(make_controller(config, MODEL), make_plant("physics", config, MODEL))
+    controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
+    assert isinstance(plant, World)
+
+    def push(time: float) -> None:  # outward, in the middle of the second step, on the right foot
+        due = controller.phase_index == 4 and 0.2 <= time + begin - controller.phase_time0 < 0.3
+        plant.push(np.array([0.0, -4.0 if due else 0.0, 0.0]))
+
+    begin = plant.state.time
+    trace = simulate(controller, plant, before_step=push)
     assert trace.finished, trace.notes
     # 25, 50, 50 and 25 mm: the length grows and shrinks
     assert trace.physics is not None
-    assert DQ(trace.physics.pelvis[-1]).translation()[0] - DQ(trace.physics.pelvis[0]).translation()[
-        0
-    ] == pytest.approx(0.15, abs=0.03)
+    pelvis = DQ(trace.physics.pelvis[[0, -1]]).translation()
+    assert pelvis[1, 0] - pelvis[0, 0] == pytest.approx(0.15, abs=0.04)
+    assert trace.phases[2].decision == ""  # before the push
+    pushed = [record for record in trace.phases[4:] if record.decision]
+    assert pushed
+    bag.write(trace, tmp_path / "bag")
+    again = bag.read(tmp_path / "bag")
+    assert [record.name for record in again.phases] == [record.name for record in trace.phases]
+    for record, read in zip(trace.phases, again.phases, strict=True):
+        if record.swing_target is not None:
+            assert read.swing_target == pytest.approx(record.swing_target, abs=1e-12)

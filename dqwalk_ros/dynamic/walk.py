@@ -47,6 +47,8 @@ _AHEAD = 6
 """So many footprints are planned ahead."""
 _LATE = 0.05
 """A delay as long as this halves the gain of the feedback [s]."""
+_UNSURE = 0.04
+"""A delay as long as this doubles what the ankle may leave over before a step is adjusted [s]."""
 _BEYOND, _YIELD = 0.002, 0.1
 """While more than this is left over [m], the CoM's path gives way to the CoM by this part at each state."""
 _SURE = 3
@@ -96,13 +98,16 @@ class DynamicWalk(StandingWalk):
     def __init__(self, config: Config, model: RobotModel) -> None:
         super().__init__(config, model)
         self._step_now = np.zeros(3)  # length, side and turn of the step under way
-        self._gain = config.standing.balance / (1.0 + Drive.of(config, model).delay / _LATE)
+        delay = Drive.of(config, model).delay
+        self._gain = config.standing.balance / (1.0 + delay / _LATE)
+        self._beyond = config.dynamic.catch_beyond * (1.0 + delay / _UNSURE)
         self._known: Phase | None = None
         self._time = -math.inf
         self._com = self._xi = self._z = np.zeros(2)
         self._force, self._pressure = GRAVITY * _UP, np.zeros(2)
         self._course: Course
         self._flight: _Flight | None = None
+        self._pushed = False
         self._targets: dict[str, Target] = {}
 
     @staticmethod
@@ -329,7 +334,7 @@ class DynamicWalk(StandingWalk):
             return phase if phase.decision or flight.lost < _SURE else self._decided(flight, phase)
         if flight.lost < _SURE:
             over, _ = left_over(step, xi, t, np.array([step.duration - t]))
-            flight.lost = flight.lost + 1 if np.abs(over).max() > d.catch_beyond else 0
+            flight.lost = flight.lost + 1 if np.abs(over).max() > self._beyond else 0
             if flight.lost < _SURE:
                 return phase
         rule.duration, flight.shift, over = adjusted(step, xi, t, rule.duration, flight.shift, d)
@@ -360,6 +365,7 @@ class DynamicWalk(StandingWalk):
         if before is not None and before.base is not phase.base:  # the base sole was the other one
             self._com, self._xi = (other.transform_point(np.array([*p, 0.0]))[:2] for p in (self._com, self._xi))
         self._targets = {task.name: task.target for task in phase.tasks if isinstance(task, Follow | FollowPose)}
+        self._pushed = self._flight.most > self._beyond if self._flight else self._pushed
         self._flight = None
         base, end = self._aim(phase.base, DQ(1.0)), self._aim(phase.base.other, other)
         corners, omega, rule = self.model.soles[phase.base].corners, self.pendulum.omega, phase.rule
@@ -392,7 +398,8 @@ class DynamicWalk(StandingWalk):
             low=sole.center[:2] - half, high=sole.center[:2] + half, reach=np.array([d.catch_length, d.catch_side]),
         )  # fmt: skip
         swing = Swing(kin.pose(kin.swing), target, self.config.gait.step_height)
-        self._flight = _Flight(rule, course, step, swing, swing.goal)
+        # the step after one that was pushed is adjusted from the beginning
+        self._flight = _Flight(rule, course, step, swing, swing.goal, lost=_SURE if self._pushed else 0)
         return course
 
     def _plan(
