@@ -1,0 +1,96 @@
+"""A client that navigates as Nav2 does: velocities in, odometry out, and nothing that no robot knows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
+
+from geometry_msgs.msg import Twist
+from inside import inside, state
+from nav_msgs.msg import Odometry
+from test_interoperability import heard
+
+from dqwalk_ros.cli.options import overlaid
+from dqwalk_ros.config import load
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.robot import load_model
+from dqwalk_ros.simulation import make_plant
+from dqwalk_ros.state import Command
+
+CONFIG = overlaid(load("poppy"), "physics").updated({"gait.steps": 0, "plant.command_timeout": 10.0})
+MODEL = load_model(CONFIG.robot)
+NEAR = 0.05
+"""A goal is reached at this distance [m]."""
+
+
+@pytest.fixture
+def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with inside(tmp_path) as made:
+        yield made
+
+
+def velocity(odom: Odometry, goal: np.ndarray) -> Twist:
+    """Turn towards the goal, then walk there."""
+    p, r = odom.pose.pose.position, odom.pose.pose.orientation
+    ahead, heading = goal - [p.x, p.y], 2.0 * math.atan2(r.z, r.w)
+    off = math.remainder(math.atan2(ahead[1], ahead[0]) - heading, 2.0 * math.pi)
+    out = Twist()
+    out.angular.z = 0.5 * off
+    if abs(off) < 0.2:
+        out.linear.x = 0.02 * min(1.0, float(np.linalg.norm(ahead)) / 0.1)
+    return out
+
+
+def drive(make: Any, goals: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Return how far the robot is from each goal when it is there by its odometry, and by the truth [m]."""
+    controller, plant = make("controller", CONFIG), make_plant("physics", CONFIG, MODEL)
+    listener = heard(controller, "/odom", Odometry)
+    begin = DQ(plant.truth.pelvis)
+    left, out, tick, first = list(goals), [], 0, None
+    try:
+        while left:
+            stamp = 1.0 + tick * CONFIG.dt
+            controller.hand("imu", ros.imu(round(stamp * 1e9), MODEL.imu, plant.inertial))
+            controller.hand("joint_states", state(MODEL.joint_names, plant.state.q, stamp, velocity=plant.state.dq))
+            sent = controller.got["joint_velocity_commands"].pop()
+            plant.step(Command(0.0, np.array(sent.velocity), np.array(sent.effort)), CONFIG.dt)
+            assert not plant.fallen, (tick * CONFIG.dt, out)
+            tick += 1
+            if not controller.got["odom"]:
+                continue
+            odom = controller.got["odom"].pop()
+            place = np.array([odom.pose.pose.position.x, odom.pose.pose.position.y])
+            first = place if first is None else first
+            goal = first + left[0]
+            if tick % 20 == 0:
+                controller.hand("cmd_vel", velocity(odom, goal))
+            if np.linalg.norm(goal - place) < NEAR:
+                true = (begin.conj() * DQ(plant.truth.pelvis)).translation()[:2]
+                out.append((float(np.linalg.norm(goal - place)), float(np.linalg.norm(true - left.pop(0)))))
+                print(f"{tick * CONFIG.dt:.0f} s: goal {len(out)}, {1e3 * out[-1][1]:.0f} mm from it in truth")
+            assert tick * CONFIG.dt < 400.0 * len(goals), (place, left)
+    finally:
+        listener.destroy_node()
+    return out
+
+
+def test_a_goal_ahead_is_reached_by_odometry(make: Any) -> None:
+    ((_, true),) = drive(make, [(0.07, 0.0)])
+    assert true < 2.0 * NEAR
+
+
+@pytest.mark.long
+@pytest.mark.timeout(3000)
+def test_five_goals_of_a_square_of_a_metre(make: Any) -> None:
+    reached = drive(make, [(1.0, 0.0), (1.0, 1.0), (0.0, 1.0), (0.0, 0.0), (1.0, 0.0)])
+    assert len(reached) == 5
+    assert max(true for _, true in reached) < 2.0 * NEAR  # what odometry drifts in 5 m comes on top
