@@ -32,6 +32,7 @@ COMMANDS = (
     "study",
     "adopt",
     "config",
+    "doctor",
     "version",
 )
 
@@ -45,6 +46,7 @@ examples:
   dqwalk robustness, dqwalk pushes          what the standing walk survives in physics
   dqwalk study studies/step_length.yaml     walk many times with parameters varied
   dqwalk adopt my_robot.urdf                another robot: a configuration that walks
+  dqwalk doctor                             is this robot ready to walk?
   dqwalk config                             every parameter with its unit, range and meaning
 
 exit code: 0 success; 1 the walk failed or violated a constraint; 2 wrong arguments or configuration

@@ -218,7 +218,7 @@ def config_of(
     values |= parse_overrides(changes)
     values |= {name: value for name, value in (also or {}).items() if value is not None}
     made = load(config)
-    if plant in ("physics", "poppy_as_built", "poppy"):
+    if plant in ("physics", "poppy_as_built", "ros2_control", "poppy"):
         made = overlaid(made, plant)
     return made.updated(values, source="command line")
 

@@ -1,0 +1,59 @@
+"""``dqwalk doctor``: whether a robot is ready to walk."""
+
+from __future__ import annotations
+
+import click
+
+from dqwalk_ros.cli.options import command, config_of, config_option, set_option
+
+__all__ = ["doctor"]
+
+
+@command("""
+examples:
+  dqwalk doctor --plant poppy                              a Poppy whose poppy_driver runs
+  dqwalk doctor --plant ros2_control --config my_robot.yaml
+  dqwalk doctor --offline                                  the configuration and its robot only
+""")
+@config_option("poppy")
+@click.option(
+    "--plant",
+    type=click.Choice(["integrator", "physics", "poppy_as_built", "ros2_control", "poppy"]),
+    default="poppy",
+    show_default=True,
+    help="What the other side of the commands is.",
+)
+@click.option(
+    "--seconds", metavar="S", type=click.FloatRange(0.5, 600.0), default=5.0, show_default=True, help="Listen."
+)
+@click.option("--namespace", metavar="NAME", default="", help="Of the robot.")
+@click.option("--offline", is_flag=True, help="Do not listen to the robot.")
+@set_option
+def doctor(config: str, plant: str, seconds: float, namespace: str, offline: bool, changes: tuple[str, ...]) -> int:
+    """Check a robot that stands, before its first step.
+
+    Listens to its topics without moving anything, and says of each check what it found; where that is not as it must
+    be, what to do. docs/hardware.md leads from a boxed robot to a first step. Exit code 1 where something is wrong.
+    """
+    from dqwalk_ros.adopt.check import check
+    from dqwalk_ros.robot import load_model
+
+    made = config_of(config, changes, plant=plant)
+    model = load_model(made.robot)
+    findings = check(made, model)
+    print(f"{model.name}: {model.n} joints, configuration '{config}', plant {plant}")
+    for finding in findings:
+        print(f"! {'configuration':22s} {finding}")
+    if not findings:
+        print(f"  {'configuration':22s} fits the robot")
+    if offline:
+        return 1 if findings else 0
+    from dqwalk_ros.nodes.doctor import examine, listen
+
+    print(f"listening for {seconds:g} s; the robot must stand still", flush=True)
+    wrong = len(findings)
+    for found in examine(made, model, listen(made, seconds, namespace)):
+        print(found)
+        wrong += not found.ok
+    print("ready to walk" if not wrong else f"{wrong} to mend, from the top down")
+    return 1 if wrong else 0

@@ -1,0 +1,115 @@
+"""dqwalk doctor: each thing that keeps a robot from walking is named, and a robot that is ready is called so."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
+
+from inside import state
+from live import Live
+from sensor_msgs.msg import Imu
+
+from dqwalk_ros.cli import main
+from dqwalk_ros.config import load
+from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.doctor import CHECKS, Heard, examine
+from dqwalk_ros.plants import Inertial
+from dqwalk_ros.robot import load_model
+from dqwalk_ros.runner import private_domain
+
+CONFIG = load("poppy").updated({"plant.imu": True})
+MODEL = load_model(CONFIG.robot)
+POSTURE = MODEL.posture(CONFIG.standing.posture)
+UPRIGHT = Inertial(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.array([0.0, 0.0, 9.81]))
+EPOCH = 1_700_000_000.0
+
+
+def robot(
+    q: np.ndarray = POSTURE, *, period: float = CONFIG.dt, age: float = 0.001, names: Any = MODEL.joint_names,
+    inertial: Inertial | None = UPRIGHT, frame: str = MODEL.imu, **heard: Any,
+) -> Heard:  # fmt: skip
+    times = [EPOCH + k * period for k in range(100)]
+    received = [round((t + age) * 1e9) for t in times]
+    states = [(state(names, q, t, velocity=np.zeros(len(q))), at) for t, at in zip(times, received, strict=True)]
+    imus: list[tuple[Imu, int]] = []
+    if inertial is not None:
+        imus = [(ros.imu(round(t * 1e9), frame, inertial), at) for t, at in zip(times, received, strict=True)]
+    values = {"publishers": ("/driver",), "takers": ("driver",), "ready": True, **heard}
+    return Heard(1.0, **{"states": states, "imus": imus, **values})
+
+
+def wrong(heard: Heard) -> dict[str, str]:
+    return {finding.what: finding.text for finding in examine(CONFIG, MODEL, heard) if not finding.ok}
+
+
+def test_a_robot_that_is_ready_is_called_so() -> None:
+    findings = list(examine(CONFIG, MODEL, robot()))
+    assert [finding.what for finding in findings] == list(CHECKS)
+    assert all(finding.ok for finding in findings), wrong(robot())
+
+
+def bent(joint: str, angle: float) -> np.ndarray:
+    q = POSTURE.copy()
+    q[MODEL.joint_names.index(joint)] += angle
+    return q
+
+
+FAULTS: dict[str, tuple[Callable[[], Heard], str, str]] = {
+    "silent": (lambda: robot(states=[], publishers=()), "states", "start the driver"),
+    "another robot": (lambda: robot(names=["x", *MODEL.joint_names[1:]]), "joints", "joints missing: l_hip_x"),
+    "slow": (lambda: robot(period=0.02), "rate", "set dt to 0.02"),
+    "clocks": (lambda: robot(age=-3.0), "latency", "chrony"),
+    "late": (lambda: robot(age=0.03), "latency", "servo.assumed_latency"),
+    "limit": (lambda: robot(bent("l_knee_y", -1.0)), "limits", "l_knee_y by"),
+    "calibration": (lambda: robot(bent("r_ankle_y", 0.1)), "soles", "calibrate the legs"),
+    "arms up": (lambda: robot(bent("abs_z", 0.5)), "first pose", "abs_z is furthest"),
+    "no imu": (lambda: robot(inertial=None), "inertial sensor", "nothing on imu"),
+    "imu elsewhere": (lambda: robot(frame="camera"), "inertial sensor", "they must agree"),
+    "imu askew": (
+        lambda: robot(inertial=Inertial(np.array([0.9689, 0.2474, 0.0, 0.0]), np.zeros(3), UPRIGHT.acceleration)),
+        "inertial sensor",
+        "mounted askew",
+    ),
+    "imu in g": (
+        lambda: robot(inertial=Inertial(UPRIGHT.orientation, np.zeros(3), np.array([0.0, 0.0, 1.0]))),
+        "inertial sensor",
+        "mind its units",
+    ),
+    "nobody listens": (lambda: robot(takers=()), "commands", "start poppy_driver"),
+    "limp": (lambda: robot(ready=False), "plant", "~/activate"),
+    "hot": (lambda: robot(errors={"motors": "l_knee_y is 71 degC"}), "/diagnostics", "71 degC"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_is_wrong_is_named_with_what_to_do(fault: str) -> None:
+    heard, check, said = FAULTS[fault]
+    found = wrong(heard())
+    assert said in found[check]
+    assert check == next(iter(found))  # nothing before it is called wrong
+
+
+def test_it_listens_to_a_robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with private_domain() as domain:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+        arguments = ["doctor", "--plant", "integrator", "--seconds", "1", "--set", "plant.imu=false"]
+        assert main(arguments) == 1
+        assert "start the driver" in capsys.readouterr().out
+        live = Live(tmp_path, domain, CONFIG)
+        try:
+            live.start("integrator")
+            live.until(lambda: len(live.got["joint_states"]) > 20, 60.0, "states")
+            main(arguments)
+        finally:
+            live.close()
+    said = capsys.readouterr().out
+    assert "  joints                 all 15" in said
+    assert "  soles  " in said
+    assert "  commands               integrator" in said
