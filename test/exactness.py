@@ -225,8 +225,9 @@ class Answers:
 
     def look(self, controller: WholeBodyController) -> None:
         """Look at the last tick; one whose levels 1 and 2 could not both hold is not judged here."""
-        h, answer, nv = controller.hierarchy, controller.last.answer, controller.scene.layout.nv
-        if h is None or "relaxed" in answer.method:
+        tick = controller.last
+        h, answer, nv = tick.problem, tick.answer, tick.scene.layout.nv
+        if "relaxed" in answer.method:
             return
         self.ticks += 1
         violation, equal = h.violation(answer.x), h.lower == h.upper
@@ -310,8 +311,7 @@ def infeasible(config: Config, model: RobotModel, away: float = 0.6, when: float
     plant = RigidPlant(model, controller.start, pushed=config.whole_body.torso)
     for _ in range(round(when / config.dt) + 1):
         plant.step(controller.step(plant.state, config.dt), config.dt)
-    h = controller.hierarchy
-    assert h is not None  # it has just made a step
+    h = controller.last.problem
     balance = np.flatnonzero(h.level == BALANCE)
     lower, upper = h.lower.copy(), h.upper.copy()
     lower[balance[0]] += away

@@ -55,7 +55,7 @@ def problems() -> tuple:
             plant.push([0.0, 10.0, 0.0])
         command = controller.step(plant.state, CONFIG.dt)
         if tick % 20 == 10 or tick in (150, 151):
-            found.append((controller.hierarchy, controller.last.answer, controller.scene.layout))
+            found.append((controller.last.problem, controller.last.answer, controller.last.scene.layout))
         plant.step(command, CONFIG.dt)
     return tuple(found)
 

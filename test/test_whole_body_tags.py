@@ -114,7 +114,7 @@ model = load_model(config.robot)
 controller = WholeBodyController(config, model)
 plant = RigidPlant(model, controller.start, pushed="chest")
 scenario = Scenario("short", 0.5, ((0.0, (0.6, -0.4, 0.9)),), ((0.2, (0.0, 5.0, 0.0)),))
-walked, h = follow(controller, plant, scenario), controller.hierarchy
+walked, h = follow(controller, plant, scenario), controller.last.problem
 for part in (walked.q[-1], h.H, h.c, h.A, h.lower, h.upper):
     print([f"{number:.9g}" for number in part.ravel()])
 """

@@ -92,50 +92,30 @@ class Wrench:
 
 @dataclass(frozen=True)
 class BodyTick:
-    """What the controller found in its last step.
+    """The last step of the controller.
 
     Attributes
     ----------
-    com, com_velocity : ndarray, shape (3,)
-        [m, m/s]
-    hand : ndarray, shape (3,)
-        [m]
-    soles : mapping of Foot to ndarray, shape (3,)
-        Places of the soles' links [m].
-    wrenches : mapping of Foot to Wrench
-        As planned.
-    cop : ndarray, shape (2,)
-        Of all contacts together, in the world [m].
-    cop_preview : ndarray, shape (2,)
-        z_0 of the point mass, in the world [m].
-    support : ndarray, shape (2,)
-        The foot that landed last [m].
-    footsteps : ndarray, shape (K, 2)
-        The landing places previewed [m].
-    step_margin : float
-        How far the steps to them are from the edges of their boxes (S12), at least [m].
-    height_error, tilt : float
-        Of the CoM [m] and of the torso [rad].
+    scene : Scene
+        What it saw.
+    problem : Hierarchy
     answer : Answer
-        Of the hierarchy.
+    wrenches : mapping of Foot to Wrench
+        Of the feet that stand, as planned.
     times : tuple of float
         For model, assembly, solution, and the whole tick [s].
     """
 
-    com: Array
-    com_velocity: Array
-    hand: Array
-    soles: Mapping[Foot, Array]
-    wrenches: Mapping[Foot, Wrench]
-    cop: Array
-    cop_preview: Array
-    support: Array
-    footsteps: Array
-    step_margin: float
-    height_error: float
-    tilt: float
+    scene: Scene
+    problem: Hierarchy
     answer: Answer
+    wrenches: Mapping[Foot, Wrench]
     times: tuple[float, float, float, float]
+
+    @property
+    def footsteps(self) -> Array:
+        """The landing places previewed, shape (K, 2) [m]."""
+        return self.scene.footsteps(self.answer.x)
 
 
 class WholeBodyController:
@@ -159,8 +139,6 @@ class WholeBodyController:
         m g [N].
     stepping : Stepping
     point_mass : PointMass
-    hierarchy : Hierarchy or None
-        The last problem; its answer is in `last`.
     finished : bool
         False: a whole-body walk has no end of its own.
 
@@ -213,8 +191,6 @@ class WholeBodyController:
         self._places: dict[int, Array] = {}
         self._landing: Array | None = None
         self._last: BodyTick | None = None
-        self._scene: Scene | None = None
-        self.hierarchy: Hierarchy | None = None
         self._reach: FramePosition | None = None
 
     @property
@@ -225,11 +201,11 @@ class WholeBodyController:
         return self._last
 
     @property
-    def scene(self) -> Scene:
-        """Everything the last tick was made of."""
-        if self._scene is None:
-            raise RuntimeError("there is no tick before the first step")
-        return self._scene
+    def posture_error(self) -> tuple[float, float]:
+        """By how much the CoM was off its height [m], and the torso off upright [rad], at the last step."""
+        d = self.last.scene.dynamics
+        tilt = rotation_error(d.frames[self.config.whole_body.torso].rotation)
+        return float(d.com[2] - self.point_mass.height), float(np.linalg.norm(tilt))
 
     @property
     def start(self) -> BodyState:
@@ -262,7 +238,7 @@ class WholeBodyController:
         RuntimeError
             Before the first step.
         """
-        scene = self.scene
+        scene = self.last.scene
         return scene.footsteps(HierarchySolver().solve(self._hierarchy(scene, self._hand(target))).x)
 
     def _hand(self, target: ArrayLike | None) -> FramePosition | None:
@@ -300,21 +276,26 @@ class WholeBodyController:
         times = [self._clock()]
         d = self._body.at(state.x_base, state.q, state.v)
         times.append(self._clock())
-        self._scene = scene = self._look(state.time, d)
-        self.hierarchy = self._hierarchy(scene, self._reach)
+        scene = self._look(state.time, d)
+        problem = self._hierarchy(scene, self._reach)
         times.append(self._clock())
-        answer = self._solver.solve(self.hierarchy)
+        answer = self._solver.solve(problem)
         acceleration, wrenches = answer.x[: d.nv], scene.wrenches(self.config.whole_body, answer.x)
         effort = d.H[6:] @ acceleration + d.h[6:]
         for sole, wrench in zip(scene.stance, wrenches, strict=True):
             effort -= sole.jacobian[:, 6:].T @ wrench
-        self._note(scene, answer, self.stepping.stance(state.time), wrenches, times)
+        if scene.swing is not None and scene.settled is None:
+            self._landing = scene.footsteps(answer.x)[0]
+        stance = self.stepping.stance(state.time)
+        planned = {foot: Wrench(wrench[:3], wrench[3:]) for foot, wrench in zip(stance, wrenches, strict=True)}
+        spent = (times[1] - times[0], times[2] - times[1], answer.solve_time, self._clock() - times[0])
+        self._last = BodyTick(scene, problem, answer, planned, spent)
         return BodyCommand(
             state.time,
             state.dq + dt * acceleration[6:],
             acceleration=acceleration,
             effort=effort,
-            stance=self.stepping.stance(state.time),
+            stance=stance,
             landing=self.stepping.landing(state.time, dt),
         )
 
@@ -347,39 +328,6 @@ class WholeBodyController:
             swing=swing,
             sole=None if swing is None else dynamics.frames[soles[swing.foot]],
             settled=self._landing if settled else None,
-        )
-
-    def _note(
-        self, scene: Scene, answer: Answer, stance: tuple[Foot, ...], wrenches: Sequence[Array], times: Sequence[float]
-    ) -> None:
-        """Keep what was found, in `last`."""
-        d, x, settings = scene.dynamics, answer.x, self.config.whole_body
-        footsteps = scene.footsteps(x)
-        if scene.swing is not None and scene.settled is None:
-            self._landing = footsteps[0]
-        pressed = np.zeros(3)  # f_z times the CoP, and f_z
-        for sole, wrench in zip(scene.stance, wrenches, strict=True):
-            up, (x_sole, y_sole) = wrench[2], sole.position[:2]
-            pressed += [up * x_sole - wrench[4], up * y_sole + wrench[3], up]
-        dP = np.diff(footsteps, axis=0, prepend=scene.support[None])
-        lower, upper = scene.preview.lower[scene.preview.feet], scene.preview.upper[scene.preview.feet]
-        first = [scene.layout.y(axis).start for axis in (0, 1)]
-        began, looked, assembled = times
-        self._last = BodyTick(
-            com=d.com,
-            com_velocity=d.com_velocity,
-            hand=d.frames[settings.hand].position,
-            soles={foot: d.frames[frame].position for foot, frame in self._soles.items()},
-            wrenches={foot: Wrench(wrench[:3], wrench[3:]) for foot, wrench in zip(stance, wrenches, strict=True)},
-            cop=pressed[:2] / pressed[2] if pressed[2] > 0.0 else np.full(2, np.nan),
-            cop_preview=d.com[:2] - self.point_mass.zeta * x[first],
-            support=scene.support,
-            footsteps=footsteps,
-            step_margin=float(np.minimum(dP - lower, upper - dP).min()),
-            height_error=float(d.com[2] - self.point_mass.height),
-            tilt=float(np.linalg.norm(rotation_error(d.frames[settings.torso].rotation))),
-            answer=answer,
-            times=(looked - began, assembled - looked, answer.solve_time, self._clock() - began),
         )
 
 

@@ -100,17 +100,17 @@ def follow(
 
 def _reaction(now: float, controller: WholeBodyController, before: Array | None) -> Reaction:
     """Compare the preview of this tick with that for the target before."""
-    tick, scene, h = controller.last, controller.scene, controller.hierarchy
+    tick, scene, h = controller.last, controller.last.scene, controller.last.problem
     moved = np.linalg.norm(tick.footsteps - controller.footsteps_for(before), axis=1)
     first = [scene.layout.y(axis).start + scene.preview.feet.start for axis in (0, 1)]
     x = tick.answer.x[first]
-    held = h is not None and bool((np.minimum(x - h.lower[first], h.upper[first] - x) < 1e-6).all())
+    held = bool((np.minimum(x - h.lower[first], h.upper[first] - x) < 1e-6).all())
     return Reaction(now, scene.swing is not None, tuple(moved.tolist()), held)
 
 
 def _fallen(controller: WholeBodyController) -> bool:
-    tick = controller.last
-    return abs(tick.height_error) > _LOW * controller.point_mass.height or tick.tilt > _LEANS
+    height_error, tilt = controller.posture_error
+    return abs(height_error) > _LOW * controller.point_mass.height or tilt > _LEANS
 
 
 @dataclass(frozen=True)

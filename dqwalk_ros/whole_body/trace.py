@@ -19,7 +19,6 @@ Array = NDArray[np.float64]
 
 FEET = (Foot.LEFT, Foot.RIGHT)
 """The order of feet in arrays."""
-_OF_TICK = ("hand", "com", "com_velocity", "support", "cop", "cop_preview", "height_error", "tilt", "times")
 MARGINS = ("cop_margin", "friction", "normal", "torque", "joint", "step")
 
 
@@ -192,22 +191,40 @@ class Collector:
 
     def add(self, state: BodyState, effort: Array, wrenches: Mapping[Foot, Wrench]) -> None:
         """Add the tick that the controller has just made, with the plant's torques and contact forces after it."""
-        tick, target = self._controller.last, self._controller.target
+        c, tick, target = self._controller, self._controller.last, self._controller.target
+        scene, answer, settings = tick.scene, tick.answer, c.config.whole_body
+        d, preview, footsteps = scene.dynamics, scene.preview, tick.footsteps
+        left, right = (d.frames[c.model.soles[foot].frame].position for foot in FEET)
         forces = np.full((2, 6), np.nan)
         for foot, wrench in wrenches.items():
             forces[FEET.index(foot)] = np.concatenate([wrench.force, wrench.moment])
+        pressed = np.zeros(3)  # f_z times the CoP, and f_z
+        for sole, planned in zip(scene.stance, tick.wrenches.values(), strict=True):
+            up, (x, y) = planned.force[2], sole.position[:2]
+            pressed += [up * x - planned.moment[1], up * y + planned.moment[0], up]
+        height_error, tilt = c.posture_error
+        dP = np.diff(footsteps, axis=0, prepend=scene.support[None])
         row = {
             **{name: getattr(state, name) for name in ("time", "q", "dq", "x_base", "v_base")},
-            **{name: getattr(tick, name) for name in _OF_TICK},
-            **{name: getattr(tick.answer, name) for name in ("residual", "violation", "iterations", "method")},
             "effort": effort,
             "wrenches": forces,
             "target": np.full(3, np.nan) if target is None else target,
-            "left": tick.soles[Foot.LEFT],
-            "right": tick.soles[Foot.RIGHT],
-            "landing": tick.footsteps[0],
-            "single": len(tick.wrenches) == 1,
+            "hand": d.frames[settings.hand].position,
+            "com": d.com,
+            "com_velocity": d.com_velocity,
+            "left": left,
+            "right": right,
+            "support": scene.support,
+            "landing": footsteps[0],
+            "cop": pressed[:2] / pressed[2] if pressed[2] > 0.0 else np.full(2, np.nan),
+            "cop_preview": d.com[:2] - scene.mass.zeta * answer.x[[scene.layout.y(axis).start for axis in (0, 1)]],
+            "single": len(scene.stance) == 1,
+            "height_error": height_error,
+            "tilt": tilt,
+            **{name: getattr(answer, name) for name in ("residual", "violation", "iterations", "method")},
+            "times": tick.times,
             **self._margins(state.q, effort, wrenches),
+            "step": np.minimum(dP - preview.lower[preview.feet], preview.upper[preview.feet] - dP).min(),
         }
         for name, value in row.items():
             self._rows.setdefault(name, []).append(value)
@@ -252,5 +269,4 @@ class Collector:
             "normal": normal,
             "torque": float((1.0 - np.abs(effort) / most).min()),
             "joint": float(np.minimum(q - model.q_min, model.q_max - q).min()),
-            "step": self._controller.last.step_margin,
         }

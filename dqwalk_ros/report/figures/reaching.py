@@ -28,7 +28,7 @@ _SOLE = {Foot.LEFT: ("#dbe7f7", BLUE), Foot.RIGHT: ("#dff3e5", GREEN)}
 
 def solver(walked: WholeBodyTrace) -> Figure:
     """Draw Figure 2: what the hierarchy took to solve, and how often its active set changed."""
-    from matplotlib.ticker import MaxNLocator
+    from matplotlib.ticker import LogFormatter, MaxNLocator
 
     with drawing():
         fig = new_figure(9.0, 4.6)
@@ -44,8 +44,8 @@ def solver(walked: WholeBodyTrace) -> Figure:
         top.set(ylabel="time [ms]", title=title, yscale="log")
         top.legend(fontsize=8, loc="upper right", ncols=3)
         top.set_ylim(0.5 * solve.min(), 4.0 * solve.max())
-        for formatter in (top.yaxis.set_major_formatter, top.yaxis.set_minor_formatter):
-            formatter("{x:g}")
+        top.yaxis.set_major_formatter("{x:g}")
+        top.yaxis.set_minor_formatter(LogFormatter())
         bottom.plot(walked.time, walked.iterations, color=BLUE, linewidth=0.7)
         bottom.set(xlabel="time [s]", ylabel="iterations", title="Iterations of the active set (1: guessed right)")
         bottom.yaxis.set_major_locator(MaxNLocator(integer=True))
