@@ -118,6 +118,11 @@ class VelocityController:
         return self._x_odom_base.vec8()
 
     @property
+    def lean(self) -> float:
+        """Angle between the base sole and the ground, as the inertial sensor and the joints say [rad]."""
+        return math.acos(min(float(self._kin.up[2]), 1.0)) if self._kin is not None else 0.0
+
+    @property
     def solve_time(self) -> float:
         """Time the solver took for the last command [s]."""
         return self.solution.solve_time if self.solution is not None else math.nan
@@ -226,7 +231,10 @@ class VelocityController:
         return kin, self.phase.evaluate(kin)
 
     def _kinematics(self, state: State) -> Kinematics:
-        kin = Kinematics(self.model, state.q, self.phase.base, elapsed=state.time - self.phase_time0)
+        return self._seen(state, self.phase.base, state.time - self.phase_time0)
+
+    def _seen(self, state: State, base: Foot, elapsed: float = 0.0) -> Kinematics:
+        kin = Kinematics(self.model, state.q, base, elapsed=elapsed)
         if not kin.finite:
             self._check(state)
         return kin if state.up is None else kin.tilted(kin.direction(self._imu, state.up))
@@ -241,7 +249,8 @@ class VelocityController:
 
     def _enter(self, state: State, kin: Kinematics | None = None) -> None:
         """Begin the next phase at `state`; `kin` is seen from the base of the phase before."""
-        following = self.walk.following(self._phase)
+        before = self._phase
+        following = self.walk.beginning(self._seen(state, Foot.LEFT)) if before is None else self.walk.following(before)
         if following is None:
             self.finished = True
             return

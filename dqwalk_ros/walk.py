@@ -192,6 +192,10 @@ class Walk(ABC):
     def following(self, phase: Phase | None) -> tuple[PhaseKind, Foot, Array | None] | None:
         """Return kind, support foot and swing target of the phase after `phase`; None after the last one."""
 
+    def beginning(self, kin: Kinematics) -> tuple[PhaseKind, Foot, Array | None] | None:
+        """Return kind, support foot and swing target of the first phase of a robot that stands as in `kin`."""
+        return self.following(None)
+
     def phase(self, kind: PhaseKind, support: Foot, q_start: ArrayLike, swing_target: ArrayLike | None = None) -> Phase:
         """Return the phase that begins at `q_start`; the same arguments give the same phase.
 

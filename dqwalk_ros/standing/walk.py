@@ -35,6 +35,8 @@ Array = NDArray[np.float64]
 _UP = np.array([0.0, 0.0, 1.0])
 _JOINT_RETURN = 0.5
 """A joint beyond its limit returns no faster than this [rad/s]."""
+_LIFTED = 0.004
+"""A sole that is higher than the other one by more than this is in the air [m]."""
 
 
 class StandingWalk(Walk):
@@ -141,6 +143,18 @@ class StandingWalk(Walk):
         if self._together:
             return PhaseKind.STANCE, phase.support.other, None
         return PhaseKind.DOUBLE_SUPPORT, phase.support.other, None
+
+    def beginning(self, kin: Kinematics) -> tuple[PhaseKind, Foot, Array | None] | None:
+        """Return the first phase; a foot in the air, of a walk that was broken off in mid-swing, is put down first."""
+        height = {
+            foot: min(float(kin.up @ kin.point(sole.frame, corner)) for corner in sole.corners)
+            for foot, sole in self.model.soles.items()
+        }
+        support = min(height, key=lambda foot: height[foot])
+        if height[support.other] - height[support] <= _LIFTED:
+            return self.following(None)
+        below = Kinematics(self.model, kin.q, support).pose(self.model.soles[support.other].frame)
+        return PhaseKind.SINGLE_SUPPORT, support, self.footsteps.reachable(support, flat(below))
 
     def restarts(self, phase: Phase) -> bool:
         """Return True with both feet down: a CoM that was stopped, taken up at the path's velocity, tips the robot."""

@@ -1,0 +1,81 @@
+"""A controller that was killed, reset, paused or frozen in mid-step comes back, and the robot stands."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+
+import numpy as np
+import pytest
+
+from dqwalk_ros.cli.options import overlaid
+from dqwalk_ros.config import load
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.plants import Plant
+from dqwalk_ros.robot import Foot, load_model
+from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, make_walk
+from dqwalk_ros.state import Command
+from dqwalk_ros.walk import PhaseKind
+
+MOMENTS = 20
+"""Of a step: a double support to the foot that does not begin a walk, and the single support on it."""
+BEGIN, STEP = 3.0, 3.0
+"""When that step begins, and how long it takes [s]."""
+HELD = {"kill": 1.1, "reset": 0.2, "pause": 2.0, "freeze": 0.0}
+FROZEN = (0.3, 2.0, 30.0)
+AFTER = 5.0
+"""So long it must stand [s]; a foot in the air is down by then, and the next one has been lifted."""
+
+CONFIG = functools.cache(lambda plant: overlaid(load("poppy"), plant).updated({"gait.steps": 6}))
+
+
+def walked_on(plant: Plant, steps: list[tuple[float, Command]], dt: float) -> None:
+    """Let nobody but the plant's own watchdog act."""
+    for span, command in steps:
+        for _ in range(round(span / dt)):
+            plant.step(command, dt)
+
+
+DEFAULT = {("physics", "kill", 14), ("poppy_as_built", "reset", 12), ("poppy_as_built", "freeze", 15)}
+CASES = [
+    pytest.param(*case, id="-".join(map(str, case)), marks=() if case in DEFAULT else pytest.mark.long)
+    for case in itertools.product(("physics", "poppy_as_built"), HELD, range(MOMENTS))
+]
+
+
+@pytest.mark.parametrize(("plant", "fault", "moment"), CASES)
+def test_it_stands(plant: str, fault: str, moment: int) -> None:
+    config = CONFIG(plant)
+    model = load_model(config.robot)
+    controller, robot = make_controller(config, model), make_plant("physics", config, model)
+    at = BEGIN + (moment + 0.5) / MOMENTS * STEP
+    last = next(command for state, command in closed_loop(controller, robot) if state.time >= at)
+    still, timeout = Command(at, np.zeros(model.n)), config.plant.command_timeout
+    span = HELD[fault] or FROZEN[moment % len(FROZEN)]
+    silent = [(timeout, last), (span, still)] if fault in ("kill", "freeze") else [(span, still)]
+    walked_on(robot, silent, config.dt)
+    assert not robot.fallen
+    if fault in ("kill", "reset"):
+        controller = make_controller(config, model)
+    end = robot.state.time + AFTER
+    for state, _ in closed_loop(controller, robot):
+        if state.time >= end:
+            break
+    assert not robot.fallen
+    assert state.time >= end
+
+
+@pytest.mark.parametrize("support", list(Foot))
+def test_a_foot_in_the_air_is_put_down_first(support: Foot) -> None:
+    config = CONFIG("physics").updated({"gait.first_support": support.value})
+    model = load_model(config.robot)
+    walk = make_walk(config, model)
+    assert walk.beginning(Kinematics(model, walk.posture, Foot.LEFT))[:2] == (PhaseKind.DOUBLE_SUPPORT, support)
+    for bent in Foot:
+        q = walk.posture.copy()
+        for joint, angle in (("hip_y", -0.3), ("knee_y", 0.6), ("ankle_y", -0.3)):
+            q[model.joint_names.index(f"{bent.value[0]}_{joint}")] += angle
+        kind, stands, target = walk.beginning(Kinematics(model, q, Foot.LEFT))
+        assert (kind, stands) == (PhaseKind.SINGLE_SUPPORT, bent.other)
+        assert DQ(target).translation()[2] == pytest.approx(0.0)
