@@ -455,6 +455,10 @@ class SafetyConfig:
 
     outside: float = _par(0.1, "a state further outside the joint limits is refused", "rad", 0.0, 1.0)
     tilt: float = _par(0.5, "a pelvis that leans further (plant.imu) has fallen: the walk ends", "rad", 0.1, 1.5)
+    sole_tilt: float = _par(0.2, "so has a base sole that leans further: it has lost its ground", "rad", 0.02, 1.5)
+    contradiction: float = _par(
+        0.25, "a joint, or a vertical, that moves by so much otherwise than it should ends the walk", "rad", 0.01, 3.0
+    )
     jumps: int = _par(5, "consecutive jumps of the state that end the walk", "", 1, 1000)
     failures: int = _par(10, "consecutive infeasible QPs that end the walk", "", 1, 1000)
 

@@ -6,6 +6,7 @@ are those of a busy machine; what is asserted is an order of magnitude.
 
 from __future__ import annotations
 
+import copy
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -521,7 +522,9 @@ def test_a_program_without_an_answer(walk: Chaos) -> None:
     def does(msg: JointState) -> Iterator[tuple[float, JointState]]:
         answers.append(np.array(msg.velocity))
         q[:] += walk.config.dt * answers[-1]
-        yield from ()
+        still = copy.deepcopy(msg)  # so that the real plant stays where it is, and is ready
+        still.velocity = [0.0] * len(msg.velocity)
+        yield 0.0, still
 
     assert walk.call("controller/pause").success
     walk.stands()

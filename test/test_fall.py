@@ -49,7 +49,8 @@ def tell(node: Any, q: Any, stamp: float, said: Inertial) -> None:
 @pytest.mark.parametrize("axis", ["x", "y"])
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_pelvis_that_leans_too_far_ends_the_walk(make: Any, axis: str, side: float) -> None:
-    node = make("controller", CONFIG)
+    """Nothing else is looked at here, such as the soles and what the gyroscope says."""
+    node = make("controller", CONFIG.updated({"safety.sole_tilt": 1.5, "safety.contradiction": 3.0}))
     q = make_walk(CONFIG, MODEL).posture
     for k in range(20):
         tell(node, q, 1.0 + 0.005 * k, leaning(side * 0.45, axis) if k > 10 else leaning(0.0, axis))
@@ -71,6 +72,20 @@ def test_a_pelvis_that_leans_too_far_ends_the_walk(make: Any, axis: str, side: f
     tell(node, q, 1.2, leaning(0.0, axis))
     tell(node, q, 1.205, leaning(0.0, axis))
     assert any(node.got["joint_velocity_commands"][-1].velocity)
+
+
+def test_a_robot_that_tips_about_the_edge_of_its_sole_falls(make: Any) -> None:
+    """The inertial sensor turns and the joints do not: 12 degrees are noticed, long before the pelvis lies."""
+    node = make("controller", CONFIG)
+    q, rate = make_walk(CONFIG, MODEL).posture, 0.8
+    for k in range(200):
+        said = leaning(0.005 * rate * k, "x")
+        tell(node, q, 1.0 + 0.005 * k, Inertial(said.orientation, np.array([rate, 0.0, 0.0]), said.acceleration))
+        if node.got["phase"][-1].data == "fallen":
+            break
+    assert 0.18 < 0.005 * rate * k < 0.24
+    assert "sole leans by 1" in node.got["diagnostics"][-1].status[0].message
+    assert not any(node.got["joint_velocity_commands"][-1].velocity)
 
 
 @pytest.mark.parametrize(

@@ -164,6 +164,26 @@ def test_jumps_in_a_row_latch_until_reset(model: RobotModel, clock: FakeClock) -
     gate.accept(5 * PERIOD, far)
 
 
+def test_an_angle_that_jumped_and_stays_is_never_accepted(model: RobotModel, clock: FakeClock) -> None:
+    """The time that passes while it is refused is none in which a joint may move there."""
+    gate = gate_of(model, clock, jumps=1000)
+    gate.accept(0, np.zeros(model.n))
+    for k in range(1, 100):
+        clock.now += DT
+        with pytest.raises(StateError, match="jump"):
+            gate.accept(k * PERIOD, 0.3 * np.eye(model.n)[0])
+    clock.now += DT
+    gate.accept(100 * PERIOD, np.zeros(model.n))
+
+
+def test_a_stamp_of_the_future_lets_no_jump_pass(model: RobotModel, clock: FakeClock) -> None:
+    gate = gate_of(model, clock)
+    gate.accept(0, np.zeros(model.n))
+    clock.now += DT
+    with pytest.raises(StateError, match="jump"):
+        gate.accept(100_000_000_000, np.full(model.n, 0.05) + 0.95 * np.eye(model.n)[2])
+
+
 def test_after_a_long_silence_the_robot_may_stand_elsewhere(model: RobotModel, clock: FakeClock) -> None:
     gate = gate_of(model, clock)
     gate.accept(0, np.zeros(model.n))

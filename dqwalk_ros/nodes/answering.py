@@ -28,8 +28,11 @@ __all__ = ["AnsweringNode"]
 
 _PERIODS = 50
 """Periods over which the rate of the states is judged."""
-_OFF = 0.2
-"""States that come at another rate than 1/dt by more than this part are a warning."""
+_FEW = 10
+"""So many must be known before a rate is judged."""
+_OFF, _SLOW = 0.2, 2.5
+"""States that come at another rate than 1/dt by more than this part are a warning; states so many times slower end
+the walk: each command moves the robot too far."""
 
 
 class AnsweringNode(WalkNode):
@@ -152,9 +155,11 @@ class AnsweringNode(WalkNode):
     def _note(self, stamp: int) -> None:
         """Note the stamp of a state that was accepted."""
         self._stale = False
-        if stamp - self._seen > 0:
+        if 0 <= self._seen < stamp:
             self._periods.append(1e-9 * (stamp - self._seen))
         self._seen = stamp
+        if self.lockstep and len(self._periods) < _FEW:
+            self._judge_rate()
 
     def _may_answer(self) -> bool:
         """Hold the first answer of a recorded walk until nothing of it can be lost."""
@@ -225,12 +230,17 @@ class AnsweringNode(WalkNode):
             self._diagnose("ERROR", trouble)
 
     def _judge_rate(self) -> None:
-        """Warn where the states come at another rate than the commands are made for."""
-        if self.lockstep or len(self._periods) < _PERIODS:
+        """Look whether the states come at the rate for which the commands are made."""
+        if len(self._periods) < (1 if self.lockstep else _FEW):
             return
         period, dt = float(np.percentile(self._periods, 25)), self.config.dt  # a state that was lost doubles one
-        if abs(period / dt - 1.0) > _OFF:
-            text = f"joint_states come every {period:.4f} s, and dt is {dt:g} s: set dt to the period of the states"
+        off = abs(period / dt - 1.0)
+        text = f"joint_states come every {period:.4f} s, and dt is {dt:g} s: set dt to the period of the states"
+        if self._is_walking and (period > _SLOW * dt or (self.lockstep and off > 1e-3)):
+            self._fail(text)
+            self._publish_zero()
+            self._done()
+        elif off > _OFF and len(self._periods) == _PERIODS:
             self.get_logger().warning(text, throttle_duration_sec=30.0, throttle_time_source_type=STEADY)
 
     # ------------------------------------------------------------------ what is said

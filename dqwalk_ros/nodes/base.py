@@ -20,6 +20,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.task import Future
+from sensor_msgs.msg import JointState
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.errors import ConfigError, DqwalkError
@@ -34,6 +35,10 @@ STEADY = wheels.STEADY
 
 THROTTLE = {"throttle_duration_sec": 2.0, "throttle_time_source_type": STEADY}
 """For a log that may come at every tick: ``self.get_logger().error(text, **THROTTLE)``."""
+
+_DISCOVERED, _HEARD = 0.4, 1.5
+"""Time in which other nodes are discovered, and in which one that runs is heard [s]: in lockstep a plant without an
+answer publishes twice a second."""
 
 _ACKNOWLEDGED = {True: 10.0, False: 0.25}
 """Longest wait for acknowledgements at the end, in lockstep, where nothing may be missing from the bag, and in real
@@ -70,6 +75,9 @@ class WalkNode(Node):
 
     pause = 0.0
 
+    claims = ""
+    """The topic that nobody but one node of this name may publish."""
+
     def __init__(self, name: str, options: argparse.Namespace, **keywords: Any) -> None:
         try:
             super().__init__(name, **keywords)
@@ -77,6 +85,7 @@ class WalkNode(Node):
             raise ConfigError(wheels.first_line(error)) from error
         self.config: Config = parameters.declare(self, options.argv, NODES)
         self.add_on_set_parameters_callback(self._on_parameters)
+        self._made = time.monotonic()
         self.done = Future()
         self.is_child: bool = options.child
         self._diagnostics = self.advertise("diagnostics") if self.has_diagnostics else None
@@ -134,6 +143,35 @@ class WalkNode(Node):
             return "use_sim_time is set and nobody publishes /clock"
         return ""
 
+    def refuse_a_second(self) -> None:
+        """Refuse to be a node that runs already: the same walk was launched twice.
+
+        A node that was killed is listed for 20 s more, so it counts only where it still publishes.
+
+        Raises
+        ------
+        ConfigError
+            If it runs.
+        """
+        if not self.claims:
+            return
+        topic, me = self.resolve_topic_name(self.claims), self.get_fully_qualified_name()
+        known_at = self._made + _DISCOVERED
+        while time.monotonic() < known_at and ros.other_publishers(self, topic).count(me) < 2:
+            time.sleep(0.02)
+        if ros.other_publishers(self, topic).count(me) < 2:
+            return
+        heard = self.create_subscription(JointState, topic, lambda msg: None, ros.stream(1, reliable=False), raw=True)
+        try:
+            until = time.monotonic() + _HEARD
+            while time.monotonic() < until:
+                with heard.handle:
+                    if heard.handle.take_message(heard.msg_type, True) is not None:
+                        raise ConfigError(f"{me} runs already and publishes {topic}: end it first, or use a namespace")
+                time.sleep(0.02)
+        finally:
+            self.destroy_subscription(heard)
+
     def stop(self, exit_code: int = 0) -> None:
         """End this node after the current callback."""
         if not self.done.done():
@@ -175,6 +213,7 @@ def main(kind: Callable[[argparse.Namespace], WalkNode], options: argparse.Names
     try:
         stopped = wheels.init(options.argv)
         node = made = kind(options)
+        made.refuse_a_second()
         wheels.spin(made, lambda: (stopped.is_set() or made.done.done()) and made.is_drained(), pause=made.pause)
         code = made.done.result() if made.done.done() else 0
     except DqwalkError as error:

@@ -28,6 +28,7 @@ from dqwalk_ros.nodes.footsteps import FootstepInput
 from dqwalk_ros.nodes.inputs import InertialSensor, Steering
 from dqwalk_ros.nodes.odometry import Odometry
 from dqwalk_ros.nodes.phases import PhasePublisher
+from dqwalk_ros.nodes.safety import Contradictions
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.simulation import make_controller, make_walk, walk_type, warm_up
 from dqwalk_ros.state import Command, State
@@ -97,6 +98,8 @@ class Controller(AnsweringNode):
         dqwalk_controller --ros-args --params-file config/paper.yaml -p gait.step_length:=0.04
     """
 
+    claims = "joint_velocity_commands"
+
     def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
         super().__init__("controller", options, **keywords)
         config = self.config
@@ -109,6 +112,9 @@ class Controller(AnsweringNode):
         self._still = self._sent = Command(0.0, np.zeros(self._model.n))
         self._stamp0 = -1  # of the first state answered [ns]
         self._plant_ready = True
+        self._contradictions = Contradictions(
+            self._model.joint_names, config.safety.contradiction, lambda: self.config.plant.command_timeout
+        )
         self._lying = ""  # how far the pelvis leans, where that is too far
         self._phase_index = self._phase_stamp = -1
         self._decision = ""
@@ -160,7 +166,9 @@ class Controller(AnsweringNode):
             return
         before = self._mode
         self._look_for_a_fall(state)
-        if self._mode is Mode.WALKING and self._plant_ready and not self._duplicates:
+        ready = self._plant_ready and not self._duplicates
+        self._look_for_contradictions(state, ready)
+        if self._mode is Mode.WALKING and ready:
             answer: Command | None = self._step(state, stamp)
         elif self.lockstep:
             answer = None  # no answer: simulated time stands still
@@ -214,6 +222,10 @@ class Controller(AnsweringNode):
         if self._walk.finished:
             self._mode = Mode.DONE
             return self._still
+        if (lean := self._walk.lean) > self.config.safety.sole_tilt:
+            foot, angle = self._walk.phase.base.value, math.degrees(lean)
+            self._mode, self._problem = Mode.FALLEN, f"the robot falls: its {foot} sole leans by {angle:.0f} deg"
+            return self._still
         return command
 
     def _look_for_a_fall(self, state: State) -> None:
@@ -226,6 +238,15 @@ class Controller(AnsweringNode):
             self._lying = f"the robot has fallen: its pelvis leans by {math.degrees(lean):.0f} deg"
             if self._mode in (Mode.WALKING, Mode.PAUSED):
                 self._mode, self._problem = Mode.FALLEN, self._lying
+
+    def _look_for_contradictions(self, state: State, ready: bool) -> None:
+        """End the walk where what is measured cannot be: a robot that holds, or is held, tells nothing."""
+        if self._mode is not Mode.WALKING or not ready:
+            self._contradictions.forget()
+            return
+        leaning = self._walk.lean > 0.5 * self.config.safety.sole_tilt
+        if why := self._contradictions.judge(state, self._sent.velocity, leaning=leaning):
+            self._fail(why)
 
     def _fail(self, reason: str) -> None:
         self._mode, self._problem = Mode.FAILED, reason
@@ -285,6 +306,7 @@ class Controller(AnsweringNode):
         self._stamp = self._stamp0 = -1
         self._sent = self._still
         self._gate.reset()
+        self._contradictions.forget()
         self._failures.reset()
         self._show_phase()
         return self._answer(response, True, "the walk begins anew from where the robot stands; ~/start starts it")

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64MultiArray
+from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from dqwalk_ros.errors import ConfigError, StateError
@@ -92,6 +92,7 @@ class RobotDrive(WalkNode):
         self._model = load_model(config.robot)
         self._output = Output(self, self._model.joint_names)
         self._commands = CommandInput(self, self._model)
+        self._commands.able = False
         self._reader = ros.JointReader(self._output.joints)
         self._measured = self._rest = np.zeros(len(self._output.joints))  # now, and at the first command [rad]
         self._stamp = self._moved = -1  # of the last state, and of the one at which the robot was moved last [ns]
@@ -99,7 +100,6 @@ class RobotDrive(WalkNode):
         self._told = np.zeros(self._model.n)  # where the robot is when it has done as it was told [rad]
         self._reason = "not looked at yet"
         self._rejected = 0
-        self._ready = self.create_publisher(Bool, "plant_ready", ros.latched())
         self.listen(JointState, "joint_states", self._on_state, ros.stream(1, reliable=False))
         self.create_subscription(JointState, VELOCITY, self._on_command, ros.stream(1))
         self.create_timer(_LOOK, self._look, clock=STEADY)
@@ -130,9 +130,7 @@ class RobotDrive(WalkNode):
             self._tell(0.0)
         reason = "" if self._stamp >= 0 else "no joint_states yet"
         reason = reason or self._output.trouble()
-        if reason != self._reason:
-            self._reason = reason
-            self._ready.publish(Bool(data=not reason))
+        self._reason, self._commands.able = reason, not reason
 
     def _tell(self, dt: float) -> None:
         """Tell the robot to move as commanded for `dt` [s]; 0 is to stay."""

@@ -8,11 +8,14 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from geometry_msgs.msg import Twist, TwistStamped
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import Bool
 
 from dqwalk_ros.errors import StateError
 from dqwalk_ros.nodes import messages as ros
@@ -167,6 +170,8 @@ class CommandInput:
     Attributes
     ----------
     gate : CommandGate
+    able : bool
+        Whether the plant can do what it is told, for all that it knows itself.
     """
 
     def __init__(self, node: WalkNode, model: RobotModel, topic: str = VELOCITY) -> None:
@@ -174,15 +179,29 @@ class CommandInput:
         self.gate = CommandGate(model, lambda: node.config.plant.command_timeout)
         self._reader = ros.JointReader(model.joint_names)
         self._duplicates = DuplicatePublishers()
+        self._publishers, self._resolved = 1, node.resolve_topic_name(topic)
         self._forbidden = ""
         self._moving = False
+        self.able = True
+        self._said: bool | None = None
+        self._ready = node.create_publisher(Bool, "plant_ready", ros.latched()) if topic == VELOCITY else None
         node.create_timer(_LOOK, self._look, clock=STEADY)
+        node.add_on_set_parameters_callback(self._on_parameters)
 
     def forbid(self, reason: str) -> None:
         """Hold for a reason of the plant's own, until it is empty."""
         self._forbidden = reason
         self.gate.refused = reason or self.gate.refused
         self._look()
+
+    def _on_parameters(self, wanted: Sequence[Parameter]) -> SetParametersResult:
+        """Let nobody switch the watchdog off while it is needed."""
+        now = self._node.config.plant.command_timeout
+        longer = any(p.name == "plant.command_timeout" and isinstance(p.value, float) and p.value > now for p in wanted)
+        if longer and not self.gate.holding:
+            reason = f"'plant.command_timeout' can only be lowered while the robot moves, it is {now:g} s"
+            return SetParametersResult(successful=False, reason=reason)
+        return SetParametersResult(successful=True)
 
     def _look(self) -> None:
         """Hold where two controllers command."""
@@ -195,6 +214,14 @@ class CommandInput:
             self.gate.refused = reason
             log = self._node.get_logger()
             log.error(f"holding still: {reason}") if reason else log.info("commands count")
+        self._tell_ready()
+
+    def _tell_ready(self) -> None:
+        """Tell the controller whether its commands count, so that it does not walk on without the robot."""
+        ready = self.gate.ready and self.able
+        if self._ready is not None and not self._node.lockstep and ready is not self._said:
+            self._said = ready
+            self._ready.publish(Bool(data=ready))
 
     def read(self, msg: JointState) -> Command | None:
         """Return what a message asks for; None where it is rejected, which leaves everything as it was."""
@@ -210,6 +237,10 @@ class CommandInput:
 
     def take(self, msg: JointState, now: int) -> bool:
         """Take in a message; `now` is the stamp of the state published last [ns]. Return whether it counts."""
+        # nothing tells who sent a message, but a publisher is known before its first message comes
+        if (publishers := self._node.count_publishers(self._resolved)) != self._publishers:
+            self._publishers = publishers
+            self._look()
         command = self.read(msg)
         if command is None:
             return False
@@ -236,6 +267,7 @@ class CommandInput:
     def log_motion(self) -> None:
         """Log when the plant begins to move or to hold."""
         moving = not self.gate.holding
+        self._tell_ready()
         if moving is not self._moving:
             self._moving = moving
             log = self._node.get_logger()

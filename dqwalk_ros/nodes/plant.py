@@ -38,10 +38,14 @@ _FIRST_ASK = 0.05
 """The same before the first answer [s], while the controller may not be up yet."""
 _PUSH = 0.1
 """A push lasts so long [s], of simulated time."""
+_FASTEST = 10.0
+"""No push makes a robot faster than this [m/s]."""
 
 
 class SimulatedPlant(WalkNode):
     """joint_velocity_commands -> joint_states, in lockstep or in real time; a subclass says what is simulated."""
+
+    claims = "joint_states"
 
     def __init__(self, name: str, options: argparse.Namespace, **keywords: Any) -> None:
         super().__init__(name, options, **keywords)
@@ -191,6 +195,7 @@ class Integrator(SimulatedPlant):
     Publishes::
 
         joint_states             sensor_msgs/JointState [rad, rad/s]
+        plant_ready              std_msgs/Bool, latched: false while it holds, in real time
         /clock                   rosgraph_msgs/Clock with plant.clock: its time is that of the others
         /diagnostics             diagnostic_msgs/DiagnosticArray
 
@@ -224,6 +229,7 @@ class Physics(SimulatedPlant):
     Publishes::
 
         joint_states             sensor_msgs/JointState [rad, rad/s]
+        plant_ready              std_msgs/Bool, latched: false while it holds, in real time
         imu                      sensor_msgs/Imu of the link robot.imu, the same stamp as the state's
         true_base_pose           geometry_msgs/PoseStamped: the pelvis in the world; for analysis, as the rest:
         left_foot_wrench, right_foot_wrench   geometry_msgs/WrenchStamped: ground on the sole, in its frame
@@ -254,6 +260,7 @@ class Physics(SimulatedPlant):
         self._late: list[float] = []  # behind a period [s], of each tick under way
         self._stamp0 = self.get_clock().now().nanoseconds
         self._pushed_until = -1  # tick
+        self._hardest = _FASTEST * self.model.mass  # [N s]
         self.create_service(Trigger, "~/reset", self._reset)
         self.create_subscription(WrenchStamped, "push", self._on_push, ros.stream(10))
         self.log_ready()
@@ -313,8 +320,9 @@ class Physics(SimulatedPlant):
         """Take the force times one second as the impulse on the pelvis [N s], as the node `rigid` does."""
         f = msg.wrench.force
         impulse = np.array([f.x, f.y, f.z])
-        if not np.isfinite(impulse).all():
-            self.get_logger().error("push rejected: not finite")
+        if not np.abs(impulse).max() <= self._hardest:
+            text = f"push rejected: {f.x:g}, {f.y:g}, {f.z:g} N s are beyond {self._hardest:.0f} N s, or not finite"
+            self.get_logger().error(text)
             return
         self.plant.push(impulse / _PUSH)
         self._pushed_until = self.ticks + round(_PUSH / self.dt)

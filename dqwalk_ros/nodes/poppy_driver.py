@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, String
+from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from dqwalk_ros.errors import ConfigError, PlantError
@@ -63,6 +63,8 @@ class PoppyDriver(WalkNode):
         If the motors do not answer.
     """
 
+    claims = "joint_states"
+
     def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
         super().__init__("poppy_driver", options, **keywords)
         config = self.config
@@ -89,7 +91,6 @@ class PoppyDriver(WalkNode):
         self._reason = "not looked at yet"
         self._states = self.advertise("joint_states")
         self._goals = self.create_publisher(JointState, "joint_goals", ros.stream(10))
-        self._ready = self.create_publisher(Bool, "plant_ready", ros.latched())
         self.create_subscription(JointState, VELOCITY, self._on_command, ros.stream(1))
         self.create_subscription(String, "phase", self._on_phase, ros.stream(1))
         self.create_service(Trigger, "~/activate", self._on_activate)
@@ -160,7 +161,6 @@ class PoppyDriver(WalkNode):
         if reason != self._reason:
             self._reason = reason
             self._commands.forbid(reason)
-            self._ready.publish(Bool(data=not reason))
 
     def _on_activate(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         return self._switch(True, response)

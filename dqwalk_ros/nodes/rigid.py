@@ -54,6 +54,8 @@ class Rigid(WalkNode):
         dqwalk_rigid --ros-args --params-file config/whole_body.yaml -p plant.lockstep:=true
     """
 
+    claims = "joint_states"
+
     def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
         super().__init__("rigid", options, **keywords)
         config = self.config

@@ -19,10 +19,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from dqwalk_ros.errors import StateError
 from dqwalk_ros.robot import RobotModel
+from dqwalk_ros.state import State
 
 __all__ = [
     "BodyGate",
     "CommandGate",
+    "Contradictions",
     "DuplicatePublishers",
     "DuplicateStates",
     "FaultCounter",
@@ -320,11 +322,13 @@ class StateGate:
         clock: Clock = time.monotonic,
     ) -> None:
         self._model, self._dt, self._outside, self._by_stamp = model, dt, outside, by_stamp
+        self._timeout = timeout
         self.watchdog = Watchdog(timeout, clock)
         self.jumped = FaultCounter(jumps)
         self.overtaken = self.rejected = 0
         self._q: Array | None = None
         self._stamp = -1
+        self._passed = 0.0  # from the last accepted state to the first jump after it [s]
 
     def is_new(self, stamp: int) -> bool:
         """Tell whether a stamp [ns] is newer than the last accepted one, or the plant's clock was set back.
@@ -351,8 +355,12 @@ class StateGate:
             raise self._refusal(f"outside the joint limits: {outside} (at most {self._outside:g} is led back in)")
         if self._q is not None:
             passed = (stamp - self._stamp) * 1e-9
-            if not self._by_stamp:  # late or early, both clocks bound how far it may have come
-                passed = max(passed, self.watchdog.age)
+            if not self._by_stamp:  # a stamp that is late or early says little, the time of receipt a little more
+                age = self.watchdog.age
+                passed = min(max(passed, age), age + self._timeout())
+            if self.jumped.count:  # a joint that jumped and stays there does not come within reach by waiting
+                passed = min(passed, self._passed)
+            self._passed = passed
             reach = self._model.velocity_max * (max(passed, 0.0) + self._dt)
             moved = np.abs(q - self._q)
             if not (moved <= reach).all():
@@ -431,6 +439,70 @@ class BodyGate(StateGate):
         self._place = place
 
 
+class Contradictions:
+    """Tell what does not move as it was told, and sensors that contradict each other, state by state.
+
+    The motion that was measured less the one that was expected is summed up and fades with time, so that the sag of
+    servos and the bias of a gyroscope stay small, and an angle that is frozen, has slipped or drifts does not.
+
+    Parameters
+    ----------
+    joint_names : sequence of str
+    limit : float
+        Largest sum [rad].
+    timeout : callable
+        Returns the time after which the plant is silent [s].
+    """
+
+    memory = 10.0, 1.0
+    """Times in which the sums fade, of the joints and of the vertical [s]."""
+
+    def __init__(self, joint_names: Sequence[str], limit: float, timeout: Callable[[], float]) -> None:
+        self._names, self._limit, self._timeout = joint_names, limit, timeout
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew: nothing is expected of the next state."""
+        self._before: State | None = None
+        self._off, self._turned = np.zeros(len(self._names)), np.zeros(3)
+
+    def judge(self, state: State, told: Array, *, leaning: bool = False) -> str:
+        """Return what contradicts what, empty if nothing does.
+
+        Parameters
+        ----------
+        state : State
+        told : ndarray, shape (n,)
+            Velocities that were commanded since the state before [rad/s].
+        leaning : bool
+            Whether the base sole seems to lean, which a wrong angle makes it do: then half of the limit is enough.
+        """
+        before, self._before = self._before, state
+        passed = state.time - before.time if before is not None else 0.0
+        if before is None or not 0.0 < passed <= self._timeout():  # after a silence it may stand elsewhere
+            self.forget()
+            self._before = state
+            return ""
+        self._off = math.exp(-passed / self.memory[0]) * (self._off + state.q - before.q - passed * told)
+        if (worst := np.abs(self._off)).max() > (0.5 * self._limit if leaning else self._limit):
+            k = int(worst.argmax())
+            return (
+                f"{self._names[k]} does not move as it is told, it is {worst[k]:.2f} rad off: it is blocked or without "
+                "power, or its angle is frozen or has slipped"
+            )
+        if before.up is None or before.gyro is None or state.up is None:
+            return ""
+        (a, b, c), (x, y, z) = before.up, before.gyro
+        turning = passed * np.array([b * z - c * y, c * x - a * z, a * y - b * x])
+        self._turned = math.exp(-passed / self.memory[1]) * (self._turned + state.up - before.up - turning)
+        if (off := math.sqrt(float(self._turned @ self._turned))) > self._limit:
+            return (
+                f"the inertial sensor contradicts itself: its vertical has turned by {off:.2f} rad otherwise than its "
+                "gyroscope says; look at its mounting"
+            )
+        return ""
+
+
 class CommandGate:
     """Decide how a plant moves: what the last acceptable command says, or not at all.
 
@@ -478,6 +550,12 @@ class CommandGate:
     def holding(self) -> bool:
         """Whether the plant stands still, whatever the last command was."""
         return bool(self.refused) or self.contradicted or self.watchdog.silent
+
+    @property
+    def ready(self) -> bool:
+        """Whether a command would count, and none is missing."""
+        fell_silent = self.watchdog.silent and self.watchdog.age < math.inf
+        return not (self.refused or self.contradicted or fell_silent)
 
     @property
     def contradicted(self) -> bool:

@@ -74,6 +74,8 @@ class WholeBodyController(AnsweringNode):
         dqwalk_whole_body_controller --ros-args --params-file config/whole_body.yaml -p whole_body.friction:=0.4
     """
 
+    claims = "joint_effort_commands"
+
     def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
         name, states = "whole_body_controller", "body state"
         super().__init__(name, options, gate=BodyGate, states=states, stopping="zero torque", **keywords)

@@ -1,0 +1,190 @@
+"""Sensors that lie, joints that do not obey: noticed by what they contradict, named, and the walk is over."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
+
+from inside import inside, state
+
+from dqwalk_ros.cli.options import overlaid
+from dqwalk_ros.config import load
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.safety import Contradictions
+from dqwalk_ros.plants import Inertial, upward
+from dqwalk_ros.robot import load_model
+from dqwalk_ros.simulation import closed_loop, make_controller, make_plant
+from dqwalk_ros.state import Command, State
+from dqwalk_ros.studies.robustness import told
+
+CONFIG = overlaid(load("poppy"), "poppy_as_built")
+MODEL = load_model(CONFIG.robot)
+BEGIN = 0.6
+"""When a sensor begins to lie [s]."""
+KNEE, HIP = MODEL.joint_names.index("l_knee_y"), MODEL.joint_names.index("l_hip_y")
+Lie = Callable[[float, np.ndarray, Inertial], tuple[np.ndarray, Inertial]]
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Any]:
+    with inside(tmp_path) as made:
+        yield made
+
+
+def slipped(angle: float) -> Lie:
+    return lambda t, q, said: (q + angle * np.eye(MODEL.n)[KNEE], said)
+
+
+def drifting(t: float, q: np.ndarray, said: Inertial) -> tuple[np.ndarray, Inertial]:
+    return q - 0.1 * (t - BEGIN) * np.eye(MODEL.n)[KNEE], said
+
+
+def frozen() -> Lie:
+    kept: list[float] = []
+
+    def lie(t: float, q: np.ndarray, said: Inertial) -> tuple[np.ndarray, Inertial]:
+        kept.append(q[HIP])
+        return np.where(np.arange(MODEL.n) == HIP, kept[0], q), said
+
+    return lie
+
+
+def turned(angle: float, axis: int) -> Lie:
+    turn = np.zeros(4)
+    turn[0], turn[1 + axis] = math.cos(0.5 * angle), math.sin(0.5 * angle)
+
+    def lie(t: float, q: np.ndarray, said: Inertial) -> tuple[np.ndarray, Inertial]:
+        return q, dataclasses.replace(said, orientation=(DQ(said.orientation) * DQ(turn)).vec4())
+
+    return lie
+
+
+def slowly(t: float, q: np.ndarray, said: Inertial) -> tuple[np.ndarray, Inertial]:
+    """Turn the inertial sensor by 20 degrees in 2 s, and its gyroscope says so."""
+    t = min(t - BEGIN, 2.0)
+    rate = math.radians(10.0) * np.eye(3)[1] * (t < 2.0)
+    q, said = turned(math.radians(10.0) * t, 1)(t, q, said)
+    return q, dataclasses.replace(said, gyro=said.gyro + rate)
+
+
+LONG = pytest.mark.long
+LIES = [
+    pytest.param(frozen(), "l_hip_y does not move as it is told", id="a frozen joint"),
+    pytest.param(slipped(0.3), "l_knee_y", id="an encoder that slipped by 0.3 rad"),
+    pytest.param(slipped(-0.3), "l_knee_y", id="by -0.3 rad", marks=LONG),
+    pytest.param(slipped(0.5), "l_knee_y by 0.5", id="by 0.5 rad", marks=LONG),
+    pytest.param(slipped(0.8), "l_knee_y by 0.8", id="by 0.8 rad", marks=LONG),
+    pytest.param(drifting, "l_knee_y does not move as it is told", id="a drift of 0.1 rad/s"),
+    pytest.param(turned(math.radians(20.0), 0), "inertial sensor", id="an imu turned to the side by 20 degrees"),
+    pytest.param(turned(math.radians(20.0), 1), "inertial sensor", id="forwards", marks=LONG),
+    pytest.param(turned(math.radians(-20.0), 1), "inertial sensor", id="backwards", marks=LONG),
+    pytest.param(slowly, "sole leans by", id="slowly", marks=LONG),
+]
+
+
+@pytest.mark.parametrize(("lie", "named"), LIES)
+def test_a_lie_is_named_and_ends_the_walk(make: Any, lie: Lie, named: str) -> None:
+    node = make("controller", CONFIG)
+    plant, dt = make_plant("physics", CONFIG, MODEL), CONFIG.dt
+    at = None
+    for k in range(round((BEGIN + 5.0) / dt)):
+        t, q, said = k * dt, plant.state.q, plant.inertial
+        if t >= BEGIN:
+            at = plant.state.q.copy() if at is None else at
+            q, said = lie(t, q, said)
+        node.hand("imu", ros.imu(round((1.0 + t) * 1e9), MODEL.imu, said))
+        node.hand("joint_states", state(MODEL.joint_names, q, 1.0 + t, velocity=plant.state.dq))
+        if node.got["phase"][-1].data in ("failed", "fallen"):
+            break
+        answer = node.got["joint_velocity_commands"][-1]
+        plant.step(Command(t, np.array(answer.velocity), np.array(answer.effort)), dt)
+    assert at is not None
+    assert named in node.got["diagnostics"][-1].status[0].message
+    assert not any(node.got["joint_velocity_commands"][-1].velocity)
+    assert np.abs(plant.state.q - at).max() < 0.4  # no joint was led astray further
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("stiffness", [25.0, 60.0, 90.0])
+@pytest.mark.parametrize("latency", [0.0, 0.02, 0.04])
+@pytest.mark.parametrize("rate", [0.0, 50.0])
+def test_ordinary_servos_and_sensors_are_no_lie(stiffness: float, latency: float, rate: float) -> None:
+    """Four steps with every fault of the sensors that is ordinary: less than a third of the limits."""
+    values = {"servo.stiffness": stiffness, "servo.latency": latency, "servo.rate": rate, "servo.backlash": 0.0058}
+    sensors = {f"sensors.{name}": value for name, value in dataclasses.asdict(CONFIG.sensors).items()}
+    config = overlaid(load("poppy"), "physics").updated({**values, **sensors})
+    config = config.updated(told(config))
+    controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
+    judge, before = Contradictions(MODEL.joint_names, 0.3 * config.safety.contradiction, lambda: 0.1), np.zeros(MODEL.n)
+    for measured, command in closed_loop(controller, plant):
+        assert not judge.judge(measured, before), measured.time
+        assert controller.lean < 0.3 * config.safety.sole_tilt
+        before = command.velocity
+    assert controller.finished
+
+
+@pytest.mark.parametrize(
+    ("lockstep", "period", "ends"), [(True, 0.0201, True), (False, 0.06, True), (False, 0.03, False)]
+)
+def test_a_plant_of_another_dt_ends_the_walk(make: Any, lockstep: bool, period: float, ends: bool) -> None:
+    config = load("paper").updated({"dt": 0.02, "plant.lockstep": lockstep})
+    node, model = make("controller", config), load_model(config.robot)
+    for k in range(60):
+        node.hand("joint_states", state(model.joint_names, np.zeros(model.n), 1.0 + k * period))
+    if not lockstep:
+        node.node._look_for_duplicates()
+    said = f"joint_states come every {period:.4f} s, and dt is 0.02 s"
+    assert (said in node.got["diagnostics"][-1].status[0].message) is ends
+    assert (node.got["phase"][-1].data == "failed") is ends
+    assert ends or said in node.log
+
+
+# ---------------------------------------------------------------------- the sums themselves
+
+
+def judged(states: list[State], told: np.ndarray) -> str:
+    judge = Contradictions(MODEL.joint_names, 0.25, lambda: 0.1)
+    return next((why for one in states if (why := judge.judge(one, told))), "")
+
+
+def test_what_moves_as_it_is_told_is_believed() -> None:
+    told = 0.5 * np.ones(MODEL.n)
+    assert not judged([State(0.02 * k, 0.02 * k * told) for k in range(1000)], told)
+    sagging = 0.2 * np.eye(MODEL.n)[3]  # once, as under a load
+    assert not judged([State(0.02 * k, 0.02 * k * told + sagging * (k > 7)) for k in range(1000)], told)
+
+
+def test_states_that_were_lost_and_a_plant_that_held_are_no_contradiction() -> None:
+    told = np.ones(MODEL.n)
+    assert not judged([State(0.02 * k, 0.02 * k * told) for k in range(0, 1000, 4)], told)
+    assert not judged([State(0.0, 0.0 * told), State(30.0, 1.0 * told), State(60.0, 0.2 * told)], told)
+
+
+def test_time_that_goes_back_begins_anew() -> None:
+    told = np.zeros(MODEL.n)
+    assert not judged([State(5.0, told), State(1.0, told + 3.0), State(1.02, told + 3.0)], told)
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_the_joint_that_is_off_is_named(way: float) -> None:
+    told = np.zeros(MODEL.n)
+    for k, name in enumerate(MODEL.joint_names):
+        why = judged([State(0.0, told), State(0.02, told + 0.26 * way * np.eye(MODEL.n)[k])], told)
+        assert why.startswith(f"{name} does not move as it is told, it is 0.26 rad off")
+
+
+def test_a_sensor_that_turns_as_its_gyroscope_says_is_believed() -> None:
+    told, rate = np.zeros(MODEL.n), np.array([0.7, -0.4, 0.3])
+    turned = [DQ.rotation_about(0.005 * k * np.linalg.norm(rate), rate / np.linalg.norm(rate)) for k in range(400)]
+    states = [State(0.005 * k, told, up=upward(*x.vec4()), gyro=rate) for k, x in enumerate(turned)]
+    assert not judged(states, told)
+    assert "inertial sensor" in judged([dataclasses.replace(one, gyro=0.0 * rate) for one in states], told)

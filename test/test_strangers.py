@@ -1,0 +1,122 @@
+"""Who else commands, and who else is already there."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
+
+from inside import inside, state
+from live import Live
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+
+from dqwalk_ros.config import load
+from dqwalk_ros.robot import load_model
+from dqwalk_ros.runner import private_domain
+
+CONFIG = load("paper").updated({"dt": 0.02})
+MODEL = load_model(CONFIG.robot)
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Any]:
+    with inside(tmp_path) as made:
+        yield made
+
+
+def command(stamp: int, speed: float) -> Any:
+    msg = state(MODEL.joint_names, [], 0.0, velocity=np.full(MODEL.n, speed))
+    msg.header.stamp.sec, msg.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
+    return msg
+
+
+def until(happened: Any, timeout: float = 20.0) -> None:
+    deadline = time.monotonic() + timeout
+    while not happened():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_the_first_message_of_a_stranger_is_refused(make: Any) -> None:
+    """Nothing that the plant hears from then on moves it; no timer of the plant has to come by."""
+    plant = make("integrator", CONFIG)
+    node = plant.node
+    plant.stranger("controller").create_publisher(JointState, "joint_velocity_commands", QoSProfile(depth=1))
+    until(lambda: node.count_publishers("/joint_velocity_commands") == 1)
+    node._on_period()
+    plant.hand("joint_velocity_commands", command(node._stamp, 0.1))
+    node._on_period()
+    moved = node.plant.state.q.copy()
+    assert moved.any()
+    plant.stranger("stranger").create_publisher(JointState, "joint_velocity_commands", QoSProfile(depth=1))
+    until(lambda: node.count_publishers("/joint_velocity_commands") == 2)
+    for _ in range(3):
+        plant.hand("joint_velocity_commands", command(node._stamp - 1, 8.0))
+        node._on_period()
+    assert node.plant.state.q == pytest.approx(moved, abs=0.0)
+    assert "holding still: two controllers: " in plant.log
+    assert not plant.got["plant_ready"][-1].data
+    until(lambda: node.commands._look() or "two controllers: /controller, /stranger" in plant.log)
+
+
+def test_the_watchdog_can_only_be_lowered_while_the_robot_moves(make: Any) -> None:
+    plant = make("integrator", CONFIG)
+    node = plant.node
+
+    def asked(value: float) -> bool:
+        (result,) = node.set_parameters([Parameter("plant.command_timeout", value=value)])
+        assert result.successful or "can only be lowered while the robot moves" in result.reason
+        return result.successful
+
+    assert asked(0.3)
+    node._on_period()
+    plant.hand("joint_velocity_commands", command(node._stamp, 0.1))
+    assert not asked(10.0)
+    assert not asked(0.31)
+    assert node.config.plant.command_timeout == 0.3
+    assert asked(0.2)
+    node.commands.gate.hold()
+    assert asked(0.3)
+
+
+@pytest.mark.parametrize("impulse", [1e12, -1e300, float("nan"), float("inf")])
+def test_a_push_beyond_all_bounds_is_refused(make: Any, impulse: float) -> None:
+    from geometry_msgs.msg import WrenchStamped
+
+    from dqwalk_ros.cli.options import overlaid
+
+    plant = make("physics", overlaid(load("poppy"), "physics"))
+    msg = WrenchStamped()
+    msg.wrench.force.y = impulse
+    plant.hand("push", msg)
+    assert f"push rejected: 0, {impulse:g}, 0 N s are beyond" in plant.log
+    assert not plant.node.plant.data.xfrc_applied.any()
+
+
+@pytest.mark.parametrize("name", ["integrator", "controller"])
+def test_a_second_one_says_so_and_does_not_start(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with private_domain() as domain:
+        live = Live(tmp_path, domain, CONFIG)
+        (tmp_path / "second").mkdir()
+        second = Live(tmp_path / "second", domain, CONFIG, name="other")
+        try:
+            live.start("integrator")
+            live.start("controller")
+            live.until(lambda: live.last("joint_velocity_commands"), 90.0, "a command")
+            second.start(name)
+            assert second.processes.wait(name, 60.0) == 2
+            assert f"/{name} runs already" in second.processes.log(name)
+            begun = live.stamp()
+            live.until(lambda: live.stamp() > begun + 0.2, 20.0, "the first goes on")
+        finally:
+            second.close()
+            live.close()
