@@ -263,6 +263,7 @@ def whole_body_parameters(
         Entry("whole_body.step_width_min", rounded(numbers.apart, 4), "distance of the soles in the posture"),
         Entry("whole_body.step_width_max", rounded(numbers.apart + 0.11 * size, 4), scaled),
         Entry("whole_body.step_height", rounded(0.07 * size), scaled),
+        Entry("whole_body.hand_weight", 2.0, "twice that of the paper's robot: other arms weigh more", "guess"),
         Entry("whole_body.effort", rounded(float(most.max()) if most.size else 150.0), "largest limit of the URDF"),
     ]
 

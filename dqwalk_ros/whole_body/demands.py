@@ -91,16 +91,17 @@ def checks(walked: WholeBodyTrace, without: Sequence[WholeBodyTrace] = ()) -> li
         For each push of its scenario the same walk without that one.
     """
     name = walked.scenario.name
-    size = walked.scenario.size
+    size, slow = walked.scenario.size, walked.scenario.slow
     authors = _AUTHORS.get(name, {}) if size == 1.0 else {}
     found = [Demand("stood for", float(walked.time[-1]), "s", "to the end", walked.stood)]
     for when in (4.0, 8.0):
-        if walked.time[-1] > when and np.isfinite(walked.error[walked.at(when)]):
-            error, most = float(walked.error[walked.at(when)]), size * _AT.get((name, when), np.inf)
+        at = slow * when
+        if walked.time[-1] > at and np.isfinite(walked.error[walked.at(at)]):
+            error, most = float(walked.error[walked.at(at)]), size * _AT.get((name, when), np.inf)
             bound = f"<= {most:g}" if np.isfinite(most) else ""
-            found.append(Demand(f"hand from target at {when:g} s", error, "m", bound, error <= most, authors.get(when)))
-    late = walked.error[walked.time > walked.scenario.duration - 3.0]
-    if walked.stood and walked.scenario.duration >= 11.0 and late.size and np.isfinite(late).all():
+            found.append(Demand(f"hand from target at {at:.3g} s", error, "m", bound, error <= most, authors.get(when)))
+    late = walked.error[walked.time > walked.scenario.duration - 3.0 * slow]
+    if walked.stood and walked.scenario.duration >= 11.0 * slow and late.size and np.isfinite(late).all():
         must = name.startswith("Test")  # when the hand could have reached another target is not known
         for what, key, value, most in (
             ("rms", "rms", float(np.sqrt((late**2).mean())), 0.01 * size),

@@ -31,6 +31,8 @@ class Scenario:
         When which impulse hits the torso [s, N s].
     size : float
         Of the robot it is for, compared with that of the paper: lengths that are demanded scale with it.
+    slow : float
+        Duration of its steps, compared with that of the paper: times scale with it.
 
     Raises
     ------
@@ -43,6 +45,7 @@ class Scenario:
     targets: tuple[Timed, ...] = ()
     pushes: tuple[Timed, ...] = ()
     size: float = 1.0
+    slow: float = 1.0
 
     def __post_init__(self) -> None:
         """Check times and numbers."""
@@ -77,4 +80,4 @@ def fitted(scenario: Scenario, controller: WholeBodyController) -> Scenario:
         return scenario
     targets = tuple((slow * when, (size * x, size * y, size * z)) for when, (x, y, z) in scenario.targets)
     pushes = tuple((slow * when, (impulse * x, impulse * y, impulse * z)) for when, (x, y, z) in scenario.pushes)
-    return replace(scenario, duration=slow * scenario.duration, targets=targets, pushes=pushes, size=size)
+    return replace(scenario, duration=slow * scenario.duration, targets=targets, pushes=pushes, size=size, slow=slow)
