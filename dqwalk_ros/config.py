@@ -351,12 +351,12 @@ class EstimationConfig:
     """How sure the estimate of the base takes its sources to be; standard deviations."""
 
     gyro_noise: float = _par(0.002, "noise density of the gyroscope", "rad/s/sqrt(Hz)", 1e-6, 1.0)
-    accelerometer_noise: float = _par(0.05, "noise density of the accelerometer", "m/s^2/sqrt(Hz)", 1e-5, 100.0)
+    accelerometer_noise: float = _par(0.04, "noise density of the accelerometer", "m/s^2/sqrt(Hz)", 1e-5, 100.0)
     gyro_bias: float = _par(0.01, "bias of the gyroscope at the start", "rad/s", 0.0, 1.0)
     accelerometer_bias: float = _par(0.12, "bias of the accelerometer at the start", "m/s^2", 0.0, 10.0)
     gyro_drift: float = _par(1e-5, "random walk of the gyroscope's bias", "rad/s/sqrt(s)", 0.0, 1.0)
     accelerometer_drift: float = _par(1e-4, "random walk of the accelerometer's bias", "m/s^2/sqrt(s)", 0.0, 10.0)
-    kinematics: float = _par(0.002, "place of a sole's heel or toe by the joint angles", "m", 1e-5, 0.1)
+    kinematics: float = _par(0.001, "place of a sole's heel or toe by the joint angles", "m", 1e-5, 0.1)
     slip: float = _par(0.001, "random walk of a sole that stands", "m/sqrt(s)", 1e-6, 0.1)
     pivot: float = _par(0.002, "random walk of the direction of a sole that stands", "rad/sqrt(s)", 1e-6, 0.1)
     floor: float = _par(0.0015, "height of the floor from footfall to footfall", "m", 1e-5, 1.0)

@@ -18,6 +18,8 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.dynamic.walk import DynamicWalk
 from dqwalk_ros.errors import ConfigError, DqwalkError, PlantError
+from dqwalk_ros.estimation.base import BaseEstimator
+from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.plants import Inertial, Plant, Truth
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.robot import Foot, RobotModel
@@ -102,7 +104,12 @@ def warm_up(config: Config, model: RobotModel) -> None:
     sensed = {"up": np.array([0.0, 0.0, 1.0]), "gyro": np.zeros(3)} if config.plant.imu else {}
     with contextlib.suppress(DqwalkError):
         q = make_walk(config, model).posture
-        make_controller(config, model).step(State(0.0, q, np.zeros(model.n), **sensed), config.dt)
+        controller = make_controller(config, model)
+        controller.step(State(0.0, q, np.zeros(model.n), **sensed), config.dt)
+        if config.plant.imu:
+            base, kin = BaseEstimator(config, model), Kinematics(model, q, controller.phase.base)
+            for k in range(2):
+                base.update(k * config.dt, kin, np.zeros(3), np.array([0.0, 0.0, 9.8]), both=True)
 
 
 def closed_loop(

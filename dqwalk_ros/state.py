@@ -28,6 +28,8 @@ class State:
         Unit vector against gravity in the frame of the inertial sensor, where there is one.
     gyro : ndarray, shape (3,), or None
         Angular velocity of the inertial sensor in its frame [rad/s].
+    acceleration : ndarray, shape (3,), or None
+        Against free fall, in the same frame: 9.81 upwards at rest [m/s^2]; for the odometry only.
     """
 
     time: float
@@ -35,6 +37,7 @@ class State:
     dq: Array | None = None
     up: Array | None = None
     gyro: Array | None = None
+    acceleration: Array | None = None
 
 
 @dataclass(slots=True, eq=False)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from dqwalk_ros.compiled import jit
 from dqwalk_ros.kinematics import Kinematics, direction
 
-__all__ = ["GRAVITY", "borne_by_other", "gravity_torques", "ground_torques"]
+__all__ = ["GRAVITY", "borne_by_other", "gravity_torques", "ground_torques", "share"]
 
 Array = NDArray[np.float64]
 
@@ -51,11 +51,17 @@ def ground_torques(kin: Kinematics, force: Array, pressure: Array, *, both: bool
 
 
 @jit
-def borne_by_other(force, pressure, com, a, b, half, x_other, lines, moves):  # type: ignore[no-untyped-def]
-    """Return w (F.J_po + m.J_omega) (n,); `a` and `b` are the soles' centres, `half` is half of their length."""
+def share(pressure, a, b):  # type: ignore[no-untyped-def]
+    """Return the part of the load on the sole centred at `b` (3,), the rest is on that at `a`: how far on the way."""
     x, y = b[0] - a[0], b[1] - a[1]
     w = ((pressure[0] - a[0]) * x + (pressure[1] - a[1]) * y) / (x * x + y * y)
-    w = min(max(w, 0.0), 1.0)
+    return min(max(w, 0.0), 1.0)
+
+
+@jit
+def borne_by_other(force, pressure, com, a, b, half, x_other, lines, moves):  # type: ignore[no-untyped-def]
+    """Return w (F.J_po + m.J_omega) (n,); `a` and `b` are the soles' centres, `half` is half of their length."""
+    w = share(pressure, a, b)
     aside = pressure - a[:2] - w * (b - a)[:2]
     ahead_a, ahead_b = np.array([1.0, 0.0, 0.0]), direction(x_other, np.array([1.0, 0.0, 0.0]))
     p_a = a + min(max(aside[0], -half), half) * ahead_a

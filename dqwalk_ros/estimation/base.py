@@ -12,7 +12,6 @@ the only reference that tells a tilt of the sensor from the bias of its accelero
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +22,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.statics import share
 
 __all__ = ["BaseEstimate", "BaseEstimator"]
 
@@ -36,6 +36,8 @@ _R, _V, _P, _GYRO, _ACCELEROMETER = slice(0, 3), slice(3, 6), slice(6, 9), slice
 _SIZE = 27
 _GATE = 25.0
 """A sole whose point is further from where it stood than this many variances has slipped or lifted."""
+_BEARS = 0.1
+"""A sole that bears less than this part of the weight is about to lift, or has not landed yet."""
 
 
 @dataclass(frozen=True)
@@ -87,27 +89,29 @@ class BaseEstimator:
         self._felt = np.zeros(3), np.zeros(3)
         self._stood = np.zeros(4, dtype=bool)
 
-    def update(
-        self, time: float, kin: Kinematics, gyro: Array, acceleration: Array, standing: Collection[Foot]
-    ) -> BaseEstimate:
+    def update(self, time: float, kin: Kinematics, gyro: Array, acceleration: Array, *, both: bool) -> BaseEstimate:
         """Return the base at `time` [s].
 
         Parameters
         ----------
         time : float
         kin : Kinematics
-            Of the measured joints, seen from either sole.
+            Of the measured joints and vertical, seen from a sole on the ground.
         gyro, acceleration : ndarray, shape (3,)
             As the inertial sensor has them [rad/s, m/s^2].
-        standing : collection of Foot
-            Soles that should be on the ground.
+        both : bool
+            Whether the other sole is down, too. Of two that are down only those count that bear weight: one about to
+            lift, or just landed, is dragged along by a millimetre.
         """
         c, foot_of = self._config, [foot for foot, _ in _POINTS]
         x_imu = DQ(kin.pose(self._imu))
         R_imu, p_imu = x_imu.rotation_matrix(), x_imu.translation()
         points = [kin.point(frame, offset) for frame, offset in self._points]
         h = np.ascontiguousarray((np.array(points) - p_imu) @ R_imu)  # (4, 3), from the sensor in its frame
-        stands = np.array([foot in standing for foot in foot_of])
+        base, other = (self._model.soles[foot] for foot in (kin.base, kin.base.other))
+        part = float(share(kin.com_on_ground, base.center, kin.point(other.frame, other.center))) if both else 0.0
+        bears = {kin.base: part <= 1.0 - _BEARS, kin.base.other: part >= _BEARS}
+        stands = np.array([bears[foot] for foot in foot_of])
         if math.isnan(self._time):
             self._begin(R_imu, p_imu, h)
         else:
@@ -181,10 +185,12 @@ def _predict(dt, gyro, acceleration, R, v, p, d, bias, P, noise):  # type: ignor
     F = np.eye(_SIZE) + dt * A + 0.5 * dt**2 * (A @ A)
     G = np.ascontiguousarray(A[:, 21:])  # the sensors' noise comes in where their biases do
     Q = (G * noise[:6]) @ G.T
-    for i in range(12):  # a sole creeps as a whole, and its heel against its toe
-        Q[9 + i, 9 + i] += noise[6] + noise[13]
-        partner = i + 3 if i % 6 < 3 else i - 3
-        Q[9 + i, 9 + partner] += noise[6]
+    for i in range(12):  # a sole creeps along the floor as a whole, and its heel against its toe
+        Q[9 + i, 9 + i] += noise[13]
+        if i % 3 < 2:
+            partner = i + 3 if i % 6 < 3 else i - 3
+            Q[9 + i, 9 + i] += noise[6]
+            Q[9 + i, 9 + partner] += noise[6]
     for i in range(6):
         Q[21 + i, 21 + i] += noise[7 + i]
     P[:] = F @ P @ F.T + dt * Q

@@ -20,6 +20,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import Config
+from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import DqwalkError, StateError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.nodes import messages as ros
@@ -179,18 +180,23 @@ class Controller(AnsweringNode):
             self._publish_command()
             self._compute_time = time.perf_counter() - began
             self._ticks += 1
-            self._odometry.publish(stamp, self._pelvis(state))
+            self._publish_odometry(stamp, state)
         if self._mode is not before:
             self._done()
         elif self._is_time_to_diagnose():
             self._diagnose()
         self._report_progress()
 
-    def _pelvis(self, state: State) -> Array:
-        """Return the pose of the pelvis in the world of the first phase, also before that has begun."""
+    def _publish_odometry(self, stamp: int, state: State) -> None:
+        """Publish where the robot is in the world of the first phase, also before that has begun."""
+        base, both, x_base = self._first_base, True, DQ(1.0)
         if self._phase_index >= 0:
-            return self._walk.odometry()
-        return Kinematics(self._model, state.q, self._first_base).pose(self._model.pelvis)
+            phase = self._walk.phase
+            base, both, x_base = phase.base, phase.kind is not PhaseKind.SINGLE_SUPPORT, DQ(self._walk.x_odom_base)
+        kin = Kinematics(self._model, state.q, base)
+        if state.up is not None:
+            kin = kin.tilted(kin.direction(self._model.imu, state.up))
+        self._odometry.publish(stamp, state, kin, x_base, both=both)
 
     @property
     def _is_walking(self) -> bool:

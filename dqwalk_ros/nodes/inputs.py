@@ -86,8 +86,8 @@ class InertialSensor:
                 raise StateError(f"imu: its stamp is {age:.3f} s away from the state's")
         if (given := newest.header.frame_id) not in ("", self._frame):
             raise StateError(f"imu: it is in the frame '{given}', and robot.imu is '{self._frame}': they must agree")
-        up, gyro = ros.up_and_gyro(newest)
-        return dataclasses.replace(state, up=up, gyro=gyro)
+        up, gyro, acceleration = ros.inertial_of(newest)
+        return dataclasses.replace(state, up=up, gyro=gyro, acceleration=acceleration)
 
 
 class Steering:

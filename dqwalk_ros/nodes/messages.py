@@ -30,6 +30,7 @@ __all__ = [
     "JointWriter",
     "diagnostics",
     "imu",
+    "inertial_of",
     "is_heard_by",
     "latched",
     "message_type",
@@ -41,7 +42,6 @@ __all__ = [
     "status",
     "stream",
     "time_msg",
-    "up_and_gyro",
     "wrench",
 ]
 
@@ -253,10 +253,11 @@ def imu(stamp: int, frame: str, said: Inertial) -> Imu:
     return msg
 
 
-def up_and_gyro(msg: Imu) -> tuple[Array, Array]:
-    """Return the unit vector against gravity and the angular velocity [rad/s], (3,) each, in the sensor's frame.
+def inertial_of(msg: Imu) -> tuple[Array, Array, Array | None]:
+    """Return the unit vector against gravity, angular velocity [rad/s] and acceleration [m/s^2], (3,) each.
 
-    Only roll and pitch of the orientation count: what a sensor without a compass says of its yaw makes no difference.
+    All are in the sensor's frame. Only roll and pitch of the orientation count: what a sensor without a compass says of
+    its yaw makes no difference. A sensor without an accelerometer says so by a covariance that begins with -1.
 
     Raises
     ------
@@ -265,12 +266,13 @@ def up_and_gyro(msg: Imu) -> tuple[Array, Array]:
     """
     if msg.orientation_covariance[0] < 0.0:
         raise StateError("imu: it has no orientation (its covariance begins with -1)")
-    r, w = msg.orientation, msg.angular_velocity
+    r, w, a = msg.orientation, msg.angular_velocity, msg.linear_acceleration
     size = math.sqrt(r.w * r.w + r.x * r.x + r.y * r.y + r.z * r.z)
-    gyro = np.array([w.x, w.y, w.z])
+    gyro, acceleration = np.array([w.x, w.y, w.z]), np.array([a.x, a.y, a.z])
     if not (abs(size - 1.0) < 1e-3 and np.isfinite(gyro).all()):
         raise StateError(f"imu: not a unit quaternion (its norm is {size:g}), or not a finite angular velocity")
-    return upward(r.w, r.x, r.y, r.z), gyro
+    known = msg.linear_acceleration_covariance[0] >= 0.0 and bool(np.isfinite(acceleration).all())
+    return upward(r.w, r.x, r.y, r.z), gyro, acceleration if known else None
 
 
 def wrench(stamp: int, frame: str, w: Array) -> WrenchStamped:

@@ -1,5 +1,8 @@
 """Where the robot is, as Nav2 and RViz expect it: odom, base_pose, and the frames of REP-105 and REP-120 on /tf.
 
+With an inertial sensor that has an accelerometer it is what `estimation.base` says; without one the joints alone say
+it, from sole to sole.
+
 /tf and /tf_static are published where tf2_msgs is installed; the wheels of ROS on PyPI lack it.
 """
 
@@ -16,9 +19,12 @@ from numpy.typing import NDArray
 from rclpy.qos import QoSProfile
 
 from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.estimation.base import BaseEstimate, BaseEstimator
+from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode
 from dqwalk_ros.robot import RobotModel
+from dqwalk_ros.state import State
 
 __all__ = ["Odometry"]
 
@@ -26,6 +32,10 @@ Array = NDArray[np.float64]
 
 _FIXED = 0.005
 """Standard deviation of what does not drift, height, roll and pitch [m, rad], and of velocities [m/s, rad/s]."""
+_LOST = 0.5
+"""After so long without a state the estimate begins anew where it was [s]."""
+_TURNED_MOVED = [0, 1, 2, 6, 7, 8]
+"""Orientation and place in the covariance of an estimate."""
 
 
 class Odometry:
@@ -56,11 +66,14 @@ class Odometry:
         self._origin, self._last = DQ(1.0), DQ(1.0)
         self._is_new = False
         self._steps = 0
+        self._estimator = BaseEstimator(node.config, model)
+        self._estimated: BaseEstimate | None = None
 
     def begin_anew(self) -> None:
         """Go on from the last pose, wherever a new walk has its origin."""
         self._is_new = bool(self._window)
         self._window.clear()
+        self._estimator = BaseEstimator(self._node.config, self._model)
 
     @property
     def origin(self) -> Array:
@@ -71,22 +84,34 @@ class Odometry:
         """Count a step, by which the pose is less certain."""
         self._steps += 1
 
-    def publish(self, stamp: int, x_pelvis: Array) -> None:
+    def publish(self, stamp: int, state: State, kin: Kinematics, x_base: DQ, *, both: bool) -> None:
         """Publish for a state.
 
         Parameters
         ----------
         stamp : int
             Of the state [ns].
-        x_pelvis : ndarray, shape (8,)
-            Pose of the pelvis in the world of the walk's first phase.
+        state : State
+        kin : Kinematics
+            At that state.
+        x_base : DQ
+            Pose of the base sole of `kin` in the world of the walk's first phase, by the joints.
+        both : bool
+            Whether both feet are on the ground.
         """
+        passed = stamp - self._window[-1][0] if self._window else 1
+        if self._estimated is not None and not 0 < passed <= _LOST * 1e9:
+            self.begin_anew()
+        if passed <= 0:
+            self._window.clear()  # the plant's clock was set back
+        x_pelvis, self._estimated = (x_base * DQ(kin.pose(self._model.pelvis))).vec8(), None
+        if state.gyro is not None and state.acceleration is not None:
+            e = self._estimated = self._estimator.update(1e-9 * stamp, kin, state.gyro, state.acceleration, both=both)
+            x_pelvis = e.pose
         x_root = DQ(x_pelvis) * self._x_pelvis_root
         if self._is_new:
             self._origin, self._is_new = self._last * x_root.conj(), False
         x = self._last = self._origin * x_root
-        if self._window and stamp <= self._window[-1][0]:
-            self._window.clear()  # the plant's clock was set back
         self._window.append((stamp, x))
         while len(self._window) > 2 and stamp - self._window[1][0] >= self._config.window * 1e9:
             self._window.popleft()
@@ -106,10 +131,17 @@ class Odometry:
             math.sqrt(self._steps) * d for d in (self._config.step_deviation, self._config.turn_deviation)
         )
         deviations = np.array([walked, walked, 0.0, 0.0, 0.0, turned])  # x, y, z, roll, pitch, yaw
-        msg.pose.covariance = np.diag(deviations**2 + _FIXED**2).ravel()
-        msg.twist.covariance = np.diag(np.full(6, _FIXED**2)).ravel()
+        of_pose, of_twist, twist = np.diag(deviations**2 + _FIXED**2), np.diag(np.full(6, _FIXED**2)), self._velocity()
+        if (e := self._estimated) is not None:
+            R_odom, R = self._origin.rotation_matrix(), (self._origin.conj() * x).rotation_matrix()  # base in its world
+            to_odom = np.kron(np.array([[0.0, 1.0], [1.0, 0.0]]), R_odom)  # place first, then orientation
+            of_pose = to_odom @ e.covariance[np.ix_(_TURNED_MOVED, _TURNED_MOVED)] @ to_odom.T
+            of_twist[:3, :3] = R.T @ e.covariance[3:6, 3:6] @ R
+            arm = (self._origin.conj() * x).translation() - DQ(e.pose).translation()
+            twist = np.concatenate([R.T @ (e.velocity + np.cross(e.angular_velocity, arm)), R.T @ e.angular_velocity])
+        msg.pose.covariance, msg.twist.covariance = of_pose.ravel(), of_twist.ravel()
         linear, angular = msg.twist.twist.linear, msg.twist.twist.angular
-        linear.x, linear.y, linear.z, angular.x, angular.y, angular.z = self._velocity().tolist()
+        linear.x, linear.y, linear.z, angular.x, angular.y, angular.z = twist.tolist()
         return msg
 
     def _velocity(self) -> Array:

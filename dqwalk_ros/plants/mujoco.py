@@ -164,7 +164,8 @@ class PhysicsPlant(World):
         # an exact sensor's acceleration is computed where it is asked for
         acceleration = _NO_ACCELERATION if self._sensors.exact else self._acceleration()
         r = self._reading = self._sensors.measure(time, Reading(q, dq, orientation, turning[:3], acceleration))
-        return State(time, r.q, r.dq, upward(*r.orientation.tolist()), r.gyro)
+        felt = None if self._sensors.exact else r.acceleration
+        return State(time, r.q, r.dq, upward(*r.orientation.tolist()), r.gyro, felt)
 
     def _acceleration(self) -> Array:
         out = np.empty(6)

@@ -307,7 +307,8 @@ def _first_base(model: RobotModel, columns: Mapping[str, Column], start: _Start)
     return one if min(np.abs(x - one).max(), np.abs(x + one).max()) < _SAME_POSE else x
 
 
-_SAME_POSE = 1e-9
+_SAME_POSE = 5e-3
+"""An estimate of the base is not that of the joints to the last bit."""
 
 
 def _records(
