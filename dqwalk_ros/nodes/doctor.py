@@ -215,7 +215,7 @@ def sensed(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
     if msg.header.frame_id not in ("", model.imu):
         return False, f"its frame is '{msg.header.frame_id}', and robot.imu is '{model.imu}': they must agree"
     try:
-        up, gyro = ros.up_and_gyro(msg)
+        up, gyro, _ = ros.inertial_of(msg)
     except StateError as error:
         return False, f"{error}: it must estimate an orientation (imu_filter_madgwick)"
     kin = Kinematics(model, heard.angles(model), Foot.LEFT)
