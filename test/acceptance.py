@@ -102,7 +102,7 @@ def judge(walked: Mapping[str, WholeBodyTrace], answers: Answers) -> list[Demand
         tightest = worst((check for check in both if check.name == name), key=lambda check: check.value)
         rows.append(replace(tightest, topic="every tick of both"))
     rows += _in_place(walked["in place"])
-    rows += [_stands("robust", name, walked[name]) for name in _HARD]
+    rows += [_stands("robust", name, walked[name], kept=True) for name in _HARD]
     for name in ("no level 2", "no level 2, in place"):
         w = walked[name]
         end = w.note.partition(":")[0] or "stood"
@@ -186,9 +186,12 @@ def _times(walked: Sequence[WholeBodyTrace]) -> list[Demand]:
     ]
 
 
-def _stands(topic: str, name: str, w: WholeBodyTrace) -> Demand:
+def _stands(topic: str, name: str, w: WholeBodyTrace, *, kept: bool = False) -> Demand:
+    """Judge whether a robot stands, and with `kept` whether it keeps every limit as well."""
     end = f"stood {w.time[-1] + w.config.dt:.1f} s" if w.stood else w.note
-    return Demand(name, end, "", "stands", w.stood, topic=topic)
+    broken = [name for name, values in w.margins.items() if kept and values.min() < KEPT[name]]
+    asked = "stands, limits kept" if kept else "stands"
+    return Demand(name, ", beyond ".join([end, *broken]), "", asked, w.stood and not broken, topic=topic)
 
 
 def render(demands: Sequence[Demand]) -> str:

@@ -13,8 +13,6 @@ from dqwalk_ros.config import load
 from dqwalk_ros.errors import ConfigError, ModelError, PlantError, StateError
 from dqwalk_ros.robot import load_model
 from dqwalk_ros.whole_body import (
-    PAPER_TIMES,
-    SCENARIOS,
     BodyState,
     Scenario,
     WholeBodyController,
@@ -254,51 +252,6 @@ def test_mirrored_it_is_the_mirror_image() -> None:
         assert t0 == t1
         # the right arm is free and the left is not, so the mirror is not perfect
         assert p1 * [1, -1] == pytest.approx(p0, abs=0.02)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", ["1", "2"])
-def test_the_papers_tests(name: str) -> None:
-    walked = walk(SCENARIOS[name])
-    assert_limits(walked)
-    assert walked.error[walked.at(8.0)] < 0.14
-    last = walked.error[walked.time > 11.0]
-    assert np.sqrt((last**2).mean()) < 0.010
-    if name == "1":
-        assert walked.error[walked.at(4.0)] < 0.10
-        return
-    for when, axis, least in ((2.5, 1, 0.05), (7.0, 0, -0.05)):  # against the same walk without that push
-        without = walk(replace(SCENARIOS[name], pushes=tuple(p for p in SCENARIOS[name].pushes if p[0] != when)))
-        i = next(i for i, (t, _) in enumerate(walked.footholds()) if t > when)
-        shift = (walked.footholds()[i][1] - without.footholds()[i][1])[axis]
-        assert shift / least >= 1.0
-
-
-@pytest.mark.long
-def test_the_times_of_the_paper() -> None:
-    walked = walk(replace(SCENARIOS["1"], targets=PAPER_TIMES))
-    assert_limits(walked)
-    assert walked.error[walked.at(4.0)] < 0.10
-    last = walked.error[walked.time > 11.0]
-    assert np.sqrt((last**2).mean()) < 0.010
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("push", "when", "changes"),
-    [
-        (10, 2.5, {}),
-        (15, 2.5, {}),
-        (20, 2.5, {}),
-        (15, 2.3, {}),
-        (15, 2.5, {"friction": 0.4}),
-        (15, 2.5, {"intervals": 8}),
-    ],
-)
-def test_pushes_it_survives(push: float, when: float, changes: dict) -> None:
-    walked = walk(Scenario("push", 6.0, TARGET, ((when, (0.0, float(push), 0.0)),)), changes)
-    assert walked.stood, walked.note
-    assert min(walked.margins[name].min() for name in ("cop_margin", "friction", "torque", "joint")) > -1e-6
 
 
 @pytest.mark.long

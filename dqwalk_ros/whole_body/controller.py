@@ -119,7 +119,7 @@ class BodyTick:
 
 
 class WholeBodyController:
-    """Walks wherever its objectives lead, and keeps able to stop.
+    """Makes the robot walk where its objectives lead, able to stop at any time.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Hierarchical least squares: constraints first, then balance, then the objectives, section VI [Sherikov2014].
 
 Rows lower <= (x, A x) <= upper have a level, and the cost comes last. Nearly always all rows can hold, and the
-hierarchy is one quadratic program. Where they cannot, the levels are gone through in order: the rows of each are moved
+hierarchy is one quadratic program. Where they cannot, the levels are solved in order: the rows of each are moved
 by the least, in the sense of least squares, that lets them hold together with the levels before it.
 
 DAQP solves every program: an active-set method, exact to rounding, started from the active set of the tick before.
