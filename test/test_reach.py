@@ -16,8 +16,8 @@ from dqwalk_ros import cli
 from dqwalk_ros.config import load
 from dqwalk_ros.errors import BagError
 from dqwalk_ros.report import bag
-from dqwalk_ros.report.figures.pushes import pushes_figure
 from dqwalk_ros.report.figures.reaching import reactions, walk_from_above
+from dqwalk_ros.report.figures.studies import pushes_figure
 from dqwalk_ros.robot import load_model
 from dqwalk_ros.studies import torso_pushes
 from dqwalk_ros.studies.pushes import Limit

@@ -105,7 +105,7 @@ def pushes(
     Needs dqwalk_ros[sim].
     """
     from dqwalk_ros.cli.progress import Progress
-    from dqwalk_ros.report.figures.pushes import pushes_figure
+    from dqwalk_ros.report.figures.studies import pushes_figure
     from dqwalk_ros.report.figures.style import drawing
     from dqwalk_ros.robot import load_model
     from dqwalk_ros.studies import pushes as study

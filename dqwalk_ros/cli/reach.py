@@ -160,7 +160,7 @@ def _pushes(args: _Options, output: Output, config: Config, out: Path) -> int:
     """Look for the hardest push in every direction."""
     from dqwalk_ros.cli.body import leave
     from dqwalk_ros.cli.progress import Progress
-    from dqwalk_ros.report.figures.pushes import pushes_figure
+    from dqwalk_ros.report.figures.studies import pushes_figure
     from dqwalk_ros.report.figures.style import drawing
     from dqwalk_ros.robot import Foot
     from dqwalk_ros.studies.torso_pushes import DIRECTIONS, limits

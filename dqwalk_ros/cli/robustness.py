@@ -85,7 +85,7 @@ def robustness(
     prints the fraction that stood and why the others did not. Needs dqwalk_ros[sim].
     """
     from dqwalk_ros.cli.progress import Progress
-    from dqwalk_ros.report.figures.robustness import robustness_figure
+    from dqwalk_ros.report.figures.studies import robustness_figure
     from dqwalk_ros.report.figures.style import drawing
     from dqwalk_ros.studies import robustness as study
 

@@ -100,7 +100,7 @@ def study(
 
 def _draw(study: Study, rows: list[dict[str, Any]], out: Path, formats: tuple[str, ...]) -> list[Path]:
     from dqwalk_ros.config import Config
-    from dqwalk_ros.report.figures.study import study_figure
+    from dqwalk_ros.report.figures.studies import study_figure
 
     units = {spec.name: spec.unit for spec in Config.specs()}
     units |= {name: "rad" for name in study.vary if name.startswith("start.")}

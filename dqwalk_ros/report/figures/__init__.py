@@ -6,10 +6,9 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from dqwalk_ros.report.figures.on_the_ground import on_the_ground
+from dqwalk_ros.report.figures.from_above import on_the_ground, top_view
 from dqwalk_ros.report.figures.paper import figure7, figure8, figure9
 from dqwalk_ros.report.figures.style import drawing
-from dqwalk_ros.report.figures.top_view import top_view
 from dqwalk_ros.report.metrics import Series
 
 __all__ = ["FIGURES", "FORMATS", "figure7", "figure8", "figure9", "fits", "on_the_ground", "save", "top_view"]

@@ -1,0 +1,262 @@
+"""A walk from above, as the odometry of the legs has it and as it truly was in physics, and its margins over time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.geometry import ConvexPolygon
+from dqwalk_ros.report.figures.style import (
+    BLUE,
+    DASHED,
+    GREEN,
+    GREY,
+    INK,
+    RED,
+    drawing,
+    mark_phases,
+    name_phases,
+    new_figure,
+    set_time_limits,
+    thinned,
+)
+from dqwalk_ros.report.metrics import Ground, Series, Span, urdf_soles
+from dqwalk_ros.report.verdict import TILT
+from dqwalk_ros.robot import Foot, Sole
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["on_the_ground", "top_view"]
+
+Array = NDArray[np.float64]
+_COLOR = {Foot.LEFT: BLUE, Foot.RIGHT: GREEN}
+_ORANGE, _HULL, _HULL_EDGE = "#b35900", "#eef1f4", "#c9d1d9"
+_LONG = 0.45
+"""From this extent [m] on the walk is drawn above its margins, not beside them."""
+_MANY = 50
+"""More phases than these are not marked over time in physics."""
+
+
+def _patch(ax: Axes, corners: Array, edge: str, face: str = "none", **looks: Any) -> None:
+    """Draw a sole or another polygon (m, 2)."""
+    from matplotlib.patches import Polygon
+
+    ax.add_patch(Polygon(corners, facecolor=face, edgecolor=edge, **looks))
+
+
+def _ring(ax: Axes, center: Array, radius: float, zorder: int) -> None:
+    from matplotlib.patches import Circle
+
+    looks: dict[str, Any] = {"fill": False, "edgecolor": RED, "linestyle": DASHED, "linewidth": 1.2}
+    ax.add_patch(Circle((float(center[0]), float(center[1])), radius, zorder=zorder, **looks))
+
+
+def _way(way: Array) -> tuple[Array, Array]:
+    """Return x and y of some thousand points of a way."""
+    step = max(1, len(way) // 3000)
+    at = np.unique(np.append(np.arange(0, len(way), step), len(way) - 1))
+    return way[at, 0], way[at, 1]
+
+
+def _soles_legend() -> list[Any]:
+    from matplotlib.patches import Patch
+
+    return [Patch(facecolor=_COLOR[f] + "26", edgecolor=_COLOR[f], label=f"{f.value} sole") for f in Foot]
+
+
+def _legend(fig: Figure, handles: list[Any]) -> None:
+    fig.legend(handles=handles, loc="outside lower center", ncols=7, fontsize=8.5)
+
+
+def _finish(ax: Axes, title: str, x: str, y: str, adjustable: str) -> None:
+    ax.set_aspect("equal", adjustable=adjustable)  # type: ignore[arg-type]
+    ax.margins(0.03)
+    ax.autoscale_view()
+    ax.set(xlabel=x, ylabel=y, title=title)
+
+
+# ---------------------------------------------------------------------- by the odometry
+
+
+def top_view(series: Series) -> Figure:
+    """Draw the footsteps and the CoM in odom, and the margins of the CoM over time."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    reach = float(np.ptp(series.com_odom[:, 0])) + 0.25
+    steps = sum(not span.double for span in series.spans)
+    with drawing():
+        if reach < _LONG:
+            fig = new_figure(11.5, 5.2)
+            ground, margins = fig.subplots(1, 2, width_ratios=[1.0, 1.15])
+        else:
+            height = float(np.clip(11.0 * 0.26 / reach, 1.8, 5.0))
+            fig = new_figure(11.5, height + 3.6)
+            ground, margins = fig.subplots(2, 1, height_ratios=[height, 2.2])
+        own = urdf_soles(series.trace)
+        _draw_footsteps(ground, series, own)
+        _draw_margins(margins, series)
+        handles = [*_soles_legend(), Patch(facecolor=_HULL, edgecolor=_HULL_EDGE, label="double-support polygon")]
+        if series.trace.config.gait.style == "paper":
+            handles.append(Line2D([], [], color=RED, linestyle=DASHED, linewidth=1.2, label="cylinder (U14)"))
+        handles.append(Line2D([], [], color=INK, linewidth=2.0, label="CoM"))
+        handles.append(Line2D([], [], color=GREY, linestyle=":", linewidth=1.2, label="start, swing"))
+        if own is not None:
+            handles.append(Line2D([], [], color=_ORANGE, linewidth=1.0, alpha=0.6, label="sole of the URDF"))
+        _legend(fig, handles)
+        title = f"{series.trace.model.name}: {steps} step{'s' if steps != 1 else ''} from above"
+        fig.suptitle(title, fontsize=12, fontweight="bold")
+    return fig
+
+
+def _in_odom(series: Series, span: Span, tick: int, foot: Foot, soles: Mapping[Foot, Sole]) -> Array:
+    """Return the corners of a sole at a tick, shape (4, 2) [m]."""
+    x = DQ(span.record.x_odom_base)
+    if foot is not span.phase.base:
+        x = x * DQ(series.end[tick])
+    return x.transform_point(soles[foot].corners)[:, :2]
+
+
+def _draw_footsteps(ax: Axes, series: Series, own: Mapping[Foot, Sole] | None) -> None:
+    from matplotlib.patheffects import Normal, Stroke
+
+    soles, first = series.trace.model.soles, series.spans[0]
+    for foot in Foot:  # where the feet stood at first
+        _patch(ax, _in_odom(series, first, first.start, foot, soles), GREY, linestyle=":", linewidth=1.2, zorder=2)
+    for span in series.spans:
+        if span.double:
+            corners = np.concatenate([_in_odom(series, span, span.end - 1, foot, soles) for foot in Foot])
+            _patch(ax, ConvexPolygon.hull(corners).vertices, _HULL_EDGE, _HULL, linewidth=0.8, zorder=1)
+    singles = [span for span in series.spans if not span.double]
+    for number, span in enumerate(singles, 1):
+        _draw_step(ax, series, span, own, number, last=span is singles[-1])
+    halo = [Stroke(linewidth=4.2, foreground="white"), Normal()]
+    com = series.com_odom[np.isfinite(series.com_odom).all(axis=1)]
+    ax.plot(*_way(com), color=INK, linewidth=2.0, zorder=6, path_effects=halo)
+    for tick, fill in ((0, "white"), (-1, INK)):
+        ax.plot(*com[tick, :2], "o", color=fill, markeredgecolor=INK, markersize=6, zorder=7)
+    _finish(ax, "A   Footsteps and centre of mass", "forward, x [m]", "to the left, y [m]", "datalim")
+
+
+def _draw_step(
+    ax: Axes, series: Series, span: Span, own: Mapping[Foot, Sole] | None, number: int, *, last: bool
+) -> None:
+    """Draw the sole that carries, its cylinder, the way of the swing foot, and the last landing."""
+    soles, base, swing = series.trace.model.soles, span.phase.base, span.phase.base.other
+    x_base, color = DQ(span.record.x_odom_base), _COLOR[base]
+    stance = _in_odom(series, span, span.start, base, soles)
+    _patch(ax, stance, color, color + "26", linewidth=1.4, zorder=3)
+    if own is not None:
+        real = _in_odom(series, span, span.start, base, own)
+        _patch(ax, real, _ORANGE, linewidth=1.0, alpha=0.6, zorder=3)
+    if series.trace.config.gait.style == "paper":
+        _ring(ax, x_base.transform_point(soles[base].center), series.trace.config.ssp.com_radius, zorder=4)
+    way = (x_base * DQ(series.end[span.ticks])).transform_point(soles[swing].center)
+    ax.plot(*_way(way), color=_COLOR[swing], linewidth=1.3, linestyle=":", zorder=5)
+    at = (float(way[-1, 0]), float(way[-1, 1]))
+    text: dict[str, Any] = {"fontsize": 10, "fontweight": "bold", "zorder": 8, "ha": "center", "va": "center"}
+    ax.annotate(str(number), at, color=_COLOR[swing], **text)
+    if last:
+        landed = _in_odom(series, span, span.end - 1, swing, soles)
+        _patch(ax, landed, _COLOR[swing], _COLOR[swing] + "12", linewidth=1.4, zorder=3)
+
+
+def _draw_margins(ax: Axes, series: Series) -> None:
+    mark_phases(ax, series)
+    curves = []
+    if series.trace.config.gait.style == "paper":
+        curves.append((series.paper_margin, INK, "support region of the paper: planes, cylinder"))
+    curves.append((series.true_margin, GREEN, "convex hull of the soles as configured"))
+    if series.urdf_margin is not None:
+        curves.append((series.urdf_margin, _ORANGE, "convex hull of the soles of the URDF"))
+    for values, color, label in curves:
+        ax.plot(*thinned(series.time, 1e3 * values), color=color, label=label)
+    ax.axhline(0.0, color=RED, linestyle=DASHED, linewidth=1.3)
+    low, high = ax.get_ylim()
+    ax.set_ylim(low - 0.02 * (high - low), high + 0.36 * (high - low))
+    set_time_limits(ax, series)
+    ax.set(xlabel="time [s]", ylabel="margin [mm]")
+    ax.set_title("B   How far inside its support the CoM is (below zero: outside)")
+    name_phases(ax, series)
+    ax.legend(loc="upper left", bbox_to_anchor=(0.0, 0.95), fontsize=8.5)
+
+
+# ---------------------------------------------------------------------- in physics
+
+
+def on_the_ground(series: Series) -> Figure:
+    """Draw where the soles, the CoM and the centre of pressure truly were, the CoP's margin and the soles' tilt."""
+    from matplotlib.lines import Line2D
+
+    of = series.ground
+    if of is None:
+        raise ValueError("the walk was not in physics")
+    long, broad = np.ptp(of.stands[:, :2], axis=0) + 0.3
+    with drawing():
+        if long > 2.0 * broad:
+            top = float(np.clip(11.0 * broad / long, 1.8, 5.0))
+            fig = new_figure(11.5, top + 4.0)
+            grid = fig.add_gridspec(3, 1, height_ratios=[top, 1.6, 1.1])
+            axes = [fig.add_subplot(grid[k, 0]) for k in range(3)]
+        else:
+            fig = new_figure(11.5, 6.2)
+            grid = fig.add_gridspec(2, 2, width_ratios=[1.15, 1.0], height_ratios=[1.4, 1.0])
+            axes = [fig.add_subplot(grid[:, 0]), fig.add_subplot(grid[0, 1]), fig.add_subplot(grid[1, 1])]
+        _draw_ground(axes[0], series, of)
+        _draw_over_time(axes[1:], series, of)
+        handles = [
+            *_soles_legend(),
+            Line2D([], [], color=INK, linewidth=1.6, label="CoM"),
+            Line2D([], [], color=_ORANGE, linewidth=1.0, label="centre of pressure"),
+            Line2D([], [], color=GREY, marker="o", markersize=3, linestyle="", label="halfway between the feet"),
+        ]
+        if of.circle is not None:
+            label = f"circle of {of.circle.radius:.3f} m"
+            handles.append(Line2D([], [], color=RED, linestyle=DASHED, linewidth=1.2, label=label))
+        _legend(fig, handles)
+        turned = of.stands[-1, 2]
+        steps = sum(not span.double for span in series.spans)
+        title = f"{series.trace.model.name} in physics: {steps} steps"
+        title += f", {np.degrees(turned):+.0f} degrees" if abs(turned) > 0.1 else ""
+        fig.suptitle(title, fontsize=12, fontweight="bold")
+    return fig
+
+
+def _draw_ground(ax: Axes, series: Series, of: Ground) -> None:
+    soles = series.trace.model.soles
+    for index, span in enumerate(series.spans):
+        if span.double:
+            for foot in tuple(Foot) if index == 0 else (span.phase.base.other,):
+                corners = DQ(of.soles[foot][span.start]).transform_point(soles[foot].corners)[:, :2]
+                _patch(ax, corners, _COLOR[foot], _COLOR[foot] + "1c", linewidth=1.0, zorder=2)
+    if of.circle is not None:
+        _ring(ax, of.circle.center, of.circle.radius, zorder=3)
+    ax.plot(*_way(of.physics.cop), color=_ORANGE, linewidth=0.8, alpha=0.85, zorder=4)
+    ax.plot(*_way(of.com), color=INK, linewidth=1.6, zorder=5)
+    ax.plot(*of.stands[:, :2].T, "o", color=GREY, markersize=2.5, zorder=6)
+    _finish(ax, "A   From above, as it truly was", "x [m]", "y [m]", "box")
+
+
+def _draw_over_time(axes: list[Axes], series: Series, of: Ground) -> None:
+    """Draw the margin of the centre of pressure and the tilt."""
+    tilt = np.degrees(of.tilt)
+    most = float(np.nanmax(tilt))
+    for ax, values, color in zip(axes, (1e3 * of.cop_margin, tilt), (_ORANGE, INK), strict=True):
+        if len(series.spans) <= _MANY:
+            mark_phases(ax, series)
+        ax.plot(*thinned(series.time, values), color=color, linewidth=1.1)
+        set_time_limits(ax, series)
+    axes[0].axhline(0.0, color=RED, linestyle=DASHED, linewidth=1.2)
+    axes[0].set_ylabel("margin [mm]")
+    axes[0].set_title(f"B   Centre of pressure inside its soles: {100.0 * of.inside:.2f} % of ticks")
+    if most > 0.5 * np.degrees(TILT):
+        axes[1].axhline(np.degrees(TILT), color=RED, linestyle=DASHED, linewidth=1.2)
+    axes[1].set_ylim(bottom=0.0)
+    axes[1].set(xlabel="time [s]", ylabel="tilt [degrees]")
+    axes[1].set_title(f"C   Tilt of the sole that carries more: at most {most:.2f} degrees")
