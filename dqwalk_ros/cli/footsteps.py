@@ -43,6 +43,7 @@ def footsteps(config: str, support: str, changes: tuple[str, ...]) -> int:
     import numpy as np
 
     from dqwalk_ros.kinematics import Kinematics
+    from dqwalk_ros.report.table import aligned
     from dqwalk_ros.robot import Foot, load_model
     from dqwalk_ros.standing.walk import StandingWalk
 
@@ -59,15 +60,14 @@ def footsteps(config: str, support: str, changes: tuple[str, ...]) -> int:
     steps = StandingWalk(made, model).footsteps
     print(f"{model.name} on its {foot.value} foot: reachable footprints, both soles flat, the CoM over either sole\n")
     for name, wanted in asked.items():
-        print(f"{name:>26s}   reached: ahead [mm]  aside [mm]  turn [deg]   off by [mm]  [deg]")
+        rows = []
         for one in wanted:
             ahead, aside, turn, off, angle = reached(steps, foot, *one)
             value = math.degrees(one[2]) if "turn" in name else 1e3 * (one[0] or one[1])
-            print(
-                f"{value:26.0f} {1e3 * ahead:21.1f} {1e3 * aside:11.1f} {math.degrees(turn):11.1f}"
-                f" {1e3 * off:13.1f} {math.degrees(angle):6.1f}"
-            )
-        print()
+            numbers = 1e3 * ahead, 1e3 * aside, math.degrees(turn), 1e3 * off, math.degrees(angle)
+            rows.append([f"{value:.0f}", *(f"{number:.1f}" for number in numbers)])
+        head = (name, "reached: ahead [mm]", "aside [mm]", "turn [deg]", "off by [mm]", "[deg]")
+        print(aligned(rows, head, right=range(len(head))) + "\n")
     return 0
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from dqwalk_ros.config import Config
 
 __all__ = [
+    "Many",
     "Output",
     "command",
     "config_of",
@@ -26,6 +28,7 @@ __all__ = [
     "force_option",
     "format_option",
     "jobs_option",
+    "many_options",
     "numbers",
     "output_options",
     "overlaid",
@@ -43,6 +46,11 @@ def command(epilog: str) -> Callable[[Function], click.Command]:
     """Return a decorator that makes a command of a function: its docstring, then an epilog, printed as it stands."""
     kept = "\n\n".join("\b\n" + paragraph for paragraph in epilog.strip("\n").split("\n\n"))
     return click.command(epilog=kept, context_settings={"max_content_width": 120})
+
+
+def _with(options: Sequence[Callable[[Function], Function]], function: Function) -> Function:
+    """Return a function with options added, so that help shows them in their order."""
+    return functools.reduce(lambda made, option: option(made), reversed(options), function)
 
 
 def numbers(count: int) -> Callable[[click.Context, click.Parameter, Any], Any]:
@@ -127,7 +135,7 @@ def walk_options(function: Function) -> Function:
         set_option,
         course_option,
     ]
-    return functools.reduce(lambda made, option: option(made), reversed(options), function)
+    return _with(options, function)
 
 
 @dataclass(frozen=True)
@@ -179,7 +187,59 @@ def output_options(default: str | None, shown: str = "") -> Callable[[Function],
         ) -> Any:
             return function(output=Output(out, force, formats, not no_figures, quiet), **rest)
 
-        return functools.reduce(lambda made, option: option(made), reversed(options), wrapped)
+        return _with(options, wrapped)
+
+    return decorate
+
+
+@dataclass(frozen=True)
+class Many:
+    """How many walks are made at a time, and where they are kept.
+
+    Attributes
+    ----------
+    out : Path or None
+    jobs : int
+    scheduler : str or None
+    force, quiet : bool
+    """
+
+    out: Path | None
+    jobs: int
+    scheduler: str | None
+    force: bool
+    quiet: bool
+
+    @property
+    def folder(self) -> Path:
+        """The folder of a command that has a default."""
+        assert self.out is not None
+        return self.out
+
+    @contextlib.contextmanager
+    def options(self, unit: str, describe: Callable[[Any], str] = lambda _: "") -> Iterator[dict[str, Any]]:
+        """Give what a study takes of these options, with a progress bar that counts in `unit`."""
+        from dqwalk_ros.cli.progress import Progress
+
+        with Progress(quiet=self.quiet) as bar:
+
+            def progress(done: int, total: int, last: Any) -> None:
+                bar(done / total, f"{done} of {total} {unit}{describe(last)}")
+
+            yield {"force": self.force, "jobs": self.jobs, "scheduler": self.scheduler, "progress": progress}
+
+
+def many_options(default: str | None, shown: str = "") -> Callable[[Function], Function]:
+    """Return a decorator that adds --jobs, --scheduler, --out, --force and --quiet; the function gets all as `many`."""
+    options: list[Callable[[Function], Function]]
+    options = [jobs_option, scheduler_option, folder_option(default, shown), force_option, quiet_option]
+
+    def decorate(function: Function) -> Function:
+        @functools.wraps(function)
+        def wrapped(out: Path | None, jobs: int, scheduler: str | None, force: bool, quiet: bool, **rest: Any) -> Any:
+            return function(many=Many(out, jobs, scheduler, force, quiet), **rest)
+
+        return _with(options, wrapped)
 
     return decorate
 

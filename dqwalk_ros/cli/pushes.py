@@ -2,25 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from dqwalk_ros.cli.options import (
-    command,
-    config_of,
-    config_option,
-    folder_option,
-    force_option,
-    jobs_option,
-    quiet_option,
-    scheduler_option,
-    set_option,
-)
+from dqwalk_ros.cli.options import Many, command, config_of, config_option, many_options, set_option
 from dqwalk_ros.errors import ConfigError, StudyError
 
 if TYPE_CHECKING:
@@ -78,11 +66,7 @@ examples:
     show_default="0.36 % of M sqrt(g h)",
     help="Of each impulse [N s].",
 )
-@jobs_option
-@scheduler_option
-@folder_option("pushes")
-@force_option
-@quiet_option
+@many_options("pushes")
 @set_option
 def pushes(
     config: str,
@@ -91,11 +75,7 @@ def pushes(
     part: float,
     duration: float,
     tolerance: float | None,
-    jobs: int,
-    scheduler: str | None,
-    out: Path,
-    force: bool,
-    quiet: bool,
+    many: Many,
     changes: tuple[str, ...],
 ) -> int:
     """Find the largest push the robot survives.
@@ -104,7 +84,7 @@ def pushes(
     step on either foot, harder and harder until it falls, and prints the largest impulse survived.
     Needs dqwalk_ros[sim].
     """
-    from dqwalk_ros.cli.progress import Progress
+    from dqwalk_ros.cli.results import write_csv
     from dqwalk_ros.report.figures.studies import pushes_figure
     from dqwalk_ros.report.figures.style import drawing
     from dqwalk_ros.robot import load_model
@@ -113,30 +93,19 @@ def pushes(
     made = config_of(config, changes)
     if made.gait.style == "paper":
         raise ConfigError(f"pushes need a walk that stands; gait.style of '{config}' is {made.gait.style}")
-    moments = study.MOMENTS if moment == "all" else (moment,)
-    with Progress(quiet=quiet) as bar:
+    out, moments = many.folder, study.MOMENTS if moment == "all" else (moment,)
+    with many.options("directions") as options:
         found = study.limits(
-            made,
-            out,
-            moments,
-            directions,
-            duration=duration,
-            part=part,
-            tolerance=tolerance,
-            force=force,
-            jobs=jobs,
-            scheduler=scheduler,
-            progress=lambda count, total, _: bar(count / total, f"{count} of {total} directions"),
+            made, out, moments, directions, duration=duration, part=part, tolerance=tolerance, **options
         )
     total = len(moments) * directions
     if len(found) < total:
         raise StudyError(f"interrupted; {len(found)} of {total} directions are kept, the same command goes on")
-    with (out / "pushes.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["moment", "direction_deg", "survived_Ns", "failed_Ns", "reason"])
-        writer.writerows(
-            [one.moment, round(math.degrees(one.direction), 3), one.survived, one.failed, one.reason] for one in found
-        )
+    write_csv(
+        out / "pushes.csv",
+        ["moment", "direction_deg", "survived_Ns", "failed_Ns", "reason"],
+        [[one.moment, round(math.degrees(one.direction), 3), one.survived, one.failed, one.reason] for one in found],
+    )
     text = table(found, duration, study.impulse_scale(made))
     (out / "pushes.txt").write_text(text + "\n", encoding="utf-8")
     with drawing():
@@ -158,19 +127,19 @@ def table(found: Sequence[Limit], duration: float, scale: float) -> str:
     scale : float
         M sqrt(g h) of the robot [N s].
     """
+    from dqwalk_ros.report.table import aligned
+
     moments = list(dict.fromkeys(one.moment for one in found))
 
     def cell(one: Limit) -> str:
         return f"{'' if one.failed is not None else '>= '}{one.survived:.3g}"
 
-    lines = [
-        f"largest impulse survived [N s], a push of {duration:g} s on the pelvis; M sqrt(g h) is {scale:.3g} N s",
-        "",
-        f"{'towards [deg, 0 ahead, 90 left]':32s}" + "".join(f"{moment:>12s}" for moment in moments),
-    ]
-    for direction in dict.fromkeys(one.direction for one in found):
-        row = {one.moment: one for one in found if one.direction == direction}
-        lines.append(f"{math.degrees(direction):32.0f}" + "".join(f"{cell(row[m]):>12s}" for m in moments))
     least = {m: min((one for one in found if one.moment == m), key=lambda one: one.survived) for m in moments}
-    lines.append(f"{'weakest':>32s}" + "".join(f"{cell(least[m]):>12s}" for m in moments))
-    return "\n".join(lines)
+    rows = [
+        [f"{math.degrees(direction):.0f}", *(cell(one) for one in found if one.direction == direction)]
+        for direction in dict.fromkeys(one.direction for one in found)
+    ]
+    rows.append(["weakest", *(cell(least[m]) for m in moments)])
+    text = aligned(rows, ("towards [deg, 0 ahead, 90 left]", *moments), right=range(len(moments) + 1))
+    head = f"largest impulse survived [N s], a push of {duration:g} s on the pelvis; M sqrt(g h) is {scale:.3g} N s"
+    return f"{head}\n\n{text}"

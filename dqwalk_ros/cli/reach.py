@@ -162,13 +162,14 @@ def _pushes(args: _Options, output: Output, config: Config, out: Path) -> int:
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.report.figures.studies import pushes_figure
     from dqwalk_ros.report.figures.style import drawing
+    from dqwalk_ros.report.table import aligned
     from dqwalk_ros.robot import Foot
-    from dqwalk_ros.studies.torso_pushes import DIRECTIONS, limits
+    from dqwalk_ros.studies import torso_pushes
     from dqwalk_ros.whole_body.preview import Stepping
 
     plants = ("physics", "rigid") if args.plant == "both" else (args.plant,)
     with Progress(quiet=output.quiet) as bar:
-        found = limits(
+        found = torso_pushes.limits(
             config,
             out,
             plants,
@@ -179,18 +180,19 @@ def _pushes(args: _Options, output: Output, config: Config, out: Path) -> int:
             progress=lambda count, total, _: bar(count / total, f"{count} of {total} directions"),
         )
     by_plant = {plant: [one for one in found if one.moment == plant] for plant in plants}
-    if len(found) < len(plants) * len(DIRECTIONS):
+    if len(found) < len(plants) * len(torso_pushes.DIRECTIONS):
         raise StudyError(f"interrupted; {len(found)} directions are kept, the same command goes on")
     swing = Stepping.of(config.whole_body, Foot(config.gait.first_support)).swing(args.when)
     stands = "both feet stand" if swing is None else f"the {swing.foot.other.value} foot stands"
     title = f"hit at {args.when:g} s, walking in place, {stands}"
     if not output.quiet:
         print(f"largest push survived, smallest that was not [N s]; {title}")
-        print(f"{'':14}" + "".join(f"{plant:>16}" for plant in plants))
-        for k, name in enumerate(DIRECTIONS):
-            cells = [by_plant[plant][k] for plant in plants]
-            print(f"{name:14}" + "".join(f"{f'{one.survived:g}, {one.failed or math.inf:g}':>16}" for one in cells))
-        print()
+        limits_of = {name: [by_plant[plant][k] for plant in plants] for k, name in enumerate(torso_pushes.DIRECTIONS)}
+        table = [
+            [name, *(f"{limit.survived:g}, {limit.failed or math.inf:g}" for limit in limits)]
+            for name, limits in limits_of.items()
+        ]
+        print(aligned(table, ("", *plants), right=range(1, len(plants) + 1)) + "\n")
     rows = {
         plant: [
             {"direction": math.degrees(one.direction), "stood": one.survived, "fell": one.failed, "reason": one.reason}

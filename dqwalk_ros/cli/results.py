@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import shutil
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +17,7 @@ from dqwalk_ros.simulation import Trace
 if TYPE_CHECKING:
     from dqwalk_ros.report import Series
 
-__all__ = ["prepare", "write_results"]
+__all__ = ["prepare", "write_csv", "write_results"]
 
 
 def prepare(output: Output) -> None:
@@ -37,6 +39,14 @@ def prepare(output: Output) -> None:
         output.folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BagError(f"cannot make the folder '{output.folder}': {error}") from error
+
+
+def write_csv(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Write a table, a line per row."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(head)
+        writer.writerows(rows)
 
 
 def write_results(

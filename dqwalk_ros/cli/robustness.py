@@ -2,32 +2,20 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 import statistics
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from dqwalk_ros.cli.options import (
-    command,
-    config_of,
-    config_option,
-    folder_option,
-    force_option,
-    jobs_option,
-    quiet_option,
-    scheduler_option,
-    set_option,
-)
+from dqwalk_ros.cli.options import Many, command, config_of, config_option, many_options, set_option
 from dqwalk_ros.errors import ConfigError
 
 if TYPE_CHECKING:
-    from dqwalk_ros.studies.robustness import Cell, Outcome
+    from dqwalk_ros.studies.robustness import Cell
 
 __all__ = ["robustness", "table"]
 
@@ -59,11 +47,7 @@ examples:
 @click.option("--axis", metavar="KEY=A,B", multiple=True, help="Vary this parameter over these values instead.")
 @click.option("--sample", metavar="N", type=int, default=0, show_default="all", help="Walk N random combinations.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of --sample.")
-@jobs_option
-@scheduler_option
-@folder_option("robustness")
-@force_option
-@quiet_option
+@many_options("robustness")
 @set_option
 def robustness(
     config: str,
@@ -72,11 +56,7 @@ def robustness(
     axis: tuple[str, ...],
     sample: int,
     seed: int,
-    jobs: int,
-    scheduler: str | None,
-    out: Path,
-    force: bool,
-    quiet: bool,
+    many: Many,
     changes: tuple[str, ...],
 ) -> int:
     """Walk in physics on robots and floors that differ.
@@ -84,7 +64,7 @@ def robustness(
     Walks every combination of friction, mass, servo stiffness, backlash, output rate and latency (432 of them) and
     prints the fraction that stood and why the others did not. Needs dqwalk_ros[sim].
     """
-    from dqwalk_ros.cli.progress import Progress
+    from dqwalk_ros.cli.results import write_csv
     from dqwalk_ros.report.figures.studies import robustness_figure
     from dqwalk_ros.report.figures.style import drawing
     from dqwalk_ros.studies import robustness as study
@@ -100,14 +80,17 @@ def robustness(
     for name, numbers in axes.items():  # what cannot be walked is refused now
         for number in numbers if name != study.LATENCY_ERROR else ():
             made.updated({name: number}, source="--axis")
-    combinations = study.cells(axes, sample, seed)
-    with Progress(quiet=quiet) as bar:
-
-        def progress(count: int, total: int, last: Outcome) -> None:
-            bar(count / total, f"{count} of {total} cells; the last one {'stood' if last.stood else 'did not stand'}")
-
-        done = study.walk_all(made, combinations, out, force=force, jobs=jobs, scheduler=scheduler, progress=progress)
-    _write(out / "robustness.csv", done, list(axes))
+    combinations, out = study.cells(axes, sample, seed), many.folder
+    with many.options("cells", lambda last: f"; the last one {'stood' if last.stood else 'did not stand'}") as options:
+        done = study.walk_all(made, combinations, out, **options)
+    write_csv(
+        out / "robustness.csv",
+        [*axes, "stood", "time", "steps", "reason", "tilt"],
+        [
+            [*(cell.values[name] for name in axes), int(cell.stood), cell.time, cell.steps, cell.reason, cell.tilt]
+            for cell in done
+        ],
+    )
     text = table(done, axes)
     (out / "robustness.txt").write_text(text + "\n", encoding="utf-8")
     with drawing():
@@ -119,9 +102,7 @@ def robustness(
 def table(done: Sequence[Cell], axes: dict[str, tuple[float, ...]]) -> str:
     """Return the fraction that stood, in all and for each value, and what failed."""
     stood = sum(cell.stood for cell in done)
-    total = 1
-    for values in axes.values():
-        total *= len(values)
+    total = math.prod(map(len, axes.values()))
     lines = [f"{stood} of {len(done)} cells stood ({len(done)} of the {total} combinations were walked)"]
     tilts = [math.degrees(cell.tilt) for cell in done if cell.stood and cell.tilt is not None]
     if tilts:
@@ -143,13 +124,3 @@ def table(done: Sequence[Cell], axes: dict[str, tuple[float, ...]]) -> str:
             where = ", ".join(f"{name.partition('.')[2]} {value:g}" for name, value in cell.values.items())
             lines.append(f"  failed at {cell.time:5.1f} s, after {cell.steps} steps: {where}: {cell.reason}")
     return "\n".join(lines)
-
-
-def _write(path: Path, done: Sequence[Cell], names: list[str]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow([*names, "stood", "time", "steps", "reason", "tilt"])
-        for cell in done:
-            writer.writerow(
-                [*(cell.values[name] for name in names), int(cell.stood), cell.time, cell.steps, cell.reason, cell.tilt]
-            )

@@ -8,20 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dqwalk_ros.cli.options import (
-    command,
-    folder_option,
-    force_option,
-    format_option,
-    jobs_option,
-    quiet_option,
-    scheduler_option,
-)
+from dqwalk_ros.cli.options import Many, command, format_option, many_options
 from dqwalk_ros.errors import StudyError
 
 if TYPE_CHECKING:
     from dqwalk_ros.studies import Study
-    from dqwalk_ros.studies.walks import Outcome
 
 __all__ = ["study"]
 
@@ -51,29 +42,15 @@ examples:
   dqwalk study mine.yaml --scheduler tcp://127.0.0.1:8786
 """)
 @click.argument("path", metavar="STUDY.yaml", type=click.Path(path_type=Path))
-@folder_option(None, shown="STUDY_study")
-@jobs_option
-@scheduler_option
+@many_options(None, shown="STUDY_study")
 @click.option("--dry-run", is_flag=True, help="Check the study and say how many walks it has.")
-@force_option
 @format_option
-@quiet_option
-def study(
-    path: Path,
-    out: Path | None,
-    jobs: int,
-    scheduler: str | None,
-    dry_run: bool,
-    force: bool,
-    formats: tuple[str, ...],
-    quiet: bool,
-) -> int:
+def study(path: Path, many: Many, dry_run: bool, formats: tuple[str, ...]) -> int:
     """Walk many times with parameters varied.
 
     The exit code is 0 when all walks are there, however they ended.
     """
     from dqwalk_ros import studies
-    from dqwalk_ros.cli.progress import Progress
 
     plan = studies.read(path)
     points = plan.points()
@@ -81,18 +58,14 @@ def study(
         print(f"{plan.name}: {len(points)} walks ({plan.sample}); the first and the last:")
         print(f"  {points[0]}\n  {points[-1]}")
         return 0
-    folder = out or Path(f"{path.stem}_study")
-    with Progress(quiet=quiet) as bar:
-
-        def progress(done: int, total: int, last: Outcome) -> None:
-            bar(done / total, f"{done} of {total} walks; the last one {'finished' if last.finished else 'failed'}")
-
-        rows = studies.walk_all(plan, folder, force=force, jobs=jobs, scheduler=scheduler, progress=progress)
+    folder = many.out or Path(f"{path.stem}_study")
+    with many.options("walks", lambda last: f"; the last one {'finished' if last.finished else 'failed'}") as options:
+        rows = studies.walk_all(plan, folder, **options)
     if len(rows) < len(points):
         raise StudyError(f"interrupted; {len(rows)} of {len(points)} walks are kept, the same command goes on")
     found = list(rows.values())
     figures = _draw(plan, found, folder, formats)
-    if not quiet:
+    if not many.quiet:
         print(_summary(plan, found))
         print(f"wrote {', '.join(map(str, [folder / 'walks.parquet', *figures]))}")
     return 0
