@@ -274,6 +274,12 @@ def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
         if name not in links:
             raise ModelError(f"{urdf.source}: robot.{key} names the link '{name}', which is not there or was dropped")
     tree = _tree(urdf)
+    if len({tree["frames"][name].body for name in feet.values()}) == 1:
+        named = f"'{feet[Foot.LEFT]}' and '{feet[Foot.RIGHT]}'"
+        raise ModelError(
+            f"{urdf.source}: no joint moves the soles {named} against each other; name two with robot.left_sole and "
+            "robot.right_sole, and lock fewer joints"
+        )
     return RobotModel(
         name=urdf.name,
         **tree,

@@ -15,7 +15,7 @@ from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report.bag.storage import typestore
 from dqwalk_ros.simulation import Trace
 
-SHORT = {"task.eta": 0.4, "dsp.eta_ground": 20.0, "ssp.threshold": 4e-3, "dsp.stall_rate": 1e-3}
+SHORT = {"dt": 0.025, "task.eta": 0.4, "dsp.eta_ground": 20.0, "ssp.threshold": 4e-3, "dsp.stall_rate": 1e-3}
 """Eight times the pace of the paper; Euler's method needs the higher rate on the ground for it."""
 
 
@@ -24,9 +24,9 @@ def short_config(**changes: Any) -> Config:
 
 
 @cache
-def short_walk(dt: float = 0.005) -> Trace:
-    """One cycle, four phases; of 930 ticks with a `dt` of 0.025 s."""
-    config = short_config(dt=dt)
+def short_walk() -> Trace:
+    """One cycle, four phases, 930 ticks."""
+    config = short_config()
     model = load_model(config.robot)
     return simulate(make_controller(config, model), KinematicPlant(model))
 

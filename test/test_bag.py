@@ -21,7 +21,7 @@ from dqwalk_ros.topics import FINISHED, TOPICS
 
 @pytest.fixture(scope="module")
 def trace():
-    return short_walk(0.025)
+    return short_walk()
 
 
 @pytest.fixture(scope="module")

@@ -217,7 +217,8 @@ def solver(text):
     ],
     ids=lambda value: value if isinstance(value, str) else getattr(value, "__name__", ""),
 )
-def test_what_cannot_be_is_one_sentence(path, tmp_path, capsys, topic, change, sentence):
+def test_what_cannot_be_is_one_sentence(path, tmp_path, capsys, monkeypatch, topic, change, sentence):
+    monkeypatch.setattr("dqwalk_ros.report.html.page.FIGURES", {})
     html = ["--html"] if topic == "/diagnostics" else []
     code, report = reported(edited(path, tmp_path / "b", topic, change), tmp_path / "out", *html)
     said = capsys.readouterr().err

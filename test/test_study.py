@@ -30,8 +30,8 @@ from dqwalk_ros.studies.runner import Store, run
 ROOT = Path(__file__).resolve().parent.parent
 SHORT = (
     "config: paper\n"
-    "set: {task.eta: 2.0, task.damping: 0.02, ssp.threshold: 0.02, dsp.stall_rate: 0.005, gait.phase_timeout: 3.0,"
-    " qp.solver: daqp}\n"
+    "set: {dt: 0.02, task.eta: 2.0, task.damping: 0.02, ssp.threshold: 0.02, dsp.stall_rate: 0.005, qp.solver: daqp,"
+    " gait.phase_timeout: 3.0}\n"
 )
 POPPY = load("poppy")
 

@@ -30,7 +30,7 @@ from dqwalk_ros.walk import PhaseKind
 
 @pytest.fixture(scope="module")
 def trace():
-    return short_walk(0.025)
+    return short_walk()
 
 
 @pytest.fixture(scope="module")

@@ -204,7 +204,8 @@ class Recorder(WalkNode):
 
     def _note_gap(self, name: str, own: int) -> None:
         last, self._last[name] = self._last[name], own
-        if last >= 0 and own - last > 1.5 * self._period:
+        silent = name == "center_of_pressure"  # while the robot is in the air
+        if last >= 0 and own - last > 1.5 * self._period and not silent:
             self._missing[name] += round((own - last) / self._period) - 1
 
     def is_drained(self) -> bool:

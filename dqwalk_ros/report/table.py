@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-__all__ = ["aligned", "render"]
+__all__ = ["aligned", "distances", "numbers", "phases", "render"]
 
 _EDGE = 1e-5
 """Closer than this to the edge of its support the CoM is on it [m]: what Euler's method may be off."""
@@ -19,14 +19,22 @@ _WIDTH = 10_000
 
 def render(report: Mapping[str, Any]) -> str:
     """Return the report (see `verdict.report`) as aligned text: phases, distances, the walk, the verdict."""
-    parts = [_phases(report["phases"]), _minima(report["phases"]), _walk(report), _verdict(report)]
-    return "\n\n".join(parts) + "\n"
+    head, *rows = phases(report)
+    parts = [aligned(rows, head, right=(1, 2, 3, 4, 5, 7, 8))]
+    head, *rows = distances(report)
+    if len(rows) > 1:
+        columns = [[phase["minimum"].get(name, {}).get("value") for phase in report["phases"]] for name in head[1:]]
+        rows.append(["the whole walk", *(f"{min(d for d in column if d is not None):.4g}" for column in columns)])
+    parts.append(aligned(rows, head, right=range(1, len(head))))
+    parts.append(aligned(numbers(report)))
+    return "\n\n".join([*parts, _verdict(report)]) + "\n"
 
 
-def _phases(phases: Sequence[Mapping[str, Any]]) -> str:
-    head = ("phase", "start\n[s]", "end\n[s]", "ticks", "error\nfirst", "\nlast", "tightest distance", "", "violation")
+def phases(report: Mapping[str, Any]) -> list[list[str]]:
+    """Return the head and the rows of a table of the phases."""
+    head = ["phase", "start\n[s]", "end\n[s]", "ticks", "error\nfirst", "\nlast", "tightest distance", "", "violation"]
     rows = [
-        (
+        [
             phase["name"] + ("" if phase["ended"] else " (stopped)"),
             f"{phase['start']:.2f}",
             f"{phase['end']:.2f}",
@@ -36,29 +44,25 @@ def _phases(phases: Sequence[Mapping[str, Any]]) -> str:
             phase["worst"]["name"],
             f"{phase['worst']['value']:.2e}",
             f"{phase['worst']['violation']:.1e}" if phase["worst"]["violation"] else "none",
-        )
-        for phase in phases
+        ]
+        for phase in report["phases"]
     ]
-    return aligned(rows, head, right=(1, 2, 3, 4, 5, 7, 8))
+    return [head, *rows]
 
 
-def _minima(phases: Sequence[Mapping[str, Any]]) -> str:
-    names = list(dict.fromkeys(name for phase in phases for name in phase["minimum"]))
-    rows = [
-        (
-            phase["name"],
-            *(f"{phase['minimum'][name]['value']:.4g}" if name in phase["minimum"] else "" for name in names),
-        )
-        for phase in phases
+def distances(report: Mapping[str, Any]) -> list[list[str]]:
+    """Return the head and the rows of a table of the least distance of each phase to each bound."""
+    names = list(dict.fromkeys(name for phase in report["phases"] for name in phase["minimum"]))
+    least = [
+        [f"{phase['minimum'][name]['value']:.4g}" if name in phase["minimum"] else "" for name in names]
+        for phase in report["phases"]
     ]
-    if len(phases) > 1:
-        least = (min(phase["minimum"][name]["value"] for phase in phases if name in phase["minimum"]) for name in names)
-        rows.append(("the whole walk", *(f"{value:.4g}" for value in least)))
-    head = ("least distance to the bound", *names)
-    return aligned(rows, head, right=range(1, len(head)))
+    rows = [[phase["name"], *cells] for phase, cells in zip(report["phases"], least, strict=True)]
+    return [["least distance to the bound", *names], *rows]
 
 
-def _walk(report: Mapping[str, Any]) -> str:
+def numbers(report: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return what there is to say of the whole walk, each with its name."""
     walk, mm = report["walk"], 1e3
     margin, joints, speed = walk["margin"], walk["margin"]["joints"], walk["joint_speed"]
     lines = [
@@ -100,7 +104,7 @@ def _walk(report: Mapping[str, Any]) -> str:
     if walk["unanswered"]:
         lines.append(("unanswered", f"{walk['unanswered']} states without a command"))
     lines += [("note", note) for note in report["notes"]]
-    return aligned(lines)
+    return lines
 
 
 def _physics(of: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -136,6 +136,11 @@ def _legend(fig: Figure, series: Series, double: bool, bound: str) -> None:
     fig.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 3), fontsize=9)
 
 
+def _pelvis(series: Series) -> _Panel:
+    height = series.pelvis[:, 2] - series.trace.config.pelvis.height
+    return _Panel("Pelvis to its plane", "distance [mm]", 1e3 * height, 0.0, "pelvis plane")
+
+
 def figure7(series: Series) -> Figure:
     """Draw Fig. 7: the double supports, A to F."""
     config = series.trace.config
@@ -158,13 +163,7 @@ def figure7(series: Series) -> Figure:
         _Panel("End-foot tip to the ground", "height [mm]", mm * series.tip_height),
         _Panel("CoM to the tip plane", "distance [mm]", mm * series.distance("tip_plane"), 0.0, "tip plane"),
         _Panel("CoM to the back plane", "distance [mm]", mm * series.distance("back_plane"), 0.0, "back plane"),
-        _Panel(
-            "Pelvis to its plane",
-            "distance [mm]",
-            mm * (series.pelvis[:, 2] - config.pelvis.height),
-            0.0,
-            "pelvis plane",
-        ),
+        _pelvis(series),
     ]
     with drawing():
         fig = new_figure(11.0, 6.2)
@@ -194,13 +193,7 @@ def figure8(series: Series) -> Figure:
             mm * config.ssp.com_radius,
             "boundary of the SP",
         ),
-        _Panel(
-            "Pelvis to its plane",
-            "distance [mm]",
-            mm * (series.pelvis[:, 2] - config.pelvis.height),
-            0.0,
-            "pelvis plane",
-        ),
+        _pelvis(series),
     ]
     with drawing():
         fig = new_figure(11.0, 3.7)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from dqwalk_ros import provenance
+from dqwalk_ros.report import table as tables
 from dqwalk_ros.report.bag.messages import Status, faults
 from dqwalk_ros.report.figures import FIGURES, fits
 from dqwalk_ros.report.figures.style import drawing
@@ -71,7 +72,7 @@ def _page(subjects: Sequence[Subject]) -> str:
     parts = [
         _heading(subjects),
         f"<h2>Replay</h2><div class='card'>{replay([s.name for s in subjects])}</div>",
-        _comparison(subjects) if both else "",
+        _comparison(subjects) if both else _section("The walk in numbers", _all_numbers, subjects),
         _section("Least distance to each bound", _margins, subjects),
         _section("Phases", _phases, subjects),
         _figures(subjects),
@@ -163,6 +164,10 @@ def _numbers(subject: Subject) -> dict[str, str]:
     }
 
 
+def _all_numbers(subject: Subject) -> str:
+    return table(("", ""), tables.numbers(subject.report))
+
+
 def replay(names: Sequence[str], more: str = "") -> str:
     """Return the stage of one walk, or of two side by side; `more` is said of what there is to see."""
     stages = "".join(
@@ -183,36 +188,19 @@ def replay(names: Sequence[str], more: str = "") -> str:
 
 
 def _margins(subject: Subject) -> str:
-    phases = subject.report["phases"]
-    names = list(dict.fromkeys(name for phase in phases for name in phase["minimum"]))
-    rows = []
-    for phase in phases:
-        cells = []
-        for name in names:
-            found = phase["minimum"].get(name)
-            value = "" if found is None else f"{found['value']:.4g}"
-            cells.append(Markup(f"<span class='bad'>{value}</span>") if found and found["value"] < 0.0 else value)
-        rows.append((phase["name"], *cells))
+    head, *rows = tables.distances(subject.report)
+    marked = [[_bad(cell) if cell.startswith("-") else cell for cell in row] for row in rows]
     note = "<p class='muted'>[m], cylinders (sliding, com_cylinder) [m²], joints [rad]; at or above zero is kept.</p>"
-    return table(("phase", *names), rows, range(1, len(names) + 1)) + note
+    return table(head, marked, range(1, len(head))) + note
+
+
+def _bad(text: str) -> Markup:
+    return Markup(f"<span class='bad'>{escape(text)}</span>")
 
 
 def _phases(subject: Subject) -> str:
-    rows = [
-        (
-            phase["name"] + ("" if phase["ended"] else " (stopped)"),
-            f"{phase['start']:.2f}",
-            f"{phase['end']:.2f}",
-            str(phase["ticks"]),
-            f"{phase['error']['first']:.5f}",
-            f"{phase['error']['last']:.5f}",
-            phase["worst"]["name"],
-            f"{phase['worst']['value']:.2e}",
-        )
-        for phase in subject.report["phases"]
-    ]
-    head = ("phase", "start [s]", "end [s]", "ticks", "first error", "last error", "tightest", "distance")
-    return table(head, rows, (1, 2, 3, 4, 5, 7))
+    head, *rows = tables.phases(subject.report)
+    return table([name.replace("\n", " ") for name in head], rows, (1, 2, 3, 4, 5, 7, 8))
 
 
 def _figures(subjects: Sequence[Subject]) -> str:
@@ -314,11 +302,11 @@ def _violations(subject: Subject) -> str:
 
 
 def _comparison(subjects: Sequence[Subject]) -> str:
-    one, other = (_numbers(s) for s in subjects)
+    one, other = (dict(tables.numbers(s.report)) for s in subjects)
     rows = "".join(
-        f"<tr{'' if one[key] == other[key] else ' class=differs'}><td>{key}</td><td class=n>{one[key]}</td>"
-        f"<td class=n>{other[key]}</td></tr>"
-        for key in one
+        f"<tr{'' if one.get(key) == other.get(key) else ' class=differs'}><td>{escape(key)}</td>"
+        f"<td class=n>{escape(one.get(key, '–'))}</td><td class=n>{escape(other.get(key, '–'))}</td></tr>"
+        for key in one | other
     )
     a, b = (s.report["config"] for s in subjects)
     changed = [(key, str(a.get(key)), str(b.get(key))) for key in a if a.get(key) != b.get(key)]
