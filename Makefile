@@ -5,6 +5,7 @@
 PYTHON ?= python3
 VENV   ?= .venv
 OUT    ?= results/walk
+GAIT   ?= poppy_dynamic
 CYCLES ?= 1
 CONFIG ?= paper
 JOBS   ?= 2
@@ -34,7 +35,7 @@ walk: $(VENV)/.installed  ## walk one cycle through ROS 2: bag, figures and repo
 	$(BIN)/dqwalk walk --config $(CONFIG) --cycles $(CYCLES) --out $(OUT) --force
 
 walk-physics: $(VENV)/.installed-sim  ## walk STEPS steps in MuJoCo through ROS 2: bag, figures, report in results/walk-physics
-	OPENBLAS_NUM_THREADS=1 $(BIN)/dqwalk walk --config poppy --plant physics --set gait.steps=$(STEPS) \
+	OPENBLAS_NUM_THREADS=1 $(BIN)/dqwalk walk --config $(GAIT) --plant physics --set gait.steps=$(STEPS) \
 	    --out results/walk-physics --force $(ARGS)
 
 simulate: $(VENV)/.installed  ## the same walk in one process, without ROS

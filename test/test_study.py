@@ -364,7 +364,7 @@ def test_a_push_is_survived_or_not():
 
 
 def test_a_stance_that_never_comes_is_not_pushed(monkeypatch):
-    monkeypatch.setattr(pushes, "_due", lambda controller, time, *, standing: False)
+    monkeypatch.setattr(pushes, "_due", lambda controller, time, number, part: False)
     monkeypatch.setattr(pushes, "_LATE", -1.0)
     monkeypatch.setattr(pushes, "_STANDS", 0.1)
     with pytest.raises(PlantError, match="before it was pushed"):
