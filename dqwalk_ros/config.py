@@ -17,6 +17,7 @@ import difflib
 import functools
 import os
 import pathlib
+import re
 import sys
 import warnings
 from collections.abc import Iterator, Mapping
@@ -58,6 +59,7 @@ __all__ = [
     "find_share",
     "from_yaml",
     "load",
+    "since",
     "to_yaml",
 ]
 
@@ -67,9 +69,19 @@ OF_RCLPY = ("use_sim_time", "qos_overrides", "start_type_description_service")
 Value = bool | int | float | str | tuple[str, ...] | tuple[float, ...]
 
 
-def _par(default: Value, meaning: str, unit: str = "", low: float | None = None, high: float | None = None) -> Any:
+def _par(
+    default: Value,
+    meaning: str,
+    unit: str = "",
+    low: float | None = None,
+    high: float | None = None,
+    *,
+    live: bool = False,
+) -> Any:
     """Declare a parameter: its default, what it means, its unit, and its closed bounds."""
-    return dataclasses.field(default=default, metadata={"meaning": meaning, "unit": unit, "low": low, "high": high})
+    return dataclasses.field(
+        default=default, metadata={"meaning": meaning, "unit": unit, "low": low, "high": high, "live": live}
+    )
 
 
 @dataclass(frozen=True)
@@ -114,25 +126,32 @@ class GaitConfig:
     steps: int = _par(4, "standing: steps before the feet are put together; 0 walks as cmd_vel says", "", 0, 100000)
     step_side: float = _par(0.0, "standing: sideways part of each step, positive to the left", "m", -0.2, 0.2)
     step_turn: float = _par(0.0, "standing: turn of each step, positive to the left", "rad", -0.8, 0.8)
-    step_height: float = _par(0.02, "standing: height of the swing foot's via point", "m", 0.0, 0.2)
-    most_length: float = _par(0.05, "standing: longest step that cmd_vel can ask for", "m", 0.0, 0.5)
-    most_side: float = _par(0.05, "standing: longest step to a side that cmd_vel can ask for", "m", 0.0, 0.2)
-    most_turn: float = _par(0.1, "standing: largest turn per step that cmd_vel can ask for", "rad", 0.0, 0.8)
+    step_height: float = _par(0.02, "standing: height of the swing foot's via point", "m", 0.0, 0.2, live=True)
+    most_length: float = _par(0.05, "standing: longest step that cmd_vel can ask for", "m", 0.0, 0.5, live=True)
+    most_side: float = _par(0.05, "standing: longest step to a side that cmd_vel can ask for", "m", 0.0, 0.2, live=True)
+    most_turn: float = _par(0.1, "standing: largest turn per step that cmd_vel can ask for", "rad", 0.0, 0.8, live=True)
     footstep_tolerance: float = _par(
-        0.01, "standing: a commanded footstep is moved by so much at most to where the legs reach", "m", 0.0, 0.1
+        0.01,
+        "standing: a commanded footstep is moved by so much at most to where the legs reach",
+        "m",
+        0.0,
+        0.1,
+        live=True,
     )
-    cmd_vel_timeout: float = _par(0.5, "without a new cmd_vel for this long the feet are put together", "s", 0.0, 60.0)
-    phase_timeout: float = _par(900.0, "a phase that takes longer has failed", "s", 0.1, 1e5)
+    cmd_vel_timeout: float = _par(
+        0.5, "without a new cmd_vel for this long the feet are put together", "s", 0.0, 60.0, live=True
+    )
+    phase_timeout: float = _par(900.0, "a phase that takes longer has failed", "s", 0.1, 1e5, live=True)
 
 
 @dataclass(frozen=True)
 class TaskConfig:
     """The objective of (U6)."""
 
-    eta: float = _par(0.05, "convergence rate of the task error in (U6)", "1/s", 1e-6, 1e3)
-    damping: float = _par(0.1, "lambda, the damping of the joint velocities in (U6)", "", 1e-6, 1e3)
+    eta: float = _par(0.05, "convergence rate of the task error in (U6)", "1/s", 1e-6, 1e3, live=True)
+    damping: float = _par(0.1, "lambda, the damping of the joint velocities in (U6)", "", 1e-6, 1e3, live=True)
     posture_weight: float = _par(
-        0.0, "weight of a task back to the zero posture (0: none, as in the paper)", "", 0.0, 1e3
+        0.0, "weight of a task back to the zero posture (0: none, as in the paper)", "", 0.0, 1e3, live=True
     )
 
 
@@ -165,22 +184,32 @@ class SspConfig:
 class StandingConfig:
     """The walk that stands: the CoM inside the edges of the true soles."""
 
-    margin: float = _par(0.008, "distance kept from each edge of the support polygon", "m", 0.0, 0.1)
-    eta_edges: float = _par(5.0, "rate of the edges", "1/s", 1e-3, 1e4)
-    eta_feet: float = _par(5.0, "rate at which the end sole is held in place; 0 only keeps it at rest", "1/s", 0.0, 1e4)
-    recovery: float = _par(0.02, "a distance beyond its bound returns no faster than this", "m/s", 1e-4, 1e3)
-    transfer_duration: float = _par(1.5, "time of the CoM's path from foot to foot", "s", 0.05, 60.0)
-    swing_duration: float = _par(1.5, "time of the swing foot's path", "s", 0.05, 60.0)
-    com_threshold: float = _par(0.003, "a double support is over when the CoM is this close", "m", 1e-5, 0.1)
-    swing_threshold: float = _par(0.002, "a single support is over when the sole is this close", "m", 1e-5, 0.1)
-    saturation: float = _par(0.03, "the CoM error is limited to this length", "m", 1e-4, 1.0)
-    com_weight: float = _par(0.3, "weight of the CoM over the support sole while the other foot swings", "", 0.0, 1e3)
-    swing_weight: float = _par(10.0, "weight of the swing foot's path", "", 1e-3, 1e4)
-    swing_rate: float = _par(10.0, "convergence of the swing foot to its path", "1/s", 0.1, 1e3)
+    margin: float = _par(0.008, "distance kept from each edge of the support polygon", "m", 0.0, 0.1, live=True)
+    eta_edges: float = _par(5.0, "rate of the edges", "1/s", 1e-3, 1e4, live=True)
+    eta_feet: float = _par(
+        5.0, "rate at which the end sole is held in place; 0 only keeps it at rest", "1/s", 0.0, 1e4, live=True
+    )
+    recovery: float = _par(0.02, "a distance beyond its bound returns no faster than this", "m/s", 1e-4, 1e3, live=True)
+    transfer_duration: float = _par(1.5, "time of the CoM's path from foot to foot", "s", 0.05, 60.0, live=True)
+    swing_duration: float = _par(1.5, "time of the swing foot's path", "s", 0.05, 60.0, live=True)
+    com_threshold: float = _par(0.003, "a double support is over when the CoM is this close", "m", 1e-5, 0.1, live=True)
+    swing_threshold: float = _par(
+        0.002, "a single support is over when the sole is this close", "m", 1e-5, 0.1, live=True
+    )
+    saturation: float = _par(0.03, "the CoM error is limited to this length", "m", 1e-4, 1.0, live=True)
+    com_weight: float = _par(
+        0.3, "weight of the CoM over the support sole while the other foot swings", "", 0.0, 1e3, live=True
+    )
+    swing_weight: float = _par(10.0, "weight of the swing foot's path", "", 1e-3, 1e4, live=True)
+    swing_rate: float = _par(10.0, "convergence of the swing foot to its path", "1/s", 0.1, 1e3, live=True)
     lever: float = _par(0.2, "length that converts angles of the swing foot to distances", "m/rad", 1e-3, 10.0)
-    balance: float = _par(0.5, "gain of the torques that draw the CoM to its path; 0: gravity only", "", 0.0, 10.0)
-    pressure_margin: float = _par(0.004, "least distance from an edge at which the torques put the CoP", "m", 0.0, 0.1)
-    sole_gap: float = _par(0.004, "least distance of the soles beside each other", "m", 0.0, 0.2)
+    balance: float = _par(
+        0.5, "gain of the torques that draw the CoM to its path; 0: gravity only", "", 0.0, 10.0, live=True
+    )
+    pressure_margin: float = _par(
+        0.004, "least distance from an edge at which the torques put the CoP", "m", 0.0, 0.1, live=True
+    )
+    sole_gap: float = _par(0.004, "least distance of the soles beside each other", "m", 0.0, 0.2, live=True)
     posture: tuple[str, ...] = _par((), "posture in which a walk begins, JOINT=RADIANS, '*' matches any text; others 0")
 
 
@@ -230,8 +259,8 @@ class PelvisConfig:
 class JointsConfig:
     """Joint limits (U12)-(U13)."""
 
-    eta: float = _par(10.0, "rate of (U12) and (U13)", "1/s", 1e-3, 1e4)
-    margin: float = _par(0.0, "distance kept from both limits", "rad", 0.0, 1.0)
+    eta: float = _par(10.0, "rate of (U12) and (U13)", "1/s", 1e-3, 1e4, live=True)
+    margin: float = _par(0.0, "distance kept from both limits", "rad", 0.0, 1.0, live=True)
     velocity: float = _par(0.0, "largest joint velocity inside the QP; 0: no limit", "rad/s", 0.0, 100.0)
 
 
@@ -327,19 +356,19 @@ class PlantConfig:
     lockstep: bool = _par(False, "each state waits for its command: exact, and as fast as the machine")
     clock: bool = _par(False, "a simulated plant publishes /clock; the other nodes then take use_sim_time: true")
     imu: bool = _par(False, "each state comes with a message on imu; the controller waits for both")
-    command_timeout: float = _par(0.1, "without a new command for this long the plant holds", "s", 0.0, 10.0)
+    command_timeout: float = _par(0.1, "without a new command for this long the plant holds", "s", 0.0, 10.0, live=True)
 
 
 @dataclass(frozen=True)
 class OutputConfig:
     """What the node `drive` tells the controllers of a robot of your own."""
 
-    type: Literal["joint_state", "float64_multi_array", "joint_trajectory"] = _par(
+    type: Literal["float64_multi_array", "joint_trajectory", "joint_state"] = _par(
         "float64_multi_array",
         "messages: 'float64_multi_array' for a forward_command_controller, 'joint_trajectory' for a "
         "joint_trajectory_controller, or 'joint_state'",
     )
-    interface: Literal["velocity", "position"] = _par(
+    interface: Literal["position", "velocity"] = _par(
         "position", "what the joints are told: velocities, or positions within servo.window of the measured ones"
     )
     topic: str = _par("", "topic of the robot's controller; empty: that of ros2_control's own for type and interface")
@@ -366,9 +395,9 @@ class EstimationConfig:
 class MonitorConfig:
     """What is reported while walking."""
 
-    rate: float = _par(10.0, "diagnostics per second of walking", "Hz", 0.1, 1e3)
-    warn_margin: float = _par(0.002, "a distance closer than this to its bound is a warning", "m", 0.0, 1.0)
-    tolerance: float = _par(1e-5, "a distance beyond its bound by more than this is an error", "m", 0.0, 1.0)
+    rate: float = _par(10.0, "diagnostics per second of walking", "Hz", 0.1, 1e3, live=True)
+    warn_margin: float = _par(0.002, "a distance closer than this to its bound is a warning", "m", 0.0, 1.0, live=True)
+    tolerance: float = _par(1e-5, "a distance beyond its bound by more than this is an error", "m", 0.0, 1.0, live=True)
 
 
 @dataclass(frozen=True)
@@ -572,6 +601,8 @@ class Spec:
     unit, meaning : str
     low, high : float or None
         Closed bounds.
+    live : bool
+        It may be set while a standing walk goes on, and counts from the next phase on.
     choices : tuple of str
         The only values allowed; empty where any text is.
     """
@@ -584,6 +615,7 @@ class Spec:
     meaning: str
     low: float | None
     high: float | None
+    live: bool
     choices: tuple[str, ...]
 
     @property
@@ -725,14 +757,25 @@ def _flattened(tree: Mapping[Any, Any], prefix: str, source: str) -> dict[str, A
     return out
 
 
-def to_yaml(config: Config) -> str:
+_SINCE = "# in force from the state with the stamp {} ns"
+
+
+def since(text: str) -> int | None:
+    """Return the stamp [ns] of the state from which the configuration of a text is in force; None: from the start."""
+    found = re.match(_SINCE.format(r"(-?\d+)"), text)
+    return int(found.group(1)) if found else None
+
+
+def to_yaml(config: Config, since: int | None = None) -> str:
     """Return the configuration as the text of a ROS parameter file; `from_yaml` reads it back exactly.
 
-    An empty list has no type in a ROS parameter file and is written as a list with one empty text.
+    An empty list has no type in a ROS parameter file and is written as a list with one empty text. One that was changed
+    while the robot walked tells since which stamp [ns].
     """
     tree: dict[str, Any] = {}
     for name, value in config.flat().items():
         section, _, key = name.rpartition(".")
         target = tree.setdefault(section, {}) if section else tree
         target[key] = (list(value) or [""]) if isinstance(value, tuple) else value
-    return str(yaml.safe_dump({"/**": {"ros__parameters": tree}}, sort_keys=False))
+    begin = "" if since is None else _SINCE.format(since) + "\n"
+    return begin + str(yaml.safe_dump({"/**": {"ros__parameters": tree}}, sort_keys=False))

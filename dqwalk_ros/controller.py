@@ -65,6 +65,8 @@ class VelocityController:
 
     Attributes
     ----------
+    config : Config
+        In force in the phase under way.
     walk : Walk
         The walk under way.
     phase_index : int
@@ -80,7 +82,7 @@ class VelocityController:
     """
 
     def __init__(self, config: Config, model: RobotModel, walk: type[Walk]) -> None:
-        self.config = config
+        self.config = self._tuned = config
         self.model = model
         self._imu = model.imu
         self._limit = np.minimum(model.velocity_max, config.joints.velocity or np.inf)
@@ -91,6 +93,7 @@ class VelocityController:
 
     def reset(self) -> None:
         """Forget the walk; the next state begins a new one."""
+        self.config = self._tuned
         self.walk = self._make_walk(self.config, self.model)
         self.phase_index = -1
         self.phase_time0 = math.nan
@@ -150,6 +153,18 @@ class VelocityController:
     def steer(self, forward: float, left: float, turn: float) -> tuple[float, float, float]:
         """Set the velocity of a walk that is steered [m/s, m/s, rad/s]; see `Walk.steer`."""
         return self.walk.steer(forward, left, turn)
+
+    def tune(self, config: Config) -> None:
+        """Go on with other parameters, all of them live, from the next phase on.
+
+        Raises
+        ------
+        ConfigError
+            If this walk keeps the parameters that it began with.
+        """
+        if not self.walk.is_tunable:
+            raise ConfigError("this walk keeps the parameters that it began with")
+        self._tuned = config
 
     def stop(self) -> None:
         """Put the feet together after the step under way, and end the walk; see `Walk.stop`."""
@@ -249,6 +264,9 @@ class VelocityController:
 
     def _enter(self, state: State, kin: Kinematics | None = None) -> None:
         """Begin the next phase at `state`; `kin` is seen from the base of the phase before."""
+        if self._tuned is not self.config:
+            self.config = self._tuned
+            self.walk.tune(self.config)
         before = self._phase
         following = self.walk.beginning(self._seen(state, Foot.LEFT)) if before is None else self.walk.following(before)
         if following is None:

@@ -239,11 +239,12 @@ class PhaseRecord:
     q_start: Array
     swing_target: Array | None
     x_odom_base: Array
+    config: Config | None = None
     decision: str = ""
 
     def phase(self, config: Config, model: RobotModel) -> Phase:
         """Return the phase, built again."""
-        return make_walk(config, model).phase(self.kind, self.support, self.q_start, self.swing_target)
+        return make_walk(self.config or config, model).phase(self.kind, self.support, self.q_start, self.swing_target)
 
 
 @dataclass(frozen=True)
@@ -389,6 +390,7 @@ class Recorder:
                     q_start=phase.q_start,
                     swing_target=phase.swing_target,
                     x_odom_base=controller.x_odom_base,
+                    config=None if controller.config is self._config else controller.config,
                 )
             )
         elif not finished and controller.phase.decision != self._phases[-1].decision:

@@ -184,6 +184,13 @@ class Walk(ABC):
     def posture(self) -> Array:
         """The posture in which the walk begins, shape (n,) [rad]."""
 
+    is_tunable = False
+    """Whether parameters that the schema calls live may change between two phases."""
+
+    def tune(self, config: Config) -> None:
+        """Go on with other parameters, from the next phase on."""
+        self.config = config
+
     def is_waiting(self, phase: Phase) -> bool:
         """Return whether `phase` goes on although its rule may say that it is over."""
         return False

@@ -32,7 +32,7 @@ def config(config: str | None, section: str | None, check: bool, changes: tuple[
     """List, check or print parameters.
 
     Without CONFIG: the list of all parameters. With CONFIG, the name of a shipped configuration or the path of a YAML
-    file: check it and print it in full, as a ROS parameter file.
+    file: check it and print it in full, as a ROS parameter file. What is live may be set while a node runs.
     """
     from dqwalk_ros.config import Config, to_yaml
 
@@ -74,7 +74,8 @@ def _listing(section: str | None) -> str:
     names = max(len(spec.name) for spec in specs)
     lines = []
     for spec in specs:
-        lines.append(f"{spec.name:<{names}}  {_value(spec)}  ({spec.expects})")
+        live = ", live" if spec.live else ""
+        lines.append(f"{spec.name:<{names}}  {_value(spec)}  ({spec.expects}{live})")
         lines += textwrap.wrap(spec.meaning, 100, initial_indent=" " * (names + 2), subsequent_indent=" " * (names + 2))
     return "\n".join(lines)
 

@@ -95,6 +95,8 @@ class _Flight:
 class DynamicWalk(StandingWalk):
     """Steps of a fixed rhythm; order, steering and the end are those of the standing walk, with a stance before it."""
 
+    is_tunable = False  # its plan reaches beyond the next phase
+
     def __init__(self, config: Config, model: RobotModel) -> None:
         super().__init__(config, model)
         self._step_now = np.zeros(3)  # length, side and turn of the step under way

@@ -98,11 +98,26 @@ class WalkNode(Node):
         return self.config.plant.lockstep
 
     def _on_parameters(self, wanted: Iterable[Parameter]) -> SetParametersResult:
+        changed = parameters.changes(list(wanted))
         try:
-            self.config = self.config.updated(parameters.changes(list(wanted)))
+            config = self.config.updated(changed)
+            self.tune(config)
         except ConfigError as error:
             return SetParametersResult(successful=False, reason=str(error))
+        before, now = self.config.flat(), config.flat()
+        for name in changed:
+            self.get_logger().info(f"{name}: {before[name]} -> {now[name]}")
+        self.config = config
         return SetParametersResult(successful=True)
+
+    def tune(self, config: Config) -> None:
+        """Take in parameters that have changed while the node runs.
+
+        Raises
+        ------
+        ConfigError
+            If they cannot be used now.
+        """
 
     def advertise(self, topic: Topic | str) -> Publisher:
         """Create the publisher of one of our topics, as the table in `dqwalk_ros.topics` says."""

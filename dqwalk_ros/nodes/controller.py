@@ -110,6 +110,7 @@ class Controller(AnsweringNode):
         self._walk = make_controller(config, self._model)
         self._upright = upright_axis(self._model) if config.plant.imu else None
         self._mode = Mode.WALKING if config.node.autostart else Mode.IDLE
+        self._told = config  # on walk_config
         self._still = self._sent = Command(0.0, np.zeros(self._model.n))
         self._stamp0 = -1  # of the first state answered [ns]
         self._plant_ready = True
@@ -323,6 +324,13 @@ class Controller(AnsweringNode):
         msg = self._command_msg(self._stamp, velocity=self._sent.velocity, effort=self._sent.effort)
         self._commands.publish(msg)
 
+    def tune(self, config: Config) -> None:
+        """Take in live parameters: those of the walk count from the next phase on."""
+        own = ("plant.", "monitor.", "gait.cmd_vel_timeout")
+        before, now = self.config.flat(), config.flat()
+        if any(now[name] != before[name] and not name.startswith(own) for name in now):
+            self._walk.tune(config)
+
     def _show_phase(self) -> None:
         walking = self._mode is Mode.WALKING and self._phase_index >= 0
         name = self._walk.phase.name if walking else self._mode.value
@@ -332,6 +340,9 @@ class Controller(AnsweringNode):
     def _begin_phase(self, stamp: int) -> None:
         phase = self._walk.phase
         self._phase_stamp, self._decision = stamp, phase.decision
+        if self._walk.config is not self._told:
+            self._told = self._walk.config
+            self._phases.tune(self._told, stamp)
         self._phases.begin(phase, stamp)
         if phase.kind is PhaseKind.SINGLE_SUPPORT:
             self._odometry.note_step()

@@ -24,9 +24,6 @@ from dqwalk_ros.errors import ConfigError
 
 __all__ = ["changes", "declare"]
 
-LIVE = frozenset({"plant.command_timeout", "monitor.rate", "monitor.warn_margin", "monitor.tolerance"})
-"""What may change while a node runs: what shapes the walk is fixed when the walk is built."""
-
 
 def declare(node: Node, argv: Sequence[str], nodes: Collection[str]) -> Config:
     """Declare the whole schema on a node; return what the command line and its parameter files say.
@@ -89,7 +86,8 @@ def _is_foreign(name: str) -> bool:
 def _descriptor(spec: Spec) -> ParameterDescriptor:
     """Return what ``ros2 param describe`` shows."""
     unit = f" [{spec.unit}]" if spec.unit else ""
-    out = ParameterDescriptor(description=f"{spec.meaning}{unit}", read_only=spec.name not in LIVE)
+    # what shapes the walk is fixed when the walk is built
+    out = ParameterDescriptor(description=f"{spec.meaning}{unit}", read_only=not spec.live)
     if spec.choices:
         out.additional_constraints = f"one of {', '.join(spec.choices)}"
     low = -math.inf if spec.low is None else spec.low

@@ -11,7 +11,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from dqwalk_ros import provenance
-from dqwalk_ros.config import Config, from_yaml, to_yaml
+from dqwalk_ros.config import Config, from_yaml, since, to_yaml
 from dqwalk_ros.errors import DqwalkError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode
@@ -54,6 +54,10 @@ class PhasePublisher:
         """Publish what goes on now, such as ``double_support/left`` or ``idle``."""
         self._pub["phase"].publish(String(data=text))
         self._log.publish(String(data=text))
+
+    def tune(self, config: Config, stamp: int) -> None:
+        """Publish parameters that are in force from the state of a stamp [ns] on."""
+        self._pub["walk_config"].publish(String(data=to_yaml(config, stamp)))
 
     def begin(self, phase: Phase, stamp: int) -> None:
         """Publish a phase that begins at the state of a stamp [ns], which seconds of the clock would round."""
@@ -102,6 +106,7 @@ class PhaseLog:
         self._urdf = ""
         self._starts: dict[int, JointState] = {}  # by stamp [ns]
         self._targets: dict[int, tuple[PhaseKind, Any]] = {}
+        self._tuned: dict[int, Config] = {}
         self._assessors: dict[int, Assessor] = {}
 
     @property
@@ -112,9 +117,17 @@ class PhaseLog:
     def add_config(self, text: str) -> None:
         """Take in `walk_config`."""
         try:
-            self.config = from_yaml(text, source="walk_config")
+            config = from_yaml(text, source="walk_config")
         except DqwalkError as error:
             self._logger.error(str(error))
+            return
+        if (stamp := since(text)) is not None:  # changed while the robot walks
+            _keep(self._tuned, stamp, config)
+            for began in [began for began in self._assessors if began >= stamp]:
+                del self._assessors[began]
+            if self.config is not None:
+                return
+        self.config = config
         self._load()
 
     def add_description(self, text: str) -> None:
@@ -154,7 +167,7 @@ class PhaseLog:
 
     def forget_after(self, stamp: int) -> None:
         """Drop the phases that began after a stamp [ns]: time went back."""
-        for table in (self._starts, self._targets, self._assessors):
+        for table in (self._starts, self._targets, self._assessors, self._tuned):
             for key in [key for key in table if key > stamp]:
                 del table[key]
 
@@ -186,8 +199,9 @@ class PhaseLog:
             if kind is PhaseKind.DOUBLE_SUPPORT:  # a stance is one, too, but for where its CoM goes
                 goal = {k: com_target(self.model, k, base, q)[:2] for k in (kind, PhaseKind.STANCE)}
                 kind, target = min(goal, key=lambda k: float(np.abs(goal[k] - target).max())), None
-            phase = make_walk(self.config, self.model).phase(kind, support, q, target)
-            return Assessor(self.config, self.model, phase)
+            config = self._tuned.get(max((key for key in self._tuned if key <= began), default=-1), self.config)
+            phase = make_walk(config, self.model).phase(kind, support, q, target)
+            return Assessor(config, self.model, phase)
         except DqwalkError as error:
             self._logger.error(f"cannot rebuild the phase: {error}")
             del self._starts[began]

@@ -54,7 +54,7 @@ class Footsteps:
             half = 0.5 * rest[Foot.LEFT].translation()
             self._place = {Foot.RIGHT: DQ.from_pose(-half), Foot.LEFT: DQ.from_pose(half)}
         self._known: dict[tuple[object, ...], Array] = {}
-        self._config = config
+        self.config = config
 
     def beside(self, support: Foot) -> Array:
         """Return where the other sole stands when the feet are together, in the sole of `support`, shape (8,)."""
@@ -102,7 +102,7 @@ class Footsteps:
         return out
 
     def _allowed(self, support: Foot, wanted: Array) -> Array:
-        gait, s = self._config.gait, self._config.standing
+        gait, s = self.config.gait, self.config.standing
         x = DQ(wanted)
         height, up = float(x.translation()[2]), float(x.rotation_matrix()[2, 2])
         if abs(height) > gait.footstep_tolerance:

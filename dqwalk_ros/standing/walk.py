@@ -57,6 +57,13 @@ class StandingWalk(Walk):
         self._first = Foot(config.gait.first_support)
         self._balance: Balance | None = None
 
+    is_tunable = True
+
+    def tune(self, config: Config) -> None:
+        """Go on with other parameters, from the next phase on."""
+        super().tune(config)
+        self.footsteps.config = config
+
     @staticmethod
     def phases(config: Config) -> int:
         """Return two for each step, two for the feet together, and a stance; 0 where it is steered."""

@@ -45,6 +45,8 @@ class Recording:
         Versions and machine that walked; empty where the bag does not say.
     notes : list of str
         What is missing or was left out.
+    tuned : dict of int to Config
+        Parameters that were changed while the robot walked, by the stamp [ns] from which they were in force.
     """
 
     path: Path
@@ -56,6 +58,7 @@ class Recording:
     stamps: Stamps
     origin: dict[str, str]
     notes: list[str]
+    tuned: dict[int, Config]
 
 
 def is_body(path: str | os.PathLike[str]) -> bool:
@@ -96,7 +99,7 @@ def open_recording(
     notes = list(content.notes)
     columns = _columns_of(path, content, namespace, wanted, required)
     try:
-        config = configuration.from_yaml(texts(columns["walk_config"])[-1], source=f"{path} walk_config")
+        config, tuned = _configurations(texts(columns["walk_config"]), f"{path} walk_config")
     except ConfigError as error:
         raise BagError(str(error)) from error
     model = _model_in(path, config, columns, notes)
@@ -115,7 +118,15 @@ def open_recording(
         since = columns["joint_states"].order[states.rows[begin]]
         columns = {name: column.since(since) for name, column in columns.items()}
     stamps, first = np.unique(states.stamps[rows], return_index=True)
-    return Recording(path, columns, config, model, states, rows[first], stamps, origin, notes)
+    return Recording(path, columns, config, model, states, rows[first], stamps, origin, notes, tuned)
+
+
+def _configurations(found: Sequence[str], source: str) -> tuple[Config, dict[int, Config]]:
+    """Return the configuration with which the last run began, and those that were in force later, by stamp [ns]."""
+    began = max((k for k, one in enumerate(found) if configuration.since(one) is None), default=0)
+    first, *later = (configuration.from_yaml(one, source=source) for one in found[began:])
+    stamps = (configuration.since(one) for one in found[began + 1 :])
+    return first, {stamp: one for stamp, one in zip(stamps, later, strict=True) if stamp is not None}
 
 
 def _columns_of(

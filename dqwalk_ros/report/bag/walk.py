@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros import provenance
-from dqwalk_ros.config import to_yaml
+from dqwalk_ros.config import Config, to_yaml
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import BagError
 from dqwalk_ros.kinematics import Kinematics
@@ -89,6 +90,12 @@ def _columns(trace: Trace, diagnostics: bool) -> list[_Messages]:
     answered = ~np.isnan(trace.u[:, 0])
     effort = None if trace.physics is None else trace.physics.effort
     found = [("walk_config", stamps[:1], [text(to_yaml(trace.config))])]
+    before: Config | None = None
+    for record in trace.phases:
+        if record.config is not None and record.config != before:
+            stamp = stamps[[record.start]]
+            found.append(("walk_config", stamp, [text(to_yaml(record.config, int(stamp[0])))]))
+        before = record.config
     if trace.origin:
         found.append(("walk_origin", stamps[:1], [text(provenance.to_text(trace.origin))]))
     found += [
@@ -214,7 +221,9 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
         time=(stamps - epoch) / NS,
         q=q,
         u=u,
-        phases=_records(model, starts, stamps, _first_base(model, columns, starts[0]), epoch, notes),
+        phases=_tuned(
+            _records(model, starts, stamps, _first_base(model, columns, starts[0]), epoch, notes), bag, epoch
+        ),
         solve_time=np.full(len(stamps), np.nan),
         finished=last_word == FINISHED,
         notes=tuple(notes),
@@ -309,6 +318,20 @@ def _first_base(model: RobotModel, columns: Mapping[str, Column], start: _Start)
 
 _SAME_POSE = 5e-3
 """An estimate of the base is not that of the joints to the last bit."""
+
+
+def _tuned(records: Sequence[PhaseRecord], bag: Recording, epoch: int) -> tuple[PhaseRecord, ...]:
+    """Return the records with the parameters that were in force in each, where they are not those of the beginning."""
+    out = []
+    for record in records:
+        began = round(record.time * NS) + epoch
+        since = max((stamp for stamp in bag.tuned if stamp <= began + _NEAR), default=None)
+        out.append(record if since is None else dataclasses.replace(record, config=bag.tuned[since]))
+    return tuple(out)
+
+
+_NEAR = 1000
+"""Times in seconds are stamps to so many nanoseconds."""
 
 
 def _records(

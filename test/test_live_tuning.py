@@ -1,0 +1,123 @@
+"""Parameters that are set while the robot walks: which, from when on, and that the bag knows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dqwalk_ros.config import Config, from_yaml, load, since, to_yaml
+from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.report import bag
+from dqwalk_ros.robot import load_model
+from dqwalk_ros.simulation import make_controller, make_plant, simulate
+from dqwalk_ros.state import Command
+
+QUICK = {"standing.transfer_duration": 0.4, "standing.swing_duration": 0.4, "gait.steps": 2}
+CONFIG = load("poppy").updated({"plant.command_timeout": 10.0, **QUICK})
+MODEL = load_model(CONFIG.robot)
+HIGHER = CONFIG.updated({"gait.step_height": 0.03})
+
+
+def test_what_shapes_the_walk_is_not_live() -> None:
+    live = {spec.name for spec in Config.specs() if spec.live}
+    assert {"gait.step_height", "standing.swing_duration", "standing.balance", "monitor.rate"} <= live
+    fixed = ("robot.", "output.", "poppy.", "physics.", "servo.", "whole_body.", "node.", "qp.", "dsp.", "ssp.")
+    assert not any(name.startswith(fixed) or name in ("dt", "gait.steps", "gait.style") for name in live)
+
+
+def test_a_configuration_knows_since_when_it_is_in_force() -> None:
+    text = to_yaml(HIGHER, 12_000_000_345)
+    assert since(text) == 12_000_000_345
+    assert since(to_yaml(CONFIG)) is None
+    assert from_yaml(text) == HIGHER
+
+
+def test_a_tuned_walk_goes_on_with_the_next_phase_and_its_bag_says_so(tmp_path: Path) -> None:
+    controller, plant = make_controller(CONFIG, MODEL), make_plant("kinematic", CONFIG, MODEL)
+
+    def tune(time: float) -> None:
+        if 0.1 <= time < 0.1 + CONFIG.dt:
+            controller.tune(HIGHER)
+            assert controller.config is CONFIG
+
+    trace = simulate(controller, plant, before_step=tune)
+    assert trace.finished, trace.notes
+    assert [record.config for record in trace.phases] == [None] + [HIGHER] * (len(trace.phases) - 1)
+    swing = trace.phases[1].phase(trace.config, MODEL)
+    assert swing.tasks[0].height == HIGHER.gait.step_height
+    bag.write(trace, tmp_path / "bag")
+    read = bag.read(tmp_path / "bag")
+    assert read.config == CONFIG
+    assert [record.config for record in read.phases] == [record.config for record in trace.phases]
+
+
+def test_a_walk_that_cannot_be_tuned_says_so() -> None:
+    config = load("paper")
+    with pytest.raises(ConfigError, match="keeps the parameters"):
+        make_controller(config, load_model(config.robot)).tune(config)
+
+
+# ---------------------------------------------------------------------- nodes
+
+
+@pytest.fixture
+def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
+    from inside import inside
+
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with inside(tmp_path) as made:
+        yield made
+
+
+def test_ros2_param_set_is_logged_published_and_judged_from_the_next_phase_on(make: Any) -> None:
+    from inside import state
+    from rclpy.parameter import Parameter
+    from std_msgs.msg import String
+
+    from dqwalk_ros.nodes import messages as ros
+
+    one, monitor = make("controller", CONFIG), make("phase_monitor", CONFIG)
+    controller, plant = one.node._walk, make_plant("kinematic", CONFIG, MODEL)
+
+    def put(name: str, value: float) -> Any:
+        return one.node.set_parameters([Parameter(name, value=value)])[0]
+
+    for k in range(400):
+        one.hand("joint_states", state(MODEL.joint_names, plant.state.q, 1.0 + k * CONFIG.dt))
+        plant.step(Command(0.0, np.array(one.got["joint_velocity_commands"][-1].velocity)), CONFIG.dt)
+        if k == 10:
+            assert put("gait.step_height", 0.03).successful
+            assert not put("gait.step_height", 3.0).successful
+            assert not put("gait.steps", 7).successful  # structural
+            assert put("monitor.warn_margin", 0.001).successful
+        if controller.phase_index == 1:
+            break
+    assert controller.phase_index == 1
+    assert "gait.step_height: 0.02 -> 0.03" in one.log
+    first, tuned = (msg.data for msg in one.got["walk_config"])
+    start = one.got["phase_start"][-1]
+    assert since(first) is None
+    assert since(tuned) == ros.nanoseconds(start.header.stamp)
+    assert from_yaml(tuned).gait.step_height == 0.03
+    for topic in ("walk_config", "robot_description", "phase_start", "com_target", "swing_target"):
+        for msg in one.got[topic]:
+            monitor.hand(topic, msg if topic != "walk_config" else String(data=msg.data))
+    began = [ros.nanoseconds(msg.header.stamp) for msg in one.got["phase_start"]]
+    phases = [monitor.node._phases.at(stamp)[1].phase for stamp in began]
+    assert phases[1].tasks[0].height == 0.03
+    assert monitor.node._phases.config.gait.step_height == 0.02
+
+
+def test_a_paper_walk_refuses_to_be_tuned(make: Any) -> None:
+    from rclpy.parameter import Parameter
+
+    one = make("controller", load("paper"))
+    answer = one.node.set_parameters([Parameter("task.eta", value=0.1)])[0]
+    assert not answer.successful
+    assert "keeps the parameters" in answer.reason
+    assert one.node.set_parameters([Parameter("monitor.rate", value=5.0)])[0].successful
