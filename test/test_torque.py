@@ -23,7 +23,7 @@ def walk(scenario: Scenario) -> WholeBodyTrace:
 
 
 def test_it_walks_on_soft_ground() -> None:
-    walked = walk(Scenario("soft", 1.3, ((0.0, (1.2, -0.8, 0.9)),)))
+    walked = walk(Scenario("soft", 1.15, ((0.0, (1.2, -0.8, 0.9)),)))
     assert walked.stood, walked.note
     assert walked.error[-1] < walked.error[0] - 0.3
     assert walked.footholds()[-1][1][0] > 0.1

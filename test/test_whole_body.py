@@ -38,7 +38,7 @@ def walk(scenario: Scenario, changes: dict | None = None, **options) -> WholeBod
 @cache
 def reached() -> WholeBodyTrace:
     """A walk in place until a target appears in mid-swing, at 0.8 s."""
-    return walk(Scenario("short", 2.8, ((0.8, TARGET[0][1]),)))
+    return walk(Scenario("short", 2.0, ((0.8, TARGET[0][1]),)))
 
 
 @cache
@@ -48,11 +48,11 @@ def problems() -> tuple:
     plant = RigidPlant(MODEL, controller.start, pushed="chest")
     controller.reach(TARGET[0][1])
     found = []
-    for tick in range(200):
-        if tick == 150:
+    for tick in range(120):
+        if tick == 100:
             plant.push([0.0, 10.0, 0.0])
         command = controller.step(plant.state, CONFIG.dt)
-        if tick % 20 == 10 or tick in (150, 151):
+        if tick % 20 == 10 or tick in (100, 101):
             found.append((controller.last.problem, controller.last.answer, controller.last.scene.layout))
         plant.step(command, CONFIG.dt)
     return tuple(found)
@@ -87,8 +87,8 @@ def test_infeasible_balance_keeps_level_one() -> None:
 def test_it_walks_towards_the_target() -> None:
     walked = reached()
     assert_limits(walked)
-    assert walked.error[-1] < walked.error[walked.at(0.9)] - 0.5
-    assert len(walked.footholds()) == 4  # the foot it stands on first, and three steps
+    assert walked.error[-1] < walked.error[walked.at(0.9)] - 0.3
+    assert len(walked.footholds()) == 3  # the foot it stands on first, and two steps
     assert np.abs(walked.height_error).max() < 1e-3
     assert walked.tilt.max() < 0.02
     assert walked.effort.std(axis=0).max() > 1.0
@@ -146,7 +146,7 @@ def test_without_balance_it_falls() -> None:
 
 @cache
 def in_place() -> WholeBodyTrace:
-    return walk(Scenario("in place", 2.1))
+    return walk(Scenario("in place", 1.35))
 
 
 def test_without_a_target_it_walks_in_place() -> None:
@@ -159,7 +159,7 @@ def test_without_a_target_it_walks_in_place() -> None:
 
 def test_an_obstacle_is_kept_clear_of() -> None:
     """A distance of one's own: a sphere where the hand would pass, and it goes around."""
-    scenario = Scenario("obstacle", 0.9, ((0.0, (0.45, -0.35, 0.9)),))
+    scenario = Scenario("obstacle", 0.7, ((0.0, (0.45, -0.35, 0.9)),))
     free = walk(scenario)
     at = int(0.45 / CONFIG.dt)
     center = free.hand[at] + [0.0, 0.01, 0.0]
@@ -187,9 +187,9 @@ def test_an_objective_of_ones_own() -> None:
         return float(np.linalg.norm(body.at(s.x_base, s.q, s.v).frames["L_hand"].position - place))
 
     first = error()
-    for _ in range(240):
+    for _ in range(160):
         plant.step(controller.step(plant.state, CONFIG.dt), CONFIG.dt)
-    assert error() < 0.35 * first
+    assert error() < 0.5 * first
 
 
 def test_joint_bounds_stop_in_time() -> None:
