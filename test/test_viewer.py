@@ -127,6 +127,28 @@ def test_regions_are_where_their_distance_is_zero(trace):
                 assert abs(t[0] * v[1] - t[1] * v[0]) < 1e-12
 
 
+def test_markers_are_the_shapes_of_the_page(trace):
+    """Seen from the base sole, each constraint's shape under its name."""
+    from dqwalk_ros.nodes.markers import markers
+
+    for tick, view in views(trace, 5):
+        phase, model = view.moment.phase, trace.model
+        kin = Kinematics(model, trace.q[tick], phase.base)
+        clear, *shapes = markers(1_500_000_000, trace.config, model, phase, kin).markers
+        assert clear.action == clear.DELETEALL
+        found = {marker.ns: marker for marker in shapes}
+        regions = {region.name: region for region in view.regions}
+        target = set() if view.target is None else {"swing_target"}
+        others = {"sole/left", "sole/right", "com", "com/projection"} | target
+        assert set(found) == set(regions) | others
+        assert {marker.header.frame_id for marker in shapes} == {model.soles[phase.base].frame}
+        at = {name: np.array([getattr(m.pose.position, axis) for axis in "xyz"]) for name, m in found.items()}
+        np.testing.assert_allclose(at["com"], kin.com, atol=1e-12)
+        back = DQ(view.moment.x_odom_base).conj()
+        for name, region in regions.items():
+            np.testing.assert_allclose(at[name], (back * DQ(region.pose)).translation(), atol=1e-12)
+
+
 def test_gauges_say_metres_left(trace):
     for tick, view in views(trace):
         phase = view.moment.phase

@@ -30,7 +30,7 @@ def study_figure(rows: Sequence[Mapping[str, Any]], names: Sequence[str], units:
     Parameters
     ----------
     rows : sequence of mapping
-        As `study.run` returns them.
+        As `studies.walk_all` returns them.
     names : sequence of str
         The parameters that were varied. The first number is across; a second one is upwards, and the margin then a
         colour; without a second one the margin is upwards. What is no number gets a panel per value.

@@ -44,7 +44,7 @@ class Subject:
         Of the bag.
     series : Series
     report : dict
-        As `analysis.report` gives it.
+        As `verdict.report` gives it.
     said : list of Status
         What the nodes said of themselves.
     """
