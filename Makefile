@@ -23,7 +23,7 @@ ROS_EXTRA    := ros,
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help venv walk walk-physics simulate reach test test-long browser docs chaos fuzz soak driver see lint colcon clean
+.PHONY: help venv walk walk-physics simulate reach test test-long browser docs chaos fuzz soak driver robots see lint colcon clean
 
 help:  ## show this
 	@echo "usage: make TARGET [CYCLES=$(CYCLES)] [CONFIG=$(CONFIG)] [STEPS=$(STEPS)] [OUT=$(OUT)]"
@@ -73,6 +73,10 @@ soak: $(VENV)/.installed-test  ## an hour of walking in lockstep, recorded: memo
 
 driver: $(VENV)/.installed-test  ## the Poppy driver on dummy motors: rate, angles, limits (ARGS=--full for the paper's cycle)
 	$(BIN)/python -m benchmark.driver $(ARGS)
+
+robots: $(VENV)/.installed-sim  ## adopt every biped of two PyPI packages, walk it in MuJoCo, and print a table
+	$(BIN)/python -m pip install --quiet --target results/robots/packages --no-deps example-robot-data jvrc-description
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmark.robots results/robots/packages --out results/robots $(ARGS)
 
 see: $(VENV)/.installed-test  ## how soon the page is there, how smooth, what it costs the walk, how long a report takes
 	$(BIN)/python -m benchmark.see $(ARGS)

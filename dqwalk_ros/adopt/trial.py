@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from dqwalk_ros.adopt import Adoption, changed, write_yaml
 from dqwalk_ros.adopt.parameters import Numbers, rounded
-from dqwalk_ros.config import Config, find_share, from_yaml
+from dqwalk_ros.config import Config, find_share, from_yaml, load
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import DqwalkError
-from dqwalk_ros.robot import RobotModel
+from dqwalk_ros.robot import RobotModel, load_model
 from dqwalk_ros.simulation import Trace, make_controller, make_plant, simulate
 
-__all__ = ["Trial", "cures", "walk"]
+__all__ = ["Trial", "cures", "first_walks", "walk"]
+
+_STEPS = 4
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,46 @@ class Trial:
 
     def __str__(self) -> str:
         return f"{self.plant}: " + (f"walked {self.distance:.3f} m" if self.stood else self.note)
+
+
+def first_walks(
+    found: Adoption, given: Mapping[str, Any], progress: Callable[[str], None] = lambda _: None
+) -> Iterator[tuple[Trial, str]]:
+    """Walk in kinematics, then in physics; where it falls there, try the cures, and keep in ``robot.yaml`` what helped.
+
+    Parameters
+    ----------
+    found : Adoption
+    given : dict of str to value
+        Parameters that no cure changes.
+    progress : callable, optional
+        Called with a line of text.
+
+    Yields
+    ------
+    Trial
+        The walk as derived; after a cure that helped the cured one. The last one that did not stand ends them.
+    str
+        The cure; empty where none was needed or none helped.
+    """
+    config, model, file = found.config, found.model, found.folder / "robot.yaml"
+    for plant in ("kinematic", "physics"):
+        first = walk(config, model, plant, _STEPS, progress)
+        yield first, ""
+        if first.stood:
+            continue
+        for what, values in cures(config, found.numbers) if plant == "physics" else ():
+            kept = {key: value for key, value in values.items() if key not in given}
+            entries = changed(found.entries, kept, f"cured a fall: {what}")
+            write_yaml(file, entries, f"{model.name}: the walk that stands, cured.")
+            cured = load(file)
+            again = walk(cured, load_model(cured.robot), plant, _STEPS, progress)
+            if again.stood:
+                yield again, what
+                break
+        else:
+            write_yaml(file, found.entries, f"{model.name}: the walk that stands.")
+            return
 
 
 def walk(config: Config, model: RobotModel, plant: str, steps: int, progress: Callable[[str], None]) -> Trial:

@@ -55,18 +55,16 @@ def adopt(
 ) -> int:
     """Make a configuration that walks of a robot description, URDF or xacro."""
     from dqwalk_ros import adopt as adopting
-    from dqwalk_ros.adopt import trial
     from dqwalk_ros.adopt.picture import draw
+    from dqwalk_ros.adopt.trial import first_walks
     from dqwalk_ros.cli.progress import Progress
-    from dqwalk_ros.config import load
     from dqwalk_ros.errors import ConfigError
-    from dqwalk_ros.robot import load_model
 
     if bool(left) != bool(right):
         raise ConfigError("--left and --right are given together")
-    given = parse_overrides(changes)
+    given = dict(parse_overrides(changes))
     found = adopting.adopt(
-        urdf, out, package_paths=places, left=left, right=right, forward=forward or "", changes=dict(given)
+        urdf, out, package_paths=places, left=left, right=right, forward=forward or "", changes=given
     )
     if not quiet:
         for repair in found.repairs:
@@ -80,27 +78,13 @@ def adopt(
         print(f"check: {finding}")
     if no_walk:
         return 1 if found.findings else 0
-    config, model, entries, cured = found.config, found.model, found.entries, ""
+    last = None
     with Progress(quiet=quiet) as bar:
-        for plant in ("kinematic", "physics"):
-            result = trial.walk(config, model, plant, 4, lambda text: bar(0.0, text))
-            tries = trial.cures(config, found.numbers) if plant == "physics" else iter(())
-            first = result
-            for what, values in tries:
-                if result.stood:
-                    break
-                values = {key: value for key, value in values.items() if key not in given}
-                entries = tuple(adopting.changed(list(found.entries), values, f"cured a fall: {what}"))
-                adopting.write_yaml(out / "robot.yaml", entries, f"{model.name}, adopted from {urdf.name}: cured.")
-                config = load(out / "robot.yaml")
-                model = load_model(config.robot)
-                result = trial.walk(config, model, plant, 4, lambda text: bar(0.0, text))
-                cured = what
-            if not result.stood:
-                title = f"{found.model.name}, adopted from {urdf.name}: the walk that stands."
-                adopting.write_yaml(out / "robot.yaml", found.entries, title)  # without cures that did not help
-                print(f"{plant}: falls: {first.note}; no cure helped")
-                return 1
-            print(f"{result}" + (f", after {first.note}: cured by {cured}" if result is not first else ""))
+        for result, cure in first_walks(found, given, lambda text: bar(0.0, text)):
+            print(f"{result}" + (f", cured by {cure}" if cure else ""))
+            last = result
+    if last is None or not last.stood:
+        print("no cure helped")
+        return 1
     print(f"dqwalk simulate --config {out / 'robot.yaml'} --plant physics")
     return 0

@@ -1,0 +1,80 @@
+"""Robots from outside, adopted and walked: one row for each robot description that is found.
+
+python -m benchmark.robots PATH ... [--out results/robots] [--only NAME]
+
+PATH is a URDF, a xacro, or a folder that is searched, such as those of the packages example-robot-data and
+jvrc-description (`make robots`). What is no biped is listed with the reason.
+
+Each robot is adopted and walks `gait.steps` of its own configuration in MuJoCo, then one cycle of the paper's walk.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+from benchmark.timing import machine, table  # first: it sets the number of threads
+from dqwalk_ros.adopt import adopt
+from dqwalk_ros.adopt.trial import first_walks
+from dqwalk_ros.config import find_share, from_yaml, load
+from dqwalk_ros.errors import DqwalkError
+from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.report import analyse, report
+from dqwalk_ros.robot import load_model
+from dqwalk_ros.simulation import make_controller, make_plant, simulate
+
+
+def row(path: Path, out: Path) -> list[Any]:
+    """Adopt one robot, walk it, and return its row."""
+    began = time.perf_counter()
+    found = adopt(path, out)
+    *_, (last, cure) = first_walks(found, {})
+    took = time.perf_counter() - began
+    config = load(out / "robot.yaml")
+    physics = from_yaml(find_share("config/plants", "physics.yaml").read_text(encoding="utf-8"), onto=config)
+    model = load_model(config.robot)
+    walked = report(analyse(simulate(make_controller(physics, model), make_plant("physics", physics, model))))
+    paper = load(out / "paper.yaml")
+    legs = load_model(paper.robot)
+    whole = report(analyse(simulate(make_controller(paper, legs), KinematicPlant(legs))))
+    ground = walked["physics"]
+    return [
+        path.stem,
+        f"{model.mass:.1f}",
+        f"{took:.0f}",
+        cure or ("-" if last.stood else "none helped"),
+        f"{ground['way']:.2f}",
+        f"{ground['way'] / walked['walk']['duration']:.3f}",
+        f"{math.degrees(ground['tilt']['value']):.2f}",
+        f"{100.0 * ground['cop_inside']:.1f}",
+        f"{math.degrees(abs(ground['turned'])):.1f}",
+        "yes" if walked["ok"] and walked["walk"]["finished"] else "no",
+        "yes" if whole["ok"] and whole["walk"]["finished"] else "no",
+    ]
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("paths", nargs="+", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("results/robots"))
+    parser.add_argument("--only", default="", help="those with this text in their path")
+    args = parser.parse_args()
+    files = [f for p in args.paths for f in (sorted(p.rglob("*.urdf")) if p.is_dir() else [p]) if args.only in str(f)]
+    rows, refused = [], []
+    for number, file in enumerate(files, 1):
+        print(f"{number} of {len(files)}: {file}", flush=True)
+        try:
+            rows.append(row(file, args.out / f"{number}_{file.stem}"))
+        except DqwalkError as error:
+            refused.append(f"- `{file.name}`: {error}")
+    head = ["robot", "kg", "adopted in [s]", "cure", "way [m]", "m/s", "tilt [deg]", "CoP inside [%]", "turned [deg]",
+            "stands", "paper's walk"]  # fmt: skip
+    print(f"\n{machine()}\n\n{table(head, rows)}\n\nNot adopted:\n\n" + "\n".join(refused))
+
+
+if __name__ == "__main__":
+    main()
