@@ -22,6 +22,7 @@ from std_srvs.srv import Trigger
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import DqwalkError, StateError
+from dqwalk_ros.estimation.drive import DriveWatch
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.answering import AnsweringNode
@@ -31,6 +32,7 @@ from dqwalk_ros.nodes.odometry import Odometry
 from dqwalk_ros.nodes.phases import PhasePublisher
 from dqwalk_ros.nodes.safety import Contradictions
 from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.servos import Drive
 from dqwalk_ros.simulation import make_controller, make_walk, walk_type, warm_up
 from dqwalk_ros.state import Command, State
 from dqwalk_ros.topics import FALLEN, FINISHED
@@ -126,6 +128,7 @@ class Controller(AnsweringNode):
         self._commands = self.advertise("joint_velocity_commands")
         self._phases = PhasePublisher(self, self._model)
         self._odometry = Odometry(self, self._model)
+        self._drive = DriveWatch(Drive.of(config, self._model))
         self._first_base = first_base(config, self._model)
         self._show_phase()
 
@@ -217,6 +220,8 @@ class Controller(AnsweringNode):
         command: Command | None = self._guarded(step)
         if command is None:
             return self._still
+        if command.effort is not None:
+            self._drive.add(state.time, state.q, command.velocity, command.effort)
         if self._stamp0 < 0:
             self._stamp0 = stamp
         if self._walk.phase_index != self._phase_index:
@@ -309,6 +314,7 @@ class Controller(AnsweringNode):
             return self._answer(response, False, f"{self._lying}; put it on its feet first")
         self._walk.reset()
         self._odometry.begin_anew()
+        self._drive = DriveWatch(Drive.of(self.config, self._model))
         self._mode, self._problem, self._phase_index = Mode.IDLE, "", -1
         self._stamp = self._stamp0 = -1
         self._sent = self._still
@@ -363,11 +369,14 @@ class Controller(AnsweringNode):
             values["active rows"] = ", ".join(last.active)
         if self._steering is not None:
             values |= self._steering.values()
+        if math.isfinite(self._drive.delay):
+            values |= {"delay beyond told": self._drive.delay, "stiffness of told": self._drive.stiffness}
         if not level:
             trouble = self._problem or (f"two plants: {self._duplicates}" if self._duplicates else "")
-            level = "ERROR" if trouble or self._failures.count else "OK"
+            drive = "; ".join(self._drive.warnings())
+            level = "ERROR" if trouble or self._failures.count else "WARN" if drive else "OK"
             walking = self._mode is Mode.WALKING and self._phase_index >= 0
-            message = trouble or (self._walk.phase.name if walking else self._mode.value)
+            message = trouble or drive or (self._walk.phase.name if walking else self._mode.value)
         self._diagnosed = time.perf_counter()
         self.diagnose("walk", self._model.name, level, message, values, max(self._stamp, 0))
 
