@@ -7,8 +7,10 @@ import math
 import numpy as np
 import pytest
 
+import dqwalk_ros as dq
 from dqwalk_ros.estimation.drive import DriveWatch
 from dqwalk_ros.servos import Drive
+from dqwalk_ros.simulation import closed_loop, make_controller, make_plant
 
 N, TOLD, LATE = 4, 50.0, 0.05
 
@@ -67,3 +69,21 @@ def test_nothing_is_said_before_it_is_known_and_a_silence_does_no_harm() -> None
     assert math.isnan(found.delay)
     walked(found, begin=30.0)
     assert found.delay == pytest.approx(0.0, abs=0.003)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("latency", "stiffness"), [(0.0, 60.0), (0.03, 60.0), (0.0, 40.0)])
+def test_a_walk_in_physics_tells_what_its_drive_is(latency: float, stiffness: float) -> None:
+    """The controller is told a latency of 0 and 60 N m/rad; three steps are enough."""
+    told = dq.load("poppy").updated({
+        "gait.steps": 3, "qp.solver": "daqp", "servo.assumed_damping": 0.02, "servo.assumed_rate": 200.0,
+    })  # fmt: skip
+    model = dq.load_model(told.robot)
+    plant = make_plant("physics", told.updated({"servo.latency": latency, "servo.stiffness": stiffness}), model)
+    found = DriveWatch(Drive.of(told, model))
+    for state, command in closed_loop(make_controller(told, model), plant):
+        if command.effort is not None:
+            found.add(state.time, state.q, command.velocity, command.effort)
+    assert found.delay == pytest.approx(latency, abs=0.01)
+    if not latency:
+        assert found.stiffness == pytest.approx(stiffness / 60.0, rel=0.15)

@@ -1,7 +1,7 @@
 """Does the drive still do what the controller is told of it? Its delay and stiffness, from the walk itself.
 
-Joints follow the integral S of the commanded velocities u a delay T later. With torques e fed forward by the stiffness K
-they are told to have,
+Joints follow the integral S of the commanded velocities u a delay T later. With torques e that are fed forward by the
+stiffness K they are told to have,
 
     q(t) - S(t - T) = const. + (1/K - 1/K_true) e(t - T) - (T_true - T) u(t - T)
 
