@@ -74,7 +74,9 @@ def test_the_page_of_a_node_is_that_of_the_schema(node):
 def test_places_of_equations_are_there(name, folder):
     count = 0
     for row in re.findall(r"^\|.*\|$", (ROOT / f"docs/{name}.md").read_text(), re.M):
-        for file, names in re.findall(r"`(\w+\.py)`(?:: |, )((?:`\w+`(?:, )?)+)", row):
+        places = re.findall(r"`(\w+\.py)`(?:: |, )((?:`\w+`(?:, )?)+)", row)
+        places += re.findall(r"`(\w+\.py): (\w+(?:\.\w+)?)`", row)
+        for file, names in places:
             text = (ROOT / folder / file).read_text()
             for found in re.findall(r"\w+", names):
                 assert re.search(rf"^ *(def|class) {found}\b", text, re.M), f"{file} has no {found}"
