@@ -27,8 +27,8 @@ from dqwalk_ros.state import Command
 
 CONFIG = overlaid(load("poppy"), "physics").updated({"gait.steps": 0, "plant.command_timeout": 10.0})
 MODEL = load_model(CONFIG.robot)
-NEAR = 0.05
-"""A goal is reached at this distance [m]."""
+NEAR, WITHIN = 0.04, 0.05
+"""A goal is reached at this distance by odometry, and must be at this distance in truth [m]."""
 
 
 @pytest.fixture
@@ -84,8 +84,8 @@ def drive(make: Any, goals: list[tuple[float, float]]) -> list[tuple[float, floa
 
 
 def test_a_goal_ahead_is_reached_by_odometry(make: Any) -> None:
-    ((_, true),) = drive(make, [(0.07, 0.0)])
-    assert true < 2.0 * NEAR
+    ((_, true),) = drive(make, [(0.06, 0.0)])
+    assert true < WITHIN
 
 
 @pytest.mark.long
@@ -93,4 +93,4 @@ def test_a_goal_ahead_is_reached_by_odometry(make: Any) -> None:
 def test_five_goals_of_a_square_of_a_metre(make: Any) -> None:
     reached = drive(make, [(1.0, 0.0), (1.0, 1.0), (0.0, 1.0), (0.0, 0.0), (1.0, 0.0)])
     assert len(reached) == 5
-    assert max(true for _, true in reached) < 2.0 * NEAR  # what odometry drifts in 5 m comes on top
+    assert max(true for _, true in reached) < WITHIN

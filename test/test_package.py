@@ -89,6 +89,18 @@ def test_colcon_builds_and_its_executables_run(tmp_path: Path) -> None:
         assert "Example:" in shown.stdout
 
 
+def test_the_aggregator_knows_every_status() -> None:
+    import yaml
+
+    tree = yaml.safe_load((ROOT / "config" / "diagnostics_aggregator.yaml").read_text())["/**"]["ros__parameters"]
+    known = {name for one in tree.values() if isinstance(one, dict) for name in one["contains"]}
+    assert {name.partition(":")[0] for name in known} <= set(NODES)
+    said = set()
+    for file in (ROOT / "dqwalk_ros" / "nodes").glob("*.py"):
+        said |= set(re.findall(r"\.diagnose\(\s*\"(\w+)\"", file.read_text(encoding="utf-8")))
+    assert {name.partition(": ")[2] for name in known} >= said
+
+
 # ---------------------------------------------------------------------- rosdep
 
 KNOWN = "2026-08-22"
