@@ -59,15 +59,16 @@ def nodes(context: LaunchContext) -> list[object]:
     def node(package: str, executable: str, **options: object) -> Node:
         enclave = ["--enclave", f"/dqwalk/{options.get('name', executable)}"]
         return Node(
-            package=package, executable=executable, namespace=space, output="screen", ros_arguments=enclave, **options
-        )
+            package=package, executable=executable, namespace=space, output="screen", ros_arguments=enclave,
+            remappings=[("/tf", "tf"), ("/tf_static", "tf_static")] if space else [], **options,
+        )  # fmt: skip
 
     publisher = node("robot_state_publisher", "robot_state_publisher",
                      parameters=[{"robot_description": urdf.decode()}, time])  # fmt: skip
     spawner = node(
         "controller_manager", "spawner", name="spawner",
         arguments=["joint_state_broadcaster", "imu_sensor_broadcaster", forward, "--controller-manager",
-                   "controller_manager"],
+                   "controller_manager", "--param-file", given["controllers"]],
         parameters=[time],
     )  # fmt: skip
     started: list[object] = [publisher, spawner]
