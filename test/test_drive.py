@@ -196,6 +196,46 @@ def test_its_end_stops_the_robot(make: Any) -> None:
     assert not any(one.got[TOPIC["velocity"]][-1].data)
 
 
+@pytest.mark.long
+def test_the_controller_is_killed_as_a_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Behind a forward controller that goes on with its last command for ever; prints how long it moved on."""
+    import signal
+
+    from live import Live
+
+    from dqwalk_ros.runner import private_domain
+
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    config = load("paper").updated({"dt": 0.02, "output.interface": "velocity"})
+    names = load_model(config.robot).joint_names
+    with private_domain() as domain:
+        live = Live(tmp_path, domain, config)
+        q, told, at = np.zeros(len(names)), [np.zeros(len(names))], [0.0]
+
+        def take(msg: Float64MultiArray) -> None:
+            told[0], at[0] = np.array(msg.data), time.monotonic()
+
+        def update() -> None:
+            q[:] += 0.02 * told[0]
+            live.publish_state(list(names), q, time.time())
+
+        try:
+            live.node.create_subscription(Float64MultiArray, TOPIC["velocity"], take, 1)
+            live.node.create_timer(0.02, update)
+            live.start("drive")
+            live.start("controller")
+            live.until(lambda: np.abs(told[0]).max() > 1e-3, 120.0, "motion")
+            live.processes.signal("controller", signal.SIGKILL)
+            killed, before = time.monotonic(), q.copy()
+            live.until(lambda: not told[0].any(), 20.0, "the end of the motion")
+            print(f"motion ended {at[0] - killed:.3f} s after the kill, {np.abs(q - before).max():.4f} rad further")
+            live.spin(1.0)
+            assert not told[0].any()
+            assert live.processes.exit_code("drive") is None
+        finally:
+            live.close()
+
+
 # ---------------------------------------------------------------------- what it refuses
 
 

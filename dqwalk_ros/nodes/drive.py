@@ -95,7 +95,7 @@ class RobotDrive(WalkNode):
         self._commands.able = False
         self._reader = ros.JointReader(self._output.joints)
         self._measured = self._rest = np.zeros(len(self._output.joints))  # now, and at the first command [rad]
-        self._stamp = self._moved = -1  # of the last state, and of the one at which the robot was moved last [ns]
+        self._stamp = self._moved = -1  # of the last state, and of the command that moved the robot last [ns]
         self._goals: Bus | None = None  # none before the first command
         self._told = np.zeros(self._model.n)  # where the robot is when it has done as it was told [rad]
         self._reason = "not looked at yet"
@@ -118,10 +118,14 @@ class RobotDrive(WalkNode):
         self._stamp = ros.nanoseconds(msg.header.stamp)
 
     def _on_command(self, msg: JointState) -> None:
-        if self._stamp < 0 or not self._commands.take(msg, self._stamp):
+        if self._stamp < 0 or not self._commands.take(msg, self._stamp) or self._commands.gate.holding:
             return
-        if not self._commands.gate.holding:
-            self._tell(min(1e-9 * max(self._stamp - self._moved, 0), _PERIODS * self.config.dt))
+        # the time since the command before; one without a stamp counts from the state that came last
+        at = ros.nanoseconds(msg.header.stamp) or self._stamp
+        dt = min(1e-9 * max(at - self._moved, 0), _PERIODS * self.config.dt)
+        if dt > 0.0 or not any(msg.velocity):
+            self._moved = at
+            self._tell(dt)
 
     def _look(self) -> None:
         """Tell the robot to stay where no command counts; again each time, for a message may be lost."""
@@ -142,7 +146,6 @@ class RobotDrive(WalkNode):
         u = gate.velocity(self._goals.wanted, dt)
         self._goals.command(u, gate.effort, q, 1e-9 * self._stamp, dt)
         goals, _ = self._goals.output(1e-9 * self._stamp)
-        self._moved = self._stamp
         if self.config.output.interface == "position":
             out = self._rest.copy()  # joints that the walk does not move stay where they were
             out[self._output.own] = goals
