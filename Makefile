@@ -23,7 +23,7 @@ ROS_EXTRA    := ros,
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help venv walk walk-physics simulate reach test test-long browser docs chaos fuzz soak driver robots see lint colcon clean
+.PHONY: help venv walk walk-physics simulate reach test test-long browser docs chaos fuzz mutation soak driver robots see lint colcon clean
 
 help:  ## show this
 	@echo "usage: make TARGET [CYCLES=$(CYCLES)] [CONFIG=$(CONFIG)] [STEPS=$(STEPS)] [OUT=$(OUT)]"
@@ -67,6 +67,9 @@ chaos: $(VENV)/.installed-test  ## put a live walk through every fault of docs/f
 
 fuzz: $(VENV)/.installed-test  ## 10 000 hostile robots, parameter files and messages
 	DQWALK_FUZZ=10000 $(BIN)/python -m pytest --timeout 3000 --durations 6 test/test_fuzz.py $(ARGS)
+
+mutation: $(VENV)/.installed-test  ## change each line that keeps a robot safe, and see whether a test notices (an hour)
+	$(BIN)/python test/mutations.py $(ARGS)
 
 soak: $(VENV)/.installed-test  ## an hour of walking in lockstep, recorded: memory, files, gaps (ARGS='--minutes 60')
 	$(BIN)/python -m benchmark.soak $(ARGS)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import functools
 import itertools
+import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -79,3 +81,32 @@ def test_a_foot_in_the_air_is_put_down_first(support: Foot) -> None:
         kind, stands, target = walk.beginning(Kinematics(model, q, Foot.LEFT))
         assert (kind, stands) == (PhaseKind.SINGLE_SUPPORT, bent.other)
         assert DQ(target).translation()[2] == pytest.approx(0.0)
+
+
+@pytest.mark.long
+def test_a_controller_that_is_killed_in_mid_swing_walks_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same through ROS, in real time."""
+    pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
+    from live import Live
+
+    from dqwalk_ros.runner import private_domain
+
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with private_domain() as domain:
+        live = Live(tmp_path, domain, CONFIG("poppy_as_built").updated({"gait.steps": 100}))
+        try:
+            live.start("physics")
+            live.start("controller")
+            live.until(lambda: live.phase == "single_support/right", 120.0, "the second swing")
+            began = live.stamp()
+            live.until(lambda: live.stamp() > began + 0.7, 20.0, "its middle")
+            live.processes.signal("controller", signal.SIGKILL)
+            live.processes.wait("controller", 10.0)
+            seen = len(live.phases())
+            live.start("controller")
+            live.until(lambda: sum("support/" in p for p in live.phases()[seen:]) >= 5, 120.0, "two more steps")
+            walked = [p for p in live.phases()[seen:] if "support/" in p]
+            assert walked[:2] == ["single_support/right", "double_support/left"]
+            assert "fell" not in live.processes.log("physics")
+        finally:
+            live.close()

@@ -14,6 +14,8 @@ from dqwalk_ros.errors import StateError
 from dqwalk_ros.nodes.safety import (
     BodyGate,
     CommandGate,
+    DuplicatePublishers,
+    DuplicateStates,
     FaultCounter,
     JointOrder,
     StateGate,
@@ -197,6 +199,14 @@ def test_in_lockstep_the_clock_says_nothing(model: RobotModel, clock: FakeClock)
     clock.now += 100.0
     with pytest.raises(StateError, match="jump"):
         gate.accept(PERIOD, 0.3 * np.eye(model.n)[0])
+    gate.reset()
+    gate.accept(200 * PERIOD, np.zeros(model.n))  # what counts is the time that passed, not what time it is
+    with pytest.raises(StateError, match="jump"):
+        gate.accept(201 * PERIOD, 0.3 * np.eye(model.n)[0])
+
+
+def test_all_joints_outside_are_all_named(model: RobotModel) -> None:
+    assert outside_limits(model.q_max + 0.2, model, 0.1).count(" by 0.2 rad") == model.n
 
 
 @pytest.mark.parametrize("beyond", [1e-9, 1e-4, 0.01, 0.0999])
@@ -311,7 +321,7 @@ def test_hold_forgets_the_command(model: RobotModel, clock: FakeClock) -> None:
 speeds = st.floats(-1e6, 1e6, allow_nan=False)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(data=st.data())
 def test_whatever_is_asked_no_limit_is_crossed(model: RobotModel, data: st.DataObject) -> None:
     u = np.array(data.draw(st.lists(speeds, min_size=model.n, max_size=model.n)))
@@ -325,7 +335,7 @@ def test_whatever_is_asked_no_limit_is_crossed(model: RobotModel, data: st.DataO
     assert (after >= model.q_min - 1e-12).all()
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(data=st.data())
 def test_outside_it_goes_in_or_stays(model: RobotModel, data: st.DataObject) -> None:
     u = np.array(data.draw(st.lists(speeds, min_size=model.n, max_size=model.n)))
@@ -334,6 +344,94 @@ def test_outside_it_goes_in_or_stays(model: RobotModel, data: st.DataObject) -> 
     assert (v <= 0.0).all()
     v = clamp_velocity(u, model.q_min - out, model, DT)
     assert (v >= 0.0).all()
+
+
+def test_outside_it_stays_unless_it_is_told_to_move(model: RobotModel) -> None:
+    for q in (model.q_max + 0.1, model.q_min - 0.1):
+        assert not clamp_velocity(np.zeros(model.n), q, model, DT).any()
+    np.testing.assert_array_equal(
+        clamp_velocity(np.full(model.n, -0.2), model.q_max + 0.1, model, DT), np.full(model.n, -0.2)
+    )
+
+
+def test_a_fast_command_is_that_of_the_limit(model: RobotModel) -> None:
+    """Neither less nor more: at the velocity limit far from the end of the range, into the end near it."""
+    zero, fast = np.zeros(model.n), np.full(model.n, 1e3)
+    far = np.minimum(model.q_max / 1e-4, model.velocity_max)
+    np.testing.assert_allclose(clamp_velocity(fast, zero, model, 1e-4), far)
+    np.testing.assert_allclose(
+        clamp_velocity(-fast, zero, model, 1e-4), -np.minimum(-model.q_min / 1e-4, model.velocity_max)
+    )
+    np.testing.assert_allclose(0.1 * clamp_velocity(fast, model.q_max - 1e-3, model, 0.1), np.full(model.n, 1e-3))
+
+
+def test_two_publishers_are_told_at_once_unless_one_may_be_a_ghost(clock: FakeClock) -> None:
+    judge = DuplicatePublishers(clock).judge
+    assert judge([]) == judge(["/a"]) == ""
+    assert judge(["/b", "/a"]) == "/a, /b"
+    assert judge(["/a", "/a"]) == ""
+    clock.now += 24.9
+    assert judge(["/a", "/a"]) == ""
+    clock.now += 0.2
+    assert judge(["/a", "/a"]) == "/a, 2 times"
+    assert judge(["/a"]) == ""
+    assert judge(["/a", "/a"]) == ""  # counted anew
+
+
+def test_a_second_plant_is_told_by_what_it_publishes() -> None:
+    def looked(messages: list[tuple[list[str], int]], publishers: list[str]) -> str:
+        judge = DuplicateStates(DT)
+        for _ in range(DuplicateStates.looks):
+            for names, stamp in messages:
+                judge.note(names, stamp)
+            said = judge.judge(publishers)
+        return said
+
+    both, one = ["/a", "/b"], [(["x"], k * PERIOD) for k in range(50)]
+    assert looked(one, both) == ""  # the other one publishes joints of its own
+    assert looked(one, ["/a"]) == ""
+    assert looked([m for m in one for _ in range(2)], both) == "/a, /b"  # more than the stamps account for
+    assert looked([(["x"], k * PERIOD) for k in (0, 5, 1, 6, 2, 7, 3, 8)], both) == "/a, /b"  # back and forth
+    assert looked([*one, (["x", "y"], 50 * PERIOD)], both) == "/a, /b"  # another list of joints
+    twice = [(["x"], stamp * PERIOD) for stamp in (0, 5, 4, 9, 8, 13)]
+    assert looked(twice, both) == ""  # two are overtaken, which happens
+
+
+def test_the_rate_of_a_plant_is_measured_while_it_is_alone() -> None:
+    """One of twice the expected rate is not taken for two."""
+    judge = DuplicateStates(2 * DT)
+    for publishers in (["/a"], ["/a", "/b"], ["/a", "/b"]):
+        for k in range(50):
+            judge.note(["x"], k * PERIOD)
+        said = judge.judge(publishers)
+    assert said == ""
+
+
+def test_a_plant_is_ready_until_commands_fall_silent(model: RobotModel, clock: FakeClock) -> None:
+    gate = commands_of(model, clock)
+    assert gate.ready  # none came yet
+    gate.accept(0, np.zeros(model.n), 0)
+    clock.now += 0.099
+    assert gate.ready
+    clock.now += 0.002
+    assert not gate.ready
+    gate.accept(PERIOD, np.zeros(model.n), PERIOD)
+    assert gate.ready
+    gate.refused = "two controllers"
+    assert not gate.ready
+
+
+def test_different_answers_to_one_state_are_two_controllers(model: RobotModel, clock: FakeClock) -> None:
+    gate = commands_of(model, clock)
+    for k in range(4):
+        assert not gate.contradicted
+        gate.accept(PERIOD, np.full(model.n, 0.01 * k), PERIOD)
+    assert gate.contradicted
+    assert gate.holding
+    clock.now += 0.99
+    assert gate.contradicted
+    clock.now += 0.02
+    assert not gate.contradicted
 
 
 def test_no_time_no_motion(model: RobotModel) -> None:

@@ -1,0 +1,159 @@
+"""Break each line that keeps a robot safe, one at a time, and see whether a test notices (`make mutation`).
+
+A mutant is one changed operator, number or function of a file. Its tests run in a child that takes the changed file in
+place of the true one; what survives is listed, and explained in docs/faults.md or a test is missing.
+
+Usage: python test/mutations.py [--every N] [--only TEXT] [FILE ...]
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import copy
+import importlib
+import os
+import sys
+import tempfile
+import time
+import types
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+TARGETS = {
+    "dqwalk_ros/nodes/safety.py": ("test_safety.py", "test_liars.py"),
+    "dqwalk_ros/plants/motor_watch.py": ("test_poppy_faults.py", "test_poppy.py"),
+    "dqwalk_ros/plants/poppy.py": ("test_poppy_faults.py", "test_poppy.py"),
+}
+"""Files, and the tests that must notice."""
+WARM = (
+    "hypothesis",
+    "rclpy.node",
+    "sensor_msgs.msg",
+    "mujoco",
+    "dqwalk_ros.cli.options",
+    "dqwalk_ros.studies.robustness",
+)
+"""Imported once, before any child; nothing of it imports a target."""
+LONGEST = 120.0
+"""A mutant that takes longer hangs, and that is noticed [s]."""
+SWAPPED: dict[type[ast.AST], tuple[type[ast.AST], ...]] = {
+    ast.Lt: (ast.LtE, ast.GtE),
+    ast.LtE: (ast.Lt, ast.Gt),
+    ast.Gt: (ast.GtE, ast.LtE),
+    ast.GtE: (ast.Gt, ast.Lt),
+    ast.Eq: (ast.NotEq,),
+    ast.NotEq: (ast.Eq,),
+    ast.Add: (ast.Sub,),
+    ast.Sub: (ast.Add,),
+    ast.Mult: (ast.Div,),
+    ast.Div: (ast.Mult,),
+    ast.And: (ast.Or,),
+    ast.Or: (ast.And,),
+    ast.BitAnd: (ast.BitOr,),
+    ast.BitOr: (ast.BitAnd,),
+}
+NAMES = {"min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum", "any": "all", "all": "any"}
+
+
+def mutants(source: str) -> Iterator[tuple[int, str, ast.Module]]:
+    """Yield line, what was changed, and the changed module."""
+    tree = ast.parse(source)
+    texts = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in ast.walk(node)}
+    count = len(list(ast.walk(tree)))
+    for k in range(count):
+        before = list(ast.walk(tree))[k]
+        if id(before) in texts:
+            continue  # what is said is checked by eye
+        for change in changes(before):
+            changed = copy.deepcopy(tree)
+            node = list(ast.walk(changed))[k]
+            change(node)
+            yield getattr(before, "lineno", 0), f"{ast.unparse(before)}  ->  {ast.unparse(node)}", changed
+
+
+def changes(node: ast.AST) -> Iterator[object]:
+    """Yield functions that change a node of this kind in place."""
+    if isinstance(node, ast.Compare):
+        for k, op in enumerate(node.ops):
+            for other in SWAPPED.get(type(op), ()):
+                yield lambda n, k=k, other=other: n.ops.__setitem__(k, other())
+    elif isinstance(node, ast.BinOp | ast.BoolOp | ast.AugAssign):
+        for other in SWAPPED.get(type(node.op), ()):
+            yield lambda n, other=other: setattr(n, "op", other())
+    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+        yield lambda n: setattr(n, "op", ast.UAdd())
+    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+        yield lambda n: setattr(n, "operand", ast.UnaryOp(ast.Not(), n.operand))
+    elif isinstance(node, ast.Constant) and type(node.value) in (int, float) and node.value:
+        yield lambda n: setattr(n, "value", 2 * n.value)
+    elif isinstance(node, ast.Constant) and isinstance(node.value, bool):
+        yield lambda n: setattr(n, "value", not n.value)
+    elif isinstance(node, ast.Name) and node.id in NAMES:
+        yield lambda n: setattr(n, "id", NAMES[n.id])
+    elif isinstance(node, ast.Attribute) and node.attr in NAMES:
+        yield lambda n: setattr(n, "attr", NAMES[n.attr])
+
+
+def survives(file: str, changed: ast.Module, tests: tuple[str, ...]) -> bool:
+    """Run the tests in a child against a changed file; return whether all of them pass."""
+    if (child := os.fork()) == 0:
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, 1)
+        os.dup2(null, 2)
+        code = 1
+        try:
+            name = file.removesuffix(".py").replace("/", ".")
+            module = types.ModuleType(name)
+            module.__file__ = str(ROOT / file)
+            importlib.import_module(name.rpartition(".")[0])
+            sys.modules[name] = module
+            exec(compile(ast.fix_missing_locations(changed), file, "exec"), module.__dict__)
+            setattr(sys.modules[name.rpartition(".")[0]], name.rpartition(".")[2], module)
+            files = [str(ROOT / "test" / test) for test in tests]
+            own = ["-q", "-x", "-p", "no:cacheprovider", f"--basetemp={tempfile.mkdtemp()}/t"]
+            code = pytest.main([*own, "-k", "not ends_the_walk", *files])  # no node is started, which takes too long
+        finally:
+            os._exit(int(code))
+    end = time.monotonic() + LONGEST
+    while time.monotonic() < end:
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            return os.waitstatus_to_exitcode(status) == 0
+        time.sleep(0.02)
+    os.kill(child, 9)
+    os.waitpid(child, 0)
+    return False
+
+
+def main() -> int:
+    """Print the survivors; return 1 if there are any."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("files", nargs="*", default=list(TARGETS))
+    parser.add_argument("--every", type=int, default=1, help="only each N-th mutant")
+    parser.add_argument("--only", default="", help="only changes that contain this text")
+    options = parser.parse_args()
+    sys.path.insert(0, str(ROOT / "test"))
+    for name in WARM:
+        importlib.import_module(name)
+    left = total = 0
+    for file in options.files:
+        source = (ROOT / file).read_text(encoding="utf-8")
+        if not survives(file, ast.parse(source), TARGETS[file]):
+            sys.exit(f"{file}: its tests fail as it is")
+        every = [one for one in mutants(source) if options.only in one[1]][:: options.every]
+        for k, (line, what, changed) in enumerate(every):
+            print(f"\r{file} {k + 1}/{len(every)}, {left} survive ", end="", file=sys.stderr, flush=True)
+            total += 1
+            if survives(file, changed, TARGETS[file]):
+                left += 1
+                print(f"\r{file}:{line}: {what}", flush=True)
+    print(f"\n{total - left} of {total} mutants are noticed, {left} survive")
+    return 1 if left else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
