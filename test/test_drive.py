@@ -225,6 +225,7 @@ def test_the_controller_is_killed_as_a_process(tmp_path: Path, monkeypatch: pyte
             live.start("drive")
             live.start("controller")
             live.until(lambda: np.abs(told[0]).max() > 1e-3, 120.0, "motion")
+            live.spin(2.0)
             live.processes.signal("controller", signal.SIGKILL)
             killed, before = time.monotonic(), q.copy()
             live.until(lambda: not told[0].any(), 20.0, "the end of the motion")
