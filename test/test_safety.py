@@ -271,6 +271,13 @@ def test_commands_that_answer_the_wrong_state_are_ignored(model: RobotModel, clo
     np.testing.assert_array_equal(gate.velocity(np.zeros(model.n), DT), u)
 
 
+def test_a_command_that_is_stamped_when_it_is_sent_counts(model: RobotModel, clock: FakeClock) -> None:
+    gate, u, now = commands_of(model, clock), np.full(model.n, 0.01), 1000 * PERIOD
+    sent = 5000 * PERIOD
+    assert gate.accept(sent, u, now, clock=sent + 99 * MS)
+    assert not gate.accept(sent + PERIOD, u, now, clock=sent + PERIOD + 101 * MS)
+
+
 def test_a_relay_that_delays_by_200_ms_moves_nothing(model: RobotModel, clock: FakeClock) -> None:
     gate, u = commands_of(model, clock), np.full(model.n, 0.01)
     for k in range(1, 200):
@@ -497,6 +504,15 @@ def test_a_body_may_be_pushed() -> None:
     pushed = {**state, "dq": state["dq"] + 13.0, "v_base": np.array([0.0, 1.0, 0.0, 2.0, 0.0, 0.0])}
     gate.accept_body(PERIOD, **pushed)
     gate.accept_body(2 * PERIOD, **{**pushed, "q": state["q"] + 13.0 * DT})
+
+
+def test_a_base_moves_no_faster_than_it_can_at_any_time() -> None:
+    gate, state = accepted_body()
+    late = 1000 * PERIOD
+    gate.accept_body(late, **state)
+    with pytest.raises(StateError, match="the base jumped by"):
+        gate.accept_body(late + PERIOD, **{**state, "place": state["place"] + [1.0, 0.0, 0.0]})
+    gate.accept_body(late + PERIOD, **{**state, "place": state["place"] + [0.09, 0.0, 0.0]})
 
 
 def test_a_body_that_keeps_jumping_is_refused_for_good() -> None:
