@@ -237,6 +237,14 @@ def test_a_slope_is_felt_by_the_inertial_sensor() -> None:
     assert np.linalg.norm(weight) == pytest.approx(MODEL.mass * 9.80665, rel=0.05)
 
 
+def test_soft_servos_stand_on_a_slope_before_the_first_command() -> None:
+    """Goals hold the weight from the start: without that the robot is on its heels when the walk begins."""
+    config = CONFIG.updated({"physics.slope": 0.035, "servo.stiffness": 25.0, "servo.assumed_stiffness": 25.0})
+    plant = PhysicsPlant(config, MODEL, MODEL.posture(config.standing.posture))
+    assert plant.truth.tilt < math.radians(0.1)
+    assert np.abs(plant._goals - plant.commanded).max() > 0.005
+
+
 def test_rubble_lies_where_the_robot_does_not_begin() -> None:
     config = CONFIG.updated({"physics.rubble": 0.005})
     plant = PhysicsPlant(config, MODEL, MODEL.posture(config.standing.posture))

@@ -35,14 +35,25 @@ class Bus:
         Where they stand [rad].
     lower, upper : ndarray, shape (n,)
         Joint limits [rad].
+    effort : ndarray, shape (n,), optional
+        Torques that are fed forward before the first command [N m].
     """
 
-    def __init__(self, config: ServoConfig, servos: Servos, drive: Drive, q: Array, lower: Array, upper: Array) -> None:
+    def __init__(
+        self,
+        config: ServoConfig,
+        servos: Servos,
+        drive: Drive,
+        q: Array,
+        lower: Array,
+        upper: Array,
+        effort: Array | None = None,
+    ) -> None:
         self._config, self._drive, self._lower, self._upper = config, drive, lower, upper
         self._step = np.maximum(servos.resolution, 1e-12)
         self._wanted = q.copy()
-        self._fed = np.zeros_like(q)
-        self._goal = q.copy()
+        self._fed = np.zeros_like(q) if effort is None else drive.angles(effort)
+        self._goal = q + self._fed
         self._written = -math.inf
         self._queue: deque[tuple[float, Array]] = deque()
 

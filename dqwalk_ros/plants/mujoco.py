@@ -24,6 +24,7 @@ from dqwalk_ros.plants.sensors import Reading, Sensors
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.servos import Drive, Servos
 from dqwalk_ros.state import Command, State
+from dqwalk_ros.statics import gravity_torques
 
 GRAVITY = 9.80665
 """[m/s^2]"""
@@ -68,11 +69,15 @@ class PhysicsPlant(World):
         self._soles = {foot: self.mj.body(model.soles[foot].frame).id for foot in Foot}
         self._ground = {foot: self.mj.sensor(f"ground_{foot.value}").adr[0] for foot in Foot}
         self._goals = self.data.ctrl.reshape(-1, model.n)  # a view; a second row where there is backlash
-        self._goals[:] = q
-        self._seat(q)
         servos, drive = Servos.of(config, model), Drive.of(config, model)
+        # soft servos that do not hold the weight sink back onto the heels before the first command comes
+        up = -self.mj.opt.gravity / GRAVITY
+        standing = Kinematics(model, q, Foot.LEFT, up)
+        effort = gravity_torques(standing, both=True)
+        self._goals[:] = q + drive.angles(effort)
+        self._seat(q)
         self._back_emf = servos.back_emf
-        self._bus = Bus(config.servo, servos, drive, q, model.q_min, model.q_max)
+        self._bus = Bus(config.servo, servos, drive, q, model.q_min, model.q_max, effort)
         self._sensors = Sensors(config.sensors)
         self._level = _level(config)
         self._ticks = 0
