@@ -47,7 +47,7 @@ _AHEAD = 6
 """So many footprints are planned ahead."""
 _LATE = 0.05
 """A delay as long as this halves the gain of the feedback [s]."""
-_UNSURE = 0.04
+_UNSURE = 0.02
 """A delay as long as this doubles what the ankle may leave over before a step is adjusted [s]."""
 _BEYOND, _YIELD = 0.002, 0.1
 """While more than this is left over [m], the CoM's path gives way to the CoM by this part at each state."""
