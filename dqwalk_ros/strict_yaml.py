@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import yaml
@@ -89,9 +90,15 @@ def read(text: str, *, source: str = "text") -> Any:
         raise ConfigError(f"{source}: not YAML: {' '.join(str(error).split())[:300]}") from error
 
 
+@lru_cache(maxsize=1)
+def _composed(text: str) -> Any:
+    """Return the nodes of a text; a file with many keys is asked for many lines."""
+    return yaml.compose(text, _Loader)
+
+
 def line_of(text: str, path: Sequence[str]) -> int:
     """Return the line (from 1) of a key of a YAML text that `read` has read; of the deepest key that it has."""
-    node, left, line = yaml.compose(text, _Loader), ".".join(path), 1
+    node, left, line = _composed(text), ".".join(path), 1
     while left and isinstance(node, yaml.MappingNode):
         for key, value in node.value:
             if left == key.value or left.startswith(f"{key.value}."):  # a key may be dotted
