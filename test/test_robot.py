@@ -117,7 +117,12 @@ def test_dropping_cuts_off_all_it_carries():
     assert cut.mass < whole.mass
 
 
-@pytest.mark.parametrize("lock", [("*",), ("abs_*", "bust_*"), ("l_knee_y",), ("*_shoulder_*", "*_ankle_y")])
+def test_soles_that_no_joint_moves_apart_are_refused():
+    with pytest.raises(ModelError, match="no joint moves the soles"):
+        load_model(RobotConfig(lock=("*",)))
+
+
+@pytest.mark.parametrize("lock", [("r_*", "head_*"), ("abs_*", "bust_*"), ("l_knee_y",), ("*_shoulder_*", "*_ankle_y")])
 def test_locking_keeps_the_total_mass_and_the_centre_of_mass(lock, foot):
     whole, locked = poppy(), load_model(RobotConfig(lock=lock))
     assert locked.n < whole.n
