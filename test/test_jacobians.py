@@ -13,8 +13,9 @@ from robots import central_difference, configurations, legs
 import dqwalk_ros
 from dqwalk_ros.constraints import Constraint
 from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.dynamic.tasks import Target
 from dqwalk_ros.geometry import ConvexPolygon, Cylinder, Line, Plane
-from dqwalk_ros.kinematics import CenterOfMass, Direction, Kinematics, Point, Rotation
+from dqwalk_ros.kinematics import CenterOfMass, CenterOfMassOnGround, Direction, Kinematics, Point, Rotation
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.tasks import Task
 
@@ -116,6 +117,9 @@ def examples(model, foot):
         "lever": 0.2,
         "saturation": 0.1,
         "ComPath.start": np.array([0.01, 0.02]),
+        "feature": CenterOfMassOnGround(),
+        "Follow.target": Target(np.array([0.01, 0.02]), np.array([0.1, 0.0])),
+        "FollowPose.target": Target(np.array([*target.translation(), *target.vec8()[:4]]), np.zeros(6)),
         # the CoM, so that more than one branch of a constraint on points is seen
         "PointInsideWall.point": CenterOfMass(),
         "PointInCylinder.point": CenterOfMass(),
