@@ -31,7 +31,7 @@ _FLUSH = 1.0
 """A recorder that is killed loses what came within so long at most [s]."""
 _LOOK = 0.5
 """Time between two looks for topics that nobody published before [s]."""
-_LINGER = {True: 3.0, False: 0.5}
+_LINGER = {True: 6.0, False: 0.5}
 """Longest time for what is still under way when the end is asked for [s], in lockstep and in real time."""
 _ALL = TOPICS | BODY_TOPICS
 """Those of either kind of walk; the bag has the ones that something was said on."""
