@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros.adopt.parameters import leg_inertia
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
@@ -167,7 +168,7 @@ def _servos(config: Config, model: RobotModel, q: Array) -> list[Finding]:
                 "servo.stiffness",
             )
         )
-    inertia = swing_inertia(model, kin) + servo.armature
+    inertia = leg_inertia(model, kin) + servo.armature
     ratio = 0.5 * servo.damping * math.sqrt(servo.stiffness / inertia)
     if ratio < _DAMPING:
         out.append(
@@ -204,33 +205,3 @@ def _over_left(model: RobotModel, q: Array) -> Array:
         J = np.concatenate([kin.point_jacobian(right), kin.angular_jacobian(right), kin.com_jacobian[:2]])
         q = np.clip(q - J.T @ np.linalg.solve(J @ J.T + 1e-6 * np.eye(8), e), model.q_min, model.q_max)
     return q
-
-
-def swing_inertia(model: RobotModel, kin: Kinematics) -> float:
-    """Return the inertia of the right leg about its hip, its bodies taken for points [kg m^2]."""
-    right = model.frames[model.soles[Foot.RIGHT].frame].body
-    left = model.frames[model.soles[Foot.LEFT].frame].body
-    chain = _chain(model, right)
-    leg = [body for body in chain if body not in _chain(model, left)]
-    first: dict[int, str] = {}
-    for name, frame in model.frames.items():
-        first.setdefault(frame.body, name)
-
-    def place(body: int) -> DQ:
-        name = first[body]
-        return DQ(kin.pose(name)) * DQ(model.frames[name].pose).conj()
-
-    hip = place(leg[0]).translation()
-    total = 0.0
-    for body in leg:
-        lever = place(body).transform_point(model.bodies[body].com) - hip
-        total += model.bodies[body].mass * float(lever[0] ** 2 + lever[2] ** 2)
-    return max(total, 1e-6)
-
-
-def _chain(model: RobotModel, body: int) -> list[int]:
-    out = []
-    while body > 0:
-        out.append(body)
-        body = model.bodies[body].parent
-    return out[::-1]

@@ -15,12 +15,21 @@ from dqwalk_ros.adopt.posture import Standing
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.statics import GRAVITY, gravity_torques
 
-__all__ = ["Entry", "Numbers", "measure", "paper_parameters", "parameters", "robot_entries", "whole_body_parameters"]
+__all__ = [
+    "Entry",
+    "Numbers",
+    "leg_inertia",
+    "measure",
+    "paper_parameters",
+    "parameters",
+    "robot_entries",
+    "whole_body_parameters",
+]
 
 Array = NDArray[np.float64]
 
-GRAVITY = 9.81
 STIFFNESS = 5.0
 """Servo stiffness in units of m g h: below 3.5 most robots fall whatever the gains."""
 SHORTEST = 1.5
@@ -120,7 +129,7 @@ def measure(model: RobotModel, anatomy: Anatomy, standing: Standing, single: Seq
         mass=model.mass,
         height=height,
         mgh=model.mass * GRAVITY * height,
-        inertia=leg_inertia(model, anatomy, standing.q),
+        inertia=leg_inertia(model, Kinematics(model, standing.q, Foot.LEFT)),
         torque=torque,
         joint=joint,
         leg=anatomy.leg,
@@ -133,48 +142,44 @@ def measure(model: RobotModel, anatomy: Anatomy, standing: Standing, single: Seq
 
 def static_torque(model: RobotModel, anatomy: Anatomy, single: Sequence[Array]) -> tuple[float, str]:
     """Return the largest static torque on one foot as a part of the effort limit, and its joint."""
-    worst, joint = 0.0, ""
-    for foot, q in zip(Foot, single, strict=True):
-        kin = Kinematics(model, q, foot)
-        tau = np.abs(model.mass * GRAVITY * kin.com_jacobian[2])
-        for name in anatomy.legs[foot]:
-            k = model.joint_names.index(name)
-            part = float(tau[k] / model.effort_max[k])
-            if part > worst:
-                worst, joint = part, name
-    return worst, joint
+    parts = {
+        name: float(part)
+        for foot, q in zip(Foot, single, strict=True)
+        for name, part in zip(
+            model.joint_names,
+            np.abs(gravity_torques(Kinematics(model, q, foot), both=False)) / model.effort_max,
+            strict=True,
+        )
+        if name in anatomy.legs[foot]
+    }
+    joint = max(parts, key=lambda name: parts[name])
+    return parts[joint], joint
 
 
-def leg_inertia(model: RobotModel, anatomy: Anatomy, q: Array) -> float:
-    """Return the inertia of a leg about the axis of its hip's pitch [kg m^2], its bodies taken for points."""
-    kin = Kinematics(model, q, Foot.LEFT)
-    index = {name: k for k, name in enumerate(model.joint_names)}
-    joints = {index[name] for name in anatomy.legs[Foot.RIGHT]}
-    hip = next(
-        (name for name, kind in zip(anatomy.legs[Foot.RIGHT], anatomy.kinds, strict=True) if kind == "P"),
-        anatomy.legs[Foot.RIGHT][0],
-    )
+def leg_inertia(model: RobotModel, kin: Kinematics) -> float:
+    """Return the inertia of the right leg about its first joint, its bodies taken for points [kg m^2]."""
+    left, right = (_way(model, model.frames[model.soles[foot].frame].body) for foot in Foot)
+    leg = [body for body in right if body not in left]
     first: dict[int, str] = {}
     for name, frame in model.frames.items():
         first.setdefault(frame.body, name)
-    total, center = 0.0, None
-    for k, body in enumerate(model.bodies):
-        if body.joint in joints or (center is not None and body.parent >= 0 and _below(model, k, index[hip])):
-            at = DQ(kin.pose(first[k])) * DQ(model.frames[first[k]].pose).conj()
-            if body.joint == index[hip]:
-                center = at.translation()
-            if center is not None:
-                lever = at.transform_point(body.com) - center
-                total += body.mass * float(lever[0] ** 2 + lever[2] ** 2)
+
+    def place(body: int) -> DQ:
+        return DQ(kin.pose(first[body])) * DQ(model.frames[first[body]].pose).conj()
+
+    hip = place(leg[0]).translation()
+    levers = [place(body).transform_point(model.bodies[body].com) - hip for body in leg]
+    total = sum(model.bodies[body].mass * float(x**2 + z**2) for body, (x, _, z) in zip(leg, levers, strict=True))
     return max(total, 1e-6)
 
 
-def _below(model: RobotModel, body: int, joint: int) -> bool:
-    while body >= 0:
-        if model.bodies[body].joint == joint:
-            return True
+def _way(model: RobotModel, body: int) -> list[int]:
+    """Return the bodies from the root to `body`."""
+    out = []
+    while body > 0:
+        out.append(body)
         body = model.bodies[body].parent
-    return False
+    return out[::-1]
 
 
 # ---------------------------------------------------------------------- the files

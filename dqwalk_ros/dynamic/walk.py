@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.constraints import Constraint, FrameHeld, PointsOverPlane
+from dqwalk_ros.constraints import Constraint
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.dynamic.adjust import Step, adjusted, left_over
 from dqwalk_ros.dynamic.pendulum import Pendulum
@@ -24,7 +24,7 @@ from dqwalk_ros.dynamic.plan import Course, Pressed, Rest, single_supports
 from dqwalk_ros.dynamic.swing import Swing
 from dqwalk_ros.dynamic.tasks import Follow, FollowPose, Target
 from dqwalk_ros.errors import StateError
-from dqwalk_ros.geometry import ConvexPolygon, Plane
+from dqwalk_ros.geometry import ConvexPolygon
 from dqwalk_ros.kinematics import CenterOfMass, CenterOfMassOnGround, Direction, Kinematics
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.servos import Drive
@@ -33,16 +33,14 @@ from dqwalk_ros.standing.footsteps import flat
 from dqwalk_ros.standing.walk import StandingWalk
 from dqwalk_ros.state import State
 from dqwalk_ros.statics import GRAVITY, ground_torques
-from dqwalk_ros.tasks import Posture, Task
-from dqwalk_ros.walk import Phase, PhaseKind, com_target, joint_limits
+from dqwalk_ros.tasks import Task
+from dqwalk_ros.walk import Phase, PhaseKind, Rule, com_target
 
 __all__ = ["DynamicWalk"]
 
 Array = NDArray[np.float64]
 
 _UP = np.array([0.0, 0.0, 1.0])
-_JOINT_RETURN = 0.5
-"""A joint beyond its limit returns no faster than this [rad/s]."""
 _AHEAD = 6
 """So many footprints are planned ahead."""
 _LATE = 0.05
@@ -186,48 +184,33 @@ class DynamicWalk(StandingWalk):
 
     def both_feet(self, kind: PhaseKind, support: Foot, q_start: Array) -> Phase:
         """Return the phase that brings the CoM to the sole of `support`, in a stance between both soles."""
-        s, model = self.config.standing, self.model
-        kin = Kinematics(model, q_start, support.other)
-        end = model.soles[support]
-        held = FrameHeld(
-            name="end_sole", eta=s.eta_feet, return_speed=s.recovery, frame=end.frame, pose=flat(kin.pose(end.frame))
-        )
-        goal = com_target(model, kind, kin.base, q_start)[:2]
-        return self._of(kind, support, kin, None, self._com_task(goal), (held,), ())
+        kin = Kinematics(self.model, q_start, support.other)
+        goal = com_target(self.model, kind, kin.base, q_start)[:2]
+        return self._phase(kind, support, kin, None, (self._com_task(goal),), (self._held(kin),), ())
 
     def one_foot(self, support: Foot, q_start: Array, swing_target: Array) -> Phase:
         """Return the single support on the foot `support` that swings the other one to its target."""
-        s, model = self.config.standing, self.model
-        kin = Kinematics(model, q_start, support)
-        sole, swing = model.soles[support], model.soles[support.other]
-        side = 1.0 if support is Foot.RIGHT else -1.0
-        inner = Plane(side * np.array([0.0, 1.0, 0.0]), side * float(sole.center[1]) + 0.5 * sole.width)
-        gap = PointsOverPlane(
-            name="sole_gap", eta=s.eta_edges, bound=s.sole_gap, return_speed=s.recovery, frame=swing.frame,
-            points=swing.corners, plane=inner,
-        )  # fmt: skip
+        s = self.config.standing
+        kin = Kinematics(self.model, q_start, support)
         x = DQ(swing_target)
         task = FollowPose(
             name="swing",
             weight=s.swing_weight,
-            frame=swing.frame,
+            frame=kin.swing,
             target=Target(np.array([*x.translation(), *swing_target[:4]]), np.zeros(6)),
             convergence=s.swing_rate,
             lever=s.lever,
         )
-        com = self._com_task(sole.center[:2])
-        return self._of(PhaseKind.SINGLE_SUPPORT, support, kin, swing_target, (task, *com), (), (gap,))
+        com = self._com_task(self.model.soles[support].center[:2])
+        return self._phase(PhaseKind.SINGLE_SUPPORT, support, kin, swing_target, (task, com), (), (self._gap(support),))
 
-    def _com_task(self, place: Array) -> tuple[Task, ...]:
-        d = self.config.dynamic
-        target = Target(place, np.zeros(2))
-        return (
-            Follow(
-                name="com", weight=d.com_weight, feature=CenterOfMassOnGround(), target=target, convergence=d.com_rate
-            ),
+    def _com_task(self, place: Array) -> Task:
+        d, target = self.config.dynamic, Target(place, np.zeros(2))
+        return Follow(
+            name="com", weight=d.com_weight, feature=CenterOfMassOnGround(), target=target, convergence=d.com_rate
         )
 
-    def _of(
+    def _phase(
         self,
         kind: PhaseKind,
         support: Foot,
@@ -237,8 +220,8 @@ class DynamicWalk(StandingWalk):
         equalities: tuple[Constraint, ...],
         inequalities: tuple[Constraint, ...],
     ) -> Phase:
-        config, d, model = self.config, self.config.dynamic, self.model
-        height = Kinematics(model, self.posture, kin.base).com[2:]
+        d = self.config.dynamic
+        height = Kinematics(self.model, self.posture, kin.base).com[2:]
         also = (
             Follow(
                 name="height",
@@ -251,28 +234,16 @@ class DynamicWalk(StandingWalk):
             Follow(
                 name="upright",
                 weight=d.upright_weight,
-                feature=Direction(model.pelvis, _UP),
+                feature=Direction(self.model.pelvis, _UP),
                 A=np.eye(2, 3),
                 target=Target(np.zeros(2), np.zeros(2)),
                 convergence=d.upright_rate,
             ),
-            Posture(name="posture", weight=config.task.posture_weight, q_ref=self.posture),
         )
-        return Phase(
-            model=model,
-            kind=kind,
-            support=support,
-            base=kin.base,
-            q_start=kin.q,
-            swing_target=swing_target,
-            eta=config.task.eta,
-            damping=config.task.damping,
-            tasks=(*tasks, *also),
-            equalities=equalities,
-            inequalities=inequalities,
-            limits=joint_limits(config, model, _JOINT_RETURN),
-            rule=Timed(self._duration(kind)),
-        )
+        return super()._phase(kind, support, kin, swing_target, (*tasks, *also), equalities, inequalities)
+
+    def _rule(self, kind: PhaseKind, support: Foot) -> Rule:
+        return Timed(self._duration(kind))
 
     def _duration(self, kind: PhaseKind) -> float:
         s, d = self.config.standing, self.config.dynamic

@@ -172,7 +172,7 @@ class AnsweringNode(WalkNode):
     # ------------------------------------------------------------------ answers
 
     def _guarded(self, step: Callable[[], Any]) -> Any | None:
-        """Return the command of `step`; None where there is none, which has failed the walk if it must."""
+        """Return the command of `step`, or None after an error; an error that cannot be passed over fails the walk."""
         try:
             command = step()
         except QPError as error:

@@ -26,7 +26,7 @@ from dqwalk_ros.standing.footsteps import Footsteps, flat
 from dqwalk_ros.standing.paths import ComPath, SwingPath
 from dqwalk_ros.state import State
 from dqwalk_ros.tasks import Posture, Task
-from dqwalk_ros.walk import Phase, PhaseKind, Walk, joint_limits, pelvis_height
+from dqwalk_ros.walk import Phase, PhaseKind, Rule, Walk, joint_limits, pelvis_height
 
 __all__ = ["StandingWalk"]
 
@@ -203,28 +203,21 @@ class StandingWalk(Walk):
             duration=s.transfer_duration,
             saturation=s.saturation,
         )
-        held = FrameHeld(name="end_sole", eta=s.eta_feet, return_speed=s.recovery, frame=end.frame, pose=pose)
         rows = (self._edges(hull), pelvis_height(self.config, model))
-        return self._phase(kind, support, kin, None, (com,), (held,), rows)
+        return self._phase(kind, support, kin, None, (com,), (self._held(kin),), rows)
 
     def one_foot(self, support: Foot, q_start: Array, swing_target: Array) -> Phase:
         """Return the single support on the foot `support` that swings the other one to its target."""
         s, model = self.config.standing, self.model
         kin = Kinematics(model, q_start, support)
         sole, swing = model.soles[support], model.soles[support.other]
-        # the swing sole stays on its side of the support sole's inner edge
-        side = 1.0 if support is Foot.RIGHT else -1.0
-        inner = Plane(side * np.array([0.0, 1.0, 0.0]), side * float(sole.center[1]) + 0.5 * sole.width)
         inequalities: tuple[Constraint, ...] = (
             self._edges(ConvexPolygon.hull(sole.corners)),
             PointsOverPlane(
                 name="clearance", eta=s.eta_edges, return_speed=s.recovery, frame=swing.frame, points=swing.corners,
                 plane=Plane(_UP, 0.0),
             ),
-            PointsOverPlane(
-                name="sole_gap", eta=s.eta_edges, bound=s.sole_gap, return_speed=s.recovery, frame=swing.frame,
-                points=swing.corners, plane=inner,
-            ),
+            self._gap(support),
             pelvis_height(self.config, model),
         )  # fmt: skip
         task = SwingPath(
@@ -247,6 +240,22 @@ class StandingWalk(Walk):
             saturation=s.saturation,
         )
         return self._phase(PhaseKind.SINGLE_SUPPORT, support, kin, swing_target, (task, com), (), inequalities)
+
+    def _held(self, kin: Kinematics) -> FrameHeld:
+        """Hold the other sole flat where it is."""
+        s, frame = self.config.standing, kin.swing
+        pose = flat(kin.pose(frame))
+        return FrameHeld(name="end_sole", eta=s.eta_feet, return_speed=s.recovery, frame=frame, pose=pose)
+
+    def _gap(self, support: Foot) -> PointsOverPlane:
+        """Keep the swing sole on its side of the support sole's inner edge."""
+        s, sole, swing = self.config.standing, self.model.soles[support], self.model.soles[support.other]
+        side = 1.0 if support is Foot.RIGHT else -1.0
+        inner = Plane(side * np.array([0.0, 1.0, 0.0]), side * float(sole.center[1]) + 0.5 * sole.width)
+        return PointsOverPlane(
+            name="sole_gap", eta=s.eta_edges, bound=s.sole_gap, return_speed=s.recovery, frame=swing.frame,
+            points=swing.corners, plane=inner,
+        )  # fmt: skip
 
     def _edges(self, polygon: ConvexPolygon) -> ComInsideEdges:
         s = self.config.standing
@@ -277,8 +286,11 @@ class StandingWalk(Walk):
             equalities=equalities,
             inequalities=inequalities,
             limits=joint_limits(config, self.model, _JOINT_RETURN),
-            rule=PathEnd(config, kind, f"{kind.value}/{support.value}"),
+            rule=self._rule(kind, support),
         )
+
+    def _rule(self, kind: PhaseKind, support: Foot) -> Rule:
+        return PathEnd(self.config, kind, f"{kind.value}/{support.value}")
 
     def effort(self, phase: Phase, kin: Kinematics, state: State) -> Array:
         """Return the torques that hold the robot against gravity and draw its CoM to its path, shape (n,) [N m]."""

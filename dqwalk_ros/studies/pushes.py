@@ -19,6 +19,7 @@ from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.plants import World
 from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, make_walk
+from dqwalk_ros.statics import GRAVITY
 from dqwalk_ros.studies.bisection import Bracket, largest
 from dqwalk_ros.studies.plan import digest
 from dqwalk_ros.studies.runner import Store, run
@@ -98,7 +99,7 @@ def impulse_scale(config: Config) -> float:
     """Return M sqrt(g h) [N s], by which impulses are compared between robots; h is the height of the CoM."""
     model = load_model(config.robot)
     height = float(Kinematics(model, make_walk(config, model).posture, Foot.LEFT).com[2])
-    return sum(body.mass for body in model.bodies) * math.sqrt(9.81 * height)
+    return sum(body.mass for body in model.bodies) * math.sqrt(GRAVITY * height)
 
 
 def pushed(config: Config, push: Push) -> str:
