@@ -30,11 +30,8 @@ Array = NDArray[np.float64]
 
 TILT = np.radians(2.0)
 """The sole that carries most may lean by this [rad]."""
-COP_INSIDE = {"standing": 0.99, "dynamic": 0.95}
-"""The centre of pressure must be inside the support polygon on this part of the ticks, by the style of the walk.
-
-In quick steps the foot that swings touches the ground some ticks before its time is up, and bears weight.
-"""
+COP_INSIDE = 0.99
+"""The centre of pressure must be inside the soles that the phase stands on, on this part of the ticks."""
 LANDING = 5e-3
 """A swing foot must land this close to its footprint in physics [m]."""
 GROUND_TOLERANCE = 2e-5
@@ -281,11 +278,10 @@ def _of_the_ground(series: Series, of: Ground) -> Iterator[Violation]:
     if of.tilt[tick] > TILT:
         text = f"the sole that carries leans by {np.degrees(of.tilt[tick]):.2f} degrees"
         yield _broken(series, "tilt", tick, float(of.tilt[tick]), float(TILT), text)
-    wanted = COP_INSIDE.get(series.trace.config.gait.style, 0.99)
-    if of.inside < wanted:
+    if of.inside < COP_INSIDE:
         text = f"the centre of pressure is inside the support polygon on {100 * of.inside:.2f} % of ticks only"
         tick = int(np.argmin(np.nan_to_num(of.cop_margin, nan=-1.0)))
-        yield Violation("cop", "", float(series.time[tick]), of.inside, wanted, text)
+        yield Violation("cop", "", float(series.time[tick]), of.inside, COP_INSIDE, text)
 
 
 def _unit_norm_error(series: Series) -> float:
