@@ -24,16 +24,15 @@ __all__ = ["Pendulum", "angular_momentum"]
 Array = NDArray[np.float64]
 
 
-def angular_momentum(kin: Kinematics, u: Array) -> Array:
-    """Return the angular momentum about the CoM at joint velocities `u` (n,), shape (3,) [kg m^2/s]; a sole stands."""
-    model, v_com = kin.model, kin.com_jacobian @ u
-    L = np.zeros(3)
+def angular_momentum(kin: Kinematics) -> Array:
+    """Return L_u with L = L_u u about the CoM at joint velocities u, shape (3, n) [kg m^2/s]; a sole stands."""
+    model, J_com = kin.model, kin.com_jacobian
+    L = np.zeros(J_com.shape)
     for link in Urdf(model.urdf, model.name).links.values():
         if link.mass > 0.0 and link.name in model.frames:
-            p, v = kin.point(link.name, link.com), kin.point_jacobian(link.name, link.com) @ u
+            arm, J = kin.point(link.name, link.com) - kin.com, kin.point_jacobian(link.name, link.com)
             R = np.column_stack([kin.direction(link.name, axis) for axis in np.eye(3)])
-            turning = kin.angular_jacobian(link.name) @ u
-            L += link.mass * np.cross(p - kin.com, v - v_com) + R @ link.inertia @ R.T @ turning
+            L += link.mass * np.cross(arm, (J - J_com).T).T + R @ link.inertia @ R.T @ kin.angular_jacobian(link.name)
     return L
 
 
@@ -66,14 +65,14 @@ class Pendulum:
             at += size
         root = now.assembly.root
         J = root[:, None] * (now.gradients @ now.J_features)[:at]
-        H = J.T @ J + phase.damping**2 * np.eye(J.shape[1])
+        H, L_u = J.T @ J + phase.damping**2 * np.eye(J.shape[1]), angular_momentum(kin)
 
         def response(task: str, axis: int) -> Array:
             """Return the angular momentum when the first rows of a task are asked for 1 m/s along an axis."""
             rate = np.zeros(at)
             rate[rows[task].start + axis] = 1.0
-            u: Array = np.linalg.solve(H, J.T @ (root * rate)).astype(np.float64)
-            return angular_momentum(kin, u)
+            L: Array = L_u @ np.linalg.solve(H, J.T @ (root * rate))
+            return L
 
         mass, height = kin.model.mass, float(kin.com[2])
         turning = np.array([response("com", 0)[1], -response("com", 1)[0]]) / mass

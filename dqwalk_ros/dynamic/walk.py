@@ -29,7 +29,7 @@ from dqwalk_ros.kinematics import CenterOfMass, CenterOfMassOnGround, Direction,
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.servos import Drive
 from dqwalk_ros.standing.balance import com_velocity
-from dqwalk_ros.standing.footsteps import flat
+from dqwalk_ros.standing.footsteps import Footprint
 from dqwalk_ros.standing.walk import StandingWalk
 from dqwalk_ros.state import State
 from dqwalk_ros.statics import GRAVITY, ground_torques
@@ -109,6 +109,7 @@ class DynamicWalk(StandingWalk):
         self._flight: _Flight | None = None
         self._pushed = False
         self._targets: dict[str, Target] = {}
+        self._legs = np.empty(0, dtype=np.intp)  # joints between the base sole and the pelvis
 
     @staticmethod
     def phases(config: Config) -> int:
@@ -122,6 +123,11 @@ class DynamicWalk(StandingWalk):
         phase = self.one_foot(self._first, self.posture, kin.pose(kin.swing))
         found = Pendulum.of(phase, kin)
         return replace(found, omega=found.omega * np.array([1.0, self.config.dynamic.side_frequency]))
+
+    @cached_property
+    def _height(self) -> Array:
+        """Height of the CoM in the posture, shape (1,) [m]."""
+        return Kinematics(self.model, self.posture, self._first).com[2:]
 
     # ------------------------------------------------------------------ order
 
@@ -152,7 +158,8 @@ class DynamicWalk(StandingWalk):
         if phase.kind is PhaseKind.DOUBLE_SUPPORT:
             self._step_now, self._together = self._after(self._step_now, self._done)
             self._done += 1
-            return PhaseKind.SINGLE_SUPPORT, phase.support, self._footprint(phase.support, self._step_now)
+            footprint = self.footsteps.wanted(phase.support, *self._step_now.tolist())
+            return PhaseKind.SINGLE_SUPPORT, phase.support, footprint
         kind = PhaseKind.STANCE if self._together else PhaseKind.DOUBLE_SUPPORT
         return kind, phase.support.other, None
 
@@ -175,10 +182,6 @@ class DynamicWalk(StandingWalk):
         change = most / (ramp + 1)
         new = step + np.clip(wanted - step, -change, change)
         return new, bool(ended and np.abs(new).max() < 1e-9)
-
-    def _footprint(self, support: Foot, step: Array) -> Array:
-        """Return where the swing sole lands, in the sole of `support`, shape (8,)."""
-        return self.footsteps.wanted(support, *step.tolist())
 
     # ------------------------------------------------------------------ phases
 
@@ -221,14 +224,13 @@ class DynamicWalk(StandingWalk):
         inequalities: tuple[Constraint, ...],
     ) -> Phase:
         d = self.config.dynamic
-        height = Kinematics(self.model, self.posture, kin.base).com[2:]
         also = (
             Follow(
                 name="height",
                 weight=d.height_weight,
                 feature=CenterOfMass(),
                 A=_UP[None],
-                target=Target(height, np.zeros(1)),
+                target=Target(self._height, np.zeros(1)),
                 convergence=d.height_rate,
             ),
             Follow(
@@ -258,7 +260,7 @@ class DynamicWalk(StandingWalk):
         omega, up = self.pendulum.omega, kin.up
         dt = state.time - self._time
         self._time = state.time
-        c, v = kin.com_on_ground, self._com_velocity(kin, state)
+        c, v = _along_ground(kin.com, up), _along_ground(self._com_velocity(kin, state), up)
         if not 0.0 <= dt <= _GAP:
             self._com, self._xi = c, c
         else:
@@ -266,7 +268,7 @@ class DynamicWalk(StandingWalk):
         if phase is not self._known:
             self._begin(phase, kin)
         t = kin.elapsed
-        xi = c + (v[:2] - v[2] / up[2] * up[:2]) / omega
+        xi = c + v / omega
         flight = self._flight
         if flight is not None:
             phase = self._catch(flight, phase, c, xi, t)
@@ -334,19 +336,19 @@ class DynamicWalk(StandingWalk):
     def _begin(self, phase: Phase, kin: Kinematics) -> None:
         """Plan a phase as its feet stand; the plan is in the axes of its base sole."""
         before, self._known = self._known, phase
-        other = DQ(flat(kin.pose(kin.swing)))
+        other = Footprint.of(kin.pose(kin.swing))
         if before is not None and before.base is not phase.base:  # the base sole was the other one
-            self._com, self._xi = (other.transform_point(np.array([*p, 0.0]))[:2] for p in (self._com, self._xi))
+            self._com, self._xi = other.points(self._com), other.points(self._xi)
         self._targets = {task.name: task.target for task in phase.tasks if isinstance(task, Follow | FollowPose)}
         self._pushed = self._flight.most > self._beyond if self._flight else self._pushed
         self._flight = None
-        base, end = self._aim(phase.base, DQ(1.0)), self._aim(phase.base.other, other)
-        corners, omega, rule = self.model.soles[phase.base].corners, self.pendulum.omega, phase.rule
+        base, end = self._aim(phase.base, Footprint()), self._aim(phase.base.other, other)
+        corners, omega, rule = self.model.soles[phase.base].corners[:, :2], self.pendulum.omega, phase.rule
         assert isinstance(rule, Timed)
         if phase.swing_target is not None:
             self._course = self._flight_course(phase, kin, rule, base)
         else:
-            corners = np.concatenate([corners, other.transform_point(self.model.soles[phase.base.other].corners)])
+            corners = np.concatenate([corners, other.points(self.model.soles[phase.base.other].corners[:, :2])])
             if phase.kind is PhaseKind.STANCE:
                 self._course = Rest(self._xi, 0.5 * (base + end), rule.duration, omega)
             else:
@@ -357,14 +359,16 @@ class DynamicWalk(StandingWalk):
                     rule.duration = self.config.dynamic.start_duration
                     self._course = Rest(self._xi, start, rule.duration, omega)
         self._support = ConvexPolygon.hull(corners).edges()
+        tree = kin.tree
+        self._legs = np.flatnonzero(tree.moves[tree.frames[self.model.pelvis][0]])
 
     def _flight_course(self, phase: Phase, kin: Kinematics, rule: Timed, base: Array) -> Pressed:
         """Begin a single support, and return its course."""
         d, omega, target = self.config.dynamic, self.pendulum.omega, phase.swing_target
         assert target is not None
-        _, end = self._plan(phase.support, DQ(1.0), self._step_now, self._done, target)
+        _, end = self._plan(phase.support, Footprint(), self._step_now, self._done, target)
         course = Pressed(base, base, end, rule.duration, omega)
-        sole, landing = self.model.soles[phase.base], self._aim(phase.base.other, DQ(target))
+        sole, landing = self.model.soles[phase.base], self._aim(phase.base.other, Footprint.of(target))
         half = 0.5 * np.array([sole.length, sole.width]) - d.catch_margin
         step = Step(
             z=base, landing=landing, offset=end - landing, duration=rule.duration, omega=omega,
@@ -376,29 +380,29 @@ class DynamicWalk(StandingWalk):
         return course
 
     def _plan(
-        self, support: Foot, pose: DQ, step: Array, done: int, landing: Array | None = None
+        self, foot: Foot, stands: Footprint, step: Array, done: int, target: Array | None = None
     ) -> tuple[Array, Array]:
-        """Return xi (2,) at the beginning and the end of the single support on a foot that stands at `pose`."""
-        together = self._together and landing is not None
-        aims, foot = [self._aim(support, pose)], support
+        """Return xi (2,) at the beginning and the end of the single support on a foot that stands there."""
+        together = self._together and target is not None
+        landing = None if target is None else Footprint.of(target)
+        aims = [self._aim(foot, stands)]
         while len(aims) <= _AHEAD:
             if landing is None:
                 step, together = self._after(step, done)
                 done += 1
-                landing = self._footprint(foot, step)
-            foot, pose, landing = foot.other, pose * DQ(landing), None
-            aims.append(self._aim(foot, pose))
+                landing = self.footsteps.stride(foot, *step.tolist())
+            foot, stands, landing = foot.other, stands.then(landing), None
+            aims.append(self._aim(foot, stands))
             if together:
                 break
         s = self.config.standing
         plan = single_supports(aims, s.swing_duration, s.transfer_duration, self.pendulum.omega, ends=together)
         return plan[0]
 
-    def _aim(self, foot: Foot, pose: DQ) -> Array:
+    def _aim(self, foot: Foot, stands: Footprint) -> Array:
         """Return where the zero-moment point is to be on a sole, shape (2,) [m]."""
         d, side = self.config.dynamic, 1.0 if foot is Foot.LEFT else -1.0
-        aim = self.model.soles[foot].center + np.array([d.aim_ahead, -side * d.aim_inside, 0.0])
-        return pose.transform_point(aim)[:2]
+        return stands.points(self.model.soles[foot].center[:2] + np.array([d.aim_ahead, -side * d.aim_inside]))
 
     def _inside(self, z: Array) -> Array:
         """Return the point nearest to `z` (2,) that keeps its distance from all edges of the support polygon [m]."""
@@ -424,9 +428,14 @@ class DynamicWalk(StandingWalk):
         z, a = np.array([*self._pressure, 0.0]), f - GRAVITY * up
         # (l x z + m).f - (l x c + m).(g up), and (l x z).f = l.(z x f)
         through = line @ (_cross(z, f) - _cross(kin.com, GRAVITY * up)) + moment @ a
-        legs = kin.tree.moves[kin.tree.frames[self.model.pelvis][0]]
-        out: Array = tau + m * np.where(legs, through - a @ kin.com_jacobian, 0.0)
-        return out
+        tau[self._legs] += m * (through - a @ kin.com_jacobian)[self._legs]
+        return tau
+
+
+def _along_ground(v: Array, up: Array) -> Array:
+    """Return a vector (3,) without its part along `up` (3,) that takes it to the ground, shape (2,)."""
+    along: Array = v[:2] - v[2] / up[2] * up[:2]
+    return along
 
 
 def _cross(a: Array, b: Array) -> Array:

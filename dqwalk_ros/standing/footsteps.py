@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +18,7 @@ from dqwalk_ros.errors import StateError
 from dqwalk_ros.kinematics import Kinematics, Observer, Point, Rotation
 from dqwalk_ros.robot import Foot, RobotModel
 
-__all__ = ["Footsteps", "flat"]
+__all__ = ["Footprint", "Footsteps", "flat"]
 
 Array = NDArray[np.float64]
 
@@ -27,6 +30,47 @@ _UPRIGHT, _FREE = [2, 3, 4], [0, 1, 5]
 _FREE_WEIGHT = np.array([1.0, 1.0, _LEVER])
 _STEPS, _STILL, _DAMPING = 60, 1e-5, 1e-4
 """Most steps of Levenberg and Marquardt's method, the change at which it ends [m], and the least damping."""
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """A place on level ground and a direction in it, as complex numbers: real ahead, imaginary to the left.
+
+    Attributes
+    ----------
+    place : complex
+        [m]
+    ahead : complex
+        Of absolute value one.
+    """
+
+    place: complex = 0.0
+    ahead: complex = 1.0
+
+    @classmethod
+    def of(cls, x: Array) -> Self:
+        """Return the footprint nearest to a pose (8,)."""
+        a, b, c, d = x[:4].tolist()
+        p, ahead = DQ(x).translation(), complex(a * a + b * b - c * c - d * d, 2.0 * (b * c + a * d))
+        return cls(complex(p[0], p[1]), ahead / abs(ahead))
+
+    @property
+    def pose(self) -> Array:
+        """Pose of a sole that stands on it, shape (8,)."""
+        half = self.ahead**0.5
+        return DQ.from_pose([self.place.real, self.place.imag, 0.0], [half.real, 0.0, 0.0, half.imag]).vec8()
+
+    def then(self, other: Footprint) -> Footprint:
+        """Return the footprint `other`, that is given in this one."""
+        return Footprint(self.place + self.ahead * other.place, self.ahead * other.ahead)
+
+    def points(self, p: Array) -> Array:
+        """Return the points `p` (..., 2), that are given in this one [m]."""
+        x, y = p[..., 0], p[..., 1]
+        out = np.empty(p.shape)
+        out[..., 0] = self.place.real + self.ahead.real * x - self.ahead.imag * y
+        out[..., 1] = self.place.imag + self.ahead.imag * x + self.ahead.real * y
+        return out
 
 
 class Footsteps:
@@ -43,16 +87,11 @@ class Footsteps:
     def __init__(self, config: Config, model: RobotModel, posture: Array) -> None:
         self._model = model
         self._q_ref = posture
-        rest = {
-            foot: DQ(Kinematics(model, np.zeros(model.n), foot.other).pose(model.soles[foot].frame)) for foot in Foot
-        }
-        width = config.gait.step_width
-        if width:
-            side = {Foot.LEFT: 0.5 * width, Foot.RIGHT: -0.5 * width}
-            self._place = {foot: DQ.from_pose([0.0, side[foot], 0.0]) for foot in Foot}
-        else:  # as the zero posture has them, seen from halfway between
-            half = 0.5 * rest[Foot.LEFT].translation()
-            self._place = {Foot.RIGHT: DQ.from_pose(-half), Foot.LEFT: DQ.from_pose(half)}
+        half = 0.5j * config.gait.step_width
+        if not half:  # as the zero posture has them
+            kin = Kinematics(model, np.zeros(model.n), Foot.RIGHT)
+            half = 0.5 * Footprint.of(kin.pose(kin.swing)).place
+        self._place = {Foot.RIGHT: -half, Foot.LEFT: half}  # of the soles, seen from halfway between
         self._known: dict[tuple[object, ...], Array] = {}
         self.config = config
 
@@ -73,9 +112,12 @@ class Footsteps:
 
     def wanted(self, support: Foot, length: float, side: float, turn: float) -> Array:
         """Return where the swing sole would land whatever the legs reach, as `step`, shape (8,)."""
-        about_z = np.array([math.cos(0.5 * turn), 0.0, 0.0, math.sin(0.5 * turn)])
-        moved = DQ.from_pose([length, side, 0.0], about_z)
-        return (self._place[support].conj() * moved * self._place[support.other]).vec8()
+        return self.stride(support, length, side, turn).pose
+
+    def stride(self, support: Foot, length: float, side: float, turn: float) -> Footprint:
+        """Return `wanted` as a footprint, in that of `support`."""
+        body = Footprint(complex(length, side) - self._place[support], cmath.rect(1.0, turn))
+        return body.then(Footprint(self._place[support.other]))
 
     def planned(self, support: Foot, wanted: Sequence[Array]) -> list[Array]:
         """Return footprints (8,) that the legs reach for commanded ones, each in the sole that it is stepped from.
@@ -211,7 +253,4 @@ class Footsteps:
 
 def flat(x: Array) -> Array:
     """Return the pose (8,) on the ground, upright, that is nearest to `x` (8,)."""
-    pose = DQ(x)
-    ahead = pose.rotation_matrix()[:, 0]
-    half = 0.5 * np.arctan2(ahead[1], ahead[0])
-    return DQ.from_pose(pose.translation() * [1.0, 1.0, 0.0], [np.cos(half), 0.0, 0.0, np.sin(half)]).vec8()
+    return Footprint.of(x).pose
