@@ -172,9 +172,9 @@ def test_a_walk_on_ros_is_seen_live(tmp_path):
                 until(page, "time > then + 0.5 && margins !== first", then=then, first=first)
                 until_drawn(page, "live", robot_seen)
                 assert page.errors == []
-            # software WebGL can keep the plant from the processor for 0.1 s; nothing else may be wrong
-            wrong = [s.message for s in live.statuses("controller") if s.level != b"\x00"]
-            assert all("fell silent" in message for message in wrong), wrong
+            # it waits at first, and software WebGL can keep the plant from the processor for 0.1 s
+            wrong = {s.message for s in live.statuses("controller") if s.level != b"\x00"}
+            assert all("fell silent" in text or text == "waiting for joint_states" for text in wrong), wrong
         finally:
             live.close()
 

@@ -103,6 +103,7 @@ def check_that_all_is_there(path: Path, period: int) -> None:
     assert len(stamps["/joint_velocity_commands"]) == len(stamps["/base_pose"]) == len(stamps["/joint_states"]) - 1
 
 
+@pytest.mark.long
 def test_a_recorder_that_comes_late_still_makes_a_walk(live: Make, tmp_path: Path) -> None:
     one = live(plant__lockstep=True, **{key.replace(".", "__"): value for key, value in LONG.items()})
     walk = [f"{kind}_support/{foot}" for foot in ("left", "right") for kind in ("double", "single")]

@@ -50,20 +50,6 @@ def test_a_bag_that_is_there_is_not_touched(tmp_path: Path) -> None:
     assert not children()
 
 
-def test_progress_is_shown_while_it_walks(tmp_path: Path) -> None:
-    shown: list[tuple[float, str]] = []
-    outcome = run_walk(
-        load("paper").updated(SHORT), tmp_path / "bag", progress=lambda fraction, text: shown.append((fraction, text))
-    )
-    assert outcome.finished, outcome.reason
-    assert any("double_support/left" in text and "ticks/s" in text for _, text in shown)
-    fractions = [fraction for fraction, _ in shown]
-    assert min(fractions) >= 0.0
-    assert max(fractions) > 0.5
-    params = (tmp_path / "log" / "params.yaml").read_text()
-    assert "lockstep: true" in params
-
-
 @pytest.mark.parametrize(
     "victim",
     ["controller", *(pytest.param(name, marks=pytest.mark.long) for name in ("integrator", "phase_monitor"))],
@@ -90,7 +76,7 @@ def test_a_node_that_dies(tmp_path: Path, victim: str) -> None:
     assert not children()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.long), signal.SIGKILL])
 def test_no_node_outlives_the_runner(tmp_path: Path, number: signal.Signals) -> None:
     code = (
         "import json, sys\n"
@@ -125,10 +111,12 @@ def test_no_node_outlives_the_runner(tmp_path: Path, number: signal.Signals) -> 
     assert len(bag.read(tmp_path / "bag")) > 0
 
 
-def test_a_recorder_that_is_held_up_loses_nothing(tmp_path: Path) -> None:
+def test_progress_is_shown_and_a_recorder_that_is_held_up_loses_nothing(tmp_path: Path) -> None:
     held: list[threading.Timer] = []
+    shown: list[tuple[float, str]] = []
 
     def hold(fraction: float, text: str) -> None:
+        shown.append((fraction, text))
         if not held and "support" in text:
             recorder = next(p for p in children() if p.cmdline()[3] == "recorder")
             recorder.suspend()
@@ -138,10 +126,15 @@ def test_a_recorder_that_is_held_up_loses_nothing(tmp_path: Path) -> None:
     outcome = run_walk(load("paper").updated(SHORT), tmp_path / "bag", progress=hold)
     assert held
     assert outcome.finished, outcome.reason
+    assert "lockstep: true" in (tmp_path / "log" / "params.yaml").read_text()
     walked = bag.read(tmp_path / "bag")
     assert len(walked) >= outcome.ticks
     assert len(walked.phases) == 4
     assert not walked.notes
+    assert any("double_support/left" in text and "ticks/s" in text for _, text in shown)
+    fractions = [fraction for fraction, _ in shown]
+    assert min(fractions) >= 0.0
+    assert max(fractions) > 0.5
 
 
 def test_domains_are_not_shared() -> None:

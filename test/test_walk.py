@@ -162,9 +162,8 @@ def test_a_left_step_is_the_mirror_image_of_a_right_step():
 
 def test_a_walk_is_the_same_every_time():
     """To the last bit, so that a seed or a busy machine cannot matter."""
-    config = load("paper").updated({"gait.first_support": "right"})
-    again = walk(config, legs(), max_time=20.0)
-    np.testing.assert_array_equal(again.q, paper_walk("right").q[: len(again)])
+    again = walk(load("paper"), legs(), max_time=20.0)
+    np.testing.assert_array_equal(again.q, paper_walk("left").q[: len(again)])
 
 
 def test_another_biped_walks_with_its_own_configuration(foot):

@@ -40,10 +40,9 @@ _DISCOVERED, _HEARD = 0.8, 1.5
 """Time in which other nodes are discovered, and in which one that runs is heard [s]: in lockstep a plant without an
 answer publishes twice a second."""
 
-_ACKNOWLEDGED = {True: 18.0, False: 0.25}
+_ACKNOWLEDGED = {True: 8.0, False: 0.25}
 """Longest wait for acknowledgements at the end, in lockstep, where nothing may be missing from the bag, and in real
-time [s]. A subscriber acknowledges when the middleware asks it, every 3 s. In real time that is too long to wait for:
-what was published is on its way already, and where it was lost, the plant's watchdog does the same."""
+time [s], where the plant's watchdog stands in for a last message that was lost."""
 
 
 class WalkNode(Node):

@@ -46,6 +46,8 @@ _UPRIGHT = math.radians(10.0)
 """A robot that stands leans less [rad]."""
 _STILL, _GRAVITY = 0.05, 0.6
 """The angular velocity at rest [rad/s], and how far the acceleration may be from 9.81 m/s^2."""
+_DISCOVERY = 5.0
+"""A node that publishes is discovered within this [s]."""
 _POSTURE = 0.3
 """A walk begins no further from its posture [rad]."""
 
@@ -283,7 +285,7 @@ def examine(config: Config, model: RobotModel, heard: Heard) -> Iterator[Finding
 
 
 def listen(config: Config, seconds: float, namespace: str = "") -> Heard:
-    """Listen to a robot for so long [s]."""
+    """Listen to a robot for so long [s] from its first state on; wait for that state as long, at least `_DISCOVERY`."""
     context = Context()
     rclpy.init(context=context)
     heard = Heard(seconds)
@@ -310,9 +312,12 @@ def listen(config: Config, seconds: float, namespace: str = "") -> Heard:
         node.create_subscription(Imu, "imu", partial(keep, heard.imus), ros.stream(100, reliable=False))
         node.create_subscription(DiagnosticArray, "/diagnostics", diagnosed, ros.stream(100))
         node.create_subscription(Bool, "plant_ready", told_ready, ros.latched())
-        end = time.monotonic() + seconds
+        end = time.monotonic() + max(seconds, _DISCOVERY)
+        heard_from = False
         while (left := end - time.monotonic()) > 0.0:
             executor.spin_once(timeout_sec=min(left, 0.1))
+            if heard.states and not heard_from:
+                heard_from, end = True, time.monotonic() + seconds
         heard.publishers = ros.other_publishers(node, "joint_states")
         ends = node.get_subscriptions_info_by_topic(node.resolve_topic_name(VELOCITY))
         heard.takers = tuple(sorted({end.node_name for end in ends} - {"recorder", "viewer", "phase_monitor"}))

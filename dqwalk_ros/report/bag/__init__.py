@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+import importlib
 from typing import TYPE_CHECKING, Any
-
-from dqwalk_ros.report.bag.recording import is_body
-from dqwalk_ros.report.bag.walk import read, write
 
 if TYPE_CHECKING:
     from dqwalk_ros.report.bag.body import read_body, write_body
+    from dqwalk_ros.report.bag.recording import is_body
+    from dqwalk_ros.report.bag.walk import read, write
 
 __all__ = ["is_body", "read", "read_body", "write", "write_body"]
 
+_FILES = {"is_body": "recording", "read": "walk", "write": "walk", "read_body": "body", "write_body": "body"}
+
 
 def __getattr__(name: str) -> Any:
-    """Return what needs Pinocchio, an extra that a walk of phases does without."""
-    if name not in ("read_body", "write_body"):
+    """Import on use: the recorder needs no kinematics, and a walk of phases does without Pinocchio."""
+    if name not in _FILES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from dqwalk_ros.report.bag import body
-
-    return getattr(body, name)
+    return getattr(importlib.import_module(f"{__name__}.{_FILES[name]}"), name)
