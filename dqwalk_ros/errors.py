@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 __all__ = [
     "BagError",
@@ -15,7 +15,14 @@ __all__ = [
     "StateError",
     "StudyError",
     "ViewerError",
+    "listed",
 ]
+
+
+def listed(names: Collection[str]) -> str:
+    """Return some names that came from outside, for a message that fits on a line and cannot act on a terminal."""
+    shown = [ascii(name)[1:-1][:60] for name in sorted(names)[:12]]
+    return ", ".join([*shown, f"and {len(names) - 12} more"] if len(names) > 12 else shown)
 
 
 class DqwalkError(Exception):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import signal
 import subprocess
 import sys
@@ -289,8 +290,13 @@ def test_a_command_that_cannot_be_used_moves_nothing(live: Make) -> None:
 # ---------------------------------------------------------------------- start and end
 
 
-@pytest.mark.parametrize("name", ["controller", "integrator", "phase_monitor", "poppy_driver", "recorder"])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+SIGNALLED = ["controller", "integrator", "phase_monitor", "poppy_driver", "recorder"]
+
+
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [*itertools.product(SIGNALLED, (signal.SIGINT, signal.SIGTERM)), ("integrator", signal.SIGHUP)],
+)
 def test_a_signal_ends_a_node_in_order(live: Make, name: str, number: signal.Signals) -> None:
     no_motors = {"dt": 0.02, "poppy.dummy": True} if name == "poppy_driver" else {}
     one = live(**no_motors)

@@ -5,11 +5,15 @@ from __future__ import annotations
 import argparse
 import contextlib
 import ctypes
+import fcntl
 import json
+import os
 import signal
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -36,9 +40,9 @@ STEADY = wheels.STEADY
 THROTTLE = {"throttle_duration_sec": 2.0, "throttle_time_source_type": STEADY}
 """For a log that may come at every tick: ``self.get_logger().error(text, **THROTTLE)``."""
 
-_DISCOVERED, _HEARD = 0.8, 1.5
+_DISCOVERED, _HEARD = 0.4, 1.5
 """Time in which other nodes are discovered, and in which one that runs is heard [s]: in lockstep a plant without an
-answer publishes twice a second."""
+answer publishes twice a second. One that is about to end has as long."""
 
 _ACKNOWLEDGED = {True: 8.0, False: 0.25}
 """Longest wait for acknowledgements at the end, in lockstep, where nothing may be missing from the bag, and in real
@@ -160,7 +164,9 @@ class WalkNode(Node):
     def refuse_a_second(self) -> None:
         """Refuse to be a node that runs already: the same walk was launched twice.
 
-        A node that was killed is listed for 20 s more, so it counts only where it still publishes.
+        On one machine, and for one user, a lock tells, which ends with its process. Elsewhere the middleware does, once
+        it has discovered the other; it lists a node that was killed for 20 s more, so one counts only where it still
+        publishes.
 
         Raises
         ------
@@ -170,21 +176,37 @@ class WalkNode(Node):
         if not self.claims:
             return
         topic, me = self.resolve_topic_name(self.claims), self.get_fully_qualified_name()
+        runs = ConfigError(f"{me} runs already and publishes {topic}: end it first, or use a namespace")
+        name = f"dqwalk_ros.domain{self.context.get_domain_id()}{me.replace('/', '.')}.{os.getuid()}.lock"
+        with contextlib.suppress(OSError):  # without a folder for it there is no lock
+            self._lock = (Path(tempfile.gettempdir()) / name).open("w")
+            if not self._within(_HEARD, self._is_locked):
+                raise runs
         known_at = self._made + _DISCOVERED
-        while time.monotonic() < known_at and ros.other_publishers(self, topic).count(me) < 2:
-            time.sleep(0.02)
-        if ros.other_publishers(self, topic).count(me) < 2:
+        if not self._within(known_at - time.monotonic(), lambda: ros.other_publishers(self, topic).count(me) > 1):
             return
         heard = self.create_subscription(JointState, topic, lambda msg: None, ros.stream(1, reliable=False), raw=True)
         try:
-            until = time.monotonic() + _HEARD
-            while time.monotonic() < until:
-                with heard.handle:
-                    if heard.handle.take_message(heard.msg_type, True) is not None:
-                        raise ConfigError(f"{me} runs already and publishes {topic}: end it first, or use a namespace")
-                time.sleep(0.02)
+            with heard.handle:
+                if self._within(_HEARD, lambda: heard.handle.take_message(heard.msg_type, True) is not None):
+                    raise runs
         finally:
             self.destroy_subscription(heard)
+
+    def _is_locked(self) -> bool:
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        return True
+
+    @staticmethod
+    def _within(seconds: float, happens: Callable[[], bool]) -> bool:
+        """Wait until something happens, at most so long; return whether it has."""
+        end = time.monotonic() + seconds
+        while not (happened := happens()) and time.monotonic() < end:
+            time.sleep(0.02)
+        return happened
 
     def stop(self, exit_code: int = 0) -> None:
         """End this node after the current callback."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Imu, JointState
 
 from dqwalk_ros.dual_quaternions import DQ
@@ -32,6 +33,7 @@ __all__ = [
     "imu",
     "inertial_of",
     "is_heard_by",
+    "joint_state",
     "latched",
     "message_type",
     "nanoseconds",
@@ -101,13 +103,29 @@ def stamp_of(raw: bytes) -> int:
     Raises
     ------
     StateError
-        If it is too short.
+        If it is too short, or the stamp is before 1970.
     """
     if len(raw) < 12:
         raise StateError(f"a message of {len(raw)} bytes has no header")
     # four bytes of encapsulation, of which the second tells the byte order
     sec, nanosec = struct.unpack_from("<iI" if raw[1] & 1 else ">iI", raw, 4)
+    if sec < 0:
+        raise StateError(f"its stamp is {sec} s, before 1970")
     return int(sec * 1_000_000_000 + nanosec)
+
+
+def joint_state(raw: bytes) -> JointState:
+    """Return the JointState of a serialised one.
+
+    Raises
+    ------
+    StateError
+        If it cannot be read.
+    """
+    try:
+        return deserialize_message(raw, JointState)
+    except RuntimeError as error:
+        raise StateError("a message that cannot be read") from error
 
 
 # ---------------------------------------------------------------------- joints
@@ -132,8 +150,10 @@ class JointReader:
         Raises
         ------
         StateError
-            As `safety.JointOrder`: a message that does not fit is rejected as a whole.
+            As `safety.JointOrder`: a message that does not fit is rejected as a whole; or if its stamp is before 1970.
         """
+        if msg.header.stamp.sec < 0:
+            raise StateError(f"its stamp is {msg.header.stamp.sec} s, before 1970")
         q = self._order(msg.name, msg.position, "position")
         dq = self._order(msg.name, msg.velocity, "velocity", finite=False) if len(msg.velocity) else None
         if dq is not None and not np.isfinite(dq).all():

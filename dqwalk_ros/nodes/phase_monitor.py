@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Point32, PointStamped, PolygonStamped, PoseStamped
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
@@ -138,7 +137,7 @@ class PhaseMonitor(WalkNode):
             return
         began, assess = phase_at
         try:
-            state = self._phases.reader.state(deserialize_message(raw, JointState))
+            state = self._phases.reader.state(ros.joint_state(raw))
         except StateError as error:
             self._rejected += 1
             text = f"joint_states rejected ({self._rejected} so far): {error}"

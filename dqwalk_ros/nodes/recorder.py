@@ -159,9 +159,6 @@ class Recorder(WalkNode):
             except StateError as error:
                 self.get_logger().error(f"{name} not recorded: {error}", **THROTTLE)
                 return
-            if own < 0:  # before 1970, which no bag can hold
-                self.get_logger().error(f"{name} not recorded: its stamp is {own / 1e9:.3f} s", **THROTTLE)
-                return
             if name in self._last:
                 if raw == self._last_raw.get(name):
                     return

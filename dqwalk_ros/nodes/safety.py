@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dqwalk_ros.errors import StateError
+from dqwalk_ros.errors import StateError, listed
 from dqwalk_ros.robot import RobotModel
 from dqwalk_ros.state import State
 
@@ -85,12 +85,12 @@ class JointOrder:
         place = {name: i for i, name in enumerate(names)}
         if missing := [joint for joint in self._joints if joint not in place]:
             extra = [name for name in names if name not in self._joints]
-            also = f"; it has {', '.join(extra)}, which the model has not" if extra else ""
+            also = f"; it has {listed(extra)}, which the model has not" if extra else ""
             raise StateError(f"joints missing: {', '.join(missing)}{also}")
         if len(place) != len(names):
             seen: set[str] = set()
-            doubled = sorted({name for name in names if name in seen or seen.add(name)})  # type: ignore[func-returns-value]
-            raise StateError(f"joints named twice: {', '.join(doubled)}")
+            doubled = {name for name in names if name in seen or seen.add(name)}  # type: ignore[func-returns-value]
+            raise StateError(f"joints named twice: {listed(doubled)}")
         return np.array([place[joint] for joint in self._joints], np.intp)
 
 

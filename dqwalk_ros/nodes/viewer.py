@@ -7,6 +7,7 @@ Nobody waits for it.
 from __future__ import annotations
 
 import argparse
+import contextlib
 from typing import Any
 
 import numpy as np
@@ -165,9 +166,10 @@ class Viewer(WalkNode):
                 if "iterations" not in values:
                     self._solver = status.message
                     continue
-                micro = 1e6 * float(values.get("solve time", "nan"))
-                active = values.get("active rows", "") or "none"
-                self._solver = f"{values['iterations']} iterations, {micro:.0f} µs; active: {active}"
+                with contextlib.suppress(ValueError):  # of a controller that is not ours
+                    micro = 1e6 * float(values.get("solve time", "nan"))
+                    active = values.get("active rows", "") or "none"
+                    self._solver = f"{values['iterations']} iterations, {micro:.0f} µs; active: {active}"
 
     def _show(self) -> None:
         """Draw the newest state."""

@@ -43,7 +43,7 @@ _END = 5.0
 
 
 def init(argv: Sequence[str]) -> threading.Event:
-    """Initialise rclpy; return an event that SIGINT and SIGTERM set.
+    """Initialise rclpy; return an event that SIGINT and SIGTERM set, and SIGHUP where it is not ignored (nohup).
 
     Raises
     ------
@@ -52,7 +52,8 @@ def init(argv: Sequence[str]) -> threading.Event:
     """
     stopped = threading.Event()
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(find_share("config", "fastdds.xml")))
-    for number in (signal.SIGINT, signal.SIGTERM):
+    hangs_up = signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN
+    for number in (signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hangs_up else [])):
         signal.signal(number, lambda *_: stopped.set())
     try:
         rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)

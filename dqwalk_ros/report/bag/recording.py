@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from dqwalk_ros import config as configuration
 from dqwalk_ros import provenance
 from dqwalk_ros.config import Config
-from dqwalk_ros.errors import BagError, ConfigError, ModelError
+from dqwalk_ros.errors import BagError, ConfigError, ModelError, listed
 from dqwalk_ros.report.bag.messages import NS, JointStates, joint_states, texts
 from dqwalk_ros.report.bag.storage import Column, Content, load
 from dqwalk_ros.robot import RobotModel, load_model, parse_model
 from dqwalk_ros.topics import Topic
 
-__all__ = ["Recording", "is_body", "listed", "open_recording"]
+__all__ = ["Recording", "is_body", "open_recording"]
 
 Stamps = NDArray[np.int64]
 
@@ -151,12 +151,6 @@ def _columns_of(
         have = listed(content.topics) or "none"
         raise BagError(f"'{path}' is not a walk: it has no messages on {', '.join(missing)}; its topics are {have}")
     return columns
-
-
-def listed(names: Sequence[str] | Mapping[str, str]) -> str:
-    """Return some names of a bag, for a message that fits on a line; whatever is in them cannot act on a terminal."""
-    shown = [ascii(name)[1:-1][:60] for name in sorted(names)[:12]]
-    return ", ".join([*shown, f"and {len(names) - 12} more"] if len(names) > 12 else shown)
 
 
 def _model_in(path: Path, config: Config, columns: Mapping[str, Column], notes: list[str]) -> RobotModel:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dqwalk_ros import provenance
 from dqwalk_ros.config import Config, to_yaml
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import BagError
+from dqwalk_ros.errors import BagError, listed
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.report.bag import messages
 from dqwalk_ros.report.bag.messages import (
@@ -32,7 +32,7 @@ from dqwalk_ros.report.bag.messages import (
     text,
     texts,
 )
-from dqwalk_ros.report.bag.recording import Recording, listed, open_recording
+from dqwalk_ros.report.bag.recording import Recording, open_recording
 from dqwalk_ros.report.bag.storage import Column, write_columns
 from dqwalk_ros.report.metrics import pelvis_in_odom
 from dqwalk_ros.report.verdict import Assessor

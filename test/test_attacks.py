@@ -1,0 +1,198 @@
+"""What was found by attacking live nodes: each is refused by name, and no node ends of it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import resource
+import shutil
+import signal
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from inside import inside, state
+from rclpy.serialization import serialize_message
+
+from dqwalk_ros.cli.options import overlaid
+from dqwalk_ros.config import load
+from dqwalk_ros.errors import PlantError
+from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.report.bag.storage import load as load_bag
+from dqwalk_ros.robot import load_model
+from dqwalk_ros.simulation import make_plant
+from dqwalk_ros.state import Command
+
+PAPER = load("paper").updated({"dt": 0.02})
+MODEL = load_model(PAPER.robot)
+GARBAGE = [b"", b"\x00", b"\x00\x01\x00\x00", bytes(11), b"\x00\x01\x00\x00" + struct.pack("<iI", 1, 0) + b"\xff" * 40]
+"""The last one has a stamp that can be."""
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Any]:
+    with inside(tmp_path) as made:
+        yield made
+
+
+def measured(stamp: float) -> bytes:
+    return bytes(serialize_message(state(MODEL.joint_names, np.zeros(MODEL.n), stamp)))
+
+
+def recorded(path: Path) -> int:
+    """Return how many states can be read of a bag."""
+    return len(load_bag(path, lambda name, kind: True).columns["/joint_states"].raws)
+
+
+# ---------------------------------------------------------------------- those who watch
+
+
+def test_a_recorder_records_what_can_be_recorded(make: Any, tmp_path: Path) -> None:
+    one = make("recorder", PAPER, "--bag", str(tmp_path / "bag"))
+    for k in range(100):
+        one.hand("joint_states", measured(1.0 + 0.02 * k))
+        if k == 50:
+            for raw in (*GARBAGE[:-1], measured(-5.0)):
+                one.hand("joint_states", raw)
+                one.hand("center_of_pressure", raw)
+            one.hand("joint_states", measured(2_145_916_800.0))
+    assert "joint_states not recorded: a message of 4 bytes has no header" in one.log
+    assert "joint_states not recorded: its stamp is -5 s, before 1970" in one.log
+    one.node.close()
+    assert recorded(tmp_path / "bag") == 101
+
+
+def test_a_robot_in_the_air_has_no_centre_of_pressure(make: Any, tmp_path: Path) -> None:
+    one = make("recorder", PAPER, "--bag", str(tmp_path / "bag"))
+    for k in (0, 1, 40):
+        one.hand("joint_states", measured(1.0 + 0.02 * k))
+        at = ros.point(round(1e9 * (1.0 + 0.02 * k)), "world", np.zeros(3))
+        one.hand("center_of_pressure", bytes(serialize_message(at)))
+    assert one.node._missing["joint_states"] == 38
+    assert one.node._missing["center_of_pressure"] == 0
+
+
+def test_a_recorder_whose_folder_is_removed_says_so(make: Any, tmp_path: Path) -> None:
+    one = make("recorder", PAPER, "--bag", str(tmp_path / "bag"))
+    one.hand("joint_states", measured(1.0))
+    one.node._flush()
+    shutil.rmtree(tmp_path / "bag")
+    one.node._flush()
+    assert "its folder was removed" in one.log
+    assert one.node.done.result() == 1
+    one.node.close()
+
+
+@contextlib.contextmanager
+def full(size: int) -> Iterator[None]:
+    """No file of this process may grow beyond a size [B], as on a disk that is full."""
+    before, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+
+
+def test_a_recorder_on_a_full_disk_says_so_and_keeps_what_it_has(make: Any, tmp_path: Path) -> None:
+    one = make("recorder", PAPER, "--bag", str(tmp_path / "bag"))
+    dice = np.random.default_rng(1)
+    with full(300_000):
+        for k in range(10_000):
+            q = dice.uniform(-1.0, 1.0, MODEL.n)  # so that it does not compress
+            one.hand("joint_states", bytes(serialize_message(state(MODEL.joint_names, q, 1.0 + 0.02 * k))))
+            if not k % 100:
+                one.node._flush()
+            if one.node.done.done():
+                break
+        assert one.node.done.result() == 1
+        one.node.close()
+    assert "cannot write" in one.log
+    assert 100 < recorded(tmp_path / "bag") <= k
+
+
+def test_a_monitor_and_a_viewer_read_what_can_be_read(make: Any) -> None:
+    walk, monitor, viewer = (
+        make("controller", PAPER),
+        make("phase_monitor", PAPER),
+        make("viewer", PAPER, "--port", "0"),
+    )
+    walk.hand("joint_states", state(MODEL.joint_names, np.zeros(MODEL.n), 1.0))
+    for topic in ("walk_config", "robot_description", "phase", "phase_start", "com_target"):
+        for node in (monitor, viewer):
+            node.hand(topic, walk.got[topic][-1])
+    for raw in GARBAGE:
+        monitor.hand("joint_states", raw)
+    assert "joint_states rejected: a message of 1 bytes has no header" in monitor.log
+    assert "a message that cannot be read" in monitor.log
+    monitor.node._next = -1
+    monitor.hand("joint_states", measured(1.0))
+    assert "double_support" in monitor.got["diagnostics"][-1].status[0].message
+    for text in ("0.5 ms", "-1", "nan", "1e999", "\x1b[31m"):
+        said = [KeyValue(key="iterations", value=text), KeyValue(key="solve time", value=text)]
+        status = DiagnosticStatus(name="controller: walk", level=b"\x00", message=text, values=said)
+        viewer.hand("/diagnostics", DiagnosticArray(status=[status]))
+    viewer.hand("joint_states", state(MODEL.joint_names, np.zeros(MODEL.n), 1.0))
+    viewer.node._show()
+    viewer.node.close()
+
+
+# ---------------------------------------------------------------------- those who act
+
+
+def test_states_from_before_1970_are_refused(make: Any) -> None:
+    one = make("controller", PAPER)
+    for k in range(5):
+        one.hand("joint_states", state(MODEL.joint_names, np.zeros(MODEL.n), -100.0 + 0.02 * k))
+    assert "joint_states rejected (1 so far): its stamp is -100 s, before 1970" in one.log
+    assert not one.got["joint_velocity_commands"]
+
+
+def test_names_without_end_fit_on_a_line(make: Any) -> None:
+    one = make("controller", PAPER)
+    names = [*MODEL.joint_names[1:], *(f"\x1b[31mjoint\n{k}" for k in range(20_000))]
+    one.hand("joint_states", state(names, np.zeros(len(names)), 1.0))
+    said = json.dumps([status.message for msg in one.got["diagnostics"] for status in msg.status])
+    for text in (said, *(line for _, line in one.log.lines)):
+        assert text.isprintable()
+        assert len(text) < 2000
+    assert "and 19988 more" in one.log
+    doubled = [*MODEL.joint_names, "\x1b[31m", "\x1b[31m"]
+    one.hand("joint_states", state(doubled, np.zeros(len(doubled)), 1.02))
+    assert "joints named twice: \\x1b[31m" in one.log
+
+
+def test_a_robot_put_back_on_its_feet_ends_the_walk(make: Any) -> None:
+    """In physics, in mid-swing: what the controller walks with is no more, and it says so; the robot stands."""
+    config = overlaid(load("poppy"), "physics")
+    model = load_model(config.robot)
+    node, plant = make("controller", config), make_plant("physics", config, model)
+    for k in range(700):
+        if k == 500:
+            assert node.got["phase"][-1].data.startswith("single_support")
+            plant = make_plant("physics", config, model)
+        node.hand("imu", ros.imu(round((1.0 + k * config.dt) * 1e9), model.imu, plant.inertial))
+        node.hand("joint_states", state(model.joint_names, plant.state.q, 1.0 + k * config.dt))
+        u = np.array(node.got["joint_velocity_commands"][-1].velocity)
+        plant.step(Command(k * config.dt, u), config.dt)
+    assert node.got["phase"][-1].data == "failed"
+    assert not u.any()
+    assert not plant.fallen
+
+
+def test_a_simulation_gone_astray_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo leaves a log
+    config = overlaid(load("poppy"), "physics")
+    plant = make_plant("physics", config, load_model(config.robot))
+    plant.push([1e300, 0.0, 0.0])
+    still = Command(0.0, np.zeros(plant.model.n))
+    with pytest.raises(PlantError, match="not finite any more"):
+        plant.step(still, config.dt)
