@@ -287,8 +287,8 @@ class VelocityController:
         """Go on after states without an answer, when the plant has moved on for its timeout and then `held` [s]."""
         phase = self.phase
         self._sent = CommandHistory(self._drive.delay, self.model.n)
-        if self.walk.restarts(phase):
-            self._begin(self.walk.phase(phase.kind, phase.support, state.q, phase.swing_target), state.time)
+        if (still := self.walk.restarts(phase)) is not None:
+            self._begin(self.walk.phase(phase.kind, phase.support, state.q, phase.swing_target), state.time + still)
         else:
             self.phase_time0 += held
 

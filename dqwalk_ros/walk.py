@@ -235,9 +235,12 @@ class Walk(ABC):
     def one_foot(self, support: Foot, q_start: Array, swing_target: Array) -> Phase:
         """Return the single support on `support` that swings the other foot to its target."""
 
-    def restarts(self, phase: Phase) -> bool:
-        """Return whether a phase begins anew after states without an answer; else it goes on where it was."""
-        return False
+    def restarts(self, phase: Phase) -> float | None:
+        """Return for how long to stand before a phase begins anew after states without an answer [s].
+
+        None where the phase goes on where it was.
+        """
+        return None
 
     def observe(self, phase: Phase, kin: Kinematics, state: State) -> Phase:
         """Look at a state before it is answered, and return the phase as it goes on.

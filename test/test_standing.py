@@ -335,13 +335,13 @@ def test_the_physics_engine_makes_up_no_mass() -> None:
 
 
 def test_a_transfer_that_stood_still_for_a_while_is_begun_anew() -> None:
-    """In the middle of it, taken up at the velocity it had, the path would tip the robot."""
+    """In the middle of it, taken up at the velocity it had, the path would tip the robot, which stands first."""
     config = CONFIG.updated({"gait.steps": 1})
     model = dq.load_model(config.robot)
     controller, plant = make_controller(config, model), make_plant("physics", config, model)
-    state, dt = plant.state, config.dt
+    state, dt, stands = plant.state, config.dt, config.standing.transfer_duration
     command, still = Command(0.0, np.zeros(model.n)), Command(0.0, np.zeros(model.n))
-    for tick in range(700):
+    for tick in range(700 + round(stands / dt)):
         if not 150 <= tick < 210:
             command = controller.step(state, dt)
         elif tick >= 150 + round(config.plant.command_timeout / dt):
@@ -351,7 +351,7 @@ def test_a_transfer_that_stood_still_for_a_while_is_begun_anew() -> None:
         if tick == 210:
             assert controller.phase_index == 1
             assert controller.phase.kind is PhaseKind.DOUBLE_SUPPORT
-            assert controller.phase_time0 == pytest.approx(210 * dt)
+            assert controller.phase_time0 == pytest.approx(210 * dt + stands)
     assert controller.phase.kind is PhaseKind.SINGLE_SUPPORT
 
 

@@ -163,9 +163,9 @@ class DynamicWalk(StandingWalk):
         kind = PhaseKind.STANCE if self._together else PhaseKind.DOUBLE_SUPPORT
         return kind, phase.support.other, None
 
-    def restarts(self, phase: Phase) -> bool:
-        """Return True: what is followed has moved on without the robot."""
-        return True
+    def restarts(self, phase: Phase) -> float | None:
+        """Return 0: what is followed has moved on without the robot."""
+        return 0.0
 
     def _after(self, step: Array, done: int) -> tuple[Array, bool]:
         """Return the step after `step`, when `done` are done, and whether it puts the feet together."""

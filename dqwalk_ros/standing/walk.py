@@ -163,9 +163,12 @@ class StandingWalk(Walk):
         below = Kinematics(self.model, kin.q, support).pose(self.model.soles[support.other].frame)
         return PhaseKind.SINGLE_SUPPORT, support, self.footsteps.reachable(support, flat(below))
 
-    def restarts(self, phase: Phase) -> bool:
-        """Return True with both feet down: a CoM that was stopped, taken up at the path's velocity, tips the robot."""
-        return phase.kind is not PhaseKind.SINGLE_SUPPORT
+    def restarts(self, phase: Phase) -> float | None:
+        """Return the time of a transfer, with both feet down.
+
+        A CoM that was stopped, taken up at the path's velocity, tips the robot; on soft servos it comes to rest first.
+        """
+        return None if phase.kind is PhaseKind.SINGLE_SUPPORT else self.config.standing.transfer_duration
 
     def _step(self) -> tuple[float, float, float] | None:
         gait = self.config.gait
