@@ -91,7 +91,7 @@ class Evaluation:
             dt, of.held, velocity, H, c, W, w, lower, upper,
         )  # fmt: skip
         for group in of.groups:
-            W[group], w[group] = _independent(W[group], w[group])
+            _make_independent(W[group], w[group])
         return Problem(H, c, W, w, lower, upper, of.held, of.names)
 
     def distances(self) -> dict[str, float]:
@@ -274,11 +274,14 @@ def _size(span: slice) -> int:
     return int(span.stop - span.start)
 
 
-def _independent(E: Array, e: Array) -> tuple[Array, Array]:
-    """Turn several equalities into independent ones; what no joint can move is left out.
+@jit
+def _make_independent(E, e):  # type: ignore[no-untyped-def]
+    """Replace the equalities E u = e by orthogonal combinations; one that no joint can move becomes 0 = 0.
 
     Two feet without ankle roll leave the six rows of a held sole with rank five.
     """
-    U, s, V = np.linalg.svd(E, full_matrices=False)
-    kept = s > DEPENDENT * s[0]
-    return (s * kept)[:, None] * V, np.where(kept, U.T @ e, 0.0)
+    squares, U = np.linalg.eigh(E @ E.T)  # of the singular values of E, and its left singular vectors
+    E[:], e[:] = U.T @ E, U.T @ e
+    for k in range(e.shape[0]):
+        if squares[k] <= DEPENDENT**2 * squares[-1]:
+            E[k], e[k] = 0.0, 0.0

@@ -13,7 +13,6 @@ out the coordinates of any number of them, and the Jacobian of these coordinates
 
 from __future__ import annotations
 
-import copy
 import functools
 import math
 from collections.abc import Sequence
@@ -356,14 +355,20 @@ class Kinematics:
 
     def tilted(self, up: ArrayLike) -> Kinematics:
         """Return the same snapshot with gravity against `up` (3,), a unit vector in the frame of the base sole."""
-        kin = copy.copy(self)
+        kin = self._copy()
         kin.up = np.asarray(up, dtype=np.float64)
         return kin
 
     def later(self, dt: float) -> Kinematics:
         """Return the same snapshot with paths `dt` [s] further on."""
-        kin = copy.copy(self)
+        kin = self._copy()
         kin.elapsed = self.elapsed + dt
+        return kin
+
+    def _copy(self) -> Kinematics:
+        kin = Kinematics.__new__(Kinematics)
+        for name in Kinematics.__slots__:  # in a tenth of the time of copy.copy
+            setattr(kin, name, getattr(self, name))
         return kin
 
     @property
