@@ -45,7 +45,7 @@ def row(path: Path, out: Path) -> list[Any]:
         path.stem,
         f"{model.mass:.1f}",
         f"{took:.0f}",
-        cure or ("-" if last.stood else "none helped"),
+        cure or "-" if last.stood else "none helped",
         f"{ground['way']:.2f}",
         f"{ground['way'] / walked['walk']['duration']:.3f}",
         f"{math.degrees(ground['tilt']['value']):.2f}",

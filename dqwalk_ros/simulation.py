@@ -20,7 +20,7 @@ from dqwalk_ros.dynamic.walk import DynamicWalk
 from dqwalk_ros.errors import ConfigError, DqwalkError, PlantError
 from dqwalk_ros.estimation.base import BaseEstimator
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.plants import Inertial, Plant, Truth
+from dqwalk_ros.plants import Inertial, Plant, Truth, orientation_of
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.standing.walk import StandingWalk
@@ -341,10 +341,19 @@ class Trace:
 
 
 class Recorder:
-    """Collects a `Trace` tick by tick."""
+    """Collects a `Trace` tick by tick.
 
-    def __init__(self, config: Config, model: RobotModel) -> None:
-        self._config, self._model = config, model
+    Parameters
+    ----------
+    config : Config
+    model : RobotModel
+    ticks : int, optional
+        So many of the last ones are kept, and up to twice as many; all without it.
+    """
+
+    def __init__(self, config: Config, model: RobotModel, ticks: int | None = None) -> None:
+        self._config, self._model, self._kept = config, model, ticks
+        self._index = -1  # of the last phase
         self._time: list[float] = []
         self._q: list[Array] = []
         self._u: list[Array] = []
@@ -372,13 +381,18 @@ class Recorder:
             None where the controller failed.
         controller : VelocityController
         plant : Plant, optional
-            The plant at that state, for what no sensor measures.
+            The plant at that state, for what no sensor measures; without it the vertical and the torques of the state.
         """
-        if plant is not None and (truth := plant.truth) is not None and (felt := plant.inertial) is not None:
+        if self._kept is not None and len(self._time) >= 2 * self._kept:
+            self._forget(self._kept)
+        if plant is None:
+            if state.up is not None:
+                self._seen.append(_felt(state))
+        elif (truth := plant.truth) is not None and (felt := plant.inertial) is not None:
             self._seen.append((truth, felt))
         self._finished = finished = controller.finished
-        if controller.phase_index >= len(self._phases) and not finished:
-            phase = controller.phase
+        if controller.phase_index > self._index and not finished:
+            phase, self._index = controller.phase, controller.phase_index
             self._phases.append(
                 PhaseRecord(
                     name=phase.name,
@@ -405,6 +419,17 @@ class Recorder:
         """Add to the notes."""
         self._notes.append(text)
 
+    def _forget(self, count: int) -> None:
+        """Drop the first ticks, and the phases that ended with them."""
+        for column in (self._time, self._q, self._u, self._solve_time, self._seen):
+            del column[:count]
+        starts = [record.start - count for record in self._phases]
+        first = max(k for k, start in enumerate(starts) if k == 0 or start <= 0)
+        self._phases = [
+            replace(record, start=max(start, 0))
+            for record, start in zip(self._phases[first:], starts[first:], strict=True)
+        ]
+
     def trace(self) -> Trace:
         """Return what was recorded so far."""
         n = self._model.n
@@ -422,3 +447,14 @@ class Recorder:
             physics=PhysicsRecord.of(self._seen) if self._seen else None,
             interrupted=self.interrupted,
         )
+
+
+def _felt(state: State) -> tuple[Truth, Inertial]:
+    """Return what the sensors of a state say in the form of what a plant knows; the rest is nan."""
+    assert state.up is not None
+    effort = np.full(state.q.shape, math.nan) if state.effort is None else state.effort
+    truth = Truth(_NAN, dict.fromkeys(Foot, _NAN), dict.fromkeys(Foot, _NAN[:6]), _NAN[:3], effort)
+    return truth, Inertial(orientation_of(state.up), _NAN[:3], _NAN[:3])
+
+
+_NAN = np.full(8, math.nan)

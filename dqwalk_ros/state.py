@@ -30,6 +30,8 @@ class State:
         Angular velocity of the inertial sensor in its frame [rad/s].
     acceleration : ndarray, shape (3,), or None
         Against free fall, in the same frame: 9.81 upwards at rest [m/s^2]; for the odometry only.
+    effort : ndarray, shape (n,), or None
+        Torques of the joints [N m]; to tell the cause of a fall only.
     """
 
     time: float
@@ -38,6 +40,7 @@ class State:
     up: Array | None = None
     gyro: Array | None = None
     acceleration: Array | None = None
+    effort: Array | None = None
 
 
 @dataclass(slots=True, eq=False)

@@ -32,6 +32,7 @@ LAYERS = (
     "qp",
     "assembly",
     "statics",
+    "stability",
     "estimation",
     "walk",
     "controller",

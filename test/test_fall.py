@@ -112,6 +112,8 @@ def test_after_a_push_that_fells_the_robot_it_is_told_nothing_more(make: Any, di
     assert lying is not None
     print(f"\n{18 * direction} deg: the last command {lying - moved:.2f} s before the pelvis leaned by 40 deg")
     assert node.got["phase"][-1].data == "fallen"
+    said = node.got["diagnostics"][-1].status[0].message
+    assert "it fell because: the divergent component left the soles at " in said  # the push is on no record
 
 
 @pytest.mark.parametrize("value", [1e200, -1e308, 1.7e308])

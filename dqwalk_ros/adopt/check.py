@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.adopt.parameters import leg_inertia
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.robot import Foot, RobotModel, find_urdf
+from dqwalk_ros.servos import Servos
 from dqwalk_ros.shapes import Shapes
-from dqwalk_ros.statics import GRAVITY, gravity_torques
+from dqwalk_ros.stability import Finding, servo_findings
+from dqwalk_ros.statics import gravity_torques
 from dqwalk_ros.urdf import Urdf
 
 __all__ = ["Finding", "check"]
@@ -25,24 +25,8 @@ _BELOW = 0.012
 """No part of a foot is further below its sole [m]."""
 _LEVEL = math.radians(2.0)
 """Soles that lean more against each other are not parallel [rad]."""
-_STIFFNESS = 3.5
-"""Least stiffness of the servos [m g h]."""
-_DAMPING = 0.3
-"""Least damping ratio of a leg that swings."""
 _TORQUE = 1.3
 """Least torque limit, in units of the torque that stands on one foot."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Something that does not fit: a sentence with its number, and the parameter to change."""
-
-    message: str
-    parameter: str
-    fatal: bool = True
-
-    def __str__(self) -> str:
-        return f"{self.message} ({self.parameter})"
 
 
 def check(config: Config, model: RobotModel) -> list[Finding]:
@@ -55,8 +39,8 @@ def check(config: Config, model: RobotModel) -> list[Finding]:
     """
     q = model.posture(config.standing.posture)
     found = [*_posture(config, model, q), *_soles(config, model, q)]
-    if config.gait.style == "standing" and not any(finding.fatal for finding in found):
-        found += [*_com(config, model, q), *_servos(config, model, q)]
+    if config.gait.style == "standing" and not found:
+        found += [*_com(config, model, q), *servo_findings(config, model), *_torque(config, model, q)]
     return found
 
 
@@ -153,44 +137,19 @@ def _com(config: Config, model: RobotModel, q: Array) -> list[Finding]:
     return []
 
 
-def _servos(config: Config, model: RobotModel, q: Array) -> list[Finding]:
-    """Return what is wrong with the servos: stiffness, damping and torque (what physics needs)."""
-    kin = Kinematics(model, q, Foot.LEFT)
-    height = float(kin.com[2])
-    mgh = model.mass * GRAVITY * height
-    servo = config.servo
-    out = []
-    if servo.stiffness < _STIFFNESS * mgh:
-        out.append(
-            Finding(
-                f"a stiffness of {servo.stiffness:g} N m/rad is {servo.stiffness / mgh:.2g} m g h, and a robot stands "
-                f"from {_STIFFNESS} m g h = {_STIFFNESS * mgh:.3g} N m/rad on, better 5",
-                "servo.stiffness",
-            )
-        )
-    inertia = leg_inertia(model, kin) + servo.armature
-    ratio = 0.5 * servo.damping * math.sqrt(servo.stiffness / inertia)
-    if ratio < _DAMPING:
-        out.append(
-            Finding(
-                f"the damping ratio of a swinging leg is {ratio:.2f}, and it should be above {_DAMPING}: "
-                f"a damping of {math.sqrt(inertia / servo.stiffness):.2g} s makes it 0.5",
-                "servo.damping",
-            )
-        )
+def _torque(config: Config, model: RobotModel, q: Array) -> list[Finding]:
+    """Return whether a joint is too weak to stand on one foot."""
     over = Kinematics(model, _over_left(model, q), Foot.LEFT)
     tau = np.abs(gravity_torques(over, both=False))
-    limit = servo.torque_scale * model.effort_max
+    limit = Servos.of(config, model).torque
     worst = int(np.argmax(tau / limit))
-    if tau[worst] * _TORQUE > limit[worst]:
-        out.append(
-            Finding(
-                f"'{model.joint_names[worst]}' needs about {tau[worst]:.3g} N m to stand on one foot and has "
-                f"{limit[worst]:.3g}; {_TORQUE} times as much is the least",
-                "servo.torque_scale, the effort limits of the URDF",
-            )
-        )
-    return out
+    if tau[worst] * _TORQUE <= limit[worst]:
+        return []
+    text = (
+        f"'{model.joint_names[worst]}' needs about {tau[worst]:.3g} N m to stand on one foot and has "
+        f"{limit[worst]:.3g}; {_TORQUE} times as much is the least"
+    )
+    return [Finding(text, "servo.torque_scale, the effort limits of the URDF", "torque")]
 
 
 def _over_left(model: RobotModel, q: Array) -> Array:

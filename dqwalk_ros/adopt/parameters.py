@@ -12,15 +12,14 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.adopt.anatomy import Anatomy
 from dqwalk_ros.adopt.posture import Standing
-from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.stability import leg_inertia
 from dqwalk_ros.statics import GRAVITY, gravity_torques
 
 __all__ = [
     "Entry",
     "Numbers",
-    "leg_inertia",
     "measure",
     "paper_parameters",
     "parameters",
@@ -31,7 +30,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 STIFFNESS = 5.0
-"""Servo stiffness in units of m g h: below 3.5 most robots fall whatever the gains."""
+"""Servo stiffness in units of m g h: below 3 most robots fall."""
 SHORTEST = 1.5
 """No shift of the CoM from foot to foot is faster than this [s]."""
 
@@ -154,32 +153,6 @@ def static_torque(model: RobotModel, anatomy: Anatomy, single: Sequence[Array]) 
     }
     joint = max(parts, key=lambda name: parts[name])
     return parts[joint], joint
-
-
-def leg_inertia(model: RobotModel, kin: Kinematics) -> float:
-    """Return the inertia of the right leg about its first joint, its bodies taken for points [kg m^2]."""
-    left, right = (_way(model, model.frames[model.soles[foot].frame].body) for foot in Foot)
-    leg = [body for body in right if body not in left]
-    first: dict[int, str] = {}
-    for name, frame in model.frames.items():
-        first.setdefault(frame.body, name)
-
-    def place(body: int) -> DQ:
-        return DQ(kin.pose(first[body])) * DQ(model.frames[first[body]].pose).conj()
-
-    hip = place(leg[0]).translation()
-    levers = [place(body).transform_point(model.bodies[body].com) - hip for body in leg]
-    total = sum(model.bodies[body].mass * float(x**2 + z**2) for body, (x, _, z) in zip(leg, levers, strict=True))
-    return max(total, 1e-6)
-
-
-def _way(model: RobotModel, body: int) -> list[int]:
-    """Return the bodies from the root to `body`."""
-    out = []
-    while body > 0:
-        out.append(body)
-        body = model.bodies[body].parent
-    return out[::-1]
 
 
 # ---------------------------------------------------------------------- the files

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,8 +13,11 @@ from dqwalk_ros.adopt.parameters import Numbers, rounded
 from dqwalk_ros.config import Config, find_share, from_yaml, load
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import DqwalkError
+from dqwalk_ros.report.causes import causes
+from dqwalk_ros.report.metrics import analyse
 from dqwalk_ros.robot import RobotModel, load_model
 from dqwalk_ros.simulation import Trace, make_controller, make_plant, simulate
+from dqwalk_ros.stability import Finding
 
 __all__ = ["Trial", "cures", "first_walks", "walk"]
 
@@ -33,16 +36,20 @@ class Trial:
     distance : float
         That the pelvis came on, along x [m].
     note : str
-        Why it did not walk to its end.
+        How it ended before its end.
+    causes : tuple of Finding
+        Why it fell, what acted first at the front.
     """
 
     plant: str
     stood: bool
     distance: float
     note: str
+    causes: tuple[Finding, ...] = ()
 
     def __str__(self) -> str:
-        return f"{self.plant}: " + (f"walked {self.distance:.3f} m" if self.stood else self.note)
+        why = "".join(f"; it fell because: {cause}" for cause in self.causes[:1])
+        return f"{self.plant}: " + (f"walked {self.distance:.3f} m" if self.stood else self.note + why)
 
 
 def first_walks(
@@ -61,9 +68,9 @@ def first_walks(
     Yields
     ------
     Trial
-        The walk as derived; after a cure that helped the cured one. The last one that did not stand ends them.
+        The walk as derived, and the one after each cure that was tried.
     str
-        The cure; empty where none was needed or none helped.
+        The cures it has; empty at first.
     """
     config, model, file = found.config, found.model, found.folder / "robot.yaml"
     for plant in ("kinematic", "physics"):
@@ -71,14 +78,16 @@ def first_walks(
         yield first, ""
         if first.stood:
             continue
-        for what, values in cures(config, found.numbers) if plant == "physics" else ():
+        names: list[str] = []
+        for what, values in cures(config, found.numbers, first.causes) if plant == "physics" else ():
+            names.append(what)
             kept = {key: value for key, value in values.items() if key not in given}
-            entries = changed(found.entries, kept, f"cured a fall: {what}")
+            entries = changed(found.entries, kept, f"cured a fall: {', '.join(names)}")
             write_yaml(file, entries, f"{model.name}: the walk that stands, cured.")
             cured = load(file)
             again = walk(cured, load_model(cured.robot), plant, _STEPS, progress)
+            yield again, ", ".join(names)
             if again.stood:
-                yield again, what
                 break
         else:
             write_yaml(file, found.entries, f"{model.name}: the walk that stands.")
@@ -95,7 +104,8 @@ def walk(config: Config, model: RobotModel, plant: str, steps: int, progress: Ca
         trace = simulate(controller, body, progress=lambda _, text: progress(f"{plant}: {text}"))
     except DqwalkError as error:
         return Trial(plant, False, 0.0, str(error))
-    return Trial(plant, trace.finished, _distance(trace), "; ".join(trace.notes))
+    why = () if trace.finished else tuple(causes(analyse(trace)))
+    return Trial(plant, trace.finished, _distance(trace), "; ".join(trace.notes), why)
 
 
 def _distance(trace: Trace) -> float:
@@ -105,19 +115,33 @@ def _distance(trace: Trace) -> float:
     return trace.config.gait.step_length * max(0, sum(p.swing_target is not None for p in trace.phases) - 1)
 
 
-def cures(config: Config, numbers: Numbers) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield what may keep a robot from falling, one thing more each time: what it is, and the parameters."""
+def cures(config: Config, numbers: Numbers, found: Sequence[Finding]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield what may keep a robot from falling, one thing more each time: what it is, and the parameters.
+
+    What answers the causes of the fall comes first, in their order.
+    """
     servo, standing = config.servo, config.standing
-    changes: dict[str, Any] = {"servo.damping": numbers.damping(servo.stiffness, 0.8)}
-    yield "a damping ratio of 0.8", dict(changes)
     stiffness = rounded(8.0 * numbers.mgh)
-    changes |= {
-        "servo.stiffness": stiffness,
-        "servo.assumed_stiffness": stiffness,
-        "servo.damping": numbers.damping(stiffness, 0.8),
+    known: dict[str, tuple[str, dict[str, Any]]] = {
+        "damping": ("a damping ratio of 0.8", {"servo.damping": numbers.damping(servo.stiffness, 0.8)}),
+        "stiffness": (
+            "a stiffness of 8 m g h, a damping ratio of 0.8",
+            {
+                "servo.stiffness": stiffness,
+                "servo.assumed_stiffness": stiffness,
+                "servo.damping": numbers.damping(stiffness, 0.8),
+            },
+        ),
+        "pressure": (
+            "a transfer 1.3 times as long",
+            {"standing.transfer_duration": rounded(1.3 * standing.transfer_duration)},
+        ),
+        "step": ("steps of 0.7 times the length", {"gait.step_length": rounded(0.7 * config.gait.step_length)}),
     }
-    yield "a stiffness of 8 m g h", dict(changes)
-    changes["standing.transfer_duration"] = rounded(1.3 * standing.transfer_duration)
-    yield "a transfer 1.3 times as long", dict(changes)
-    changes["gait.step_length"] = rounded(0.7 * config.gait.step_length)
-    yield "steps of 0.7 times the length", dict(changes)
+    order = [cause.what for cause in found if cause.what in known]
+    changes: dict[str, Any] = {}
+    for what in dict.fromkeys([*order, *known]):
+        if what == "damping" and "servo.stiffness" in changes:
+            continue  # that of stiffer servos
+        changes |= known[what][1]
+        yield known[what][0], dict(changes)

@@ -81,7 +81,7 @@ def adopt(
     last = None
     with Progress(quiet=quiet) as bar:
         for result, cure in first_walks(found, given, lambda text: bar(0.0, text)):
-            print(f"{result}" + (f", cured by {cure}" if cure else ""))
+            print(f"{result}" + (f" {'cured by' if result.stood else 'in spite of'}: {cure}" if cure else ""))
             last = result
     if last is None or not last.stood:
         print("no cure helped")

@@ -68,6 +68,7 @@ def simulate(
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import prepare, write_results
     from dqwalk_ros.report import bag
+    from dqwalk_ros.report.table import why
     from dqwalk_ros.robot import load_model
     from dqwalk_ros.standing.course import Course
 
@@ -90,10 +91,10 @@ def simulate(
             trace = simulation.simulate(
                 controller, body, progress=lambda _, text: bar(done(), text), before_step=before_step
             )
-        if not trace.finished:
-            print(f"dqwalk: {'; '.join(trace.notes)}", file=sys.stderr)
         bag.write(trace, output.folder / "bag")
         report = write_results(trace, output.folder, output)
+        if not trace.finished:
+            print(f"dqwalk: {'; '.join([*trace.notes, *why(report)[:1]])}", file=sys.stderr)
         if feed is not None:
             feed.replay(output.folder / "bag")
             print(f"{feed.url} plays the walk until Ctrl-C", flush=True)

@@ -31,9 +31,11 @@ from dqwalk_ros.nodes.inputs import InertialSensor, Steering
 from dqwalk_ros.nodes.odometry import Odometry
 from dqwalk_ros.nodes.phases import PhasePublisher
 from dqwalk_ros.nodes.safety import Contradictions
+from dqwalk_ros.report.causes import causes
+from dqwalk_ros.report.metrics import analyse
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.servos import Drive
-from dqwalk_ros.simulation import make_controller, make_walk, walk_type, warm_up
+from dqwalk_ros.simulation import Recorder, make_controller, make_walk, walk_type, warm_up
 from dqwalk_ros.state import Command, State
 from dqwalk_ros.topics import FALLEN, FINISHED
 from dqwalk_ros.walk import PhaseKind
@@ -41,6 +43,10 @@ from dqwalk_ros.walk import PhaseKind
 __all__ = ["Controller", "Mode"]
 
 Array = NDArray[np.float64]
+
+
+_REMEMBERED = 10.0
+"""The cause of a fall is looked for in the last states, for this long at least [s]."""
 
 
 class Mode(enum.Enum):
@@ -129,6 +135,7 @@ class Controller(AnsweringNode):
         self._phases = PhasePublisher(self, self._model)
         self._odometry = Odometry(self, self._model)
         self._drive = DriveWatch(Drive.of(config, self._model))
+        self._recent = self._new_recorder()
         self._first_base = first_base(config, self._model)
         self._show_phase()
 
@@ -222,6 +229,7 @@ class Controller(AnsweringNode):
             return self._still
         if command.effort is not None:
             self._drive.add(state.time, state.q, command.velocity, command.effort)
+            self._recent.add(state, command, self._walk)
         if self._stamp0 < 0:
             self._stamp0 = stamp
         if self._walk.phase_index != self._phase_index:
@@ -269,11 +277,22 @@ class Controller(AnsweringNode):
         if self._mode is Mode.DONE:
             self.get_logger().info(f"the walk is over after {self._ticks} ticks")
         else:
+            if self._mode is Mode.FALLEN:
+                self._problem += self._cause()
             self.get_logger().error(f"the walk failed; holding still: {self._problem}")
         self._diagnose()
         self._report_progress(final=True)
         if self.config.node.exit_when_done:
             self.stop(0 if self._mode is Mode.DONE else 1)
+
+    def _new_recorder(self) -> Recorder:
+        return Recorder(self._walk.config, self._model, round(_REMEMBERED / self.config.dt))
+
+    def _cause(self) -> str:
+        """Return why the robot fell; empty where no phase had begun, or without an inertial sensor."""
+        walked = self._recent.trace()
+        found = causes(analyse(walked)) if walked.phases else []
+        return f"; it fell because: {found[0]}" if found else ""
 
     def _on_plant_ready(self, msg: Bool) -> None:
         """Stand still where the plant cannot do what it is told, such as a robot whose torque is off."""
@@ -315,6 +334,7 @@ class Controller(AnsweringNode):
         self._walk.reset()
         self._odometry.begin_anew()
         self._drive = DriveWatch(Drive.of(self.config, self._model))
+        self._recent = self._new_recorder()
         self._mode, self._problem, self._phase_index = Mode.IDLE, "", -1
         self._stamp = self._stamp0 = -1
         self._sent = self._still

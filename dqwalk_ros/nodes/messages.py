@@ -158,7 +158,10 @@ class JointReader:
         dq = self._order(msg.name, msg.velocity, "velocity", finite=False) if len(msg.velocity) else None
         if dq is not None and not np.isfinite(dq).all():
             dq = None
-        return State(time=nanoseconds(msg.header.stamp) * 1e-9, q=q, dq=dq)
+        effort = None
+        if len(msg.effort) == len(msg.name):  # the walk does without: torques that do not fit reject no state
+            effort = self._order(msg.name, msg.effort, "effort", finite=False)
+        return State(time=nanoseconds(msg.header.stamp) * 1e-9, q=q, dq=dq, effort=effort)
 
     def is_foreign(self, msg: JointState) -> bool:
         """Tell whether a message has joints, but none of the model: that of a gripper, say."""

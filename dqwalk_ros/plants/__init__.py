@@ -13,7 +13,7 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.state import Command, State
 
-__all__ = ["Inertial", "Plant", "Truth", "World", "tilt", "upward"]
+__all__ = ["Inertial", "Plant", "Truth", "World", "orientation_of", "tilt", "upward"]
 
 Array = NDArray[np.float64]
 
@@ -133,3 +133,10 @@ def upward(w: float, i: float, j: float, k: float) -> Array:
     size = math.sqrt(w * w + i * i + j * j + k * k)
     w, i, j, k = w / size, i / size, j / size, k / size
     return np.array([2.0 * (i * k - w * j), 2.0 * (j * k + w * i), 1.0 - 2.0 * (i * i + j * j)])
+
+
+def orientation_of(up: Array) -> Array:
+    """Return an orientation (4,), a unit quaternion, in which `up` (3,) of the frame points up: `upward` backwards."""
+    r = np.array([1.0 + up[2], up[1], -up[0], 0.0])
+    size = float(np.linalg.norm(r))
+    return r / size if size > 1e-9 else np.array([0.0, 1.0, 0.0, 0.0])

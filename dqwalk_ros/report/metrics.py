@@ -283,13 +283,13 @@ class Series:
     @cached_property
     def true_margin(self) -> Array:
         """Signed distance [m] of the CoM's projection to the hull of the soles on the ground, positive inside."""
-        return self._hull_margin(self.trace.model.soles)
+        return self.polygon_margin(self.com_on_ground)
 
     @cached_property
     def urdf_margin(self) -> Array | None:
         """`true_margin` over the soles the URDF has, where the configuration states others; else None."""
         soles = urdf_soles(self.trace)
-        return None if soles is None else self._hull_margin(soles)
+        return None if soles is None else self.polygon_margin(self.com_on_ground, soles)
 
     @cached_property
     def ground(self) -> Ground | None:
@@ -302,6 +302,21 @@ class Series:
         soles = soles or self.trace.model.soles
         base = self.spans[int(self.span_of[tick])].phase.base
         return soles[base].corners, DQ(self.end[tick]).transform_point(soles[base.other].corners)
+
+    def polygon_margin(self, points: Array, soles: Mapping[Foot, Sole] | None = None) -> Array:
+        """Return the signed distance of points (N, 2) in the base sole's frame to the support polygon [m], (N,)."""
+        soles = soles or self.trace.model.soles
+
+        def margin(span: Span) -> Array:
+            base, other = soles[span.phase.base], soles[span.phase.base.other]
+            corners = np.broadcast_to(base.corners[:, :2], (span.end - span.start, 4, 2))
+            if span.double:
+                x = DQ(self.end[span.ticks])
+                ends = [x.transform_point(corner)[:, :2] for corner in other.corners]
+                corners = np.concatenate([corners, np.stack(ends, axis=1)], axis=1)
+            return hull_margin(corners, points[span.ticks])
+
+        return self._over_spans((), margin)
 
     @cached_property
     def span_of(self) -> NDArray[np.intp]:
@@ -322,18 +337,6 @@ class Series:
         return self._over_spans(
             (3,), lambda span: DQ(self.end[span.ticks]).transform_point(pick(soles[span.phase.base.other]))
         )
-
-    def _hull_margin(self, soles: Mapping[Foot, Sole]) -> Array:
-        def margin(span: Span) -> Array:
-            base, other = soles[span.phase.base], soles[span.phase.base.other]
-            corners = np.broadcast_to(base.corners[:, :2], (span.end - span.start, 4, 2))
-            if span.double:
-                x = DQ(self.end[span.ticks])
-                ends = [x.transform_point(corner)[:, :2] for corner in other.corners]
-                corners = np.concatenate([corners, np.stack(ends, axis=1)], axis=1)
-            return hull_margin(corners, self.com_on_ground[span.ticks])
-
-        return self._over_spans((), margin)
 
 
 def analyse(trace: Trace) -> Series:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-__all__ = ["aligned", "distances", "numbers", "phases", "render"]
+__all__ = ["aligned", "distances", "numbers", "phases", "render", "why"]
 
 _EDGE = 1e-5
 """Closer than this to the edge of its support the CoM is on it [m]: what Euler's method may be off."""
@@ -152,7 +152,13 @@ def _verdict(report: Mapping[str, Any]) -> str:
     shown = [f"  {violation['message']}" for violation in violations[:20]]
     more = [f"  and {len(violations) - 20} more"] if len(violations) > 20 else []
     times = "once" if len(violations) == 1 else f"{len(violations)} times"
-    return "\n".join([f"NOT OK, {times}:", *shown, *more])
+    return "\n".join([f"NOT OK, {times}:", *shown, *more, *why(report)])
+
+
+def why(report: Mapping[str, Any]) -> list[str]:
+    """Return why the robot fell, a line for what acted first and one for each of the others; none where it did not."""
+    found = [c["message"] + (f" ({c['parameter']})" if c["parameter"] else "") for c in report.get("causes", [])]
+    return [("it fell because: " if k == 0 else "as well: ") + text for k, text in enumerate(found)]
 
 
 def aligned(rows: Sequence[Sequence[str]], head: Sequence[str] = (), right: Sequence[int] = ()) -> str:

@@ -19,6 +19,7 @@ from dqwalk_ros import __version__
 from dqwalk_ros.config import Config, MonitorConfig
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.report.causes import causes
 from dqwalk_ros.report.metrics import FALLEN, Ending, Ground, Series, Span, left_of, support_polygon
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.statics import GRAVITY
@@ -299,7 +300,8 @@ def report(series: Series) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``ok``, ``violations`` (see `Violation`), ``walk``, ``physics`` (None without), ``phases`` (a list),
+        ``ok``, ``violations`` (see `Violation`), ``causes`` of a fall (see `causes.causes`), ``walk``, ``physics``
+        (None without), ``phases`` (a list),
         ``solve_time``, ``robot``, ``config`` and ``notes``. Lengths in metres, angles in radians, times in seconds.
     """
     trace, broken, sole = series.trace, violations(series), series.trace.model.soles[Foot.LEFT]
@@ -310,6 +312,7 @@ def report(series: Series) -> dict[str, Any]:
         "version": __version__,
         "ok": not broken,
         "violations": [asdict(violation) for violation in broken],
+        "causes": [asdict(cause) for cause in causes(series)],
         "walk": _walk(series, phases),
         "physics": None if series.ground is None else _physics(series, series.ground),
         "phases": phases,

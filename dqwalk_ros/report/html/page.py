@@ -293,7 +293,8 @@ def _faults(subject: Subject) -> str:
 
 
 def _violations(subject: Subject) -> str:
-    items = [f"<li class='bad'>{escape(v['message'])}</li>" for v in subject.report["violations"][:50]]
+    items = [f"<li class='bad'><b>{escape(line)}</b></li>" for line in tables.why(subject.report)]
+    items += [f"<li class='bad'>{escape(v['message'])}</li>" for v in subject.report["violations"][:50]]
     items += [f"<li>{escape(note)}</li>" for note in subject.report["notes"]]
     return f"<ul>{''.join(items)}</ul>" if items else "<p class='muted'>None.</p>"
 

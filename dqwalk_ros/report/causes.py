@@ -1,0 +1,210 @@
+"""Why a robot fell: what acted first on the way, with its number and the parameter to change.
+
+A fall is decided when the divergent component of the CoM, xi = c + v/w, leaves the support polygon for good: what the
+joints do later is its consequence. Servos and delay act from the beginning; a path may ask for a centre of pressure
+beyond the soles, and a torque may reach its limit, at some time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.report.metrics import Series, hull_margin, support_polygon
+from dqwalk_ros.servos import Servos
+from dqwalk_ros.stability import Finding, longest_delay, servo_findings
+from dqwalk_ros.standing.paths import ComPath, com_path
+from dqwalk_ros.statics import GRAVITY
+
+__all__ = ["causes", "lost"]
+
+Array = NDArray[np.float64]
+
+_SMOOTH = 0.05
+"""Velocities of the CoM are means over this time [s]."""
+_BEYOND = 1e-3
+"""A path whose centre of pressure leaves the soles by less than this is no cause [m]."""
+_AT_LIMIT, _BRIEFLY = 0.98, 0.02
+"""A torque beyond this part of its limit for longer than this is at it [s]."""
+_DELAYS, _SPAN, _UNLIKE = 0.3, 0.1, 0.3
+"""Delays up to this are looked for in motions of joints over this time [s]; what is left may be this part of them."""
+_DELAY_PART = 0.5
+"""Part of the longest delay that a robot with legs and servos bears."""
+
+
+def causes(series: Series) -> list[Finding]:
+    """Return what made a robot fall, what acted first at the front; nothing of a walk that did not fall.
+
+    A walk is judged where an inertial sensor was recorded: without it nobody knows that the robot tips.
+    """
+    tick = lost(series)
+    if tick is None:
+        return []
+    config, model = series.trace.config, series.trace.model
+    found: list[Finding] = []
+    if config.gait.style != "paper":
+        found += servo_findings(config, model)
+        found += _delay(series, tick)
+    found += _pressure(series, tick)
+    found += _torque(series, tick)
+    return sorted(found, key=lambda finding: finding.time) or [_unknown(series, tick)]
+
+
+def lost(series: Series) -> int | None:
+    """Return the tick from which on the divergent component is outside the support polygon until the end.
+
+    Where a robot that fell sank within its soles it is the last tick; None of a walk that did not fall.
+    """
+    trace = series.trace
+    if trace.finished or trace.interrupted or trace.physics is None or len(series.time) < 2:
+        return None
+    if not np.isfinite(trace.physics.orientation).any():
+        return None
+    outside = series.polygon_margin(_divergent(series)) < 0.0
+    if not outside[-1]:
+        return len(series.time) - 1 if series.ground is not None and series.ground.fallen else None
+    inside = np.flatnonzero(~outside)
+    return int(inside[-1]) + 1 if inside.size else 0
+
+
+def _divergent(series: Series) -> Array:
+    """Return the divergent component of the CoM on the ground, in the base sole's frame, shape (N, 2) [m]."""
+    width, out = max(1, round(_SMOOTH / series.trace.config.dt)), series.com_on_ground.copy()
+    for span in series.spans:
+        c = series.com_on_ground[span.ticks]
+        if len(c) > 2 * width:
+            v = (c[width:] - c[:-width]) / (series.time[span.ticks][width:] - series.time[span.ticks][:-width])[:, None]
+            h = np.maximum(series.com[span.ticks][width:, 2:], 0.05)
+            out[span.ticks][width:] += v * np.sqrt(h / GRAVITY)
+    return out
+
+
+def _delay(series: Series, tick: int) -> Iterator[Finding]:
+    """Yield a delay that the balance does not bear, measured from what was commanded to what the joints did."""
+    config, height = series.trace.config, float(series.com[0, 2])
+    borne = _DELAY_PART * longest_delay(config.standing.balance, height)
+    weak = _at_limit(series, slice(0, tick)).any(axis=1)  # a joint that is too weak lags, too
+    delay = _measured_delay(series, int(np.argmax(weak)) if weak.any() else tick)
+    if delay is not None and delay > borne:
+        late, told = 1e3 * delay, 1e3 * config.servo.assumed_latency
+        yield Finding(
+            f"the joints follow their commands {late:.0f} ms late (servo.assumed_latency says {told:.0f}), and at this "
+            f"height standing.balance = {config.standing.balance:g} bears about {1e3 * borne:.0f} ms",
+            "servo.latency, sensors.age, standing.balance",
+            "latency",
+            float(series.time[0]),
+        )
+
+
+def _measured_delay(series: Series, tick: int) -> float | None:
+    """Return the delay T at which q(t) and the integral of u until t - T moved most alike; None if nothing is alike."""
+    dt = series.trace.config.dt
+    q, u = series.trace.q[:tick], np.nan_to_num(series.trace.u[:tick])
+    reach, span = round(_DELAYS / dt), max(1, round(_SPAN / dt))
+    if tick < 2 * (reach + span):
+        return None
+    told = dt * (np.cumsum(u, axis=0) - u)
+    moved = (q[span:] - q[:-span])[reach:]
+    asked = told[span:] - told[:-span]
+    left = [float(((moved - asked[reach - k : len(asked) - k]) ** 2).sum()) for k in range(reach)]
+    best = int(np.argmin(left))
+    return best * dt if left[best] < _UNLIKE * float((moved**2).sum()) else None
+
+
+def _pressure(series: Series, tick: int) -> Iterator[Finding]:
+    """Yield the first time at which the path of the CoM asks for a centre of pressure beyond the soles."""
+    if series.trace.config.gait.style == "paper":
+        short = series.true_margin
+        text, parameter = "the paper's walk leads the CoM beyond the true soles", "gait.style"
+    else:
+        short = _planned_margin(series)
+        text, parameter = "the path of the CoM asks for a centre of pressure beyond the soles", "standing."
+    first = _recent(series, tick).start
+    end = series.spans[int(series.span_of[tick])].end  # a path that begins in the fall begins beyond the soles
+    beyond = np.flatnonzero(short[first:end] < -_BEYOND)
+    if not beyond.size:
+        return
+    begin = first + int(beyond[0])
+    span = series.spans[int(series.span_of[begin])]
+    if parameter == "standing.":
+        parameter += "transfer_duration" if span.double else "swing_duration"
+    worst = begin + int(np.nanargmin(short[begin : max(span.end, begin + 1)]))
+    time = float(series.time[begin])
+    yield Finding(
+        f"{text} in {span.phase.name}: from {time:.2f} s on, by up to {-1e3 * short[worst]:.0f} mm",
+        parameter,
+        "pressure",
+        time,
+    )
+
+
+def _planned_margin(series: Series) -> Array:
+    """Return how far the centre of pressure c - h/g c'' of the CoM's path is inside the soles, shape (N,) [m].
+
+    The soles are where they stood as the phase began.
+    """
+    model, out = series.trace.model, np.full(len(series.time), np.nan)
+    for span in series.spans:
+        path = next((task for task in span.phase.tasks if isinstance(task, ComPath)), None)
+        if path is None:
+            continue
+        kin = Kinematics(model, span.record.q_start, span.phase.base)
+        goals = np.concatenate([np.zeros(2), *(kin.value(point) for point in path.over)])
+        elapsed = series.time[span.ticks] - span.record.time
+        way = [com_path(goals, path.start, float(t), path.duration) for t in elapsed]
+        pressure = np.array([c - float(kin.com[2]) / GRAVITY * a for c, _, a in way])
+        corners = np.array(support_polygon(model, span.phase, kin).vertices)[:, :2]
+        out[span.ticks] = hull_margin(np.broadcast_to(corners, (len(way), *corners.shape)), pressure)
+    return out
+
+
+def _torque(series: Series, tick: int) -> Iterator[Finding]:
+    """Yield the joint that was at its torque limit for longest, and since when."""
+    trace, ticks = series.trace, _recent(series, tick)
+    at_limit = _at_limit(series, ticks)
+    count = at_limit.sum(axis=0)
+    worst = int(np.argmax(count))
+    duration = float(count[worst]) * trace.config.dt
+    if duration > _BRIEFLY:
+        time = float(series.time[ticks][np.argmax(at_limit[:, worst])])
+        limit = Servos.of(trace.config, trace.model).torque[worst]
+        yield Finding(
+            f"'{trace.model.joint_names[worst]}' was at its limit of {limit:.3g} N m for {duration:.2f} s, "
+            f"from {time:.2f} s on",
+            "servo.torque_scale, the effort limits of the URDF",
+            "torque",
+            time,
+        )
+
+
+def _at_limit(series: Series, ticks: slice) -> NDArray[np.bool_]:
+    """Return which torques were at their limits, shape (ticks, n); none is where torques were not recorded."""
+    trace, physics = series.trace, series.trace.physics
+    if physics is None or ticks.stop - ticks.start < 2:
+        return np.zeros((1, trace.model.n), bool)
+    servos = Servos.of(trace.config, trace.model)
+    dq = np.gradient(trace.q[ticks], series.time[ticks], axis=0)
+    out: NDArray[np.bool_] = np.abs(physics.effort[ticks] + servos.back_emf * dq) > _AT_LIMIT * servos.torque
+    return out
+
+
+def _recent(series: Series, tick: int) -> slice:
+    """Return the ticks of the phase in which the fall was decided and of the one before it, until then."""
+    index = int(series.span_of[tick])
+    return slice(series.spans[max(index - 1, 0)].start, tick)
+
+
+def _unknown(series: Series, tick: int) -> Finding:
+    span = series.spans[int(series.span_of[tick])]
+    time = float(series.time[tick])
+    into = time - span.record.time
+    return Finding(
+        f"the divergent component left the soles at {time:.2f} s, {into:.2f} s into {span.phase.name}, and neither "
+        "servos, delay, torques nor the path of the CoM explain it: a push, the ground, or a step too fast or too long",
+        "standing.swing_duration, gait.step_length",
+        "unknown",
+        time,
+    )

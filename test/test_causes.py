@@ -1,0 +1,166 @@
+"""Whole walks in physics that fall, each by one known cause, and are told the right one."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="needs the extra sim")
+
+from dqwalk_ros import cli
+from dqwalk_ros.adopt.trial import cures
+from dqwalk_ros.cli.options import overlaid
+from dqwalk_ros.config import load
+from dqwalk_ros.plants import orientation_of, upward
+from dqwalk_ros.report import analyse, html, report
+from dqwalk_ros.report.causes import causes
+from dqwalk_ros.robot import load_model
+from dqwalk_ros.simulation import Recorder, Trace, closed_loop, make_controller, make_plant, simulate
+from dqwalk_ros.stability import Finding, longest_delay
+
+CONFIG = overlaid(load("poppy"), "physics").updated({"gait.steps": 4})
+MODEL = load_model(CONFIG.robot)
+
+
+def walk(changes: dict[str, Any], push: float = 0.0) -> Trace:
+    config = CONFIG.updated(changes)
+    plant = make_plant("physics", config, MODEL)
+
+    def before_step(time: float) -> None:
+        plant.push([0.0, push if 1.0 <= time < 1.1 else 0.0, 0.0])
+
+    return simulate(make_controller(config, MODEL), plant, before_step=before_step if push else None)
+
+
+WEAK, PATH = "servo.torque_scale", "standing.transfer_duration"
+UNDAMPED = {"servo.damping": 0.0, "servo.assumed_damping": 0.0}
+TOLD = {"servo.latency": 0.12, "servo.assumed_latency": 0.12}
+FALLS: dict[str, tuple[dict[str, Any], str, str, str]] = {
+    "soft servos": ({"servo.stiffness": 15.0}, "stiffness", "15 N m/rad, told 60, is 1.3 m g h", "servo.stiffness"),
+    "no damping": (UNDAMPED, "damping", "ratio of a swinging leg is 0.00", "servo.damping"),
+    "weak servos": ({WEAK: 0.2}, "torque", "_knee_y' was at its limit of 0.62 N m", WEAK),
+    "latency": ({"servo.latency": 0.12}, "latency", "follow their commands 125 ms late", "servo.latency"),
+    "latency that is told": (TOLD, "latency", "servo.assumed_latency says 120", "servo.latency"),
+    "a path too fast": ({PATH: 0.5}, "pressure", "centre of pressure beyond the soles", PATH),
+}
+
+
+LONG = ("no damping", "latency that is told")
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.long) if n in LONG else n for n in FALLS])
+def test_a_fall_is_told_its_cause(name: str) -> None:
+    changes, what, text, parameter = FALLS[name]
+    trace = walk(changes)
+    assert not trace.finished
+    first = causes(analyse(trace))[0]
+    assert (first.what, first.parameter.split(",")[0]) == (what, parameter)
+    assert text in first.message
+
+
+def test_a_fall_that_nothing_explains_is_said_to_be_one() -> None:
+    """A push is on no record; the time at which it decided the fall is."""
+    trace = walk({}, push=60.0)
+    assert not trace.finished
+    (only,) = causes(analyse(trace))
+    assert only.what == "unknown"
+    assert 1.0 < only.time < 1.5
+    assert "a push" in only.message
+
+
+@pytest.mark.long
+def test_a_walk_that_stands_has_no_cause() -> None:
+    """Soft, slow and jerky as its servos may be."""
+    for changes in ({"servo.stiffness": 25.0, "servo.assumed_stiffness": 25.0}, {"servo.latency": 0.05}):
+        trace = walk({**changes, "gait.steps": 1})
+        assert trace.finished
+        assert causes(analyse(trace)) == []
+
+
+EXPECTED = "it fell because: the path of the CoM asks for a centre of pressure beyond the soles"
+
+
+def test_it_is_on_the_terminal_and_in_the_reports(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "walk"
+    made = ["--config", "poppy", "--plant", "physics", "--set", "standing.transfer_duration=0.5", "--no-figures"]
+    assert cli.main(["simulate", *made, "--out", str(out)]) == 1
+    said = capsys.readouterr()
+    assert EXPECTED in said.out
+    assert EXPECTED in said.err
+    assert "(standing.transfer_duration)" in said.out
+    assert cli.main(["report", str(out / "bag"), "--no-figures", "--json"]) == 1  # read from the bag
+    (cause,) = json.loads(capsys.readouterr().out)["causes"]
+    assert cause["what"] == "pressure"
+    assert cause["parameter"] == "standing.transfer_duration"
+
+
+@pytest.mark.long
+def test_it_is_on_the_page(tmp_path: Path) -> None:
+    series = analyse(walk({"standing.transfer_duration": 0.5}))
+    html.write([html.Subject("walk", series, report(series), [])], tmp_path / "report.html")
+    assert EXPECTED in (tmp_path / "report.html").read_text()
+
+
+def test_the_last_states_and_the_sensors_alone_tell_it_too() -> None:
+    """What a controller knows while it walks: its states, without the ground, of the last seconds only."""
+    config = CONFIG.updated({"standing.transfer_duration": 0.7})
+    controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
+    recent, every = Recorder(config, MODEL, ticks=200), Recorder(config, MODEL)
+    for state, command in closed_loop(controller, plant):
+        recent.add(state, command, controller)
+        every.add(state, command, controller, plant)
+    few, all_of_it = recent.trace(), every.trace()
+    assert 200 <= len(few) < 400 < len(all_of_it)
+    assert len(few.phases) < len(all_of_it.phases)
+    np.testing.assert_array_equal(few.q, all_of_it.q[-len(few) :])
+    for record in few.phases[1:]:
+        assert few.time[record.start] == record.time
+    (first, *_), (same, *_) = causes(analyse(few)), causes(analyse(all_of_it))
+    assert (first.what, first.parameter) == (same.what, same.parameter) == ("pressure", "standing.transfer_duration")
+
+
+def test_the_delay_that_balance_bears() -> None:
+    """Feedback of the divergent component through a delay, integrated: it settles below the bound and not above."""
+    for gain, height in ((0.5, 0.4), (1.0, 0.8), (2.0, 0.3)):
+        w, bound = np.sqrt(9.80665 / height), longest_delay(gain, height)
+        for part, settles in ((0.9, True), (1.1, False)):
+            dt, lag = bound / 400.0, round(400.0 * part)
+            xi = [1e-3] * (lag + 1)
+            for _ in range(60_000):
+                xi.append(xi[-1] + dt * w * (xi[-1] - (1.0 + gain) * xi[-1 - lag]))
+            assert bool(max(map(abs, xi[-4000:])) < 1e-4) is settles
+
+
+@pytest.mark.parametrize("up", [[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.0, -0.8, -0.6], [0.0, 0.0, -1.0]])
+def test_an_orientation_of_a_vertical(up: list[float]) -> None:
+    r = orientation_of(np.array(up))
+    np.testing.assert_allclose(np.linalg.norm(r), 1.0)
+    np.testing.assert_allclose(upward(*r), up, atol=1e-12)
+
+
+def test_the_cure_of_the_cause_comes_first() -> None:
+    class Numbers:
+        mgh = 12.0
+
+        @staticmethod
+        def damping(stiffness: float, ratio: float) -> float:
+            return 1.0 / stiffness
+
+    def order(*what: str) -> list[list[str]]:
+        found = [Finding("", "", name) for name in what]
+        return [list(changes) for _, changes in cures(CONFIG, Numbers(), found)]  # type: ignore[arg-type]
+
+    assert order()[0] == ["servo.damping"]
+    assert order("pressure", "damping")[:2] == [
+        ["standing.transfer_duration"],
+        ["standing.transfer_duration", "servo.damping"],
+    ]
+    assert order("latency", "stiffness")[0] == ["servo.stiffness", "servo.assumed_stiffness", "servo.damping"]
+    every = set(order()[-1])
+    assert {"servo.stiffness", "servo.damping", "standing.transfer_duration", "gait.step_length"} < every
+    for found in (("pressure",), ("stiffness",), ("unknown",)):
+        assert set(order(*found)[-1]) == every
