@@ -80,15 +80,24 @@ def make_controller(config: Config, model: RobotModel) -> VelocityController:
 
 
 def make_plant(name: str, config: Config, model: RobotModel) -> Plant:
-    """Return the plant ``"kinematic"`` or ``"physics"``, the robot in the posture in which its walk begins.
+    """Return a plant with the robot in the posture in which its walk begins.
+
+    Parameters
+    ----------
+    name : {"kinematic", "integrator", "physics", "poppy_as_built"}
+        The first two are one plant. So are the last two, whose parameters are those of `config`.
+    config : Config
+    model : RobotModel
 
     Raises
     ------
     PlantError
-        If it needs something that is not installed.
+        If there is no such plant, or it needs something that is not installed.
     """
-    if name == "kinematic":
+    if name in ("kinematic", "integrator"):
         return KinematicPlant(model, make_walk(config, model).posture)
+    if name not in ("physics", "poppy_as_built"):
+        raise PlantError(f"no plant is called '{name}': kinematic, integrator, physics or poppy_as_built")
     try:
         from dqwalk_ros.plants.mujoco import PhysicsPlant
     except ModuleNotFoundError as error:

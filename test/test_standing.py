@@ -14,7 +14,7 @@ from dqwalk_ros import report as reporting
 from dqwalk_ros.cli.footsteps import reached
 from dqwalk_ros.constraints import ComInsideEdges, FrameHeld, PointsOverPlane
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.errors import ConfigError, PlantError
 from dqwalk_ros.geometry import ConvexPolygon, Plane
 from dqwalk_ros.kinematics import CenterOfMassOnGround, Kinematics, Point
 from dqwalk_ros.robot import Foot
@@ -355,10 +355,15 @@ def test_a_transfer_that_stood_still_for_a_while_is_begun_anew() -> None:
     assert controller.phase.kind is PhaseKind.SINGLE_SUPPORT
 
 
+def test_a_plant_that_does_not_exist_is_an_error() -> None:
+    with pytest.raises(PlantError, match="no plant is called 'fysics': kinematic, integrator, physics"):
+        make_plant("fysics", CONFIG, MODEL)
+
+
 def test_a_swing_that_stood_still_for_a_while_goes_on_where_it_was() -> None:
     config = CONFIG.updated({"gait.steps": 1})
     model = dq.load_model(config.robot)
-    controller, plant = make_controller(config, model), make_plant("integrator", config, model)
+    controller, plant = make_controller(config, model), make_plant("physics", config, model)
     state = plant.state
     while controller.phase_index < 1 or state.time < controller.phase_time0 + 0.5:
         command = controller.step(state, config.dt)

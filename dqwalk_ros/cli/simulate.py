@@ -42,10 +42,10 @@ examples:
 @walk_options
 @click.option(
     "--plant",
-    type=click.Choice(["kinematic", "physics", "poppy_as_built"]),
+    type=click.Choice(["kinematic", "integrator", "physics", "poppy_as_built"]),
     default="kinematic",
     show_default=True,
-    help="Ideal joints, or MuJoCo.",
+    help="Ideal joints (both names), MuJoCo, or MuJoCo with Poppy's own servos, delays and sensors.",
 )
 @click.option("--view", is_flag=True, help="Show the walk in the browser, live, then as a replay.")
 @click.option("--port", type=int, help="Port of the page; 0: any.  [default: 8080, or the next free one]")
