@@ -19,7 +19,15 @@ from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.servos import Drive, Servos
 from dqwalk_ros.statics import GRAVITY
 
-__all__ = ["Finding", "damping_ratio", "leg_inertia", "longest_delay", "pendulum_stiffness", "servo_findings"]
+__all__ = [
+    "Finding",
+    "damping_ratio",
+    "divergent_component",
+    "leg_inertia",
+    "longest_delay",
+    "pendulum_stiffness",
+    "servo_findings",
+]
 
 Array = NDArray[np.float64]
 
@@ -83,6 +91,21 @@ def _way(model: RobotModel, body: int) -> list[int]:
         out.append(body)
         body = model.bodies[body].parent
     return out[::-1]
+
+
+def divergent_component(c: Array, v: Array, height: Array) -> Array:
+    """Return xi = c + v/w with w^2 = g/h, the divergent component of motion of a linear inverted pendulum.
+
+    A robot that puts its centre of pressure there comes to rest over it, so it is also called the capture point.
+
+    Parameters
+    ----------
+    c, v : ndarray, shape (..., 2)
+        Centre of mass on the ground and its velocity [m, m/s].
+    height : ndarray, shape (..., 1)
+        h, of the centre of mass over the ground [m].
+    """
+    return c + v * np.sqrt(height / GRAVITY)
 
 
 def damping_ratio(damping: float, stiffness: float, inertia: float) -> float:

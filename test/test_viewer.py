@@ -7,6 +7,7 @@ import socket
 import time
 import urllib.request
 from base64 import b64decode
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -233,6 +234,36 @@ def test_only_pages_of_this_machine_are_answered(page, host, origin, allowed):
         connection.sendall("\r\n".join([*lines, "", ""]).encode())
         status = connection.recv(64).decode().split()[1]
     assert status == ("101" if allowed else "403")
+
+
+def test_a_push_is_offered_and_given(page):
+    pushes: list[list[float]] = []
+    buttons = {}
+    gui, page._push = page.server.gui, None
+    added = gui.add_button_group
+    gui.add_button_group = lambda *words: buttons.setdefault("to", added(*words))
+    try:
+        page.offer_push(lambda impulse: pushes.append(impulse.tolist()), 0.3)
+    finally:
+        del gui.add_button_group
+    (clicked,) = buttons["to"]._impl.update_cb
+    for value in ("left", "back", "elsewhere", None, [1]):
+        clicked(SimpleNamespace(client=object(), target=SimpleNamespace(value=value)))
+    assert pushes == [[0.0, 0.3, 0.0], [-0.3, 0.0, 0.0]]
+
+
+def test_the_divergent_component_is_ahead_of_a_body_that_moves(trace):
+    """By v/w, with w^2 = g/h; over the centre of mass where nothing moves."""
+    scene, moment = Scene(trace.config, trace.model), moment_of(trace, 200, {})
+    view = scene.look(moment)
+    still = scene.look(replace(moment, dq=np.zeros_like(moment.q)))
+    np.testing.assert_allclose(still.divergent[:2], view.com[:2], atol=1e-6)
+    dt = 1e-6
+    later = scene.look(replace(moment, q=moment.q + dt * moment.dq))
+    v = (later.com - view.com)[:2] / dt
+    assert np.linalg.norm(v) > 1e-4
+    np.testing.assert_allclose(view.divergent[:2], view.com[:2] + v * np.sqrt(view.com[2] / 9.80665), atol=1e-6)
+    assert scene.look(moment_of(trace, 0, {})).divergent is None
 
 
 @pytest.mark.parametrize("value", ["abc", float("nan"), 1e308, None, [1], {}])

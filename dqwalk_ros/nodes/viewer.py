@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PointStamped, PoseStamped
+from geometry_msgs.msg import PointStamped, PoseStamped, WrenchStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -33,6 +33,9 @@ __all__ = ["Viewer"]
 
 Array = NDArray[np.float64]
 
+_PUSH = 0.1
+"""Impulse that the page proposes, per mass of the robot [m/s]."""
+
 
 class Viewer(WalkNode):
     """Show the walk in the browser while it goes on: robot, constraints, margins (needs viser).
@@ -43,11 +46,16 @@ class Viewer(WalkNode):
     Subscribes to::
 
         joint_states, phase, phase_start, com_target, swing_target, walk_config, robot_description, /diagnostics;
+        true_base_pose           geometry_msgs/PoseStamped: of a simulated robot, which may be pushed
         base_pose once           geometry_msgs/PoseStamped: where in odom the first phase seen stands
+
+    Publishes, where true_base_pose says that the robot is simulated, and somebody pushes it on the page::
+
+        push                     geometry_msgs/WrenchStamped: its force times 1 s is the impulse [N s]
 
     Serves::
 
-        a page on 127.0.0.1, whose address is logged; nothing on ROS, and the walk never waits for it
+        a page on 127.0.0.1, whose address is logged; the walk never waits for it
 
     Example::
 
@@ -76,6 +84,8 @@ class Viewer(WalkNode):
         self._newest = -1  # [ns]
         self._states: dict[int, Array] = {}  # by stamp [ns], until base_pose has told where in odom they are
         self._solver = ""
+        self._impulse = 0.0  # that is proposed [N s]
+        self._push = self.create_publisher(WrenchStamped, "push", ros.stream(10))
         for name, kind, callback in (
             ("walk_config", String, self._on_config),
             ("robot_description", String, self._on_description),
@@ -85,6 +95,7 @@ class Viewer(WalkNode):
             ("swing_target", PoseStamped, self._phases.add_target),
         ):
             self.create_subscription(kind, name, callback, ros.latched(TOPICS[name].depth))
+        self.create_subscription(PoseStamped, "true_base_pose", self._on_simulated, ros.stream(1, reliable=False))
         newest = ros.stream(1, reliable=False)
         self.create_subscription(JointState, "joint_states", self._on_state, newest)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, ros.stream(10))
@@ -108,6 +119,7 @@ class Viewer(WalkNode):
             return
         try:
             self.page.set_scene(Scene(config, model))
+            self._impulse = round(_PUSH * model.mass, 2)
         except DqwalkError as error:
             self.get_logger().error(str(error))
             return
@@ -159,6 +171,18 @@ class Viewer(WalkNode):
         self.destroy_subscription(self._odometry)
         self._odometry, self._states = None, {}
 
+    def _on_simulated(self, msg: PoseStamped) -> None:
+        """Offer to push the robot: only a simulated one has a true pose."""
+        if self._impulse > 0.0:
+            self.page.offer_push(self._on_push, self._impulse)
+
+    def _on_push(self, impulse: Array) -> None:
+        """Push the robot by an impulse (3,) in the frame of the base sole [N s]; the page calls from another thread."""
+        force = DQ(self._x_odom_base).P().Ad(DQ(impulse)).vec3()
+        msg = WrenchStamped()
+        msg.wrench.force.x, msg.wrench.force.y, msg.wrench.force.z = force.tolist()
+        self._push.publish(msg)
+
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
             if status.name.startswith("controller:"):
@@ -181,7 +205,8 @@ class Viewer(WalkNode):
         if not self._follow(stamp) or self._phase is None:
             return
         try:
-            q = reader.state(msg).q
+            state = reader.state(msg)
+            q = state.q
         except StateError as error:
             self.get_logger().error(f"joint_states rejected: {error}", **THROTTLE)
             return
@@ -198,6 +223,7 @@ class Viewer(WalkNode):
                 x_odom_base=self._x_odom_base,
                 label=self._label,
                 solver=self._solver,
+                dq=state.dq,
             )
         )
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.report.metrics import Series, hull_margin, support_polygon
 from dqwalk_ros.servos import Servos
-from dqwalk_ros.stability import Finding, longest_delay, servo_findings
+from dqwalk_ros.stability import Finding, divergent_component, longest_delay, servo_findings
 from dqwalk_ros.standing.paths import ComPath, com_path
 from dqwalk_ros.statics import GRAVITY
 
@@ -78,7 +78,7 @@ def _divergent(series: Series) -> Array:
         if len(c) > 2 * width:
             v = (c[width:] - c[:-width]) / (series.time[span.ticks][width:] - series.time[span.ticks][:-width])[:, None]
             h = np.maximum(series.com[span.ticks][width:, 2:], 0.05)
-            out[span.ticks][width:] += v * np.sqrt(h / GRAVITY)
+            out[span.ticks][width:] = divergent_component(c[width:], v, h)
     return out
 
 

@@ -31,6 +31,7 @@ from dqwalk_ros.report.verdict import Assessment, Assessor
 from dqwalk_ros.robot import Foot, RobotModel, find_urdf
 from dqwalk_ros.shapes import PRIMITIVES, meshes_of
 from dqwalk_ros.simulation import Trace
+from dqwalk_ros.stability import divergent_component
 from dqwalk_ros.urdf import Urdf
 from dqwalk_ros.walk import Phase
 
@@ -44,6 +45,7 @@ _MARGIN = 1.25
 """Regions are drawn this much taller than the point they hold is high."""
 
 COM: Rgb = (209, 36, 47)
+DIVERGENT: Rgb = (230, 130, 0)
 FOOT: dict[Foot, Rgb] = {Foot.LEFT: (31, 95, 180), Foot.RIGHT: (29, 154, 78)}
 _REGIONS: dict[str, Rgb] = {
     "tip_plane": (31, 95, 180),
@@ -232,6 +234,8 @@ class Moment:
         What the walk says of itself: the phase's name, ``finished``, ``failed``, ...
     solver : str
         What the solver of the quadratic program last said.
+    dq : ndarray, shape (n,) [rad/s], or None
+        Joint velocities, where they are known.
     """
 
     time: float
@@ -242,6 +246,7 @@ class Moment:
     x_odom_base: Array
     label: str = ""
     solver: str = ""
+    dq: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -267,6 +272,8 @@ class View:
     gauges : tuple of Gauge
     error : float
         Norm of the task error.
+    divergent : ndarray, shape (3,), or None
+        Divergent component of motion on the ground, as the joints say, where their velocities are known.
     """
 
     moment: Moment
@@ -281,6 +288,7 @@ class View:
     regions: tuple[Region, ...]
     gauges: tuple[Gauge, ...]
     error: float
+    divergent: Array | None = None
 
     @property
     def tightest(self) -> Gauge:
@@ -351,6 +359,7 @@ class Scene:
             regions=tuple(Region(r.name, r.kind, compose(x, r.pose), r.size) for r in regions),
             gauges=self.gauges(phase, found),
             error=found.values["error"],
+            divergent=None if moment.dq is None else DQ(x).transform_point(_divergent(kin, moment.dq)),
         )
 
     def gauges(self, phase: Phase, found: Assessment) -> tuple[Gauge, ...]:
@@ -368,6 +377,11 @@ class Scene:
         )
 
 
+def _divergent(kin: Kinematics, dq: Array) -> Array:
+    v = kin.com_jacobian @ dq
+    return np.append(divergent_component(kin.com[:2], v[:2], kin.com[2:]), 0.0)
+
+
 def moment_of(trace: Trace, tick: int, phases: dict[int, Phase], label: str = "", solver: str = "") -> Moment:
     """Return a tick of a recorded walk; `phases` keeps what was rebuilt."""
     starts = [record.start for record in trace.phases]
@@ -375,6 +389,7 @@ def moment_of(trace: Trace, tick: int, phases: dict[int, Phase], label: str = ""
     record = trace.phases[index]
     if index not in phases:
         phases[index] = record.phase(trace.config, trace.model)
+    passed = float(trace.time[tick] - trace.time[tick - 1]) if tick > 0 else 0.0
     return Moment(
         time=float(trace.time[tick]),
         q=trace.q[tick],
@@ -384,4 +399,5 @@ def moment_of(trace: Trace, tick: int, phases: dict[int, Phase], label: str = ""
         x_odom_base=record.x_odom_base,
         label=label or record.name,
         solver=solver,
+        dq=(trace.q[tick] - trace.q[tick - 1]) / passed if passed > 0.0 else None,
     )

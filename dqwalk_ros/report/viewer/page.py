@@ -8,7 +8,7 @@ import io
 import socket
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from html import escape
 from typing import Any
 from urllib.parse import urlsplit
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ViewerError
-from dqwalk_ros.report.scene import COM, FOOT, Moment, Region, Scene, Shape, View, color_of
+from dqwalk_ros.report.scene import COM, DIVERGENT, FOOT, Moment, Region, Scene, Shape, View, color_of
 from dqwalk_ros.report.viewer.panels import TIGHT, History, margins_html, status_html
 from dqwalk_ros.robot import Foot, RobotModel
 
@@ -34,6 +34,7 @@ PORT = 8080
 """Where the page is, on 127.0.0.1, unless somebody is there already."""
 FRAME = 1.0 / 30.0
 """Time between two pictures [s]."""
+_WAYS = {"ahead": (1.0, 0.0, 0.0), "back": (-1.0, 0.0, 0.0), "left": (0.0, 1.0, 0.0), "right": (0.0, -1.0, 0.0)}
 _TEXT = 0.2
 """Time between two states of the panels [s]."""
 
@@ -70,6 +71,7 @@ class Page:
         gui.main_panel.set_width(320)
         self._status = gui.add_html(_message("waiting for a walk"))
         self.controls = gui.add_folder("replay", visible=False)
+        self._push: Any = None
         panel = gui.add_panel()
         with panel.add_tab("margins"):
             self._margins = gui.add_html("")
@@ -118,6 +120,32 @@ class Page:
     def say(self, text: str) -> None:
         """Say something where the state will be, such as what is being waited for."""
         self._status.content = _message(text)
+
+    def offer_push(self, push: Callable[[Array], None], impulse: float) -> None:
+        """Add the controls that push a simulated robot.
+
+        Parameters
+        ----------
+        push : callable
+            Called with the impulse (3,) in the frame of the base sole [N s].
+        impulse : float
+            What is proposed; up to ten times as much can be chosen [N s].
+        """
+        if self._push is not None:
+            return
+        gui = self.server.gui
+        self._push = gui.add_folder("push")
+        with self._push:
+            size = gui.add_slider("impulse [N s]", 0.0, 10.0 * impulse, 0.1 * impulse, impulse)
+            ways = gui.add_button_group("to", tuple(_WAYS))
+
+        def pushed(event: Any) -> None:  # a browser may send anything
+            way = _WAYS.get(event.target.value) if isinstance(event.target.value, str) else None
+            strength = size.value
+            if way is not None and isinstance(strength, int | float) and 0.0 <= strength <= 10.0 * impulse:
+                push(float(strength) * np.array(way))
+
+        ways.on_click(pushed)
 
     def set_scene(self, scene: Scene) -> None:
         """Show another robot from here on."""
@@ -275,6 +303,7 @@ class _Drawing:
         self._target = {foot: self._sole(f"/target/{foot.value}", foot, 0.35) for foot in Foot}
         self._com = self._scene.add_icosphere("/com/point", 0.011, color=COM)
         self._shadow = self._scene.add_cylinder("/com/shadow", 0.008, 0.0015, color=COM, cast_shadow=False)
+        self._divergent = self._scene.add_cylinder("/com/divergent", 0.008, 0.0015, color=DIVERGENT, cast_shadow=False)
         self._plumb = self._scene.add_cylinder("/com/plumb", 0.0012, 1.0, color=COM, cast_shadow=False)
         self._regions: dict[str, tuple[Region, Any]] = {}
         self._footprints: dict[int, Any] = {}
@@ -351,6 +380,9 @@ class _Drawing:
         self._shadow.position = (x, y, view.ground + 0.0015)
         self._plumb.position = (x, y, 0.5 * (z + view.ground))
         self._plumb.scale = (1.0, 1.0, max(float(z - view.ground), 1e-3))
+        self._divergent.visible = view.divergent is not None
+        if view.divergent is not None:
+            self._divergent.position = view.divergent + _LIFT
 
     def _show_polygon(self, view: View) -> None:
         before = self._polygon

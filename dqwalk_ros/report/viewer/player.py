@@ -215,6 +215,7 @@ class _News:
     began: float
     x_odom_base: Array
     solver: str
+    dq: Array | None
 
 
 class Feed:
@@ -273,6 +274,7 @@ class Feed:
                 controller.phase_time0,
                 controller.x_odom_base,
                 solver + f"active: {', '.join(last.active[:3]) or 'none'}",
+                state.dq,
             )
         )
 
@@ -328,7 +330,9 @@ def _serve(news: Any, parent: Any, config: Config, port: int | None) -> None:
             walk = make_walk(config, scene.model)
             phases = {key: walk.phase(item.kind, item.support, item.q_start, item.swing_target)}
         phase = phases[key]
-        page.show(Moment(item.time, item.q, phase, item.index, item.began, item.x_odom_base, phase.name, item.solver))
+        page.show(
+            Moment(item.time, item.q, phase, item.index, item.began, item.x_odom_base, phase.name, item.solver, item.dq)
+        )
         time.sleep(max(0.0, FRAME - (time.monotonic() - began)))
     from dqwalk_ros.report import bag
 
