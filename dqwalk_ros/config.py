@@ -97,6 +97,9 @@ class RobotConfig:
     right_sole_xyz: tuple[float, float, float] = _par((0.0, 0.0, 0.0), "centre of the right sole in that link", "m")
     right_sole_rpy: tuple[float, float, float] = _par((0.0, 0.0, 0.0), "its roll, pitch and yaw there", "rad")
     imu: str = _par("", "link of the inertial sensor; empty: the pelvis")
+    imu_rpy: tuple[float, float, float] = _par(
+        (0.0, 0.0, 0.0), "roll, pitch and yaw at which it is mounted in that link (`dqwalk identify`)", "rad"
+    )
     drop: tuple[str, ...] = _par((), "joints cut off together with all they carry")
     lock: tuple[str, ...] = _par((), "joints held at zero, or at an angle: JOINT=RADIANS; '*' matches any text")
     sole_center: Literal["link", "foot_com"] = _par(
@@ -327,6 +330,7 @@ class PhysicsConfig:
     rubble: float = _par(0.0, "boxes up to this high lie on the floor", "m", 0.0, 0.05)
     mass_scale: float = _par(1.0, "masses and inertias are multiplied by this", "", 0.1, 10.0)
     settle: float = _par(0.5, "time to come to rest before the walk", "s", 0.0, 60.0)
+    held: bool = _par(False, "the root link is held in the air, level, as in a stand (`dqwalk exercise`)")
 
 
 @dataclass(frozen=True)

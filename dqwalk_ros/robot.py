@@ -133,7 +133,9 @@ class RobotModel:
     pelvis : str
         Frame whose height (11) watches.
     imu : str
-        Frame of the inertial sensor.
+        Frame of the inertial sensor, as it is mounted.
+    imu_link : str
+        The link that its messages name.
     urdf : str
         Description of this very robot: repaired, without what was dropped, locked joints fixed where they are held.
     repairs : tuple of str
@@ -151,6 +153,7 @@ class RobotModel:
     soles: Mapping[Foot, Sole]
     pelvis: str
     imu: str
+    imu_link: str
     urdf: str = field(repr=False)
     repairs: tuple[str, ...] = ()
 
@@ -274,6 +277,11 @@ def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
         if name not in links:
             raise ModelError(f"{urdf.source}: robot.{key} names the link '{name}', which is not there or was dropped")
     tree = _tree(urdf)
+    mounted = imu
+    if any(config.imu_rpy):
+        mounted, link = f"{imu}_mounted", tree["frames"][imu]
+        turned = (DQ(link.pose) * _pose(Origin((0.0, 0.0, 0.0), config.imu_rpy))).vec8()
+        tree["frames"] = MappingProxyType({**tree["frames"], mounted: Frame(link.body, turned)})
     if len({tree["frames"][name].body for name in feet.values()}) == 1:
         named = f"'{feet[Foot.LEFT]}' and '{feet[Foot.RIGHT]}'"
         raise ModelError(
@@ -290,7 +298,8 @@ def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
             }
         ),
         pelvis=config.pelvis,
-        imu=imu,
+        imu=mounted,
+        imu_link=imu,
         urdf=urdf.text(),
         repairs=tuple(urdf.repairs),
     )

@@ -130,6 +130,24 @@ class Servos:
             out.resolution[joints] = t.resolution
         return out
 
+    @classmethod
+    def identified(cls, config: Config, model: RobotModel) -> Servos:
+        """Return the servos as ``servo.assumed`` says, where it says it; all others as `of` does.
+
+        Raises
+        ------
+        ConfigError
+            As `of`, or if an entry of ``servo.assumed`` cannot be read.
+        """
+        out = cls.of(config, model)
+        for joints, text in _entries("servo.assumed", config.servo.assumed, model):
+            told = _numbers(text)
+            for name in ("stiffness", "backlash", "friction"):
+                getattr(out, name)[joints] = told.get(name, getattr(out, name)[joints])
+            if "damping" in told:
+                out.damping[joints], out.back_emf[joints] = 0.0, told["damping"] * out.stiffness[joints]
+        return out
+
 
 @dataclass(frozen=True)
 class Drive:

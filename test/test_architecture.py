@@ -42,6 +42,7 @@ LAYERS = (
     "simulation",
     "whole_body",
     "report",
+    "identification",
     "studies",
     "adopt",
     "nodes",

@@ -30,6 +30,9 @@ COMMANDS = (
     "pushes",
     "footsteps",
     "study",
+    "exercise",
+    "identify",
+    "replay",
     "adopt",
     "config",
     "doctor",
@@ -45,6 +48,7 @@ examples:
   dqwalk view walk/bag                      replay it in the browser
   dqwalk robustness, dqwalk pushes          what the standing walk survives in physics
   dqwalk study studies/step_length.yaml     walk many times with parameters varied
+  dqwalk exercise, dqwalk identify BAG      what the servos of a robot that hangs do; dqwalk replay BAG compares
   dqwalk adopt my_robot.urdf                another robot: a configuration that walks
   dqwalk doctor                             is this robot ready to walk?
   dqwalk config                             every parameter with its unit, range and meaning

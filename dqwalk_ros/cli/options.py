@@ -32,7 +32,9 @@ __all__ = [
     "numbers",
     "output_options",
     "overlaid",
+    "params_option",
     "parse_overrides",
+    "put_on",
     "quiet_option",
     "scheduler_option",
     "set_option",
@@ -106,6 +108,13 @@ set_option = click.option(
     multiple=True,
     help="Change one parameter (`dqwalk config` lists them); may be given several times.",
 )
+params_option = click.option(
+    "--params",
+    metavar="FILE",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    help="Parameter file put on top, such as that of `dqwalk identify`; may be given several times.",
+)
 force_option = click.option("--force", is_flag=True, help="Replace earlier results.")
 quiet_option = click.option("--quiet", is_flag=True, help="Print no progress and no tables.")
 jobs_option = click.option(
@@ -127,9 +136,10 @@ course_option = click.option(
 
 
 def walk_options(function: Function) -> Function:
-    """Add --config, --cycles, --first, --set and --cmd-vel."""
+    """Add --config, --params, --cycles, --first, --set and --cmd-vel."""
     options = [
         config_option("paper"),
+        params_option,
         click.option("--cycles", metavar="N", type=int, help="Walking cycles of four phases (gait.cycles)."),
         click.option("--first", type=click.Choice(["left", "right"]), help="First support foot (gait.first_support)."),
         set_option,
@@ -249,6 +259,7 @@ def config_of(
     changes: Sequence[str] = (),
     *,
     plant: str = "",
+    params: Sequence[Path] = (),
     course: Sequence[str] = (),
     also: Mapping[str, Any] | None = None,
 ) -> Config:
@@ -262,6 +273,8 @@ def config_of(
         Of --set.
     plant : str
         What ``config/plants/NAME.yaml`` asks of all nodes is put in.
+    params : sequence of Path
+        Of --params.
     course : sequence of str
         Of --cmd-vel; with one the walk takes steps until the course is over.
     also : mapping of str to value, optional
@@ -280,7 +293,25 @@ def config_of(
     made = load(config)
     if plant in ("physics", "poppy_as_built", "ros2_control", "poppy"):
         made = overlaid(made, plant)
-    return made.updated(values, source="command line")
+    return put_on(made, params).updated(values, source="command line")
+
+
+def put_on(config: Config, files: Sequence[Path]) -> Config:
+    """Return a configuration with the parameters that files name put in.
+
+    Raises
+    ------
+    ConfigError
+        If a file is missing or cannot be used.
+    """
+    from dqwalk_ros import strict_yaml
+    from dqwalk_ros.config import from_yaml
+
+    for path in files:
+        if not path.is_file():
+            raise ConfigError(f"no parameter file '{path}'")
+        config = from_yaml(strict_yaml.read_text(path), source=str(path), onto=config)
+    return config
 
 
 def overlaid(config: Config, plant: str) -> Config:

@@ -7,11 +7,12 @@ import re
 import statistics
 from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from dqwalk_ros.cli.options import Many, command, config_of, config_option, many_options, set_option
+from dqwalk_ros.cli.options import Many, command, config_of, config_option, many_options, params_option, set_option
 from dqwalk_ros.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -48,6 +49,7 @@ examples:
 @click.option("--sample", metavar="N", type=int, default=0, show_default="all", help="Walk N random combinations.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of --sample.")
 @many_options("robustness")
+@params_option
 @set_option
 def robustness(
     config: str,
@@ -57,6 +59,7 @@ def robustness(
     sample: int,
     seed: int,
     many: Many,
+    params: tuple[Path, ...],
     changes: tuple[str, ...],
 ) -> int:
     """Walk in physics on robots and floors that differ.
@@ -69,7 +72,7 @@ def robustness(
     from dqwalk_ros.report.figures.style import drawing
     from dqwalk_ros.studies import robustness as study
 
-    made = config_of(config, changes, plant=plant, also={"gait.steps": steps})
+    made = config_of(config, changes, plant=plant, params=params, also={"gait.steps": steps})
     axes = study.axes_of(made)
     for text in axis:
         name, _, values = text.partition("=")

@@ -6,6 +6,7 @@ import contextlib
 import importlib.util
 import math
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -52,6 +53,7 @@ examples:
 @output_options("walk")
 def simulate(
     config: str,
+    params: tuple[Path, ...],
     cycles: int | None,
     first: str | None,
     changes: tuple[str, ...],
@@ -63,7 +65,7 @@ def simulate(
 ) -> int:
     """Walk in this process, without ROS."""
     also = {"gait.cycles": cycles, "gait.first_support": first}
-    made = config_of(config, changes, plant=plant, course=course, also=also)
+    made = config_of(config, changes, plant=plant, params=params, course=course, also=also)
     from dqwalk_ros import simulation
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import prepare, write_results

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 import click
 
@@ -32,6 +33,7 @@ examples:
 @output_options("walk")
 def walk(
     config: str,
+    params: tuple[Path, ...],
     cycles: int | None,
     first: str | None,
     changes: tuple[str, ...],
@@ -51,7 +53,7 @@ def walk(
     from dqwalk_ros.runner import run_walk
 
     also = {"gait.cycles": cycles, "gait.first_support": first}
-    made = config_of(config, changes, plant=plant, course=course, also=also)
+    made = config_of(config, changes, plant=plant, params=params, course=course, also=also)
     prepare(output)
     with Progress(quiet=output.quiet) as progress:
         outcome = run_walk(

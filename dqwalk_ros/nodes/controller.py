@@ -142,7 +142,7 @@ class Controller(AnsweringNode):
         # Only the newest state counts, and a late one is worthless, except in lockstep, where each counts.
         self.listen(JointState, "joint_states", self._on_state, ros.stream(1, reliable=self.lockstep))
         self.create_subscription(Bool, "plant_ready", self._on_plant_ready, ros.latched())
-        self._imu = InertialSensor(self, self._model.imu, self._on_state) if config.plant.imu else None
+        self._imu = InertialSensor(self, self._model.imu_link, self._on_state) if config.plant.imu else None
         steered = not walk_type(config).phases(config)
         self._steering = Steering(self, self._walk) if steered else None
         self._footsteps = FootstepInput(self, self._walk, self._odometry) if steered else None

@@ -214,8 +214,8 @@ def sensed(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
     if not heard.imus:
         return False, "nothing on imu: start the sensor's broadcaster and remap its topic, or set plant.imu: false"
     msg = heard.imus[-1][0]
-    if msg.header.frame_id not in ("", model.imu):
-        return False, f"its frame is '{msg.header.frame_id}', and robot.imu is '{model.imu}': they must agree"
+    if msg.header.frame_id not in ("", model.imu_link):
+        return False, f"its frame is '{msg.header.frame_id}', and robot.imu is '{model.imu_link}': they must agree"
     try:
         up, gyro, _ = ros.inertial_of(msg)
     except StateError as error:
@@ -226,7 +226,7 @@ def sensed(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
     pull = math.sqrt(a.x**2 + a.y**2 + a.z**2)
     text = f"leans by {math.degrees(lean):.1f} deg, turns at {np.linalg.norm(gyro):.3f} rad/s, {pull:.2f} m/s^2"
     if lean > _UPRIGHT:
-        return False, f"{text}: it is mounted askew (the URDF's joint of '{model.imu}'), or the floor is"
+        return False, f"{text}: it is mounted askew (the URDF's joint of '{model.imu_link}'), or the floor is"
     if np.linalg.norm(gyro) > _STILL or abs(pull - 9.81) > _GRAVITY:
         return False, f"{text}: at rest it must be still and say 9.81; calibrate it, mind its units"
     return True, text

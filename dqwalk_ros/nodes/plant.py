@@ -297,7 +297,7 @@ class Physics(SimulatedPlant):
         streams = self.streams
         others = (streams[name] for name in streams if name not in ("imu", "joint_states"))
         truth = self.plant.truth if any(stream.get_subscription_count() for stream in others) else None
-        streams["imu"].publish(ros.imu(stamp, self.model.imu, self.plant.inertial))
+        streams["imu"].publish(ros.imu(stamp, self.model.imu_link, self.plant.inertial))
         super().publish(stamp, None if truth is None else truth.effort)
         if truth is not None:
             streams["true_base_pose"].publish(ros.pose(stamp, WORLD, truth.pelvis))

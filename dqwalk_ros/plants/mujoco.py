@@ -29,12 +29,14 @@ from dqwalk_ros.statics import gravity_torques
 GRAVITY = 9.80665
 """[m/s^2]"""
 
-__all__ = ["PhysicsPlant", "build", "robot_spec"]
+__all__ = ["PhysicsPlant", "build", "held_torques", "robot_spec"]
 
 Array = NDArray[np.float64]
 
 _THICK = 0.008
 """Of the boxes of the soles [m]."""
+_HELD = 1.5
+"""Height at which a robot is held in the air [m]; one that is taller touches nothing either."""
 _SOLID = [0.95, 0.99, 0.0005, 0.5, 2.0]
 """Impedance of a contact: firm from half a millimetre on."""
 _NO_ACCELERATION = np.zeros(3)
@@ -48,15 +50,20 @@ class PhysicsPlant(World):
     config : Config
     model : RobotModel
     q0 : array_like, shape (n,), optional
-        Where it begins, on both soles [rad]; all zero without it.
+        Where it begins, on both soles, or held by its root [rad]; all zero without it.
+    servos : Servos, optional
+        Those that it has; as ``servo`` describes them without it.
     """
 
-    def __init__(self, config: Config, model: RobotModel, q0: ArrayLike | None = None) -> None:
+    def __init__(
+        self, config: Config, model: RobotModel, q0: ArrayLike | None = None, servos: Servos | None = None
+    ) -> None:
         self.config, self.model, self._shape = config, model, (model.n,)
         self._dt, self._timestep = config.dt, config.physics.timestep
         self._effort_min, self._effort_max = -model.effort_max, model.effort_max
         q = np.zeros(model.n) if q0 is None else np.array(q0, dtype=np.float64)
-        self.mj = build(config, model)
+        servos, drive = servos or Servos.of(config, model), Drive.of(config, model)
+        self.mj = build(config, model, servos)
         self.data: Any = mujoco.MjData(self.mj)
         self._qpos, self._qvel = self.data.qpos, self.data.qvel  # views, and so are these
         self._xpos, self._xquat, self._xmat = self.data.xpos, self.data.xquat, self.data.xmat
@@ -65,15 +72,14 @@ class PhysicsPlant(World):
         self._vadr = np.array([int(j.dofadr[0]) for j in joints])
         self._root = self.mj.body(model.root).id
         self._pelvis = self.mj.body(model.pelvis).id
-        self._imu = self.mj.body(model.imu).id
+        self._imu = self.mj.body(model.imu_link).id
         self._soles = {foot: self.mj.body(model.soles[foot].frame).id for foot in Foot}
         self._ground = {foot: self.mj.sensor(f"ground_{foot.value}").adr[0] for foot in Foot}
         self._goals = self.data.ctrl.reshape(-1, model.n)  # a view; a second row where there is backlash
-        servos, drive = Servos.of(config, model), Drive.of(config, model)
         # soft servos that do not hold the weight sink back onto the heels before the first command comes
         up = -self.mj.opt.gravity / GRAVITY
         standing = Kinematics(model, q, Foot.LEFT, up)
-        effort = gravity_torques(standing, both=True)
+        effort = np.zeros(model.n) if config.physics.held else gravity_torques(standing, both=True)
         self._goals[:] = q + drive.angles(effort)
         self._seat(q)
         self._back_emf = servos.back_emf
@@ -179,14 +185,18 @@ class PhysicsPlant(World):
         return out[3:]
 
     def _seat(self, q: Array) -> None:
-        """Put the left sole flat on the floor."""
+        """Put the left sole flat on the floor, unless the robot is held in the air."""
+        self.data.qpos[self._qadr] = q
+        if self.config.physics.held:
+            self._height = -math.inf  # it cannot fall
+            mujoco.mj_forward(self.mj, self.data)
+            return
         kin = Kinematics(self.model, q, Foot.LEFT)
         x = DQ(kin.pose(self.model.root))
         p, r = x.translation(), x.vec8()[:4]
         other = kin.point(kin.swing)
         self.data.qpos[:3] = p + np.array([0.0, -0.5 * other[1], 0.0005])
         self.data.qpos[3:7] = r
-        self.data.qpos[self._qadr] = q
         mujoco.mj_forward(self.mj, self.data)
         self._height = float(self.data.xpos[self._root][2])
 
@@ -206,7 +216,9 @@ class PhysicsPlant(World):
         return np.concatenate([out[3:], out[:3]])
 
 
-def robot_spec(model: RobotModel, *, friction: float, contact_time: float, visual: bool = False) -> Any:
+def robot_spec(
+    model: RobotModel, *, friction: float, contact_time: float, visual: bool = False, held: bool = False
+) -> Any:
     """Return the robot on a floor as a MuJoCo specification that may still be changed, without actuators.
 
     Parameters
@@ -218,6 +230,8 @@ def robot_spec(model: RobotModel, *, friction: float, contact_time: float, visua
         Time constant of the contact between both [s].
     visual : bool
         Keep the visual shapes of the URDF. What collides is in group 2 then.
+    held : bool
+        The root is held in the air and does not float.
     """
     # MuJoCo drops the visual shapes unless the file itself says otherwise
     keep = '<mujoco><compiler discardvisual="false"/></mujoco></robot>'
@@ -227,7 +241,10 @@ def robot_spec(model: RobotModel, *, friction: float, contact_time: float, visua
     spec.compiler.balanceinertia = True
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a simulation gone astray is to be seen
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.body(model.root).add_freejoint(name="root")
+    if held:
+        spec.body(model.root).pos = [0.0, 0.0, _HELD]
+    else:
+        spec.body(model.root).add_freejoint(name="root")
     for geom in spec.geoms:
         geom.contype, geom.conaffinity = 0, 0  # only soles touch
     touching = {"friction": [friction, 0.005, 0.0001], "solref": [contact_time, 1.0], "solimp": _SOLID, "group": 2}
@@ -256,13 +273,21 @@ def robot_spec(model: RobotModel, *, friction: float, contact_time: float, visua
     return spec
 
 
-def build(config: Config, model: RobotModel, *, scenery: Callable[[Any], None] | None = None) -> Any:
+def build(
+    config: Config,
+    model: RobotModel,
+    servos: Servos | None = None,
+    *,
+    scenery: Callable[[Any], None] | None = None,
+) -> Any:
     """Return the MuJoCo model of the robot, its servos and the floor.
 
     Parameters
     ----------
     config : Config
     model : RobotModel
+    servos : Servos, optional
+        As ``servo`` describes them without it.
     scenery : callable, optional
         For pictures: called with the specification to add what is only seen. The visual shapes of the URDF are there.
 
@@ -271,10 +296,11 @@ def build(config: Config, model: RobotModel, *, scenery: Callable[[Any], None] |
     PlantError
         If MuJoCo refuses the robot.
     """
-    c, s = config.physics, Servos.of(config, model)
+    c, s = config.physics, servos or Servos.of(config, model)
     play = 0.5 * s.stiffness * s.backlash  # [N m]
     try:
-        spec = robot_spec(model, friction=c.friction, contact_time=c.contact_time, visual=scenery is not None)
+        visual = scenery is not None
+        spec = robot_spec(model, friction=c.friction, contact_time=c.contact_time, visual=visual, held=c.held)
         spec.option.timestep = c.timestep
         mujoco.mju_rotVecQuat(spec.option.gravity, [0.0, 0.0, -GRAVITY], DQ(_level(config)).conj().vec4())
         for body in spec.bodies:
@@ -298,6 +324,42 @@ def build(config: Config, model: RobotModel, *, scenery: Callable[[Any], None] |
         return spec.compile()
     except ValueError as error:
         raise PlantError(f"MuJoCo refuses the robot: {error}") from error
+
+
+def held_torques(
+    model: RobotModel, mass_scale: float, q: Array, dq: Array, ddq: Array
+) -> tuple[Array, Array]:
+    """Return what moves the joints of a robot that is held by its root, level: torques, and inertias about the joints.
+
+    Parameters
+    ----------
+    model : RobotModel
+    mass_scale : float
+        Masses and inertias are multiplied by this.
+    q, dq, ddq : ndarray, shape (N, n)
+        [rad, rad/s, rad/s^2]
+
+    Returns
+    -------
+    tuple of ndarray, shape (N, n)
+        Torques [N m] and diagonals of the mass matrix [kg m^2], both without the rotors.
+    """
+    spec = robot_spec(model, friction=0.0, contact_time=0.01, held=True)
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    spec.option.gravity = [0.0, 0.0, -GRAVITY]
+    for name in model.joint_names:
+        joint = spec.joint(name)
+        joint.damping[0], joint.armature, joint.frictionloss = 0.0, 0.0, 0.0
+    mj = spec.compile()
+    data = mujoco.MjData(mj)
+    at = [int(mj.joint(name).dofadr[0]) for name in model.joint_names]
+    tau, inertia, full = np.empty_like(q), np.empty_like(q), np.empty((mj.nv, mj.nv))
+    for k in range(len(q)):
+        data.qpos[at], data.qvel[at], data.qacc[at] = q[k], dq[k], ddq[k]
+        mujoco.mj_inverse(mj, data)
+        mujoco.mj_fullM(mj, data, full)
+        tau[k], inertia[k] = data.qfrc_inverse[at], full.diagonal()[at]
+    return mass_scale * tau, mass_scale * inertia
 
 
 def _add_spring(spec: Any, joint: str, stiffness: float, damping: float, limit: float) -> None:

@@ -120,8 +120,9 @@ def _physics_messages(model: RobotModel, stamps: Stamps, known: PhysicsRecord) -
     """Return the messages of a physics engine, one per tick where they are known."""
     unsure = np.zeros((len(stamps), 9))
     turned = known.orientation[:, [1, 2, 3, 0]]
+    felt = np.concatenate([turned, unsure, known.gyro, unsure, known.acceleration, unsure], axis=1)
     numbers = {
-        "imu": (model.imu, np.concatenate([turned, unsure, known.gyro, unsure, known.acceleration, unsure], axis=1)),
+        "imu": (model.imu_link, felt),
         "true_base_pose": (WORLD, pose_numbers(known.pelvis)),
         **{f"{foot.value}_foot_wrench": (model.soles[foot].frame, known.wrenches[foot]) for foot in Foot},
         "center_of_pressure": (WORLD, known.cop),

@@ -1,0 +1,91 @@
+"""``dqwalk exercise``: move every joint of a robot that hangs, and record what the servos do."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from dqwalk_ros.cli.options import (
+    Output,
+    command,
+    config_of,
+    config_option,
+    folder_option,
+    force_option,
+    quiet_option,
+    set_option,
+)
+
+__all__ = ["exercise"]
+
+
+@command("""
+The robot is held by its pelvis, level, all limbs free (docs/hardware.md). Each joint is swept slowly over 0.5 rad or
+what its limits allow, turned back and forth, moved by small steps, and shaken up to 6 Hz, 20 s in all, while the
+others keep a posture in which gravity loads it; the limbs move at the same time. A Poppy takes 5 minutes.
+
+writes to the folder of --out:
+  bag/                 the exercise as a rosbag2 (MCAP), for `dqwalk identify`, and for `dqwalk view` as any walk
+
+examples:
+  dqwalk exercise --out exercise                        Poppy as it is built, in MuJoCo
+  dqwalk exercise --plant poppy --out exercise          the real one, through ROS 2; hold it up first
+  dqwalk exercise --ros --out exercise                  MuJoCo through ROS 2
+  dqwalk exercise --config my_robot.yaml --plant physics --cycles 2
+  dqwalk exercise --set 'robot.lock=["head_*", "*_arm_*"]'       some joints are left alone
+then:
+  dqwalk identify exercise/bag
+""")
+@config_option("poppy")
+@click.option(
+    "--plant",
+    type=click.Choice(["physics", "poppy_as_built", "poppy"]),
+    default="poppy_as_built",
+    show_default=True,
+    help="MuJoCo with ideal sensors, Poppy as it is built, or the real robot.",
+)
+@click.option("--cycles", metavar="N", type=int, default=1, show_default=True, help="Exercise each joint N times.")
+@click.option("--ros", is_flag=True, help="Through ROS 2, as the real robot always is.")
+@set_option
+@folder_option("exercise")
+@force_option
+@quiet_option
+def exercise(
+    config: str, plant: str, cycles: int, ros: bool, changes: tuple[str, ...], out: Path, force: bool, quiet: bool
+) -> int:
+    """Move every joint of a robot that hangs, and record what its servos do."""
+    from dqwalk_ros.cli.options import parse_overrides
+    from dqwalk_ros.cli.progress import Progress
+    from dqwalk_ros.cli.results import prepare
+    from dqwalk_ros.identification.exercise import exercise_config, path_of
+    from dqwalk_ros.robot import load_model
+
+    made = exercise_config(config_of(config, plant=plant), cycles)
+    made = made.updated(parse_overrides(changes), source="command line")
+    prepare(Output(out, force, (), False, quiet))
+    with Progress(quiet=quiet) as bar:
+        if ros or plant == "poppy":
+            from dqwalk_ros.runner import run_walk
+
+            outcome = run_walk(made, out / "bag", plant=plant, lockstep=plant != "poppy", progress=bar)
+            reason = "" if outcome.finished else str(outcome)
+        else:
+            from dqwalk_ros import simulation
+            from dqwalk_ros.report import bag
+
+            bar(0.0, "postures that load the joints")
+            model = load_model(made.robot)
+            controller, body = simulation.make_controller(made, model), simulation.make_plant(plant, made, model)
+            duration = len(path_of(model, cycles)) * 0.005
+            trace = simulation.simulate(
+                controller, body, before_step=lambda time: bar(time / duration, f"{time:.0f} of {duration:.0f} s")
+            )
+            bag.write(trace, out / "bag", diagnostics=False)
+            reason = "" if trace.finished else "; ".join(trace.notes)
+    if reason:
+        print(f"dqwalk: {reason}", file=sys.stderr)
+    if not quiet:
+        print(f"wrote {out / 'bag'}; next: dqwalk identify {out / 'bag'}")
+    return 1 if reason else 0

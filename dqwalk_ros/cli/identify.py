@@ -1,0 +1,94 @@
+"""``dqwalk identify``: what the servos of a recorded exercise do."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from dqwalk_ros.cli.options import command, quiet_option
+
+if TYPE_CHECKING:
+    from dqwalk_ros.identification.fit import Identified
+
+__all__ = ["identify", "table"]
+
+
+@command("""
+prints of each servo, with standard deviations:
+  delay [ms]           from a measurement to the effect of its answer: bus, USB, and the servo's own
+  stiffness [N m/rad], damping [ms] (torque per speed, divided by the stiffness), friction [N m]
+  backlash [deg]       play between goal and joint within which there is no torque
+  off [deg]            the model of the servo against the recording, rms
+and roll and pitch at which the inertial sensor is mounted. Torques are known by gravity, so weigh the robot (--mass).
+
+examples:
+  dqwalk identify exercise/bag
+  dqwalk identify exercise/bag --mass 3.4 --out mine.yaml
+  dqwalk simulate --config poppy --plant poppy_as_built --params mine.yaml      tell the controller
+  ros2 run dqwalk_ros controller --ros-args --params-file config/poppy.yaml --params-file mine.yaml
+then:
+  dqwalk replay exercise/bag --params mine.yaml         does the robot of these servos move like the recording?
+""")
+@click.argument("bag", metavar="BAG", type=click.Path(path_type=Path))
+@click.option(
+    "--mass", metavar="KG", type=click.FloatRange(0.01), help="What the robot weighs.  [default: as the bag says]"
+)
+@click.option(
+    "--out",
+    metavar="FILE",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Parameter file of what is found.  [default: identified.yaml beside BAG]",
+)
+@quiet_option
+def identify(bag: Path, mass: float | None, out: Path | None, quiet: bool) -> int:
+    """Find delay, stiffness, damping, backlash and friction of each servo in a recorded exercise."""
+    from dqwalk_ros.cli.progress import Progress
+    from dqwalk_ros.identification import fit
+    from dqwalk_ros.report.bag import read
+
+    trace = read(bag)
+    scale = trace.config.physics.mass_scale if mass is None else mass / trace.model.mass
+    with Progress(quiet=quiet) as bar:
+        found = fit.identify(trace, mass_scale=scale, progress=bar)
+    out = out or bag.resolve().parent / "identified.yaml"
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(fit.parameters(found, trace.config.dt, scale), encoding="utf-8")
+    if not quiet:
+        print(table(found))
+        print(f"wrote {out}; dqwalk replay {bag} --params {out} compares, dqwalk simulate --params {out} walks with it")
+    return 1 if found.missing else 0
+
+
+def table(found: Identified) -> str:
+    """Return what was found as aligned text."""
+    from dqwalk_ros.report.table import aligned
+
+    unit = (1e3, 1.0, 1e3, 180.0 / math.pi, 1.0)
+    digits = (1, 1, 1, 2, 3)
+    head = [
+        "joint",
+        "delay\n[ms]",
+        "stiffness\n[N m/rad]",
+        "damping\n[ms]",
+        "backlash\n[deg]",
+        "friction\n[N m]",
+        "off\n[deg]",
+    ]
+    rows = []
+    for name, values, spread, rms in zip(found.joints, found.value, found.deviation, found.rms, strict=True):
+        if name in found.missing:
+            continue
+        cells = [
+            f"{k * value:.{n}f} ± {k * s:.{n}f}" for value, s, k, n in zip(values, spread, unit, digits, strict=True)
+        ]
+        rows.append([name, *cells, f"{math.degrees(rms):.3f}"])
+    parts = [aligned(rows, head, right=range(1, len(head)))]
+    if (m := found.mounting) is not None:
+        roll, pitch = (math.degrees(angle) for angle in m.rpy[:2])
+        parts.append(f"inertial sensor: roll {roll:+.2f}, pitch {pitch:+.2f} degrees, its own error of the vertical "
+                     "included; its yaw does not show in a robot that is held level")  # fmt: skip
+    parts += [f"NOT FOUND: {name}: {why}" for name, why in found.missing.items()]
+    return "\n\n".join(parts)

@@ -1,0 +1,367 @@
+"""An exercise in the air that shows what each servo does: slow sweeps, reversals, small steps and a chirp.
+
+The robot is held by its root, level, as in a stand. Joints of a limb move one after the other, the limbs at the same
+time. While a joint moves, the others of its limb keep a posture in which gravity loads it to either side, where there
+is one: backlash shows where a load changes its sign, stiffness where it changes.
+
+As a `Walk` it runs wherever a walk runs: in one process, through ROS 2, on a robot, and into the same bag.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros.config import Config
+from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.kinematics import JointAngles, Kinematics
+from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.state import State
+from dqwalk_ros.tasks import Task
+from dqwalk_ros.walk import Phase, PhaseKind, Walk, joint_limits
+
+__all__ = ["NAME", "Exercise", "Slot", "exercise_config", "limbs", "slots"]
+
+Array = NDArray[np.float64]
+
+_Z = np.array([0.0, 0.0, 1.0])
+NAME = f"{__name__}:Exercise"
+"""What ``gait.walk`` is in an exercise."""
+
+SLOT = 20.0
+"""Time for which one joint is exercised, the way to its posture included [s]."""
+_WAY, _REST = 2.5, 0.5
+"""Time of the way to a posture, and of rest there [s]."""
+_GRID = 0.005
+"""Time between two points of the path [s]."""
+_SWEEP, _REVERSAL, _STEPS = 0.25, 0.04, (0.03, 0.015, 0.04, 0.02)
+"""Largest amplitudes of the slow sweep, of the short one, and heights of the steps [rad]."""
+_STEP_TIME = 0.02
+"""A step takes this long [s]: no joint is asked for more than its speed."""
+_CHIRP = (0.5, 7.0)
+"""First and last frequency of the chirp [Hz]."""
+_CHIRP_SPEED = 1.3
+"""Its largest speed [rad/s]; with a delay of 0.1 s a goal stays within ``servo.window`` of its joint."""
+_MARGIN = 0.1
+"""Distance kept from a joint's limits [rad]."""
+_REACH = 0.9
+"""A posture bends other joints by no more than this [rad]."""
+_TRIES = 80
+"""Postures that are looked at for each joint."""
+_CLEAR, _NEAR = 0.85, 0.12
+"""Parts of the robot that are no neighbours come no closer than this part of their distance in the zero posture, or of
+so many metres where that is less."""
+_LEAN = 1.2
+"""Largest angle of a sole against the floor [rad]; a controller takes more for a fall."""
+
+
+def exercise_config(config: Config, cycles: int = 1) -> Config:
+    """Return the configuration of an exercise of all joints of the robot that `config` walks.
+
+    Parameters
+    ----------
+    config : Config
+    cycles : int
+        Each joint is exercised so many times.
+    """
+    return config.updated(
+        {
+            "gait.walk": NAME,
+            "gait.cycles": cycles,
+            "robot.lock": (),
+            "standing.posture": (),
+            "physics.held": True,
+            "servo.assumed": ("*=damping 0",),  # no torque is fed forward: it would be taken for the servo's own
+            "servo.assumed_lead": 0.0,
+            "safety.sole_tilt": 1.5,  # the soles are in the air
+            "safety.contradiction": 3.0,
+        }
+    )
+
+
+def limbs(model: RobotModel) -> list[list[int]]:
+    """Return the joints of each limb that the root carries, parents first."""
+    found: dict[int, list[int]] = {}
+    first = [0] * len(model.bodies)
+    for b, body in enumerate(model.bodies):
+        if body.joint >= 0:
+            first[b] = b if body.parent == 0 else first[body.parent]
+            found.setdefault(first[b], []).append(body.joint)
+    return list(found.values())
+
+
+@dataclass(frozen=True)
+class Slot:
+    """The exercise of one joint.
+
+    Attributes
+    ----------
+    joint : int
+    limb : tuple of int
+        The joints that are in its posture, itself among them.
+    posture : ndarray, shape (n,)
+        In the middle of the motion; what counts of it is the limb [rad].
+    sweep : float
+        Amplitude of the slow sweep [rad].
+    """
+
+    joint: int
+    limb: tuple[int, ...]
+    posture: Array
+    sweep: float
+
+
+@functools.lru_cache(maxsize=4)
+def slots(model: RobotModel, cycles: int) -> tuple[tuple[Slot, ...], ...]:
+    """Return the slots of each limb in their order, in the postures in which they show most.
+
+    Limbs with fewer joints than the longest come round more often than `cycles`, each time in other postures.
+
+    Raises
+    ------
+    ConfigError
+        If a joint has no room to move.
+    """
+    random, near, found = np.random.default_rng(0), _Clearance(model), limbs(model)
+    most = max(map(len, found)) * cycles
+    return tuple(
+        tuple(_slot(model, joint, limb, random, near) for joint in limb * (most // len(limb))) for limb in found
+    )
+
+
+def _slot(model: RobotModel, joint: int, limb: list[int], random: np.random.Generator, near: _Clearance) -> Slot:
+    low, high = model.q_min + _MARGIN, model.q_max - _MARGIN
+    if high[joint] - low[joint] < 2.0 * _REVERSAL:
+        raise ConfigError(
+            f"joint '{model.joint_names[joint]}' moves within {model.q_max[joint] - model.q_min[joint]:.2f} rad only: "
+            "too little for an exercise; lock it (robot.lock)"
+        )
+    sweep = min(_SWEEP, 0.5 * (high[joint] - low[joint]))
+    low[joint], high[joint] = low[joint] + sweep, high[joint] - sweep
+    low, high = np.minimum(np.maximum(low, -_REACH), high), np.maximum(np.minimum(high, _REACH), low)
+    rest = np.zeros(model.n)
+    rest[limb] = np.clip(0.0, low, high)[limb]
+    line = [i for i in limb if near.above(i, joint) or near.above(joint, i)]
+    tries = np.tile(rest, (_TRIES, 1))
+    tries[1:, line] = random.uniform(low[line], high[line], (_TRIES - 1, len(line)))
+    for q in sorted(tries, key=lambda q: -_loaded(model, q, joint, sweep)):
+        if near(q, joint, sweep):
+            return Slot(joint, tuple(limb), q, sweep)
+    return Slot(joint, tuple(limb), rest, sweep)
+
+
+def _loaded(model: RobotModel, q: Array, joint: int, sweep: float) -> float:
+    """Return what a sweep of a joint shows by gravity: a great torque, a wide range, and a change of its sign."""
+    height, there = [], q.copy()
+    angles = q[joint] + sweep * np.linspace(-1.0, 1.0, 4)
+    for angle in angles:
+        there[joint] = angle
+        kin = Kinematics(model, there, Foot.LEFT)
+        height.append(kin.direction(model.root, _Z) @ (kin.com - kin.point(model.root)))
+    slope = np.diff(height) / np.diff(angles)  # times the weight it is the torque
+    return float(0.3 * np.abs(slope).max() + 0.3 * np.ptp(slope) + max(0.0, min(slope.max(), -slope.min())))
+
+
+class _Clearance:
+    """Tells whether a robot keeps away from itself, and its soles from standing on end."""
+
+    def __init__(self, model: RobotModel) -> None:
+        self._model = model
+        bodies = [frame.body for frame in model.frames.values()]
+        far = [[self._links(a, b) > 2 for b in bodies] for a in bodies]
+        self._pairs = np.triu(np.array(far))
+        self._least = _CLEAR * np.minimum(self._distances(np.zeros(model.n)), _NEAR)
+
+    def __call__(self, q: Array, joint: int, sweep: float) -> bool:
+        """Tell whether the sweep of a joint about the posture `q` is clear."""
+        there = q.copy()
+        for angle in (q[joint] - sweep, q[joint], q[joint] + sweep):
+            there[joint] = angle
+            if (self._distances(there) < self._least).any():
+                return False
+            kin = Kinematics(self._model, there, Foot.LEFT)
+            up = kin.direction(self._model.root, _Z)
+            if any(kin.direction(sole.frame, _Z) @ up < math.cos(_LEAN) for sole in self._model.soles.values()):
+                return False
+        return True
+
+    def above(self, i: int, j: int) -> bool:
+        """Tell whether joint `i` carries joint `j`, or is it."""
+        (body,) = (b for b, body in enumerate(self._model.bodies) if body.joint == j)
+        while body >= 0 and self._model.bodies[body].joint != i:
+            body = self._model.bodies[body].parent
+        return body >= 0
+
+    def _distances(self, q: Array) -> Array:
+        kin = Kinematics(self._model, q, Foot.LEFT)
+        p = np.array([kin.point(name) for name in self._model.frames])
+        out: Array = np.linalg.norm(p[:, None] - p[None], axis=2)[self._pairs]
+        return out
+
+    def _links(self, a: int, b: int) -> int:
+        """Return how many joints are between two bodies."""
+        ways = []
+        for body in (a, b):
+            ways.append([body])
+            while (body := self._model.bodies[body].parent) >= 0:
+                ways[-1].append(body)
+        return len(set(ways[0]) ^ set(ways[1]))
+
+
+def _motion(sweep: float) -> Array:
+    """Return the motion of a joint about the middle of its posture, on the grid of the path, shape (m,) [rad]."""
+    left = SLOT - _WAY - _REST
+    slow = _triangle(sweep, 0.36 * left)
+    short = np.concatenate([_triangle(min(_REVERSAL, sweep), 0.05 * left)] * 2)
+    heights = [height for size in _STEPS for height in (size, 0.0, -size, 0.0)]
+    edges = 0.015 * left * np.arange(len(heights) + 1)
+    steps = np.interp(
+        np.arange(0.0, edges[-1], _GRID),
+        np.sort(np.concatenate([edges, edges + _STEP_TIME])),
+        np.repeat([0.0, *heights], 2),
+    )
+    t = np.arange(0.0, 0.3 * left, _GRID)
+    frequency = np.interp(t, [0.0, t[-1]], _CHIRP)
+    phase = np.cumsum(math.tau * frequency) * _GRID
+    fade = np.minimum(1.0, np.minimum(t, t[-1] - t) / 0.5)
+    chirp = fade * np.minimum(0.6 * sweep, _CHIRP_SPEED / (math.tau * frequency)) * np.sin(phase)
+    return np.concatenate([slow, short, steps, chirp])
+
+
+def _triangle(amplitude: float, duration: float) -> Array:
+    return amplitude * np.interp(
+        np.arange(0.0, duration, _GRID) / duration, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0]
+    )
+
+
+def path_of(model: RobotModel, cycles: int) -> Array:
+    """Return the angles (m, n) of all joints on the grid, all zero at the beginning [rad]."""
+    each = slots(model, cycles)
+    size = round(SLOT / _GRID)
+    way = np.linspace(0.0, 1.0, round(_WAY / _GRID))
+    way = way**3 * (10.0 - 15.0 * way + 6.0 * way**2)
+    out = np.zeros((max(map(len, each)) * size + size // 4, model.n))
+    for limb in each:
+        here, at = np.zeros(model.n), 0
+        for slot in limb:
+            for i in slot.limb:
+                out[at : at + size, i] = slot.posture[i]
+                out[at : at + len(way), i] = here[i] + way * (slot.posture[i] - here[i])
+            motion = _motion(slot.sweep)
+            begin = at + size - len(motion)
+            out[begin : at + size, slot.joint] += motion
+            here, at = slot.posture, at + size
+        for i in limb[0].limb:  # back to where it began
+            out[at : at + len(way), i] = (1.0 - way) * here[i]
+            out[at + len(way) :, i] = 0.0
+    return out
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointPath(Task):
+    """All joints on a path [rad], with nothing fed back: that would be taken for what the servos do.
+
+    Attributes
+    ----------
+    path : ndarray, shape (m, n)
+        Every `_GRID` [rad].
+    dt : float
+        Control period: the velocity is that of the path over the next one [s].
+    """
+
+    path: Array
+    dt: float
+
+    @property
+    def watches(self) -> tuple[JointAngles]:
+        """All joint angles."""
+        return (JointAngles(),)
+
+    @cached_property
+    def _gradient(self) -> Array:
+        return np.eye(self.path.shape[1])
+
+    def _at(self, elapsed: float) -> Array:
+        x = min(max(elapsed / _GRID, 0.0), len(self.path) - 1.0)
+        k = min(int(x), len(self.path) - 2)
+        out: Array = self.path[k] + (x - k) * (self.path[k + 1] - self.path[k])
+        return out
+
+    def value(self, s: Array, elapsed: float) -> tuple[Array, Array]:
+        """Offset of every joint from the path, shape (n,) [rad]."""
+        return s - self._at(elapsed), self._gradient
+
+    def rate(self, s: Array, e: Array, elapsed: float, eta: float) -> Array:
+        """Return the velocity of the path (n,) [rad/s]."""
+        out: Array = (self._at(elapsed + self.dt) - self._at(elapsed)) / self.dt
+        return out
+
+
+@dataclass(frozen=True)
+class _Duration:
+    """A phase that ends with its path."""
+
+    duration: float
+
+    def is_over(self, error: float, elapsed: float) -> bool:
+        """Return whether the path is done; see `walk.Rule.is_over`."""
+        return elapsed >= self.duration - 1e-9
+
+
+class Exercise(Walk):
+    """All joints, ``gait.cycles`` times, in one phase."""
+
+    @staticmethod
+    def phases(config: Config) -> int:
+        """Return one."""
+        return 1
+
+    @staticmethod
+    def describe(config: Config) -> str:
+        """Return such as ``an exercise of all joints``."""
+        return "an exercise of all joints" + (f", {config.gait.cycles} times" if config.gait.cycles > 1 else "")
+
+    @property
+    def posture(self) -> Array:
+        """Zero, or as near as the joints' limits are, shape (n,) [rad]."""
+        return np.clip(np.zeros(self.model.n), self.model.q_min, self.model.q_max)
+
+    def following(self, phase: Phase | None) -> tuple[PhaseKind, Foot, Array | None] | None:
+        """Return the only phase; None after it."""
+        return (PhaseKind.STANCE, Foot.LEFT, None) if phase is None else None
+
+    def both_feet(self, kind: PhaseKind, support: Foot, q_start: Array) -> Phase:
+        """Return the exercise."""
+        path = path_of(self.model, self.config.gait.cycles)
+        return Phase(
+            model=self.model,
+            kind=kind,
+            support=support,
+            base=support.other,
+            q_start=q_start,
+            swing_target=None,
+            eta=self.config.task.eta,
+            damping=1e-6,
+            tasks=(JointPath(name="path", path=path, dt=self.config.dt),),
+            equalities=(),
+            inequalities=(),
+            limits=joint_limits(self.config, self.model),
+            rule=_Duration(len(path) * _GRID),
+        )
+
+    def one_foot(self, support: Foot, q_start: Array, swing_target: Array) -> Phase:
+        """Never called: the robot hangs in the air."""
+        raise ConfigError("an exercise has no single support")
+
+    def effort(self, phase: Phase, kin: Kinematics, state: State) -> Array:
+        """Return no torques, shape (n,)."""
+        return np.zeros(self.model.n)
+
+    def duration(self) -> float:
+        """Return how long it takes [s]."""
+        return len(path_of(self.model, self.config.gait.cycles)) * _GRID

@@ -1,0 +1,64 @@
+"""The replay: the commands of a recorded exercise on a simulated robot, which then moves like it, or does not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros.config import Config, SensorsConfig
+from dqwalk_ros.errors import BagError
+from dqwalk_ros.identification.exercise import NAME
+from dqwalk_ros.plants.mujoco import PhysicsPlant
+from dqwalk_ros.servos import Servos
+from dqwalk_ros.simulation import Trace, make_walk
+from dqwalk_ros.state import Command
+
+__all__ = ["replay", "require_exercise"]
+
+Array = NDArray[np.float64]
+
+_SHOWN = 100
+"""Times that progress is shown."""
+
+
+def require_exercise(trace: Trace) -> None:
+    """Raise BagError if a recording is no exercise."""
+    if trace.config.gait.walk != NAME:
+        raise BagError(
+            "this bag is no exercise but a walk, in which the ground hides what the servos do; `dqwalk exercise` "
+            "records one"
+        )
+
+
+def replay(trace: Trace, config: Config, progress: Callable[[float, str], None] | None = None) -> Array:
+    """Return the angles (N, n) of a robot with the servos that `config` tells the controller of [rad].
+
+    Parameters
+    ----------
+    trace : Trace
+        An exercise.
+    config : Config
+        What is recorded of the exercise, with ``servo.assumed`` and the mass of the robot to be replayed.
+    progress : callable, optional
+        Called with the fraction done and some text.
+
+    Raises
+    ------
+    BagError
+        If it is no exercise.
+    """
+    require_exercise(trace)
+    model, u = trace.model, np.nan_to_num(trace.u)
+    # the delay is all on the command side here, and a goal is sent at the beginning of its period
+    late = {"servo.latency": config.servo.assumed_latency + 0.5 * config.dt, "servo.rate": 0.0}
+    made = config.updated(late | {f"sensors.{name}": value for name, value in vars(SensorsConfig()).items()})
+    plant = PhysicsPlant(made, model, make_walk(made, model).posture, Servos.identified(made, model))
+    out = np.empty_like(trace.q)
+    out[0] = plant.state.q
+    for k in range(len(trace) - 1):
+        out[k + 1] = plant.step(Command(float(trace.time[k]), u[k]), float(trace.time[k + 1] - trace.time[k])).q
+        if progress is not None and k % max(1, len(trace) // _SHOWN) == 0:
+            progress(k / len(trace), f"{trace.time[k]:.0f} s")
+    return out
