@@ -174,7 +174,7 @@ def test_a_walk_on_ros_is_seen_live(tmp_path):
                 assert page.errors == []
             # it waits at first, and software WebGL can keep the plant from the processor for 0.1 s
             wrong = {s.message for s in live.statuses("controller") if s.level != b"\x00"}
-            assert all("fell silent" in text or text == "waiting for joint_states" for text in wrong), wrong
+            assert all("timed out" in text or text == "waiting for joint_states" for text in wrong), wrong
         finally:
             live.close()
 

@@ -118,8 +118,8 @@ def test_silence(walk: Chaos, way: str) -> None:
     took = walk.stands()
     assert took < BUSY
     if way == "states":
-        walk.said("controller", "fell silent") if not any(
-            "fell silent" in s.message for s in walk.statuses("controller")[-20:]
+        walk.said("controller", "timed out") if not any(
+            "timed out" in s.message for s in walk.statuses("controller")[-20:]
         ) else None
     setattr(walk, f"on_{way}", chaos.passing)
     walk.walks()
@@ -319,7 +319,7 @@ def test_the_controller_is_frozen(walk: Chaos) -> None:
 
 def test_the_plant_is_frozen(walk: Chaos) -> None:
     walk.processes.signal("integrator", signal.SIGSTOP)
-    took = walk.said("controller", "fell silent")
+    took = walk.said("controller", "timed out")
     walk.until(lambda: walk.speed_of() == 0.0, 5.0, "a command of zeros")
     walk.processes.signal("integrator", signal.SIGCONT)
     walk.walks()

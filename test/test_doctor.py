@@ -1,4 +1,4 @@
-"""dqwalk doctor: each thing that keeps a robot from walking is named, and a robot that is ready is called so."""
+"""dqwalk doctor names each fault that keeps a robot from walking, and reports a robot without faults as ready."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def robot(
     imus: list[tuple[Imu, int]] = []
     if inertial is not None:
         imus = [(ros.imu(round(t * 1e9), frame, inertial), at) for t, at in zip(times, received, strict=True)]
-    values = {"publishers": ("/driver",), "takers": ("driver",), "ready": True, **heard}
+    values = {"publishers": ("/driver",), "subscribers": ("driver",), "ready": True, **heard}
     return Heard(1.0, **{"states": states, "imus": imus, **values})
 
 
@@ -79,9 +79,9 @@ FAULTS: dict[str, tuple[Callable[[], Heard], str, str]] = {
     "imu in g": (
         lambda: robot(inertial=Inertial(UPRIGHT.orientation, np.zeros(3), np.array([0.0, 0.0, 1.0]))),
         "inertial sensor",
-        "mind its units",
+        "check its units",
     ),
-    "nobody listens": (lambda: robot(takers=()), "commands", "start poppy_driver"),
+    "no subscriber": (lambda: robot(subscribers=()), "commands", "start poppy_driver"),
     "limp": (lambda: robot(ready=False), "plant", "~/activate"),
     "hot": (lambda: robot(errors={"motors": "l_knee_y is 71 degC"}), "/diagnostics", "71 degC"),
 }

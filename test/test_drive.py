@@ -95,14 +95,14 @@ def command(stamp: float = 1.0, speed: float = 0.0) -> Any:
 
 
 def test_nothing_is_told_before_the_first_command(make: Any) -> None:
-    """And the walk waits until somebody hears."""
+    """The walk waits until the output topic has a subscriber."""
     one = make("drive", POPPY)
     one.hand("joint_velocity_commands", command())
     one.hand("joint_states", measured(POSTURE))
     one.tick()
     assert not one.got[TOPIC["position"]]
     assert [msg.data for msg in one.got["plant_ready"]] == [False]
-    assert "nobody listens on /forward_position_controller/commands" in one.got["diagnostics"][-1].status[0].message
+    assert "no node subscribes to /forward_position_controller/commands" in one.got["diagnostics"][-1].status[0].message
     robot = one.stranger("controller_manager")
     robot.create_subscription(Float64MultiArray, TOPIC["position"], lambda _: None, 1)
     deadline = time.monotonic() + 20.0

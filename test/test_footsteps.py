@@ -129,7 +129,7 @@ def test_an_empty_path_cancels_and_a_path_may_be_seen_from_a_sole(walked: Walked
     )
     walked.until("walking 1/5")
     assert "not in a stance" in walked.send(BESIDE)
-    assert walked.send() == "cancelled: 4 footsteps are left out, the feet are put together"
+    assert walked.send() == "cancelled: 4 footsteps dropped, the feet are put together"
     controller = walked.node.node._walk
     names = []
     while not (names and names[-1].startswith("stance")):

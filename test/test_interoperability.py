@@ -189,13 +189,13 @@ def test_a_file_of_a_whole_robot_is_taken(make: Any) -> None:
     text = to_yaml(PAPER) + "    robot_name: poppy\n    teleop: {scale: 2.0}\n/arm:\n  ros__parameters: {port: x}\n"
     one = make("controller", text)
     assert one.node.config == PAPER
-    assert "somebody else, left alone: robot_name, teleop.scale" in one.log
+    assert "ignoring parameters of other packages: robot_name, teleop.scale" in one.log
 
 
 def test_a_file_for_other_nodes_only_is_taken_with_a_warning(make: Any) -> None:
     one = make("phase_monitor", "/**/controller:\n  ros__parameters: {dt: 0.01}\n")
     assert one.node.config.dt == load("paper").dt
-    assert "no section reaches /phase_monitor" in one.log
+    assert "no section applies to /phase_monitor" in one.log
     assert "--params-file missing" in one.log  # `ros2 run dqwalk_ros controller` walks a robot of 25 joints
 
 
@@ -321,7 +321,7 @@ def test_a_node_without_the_clock_it_was_told_of_says_so(make: Any) -> None:
         one = make(name, PAPER, ros=("-p", "use_sim_time:=true"))
         for _ in range(3):
             one.tick()
-        assert "use_sim_time is set and nobody publishes /clock" in one.log
+        assert "use_sim_time is set, but no node publishes /clock" in one.log
         assert "use_sim_time" in one.got["diagnostics"][-1].status[0].message
         assert not one.got.get("joint_states")
         assert "two controllers" not in one.log
@@ -330,7 +330,7 @@ def test_a_node_without_the_clock_it_was_told_of_says_so(make: Any) -> None:
 def test_a_simulated_plant_is_the_clock_of_the_others(make: Any) -> None:
     """RViz and /tf can follow a walk in lockstep, the stamps of which begin at zero."""
     one = make("integrator", PAPER.updated({"plant.lockstep": True, "plant.clock": True}))
-    one.node._asked = -1.0
+    one.node._published_at = -1.0
     one.tick()
     one.hand("joint_velocity_commands", state(NAMES, [], 0.0, velocity=ZERO))
     assert [ros.nanoseconds(m.clock) for m in one.got["clock"]] == [0, round(DT * 1e9)]
@@ -356,7 +356,7 @@ def test_states_at_another_rate_are_told(make: Any) -> None:
         one.hand("joint_states", state(NAMES, ZERO, 1.0 + 2 * k * DT))
     for _ in range(2):
         one.tick()
-    assert "joint_states come every 0.0100 s, and dt is 0.005 s" in one.log
+    assert "joint_states arrive every 0.0100 s, but dt is 0.005 s" in one.log
 
 
 # ---------------------------------------------------------------------- the rest of the face

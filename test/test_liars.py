@@ -78,12 +78,12 @@ def slowly(t: float, q: np.ndarray, said: Inertial) -> tuple[np.ndarray, Inertia
 
 LONG = pytest.mark.long
 LIES = [
-    pytest.param(frozen(), "l_hip_y does not move as it is told", id="a frozen joint"),
+    pytest.param(frozen(), "l_hip_y does not follow its commands", id="a frozen joint"),
     pytest.param(slipped(0.3), "l_knee_y", id="an encoder that slipped by 0.3 rad"),
     pytest.param(slipped(-0.3), "l_knee_y", id="by -0.3 rad", marks=LONG),
     pytest.param(slipped(0.5), "l_knee_y by 0.5", id="by 0.5 rad", marks=LONG),
     pytest.param(slipped(0.8), "l_knee_y by 0.8", id="by 0.8 rad", marks=LONG),
-    pytest.param(drifting, "l_knee_y does not move as it is told", id="a drift of 0.1 rad/s"),
+    pytest.param(drifting, "l_knee_y does not follow its commands", id="a drift of 0.1 rad/s"),
     pytest.param(turned(math.radians(20.0), 0), "inertial sensor", id="an imu turned to the side by 20 degrees"),
     pytest.param(turned(math.radians(20.0), 1), "inertial sensor", id="forwards", marks=LONG),
     pytest.param(turned(math.radians(-20.0), 1), "inertial sensor", id="backwards", marks=LONG),
@@ -141,8 +141,8 @@ def test_a_plant_of_another_dt_ends_the_walk(make: Any, lockstep: bool, period: 
     for k in range(60):
         node.hand("joint_states", state(model.joint_names, np.zeros(model.n), 1.0 + k * period))
     if not lockstep:
-        node.node._look_for_duplicates()
-    said = f"joint_states come every {period:.4f} s, and dt is 0.02 s"
+        node.node._check_plants()
+    said = f"joint_states arrive every {period:.4f} s, but dt is 0.02 s"
     assert (said in node.got["diagnostics"][-1].status[0].message) is ends
     assert (node.got["phase"][-1].data == "failed") is ends
     assert ends or said in node.log
@@ -179,7 +179,7 @@ def test_the_joint_that_is_off_is_named(way: float) -> None:
     told = np.zeros(MODEL.n)
     for k, name in enumerate(MODEL.joint_names):
         why = judged([State(0.0, told), State(0.02, told + 0.26 * way * np.eye(MODEL.n)[k])], told)
-        assert why.startswith(f"{name} does not move as it is told, it is 0.26 rad off")
+        assert why.startswith(f"{name} does not follow its commands, it is 0.26 rad off")
 
 
 def test_a_sensor_that_turns_as_its_gyroscope_says_is_believed() -> None:

@@ -69,7 +69,7 @@ def test_the_first_message_of_a_stranger_is_refused(make: Any) -> None:
     assert node.plant.state.q == pytest.approx(moved, abs=0.0)
     assert "holding still: two controllers: " in plant.log
     assert not plant.got["plant_ready"][-1].data
-    until(lambda: node.commands._look() or "two controllers: /controller, /stranger" in plant.log)
+    until(lambda: node.commands._check() or "two controllers: /controller, /stranger" in plant.log)
 
 
 def test_the_watchdog_can_only_be_lowered_while_the_robot_moves(make: Any) -> None:
@@ -123,7 +123,7 @@ def test_a_second_one_says_so_and_does_not_start(tmp_path: Path, monkeypatch: py
             one_more_state()
             second.start("integrator")
             assert second.processes.wait("integrator", 60.0) == 2
-            assert "/integrator runs already" in second.processes.log("integrator")
+            assert "/integrator is already running" in second.processes.log("integrator")
             one_more_state()
             live.processes.signal("integrator", signal.SIGKILL)
             live.processes.wait("integrator", 10.0)
@@ -150,7 +150,7 @@ def test_a_second_one_on_another_machine_is_heard(make: Any, tmp_path: Path, mon
     thread = threading.Thread(target=publish)
     thread.start()
     try:
-        with pytest.raises(ConfigError, match="/integrator runs already and publishes /joint_states"):
+        with pytest.raises(ConfigError, match="/integrator is already running and publishes /joint_states"):
             second.node.refuse_a_second()
     finally:
         over.set()

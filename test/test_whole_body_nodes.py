@@ -177,8 +177,8 @@ GLITCHES: dict[str, tuple[dict[str, Any], str]] = {
     "fast": ({"dq": one(START.dq, 1000.0)}, "turns at 1e+03 rad/s"),
     "much too fast": ({"dq": one(START.dq, 1e300)}, "turns at 1e+300 rad/s"),
     "angle not finite": ({"q": one(START.q, math.nan)}, "not a finite position"),
-    "velocity not finite": ({"dq": one(START.dq, math.inf)}, "without a finite velocity"),
-    "no velocities": ({"dq": []}, "without a finite velocity"),
+    "velocity not finite": ({"dq": one(START.dq, math.inf)}, "need a finite velocity"),
+    "no velocities": ({"dq": []}, "need a finite velocity"),
     "a name twice": ({"names": [*MODEL.joint_names[:-1], MODEL.joint_names[0]]}, "joints missing"),
     "a name twice, all there": (
         {
@@ -188,7 +188,7 @@ GLITCHES: dict[str, tuple[dict[str, Any], str]] = {
         },
         "joints named twice",
     ),
-    "lengths": ({"q": START.q[:-1]}, "names with"),
+    "lengths": ({"q": START.q[:-1]}, "names, but"),
     "base jumps": ({"x": DQ.from_pose([0.0, 0.0, 1.7]).vec8()}, "the base jumped by"),
     "quaternion": ({"turned": 2.0}, "quaternion of norm 2"),
     "quaternion not finite": ({"turned": math.nan}, "quaternion of norm nan"),
@@ -225,7 +225,7 @@ def test_when_the_plant_falls_silent_the_torques_are_zero_once_and_it_is_stale(m
     time.sleep(1.5 * REAL.plant.command_timeout)
     node.tick()
     assert not any(answers(node)[-1].effort)
-    assert (last_status(node).level, last_status(node).message) == (b"\x03", "body state fell silent")
+    assert (last_status(node).level, last_status(node).message) == (b"\x03", "body state timed out")
     said = len(answers(node))
     node.tick()
     assert len(answers(node)) == said
@@ -312,7 +312,7 @@ def test_where_stamps_do_not_tell_a_walk_begins_at_rest(make: Any) -> None:
     moving = replace(START, dq=START.dq + 0.2)
     tell(node, 1.7e9, moving)
     assert answers(node) == []
-    assert "a walk begins at rest" in last_status(node).message
+    assert "start the walk at rest" in last_status(node).message
     tell(node, 1.7e9 + 1.0, START)
     assert len(answers(node)) == 1
 

@@ -1,24 +1,28 @@
-"""The walk on ROS 2: rclpy nodes around the core, and the only folder that imports rclpy.
+"""The ROS 2 nodes around the core; the only folder that imports rclpy.
 
 =========================  ===========================================================================
-`command_line`             help, options, console scripts: all that needs no ROS
-`wheels`                   what rclpy and its wheels lack, worked around
-`base`                     what every node is: parameters, diagnostics, an exit code
+`command_line`             help, options and console scripts of the nodes; works without ROS
+`wheels`                   workarounds for rclpy and its wheels on PyPI
+`base`                     base class of every node: parameters, diagnostics, exit code
 `parameters`               the schema of `dqwalk_ros.config` as ROS parameters
-`messages`                 messages <-> the core's values
-`safety`                   which states and commands count; no ROS in it
-`inputs`                   states with their inertial sensor, commands, cmd_vel: read and judged
-`phase_log`                the phases of a walk, rebuilt from its topics
-`markers`                  shapes for RViz
-`odometry`                 base_pose and /tf
+`messages`                 conversion between messages and the core's values
+`safety`                   which states and commands are accepted; imports no ROS
+`answering`                base class of both controllers: state checks, stopping the robot
+`inputs`                   inertial sensor, joint commands and cmd_vel, checked on arrival
+`footsteps`                commanded footsteps (nav_msgs/Path) for a standing walk
+`phases`                   publishes the phases of a walk; rebuilds them from the topics
+`markers`                  shapes for RViz and Foxglove
+`odometry`                 odom, base_pose and /tf
 `controller`               joint_states -> joint_velocity_commands
 `plant`                    joint_velocity_commands -> joint_states: integrator, physics
-`poppy_driver`             the same on the real robot
+`poppy_driver`             the same on a real Poppy
+`drive`                    joint_velocity_commands -> the controllers of another robot, such as ros2_control's
 `pilot`                    a course -> cmd_vel
 `whole_body_controller`    joint_states, base_pose, base_twist -> joint_effort_commands
-`rigid`                    the plant for torques
+`rigid`                    joint_effort_commands -> joint_states, base_pose, base_twist: rigid-body simulation
 `phase_monitor`            /diagnostics and markers, recomputed from the topics
-`recorder`                 rosbag2
-`viewer`                   the walk in the browser
+`recorder`                 records a rosbag2
+`viewer`                   shows the walk in the browser
+`doctor`                   the checks of `dqwalk doctor`: is the robot ready to walk?
 =========================  ===========================================================================
 """

@@ -1,7 +1,6 @@
-"""What every controller node has in common: which states it answers, and how it stops the robot.
+"""Base class of the controller nodes: checks each state, computes a command, stops the robot on a fault.
 
-A subclass says what an answer is; all that may go wrong with a state, with the plant that sends it and with the
-answer itself is decided here.
+A subclass defines the command. Faults of a state, of the plant that publishes it, and of the command are handled here.
 """
 
 from __future__ import annotations
@@ -27,36 +26,36 @@ from dqwalk_ros.robot import load_model
 __all__ = ["AnsweringNode"]
 
 _PERIODS = 50
-"""Periods over which the rate of the states is judged."""
-_FEW = 10
-"""So many must be known before a rate is judged."""
-_OFF, _SLOW = 0.2, 2.5
-"""States that come at another rate than 1/dt by more than this part are a warning; states so many times slower end
-the walk: each command moves the robot too far."""
+"""Number of periods from which the rate of the states is computed."""
+_MIN_PERIODS = 10
+"""Fewest periods from which it is computed."""
+_RATE_TOLERANCE, _MAX_PERIOD = 0.2, 2.5
+"""Relative error of the period above which a warning is logged; period, in units of dt, above which the walk ends,
+because each command would move the robot too far."""
 
 
 class AnsweringNode(WalkNode):
-    """A controller: answers each measured state that can be used, and stops the robot where anything is wrong.
+    """A controller node: answers each valid state with a command, and stops the robot on a fault.
 
-    In real time a command that stops the robot is sent once; in lockstep the plant stands still without an answer.
+    In real time the stop command is sent once; in lockstep the plant does not move without a command.
 
     Parameters
     ----------
     name : str
     options : argparse.Namespace
     gate : type of StateGate
-        Decides which states may be answered.
+        Decides which states are accepted.
     states : str
-        What the states are called in messages.
+        Name of the states in log messages.
     stopping : str
-        What stops the robot, for messages.
+        Name of the stop command in log messages.
     """
 
     _commands: Publisher
     _still: Any
     """The command that stops the robot."""
     _sent: Any
-    """The command sent last."""
+    """The last command that was published."""
 
     def __init__(
         self,
@@ -76,7 +75,7 @@ class AnsweringNode(WalkNode):
         self._command_msg = ros.JointWriter(self._model.joint_names)
         self._problem = ""
         self._stamp = -1  # of the last state answered [ns]
-        self._seen = -1  # stamp of the last state accepted [ns]
+        self._accepted = -1  # stamp of the last state accepted [ns]
         self._periods: deque[float] = deque(maxlen=_PERIODS)  # between states [s]
         self._gate = gate(
             self._model,
@@ -92,40 +91,40 @@ class AnsweringNode(WalkNode):
         self._stale = False
         self._ticks = self._rejected = 0
         self._diagnosed = -float("inf")  # steady time [s]
-        self.create_timer(0.02, self._look_for_silence, clock=STEADY)
-        self.create_timer(0.25, self._look_for_duplicates, clock=STEADY)
+        self.create_timer(0.02, self._check_timeout, clock=STEADY)
+        self.create_timer(0.25, self._check_plants, clock=STEADY)
 
-    # ------------------------------------------------------------------ what differs between controllers
+    # ------------------------------------------------------------------ defined by each controller
 
     @property
     def _is_walking(self) -> bool:
-        """Whether states are answered by the controller, rather than by standing still."""
+        """Whether the walk is under way; otherwise the robot stands still."""
         raise NotImplementedError
 
     def _numbers(self, command: Any) -> NDArray[np.float64]:
-        """Return the numbers of a command that leave the node."""
+        """Return all numbers of a command that are published, to check that they are finite."""
         raise NotImplementedError
 
     def _publish_command(self) -> None:
-        """Publish the command sent last, with the stamp of the last state answered."""
+        """Publish `_sent` with the stamp of the last state answered."""
         raise NotImplementedError
 
     def _fail(self, reason: str) -> None:
-        """Note that the walk has failed."""
+        """End the walk as failed."""
         raise NotImplementedError
 
     def _done(self) -> None:
-        """Say once how the walk ended."""
+        """Log and publish how the walk ended; called once."""
         raise NotImplementedError
 
     def _diagnose(self, level: str = "", message: str = "") -> None:
-        """Publish diagnostics; without a level they are those of the walk."""
+        """Publish diagnostics; without a level, those of the walk."""
         raise NotImplementedError
 
     # ------------------------------------------------------------------ states
 
     def _reject(self, error: StateError) -> None:
-        """Note a state that cannot be used; it has changed nothing."""
+        """Log and count a state that was rejected; nothing else changes."""
         self._rejected += 1
         self.get_logger().error(f"{self._states} rejected ({self._rejected} so far): {error}", **THROTTLE)
         if self._gate.jumped and self._is_walking:
@@ -137,11 +136,11 @@ class AnsweringNode(WalkNode):
 
     def _is_new(self, stamp: int) -> bool:
         if self.lockstep:
-            if stamp == self._stamp:  # the plant asks again: our answer was lost
+            if stamp == self._stamp:  # published again: the command was lost
                 self._publish_command()
             elif stamp < self._stamp:
                 self.get_logger().error(
-                    f"the plant began again at {stamp * 1e-9:.3f} s, this walk is at {self._stamp * 1e-9:.3f} s: "
+                    f"the plant restarted at {stamp * 1e-9:.3f} s, this walk is at {self._stamp * 1e-9:.3f} s: "
                     "call ~/reset",
                     **THROTTLE,
                 )
@@ -153,26 +152,26 @@ class AnsweringNode(WalkNode):
         return True
 
     def _note(self, stamp: int) -> None:
-        """Note the stamp of a state that was accepted."""
+        """Store the stamp of an accepted state."""
         self._stale = False
-        if 0 <= self._seen < stamp:
-            self._periods.append(1e-9 * (stamp - self._seen))
-        self._seen = stamp
-        if self.lockstep and len(self._periods) < _FEW:
-            self._judge_rate()
+        if 0 <= self._accepted < stamp:
+            self._periods.append(1e-9 * (stamp - self._accepted))
+        self._accepted = stamp
+        if self.lockstep and len(self._periods) < _MIN_PERIODS:
+            self._check_rate()
 
     def _may_answer(self) -> bool:
-        """Hold the first answer of a recorded walk until nothing of it can be lost."""
+        """Return whether the first command may be sent: with a recorder, once it has subscribed to every message."""
         if self._ticks or not self.config.node.wait_for_recorder:
             return True
         ends = self.get_subscriptions_info_by_topic(self.resolve_topic_name("joint_states"))
-        hears_states = any(end.node_name == "recorder" for end in ends)
-        return hears_states and ros.is_heard_by(self, self._commands, "recorder")
+        gets_states = any(end.node_name == "recorder" for end in ends)
+        return gets_states and ros.is_heard_by(self, self._commands, "recorder")
 
     # ------------------------------------------------------------------ answers
 
     def _guarded(self, step: Callable[[], Any]) -> Any | None:
-        """Return the command of `step`, or None after an error; an error that cannot be passed over fails the walk."""
+        """Return the command of `step`, or None after an error; an error that is not tolerated ends the walk."""
         try:
             command = step()
         except QPError as error:
@@ -184,13 +183,13 @@ class AnsweringNode(WalkNode):
         except DqwalkError as error:
             self._fail(str(error))
             return None
-        except Exception as error:  # a fault of ours must stop the robot like any other
+        except Exception as error:  # an error of this package must stop the robot, too
             traceback.print_exc()
             self._fail(f"internal error: {type(error).__name__}: {error}")
             return None
         self._failures.good()
         if not np.isfinite(self._numbers(command)).all():
-            self._fail("internal error: the controller's answer is not finite")
+            self._fail("internal error: the command is not finite")
             return None
         return command
 
@@ -200,50 +199,50 @@ class AnsweringNode(WalkNode):
             self._publish_command()
 
     def close(self) -> None:
-        """Stop the robot; in lockstep the plant stands still without an answer."""
+        """Stop the robot; in lockstep the plant does not move without a command."""
         self._publish_zero()
 
     # ------------------------------------------------------------------ the plant
 
-    def _look_for_silence(self) -> None:
-        """Stop a robot whose plant fell silent, once (real time only: in lockstep it may take its time)."""
+    def _check_timeout(self) -> None:
+        """Stop the robot, once, if its states have timed out; in real time only, lockstep has no timeout."""
         if self._stamp < 0 and self._is_time_to_diagnose():
             self._diagnose("WARN", f"waiting for {self._awaited}")
         if self.lockstep or self._stale or self._stamp < 0 or not self._gate.watchdog.silent:
             return
         self._stale = True
         self._publish_zero()
-        self.get_logger().warning(f"{self._states} fell silent: commanding {self._stopping}", **THROTTLE)
-        self._diagnose("STALE", f"{self._states} fell silent")
+        self.get_logger().warning(f"{self._states} timed out: commanding {self._stopping}", **THROTTLE)
+        self._diagnose("STALE", f"{self._states} timed out")
 
-    def _look_for_duplicates(self) -> None:
-        """Stand still where two plants publish the robot's state."""
+    def _check_plants(self) -> None:
+        """Stand still while two plants publish the robot's state."""
         duplicates = self._plants.judge(ros.other_publishers(self, "joint_states"))
         log = self.get_logger()
         if duplicates != self._duplicates:
             self._duplicates = duplicates
             text = f"standing still: two plants: {duplicates}"
-            log.error(text) if duplicates else log.info("one plant again: going on")
-        self._judge_rate()
+            log.error(text) if duplicates else log.info("one plant again: continuing")
+        self._check_rate()
         if trouble := self.time_trouble():
             log.error(trouble, throttle_duration_sec=10.0, throttle_time_source_type=STEADY)
             self._diagnose("ERROR", trouble)
 
-    def _judge_rate(self) -> None:
-        """Look whether the states come at the rate for which the commands are made."""
-        if len(self._periods) < (1 if self.lockstep else _FEW):
+    def _check_rate(self) -> None:
+        """Compare the period of the states with dt, for which each command is computed."""
+        if len(self._periods) < (1 if self.lockstep else _MIN_PERIODS):
             return
-        period, dt = float(np.percentile(self._periods, 25)), self.config.dt  # a state that was lost doubles one
-        off = abs(period / dt - 1.0)
-        text = f"joint_states come every {period:.4f} s, and dt is {dt:g} s: set dt to the period of the states"
-        if self._is_walking and (period > _SLOW * dt or (self.lockstep and off > 1e-3)):
+        period, dt = float(np.percentile(self._periods, 25)), self.config.dt  # a lost state doubles one period
+        error = abs(period / dt - 1.0)
+        text = f"joint_states arrive every {period:.4f} s, but dt is {dt:g} s: set dt to the period of the states"
+        if self._is_walking and (period > _MAX_PERIOD * dt or (self.lockstep and error > 1e-3)):
             self._fail(text)
             self._publish_zero()
             self._done()
-        elif off > _OFF and len(self._periods) == _PERIODS:
+        elif error > _RATE_TOLERANCE and len(self._periods) == _PERIODS:
             self.get_logger().warning(text, throttle_duration_sec=30.0, throttle_time_source_type=STEADY)
 
-    # ------------------------------------------------------------------ what is said
+    # ------------------------------------------------------------------ responses and diagnostics
 
     def _answer(self, response: Trigger.Response, success: bool, message: str) -> Trigger.Response:
         self.get_logger().info(message)

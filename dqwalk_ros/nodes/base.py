@@ -1,4 +1,4 @@
-"""What every node of this package is: an rclpy node with the schema as its parameters, diagnostics and an exit code."""
+"""Base class of every node: an rclpy node with the schema as its parameters, diagnostics and an exit code."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ __all__ = ["STEADY", "THROTTLE", "WalkNode", "main"]
 STEADY = wheels.STEADY
 
 THROTTLE = {"throttle_duration_sec": 2.0, "throttle_time_source_type": STEADY}
-"""For a log that may come at every tick: ``self.get_logger().error(text, **THROTTLE)``."""
+"""For a message that could be logged at every tick: ``self.get_logger().error(text, **THROTTLE)``."""
 
 _DISCOVERED, _HEARD = 0.4, 1.5
-"""Time in which other nodes are discovered, and in which one that runs is heard [s]: in lockstep a plant without an
-answer publishes twice a second. One that is about to end has as long."""
+"""Time to discover other nodes, and to receive a message of one that is running [s]: in lockstep a plant that waits
+for a command publishes twice a second. A node that is shutting down has the same time to end."""
 
 _ACKNOWLEDGED = {True: 8.0, False: 0.25}
-"""Longest wait for acknowledgements at the end, in lockstep, where nothing may be missing from the bag, and in real
-time [s], where the plant's watchdog stands in for a last message that was lost."""
+"""Longest wait for acknowledgements at shutdown [s]: in lockstep, where the bag must be complete, and in real time,
+where the plant's watchdog stops the robot even if the last message is lost."""
 
 
 class WalkNode(Node):
@@ -63,12 +63,12 @@ class WalkNode(Node):
     Attributes
     ----------
     config : Config
-        Parameters in force.
+        Current parameters.
     done : rclpy.task.Future
-        The node is spun until this has a result, its exit code; see `stop`.
+        The node spins until this has a result, its exit code; see `stop`.
     pause : float
-        Time between two looks at what has come [s], of a node that is not in the loop of a walk; 0 handles each
-        message as it comes.
+        Time between two rounds of handling messages [s], for a node outside the control loop; 0 handles each message
+        on arrival.
 
     Raises
     ------
@@ -79,7 +79,7 @@ class WalkNode(Node):
     pause = 0.0
 
     claims = ""
-    """The topic that nobody but one node of this name may publish."""
+    """Topic that only one node of this name may publish; see `refuse_a_second`."""
 
     def __init__(self, name: str, options: argparse.Namespace, **keywords: Any) -> None:
         try:
@@ -114,16 +114,16 @@ class WalkNode(Node):
         return SetParametersResult(successful=True)
 
     def tune(self, config: Config) -> None:
-        """Take in parameters that have changed while the node runs.
+        """Apply parameters that were changed while the node runs.
 
         Raises
         ------
         ConfigError
-            If they cannot be used now.
+            If they cannot be applied now.
         """
 
     def advertise(self, topic: Topic | str) -> Publisher:
-        """Create the publisher of one of our topics, as the table in `dqwalk_ros.topics` says."""
+        """Create the publisher of a topic, with the type and the quality of service given in `dqwalk_ros.topics`."""
         if isinstance(topic, str):
             topic = (TOPICS | BODY_TOPICS)[topic]
         profile = ros.latched(topic.depth) if topic.latched else ros.stream(topic.depth)
@@ -132,7 +132,7 @@ class WalkNode(Node):
         return self.create_publisher(kind, topic.name, profile, qos_overriding_options=overrides)
 
     def listen(self, kind: Any, topic: str, callback: Callable[[Any], None], profile: QoSProfile) -> None:
-        """Subscribe to a topic whose quality of service may be set by the parameters ``qos_overrides``."""
+        """Subscribe to a topic; the parameters ``qos_overrides`` may change its quality of service."""
         overrides = QoSOverridingOptions.with_default_policies()
         self.create_subscription(kind, topic, callback, profile, qos_overriding_options=overrides)
 
@@ -152,33 +152,33 @@ class WalkNode(Node):
 
     @property
     def uses_sim_time(self) -> bool:
-        """Whether the node's time is that of /clock."""
+        """Whether the node takes its time from /clock."""
         return bool(self.get_parameter("use_sim_time").value)
 
     def time_trouble(self) -> str:
-        """Return what is wrong with the node's time, which is an error; empty if nothing is."""
+        """Return an error message about the node's clock; empty if there is no error."""
         if self.uses_sim_time and not self.get_clock().now().nanoseconds:
-            return "use_sim_time is set and nobody publishes /clock"
+            return "use_sim_time is set, but no node publishes /clock"
         return ""
 
     def refuse_a_second(self) -> None:
-        """Refuse to be a node that runs already: the same walk was launched twice.
+        """Refuse to start if a node of this name is already running, because the same walk was launched twice.
 
-        On one machine, and for one user, a lock tells, which ends with its process. Elsewhere the middleware does, once
-        it has discovered the other; it lists a node that was killed for 20 s more, so one counts only where it still
-        publishes.
+        For the same user on the same machine it is detected by a lock, which ends with its process. Otherwise it is
+        detected by discovery; a node that was killed remains listed for 20 s, so a node counts as running only if it
+        still publishes.
 
         Raises
         ------
         ConfigError
-            If it runs.
+            If it is running.
         """
         if not self.claims:
             return
         topic, me = self.resolve_topic_name(self.claims), self.get_fully_qualified_name()
-        runs = ConfigError(f"{me} runs already and publishes {topic}: end it first, or use a namespace")
+        runs = ConfigError(f"{me} is already running and publishes {topic}: stop it, or use a namespace")
         name = f"dqwalk_ros.domain{self.context.get_domain_id()}{me.replace('/', '.')}.{os.getuid()}.lock"
-        with contextlib.suppress(OSError):  # without a folder for it there is no lock
+        with contextlib.suppress(OSError):  # no lock if the file cannot be created
             self._lock = (Path(tempfile.gettempdir()) / name).open("w")
             if not self._within(_HEARD, self._is_locked):
                 raise runs
@@ -202,7 +202,7 @@ class WalkNode(Node):
 
     @staticmethod
     def _within(seconds: float, happens: Callable[[], bool]) -> bool:
-        """Wait until something happens, at most so long; return whether it has."""
+        """Wait until `happens` returns true, at most for `seconds`; return whether it did."""
         end = time.monotonic() + seconds
         while not (happened := happens()) and time.monotonic() < end:
             time.sleep(0.02)
@@ -214,33 +214,33 @@ class WalkNode(Node):
             self.done.set_result(exit_code)
 
     def is_drained(self) -> bool:
-        """Tell, once the end is asked for, whether what is still under way may be left."""
+        """Return whether the node may shut down; asked repeatedly after shutdown was requested."""
         return True
 
     def close(self) -> None:
-        """Do what is left to do at the end; the node can still publish."""
+        """Clean up at shutdown; the node can still publish."""
 
     def wait_for_acknowledgements(self) -> None:
-        """Wait until reliable subscribers have what was published."""
+        """Wait until all reliable subscribers have received every message."""
         deadline = time.monotonic() + _ACKNOWLEDGED[self.lockstep]
         for publisher in self.publishers:
             publisher.wait_for_all_acked(Duration(seconds=max(deadline - time.monotonic(), 0.0)))
 
 
 def main(kind: Callable[[argparse.Namespace], WalkNode], options: argparse.Namespace) -> int:
-    """Run one node until it is told to stop; return the exit code.
+    """Run one node until it stops; return the exit code.
 
     Parameters
     ----------
     kind : callable
-        Makes the node of `options`; it raises a `DqwalkError` for parameters that cannot be used.
+        Creates the node from `options`; raises a `DqwalkError` for invalid parameters.
     options : argparse.Namespace
         From `command_line.parse`; the ROS arguments of its ``argv`` apply.
 
     Returns
     -------
     int
-        0 after a signal or a node that has done its work, 1 after a failed walk, 2 for arguments that cannot be used.
+        0 after a signal or when the node has finished, 1 after a failed walk, 2 for invalid arguments.
     """
     if options.child:
         _end_with_parent()
@@ -266,6 +266,6 @@ def main(kind: Callable[[argparse.Namespace], WalkNode], options: argparse.Names
 
 
 def _end_with_parent() -> None:
-    """Ask the kernel for SIGTERM when the parent dies: no robot may walk on unwatched."""
-    with contextlib.suppress(OSError, AttributeError):  # not a Linux
+    """Have the kernel send SIGTERM when the parent process dies, so that no robot walks on unsupervised."""
+    with contextlib.suppress(OSError, AttributeError):  # not Linux
         ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG

@@ -1,7 +1,7 @@
 """Command line of the nodes: help, options, console scripts.
 
-What ``--help`` teaches is the docstring of the node's class and the schema of the parameters, read without importing
-ROS, so that it is there at once, and also where no ROS is.
+``--help`` prints the docstring of the node's class and its parameters. Both are read without importing ROS, so help is
+fast and works where ROS is not installed.
 """
 
 from __future__ import annotations
@@ -45,19 +45,19 @@ def docstring(name: str) -> str:
 
 
 def parameters_of(name: str) -> list[Spec]:
-    """Return the parameters that a node looks at: those in the sections that its docstring names."""
+    """Return the parameters that a node uses: those of the sections listed in its docstring."""
     found = re.search(r"^Sections of the schema: ([^.]*)\.", docstring(name), re.M)
     sections = re.split(r",\s+", found.group(1)) if found else []
     return [spec for spec in Config.specs() if spec.name.split(".")[0] in sections]
 
 
 def parse(name: str, argv: Sequence[str]) -> argparse.Namespace:
-    """Read the command line of a node; ``.argv`` is all of it, for rclpy.
+    """Parse the command line of a node; ``.argv`` of the result is the complete command line, for rclpy.
 
     Parameters
     ----------
     name : str
-        Which node.
+        Name of the node.
     argv : sequence of str
         Without the program's name.
     """
@@ -71,14 +71,14 @@ def parse(name: str, argv: Sequence[str]) -> argparse.Namespace:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
-        "--child", action="store_true", help="for programs: print progress as lines of JSON, end with the parent"
+        "--child", action="store_true", help="for programs: print progress as lines of JSON, stop with the parent"
     )
     if name == "recorder":
-        parser.add_argument("--bag", metavar="DIR", required=True, help="the folder to make; it must not be there yet")
+        parser.add_argument("--bag", metavar="DIR", required=True, help="folder to create; it must not exist yet")
     if name == "pilot":
         parser.add_argument(
             "--cmd-vel", metavar="X,Y,TURN,S", action="append", required=True,
-            help="walk so [m/s, m/s, rad/s] for so long [s]; several are walked in order",
+            help="velocity forward, left [m/s] and turn [rad/s], and its duration [s]; repeat for the next leg",
         )  # fmt: skip
     if name == "viewer":
         parser.add_argument("--port", type=int, help="port of the page; 0: any [8080, or the next free one]")
@@ -101,8 +101,8 @@ def _epilog(name: str) -> str:
         lines += textwrap.wrap(spec.meaning, 118, initial_indent=f"{head:42s}  ", subsequent_indent=" " * 44)
     lines += [
         "",
-        "  Every node takes every parameter of the package, so that one file serves all (`/**:`); a name that does not",
-        "  exist is an error. Exit code: 0 stopped or finished, 1 the walk failed, 2 arguments that cannot be used.",
+        "  Every node accepts every parameter of the package, so one file serves all nodes (`/**:`); an unknown name",
+        "  is an error. Exit code: 0 stopped or finished, 1 the walk failed, 2 invalid arguments.",
         "",
         f"with a sourced ROS: ros2 run dqwalk_ros {name} --help",
     ]
@@ -115,11 +115,11 @@ def main(name: str, argv: Sequence[str]) -> int:
     Parameters
     ----------
     name : str
-        Which node.
+        Name of the node.
     argv : sequence of str
         Without the program's name.
     """
-    options = parse(name, argv)  # help and wrong options need no ROS
+    options = parse(name, argv)  # help and usage errors need no ROS
     module, _, kind = NODES[name].partition(".")
     try:
         base = importlib.import_module("dqwalk_ros.nodes.base")
@@ -140,5 +140,5 @@ def main(name: str, argv: Sequence[str]) -> int:
 
 
 def script() -> int:
-    """Run the node that the program is called after: ``controller`` or ``dqwalk_controller``."""
+    """Run the node named by the program, such as ``controller`` or ``dqwalk_controller``."""
     return main(Path(sys.argv[0]).stem.removeprefix("dqwalk_"), sys.argv[1:])

@@ -1,8 +1,7 @@
-"""The walk as a node: a state comes in, a command goes out.
+"""The walking controller as a node: it answers each measured state with a command.
 
-The node knows nothing of time: in lockstep and in real time alike it answers the state it gets. What it adds to the
-core's `Controller` is what a robot needs around it: start, pause and reset, zeros when anything is wrong, and the
-topics that say what is going on.
+The node has no clock of its own: in lockstep and in real time it answers each state on arrival. To the core's
+`VelocityController` it adds start, pause and reset, zero velocity on any fault, and topics that show the progress.
 """
 
 from __future__ import annotations
@@ -50,7 +49,7 @@ _REMEMBERED = 10.0
 
 
 class Mode(enum.Enum):
-    """What the controller does with a state; the value is shown on `phase` where no phase is under way."""
+    """What the controller does with a state; the value is published on `phase` while no phase is under way."""
 
     IDLE = "idle"
     WALKING = "walking"
@@ -77,19 +76,19 @@ class Controller(AnsweringNode):
         imu                      sensor_msgs/Imu with plant.imu: roll and pitch, and angular velocity
         cmd_vel                  geometry_msgs/Twist, standing walk with gait.steps: 0: linear x, y, angular z
         footsteps                nav_msgs/Path of soles in odom or in a sole, standing walk with gait.steps: 0
-        plant_ready              std_msgs/Bool, latched: the walk waits for a plant that says that it is not ready
+        plant_ready              std_msgs/Bool, latched: the walk waits while this is false
 
     Publishes::
 
         joint_velocity_commands  sensor_msgs/JointState [rad/s]; stamp: that of the state it answers;
                                  with an imu also torques that hold the robot [N m]
-        phase, support_foot      std_msgs/String, latched: what goes on now; at the end 'finished', 'failed' or 'fallen'
-        phase_log                std_msgs/String, latched: the last hundred that `phase` has shown
-        phase_start              sensor_msgs/JointState, latched: the posture in which the phase began
+        phase, support_foot      std_msgs/String, latched: current phase; at the end 'finished', 'failed' or 'fallen'
+        phase_log                std_msgs/String, latched: the last hundred messages of `phase`
+        phase_start              sensor_msgs/JointState, latched: joint angles at the start of the phase
         com_target, swing_target geometry_msgs/PointStamped, PoseStamped, latched, in the support sole's frame
-        footstep_status          std_msgs/String, latched: 'walking 2/5', 'done 5/5', 'refused: why', 'cancelled 2/5'
+        footstep_status          std_msgs/String, latched: 'walking 2/5', 'done 5/5', 'refused: why', 'cancelled: ...'
         base_pose                geometry_msgs/PoseStamped: the pelvis in odom (and /tf where tf2_msgs exists)
-        walk_config              std_msgs/String, latched: all parameters in force
+        walk_config              std_msgs/String, latched: all current parameters
         walk_origin              std_msgs/String, latched: versions and machine
         robot_description        std_msgs/String, latched: URDF
         /diagnostics             diagnostic_msgs/DiagnosticArray
@@ -97,7 +96,7 @@ class Controller(AnsweringNode):
     Services::
 
         ~/start ~/pause ~/reset  std_srvs/Trigger
-        ~/stop                   std_srvs/Trigger: a standing walk puts its feet together and is over
+        ~/stop                   std_srvs/Trigger: a standing walk puts its feet together and ends
 
     Sections of the schema: dt, robot, gait, task, dsp, ssp, standing, pelvis, joints, qp, plant, monitor, safety,
     node.
@@ -118,7 +117,7 @@ class Controller(AnsweringNode):
         self._walk = make_controller(config, self._model)
         self._upright = upright_axis(self._model) if config.plant.imu else None
         self._mode = Mode.WALKING if config.node.autostart else Mode.IDLE
-        self._told = config  # on walk_config
+        self._published_config = config  # on walk_config
         self._still = self._sent = Command(0.0, np.zeros(self._model.n))
         self._stamp0 = -1  # of the first state answered [ns]
         self._plant_ready = True
@@ -139,7 +138,7 @@ class Controller(AnsweringNode):
         self._first_base = first_base(config, self._model)
         self._show_phase()
 
-        # Only the newest state counts, and a late one is worthless, except in lockstep, where each counts.
+        # In real time only the newest state is of use; in lockstep every state must arrive.
         self.listen(JointState, "joint_states", self._on_state, ros.stream(1, reliable=self.lockstep))
         self.create_subscription(Bool, "plant_ready", self._on_plant_ready, ros.latched())
         self._imu = InertialSensor(self, self._model.imu_link, self._on_state) if config.plant.imu else None
@@ -199,7 +198,7 @@ class Controller(AnsweringNode):
         self._report_progress()
 
     def _publish_odometry(self, stamp: int, state: State) -> None:
-        """Publish where the robot is in the world of the first phase, also before that has begun."""
+        """Publish the pose of the robot in the frame of the first phase, also before that phase has begun."""
         base, both, x_base = self._first_base, True, DQ(1.0)
         if self._phase_index >= 0:
             phase = self._walk.phase
@@ -217,7 +216,7 @@ class Controller(AnsweringNode):
         return command.velocity if command.effort is None else np.concatenate([command.velocity, command.effort])
 
     def _step(self, state: State, stamp: int) -> Command:
-        """Return the answer; whatever goes wrong, zeros."""
+        """Return the command for a state; zero velocity after an error."""
 
         def step() -> Command:
             if self._steering is not None:
@@ -249,7 +248,7 @@ class Controller(AnsweringNode):
         return command
 
     def _look_for_a_fall(self, state: State) -> None:
-        """End the walk where the pelvis leans too far: what is commanded on the ground does only harm."""
+        """End the walk if the pelvis leans too far: commands to a robot that lies on the floor only do damage."""
         self._lying = ""
         if state.up is None or self._upright is None:
             return
@@ -260,7 +259,7 @@ class Controller(AnsweringNode):
                 self._mode, self._problem = Mode.FALLEN, self._lying
 
     def _look_for_contradictions(self, state: State, ready: bool) -> None:
-        """End the walk where what is measured cannot be: a robot that holds, or is held, tells nothing."""
+        """End the walk if the measurements contradict the commands; not checked while the robot stands still."""
         if self._mode is not Mode.WALKING or not ready:
             self._contradictions.forget()
             return
@@ -272,7 +271,7 @@ class Controller(AnsweringNode):
         self._mode, self._problem = Mode.FAILED, reason
 
     def _done(self) -> None:
-        """Say once how the walk ended."""
+        """Log and publish how the walk ended; called once."""
         self._show_phase()
         if self._mode is Mode.DONE:
             self.get_logger().info(f"the walk is over after {self._ticks} ticks")
@@ -295,7 +294,7 @@ class Controller(AnsweringNode):
         return f"; it fell because: {found[0]}" if found else ""
 
     def _on_plant_ready(self, msg: Bool) -> None:
-        """Stand still where the plant cannot do what it is told, such as a robot whose torque is off."""
+        """Stand still while the plant cannot execute commands, such as a robot whose torque is off."""
         if msg.data != self._plant_ready:
             self._plant_ready = msg.data
             self.get_logger().info("the plant is ready" if msg.data else "standing still until the plant is ready")
@@ -310,14 +309,14 @@ class Controller(AnsweringNode):
         if self._mode is Mode.WALKING:
             return self._answer(response, True, "already walking")
         why = "it is over" if self._mode is Mode.DONE else f"it failed: {self._problem}"
-        return self._answer(response, False, f"this walk cannot go on, {why}; call ~/reset first")
+        return self._answer(response, False, f"this walk cannot continue, {why}; call ~/reset first")
 
     def _pause(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._mode is not Mode.WALKING:
             return self._answer(response, self._mode is Mode.PAUSED, f"not walking: {self._mode.value}")
         self._mode = Mode.PAUSED
         self._show_phase()
-        return self._answer(response, True, "paused: holding still; ~/start goes on")
+        return self._answer(response, True, "paused: holding still; ~/start continues")
 
     def _stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._mode is not Mode.WALKING:
@@ -326,13 +325,13 @@ class Controller(AnsweringNode):
             self._walk.stop()
         except DqwalkError as error:
             return self._answer(response, False, str(error))
-        return self._answer(response, True, "stopping: the feet are put together after the step under way")
+        return self._answer(response, True, "stopping: after the current step the feet are put together")
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._lying:
             return self._answer(response, False, f"{self._lying}; put it on its feet first")
         self._walk.reset()
-        self._odometry.begin_anew()
+        self._odometry.restart()
         self._drive = DriveWatch(Drive.of(self.config, self._model))
         self._recent = self._new_recorder()
         self._mode, self._problem, self._phase_index = Mode.IDLE, "", -1
@@ -342,7 +341,7 @@ class Controller(AnsweringNode):
         self._contradictions.forget()
         self._failures.reset()
         self._show_phase()
-        return self._answer(response, True, "the walk begins anew from where the robot stands; ~/start starts it")
+        return self._answer(response, True, "the next walk starts from the current posture of the robot; call ~/start")
 
     # ------------------------------------------------------------------ topics
 
@@ -351,7 +350,7 @@ class Controller(AnsweringNode):
         self._commands.publish(msg)
 
     def tune(self, config: Config) -> None:
-        """Take in live parameters: those of the walk count from the next phase on."""
+        """Apply live parameters; those of the walk take effect at the next phase."""
         own = ("plant.", "monitor.", "gait.cmd_vel_timeout")
         before, now = self.config.flat(), config.flat()
         if any(now[name] != before[name] and not name.startswith(own) for name in now):
@@ -360,15 +359,15 @@ class Controller(AnsweringNode):
     def _show_phase(self) -> None:
         walking = self._mode is Mode.WALKING and self._phase_index >= 0
         name = self._walk.phase.name if walking else self._mode.value
-        if name != Mode.WALKING.value:  # nothing to tell before the first state
+        if name != Mode.WALKING.value:  # no phase is known before the first state
             self._phases.show(name)
 
     def _begin_phase(self, stamp: int) -> None:
         phase = self._walk.phase
         self._phase_stamp, self._decision = stamp, phase.decision
-        if self._walk.config is not self._told:
-            self._told = self._walk.config
-            self._phases.tune(self._told, stamp)
+        if self._walk.config is not self._published_config:
+            self._published_config = self._walk.config
+            self._phases.tune(self._published_config, stamp)
         self._phases.begin(phase, stamp)
         if phase.kind is PhaseKind.SINGLE_SUPPORT:
             self._odometry.note_step()
@@ -419,9 +418,9 @@ class Controller(AnsweringNode):
 
 
 def first_base(config: Config, model: RobotModel) -> Foot:
-    """Return the foot whose sole is odom: the base of the first phase."""
+    """Return the foot whose sole is the frame odom: the base of the first phase."""
     walk = make_walk(config, model)
     following = walk.following(None)
-    assert following is not None  # no walk is without a phase
+    assert following is not None  # every walk has a phase
     kind, support, target = following
     return walk.phase(kind, support, walk.posture, target).base

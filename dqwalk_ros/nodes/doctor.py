@@ -1,7 +1,7 @@
-"""Is this robot ready to walk? What its topics say while it stands, check by check; nothing is moved.
+"""The checks of `dqwalk doctor`: is the robot ready to walk? They use its topics while it stands, and move nothing.
 
-Each check is a function of the configuration, the model and what was heard. It returns what it found, and whether that
-is as it must be; a sentence that is not says what to do.
+Each check is a function of the configuration, the model and the messages received. It returns whether it passed, and a
+text with the result; the text of a check that failed says what to do.
 """
 
 from __future__ import annotations
@@ -37,37 +37,39 @@ __all__ = ["CHECKS", "Finding", "Heard", "examine", "listen"]
 Array = NDArray[np.float64]
 
 _RATE = 0.2
-"""States may come at a rate that is off by this part."""
+"""Largest relative error of the period of the states."""
 _LATE = 3.0
-"""One state in a hundred may come later than so many periods."""
+"""Largest 99th percentile of that period, in units of dt."""
 _LEVEL, _HEIGHT = math.radians(4.0), 0.012
-"""By the joint angles the soles of a robot that stands agree to this [rad, m]."""
+"""Largest angle and height between the soles of a robot that stands, computed from the joint angles [rad, m]."""
 _UPRIGHT = math.radians(10.0)
-"""A robot that stands leans less [rad]."""
+"""Largest inclination of the inertial sensor of a robot that stands [rad]."""
 _STILL, _GRAVITY = 0.05, 0.6
-"""The angular velocity at rest [rad/s], and how far the acceleration may be from 9.81 m/s^2."""
+"""Largest angular velocity at rest [rad/s], and largest deviation of the acceleration from 9.81 m/s^2."""
 _DISCOVERY = 5.0
-"""A node that publishes is discovered within this [s]."""
+"""Time within which a publisher is discovered [s]."""
 _POSTURE = 0.3
-"""A walk begins no further from its posture [rad]."""
+"""Largest distance of a joint from the first posture of the walk [rad]."""
 
 
 @dataclass
 class Heard:
-    """What came on the topics while one listened.
+    """The messages that were received.
 
     Attributes
     ----------
     seconds : float
+        Duration of the listening [s].
     states : list of (JointState, int)
-        With the time of the clock at receipt [ns].
+        With the time of receipt [ns].
     imus : list of (Imu, int)
+        With the time of receipt [ns].
     errors : dict of str to str
-        What /diagnostics said at the level ERROR, by name.
+        Messages of /diagnostics at the level ERROR, by name of the status.
     ready : bool or None
-        plant_ready, where somebody says it.
-    publishers, takers : tuple of str
-        Nodes that publish joint_states, and that take commands.
+        Value of plant_ready; None if it is not published.
+    publishers, subscribers : tuple of str
+        Nodes that publish joint_states, and that subscribe to the commands.
     """
 
     seconds: float
@@ -76,7 +78,7 @@ class Heard:
     errors: dict[str, str] = field(default_factory=dict)
     ready: bool | None = None
     publishers: tuple[str, ...] = ()
-    takers: tuple[str, ...] = ()
+    subscribers: tuple[str, ...] = ()
 
     def angles(self, model: RobotModel) -> Array:
         """Return the angles (n,) of the last state [rad].
@@ -84,21 +86,24 @@ class Heard:
         Raises
         ------
         StateError
-            If no state came, or it cannot be used.
+            If no state was received, or it is invalid.
         """
         if not self.states:
-            raise StateError("no joint_states came")
+            raise StateError("no joint_states received")
         return ros.JointReader(model.joint_names).state(self.states[-1][0]).q
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What a check found.
+    """The result of a check.
 
     Attributes
     ----------
-    what, text : str
+    what : str
+        Name of the check.
     ok : bool
+    text : str
+        The result; if the check failed, also what to do.
     """
 
     what: str
@@ -112,38 +117,34 @@ class Finding:
 Check = Callable[[Config, RobotModel, Heard], tuple[bool, str]]
 
 
-def come(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
-    """Tell whether states come."""
+def check_states(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
+    """Check that states arrive."""
     if not heard.states:
-        who = (
-            f"from {', '.join(heard.publishers)}, who publishes nothing"
-            if heard.publishers
-            else "and nobody offers any"
-        )
+        publishers = ", ".join(heard.publishers) or "no node"
         return False, (
-            f"none in {heard.seconds:g} s, {who}: start the driver, or the joint_state_broadcaster; the same "
-            "ROS_DOMAIN_ID, namespace and ROS_AUTOMATIC_DISCOVERY_RANGE here as there?"
+            f"none in {heard.seconds:g} s; publisher: {publishers}: start the driver, or the joint_state_broadcaster; "
+            "check that ROS_DOMAIN_ID, namespace and ROS_AUTOMATIC_DISCOVERY_RANGE are the same here and there"
         )
     return True, f"{len(heard.states)} in {heard.seconds:g} s from {', '.join(sorted(set(heard.publishers)))}"
 
 
-def named(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
-    """Tell whether every joint of the walk is measured."""
+def check_joint_names(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
+    """Check that every joint of the walk is measured."""
     try:
         heard.angles(model)
     except StateError as error:
         return False, f"{error}: name the joints as {model.name} does, or lock them with robot.lock"
     velocities = ros.JointReader(model.joint_names).state(heard.states[-1][0]).dq
     return True, f"all {model.n}" + (
-        "; velocities are not measured, differences are taken" if velocities is None else ""
+        "; no measured velocities, so they are computed by differences" if velocities is None else ""
     )
 
 
-def in_time(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
-    """Tell whether the states come once per dt."""
+def check_rate(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
+    """Check that the states arrive once per dt."""
     stamps = np.unique([ros.nanoseconds(msg.header.stamp) for msg, _ in heard.states]) * 1e-9
     if len(stamps) < 10:
-        return False, f"{len(stamps)} different stamps are too few to tell: the plant must stamp each state anew"
+        return False, f"only {len(stamps)} different stamps: the plant must give each state its own stamp"
     periods = np.diff(stamps)
     middle, late = float(np.median(periods)), float(np.percentile(periods, 99))
     text = f"{1.0 / middle:.1f} Hz, 99 % within {1e3 * late:.1f} ms"
@@ -157,34 +158,35 @@ def in_time(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]
     return True, text
 
 
-def young(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
-    """Tell whether what is measured arrives soon after; the rest of the delay is that of the command."""
+def check_latency(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
+    """Check the time between stamp and receipt of a state; the delay of the command adds to it in the loop."""
     ages = [1e-9 * (at - ros.nanoseconds(msg.header.stamp)) for msg, at in heard.states]
     middle, late = float(np.median(ages)), float(np.percentile(ages, 99))
     text = f"{1e3 * middle:.1f} ms old on arrival, 99 % within {1e3 * late:.1f} ms"
     if not -0.01 <= middle <= config.plant.command_timeout:
         return False, f"{text}: the clocks of two machines differ (chrony), or use_sim_time is wrong"
-    told = config.servo.assumed_latency
-    if middle > 0.5 * config.dt and told < middle:
+    assumed = config.servo.assumed_latency
+    if middle > 0.5 * config.dt and assumed < middle:
         return (
             False,
-            f"{text}; the controller is told {1e3 * told:g} ms: set servo.assumed_latency to this and the command's",
+            f"{text}; the controller assumes {1e3 * assumed:g} ms: set servo.assumed_latency to the sum of this delay "
+            "and the command's",
         )
     return True, text
 
 
-def within(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
-    """Tell whether every joint is inside its limits."""
+def check_limits(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
+    """Check that every joint is inside its limits."""
     if outside := outside_limits(heard.angles(model), model, 0.01):
         return (
             False,
-            f"{outside} beyond a limit: calibrate the joint, or its sign is wrong (poppy.calibration, the URDF)",
+            f"{outside} beyond a limit: calibrate the joint, or correct its sign (poppy.calibration, the URDF)",
         )
     return True, "all inside"
 
 
-def posture(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
-    """Tell whether the robot stands as the walk begins."""
+def check_posture(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
+    """Check that the robot stands in the first posture of the walk."""
     off = np.abs(heard.angles(model) - model.posture(config.standing.posture))
     k = int(off.argmax())
     text = f"{model.joint_names[k]} is furthest from the first pose, {off[k]:.2f} rad"
@@ -196,21 +198,21 @@ def posture(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]
     return True, text
 
 
-def soles(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
-    """Tell whether both soles are on one floor, by the joint angles."""
+def check_soles(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
+    """Check that the joint angles place both soles in one plane, as on a level floor."""
     kin = Kinematics(model, heard.angles(model), Foot.LEFT)
     x = DQ(kin.pose(kin.swing))
     height, lean = float(x.translation()[2]), math.acos(min(max(float(x.rotation_matrix()[2, 2]), -1.0), 1.0))
     text = f"right sole {1e3 * height:+.1f} mm and {math.degrees(lean):.1f} deg off the left one's plane"
     if abs(height) > _HEIGHT or lean > _LEVEL:
-        return False, f"{text}, by the joint angles: calibrate the legs with both soles flat on the floor"
+        return False, f"{text}, computed from the joint angles: calibrate the legs with both soles flat on the floor"
     return True, text
 
 
-def sensed(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
-    """Tell whether the inertial sensor is upright and at rest, in the frame of its link."""
+def check_inertial_sensor(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
+    """Check that the inertial sensor is upright and at rest, in the frame of its link."""
     if not config.plant.imu:
-        return True, "not asked for (plant.imu is false): torques and the fall are not watched"
+        return True, "not used (plant.imu is false): no torque feed-forward, and a fall is not detected"
     if not heard.imus:
         return False, "nothing on imu: start the sensor's broadcaster and remap its topic, or set plant.imu: false"
     msg = heard.imus[-1][0]
@@ -228,53 +230,54 @@ def sensed(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
     if lean > _UPRIGHT:
         return False, f"{text}: it is mounted askew (the URDF's joint of '{model.imu_link}'), or the floor is"
     if np.linalg.norm(gyro) > _STILL or abs(pull - 9.81) > _GRAVITY:
-        return False, f"{text}: at rest it must be still and say 9.81; calibrate it, mind its units"
+        return False, f"{text}: at rest it must measure no rotation and 9.81 m/s^2; calibrate it, check its units"
     return True, text
 
 
-def taken(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
-    """Tell whether somebody takes the commands."""
-    if not heard.takers:
-        return False, f"nobody listens on {VELOCITY}: start poppy_driver, drive, or a plant"
-    return True, ", ".join(heard.takers)
+def check_subscribers(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
+    """Check that a node subscribes to the commands."""
+    if not heard.subscribers:
+        return False, f"no node subscribes to {VELOCITY}: start poppy_driver, drive, or a plant"
+    return True, ", ".join(heard.subscribers)
 
 
-def ready(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
-    """Tell whether the plant says that commands count."""
+def check_plant_ready(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
+    """Check that the plant accepts commands."""
     if heard.ready is False:
         return (
             False,
-            "plant_ready is false: ~/activate of poppy_driver, or activate the controllers that drive talks to",
+            "plant_ready is false: call ~/activate of poppy_driver, or activate the controllers that drive uses",
         )
-    return True, "commands count" if heard.ready else "nobody says otherwise"
+    return True, "accepts commands" if heard.ready else "does not publish plant_ready"
 
 
-def healthy(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
-    """Tell whether nothing reports an error."""
+def check_diagnostics(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
+    """Check that no node reports an error on /diagnostics."""
     if heard.errors:
         return False, "; ".join(f"{name}: {text}" for name, text in heard.errors.items())
     return True, "no errors"
 
 
 CHECKS: dict[str, Check] = {
-    "states": come,
-    "joints": named,
-    "rate": in_time,
-    "latency": young,
-    "limits": within,
-    "soles": soles,
-    "first pose": posture,
-    "inertial sensor": sensed,
-    "commands": taken,
-    "plant": ready,
-    "/diagnostics": healthy,
+    "states": check_states,
+    "joints": check_joint_names,
+    "rate": check_rate,
+    "latency": check_latency,
+    "limits": check_limits,
+    "soles": check_soles,
+    "first pose": check_posture,
+    "inertial sensor": check_inertial_sensor,
+    "commands": check_subscribers,
+    "plant": check_plant_ready,
+    "/diagnostics": check_diagnostics,
 }
-"""In the order in which one mends a robot; each of the rest needs states."""
+"""All checks, in the order in which their faults are to be repaired."""
 _WITHOUT_STATES = ("states", "commands", "plant", "/diagnostics")
+"""Checks that are also made if no valid state was received."""
 
 
 def examine(config: Config, model: RobotModel, heard: Heard) -> Iterator[Finding]:
-    """Yield what each check found."""
+    """Run the checks and yield their results."""
     usable = True
     for what, check in CHECKS.items():
         if usable or what in _WITHOUT_STATES:
@@ -285,7 +288,10 @@ def examine(config: Config, model: RobotModel, heard: Heard) -> Iterator[Finding
 
 
 def listen(config: Config, seconds: float, namespace: str = "") -> Heard:
-    """Listen to a robot for so long [s] from its first state on; wait for that state as long, at least `_DISCOVERY`."""
+    """Receive the messages of a robot for `seconds`, counted from its first state.
+
+    The first state is waited for as long, and for `_DISCOVERY` at least.
+    """
     context = Context()
     rclpy.init(context=context)
     heard = Heard(seconds)
@@ -294,33 +300,33 @@ def listen(config: Config, seconds: float, namespace: str = "") -> Heard:
         executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)
 
-        def keep(box: list[tuple[Any, int]], msg: Any) -> None:
-            box.append((msg, node.get_clock().now().nanoseconds))
+        def store(messages: list[tuple[Any, int]], msg: Any) -> None:
+            messages.append((msg, node.get_clock().now().nanoseconds))
 
-        def told_ready(msg: Bool) -> None:
+        def on_ready(msg: Bool) -> None:
             heard.ready = msg.data
 
-        def diagnosed(msg: DiagnosticArray) -> None:
+        def on_diagnostics(msg: DiagnosticArray) -> None:
             for status in msg.status:
                 heard.errors.pop(status.name, None)
                 if status.level == DiagnosticStatus.ERROR:
                     heard.errors[status.name] = status.message
 
         node.create_subscription(
-            JointState, "joint_states", partial(keep, heard.states), ros.stream(100, reliable=False)
+            JointState, "joint_states", partial(store, heard.states), ros.stream(100, reliable=False)
         )
-        node.create_subscription(Imu, "imu", partial(keep, heard.imus), ros.stream(100, reliable=False))
-        node.create_subscription(DiagnosticArray, "/diagnostics", diagnosed, ros.stream(100))
-        node.create_subscription(Bool, "plant_ready", told_ready, ros.latched())
+        node.create_subscription(Imu, "imu", partial(store, heard.imus), ros.stream(100, reliable=False))
+        node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, ros.stream(100))
+        node.create_subscription(Bool, "plant_ready", on_ready, ros.latched())
         end = time.monotonic() + max(seconds, _DISCOVERY)
-        heard_from = False
+        started = False
         while (left := end - time.monotonic()) > 0.0:
             executor.spin_once(timeout_sec=min(left, 0.1))
-            if heard.states and not heard_from:
-                heard_from, end = True, time.monotonic() + seconds
+            if heard.states and not started:
+                started, end = True, time.monotonic() + seconds
         heard.publishers = ros.other_publishers(node, "joint_states")
         ends = node.get_subscriptions_info_by_topic(node.resolve_topic_name(VELOCITY))
-        heard.takers = tuple(sorted({end.node_name for end in ends} - {"recorder", "viewer", "phase_monitor"}))
+        heard.subscribers = tuple(sorted({end.node_name for end in ends} - {"recorder", "viewer", "phase_monitor"}))
         executor.shutdown()
         node.destroy_node()
     finally:

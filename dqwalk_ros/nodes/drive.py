@@ -1,7 +1,7 @@
-"""Any robot's drive: commands of the walk become what the robot's own controllers take, such as ros2_control's.
+"""Converts the commands of the walk for the controllers of any robot, such as those of ros2_control.
 
-What a robot is told is first of all positions: velocities integrated around what is measured, and torques as angles
-(`plants.bus`). Where its interface is one of velocities it is told how fast to get there.
+Commanded velocities are integrated to positions near the measured ones, and torques are converted to angles that are
+added to them (`plants.bus`). A velocity interface gets the velocity that leads to those positions.
 """
 
 from __future__ import annotations
@@ -38,38 +38,38 @@ _TOPICS = {
     ("joint_state", "velocity"): "joint_commands",
     ("joint_state", "position"): "joint_commands",
 }
-"""What ros2_control's own controllers, and its joint_state_topic_hardware_interface, are called by default."""
+"""Default topics of ros2_control's controllers and of its joint_state_topic_hardware_interface."""
 _TYPES = {
     "float64_multi_array": Float64MultiArray,
     "joint_trajectory": JointTrajectory,
     "joint_state": JointState,
 }
-_LOOK = 0.02
-"""Time between two looks at whether commands still come [s]."""
+_CHECK = 0.02
+"""Period of the check for a command timeout [s]."""
 _PERIODS = 2.0
-"""A command moves the robot for so many periods at most: a late one is never made up for."""
+"""Largest number of periods for which one command moves the robot: lost time is not made up for."""
 
 
 class RobotDrive(WalkNode):
-    """Drive a robot of your own: the walk's commands to the topic of its controllers, with a watchdog.
+    """Drive a robot of your own: send the walk's commands to the topic of its controllers, with a watchdog.
 
-    The robot's joint_state_broadcaster publishes joint_states, and the controller of the walk listens to it as to every
-    plant. This node stands between joint_velocity_commands and the robot's forward_command_controller, which goes on
-    with its last command for ever: without a command for plant.command_timeout the robot is told to stay. It tells the
-    robot nothing before the first command.
+    The robot's joint_state_broadcaster publishes joint_states, to which the controller of the walk subscribes. This
+    node converts joint_velocity_commands for the robot's forward_command_controller. That controller repeats its last
+    command for ever, so without a command for plant.command_timeout this node commands the robot to stay where it is.
+    It sends nothing to the robot before the first command.
 
     Subscribes to::
 
         joint_velocity_commands  sensor_msgs/JointState [rad/s]; effort [N m] is fed forward as angles
-        joint_states             sensor_msgs/JointState [rad]: where the joints are
+        joint_states             sensor_msgs/JointState [rad]: measured angles
 
-    Publishes, as output.type, output.interface and output.topic say::
+    Publishes, depending on output.type, output.interface and output.topic::
 
         forward_position_controller/commands           std_msgs/Float64MultiArray [rad], in the order of output.joints
         forward_velocity_controller/commands           the same [rad/s]
         joint_trajectory_controller/joint_trajectory   trajectory_msgs/JointTrajectory of one point [rad]
         joint_commands                                 sensor_msgs/JointState [rad or rad/s]
-        plant_ready              std_msgs/Bool, latched: whether somebody listens there, and states come
+        plant_ready              std_msgs/Bool, latched: whether that topic has a subscriber, and states arrive
         /diagnostics             diagnostic_msgs/DiagnosticArray
 
     Sections of the schema: dt, robot, plant, servo, output.
@@ -81,7 +81,7 @@ class RobotDrive(WalkNode):
     Raises
     ------
     ConfigError
-        In lockstep, or where `output` cannot be used.
+        In lockstep, or if the section `output` is invalid.
     """
 
     def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
@@ -96,13 +96,13 @@ class RobotDrive(WalkNode):
         self._reader = ros.JointReader(self._output.joints)
         self._measured = self._rest = np.zeros(len(self._output.joints))  # now, and at the first command [rad]
         self._stamp = self._moved = -1  # of the last state, and of the command that moved the robot last [ns]
-        self._goals: Bus | None = None  # none before the first command
-        self._told = np.zeros(self._model.n)  # where the robot is when it has done as it was told [rad]
-        self._reason = "not looked at yet"
+        self._goals: Bus | None = None  # None before the first command
+        self._commanded = np.zeros(self._model.n)  # angles at the end of the last command [rad]
+        self._reason = "starting"
         self._rejected = 0
         self.listen(JointState, "joint_states", self._on_state, ros.stream(1, reliable=False))
         self.create_subscription(JointState, VELOCITY, self._on_command, ros.stream(1))
-        self.create_timer(_LOOK, self._look, clock=STEADY)
+        self.create_timer(_CHECK, self._check, clock=STEADY)
         self.create_timer(1.0 / config.monitor.rate, self._diagnose, clock=STEADY)
         self.get_logger().info(f"{self._model.name}: {self._output.description}")
 
@@ -120,28 +120,28 @@ class RobotDrive(WalkNode):
     def _on_command(self, msg: JointState) -> None:
         if self._stamp < 0 or not self._commands.take(msg, self._stamp) or self._commands.gate.holding:
             return
-        # the time since the command before; one without a stamp counts from the state that came last
+        # the time since the previous command; a command without a stamp gets that of the last state
         at = ros.nanoseconds(msg.header.stamp) or self._stamp
         dt = min(1e-9 * max(at - self._moved, 0), _PERIODS * self.config.dt)
         if dt > 0.0 or not any(msg.velocity):
             self._moved = at
-            self._tell(dt)
+            self._send(dt)
 
-    def _look(self) -> None:
-        """Tell the robot to stay where no command counts; again each time, for a message may be lost."""
+    def _check(self) -> None:
+        """Command the robot to stay while it must hold; repeatedly, because a message may be lost."""
         self._commands.log_motion()
         if self._goals is not None and self._commands.gate.holding:
-            self._tell(0.0)
+            self._send(0.0)
         reason = "" if self._stamp >= 0 else "no joint_states yet"
         reason = reason or self._output.trouble()
         self._reason, self._commands.able = reason, not reason
 
-    def _tell(self, dt: float) -> None:
-        """Tell the robot to move as commanded for `dt` [s]; 0 is to stay."""
+    def _send(self, dt: float) -> None:
+        """Command the robot to move for `dt` [s] with the commanded velocities; with 0 to stay."""
         model, gate, q = self._model, self._commands.gate, self._measured[self._output.own]
         if self._goals is None:
             self._goals = self._make_goals(q)
-            self._told, self._rest = q.copy(), self._measured.copy()
+            self._commanded, self._rest = q.copy(), self._measured.copy()
             dt = self.config.dt
         u = gate.velocity(self._goals.wanted, dt)
         self._goals.command(u, gate.effort, q, 1e-9 * self._stamp, dt)
@@ -152,13 +152,13 @@ class RobotDrive(WalkNode):
         else:
             out, period = np.zeros_like(self._rest), self.config.dt
             if dt > 0.0:
-                v = np.clip((goals - self._told) / period, -model.velocity_max, model.velocity_max)
-                self._told = self._told + period * v
+                v = np.clip((goals - self._commanded) / period, -model.velocity_max, model.velocity_max)
+                self._commanded = self._commanded + period * v
                 out[self._output.own] = v
         self._output.publish(self._stamp, out)
 
     def _make_goals(self, q: Array) -> Bus:
-        """Return what integrates commands from the angles q (n,) [rad]: a bus without delay, servos without steps."""
+        """Return the integrator of the commands, from the angles q (n,) [rad]: a bus without delay and rounding."""
         direct = self.config.updated({"servo.rate": 0.0, "servo.latency": 0.0})
         model, drive = self._model, Drive.of(self.config, self._model)
         servos = dataclasses.replace(Servos.of(direct, model), resolution=np.zeros(model.n))
@@ -172,34 +172,34 @@ class RobotDrive(WalkNode):
         self.diagnose("plant", self._model.name, level, text, values, max(self._stamp, 0))
 
     def close(self) -> None:
-        """Tell the robot to stay: its own controllers would go on."""
+        """Command the robot to stay, because its controllers repeat the last command."""
         if self._goals is not None:
             self._commands.gate.hold()
-            self._tell(0.0)
+            self._send(0.0)
 
 
 class Output:
-    """The topic of a robot's controller, in the type and the order of joints that it takes.
+    """Publisher for the robot's controller, with the message type and the order of joints that it expects.
 
     Parameters
     ----------
     node : WalkNode
-        Its parameters ``output`` say which.
+        Its parameters ``output`` define type, interface, topic and joints.
     own : sequence of str
         Joints of the walk.
 
     Attributes
     ----------
     joints : tuple of str
-        Of the controller.
+        Joints of the robot's controller.
     own : ndarray of int, shape (n,)
-        Where those of the walk are among them.
+        Indices of the walk's joints among them.
     description : str
 
     Raises
     ------
     ConfigError
-        If ``output`` cannot be used.
+        If ``output`` is invalid.
     """
 
     def __init__(self, node: WalkNode, own: Sequence[str]) -> None:
@@ -218,13 +218,13 @@ class Output:
         self.description = f"{len(self.joints)} joints on {self._publisher.topic_name}, {o.interface} as {o.type}"
 
     def trouble(self) -> str:
-        """Return why the robot does not hear, empty if it does."""
+        """Return why the robot does not receive commands; empty if it does."""
         if self._publisher.get_subscription_count():
             return ""
-        return f"nobody listens on {self._publisher.topic_name}: is the robot's controller active?"
+        return f"no node subscribes to {self._publisher.topic_name}: is the robot's controller active?"
 
     def publish(self, stamp: int, values: Array) -> None:
-        """Publish what the joints (N,) are told [rad or rad/s] in answer to the state with a stamp [ns]."""
+        """Publish commands of the joints (N,) [rad or rad/s] that answer the state with a stamp [ns]."""
         data = array.array("d", values.tobytes())
         if self._type == "float64_multi_array":
             self._publisher.publish(Float64MultiArray(data=data))

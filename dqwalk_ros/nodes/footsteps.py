@@ -1,7 +1,7 @@
-"""Commanded footsteps: a path of soles becomes the next steps of a standing walk, or is refused with the limit.
+"""Commanded footsteps: a path of sole poses sets the next steps of a standing walk, or is refused with the reason.
 
-A path and a status are topics, not an action: Jazzy has no message for footsteps, and an action of our own would need a
-package of interfaces, which pip cannot install.
+Path and status are topics instead of an action, because Jazzy has no action for footsteps, and a new one would need an
+interface package, which pip cannot install.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ __all__ = ["FootstepInput"]
 
 Array = NDArray[np.float64]
 
-_MOST = 50
-"""Footsteps in one path: each takes some hundredths of a second to look at."""
+_MAX_STEPS = 50
+"""Most footsteps in one path: to check one takes some hundredths of a second."""
 
 
 class FootstepInput:
-    """footsteps (nav_msgs/Path): poses of soles to step on, the feet in turn; an empty path cancels what is left.
+    """Input of the topic footsteps (nav_msgs/Path): sole poses to step on, feet alternating; an empty path cancels.
 
-    The path is in odom, or in a sole link, which then is the foot that stands first. It is taken in a stance. Each
-    footstep is walked relative to the one before: what a landing is off is not made up for.
+    The frame of the path is odom or a sole link, which is then the first support foot. A path is accepted in a stance
+    only. Each footstep is executed relative to the one before, so landing errors add up.
 
     Parameters
     ----------
     node : WalkNode
     controller : VelocityController
-        Of a standing walk without a number of steps.
+        Of a standing walk with gait.steps: 0.
     odometry : Odometry
     """
 
@@ -54,29 +54,29 @@ class FootstepInput:
 
     def _on_path(self, msg: Path) -> None:
         walk = self._controller.walk
-        if not isinstance(walk, StandingWalk):  # a walk of your own
-            self._say("refused: this walk takes no footsteps")
+        if not isinstance(walk, StandingWalk):  # a user-defined walk
+            self._publish_status("refused: this walk does not support footsteps")
         elif not msg.poses:
             left, self._total = walk.placed, 0
             walk.place(Foot.LEFT, [])
-            self._say(f"cancelled: {left} footsteps are left out, the feet are put together")
+            self._publish_status(f"cancelled: {left} footsteps dropped, the feet are put together")
         else:
             try:
                 support, steps = self._steps(msg)
                 walk.place(support, steps)
             except StateError as error:
-                self._say(f"refused: {error}")
+                self._publish_status(f"refused: {error}")
                 return
             self._total = len(steps)
-            self._say(f"walking 0/{self._total}")
+            self._publish_status(f"walking 0/{self._total}")
 
     def _steps(self, msg: Path) -> tuple[Foot, list[Array]]:
-        """Return the foot that stands first and the footprints (8,), each in the one before."""
+        """Return the first support foot and the poses (8,) of the footprints, each relative to the one before."""
         controller, model = self._controller, self._controller.model
         if controller.phase_index < 0 or controller.phase.kind is not PhaseKind.STANCE:
-            raise StateError("the robot is not in a stance; an empty path cancels footsteps under way")
-        if len(msg.poses) > _MOST:
-            raise StateError(f"{len(msg.poses)} footsteps; {_MOST} at most in one path")
+            raise StateError("the robot is not in a stance; an empty path cancels the current footsteps")
+        if len(msg.poses) > _MAX_STEPS:
+            raise StateError(f"{len(msg.poses)} footsteps; {_MAX_STEPS} at most in one path")
         soles, origin = controller.soles(), DQ(self._odometry.origin)
         wanted = []
         for k, one in enumerate(msg.poses, start=1):
@@ -89,7 +89,7 @@ class FootstepInput:
             before = DQ(1.0)
         elif given in ("", self._node.config.odometry.odom_frame):
             here = {foot: origin * DQ(soles[foot]) for foot in Foot}
-            support = min(Foot, key=lambda foot: self._off(foot, here[foot].conj() * wanted[0]))
+            support = min(Foot, key=lambda foot: self._side_error(foot, here[foot].conj() * wanted[0]))
             before = here[support]
         else:
             raise StateError(f"the path is in the frame '{given}'; it must be odom, or a sole: {', '.join(frames)}")
@@ -99,25 +99,25 @@ class FootstepInput:
             before = x
         return support, steps
 
-    def _off(self, support: Foot, x: DQ) -> float:
-        """Return how far a footprint in the sole of `support` is from beside it, to the side [m]."""
+    def _side_error(self, support: Foot, x: DQ) -> float:
+        """Return the lateral distance [m] of a footprint, given in the sole of `support`, from a step in place."""
         walk = self._controller.walk
         assert isinstance(walk, StandingWalk)
         return abs(float((x.translation() - DQ(walk.footsteps.beside(support)).translation())[1]))
 
     def show(self) -> None:
-        """Publish how far the robot has come, at the beginning of a phase."""
+        """Publish the number of footsteps done; called at the beginning of each phase."""
         walk, phase = self._controller.walk, self._controller.phase
         if not self._total or not isinstance(walk, StandingWalk):
             return
         done = self._total - walk.placed - (phase.kind is PhaseKind.SINGLE_SUPPORT)
         if phase.kind is PhaseKind.STANCE and done == self._total:
             self._total = 0
-            self._say(f"done {done}/{done}")
+            self._publish_status(f"done {done}/{done}")
         else:
-            self._say(f"walking {done}/{self._total}")
+            self._publish_status(f"walking {done}/{self._total}")
 
-    def _say(self, text: str) -> None:
+    def _publish_status(self, text: str) -> None:
         self._node.get_logger().info(f"footsteps: {text}")
         self._status.publish(String(data=text))
 

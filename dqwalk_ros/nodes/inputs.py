@@ -1,6 +1,6 @@
-"""What comes into a node, checked: states with their inertial sensor, commands, cmd_vel.
+"""Inputs of the nodes, checked on arrival: inertial sensor, joint commands, cmd_vel.
 
-What the messages say is read by `messages`, whether it counts is decided by `safety`.
+`messages` decodes the messages, `safety` decides which are accepted.
 """
 
 from __future__ import annotations
@@ -30,30 +30,30 @@ if TYPE_CHECKING:
 __all__ = ["EFFORT", "VELOCITY", "CommandInput", "InertialSensor", "Steering"]
 
 VELOCITY, EFFORT = "joint_velocity_commands", "joint_effort_commands"
-_LOOK = 0.25
-"""Time between two looks at who publishes [s]."""
-_LOOK_FOR_TYPES = 2.0
-"""Time between two looks at how cmd_vel is published [s]."""
+_CHECK = 0.25
+"""Period of the check for duplicate publishers [s]."""
+_CHECK_TYPES = 2.0
+"""Period of the check for cmd_vel of the wrong message type [s]."""
 _STILL = (0.0, 0.0, 0.0)
 
 
 class InertialSensor:
-    """joint_states and imu: two messages that make one state.
+    """Adds the inertial sensor's message to the state of the joints.
 
-    In lockstep a state waits for the imu message of its own stamp; in real time the newest one counts, as long as its
+    In lockstep a state waits for the imu message with the same stamp. In real time the newest message is used, if its
     stamp is within ``plant.command_timeout`` of the state's.
 
     Parameters
     ----------
     node : WalkNode
     frame : str
-        Link of the sensor: messages of another frame are refused.
-    again : callable
-        Called with a state that had to wait.
+        Link of the sensor: messages in another frame are rejected.
+    on_state : callable
+        Called again with a state that had to wait for its imu message.
     """
 
-    def __init__(self, node: WalkNode, frame: str, again: Callable[[JointState], None]) -> None:
-        self._node, self._frame, self._again = node, frame, again
+    def __init__(self, node: WalkNode, frame: str, on_state: Callable[[JointState], None]) -> None:
+        self._node, self._frame, self._on_state = node, frame, on_state
         self._newest: Imu | None = None
         self._waiting: JointState | None = None
         node.listen(Imu, "imu", self._on_imu, ros.stream(1, reliable=node.lockstep))
@@ -63,15 +63,15 @@ class InertialSensor:
         waiting = self._waiting
         if waiting is not None and waiting.header.stamp == msg.header.stamp:
             self._waiting = None
-            self._again(waiting)
+            self._on_state(waiting)
 
     def join(self, msg: JointState, state: State) -> State | None:
-        """Return a state with the newest reading; None in lockstep where that is still to come.
+        """Return a state with the newest measurement; None in lockstep if that has not arrived yet.
 
         Raises
         ------
         StateError
-            If no reading came, it is too old, or it cannot be used.
+            If no measurement was received, it is too old, or it is invalid.
         """
         newest = self._newest
         if self._node.lockstep:
@@ -79,7 +79,7 @@ class InertialSensor:
                 self._waiting = msg
                 return None
         elif newest is None:
-            raise StateError("imu: nothing came yet (plant.imu is true)")
+            raise StateError("imu: no message yet (plant.imu is true)")
         else:
             age = 1e-9 * abs(ros.nanoseconds(msg.header.stamp) - ros.nanoseconds(newest.header.stamp))
             if age > self._node.config.plant.command_timeout:
@@ -91,13 +91,13 @@ class InertialSensor:
 
 
 class Steering:
-    """cmd_vel steers a standing walk; when it stops coming, the walk stops with the feet together.
+    """Steers a standing walk by cmd_vel; after a timeout the walk stops with the feet together.
 
     Parameters
     ----------
     node : WalkNode
-    controller : Controller
-        Of a standing walk without a number of steps.
+    controller : VelocityController
+        Of a standing walk with gait.steps: 0.
     clock : callable
         Steady time [s].
     """
@@ -108,16 +108,16 @@ class Steering:
         self._node, self._controller = node, controller
         self._watchdog = Watchdog(lambda: node.config.gait.cmd_vel_timeout, clock)
         self._asked = self._walked = _STILL
-        self._heard = False
+        self._receiving = False
         self.rejected = 0
         if node.config.node.stamped_cmd_vel:
             node.listen(TwistStamped, "cmd_vel", lambda msg: self._on_twist(msg.twist), ros.stream(1))
         else:
             node.listen(Twist, "cmd_vel", self._on_twist, ros.stream(1))
-        node.create_timer(_LOOK_FOR_TYPES, self._look_for_types, clock=STEADY)
+        node.create_timer(_CHECK_TYPES, self._check_types, clock=STEADY)
 
-    def _look_for_types(self) -> None:
-        """Warn of a publisher whose messages never come, because they are of the other type."""
+    def _check_types(self) -> None:
+        """Log an error about a publisher whose messages cannot be received, because they are of the other type."""
         stamped = self._node.config.node.stamped_cmd_vel
         other = "geometry_msgs/msg/Twist" if stamped else "geometry_msgs/msg/TwistStamped"
         ends = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name("cmd_vel"))
@@ -135,22 +135,22 @@ class Steering:
         self._watchdog.feed()
 
     def apply(self) -> None:
-        """Steer the walk by what came last, and not at all where that is too old."""
+        """Steer the walk by the last message; with zero velocity after a timeout."""
         silent = self._watchdog.silent
-        if silent and self._heard:
-            self._node.get_logger().info("cmd_vel fell silent: the feet are put together")
-        self._heard = not silent
+        if silent and self._receiving:
+            self._node.get_logger().info("cmd_vel timed out: the feet are put together")
+        self._receiving = not silent
         asked = _STILL if silent else self._asked
         walked = self._controller.steer(*asked)
         if walked != self._walked:
             self._walked = walked
-            off = max(abs(a - b) for a, b in zip(asked, walked, strict=True))
-            cut = " (as far as the legs go)" if off > 1e-6 else ""
+            excess = max(abs(a - b) for a, b in zip(asked, walked, strict=True))
+            cut = " (limited by the reach of the legs)" if excess > 1e-6 else ""
             x, y, turn = walked
             self._node.get_logger().info(f"steered: {x:.4f} m/s forward, {y:.4f} m/s left, {turn:.4f} rad/s{cut}")
 
     def values(self) -> dict[str, object]:
-        """Return what /diagnostics shows."""
+        """Return the values shown on /diagnostics."""
         names = ("forward", "left", "turn")
         asked = {f"cmd_vel/{name}": value for name, value in zip(names, self._asked, strict=True)}
         walked = {f"steered/{name}": value for name, value in zip(names, self._walked, strict=True)}
@@ -158,7 +158,7 @@ class Steering:
 
 
 class CommandInput:
-    """The one way from a topic of commands to a plant, the same for the simulated ones and the robot.
+    """Input of a plant: checks the messages of a command topic; the same for simulated plants and a real robot.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ class CommandInput:
     ----------
     gate : CommandGate
     able : bool
-        Whether the plant can do what it is told, for all that it knows itself.
+        Whether the plant can execute commands; set by the plant.
     """
 
     def __init__(self, node: WalkNode, model: RobotModel, topic: str = VELOCITY) -> None:
@@ -183,19 +183,19 @@ class CommandInput:
         self._forbidden = ""
         self._moving = False
         self.able = True
-        self._said: bool | None = None
+        self._published_ready: bool | None = None
         self._ready = node.create_publisher(Bool, "plant_ready", ros.latched()) if topic == VELOCITY else None
-        node.create_timer(_LOOK, self._look, clock=STEADY)
+        node.create_timer(_CHECK, self._check, clock=STEADY)
         node.add_on_set_parameters_callback(self._on_parameters)
 
     def forbid(self, reason: str) -> None:
-        """Hold for a reason of the plant's own, until it is empty."""
+        """Hold for a reason given by the plant; an empty reason allows motion again."""
         self._forbidden = reason
         self.gate.refused = reason or self.gate.refused
-        self._look()
+        self._check()
 
     def _on_parameters(self, wanted: Sequence[Parameter]) -> SetParametersResult:
-        """Let nobody switch the watchdog off while it is needed."""
+        """Refuse a longer command timeout while the robot moves."""
         now = self._node.config.plant.command_timeout
         longer = any(p.name == "plant.command_timeout" and isinstance(p.value, float) and p.value > now for p in wanted)
         if longer and not self.gate.holding:
@@ -203,8 +203,8 @@ class CommandInput:
             return SetParametersResult(successful=False, reason=reason)
         return SetParametersResult(successful=True)
 
-    def _look(self) -> None:
-        """Hold where two controllers command."""
+    def _check(self) -> None:
+        """Hold while two controllers send commands."""
         names = ros.other_publishers(self._node, self._topic)
         duplicates = self._duplicates.judge(names)
         if not duplicates and self.gate.contradicted:
@@ -213,18 +213,18 @@ class CommandInput:
         if reason != self.gate.refused:
             self.gate.refused = reason
             log = self._node.get_logger()
-            log.error(f"holding still: {reason}") if reason else log.info("commands count")
-        self._tell_ready()
+            log.error(f"holding still: {reason}") if reason else log.info("commands are accepted")
+        self._publish_ready()
 
-    def _tell_ready(self) -> None:
-        """Tell the controller whether its commands count, so that it does not walk on without the robot."""
+    def _publish_ready(self) -> None:
+        """Publish whether commands are executed, so that the controller does not continue without the robot."""
         ready = self.gate.ready and self.able
-        if self._ready is not None and not self._node.lockstep and ready is not self._said:
-            self._said = ready
+        if self._ready is not None and not self._node.lockstep and ready is not self._published_ready:
+            self._published_ready = ready
             self._ready.publish(Bool(data=ready))
 
     def read(self, msg: JointState) -> Command | None:
-        """Return what a message asks for; None where it is rejected, which leaves everything as it was."""
+        """Return the command of a message; None if the message is invalid, which has no effect but a log entry."""
         try:
             if self._topic == EFFORT:
                 return self._reader.torques(msg)
@@ -236,11 +236,11 @@ class CommandInput:
             return None
 
     def take(self, msg: JointState, now: int) -> bool:
-        """Take in a message; `now` is the stamp of the state published last [ns]. Return whether it counts."""
-        # nothing tells who sent a message, but a publisher is known before its first message comes
+        """Process a message; `now` is the stamp of the last published state [ns]. Return whether it was accepted."""
+        # a message does not contain its sender, but a publisher is discovered before its first message arrives
         if (publishers := self._node.count_publishers(self._resolved)) != self._publishers:
             self._publishers = publishers
-            self._look()
+            self._check()
         command = self.read(msg)
         if command is None:
             return False
@@ -252,22 +252,22 @@ class CommandInput:
         return False
 
     def take_answer(self, msg: JointState, now: int) -> Command | None:
-        """Return the command that answers the very state with the stamp `now` [ns]: lockstep; None for any other."""
+        """Return a command in lockstep, which must have the stamp `now` of the last state [ns]; else None."""
         if ros.nanoseconds(msg.header.stamp) != now:
-            self.gate.late += 1  # the answer to a state that was asked for twice
+            self.gate.late += 1  # a second answer to a state that was published twice
             return None
         command = self.read(msg)
         if command is None:
-            return None  # time stands still
+            return None  # simulated time does not advance
         asked = command.effort if self._topic == EFFORT else command.velocity
         assert asked is not None
-        counts = self.gate.accept(now, asked, now, command.effort)
-        return command if counts and not self.gate.refused else None
+        accepted = self.gate.accept(now, asked, now, command.effort)
+        return command if accepted and not self.gate.refused else None
 
     def log_motion(self) -> None:
         """Log when the plant begins to move or to hold."""
         moving = not self.gate.holding
-        self._tell_ready()
+        self._publish_ready()
         if moving is not self._moving:
             self._moving = moving
             log = self._node.get_logger()
@@ -287,5 +287,5 @@ class CommandInput:
         return "WARN" if self.gate.rejected else "OK", "moving"
 
     def counts(self) -> dict[str, object]:
-        """Return what happened so far, for /diagnostics."""
+        """Return the counters shown on /diagnostics."""
         return {"commands rejected": self.gate.rejected, "commands late": self.gate.late}

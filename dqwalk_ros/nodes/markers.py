@@ -1,4 +1,4 @@
-"""What there is to see of a walk as markers for RViz and Foxglove: the shapes of `dqwalk_ros.report.scene`."""
+"""Markers for RViz and Foxglove, made from the shapes of `dqwalk_ros.report.scene`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _THIN = 0.002
 
 
 def markers(stamp: int, config: Config, model: RobotModel, phase: Phase, kin: Kinematics) -> MarkerArray:
-    """Return the shapes of one state, in the frame of the base sole; each message replaces the last.
+    """Return the markers of one state, in the frame of the base sole; each message replaces the one before.
 
     Parameters
     ----------
@@ -31,15 +31,15 @@ def markers(stamp: int, config: Config, model: RobotModel, phase: Phase, kin: Ki
     model : RobotModel
     phase : Phase
     kin : Kinematics
-        Seen from the base of the phase.
+        Of that state, relative to the base sole of the phase.
     """
     view = Scene(config, model).look(Moment(0.0, kin.q, phase, 0, 0.0, DQ(1.0).vec8()))
     shapes = [_sole(f"sole/{foot.value}", model.soles[foot], x, FOOT[foot], 0.9) for foot, x in view.soles.items()]
     if view.target is not None:
         swing = phase.base.other
         shapes.append(_sole("swing_target", model.soles[swing], view.target, FOOT[swing], 0.5))
-    shapes.append(_shape(Marker.SPHERE, "com", _at(view.com), (0.02, 0.02, 0.02), COM))
-    plumb = _shape(Marker.LINE_LIST, "com/projection", _at(np.zeros(3)), (_THIN, 0.0, 0.0), COM)
+    shapes.append(_shape(Marker.SPHERE, "com", _pose_at(view.com), (0.02, 0.02, 0.02), COM))
+    plumb = _shape(Marker.LINE_LIST, "com/projection", _pose_at(np.zeros(3)), (_THIN, 0.0, 0.0), COM)
     plumb.points = [xyz(view.com), xyz(view.com * [1.0, 1.0, 0.0])]
     shapes += [plumb, *map(_region, view.regions)]
     clear = Marker(action=Marker.DELETEALL)
@@ -51,7 +51,7 @@ def markers(stamp: int, config: Config, model: RobotModel, phase: Phase, kin: Ki
 
 
 def _region(found: Region) -> Marker:
-    """Return the shape of a constraint."""
+    """Return the marker of a constraint's region."""
     a, b = found.size
     scale = {"cylinder": (2.0 * a, 2.0 * a, b), "plane": (a, b, _THIN), "wall": (a, _THIN, b)}[found.kind]
     kind = Marker.CYLINDER if found.kind == "cylinder" else Marker.CUBE
@@ -63,7 +63,7 @@ def _sole(name: str, sole: Sole, x: Array, color: Rgb, opacity: float) -> Marker
     return _shape(Marker.CUBE, name, center, (sole.length, sole.width, _THIN), color, opacity)
 
 
-def _at(p: Array) -> Array:
+def _pose_at(p: Array) -> Array:
     return DQ.from_pose(p).vec8()
 
 

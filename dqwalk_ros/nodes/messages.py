@@ -1,4 +1,4 @@
-"""Topics and messages of the nodes: how they are offered, checked on arrival, and made."""
+"""Topics and messages of the nodes: quality of service, checks on arrival, conversion to and from the core's values."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ LEVELS["STALE"] = DiagnosticStatus.STALE
 
 
 def stream(depth: int = 1, *, reliable: bool = True) -> QoSProfile:
-    """Return the profile for a stream of values."""
+    """Return the quality of service of a topic that is published periodically."""
     reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
     return QoSProfile(depth=depth, reliability=reliability)
 
 
 def latched(depth: int = 1) -> QoSProfile:
-    """Return the profile for what a subscriber that comes late must still get."""
+    """Return the quality of service of a topic that late subscribers receive as well (transient local)."""
     return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -71,14 +71,14 @@ def message_type(name: str) -> Any:
 
 
 def other_publishers(node: Node, topic: str, own: Sequence[str] = ()) -> tuple[str, ...]:
-    """Return the nodes that publish a topic, without the named ones."""
+    """Return the names of the nodes that publish a topic, except those in `own`; one entry per publisher."""
     ends = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
     names = [f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends]
     return tuple(sorted(name for name in names if name not in own))
 
 
 def is_heard_by(node: Node, offered: Publisher, name: str) -> bool:
-    """Tell whether a node of this name, and everyone else who asked, is connected to a publisher."""
+    """Return whether all discovered subscribers of a publisher are connected, with the node `name` among them."""
     asked = node.get_subscriptions_info_by_topic(offered.topic_name)
     return any(end.node_name == name for end in asked) and offered.get_subscription_count() >= len(asked)
 
@@ -107,7 +107,7 @@ def stamp_of(raw: bytes) -> int:
     """
     if len(raw) < 12:
         raise StateError(f"a message of {len(raw)} bytes has no header")
-    # four bytes of encapsulation, of which the second tells the byte order
+    # four bytes of encapsulation; the second one gives the byte order
     sec, nanosec = struct.unpack_from("<iI" if raw[1] & 1 else ">iI", raw, 4)
     if sec < 0:
         raise StateError(f"its stamp is {sec} s, before 1970")
@@ -132,7 +132,7 @@ def joint_state(raw: bytes) -> JointState:
 
 
 class JointReader:
-    """Make states and commands of JointState messages, in the order of the model's joints.
+    """Converts JointState messages to states and commands, in the order of the model's joints.
 
     Parameters
     ----------
@@ -145,12 +145,12 @@ class JointReader:
     def state(self, msg: JointState) -> State:
         """Return the measured state; velocities that are missing or not all finite are None.
 
-        A joint_state_broadcaster fills in NaN where a servo measures no velocity, and a walk does without.
+        A joint_state_broadcaster publishes NaN for servos that measure no velocity; the walk does not need it.
 
         Raises
         ------
         StateError
-            As `safety.JointOrder`: a message that does not fit is rejected as a whole; or if its stamp is before 1970.
+            As `safety.JointOrder`: an invalid message is rejected as a whole; or if its stamp is before 1970.
         """
         if msg.header.stamp.sec < 0:
             raise StateError(f"its stamp is {msg.header.stamp.sec} s, before 1970")
@@ -164,11 +164,11 @@ class JointReader:
         return State(time=nanoseconds(msg.header.stamp) * 1e-9, q=q, dq=dq, effort=effort)
 
     def is_foreign(self, msg: JointState) -> bool:
-        """Tell whether a message has joints, but none of the model: that of a gripper, say."""
+        """Return whether a message has joints, but none of the model, such as that of a gripper."""
         return bool(msg.name) and self._order.joints.isdisjoint(msg.name)
 
     def command(self, msg: JointState) -> Command:
-        """Return the commanded velocities, and the torques to be fed forward where there are any.
+        """Return the commanded velocities, and the feed-forward torques if the message has any.
 
         Raises
         ------
@@ -192,13 +192,13 @@ class JointReader:
 
 
 class JointWriter:
-    """Make JointState messages of one set of joints; the message is reused, so publish it before the next.
+    """Makes JointState messages of a set of joints; one message is reused, so publish it before the next call.
 
     Parameters
     ----------
     joint_names : sequence of str
     frame : str
-        Its header's frame_id.
+        The frame_id of the header.
     """
 
     def __init__(self, joint_names: Sequence[str], frame: str = "") -> None:
@@ -213,22 +213,22 @@ class JointWriter:
         velocity: Array | None = None,
         effort: Array | None = None,
     ) -> JointState:
-        """Return the message of a stamp [ns], positions [rad], velocities [rad/s] and torques [N m]."""
+        """Return the message with a stamp [ns], positions [rad], velocities [rad/s] and torques [N m]."""
         msg = self._msg
         msg.header.stamp.sec, msg.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
-        # an array of doubles is the one type which rclpy takes without looking at each number
+        # array.array of doubles is the only type that rclpy accepts without a check of each number
         msg.position = array.array("d", b"" if position is None else position.tobytes())
         msg.velocity = array.array("d", b"" if velocity is None else velocity.tobytes())
         msg.effort = array.array("d", b"" if effort is None else effort.tobytes())
         return msg
 
 
-# ---------------------------------------------------------------------- places
+# ---------------------------------------------------------------------- poses and points
 
 
 def pose_fields(x: Array) -> Pose:
-    """Return the Pose of a unit dual quaternion (8,): its translation is 2 D(x) P(x)*, (1)."""
-    w, i, j, k, dw, di, dj, dk = x.tolist()  # scalars: this is done every tick
+    """Return the Pose of a unit dual quaternion (8,); its translation is 2 D(x) P(x)*, (U1)."""
+    w, i, j, k, dw, di, dj, dk = x.tolist()  # Python floats are faster than numpy scalars, and this runs every tick
     out = Pose()
     out.position.x = 2.0 * (-dw * i + di * w - dj * k + dk * j)
     out.position.y = 2.0 * (-dw * j + di * k + dj * w - dk * i)
@@ -265,22 +265,22 @@ def point(stamp: int, frame: str, p: Array) -> PointStamped:
 # ---------------------------------------------------------------------- inertial sensor, ground
 
 
-def imu(stamp: int, frame: str, said: Inertial) -> Imu:
-    """Return what an inertial sensor says."""
+def imu(stamp: int, frame: str, measured: Inertial) -> Imu:
+    """Return the message of an inertial sensor with a stamp [ns]."""
     msg = Imu()
     msg.header.stamp, msg.header.frame_id = time_msg(stamp), frame
     r, w, a = msg.orientation, msg.angular_velocity, msg.linear_acceleration
-    r.w, r.x, r.y, r.z = said.orientation.tolist()
-    w.x, w.y, w.z = said.gyro.tolist()
-    a.x, a.y, a.z = said.acceleration.tolist()
+    r.w, r.x, r.y, r.z = measured.orientation.tolist()
+    w.x, w.y, w.z = measured.gyro.tolist()
+    a.x, a.y, a.z = measured.acceleration.tolist()
     return msg
 
 
 def inertial_of(msg: Imu) -> tuple[Array, Array, Array | None]:
     """Return the unit vector against gravity, angular velocity [rad/s] and acceleration [m/s^2], (3,) each.
 
-    All are in the sensor's frame. Only roll and pitch of the orientation count: what a sensor without a compass says of
-    its yaw makes no difference. A sensor without an accelerometer says so by a covariance that begins with -1.
+    All are in the sensor's frame. Only roll and pitch of the orientation are used, so the sensor needs no compass. The
+    acceleration is None if its covariance begins with -1, which in ROS marks a missing measurement.
 
     Raises
     ------
@@ -311,7 +311,7 @@ def wrench(stamp: int, frame: str, w: Array) -> WrenchStamped:
 
 
 def status(name: str, hardware: str, level: str, message: str, values: Mapping[str, object]) -> DiagnosticStatus:
-    """Return one status [REP-107]; numbers are written in full, so that plotting tools read them."""
+    """Return one status [REP-107]; numbers are written with all digits, so that plotting tools can read them."""
     pairs = [KeyValue(key=key, value=repr(float(v)) if isinstance(v, float) else str(v)) for key, v in values.items()]
     return DiagnosticStatus(level=LEVELS[level], name=name, hardware_id=hardware, message=message, values=pairs)
 

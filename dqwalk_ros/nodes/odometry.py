@@ -1,7 +1,7 @@
-"""Where the robot is, as Nav2 and RViz expect it: odom, base_pose, and the frames of REP-105 and REP-120 on /tf.
+"""Odometry for Nav2 and RViz: odom, base_pose, and the frames of REP-105 and REP-120 on /tf.
 
-With an inertial sensor that has an accelerometer it is what `estimation.base` says; without one the joints alone say
-it, from sole to sole.
+With an inertial sensor that has an accelerometer the pose is estimated by `estimation.base`; without one it is computed
+from the joint angles alone, from sole to sole.
 
 /tf and /tf_static are published where tf2_msgs is installed; the wheels of ROS on PyPI lack it.
 """
@@ -31,17 +31,17 @@ __all__ = ["Odometry"]
 Array = NDArray[np.float64]
 
 _FIXED = 0.005
-"""Standard deviation of what does not drift, height, roll and pitch [m, rad], and of velocities [m/s, rad/s]."""
-_LOST = 0.5
-"""After so long without a state the estimate begins anew where it was [s]."""
-_TURNED_MOVED = [0, 1, 2, 6, 7, 8]
-"""Orientation and place in the covariance of an estimate."""
+"""Standard deviation of height, roll and pitch [m, rad], which do not drift, and of velocities [m/s, rad/s]."""
+_TIMEOUT = 0.5
+"""Time without a state after which the estimator is restarted from the last pose [s]."""
+_POSE = [0, 1, 2, 6, 7, 8]
+"""Indices of orientation and position in the covariance of an estimate."""
 
 
 class Odometry:
-    """Publishes the base in odom, its velocity, and how far both may be off.
+    """Publishes the pose of the base in odom, its velocity, and the covariances of both.
 
-    A walk that begins anew begins where the last one ended: odom does not jump.
+    A new walk starts from the last pose of the one before, so the pose in odom does not jump.
 
     Parameters
     ----------
@@ -58,34 +58,34 @@ class Odometry:
         self._x_pelvis_root = DQ(pelvis.pose).conj() * DQ(root.pose)
         if pelvis.body != root.body:
             node.get_logger().warning(
-                f"{model.pelvis} moves against the root {model.root}: RViz shows it off its place"
+                f"{model.pelvis} moves relative to the root {model.root}, so RViz shows its pose with an error"
             )
         if self._config.base_frame != model.root and (send := _sender(node, "/tf_static", ros.latched())) is not None:
             send([_transform(0, self._config.base_frame, model.root, DQ(1.0))])
         self._window: deque[tuple[int, DQ]] = deque()  # stamps [ns] and poses of the base
         self._origin, self._last = DQ(1.0), DQ(1.0)
-        self._is_new = False
+        self._restarted = False
         self._steps = 0
         self._estimator = BaseEstimator(node.config, model)
         self._estimated: BaseEstimate | None = None
 
-    def begin_anew(self) -> None:
-        """Go on from the last pose, wherever a new walk has its origin."""
-        self._is_new = bool(self._window)
+    def restart(self) -> None:
+        """Start a new walk at the last pose, wherever that walk has its origin."""
+        self._restarted = bool(self._window)
         self._window.clear()
         self._estimator = BaseEstimator(self._node.config, self._model)
 
     @property
     def origin(self) -> Array:
-        """Pose in odom of the world of the walk's first phase, shape (8,)."""
+        """Pose in odom of the frame of the walk's first phase, shape (8,)."""
         return self._origin.vec8()
 
     def note_step(self) -> None:
-        """Count a step, by which the pose is less certain."""
+        """Count a step; each step increases the covariance of the pose."""
         self._steps += 1
 
     def publish(self, stamp: int, state: State, kin: Kinematics, x_base: DQ, *, both: bool) -> None:
-        """Publish for a state.
+        """Publish the odometry of a state.
 
         Parameters
         ----------
@@ -95,13 +95,13 @@ class Odometry:
         kin : Kinematics
             At that state.
         x_base : DQ
-            Pose of the base sole of `kin` in the world of the walk's first phase, by the joints.
+            Pose of the base sole of `kin` in the frame of the walk's first phase, computed from the joint angles.
         both : bool
             Whether both feet are on the ground.
         """
         passed = stamp - self._window[-1][0] if self._window else 1
-        if self._estimated is not None and not 0 < passed <= _LOST * 1e9:
-            self.begin_anew()
+        if self._estimated is not None and not 0 < passed <= _TIMEOUT * 1e9:
+            self.restart()
         if passed <= 0:
             self._window.clear()  # the plant's clock was set back
         x_pelvis, self._estimated = (x_base * DQ(kin.pose(self._model.pelvis))).vec8(), None
@@ -109,8 +109,8 @@ class Odometry:
             e = self._estimated = self._estimator.update(1e-9 * stamp, kin, state.gyro, state.acceleration, both=both)
             x_pelvis = e.pose
         x_root = DQ(x_pelvis) * self._x_pelvis_root
-        if self._is_new:
-            self._origin, self._is_new = self._last * x_root.conj(), False
+        if self._restarted:
+            self._origin, self._restarted = self._last * x_root.conj(), False
         x = self._last = self._origin * x_root
         self._window.append((stamp, x))
         while len(self._window) > 2 and stamp - self._window[1][0] >= self._config.window * 1e9:
@@ -133,9 +133,9 @@ class Odometry:
         deviations = np.array([walked, walked, 0.0, 0.0, 0.0, turned])  # x, y, z, roll, pitch, yaw
         of_pose, of_twist, twist = np.diag(deviations**2 + _FIXED**2), np.diag(np.full(6, _FIXED**2)), self._velocity()
         if (e := self._estimated) is not None:
-            R_odom, R = self._origin.rotation_matrix(), (self._origin.conj() * x).rotation_matrix()  # base in its world
-            to_odom = np.kron(np.array([[0.0, 1.0], [1.0, 0.0]]), R_odom)  # place first, then orientation
-            of_pose = to_odom @ e.covariance[np.ix_(_TURNED_MOVED, _TURNED_MOVED)] @ to_odom.T
+            R_odom, R = self._origin.rotation_matrix(), (self._origin.conj() * x).rotation_matrix()
+            to_odom = np.kron(np.array([[0.0, 1.0], [1.0, 0.0]]), R_odom)  # position first, then orientation
+            of_pose = to_odom @ e.covariance[np.ix_(_POSE, _POSE)] @ to_odom.T
             of_twist[:3, :3] = R.T @ e.covariance[3:6, 3:6] @ R
             arm = (self._origin.conj() * x).translation() - DQ(e.pose).translation()
             twist = np.concatenate([R.T @ (e.velocity + np.cross(e.angular_velocity, arm)), R.T @ e.angular_velocity])
@@ -145,7 +145,7 @@ class Odometry:
         return msg
 
     def _velocity(self) -> Array:
-        """Return the mean velocity over the window, linear and angular, in the base's axes (6,) [m/s, rad/s]."""
+        """Return the mean velocity over the window, linear and angular, in the base frame (6,) [m/s, rad/s]."""
         (t0, x0), (t1, x1) = self._window[0], self._window[-1]
         if t1 == t0:
             return np.zeros(6)
@@ -166,7 +166,7 @@ class Odometry:
 
 
 def footprint(x: DQ) -> DQ:
-    """Return the pose on the ground below a pose, with its yaw."""
+    """Return the projection of a pose to the ground: its horizontal position and its yaw."""
     place, r = x.translation(), x.rotation_matrix()
     yaw = math.atan2(r[1, 0], r[0, 0])
     return DQ.from_pose([place[0], place[1], 0.0], [math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)])
@@ -182,7 +182,7 @@ def _transform(stamp: int, parent: str, child: str, x: DQ) -> TransformStamped:
 
 
 def _sender(node: WalkNode, topic: str, profile: QoSProfile) -> Callable[[list[TransformStamped]], None] | None:
-    """Return what publishes transforms; None where tf2_msgs is not installed."""
+    """Return a function that publishes transforms on a topic; None if tf2_msgs is not installed."""
     try:
         from tf2_msgs.msg import TFMessage
     except ImportError:

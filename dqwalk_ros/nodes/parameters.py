@@ -1,8 +1,8 @@
 """The schema of `dqwalk_ros.config` as parameters of a ROS node.
 
-rcl accepts whatever a parameter file says and drops what nobody declares, so a misspelt key or node name would be
-silence. Here it is an error, before the node does anything. What is plainly somebody else's is left alone, as ROS has
-it: one file may hold the parameters of a whole robot.
+rcl drops parameters of a file that no node declares, so a misspelt key or node name would go unnoticed. Here it is an
+error, before the node does anything. Parameters that clearly belong to another package are ignored, as usual in ROS:
+one file may hold the parameters of a whole robot.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ __all__ = ["changes", "declare"]
 
 
 def declare(node: Node, argv: Sequence[str], nodes: Collection[str]) -> Config:
-    """Declare the whole schema on a node; return what the command line and its parameter files say.
+    """Declare all parameters of the package on a node; return their values from the command line and parameter files.
 
     Parameters
     ----------
@@ -39,12 +39,12 @@ def declare(node: Node, argv: Sequence[str], nodes: Collection[str]) -> Config:
     Raises
     ------
     ConfigError
-        For a misspelt name, a wrong type or a value out of bounds; the message names the close matches.
+        For a misspelt name, a wrong type or a value out of bounds; the message names similar parameters.
     """
     log = node.get_logger()
     given = {
         name: () if parameter.value is None else parameter.value  # an empty list has no type
-        for name, parameter in node._parameter_overrides.items()  # rclpy has no public way to ask for all of them
+        for name, parameter in node._parameter_overrides.items()  # rclpy has no public access to all of them
         if name.split(".")[0] not in OF_RCLPY
     }
     for path in _parameter_files(argv):
@@ -53,13 +53,14 @@ def declare(node: Node, argv: Sequence[str], nodes: Collection[str]) -> Config:
         if any(sections.values()) and not any(node._parameter_overrides.keys() & names for names in sections.values()):
             found = ", ".join(f"'{section}'" for section in sections) or "none"
             log.warning(
-                f"{path}: no section reaches {node.get_fully_qualified_name()} (sections: {found}); '/**' is for all"
+                f"{path}: no section applies to {node.get_fully_qualified_name()} (sections: {found}); "
+                "'/**' applies to every node"
             )
     if not given:
-        log.warning("no parameters given, only defaults: is --ros-args --params-file missing?")
+        log.warning("no parameters given, using the defaults: is --ros-args --params-file missing?")
     foreign = [name for name in given if _is_foreign(name)]
     if foreign:
-        log.info(f"parameters of somebody else, left alone: {', '.join(foreign)}")
+        log.info(f"ignoring parameters of other packages: {', '.join(foreign)}")
     config = Config.from_flat({name: value for name, value in given.items() if name not in foreign})
     for path in _parameter_files(argv):
         config = beside(path, config)
@@ -70,12 +71,12 @@ def declare(node: Node, argv: Sequence[str], nodes: Collection[str]) -> Config:
 
 
 def changes(parameters: Sequence[Parameter]) -> dict[str, Any]:
-    """Return the values of those parameters that are of the schema, for `Config.updated`."""
+    """Return the values of the parameters that belong to the schema, for `Config.updated`."""
     return {p.name: p.value for p in parameters if p.name.split(".")[0] not in OF_RCLPY}
 
 
 def _is_foreign(name: str) -> bool:
-    """Tell whether a name is neither in the schema, nor in one of its sections, nor nearly one of its names."""
+    """Return whether a name is not in the schema, not in one of its sections, and not similar to one of its names."""
     return not (
         name in _DESCRIPTORS
         or name.split(".")[0] in _SECTIONS
@@ -86,7 +87,7 @@ def _is_foreign(name: str) -> bool:
 def _descriptor(spec: Spec) -> ParameterDescriptor:
     """Return what ``ros2 param describe`` shows."""
     unit = f" [{spec.unit}]" if spec.unit else ""
-    # what shapes the walk is fixed when the walk is built
+    # parameters that are not live are used once, when the walk is built
     out = ParameterDescriptor(description=f"{spec.meaning}{unit}", read_only=not spec.live)
     if spec.choices:
         out.additional_constraints = f"one of {', '.join(spec.choices)}"
@@ -144,9 +145,9 @@ def _names(tree: Any, prefix: str) -> Iterator[str]:
 
 
 def _check_names(path: pathlib.Path, sections: Collection[str], nodes: Collection[str]) -> None:
-    """Refuse sections whose name is nearly that of a node of ours."""
+    """Raise an error for a section whose name is similar to that of a node of this package."""
     for section in sections:
         last = section.rpartition("/")[2]
         close = difflib.get_close_matches(last, nodes, n=1, cutoff=0.8)
         if close and last not in nodes:
-            raise ConfigError(f"{path}: the section '{section}' is for no node of ours; did you mean '{close[0]}'?")
+            raise ConfigError(f"{path}: the section '{section}' matches no node; did you mean '{close[0]}'?")

@@ -1,7 +1,7 @@
-"""Watch a walk from outside: the phase is rebuilt from the topics, and judged by the core's own functions.
+"""Monitors a walk from its topics: rebuilds the phase and evaluates it with the same functions as the controller.
 
-The monitor is never in the loop. It looks at one state per period of `monitor.rate`, in the walk's own time, and
-passes over the rest without unpacking them: in lockstep states come several times faster than in reality.
+The monitor is not part of the control loop. It evaluates one state per period of `monitor.rate`, in the time of the
+stamps, and skips the others without deserialising them: in lockstep states arrive several times faster than real time.
 """
 
 from __future__ import annotations
@@ -32,23 +32,23 @@ from dqwalk_ros.topics import FINISHED, TOPICS
 
 __all__ = ["PhaseMonitor"]
 
-_SILENT = 1.0
-"""After this long without a state the walk is stale [s]."""
-_REPAIR = 4.0
-"""In lockstep a state is judged this long after it came [s]: on a busy machine the start of its phase may have been
-dropped on the way, and the middleware repairs that every 3 s."""
+_TIMEOUT = 1.0
+"""Time without a state after which the walk is reported as stale [s]."""
+_RESEND = 4.0
+"""In lockstep a state is evaluated this long after its arrival [s]: on a busy machine the message with the start of its
+phase may be lost, and the middleware may take 3 s to send it again."""
 _DEPTH = 5000
-"""States that may wait: in lockstep a thousand come in the second that reading the robot's description takes."""
+"""Depth of the queue of states: in lockstep a thousand arrive in the second that reading the URDF takes."""
 
 
 class PhaseMonitor(WalkNode):
-    """Watch a walk from outside: every distance, error and margin, recomputed from the topics alone.
+    """Monitor a walk: recompute every distance, error and margin from its topics.
 
     Subscribes to::
 
         joint_states, phase, phase_start, com_target, swing_target, walk_config, robot_description   as the
-                                 controller publishes them; the parameters of the walk come from walk_config,
-                                 not from this node's own
+                                 controller publishes them; the parameters of the walk are read from walk_config,
+                                 not from the parameters of this node
 
     Publishes::
 
@@ -71,10 +71,10 @@ class PhaseMonitor(WalkNode):
         self._warm_up(self.config)
         self._phases = PhaseLog(self.get_logger())
         self._label = ""
-        self._next = -1  # stamp from which on a state is looked at [ns]
+        self._next = -1  # earliest stamp of the next state to be evaluated [ns]
         self._newest = 0
-        self._waiting: deque[tuple[float, int, bytes]] = deque()  # when it came [s], stamp [ns], message
-        self._heard = time.monotonic()
+        self._waiting: deque[tuple[float, int, bytes]] = deque()  # time of receipt [s], stamp [ns], message
+        self._received = time.monotonic()
         self._rejected = 0
         self._pub = {
             "com": self.create_publisher(PointStamped, "com", ros.stream(10)),
@@ -93,12 +93,12 @@ class PhaseMonitor(WalkNode):
         self.create_subscription(
             JointState, "joint_states", self._on_state, ros.stream(_DEPTH, reliable=False), raw=True
         )
-        self.create_timer(0.1, self._watch, clock=STEADY)
-        self._told = 0.0  # when that it is silent was told last [s]
+        self.create_timer(0.1, self._check_timeout, clock=STEADY)
+        self._timeout_published = 0.0  # steady time [s]
         self.get_logger().info("waiting for a walk")
 
     def _warm_up(self, config: Config) -> None:
-        """Have the kinematics compiled before the walk begins."""
+        """Compile the kinematics before the walk begins."""
         with contextlib.suppress(DqwalkError):
             model = load_model(config.robot)
             Kinematics(model, np.zeros(model.n), Foot.LEFT)
@@ -114,24 +114,24 @@ class PhaseMonitor(WalkNode):
         except StateError as error:
             self.get_logger().error(f"joint_states rejected: {error}", **THROTTLE)
             return
-        self._heard = time.monotonic()
-        if stamp < self._newest:  # a plant that began again, or whose clock was set back
+        self._received = time.monotonic()
+        if stamp < self._newest:  # the plant restarted, or its clock was set back
             self._phases.forget_after(stamp)
             self._waiting.clear()
             self._next = -1
         self._newest = stamp
         if stamp >= self._next:
             self._next = stamp + round(1e9 / self.config.monitor.rate)
-            self._waiting.append((self._heard, stamp, raw))
-            self._judge_waiting()
+            self._waiting.append((self._received, stamp, raw))
+            self._evaluate_waiting()
 
-    def _judge_waiting(self, *, all_of_them: bool = False) -> None:
-        until = time.monotonic() - (_REPAIR if self._phases.lockstep and not all_of_them else 0.0)
+    def _evaluate_waiting(self, *, all_of_them: bool = False) -> None:
+        until = time.monotonic() - (_RESEND if self._phases.lockstep and not all_of_them else 0.0)
         while self._waiting and self._waiting[0][0] <= until:
             _, stamp, raw = self._waiting.popleft()
-            self._judge(stamp, raw)
+            self._evaluate(stamp, raw)
 
-    def _judge(self, stamp: int, raw: bytes) -> None:
+    def _evaluate(self, stamp: int, raw: bytes) -> None:
         phase_at = self._phases.at(stamp)
         if phase_at is None or self._phases.reader is None:
             return
@@ -142,17 +142,17 @@ class PhaseMonitor(WalkNode):
             self._rejected += 1
             text = f"joint_states rejected ({self._rejected} so far): {error}"
             self.get_logger().error(text, **THROTTLE)
-            self._tell(stamp, "ERROR", f"joint_states rejected: {error}", {})
+            self._publish_status(stamp, "ERROR", f"joint_states rejected: {error}", {})
             return
         kin = Kinematics(assess.model, state.q, assess.phase.base)
         found = assess(kin, 1e-9 * (stamp - began), self.config.monitor)
         over = "/" not in self._label and not self._waiting
         message = f"{self._label}; {found.message}" if over else found.message
-        self._tell(stamp, found.level, message, {"phase": assess.phase.name, **found.values})
+        self._publish_status(stamp, found.level, message, {"phase": assess.phase.name, **found.values})
         self._draw(stamp, assess, kin)
 
     def _draw(self, stamp: int, assess: Assessor, kin: Kinematics) -> None:
-        """Publish what is looked at, if anybody looks."""
+        """Publish CoM, support polygon and markers, each only if it has subscribers."""
         phase, model = assess.phase, assess.model
         frame = model.soles[phase.base].frame
         if self._pub["com"].get_subscription_count():
@@ -166,24 +166,24 @@ class PhaseMonitor(WalkNode):
         if self._pub["walk_markers"].get_subscription_count():
             self._pub["walk_markers"].publish(markers(stamp, assess.config, model, phase, kin))
 
-    def _watch(self) -> None:
-        self._judge_waiting()
+    def _check_timeout(self) -> None:
+        self._evaluate_waiting()
         now = time.monotonic()
-        if min(now - self._heard, 2.0 * (now - self._told)) > _SILENT and not self._waiting:
-            self._told = now
+        if min(now - self._received, 2.0 * (now - self._timeout_published)) > _TIMEOUT and not self._waiting:
+            self._timeout_published = now
             label = f"{self._label}; " if self._label else ""
             over = self._label in (FINISHED, "idle", "paused")
-            self._tell(self._newest, "OK" if over else "STALE", f"{label}no joint_states", {})
+            self._publish_status(self._newest, "OK" if over else "STALE", f"{label}no joint_states", {})
 
-    def _tell(self, stamp: int, level: str, message: str, values: dict[str, object]) -> None:
+    def _publish_status(self, stamp: int, level: str, message: str, values: dict[str, object]) -> None:
         name = self._phases.model.name if self._phases.model else ""
         self.diagnose("walk", name, level, message, values, stamp)
 
     @property
     def lockstep(self) -> bool:
-        """Whether the walk that is watched goes in lockstep, whatever the parameters of this node."""
+        """Whether the monitored walk is in lockstep, regardless of the parameters of this node."""
         return self._phases.lockstep
 
     def close(self) -> None:
-        """Judge what is left."""
-        self._judge_waiting(all_of_them=True)
+        """Evaluate the states that are still waiting."""
+        self._evaluate_waiting(all_of_them=True)

@@ -1,4 +1,4 @@
-"""The phases of a walk on topics: published where they begin, built again by who watches."""
+"""The phases of a walk on topics: the controller publishes each at its start, monitor and viewer rebuild them."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ from dqwalk_ros.walk import Phase, PhaseKind, com_target
 __all__ = ["PhaseLog", "PhasePublisher"]
 
 _KEPT = 100
+"""Number of phases that are stored."""
 
 
 class PhasePublisher:
-    """Publishes the walk: what it is, and what goes on; from that a `PhaseLog` builds its phases again.
+    """Publishes the configuration of a walk and the start of each phase, from which a `PhaseLog` rebuilds the phases.
 
     Parameters
     ----------
@@ -51,16 +52,16 @@ class PhasePublisher:
             self._pub[name].publish(String(data=text))
 
     def show(self, text: str) -> None:
-        """Publish what goes on now, such as ``double_support/left`` or ``idle``."""
+        """Publish the name of the current phase or mode, such as ``double_support/left`` or ``idle``."""
         self._pub["phase"].publish(String(data=text))
         self._log.publish(String(data=text))
 
     def tune(self, config: Config, stamp: int) -> None:
-        """Publish parameters that are in force from the state of a stamp [ns] on."""
+        """Publish parameters that apply from the state with a stamp [ns] on."""
         self._pub["walk_config"].publish(String(data=to_yaml(config, stamp)))
 
     def begin(self, phase: Phase, stamp: int) -> None:
-        """Publish a phase that begins at the state of a stamp [ns], which seconds of the clock would round."""
+        """Publish a phase that begins at the state with a stamp [ns]; seconds as a float would not be exact."""
         model, frame = self._model, self._model.soles[phase.base].frame
         start = ros.JointWriter(model.joint_names, frame)(stamp, position=phase.q_start)
         self._pub["phase_start"].publish(start)
@@ -73,7 +74,7 @@ class PhasePublisher:
         self.show(phase.name)
 
     def change(self, phase: Phase, stamp: int) -> None:
-        """Publish that the foot lands elsewhere, and why; the stamp [ns] is that of the phase's beginning."""
+        """Publish a changed target of the swing foot, and the reason; `stamp` [ns] is that of the phase's start."""
         if phase.swing_target is not None:
             frame = self._model.soles[phase.base].frame
             self._pub["swing_target"].publish(ros.pose(stamp, frame, phase.swing_target))
@@ -81,15 +82,15 @@ class PhasePublisher:
 
 
 class PhaseLog:
-    """Knows which phase a state belongs to, in whatever order the messages came.
+    """Finds the phase that a state belongs to, for messages in any order.
 
-    A phase is known from where it began: the base sole is the frame of `phase_start`, and whether `com_target` or
-    `swing_target` has the same stamp says whether it is double or single support.
+    A phase is rebuilt from its start: the base sole is the frame of `phase_start`; with a `com_target` of the same
+    stamp it is a double support, with a `swing_target` a single support.
 
     Parameters
     ----------
     logger : rclpy logger
-        Told what cannot be used.
+        For messages that cannot be used.
 
     Attributes
     ----------
@@ -111,18 +112,18 @@ class PhaseLog:
 
     @property
     def lockstep(self) -> bool:
-        """Whether the walk goes in lockstep."""
+        """Whether the walk is in lockstep."""
         return self.config is not None and self.config.plant.lockstep
 
     def add_config(self, text: str) -> None:
-        """Take in `walk_config`."""
+        """Process a message of `walk_config`."""
         try:
             config = from_yaml(text, source="walk_config")
         except DqwalkError as error:
             self._logger.error(str(error))
             return
-        if (stamp := since(text)) is not None:  # changed while the robot walks
-            _keep(self._tuned, stamp, config)
+        if (stamp := since(text)) is not None:  # changed during the walk
+            _store(self._tuned, stamp, config)
             for began in [began for began in self._assessors if began >= stamp]:
                 del self._assessors[began]
             if self.config is not None:
@@ -131,7 +132,7 @@ class PhaseLog:
         self._load()
 
     def add_description(self, text: str) -> None:
-        """Take in `robot_description`."""
+        """Process a message of `robot_description`."""
         self._urdf = text
         self._load()
 
@@ -145,34 +146,34 @@ class PhaseLog:
             return
         self.reader = ros.JointReader(self.model.joint_names)
         self._assessors.clear()
-        self._logger.info(f"watching {self.model.name}, {self.model.n} joints")
+        self._logger.info(f"received the walk of {self.model.name}, {self.model.n} joints")
 
     def add_start(self, msg: JointState) -> None:
-        """Take in `phase_start`."""
-        _keep(self._starts, ros.nanoseconds(msg.header.stamp), msg)
+        """Process a message of `phase_start`."""
+        _store(self._starts, ros.nanoseconds(msg.header.stamp), msg)
 
     def add_target(self, msg: PointStamped | PoseStamped) -> None:
-        """Take in `com_target` or `swing_target`."""
+        """Process a message of `com_target` or `swing_target`."""
         if isinstance(msg, PoseStamped):
             target = PhaseKind.SINGLE_SUPPORT, ros.pose_dq(msg)
         else:
             target = PhaseKind.DOUBLE_SUPPORT, np.array([msg.point.x, msg.point.y])
         stamp = ros.nanoseconds(msg.header.stamp)
-        self._assessors.pop(stamp, None)  # a foot that is led to another place
-        _keep(self._targets, stamp, target)
+        self._assessors.pop(stamp, None)  # the target of the swing foot has changed
+        _store(self._targets, stamp, target)
 
     def begun(self, after: int, until: int) -> list[int]:
-        """Return when phases began, after one stamp and up to another [ns], in order."""
+        """Return the start stamps of the phases in the interval (after, until] [ns], in order."""
         return sorted(key for key in self._starts if after < key <= until)
 
     def forget_after(self, stamp: int) -> None:
-        """Drop the phases that began after a stamp [ns]: time went back."""
+        """Drop the phases that began after a stamp [ns], because time was set back."""
         for table in (self._starts, self._targets, self._assessors, self._tuned):
             for key in [key for key in table if key > stamp]:
                 del table[key]
 
     def at(self, stamp: int) -> tuple[int, Assessor] | None:
-        """Return the start [ns] and the assessor of the phase that a state's stamp [ns] is in, if it is known."""
+        """Return the start [ns] and the assessor of the phase at a state's stamp [ns]; None if it is not known."""
         began = max((key for key in self._starts if key <= stamp), default=None)
         if began is None:
             return None
@@ -180,7 +181,7 @@ class PhaseLog:
             made = self._make(began)
             if made is None:
                 return None
-            _keep(self._assessors, began, made)
+            _store(self._assessors, began, made)
         return began, self._assessors[began]
 
     def _make(self, began: int) -> Assessor | None:
@@ -190,13 +191,13 @@ class PhaseLog:
         feet = {self.model.soles[foot].frame: foot for foot in Foot}
         base = feet.get(start.header.frame_id)
         if base is None:
-            self._logger.error(f"phase_start is in the frame '{start.header.frame_id}', which is no sole of the robot")
+            self._logger.error(f"phase_start is in the frame '{start.header.frame_id}', not a sole of the robot")
             del self._starts[began]
             return None
         support = base if kind is PhaseKind.SINGLE_SUPPORT else base.other
         try:
             q = self.reader.state(start).q
-            if kind is PhaseKind.DOUBLE_SUPPORT:  # a stance is one, too, but for where its CoM goes
+            if kind is PhaseKind.DOUBLE_SUPPORT:  # a stance has a com_target as well, but at another point
                 goal = {k: com_target(self.model, k, base, q)[:2] for k in (kind, PhaseKind.STANCE)}
                 kind, target = min(goal, key=lambda k: float(np.abs(goal[k] - target).max())), None
             config = self._tuned.get(max((key for key in self._tuned if key <= began), default=-1), self.config)
@@ -208,7 +209,7 @@ class PhaseLog:
             return None
 
 
-def _keep(table: dict[int, Any], key: int, value: Any) -> None:
+def _store(table: dict[int, Any], key: int, value: Any) -> None:
     table[key] = value
     while len(table) > _KEPT:
         del table[min(table)]

@@ -1,7 +1,7 @@
-"""Steer a standing walk along a course, then have it stop with the feet together.
+"""Steers a standing walk along a course, then stops it with the feet together.
 
-The course is measured in the walk's own time, that of the stamps of joint_states, so it is the same in lockstep. It
-begins when the controller listens.
+The time of the course is that of the stamps of joint_states, so the course is the same in lockstep. It begins when the
+controller has subscribed to cmd_vel.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from dqwalk_ros.standing.course import Course
 __all__ = ["Pilot"]
 
 _PERIOD = 0.1
-"""Between two commands [s]."""
+"""Period of the commands [s]."""
 
 
 class Pilot(WalkNode):
@@ -29,7 +29,7 @@ class Pilot(WalkNode):
 
     Subscribes to::
 
-        joint_states             sensor_msgs/JointState: the walk's own time, in which the course is measured
+        joint_states             sensor_msgs/JointState: its stamps are the time of the course
 
     Publishes::
 
@@ -44,7 +44,7 @@ class Pilot(WalkNode):
     Raises
     ------
     ConfigError
-        If the course cannot be read.
+        If the course is invalid.
     """
 
     has_diagnostics = False
@@ -53,7 +53,7 @@ class Pilot(WalkNode):
         super().__init__("pilot", options, **keywords)
         self._course = Course.parse(options.cmd_vel)
         self._begin = self._now = -1  # stamps [ns]
-        self._asked: Future | None = None
+        self._stop_request: Future | None = None
         self._twists = self.create_publisher(Twist, "cmd_vel", ros.stream(1))
         self._stopping = self.create_client(Trigger, "controller/stop")
         self.create_subscription(JointState, "joint_states", self._on_state, ros.stream(1, reliable=False))
@@ -77,14 +77,14 @@ class Pilot(WalkNode):
             self._end()
 
     def _end(self) -> None:
-        """Ask the controller to stop, until it says yes."""
-        if self._asked is None:
+        """Call ~/stop of the controller until it succeeds."""
+        if self._stop_request is None:
             if self._stopping.service_is_ready():
-                self._asked = self._stopping.call_async(Trigger.Request())
+                self._stop_request = self._stopping.call_async(Trigger.Request())
             return
-        if not self._asked.done():
+        if not self._stop_request.done():
             return
-        answer, self._asked = self._asked.result(), None
-        self.get_logger().info(f"the course is over; the controller says: {answer.message}")
+        answer, self._stop_request = self._stop_request.result(), None
+        self.get_logger().info(f"end of the course; the controller answers: {answer.message}")
         if answer.success:
             self.stop(0)

@@ -1,7 +1,8 @@
-"""The simulated robots: joints that obey exactly, and a physics engine.
+"""Simulated robots: a kinematic integrator and a physics engine.
 
-In lockstep a plant publishes a state, waits for the command with that very stamp, moves, publishes the next: a run is
-exact and as fast as the machine. In real time it publishes at 1/dt whatever comes, as hardware does.
+In lockstep a plant publishes a state, waits for the command with the same stamp, moves and publishes the next state, so
+that a run is reproducible and as fast as the machine allows. In real time it publishes at 1/dt, with or without
+commands, as hardware does.
 """
 
 from __future__ import annotations
@@ -33,17 +34,17 @@ from dqwalk_ros.topics import TOPICS, WORLD
 __all__ = ["Integrator", "Physics", "SimulatedPlant"]
 
 _ASK_AGAIN = 0.5
-"""A lockstep state without an answer is published again after this long [s]: its command may have been lost."""
+"""Time after which a lockstep state without a command is published again [s]: state or command may have been lost."""
 _FIRST_ASK = 0.05
-"""The same before the first answer [s], while the controller may not be up yet."""
+"""The same before the first command [s], while the controller may still be starting."""
 _PUSH = 0.1
-"""A push lasts so long [s], of simulated time."""
-_FASTEST = 10.0
-"""No push makes a robot faster than this [m/s]."""
+"""Duration of a push [s], in simulated time."""
+_MAX_SPEED = 10.0
+"""Largest change of the robot's velocity by a push [m/s]."""
 
 
 class SimulatedPlant(WalkNode):
-    """joint_velocity_commands -> joint_states, in lockstep or in real time; a subclass says what is simulated."""
+    """joint_velocity_commands -> joint_states, in lockstep or in real time; a subclass defines the plant."""
 
     claims = "joint_states"
 
@@ -57,7 +58,7 @@ class SimulatedPlant(WalkNode):
         self.ticks = 0
         self._missed = 0
         self._stamp = 0  # of the state published last [ns]
-        self._asked = time.monotonic()
+        self._published_at = time.monotonic()
         self._moved = self._now()
         self._state_msg = ros.JointWriter(self.model.joint_names)
         self._clock_topic = self.create_publisher(Clock, "/clock", ros.stream(10)) if self.config.plant.clock else None
@@ -70,24 +71,24 @@ class SimulatedPlant(WalkNode):
         self.create_timer(1.0 / self.config.monitor.rate, self._diagnose, clock=STEADY)
 
     def log_ready(self) -> None:
-        """Log what this is, once it is ready."""
+        """Log robot and mode when the node is ready."""
         mode = "lockstep" if self.lockstep else f"real time at {1.0 / self.dt:g} Hz"
         self.get_logger().info(f"{self.model.name}: {self.model.n} joints, {mode}")
 
-    # ------------------------------------------------------------------ what differs between plants
+    # ------------------------------------------------------------------ defined by each plant
 
     def make_plant(self, config: Config, model: RobotModel) -> Plant:
-        """Return what is simulated."""
+        """Return the simulated plant."""
         raise NotImplementedError
 
     def reference(self) -> NDArray[Any]:
-        """Return the angles (n,) from which a velocity moves the joints [rad]: limits are kept from there."""
+        """Return the angles (n,) from which a velocity moves the joints [rad], used to keep the joint limits."""
         return self.plant.state.q
 
     def period(self, passed: float) -> float:
-        """Return the time to move in real time when `passed` has gone by since the last tick [s].
+        """Return the time to move in real time, `passed` after the last tick [s].
 
-        Two periods at most: a late tick is never made up for.
+        At most two periods: lost time is not made up for.
         """
         return min(passed, 2.0 * self.dt)
 
@@ -96,7 +97,7 @@ class SimulatedPlant(WalkNode):
         return int(self.get_clock().now().nanoseconds)
 
     def move(self, command: Command, dt: float) -> bool:
-        """Move for `dt` [s]; return whether that was possible."""
+        """Move for `dt` [s]; return whether that succeeded."""
         try:
             self.plant.step(command, dt)
         except DqwalkError as error:
@@ -107,7 +108,7 @@ class SimulatedPlant(WalkNode):
         return True
 
     def publish(self, stamp: int, effort: NDArray[Any] | None = None) -> None:
-        """Publish the state, with its stamp [ns] and the torques of the joints where they are known, and its like."""
+        """Publish the state with its stamp [ns], and the torques of the joints if they are known."""
         if self._clock_topic is not None:
             self._clock_topic.publish(Clock(clock=ros.time_msg(stamp)))
         state = self.plant.state
@@ -126,19 +127,19 @@ class SimulatedPlant(WalkNode):
         u = clamp_velocity(command.velocity, self.reference(), self.model, self.dt)
         if self.move(Command(self._stamp * 1e-9, u, command.effort), self.dt):
             self._stamp = round(self.ticks * self.dt * 1e9)
-            self._asked = time.monotonic()
+            self._published_at = time.monotonic()
             self.publish(self._stamp)
 
     def _ask(self) -> None:
-        """Publish the state again where no answer came."""
+        """Publish the state again if no command has arrived."""
         now = time.monotonic()
-        if now - self._asked < (_ASK_AGAIN if self.ticks else _FIRST_ASK) or not self._may_begin():
+        if now - self._published_at < (_ASK_AGAIN if self.ticks else _FIRST_ASK) or not self._may_begin():
             return
-        self._asked = now
+        self._published_at = now
         self.publish(self._stamp)
 
     def _may_begin(self) -> bool:
-        """Tell whether everyone listens who must not miss the first state."""
+        """Return whether monitor and recorder, if they are to be waited for, have subscribed to the states."""
         if self.ticks:
             return True
         wanted, states = self.config.node, self.streams["joint_states"]
@@ -153,7 +154,7 @@ class SimulatedPlant(WalkNode):
         self.commands.take(msg, self._stamp)
 
     def _now(self) -> float:
-        """Return the time in which a period is counted [s]: steady, or /clock's with use_sim_time."""
+        """Return the time by which periods are measured [s]: the steady clock, or /clock with use_sim_time."""
         return 1e-9 * self.get_clock().now().nanoseconds if self.uses_sim_time else time.monotonic()
 
     def _on_period(self) -> None:
@@ -186,7 +187,7 @@ class SimulatedPlant(WalkNode):
 
 
 class Integrator(SimulatedPlant):
-    """Stand in for the robot: integrate the commanded joint velocities (Euler), at 1/dt or in lockstep.
+    """Simulate the robot by integrating the commanded joint velocities (Euler), at 1/dt or in lockstep.
 
     Subscribes to::
 
@@ -195,8 +196,8 @@ class Integrator(SimulatedPlant):
     Publishes::
 
         joint_states             sensor_msgs/JointState [rad, rad/s]
-        plant_ready              std_msgs/Bool, latched: false while it holds, in real time
-        /clock                   rosgraph_msgs/Clock with plant.clock: its time is that of the others
+        plant_ready              std_msgs/Bool, latched: false while the plant holds, in real time
+        /clock                   rosgraph_msgs/Clock with plant.clock: the time of its stamps, for all nodes
         /diagnostics             diagnostic_msgs/DiagnosticArray
 
     Sections of the schema: dt, robot, plant, node.
@@ -211,30 +212,30 @@ class Integrator(SimulatedPlant):
         self.log_ready()
 
     def make_plant(self, config: Config, model: RobotModel) -> Plant:
-        """Return joints that move exactly as they are told."""
+        """Return joints that follow their commands exactly."""
         return KinematicPlant(model, model.posture(config.standing.posture))
 
 
 class Physics(SimulatedPlant):
-    """Stand in for the robot: MuJoCo, true soles, servos, an inertial sensor; real time or lockstep.
+    """Simulate the robot in MuJoCo with soles, servos and an inertial sensor, in real time or in lockstep.
 
-    In real time the engine takes one period per tick of the steady clock, so a late machine makes a late simulation,
-    never one that jumps; stamps are the simulation's time, counted from the clock's at its start.
+    In real time the engine advances by one period per tick of the steady clock: on a slow machine the simulation is
+    slow, but does not jump. Stamps are simulated time, counted from the time of the clock at the start.
 
     Subscribes to::
 
-        joint_velocity_commands  sensor_msgs/JointState [rad/s]; its efforts are fed forward [N m]
+        joint_velocity_commands  sensor_msgs/JointState [rad/s]; efforts are feed-forward torques [N m]
         push                     geometry_msgs/WrenchStamped: its force times 1 s hits the pelvis [N s], in world
 
     Publishes::
 
         joint_states             sensor_msgs/JointState [rad, rad/s]
-        plant_ready              std_msgs/Bool, latched: false while it holds, in real time
-        imu                      sensor_msgs/Imu of the link robot.imu, the same stamp as the state's
-        true_base_pose           geometry_msgs/PoseStamped: the pelvis in the world; for analysis, as the rest:
+        plant_ready              std_msgs/Bool, latched: false while the plant holds, in real time
+        imu                      sensor_msgs/Imu of the link robot.imu, with the stamp of the state
+        true_base_pose           geometry_msgs/PoseStamped: the pelvis in the world; for analysis, as the next three:
         left_foot_wrench, right_foot_wrench   geometry_msgs/WrenchStamped: ground on the sole, in its frame
-        center_of_pressure       geometry_msgs/PointStamped: of both feet in the world; none in the air
-        /clock                   rosgraph_msgs/Clock with plant.clock: its time is that of the others
+        center_of_pressure       geometry_msgs/PointStamped: of both feet in the world; not published in the air
+        /clock                   rosgraph_msgs/Clock with plant.clock: the time of its stamps, for all nodes
         /diagnostics             diagnostic_msgs/DiagnosticArray: ERROR when the robot has fallen
         ~/reset                  std_srvs/Trigger: puts the robot back on its feet (real time)
 
@@ -247,7 +248,7 @@ class Physics(SimulatedPlant):
     Raises
     ------
     PlantError
-        If MuJoCo refuses the robot.
+        If MuJoCo cannot load the robot.
     """
 
     plant: Any
@@ -257,22 +258,22 @@ class Physics(SimulatedPlant):
         self.streams |= {name: self.advertise(name) for name in TOPICS if TOPICS[name].source == "physics"}
         self._soles = {f"{foot.value}_foot_wrench": self.model.soles[foot].frame for foot in Foot}
         self._fell = ""
-        self._late: list[float] = []  # behind a period [s], of each tick under way
+        self._late: list[float] = []  # delay of each tick while commands arrive [s]
         self._stamp0 = self.get_clock().now().nanoseconds
         self._pushed_until = -1  # tick
-        self._hardest = _FASTEST * self.model.mass  # [N s]
+        self._max_impulse = _MAX_SPEED * self.model.mass  # [N s]
         self.create_service(Trigger, "~/reset", self._reset)
         self.create_subscription(WrenchStamped, "push", self._on_push, ros.stream(10))
         self.log_ready()
 
     def make_plant(self, config: Config, model: RobotModel) -> Plant:
         """Return the robot on its soles."""
-        from dqwalk_ros.simulation import make_plant  # the integrator does without what physics needs
+        from dqwalk_ros.simulation import make_plant  # the integrator runs without the dependencies of physics
 
         return make_plant("physics", config, model)
 
     def reference(self) -> NDArray[Any]:
-        """Return what the servos are told: velocities are integrated from there."""
+        """Return the goal angles of the servos, from which velocities are integrated."""
         commanded: NDArray[Any] = self.plant.commanded
         return commanded
 
@@ -283,7 +284,7 @@ class Physics(SimulatedPlant):
         return self.dt
 
     def real_time(self) -> int:
-        """Return the time of the simulation, counted from the clock's at its start [ns]."""
+        """Return the simulated time, counted from the time of the clock at the start [ns]."""
         return self._stamp0 + round(self.ticks * self.dt * 1e9)
 
     def move(self, command: Command, dt: float) -> bool:
@@ -293,7 +294,7 @@ class Physics(SimulatedPlant):
         return super().move(command, dt)
 
     def publish(self, stamp: int, effort: NDArray[Any] | None = None) -> None:
-        """Publish the sensors first, for the controller waits for them with the state."""
+        """Publish the sensors before the state, because the controller needs them together with it."""
         streams = self.streams
         others = (streams[name] for name in streams if name not in ("imu", "joint_states"))
         truth = self.plant.truth if any(stream.get_subscription_count() for stream in others) else None
@@ -309,7 +310,7 @@ class Physics(SimulatedPlant):
         if self.plant.fallen and not self._fell:
             self._fell = f"the robot fell at {self.ticks * self.dt:.2f} s; ~/reset puts it back on its feet"
             self.get_logger().error(self._fell)
-            if self.is_child:  # nobody is there to pick it up
+            if self.is_child:  # a walk without a user who could call ~/reset
                 self.stop(1)
 
     def trouble(self) -> str:
@@ -320,8 +321,8 @@ class Physics(SimulatedPlant):
         """Take the force times one second as the impulse on the pelvis [N s], as the node `rigid` does."""
         f = msg.wrench.force
         impulse = np.array([f.x, f.y, f.z])
-        if not np.abs(impulse).max() <= self._hardest:
-            text = f"push rejected: {f.x:g}, {f.y:g}, {f.z:g} N s are beyond {self._hardest:.0f} N s, or not finite"
+        if not np.abs(impulse).max() <= self._max_impulse:
+            text = f"push rejected: {f.x:g}, {f.y:g}, {f.z:g} N s are beyond {self._max_impulse:.0f} N s, or not finite"
             self.get_logger().error(text)
             return
         self.plant.push(impulse / _PUSH)
@@ -330,17 +331,17 @@ class Physics(SimulatedPlant):
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self.lockstep:
-            response.success, response.message = False, "in lockstep time cannot begin again: start the node anew"
+            response.success, response.message = False, "lockstep time cannot be set back: restart the node"
             return response
         self.plant = self.make_plant(self.config, self.model)
         self.commands.gate.hold()
         self._fell = ""
-        response.success, response.message = True, "the robot stands; the controller's ~/reset and ~/start begin anew"
+        response.success, response.message = True, "the robot stands; the controller needs ~/reset and ~/start"
         self.get_logger().info(response.message)
         return response
 
     def close(self) -> None:
-        """Log how much of real time it was."""
+        """Log the achieved rate and the delays of the ticks."""
         if self.lockstep or len(self._late) < 2:
             return
         late = 1e3 * np.array(self._late)

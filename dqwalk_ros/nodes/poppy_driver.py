@@ -1,4 +1,4 @@
-"""The real Poppy as a plant: commands become goals of its servos, their angles become states."""
+"""A real Poppy as a plant: converts commands to goal angles of its servos, and publishes the measured angles."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ __all__ = ["PoppyDriver"]
 
 
 class PoppyDriver(WalkNode):
-    """Drive a real Poppy Humanoid; poppy.dummy:=true tries it without one.
+    """Drive a real Poppy Humanoid; with poppy.dummy:=true, emulated motors.
 
-    The driver never moves by itself (unless poppy.activate is set). Angles are published from the beginning;
-    ~/activate switches the torque on where the robot stands, reads it back, and takes the robot to its first pose,
-    slowly; from then on commands count. A state is stamped with the moment its oldest angle was read at, and it is not
-    published where an angle is older than plant.command_timeout. While anything is wrong with a motor the robot holds
-    still, and /diagnostics says which motor it is, why, and what to do.
+    The driver does not move the robot by itself (unless poppy.activate is set). It publishes the angles from the start.
+    ~/activate switches the torque on in the current posture, checks it, and moves the robot slowly to its first pose;
+    then commands are accepted. The stamp of a state is the time at which its oldest angle was read; a state with an
+    angle older than plant.command_timeout is not published. While a motor has a fault the robot holds still, and
+    /diagnostics names the motor, the fault, and what to do.
 
     Subscribes to::
 
-        joint_velocity_commands  sensor_msgs/JointState [rad/s]; effort [N m] is fed forward
+        joint_velocity_commands  sensor_msgs/JointState [rad/s]; effort is a feed-forward torque [N m]
         phase                    std_msgs/String: 'fallen' switches the torque off
 
     Publishes::
 
         joint_states             sensor_msgs/JointState of all 25 motors
-        joint_goals              sensor_msgs/JointState: the angles they were told with that state [rad]
-        plant_ready              std_msgs/Bool, latched: whether commands count
+        joint_goals              sensor_msgs/JointState: their goal angles at the time of that state [rad]
+        plant_ready              std_msgs/Bool, latched: whether commands are accepted
         /diagnostics             latency of the loop; temperature, voltage, load and error bits of every motor
 
     Services::
@@ -58,7 +58,7 @@ class PoppyDriver(WalkNode):
     Raises
     ------
     ConfigError
-        In lockstep, or where the control period is shorter than the bus's.
+        In lockstep, or if dt is shorter than the period of the motor bus.
     PlantError
         If the motors do not answer.
     """
@@ -73,7 +73,7 @@ class PoppyDriver(WalkNode):
             raise ConfigError("'plant.lockstep' must be false: a robot does not wait for its command")
         if config.dt < 0.99 * self._period:
             raise ConfigError(
-                f"'dt' is {config.dt:g} s, and the motors answer every {self._period:g} s (poppy.rate): "
+                f"'dt' is {config.dt:g} s, but the motors answer every {self._period:g} s (poppy.rate): "
                 f"set dt: {self._period:g}, as config/plants/poppy.yaml does"
             )
         model = load_model(config.robot)
@@ -84,11 +84,11 @@ class PoppyDriver(WalkNode):
         self._hardware = f"{model.name}{' (emulated motors)' if config.poppy.dummy else ''}"
         self._stamp = -1  # of the state published last [ns]
         self._answered = -1  # stamp of the state that the last command answered [ns]
-        self._told_at = self._read_at = time.monotonic()
+        self._sent_at = self._read_at = time.monotonic()
         self._counts = {"ticks": 0, "periods missed": 0, "states withheld": 0}
-        self._latencies: list[float] = []  # since they were published last [s]
-        self._lag = np.zeros(len(self._plant.names))  # largest since it was published last [rad]
-        self._reason = "not looked at yet"
+        self._latencies: list[float] = []  # since the last diagnostics [s]
+        self._lag = np.zeros(len(self._plant.names))  # largest since the last diagnostics [rad]
+        self._reason = "starting"
         self._states = self.advertise("joint_states")
         self._goals = self.create_publisher(JointState, "joint_goals", ros.stream(10))
         self.create_subscription(JointState, VELOCITY, self._on_command, ros.stream(1))
@@ -103,11 +103,11 @@ class PoppyDriver(WalkNode):
         self._hold_for_a_reason()
 
     def _on_command(self, msg: JointState) -> None:
-        """Send the goals at once: what waits for the next period is delay in the loop."""
+        """Send the goals at once, because waiting for the next period would add delay to the loop."""
         stamp = ros.nanoseconds(msg.header.stamp)
         if self._commands.take(msg, self._stamp) and stamp != self._answered and self._plant.ready:
             self._answered = stamp
-            self._tell()
+            self._send_goals()
             self._latencies.append(1e-9 * (self.get_clock().now().nanoseconds - stamp))
 
     def _on_period(self) -> None:
@@ -117,7 +117,7 @@ class PoppyDriver(WalkNode):
         self._read_at = now
         self._commands.log_motion()
         if not plant.ready or self._commands.gate.holding:
-            self._tell()
+            self._send_goals()
         plant.read()
         if plant.ready and not was_ready:
             self._commands.gate.hold()
@@ -125,16 +125,16 @@ class PoppyDriver(WalkNode):
         self._hold_for_a_reason()
         self._publish()
 
-    def _tell(self) -> None:
-        """Move for the time that has passed, two periods at most: a late command is never made up for."""
+    def _send_goals(self) -> None:
+        """Move for the time since the last goals, at most two periods: lost time is not made up for."""
         now, gate = time.monotonic(), self._commands.gate
-        passed, self._told_at = now - self._told_at, now
+        passed, self._sent_at = now - self._sent_at, now
         dt = min(passed, 2.0 * self._period)
         u = gate.velocity(self._plant.state.q, dt)
         self._plant.tell(Command(self._stamp * 1e-9, u, gate.effort), dt)
 
     def _publish(self) -> None:
-        """Publish where the joints are, and the goals that they had."""
+        """Publish the measured angles, and the goals at that time."""
         self._counts["ticks"] += 1
         plant = self._plant
         stamp = self.get_clock().now().nanoseconds - round(1e9 * plant.age) if plant.fresh else -1
@@ -150,13 +150,13 @@ class PoppyDriver(WalkNode):
     # ------------------------------------------------------------------ torque
 
     def _hold_for_a_reason(self) -> None:
-        """Hold while anything is in the way of a command."""
+        """Hold while a fault or a missing torque prevents motion."""
         plant = self._plant
         reason = "; ".join(plant.watch.faults.values())
         if not reason and not plant.active:
             reason = "the torque is off: call ~/activate"
         if not reason and not plant.ready:
-            reason = "on the way to the first pose"
+            reason = "moving to the first pose"
             self.get_logger().info(f"{reason}: {plant.left:.2f} rad left", **THROTTLE)
         if reason != self._reason:
             self._reason = reason
@@ -169,9 +169,9 @@ class PoppyDriver(WalkNode):
         return self._switch(not request.data, response)
 
     def _on_phase(self, msg: String) -> None:
-        """Go limp where the robot has fallen; a walk that fell before this driver began is none of its own."""
+        """Switch the torque off when the robot has fallen; ignore a fall from before this driver was started."""
         if msg.data == FALLEN and self._plant.active:
-            self.get_logger().error("the robot has fallen: the torque goes off")
+            self.get_logger().error("the robot has fallen: switching the torque off")
             self._switch(False, SetBool.Response())
 
     def _switch(self, on: bool, response: Any) -> Any:
@@ -197,7 +197,7 @@ class PoppyDriver(WalkNode):
         level, text = self._commands.level()
         if not faults and not plant.ready:
             level = "WARN"
-            text = f"on the way to the first pose: {plant.left:.2f} rad left" if plant.active else self._reason
+            text = f"moving to the first pose: {plant.left:.2f} rad left" if plant.active else self._reason
         i = int(self._lag.argmax())
         values = {**self._counts, **self._commands.counts()}
         values |= {"lagging joint": plant.names[i], "lag": float(self._lag[i]), "oldest angle": plant.age}
@@ -223,7 +223,7 @@ class PoppyDriver(WalkNode):
         self.diagnose("motors", self._hardware, "ERROR" if faults else "OK", text, each, stamp)
 
     def close(self) -> None:
-        """Hold, or go limp where that is asked for, and let go of the buses."""
+        """Hold or switch the torque off, as configured, and close the buses."""
         try:
             self._plant.close()
         except PlantError as error:

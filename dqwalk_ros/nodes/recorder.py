@@ -1,9 +1,9 @@
-"""Record a walk as a rosbag2, byte for byte as it went over the wire.
+"""Records a walk as a rosbag2; messages are stored unchanged, in serialised form.
 
-The bag's time is the walk's: a message is filed under its own stamp, one without a stamp, or with one that is seconds
-ahead of the walk, under the newest stamp so far. In lockstep that is simulated time, so that a bag plays back, plots
-and compares alike however fast the machine was; in real time the two differ by the transport's delay. A message that
-was published again, word for word, because its answer was late is recorded once.
+Messages are recorded at the time of their own stamp. A message without a stamp, or with a stamp seconds ahead of the
+walk, is recorded at the newest stamp so far. In lockstep this is simulated time, so a bag does not depend on the speed
+of the machine; in real time it differs from the time of receipt by the transport delay. An identical message that was
+published again in lockstep is recorded once.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from dqwalk_ros.topics import BODY_TOPICS, PHASE_LOG, TOPICS, Topic
 __all__ = ["OTHERS", "Recorder", "WalkTime"]
 
 _DEPTH = 50_000
-"""Messages that may wait here: minutes of real time, most of a minute of lockstep at full speed."""
+"""Depth of the queues: minutes of real time, most of a minute of lockstep at full speed."""
 _FLUSH = 1.0
-"""A recorder that is killed loses what came within so long at most [s]."""
-_LOOK = 0.5
-"""Time between two looks for topics that nobody published before [s]."""
-_LINGER = {True: 6.0, False: 0.5}
-"""Longest time for what is still under way when the end is asked for [s], in lockstep and in real time."""
+"""Period of writing to the disk [s]: a recorder that is killed loses at most the messages of this time."""
+_DISCOVERY = 0.5
+"""Period of the search for new topics [s]."""
+_DRAIN = {True: 6.0, False: 0.5}
+"""Longest wait at shutdown for messages that are still in transit [s], in lockstep and in real time."""
 _ALL = TOPICS | BODY_TOPICS
-"""Those of either kind of walk; the bag has the ones that something was said on."""
+"""Topics of both kinds of walk; the bag contains those on which a message was published."""
 _PHYSICS = tuple(name for name, topic in TOPICS.items() if topic.source == "physics")
 OTHERS = (
     "cmd_vel",
@@ -47,17 +47,15 @@ OTHERS = (
     "/tf_static",
     "/rosout",
 )
-"""What steers a walk or goes with it; it is filed under the newest stamp of joint_states."""
+"""Further topics, which steer a walk or accompany it; recorded at the newest stamp of joint_states."""
 _EACH_TICK = ("joint_states", "joint_velocity_commands", "base_pose", "joint_effort_commands", "base_twist", *_PHYSICS)
 _STAMPED = ("sensor_msgs/", "geometry_msgs/", "diagnostic_msgs/")
-
-
 FAR = 5_000_000_000
-"""A state whose stamp is so far from those before it [ns] may be the error of one message."""
+"""Jump of the stamp [ns] above which the stamp of a single message is considered wrong."""
 
 
 class WalkTime:
-    """The newest stamp of a walk, which one state with a stamp that cannot be does not move.
+    """The newest stamp of a walk; a single state with a wrong stamp does not change it.
 
     Attributes
     ----------
@@ -67,10 +65,10 @@ class WalkTime:
 
     def __init__(self) -> None:
         self.newest = -1
-        self._far: int | None = None  # of the state before, where it was far from all others
+        self._far: int | None = None  # stamp of the previous state, if it was far from all before
 
     def add(self, stamp: int) -> None:
-        """Take the stamp of a state [ns]; one that is far away counts once the next state is beside it."""
+        """Add the stamp of a state [ns]; a stamp that is far away is accepted when the next one is near it."""
         known = self.newest if self._far is None or abs(stamp - self._far) > FAR else self._far
         if self.newest < 0 or abs(stamp - known) <= FAR:
             self.newest = max(known, stamp)
@@ -80,14 +78,14 @@ class WalkTime:
 
 
 class Recorder(WalkNode):
-    """Record a walk as a rosbag2 (MCAP), byte for byte; report how much came and whether anything is missing.
+    """Record a walk as a rosbag2 (MCAP); at the end report the number of messages and whether any are missing.
 
     Subscribes to every topic of the walk::
 
         joint_states, joint_velocity_commands, phase, phase_start, com_target, swing_target, support_foot, base_pose,
-        walk_config, walk_origin, robot_description, /diagnostics; those of the node physics where it runs;
+        walk_config, walk_origin, robot_description, /diagnostics; those of the node physics, if it runs;
         of the whole body: joint_effort_commands, base_twist, left_wrench, right_wrench, hand_target_applied,
-        push_applied; and where somebody publishes them: cmd_vel, footsteps, footstep_status, push, hand_target,
+        push_applied; and, if they are published: cmd_vel, footsteps, footstep_status, push, hand_target,
         joint_goals, /tf, /tf_static, /rosout
 
     Writes::
@@ -103,7 +101,7 @@ class Recorder(WalkNode):
     Raises
     ------
     BagError
-        If the folder is there already or cannot be made.
+        If the folder exists already or cannot be created.
     """
 
     pause = 0.05
@@ -112,7 +110,7 @@ class Recorder(WalkNode):
     def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
         super().__init__("recorder", options, **keywords)
         config = self.config
-        self._period, self._linger = round(config.dt * 1e9), _LINGER[config.plant.lockstep]
+        self._period, self._drain_time = round(config.dt * 1e9), _DRAIN[config.plant.lockstep]
         self._path = Path(options.bag)
         self._writer = open_writer(self._path)
         self._connections: dict[str, Any] = {}
@@ -121,16 +119,15 @@ class Recorder(WalkNode):
         self._last_raw: dict[str, bytes] = {}
         self._missing = dict.fromkeys(_EACH_TICK, 0)
         self._time = WalkTime()
-        self._early: list[tuple[str, bytes]] = []  # what came before the first stamp
-        self._handled = 0
-        self._seen = -1
+        self._early: list[tuple[str, bytes]] = []  # messages before the first stamp
+        self._handled = self._handled_before = 0  # number of messages, now and at the last check of `is_drained`
         self._stop_at = float("inf")
-        self._others: dict[str, Topic] = {}  # that are not in the table, as they were found
+        self._others: dict[str, Topic] = {}  # topics of `OTHERS`, as discovered
         for name, topic in _ALL.items():
             self._subscribe(PHASE_LOG.name if name == "phase" else topic.name, name, topic)
-        self._look_for_others()
+        self._discover_others()
         self.create_timer(_FLUSH, self._flush, clock=STEADY)
-        self.create_timer(_LOOK, self._look_for_others, clock=STEADY)
+        self.create_timer(_DISCOVERY, self._discover_others, clock=STEADY)
         self.get_logger().info(f"recording to {self._path}")
 
     def _subscribe(self, topic_name: str, name: str, topic: Topic) -> None:
@@ -138,8 +135,8 @@ class Recorder(WalkNode):
         kind = ros.message_type(topic.type)
         self.create_subscription(kind, topic_name, partial(self._on_message, name, topic), profile, raw=True)
 
-    def _look_for_others(self) -> None:
-        """Subscribe to what else belongs to a walk, in whatever type it is published, once somebody publishes it."""
+    def _discover_others(self) -> None:
+        """Subscribe to those topics of `OTHERS` that are published, with the type of their publisher."""
         for name in OTHERS:
             ends = () if name in self._others else self.get_publishers_info_by_topic(self.resolve_topic_name(name))
             for end in ends[:1]:
@@ -165,9 +162,9 @@ class Recorder(WalkNode):
                 self._last_raw[name] = raw
             if name == "joint_states":
                 self._time.add(own)
-            # what is latched may be far older than the recording
+            # a latched message may be much older than the recording
             stamp = max(own, self._time.newest) if topic.latched else own
-            if stamp > self._time.newest + FAR >= FAR:  # no bag is to end in another year
+            if stamp > self._time.newest + FAR >= FAR:  # a wrong stamp must not extend the bag by years
                 stamp = self._time.newest
             elif name in self._last:
                 self._note_gap(name, own)
@@ -201,26 +198,26 @@ class Recorder(WalkNode):
 
     def _note_gap(self, name: str, own: int) -> None:
         last, self._last[name] = self._last[name], own
-        silent = name == "center_of_pressure"  # while the robot is in the air
-        if last >= 0 and own - last > 1.5 * self._period and not silent:
+        optional = name == "center_of_pressure"  # not published while the robot is in the air
+        if last >= 0 and own - last > 1.5 * self._period and not optional:
             self._missing[name] += round((own - last) / self._period) - 1
 
     def is_drained(self) -> bool:
-        """Tell whether nothing more is on its way, or it has taken too long."""
+        """Return whether no message has arrived since the last call, or the time limit has passed."""
         now = time.monotonic()
-        self._stop_at = min(self._stop_at, now + self._linger)
-        seen, self._seen = self._seen, self._handled
-        return seen == self._seen or now > self._stop_at
+        self._stop_at = min(self._stop_at, now + self._drain_time)
+        before, self._handled_before = self._handled_before, self._handled
+        return before == self._handled or now > self._stop_at
 
     def close(self) -> None:
-        """Finish the bag and log what is in it."""
+        """Finish the bag and log its contents."""
         log = self.get_logger()
         try:
-            for name, data in self._early:  # no state ever came: the walk's own messages are still worth keeping
+            for name, data in self._early:  # no state was received: keep the other messages
                 self._write(name, 0, data)
             self._writer.close()
         except (OSError, WriterError) as error:
-            log.error(f"'{self._path}' is not complete, `dqwalk report` reads what is on the disk: {error}")
+            log.error(f"'{self._path}' is incomplete; `dqwalk report` reads the part on the disk: {error}")
         log.info(f"{self._path}: " + ", ".join(f"{n} {count}" for n, count in self._counts.items() if count))
         missing = {name: count for name, count in self._missing.items() if count}
         if missing:

@@ -1,8 +1,8 @@
-"""The plant of the whole-body controller: rigid bodies on rigid ground, pushed on request.
+"""The plant of the whole-body controller: rigid bodies on rigid ground, with pushes on request.
 
-It publishes a state, waits for the torques with that very stamp, and moves on: as fast as the machine in lockstep, at
-most at 1/dt else. Time is that of the simulation. Which feet stand follows from the timing of the steps, which the
-plant and the controller read from the same parameters, as in the paper's simulation.
+It publishes a state, waits for the torques with the same stamp, and advances: in lockstep as fast as the machine
+allows, otherwise at most at 1/dt. Stamps are simulated time. Which feet are in contact follows from the step timing,
+which plant and controller read from the same parameters, as in the paper's simulation.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 __all__ = ["Rigid"]
 
 _ASK_AGAIN = 0.5
-"""A state without an answer is published again after this long [s]."""
+"""Time after which a state without a command is published again [s]."""
 
 
 class Rigid(WalkNode):
-    """Stand in for the robot of the whole-body controller: rigid bodies on rigid ground.
+    """Simulate the robot of the whole-body controller: rigid bodies on rigid ground.
 
     Subscribes to::
 
@@ -43,8 +43,8 @@ class Rigid(WalkNode):
     Publishes::
 
         joint_states, base_pose, base_twist   one state in three messages with one stamp, from 0 s on
-        left_wrench, right_wrench  geometry_msgs/WrenchStamped: ground on a sole that stands, about its origin
-        push_applied             geometry_msgs/WrenchStamped, latched; stamp: the first state after it
+        left_wrench, right_wrench  geometry_msgs/WrenchStamped: ground on a sole in contact, about its origin
+        push_applied             geometry_msgs/WrenchStamped, latched; stamp: that of the first state after the push
         /diagnostics             diagnostic_msgs/DiagnosticArray
 
     Sections of the schema: dt, robot, plant, whole_body.
@@ -62,17 +62,17 @@ class Rigid(WalkNode):
         self._dt = config.dt
         self._model = model = load_model(config.robot)
         self._stepping = Stepping.of(config.whole_body, Foot(config.gait.first_support))
-        start = WholeBodyController(config, model).start  # where a walk begins
+        start = WholeBodyController(config, model).start  # initial state of a walk
         damping = config.whole_body.contact_damping
         self._plant = RigidPlant(model, start, pushed=config.whole_body.torso, damping=damping)
-        self._hardest = BodyGate.speed * model.mass  # a body that is faster is no state for a controller [N s]
+        self._max_impulse = BodyGate.speed * model.mass  # the controller rejects states of faster bodies [N s]
         self._commands = CommandInput(self, model, EFFORT)
         self._write = ros.JointWriter(model.joint_names)
         self._pelvis = config.robot.pelvis
         self._command: BodyCommand | None = None
-        self._stamp, self._ticks, self._asked = 0, 0, -float("inf")
+        self._stamp, self._ticks, self._published_at = 0, 0, -float("inf")
         self._wait = config.node.wait_for_recorder
-        self._pushes: list[WrenchStamped] = []  # that the next state will show
+        self._pushes: list[WrenchStamped] = []  # to be applied before the next state
         streams = ("joint_states", "base_pose", "base_twist", "left_wrench", "right_wrench", "push_applied")
         self._pub = {name: self.advertise(name) for name in streams}
         self.create_subscription(JointState, EFFORT, self._on_command, ros.stream(10))
@@ -85,7 +85,7 @@ class Rigid(WalkNode):
     def _on_command(self, msg: JointState) -> None:
         command = self._commands.take_answer(msg, self._stamp)
         if command is None or command.effort is None or self._command is not None:
-            return  # what answers a state first counts: a controller that hears nothing more says zero after it
+            return  # only the first command of a state is used; after a timeout the controller also sends zero torque
         effort = clamp_effort(command.effort, self._model)
         now = self._ticks * self._dt
         self._command = BodyCommand(
@@ -100,17 +100,18 @@ class Rigid(WalkNode):
             self._step()
 
     def _on_push(self, msg: WrenchStamped) -> None:
-        """Hit the robot between this period and the next."""
+        """Store a push, to be applied between this period and the next."""
         self._pushes.append(msg)
 
-    def _hit(self) -> None:
-        """Take each force times one second as the impulse [N s]; moments are not in (S23)."""
+    def _apply_pushes(self) -> None:
+        """Apply the impulse of each push, its force times one second [N s]; (S23) contains no moments."""
         log = self.get_logger()
         for msg in self._pushes:
             f = msg.wrench.force
             try:
-                if not np.abs([f.x, f.y, f.z]).max() <= self._hardest:
-                    raise PlantError(f"{f.x:g}, {f.y:g}, {f.z:g} N s are beyond {self._hardest:.0f} N s, or not finite")
+                if not np.abs([f.x, f.y, f.z]).max() <= self._max_impulse:
+                    most = f"{self._max_impulse:.0f} N s"
+                    raise PlantError(f"{f.x:g}, {f.y:g}, {f.z:g} N s are beyond {most}, or not finite")
                 self._plant.push([f.x, f.y, f.z])
             except DqwalkError as error:
                 log.error(f"push rejected: {error}")
@@ -125,7 +126,7 @@ class Rigid(WalkNode):
             self._commands.log_motion()
         if self._command is not None:
             self._step()
-        elif time.monotonic() - self._asked > _ASK_AGAIN and self._may_begin():
+        elif time.monotonic() - self._published_at > _ASK_AGAIN and self._may_begin():
             self._publish()
 
     def _step(self) -> None:
@@ -142,7 +143,7 @@ class Rigid(WalkNode):
             self._pub[f"{foot.value}_wrench"].publish(self._wrench(wrench))
         self._ticks += 1
         self._stamp = round(self._ticks * self._dt * 1e9)
-        self._hit()
+        self._apply_pushes()
         self._publish()
 
     def _wrench(self, wrench: Wrench) -> WrenchStamped:
@@ -154,7 +155,7 @@ class Rigid(WalkNode):
         return msg
 
     def _may_begin(self) -> bool:
-        """Hold the first state of a recorded walk until nothing of it can be lost."""
+        """Return whether the walk may begin: with a recorder, once it has subscribed to every message."""
         if self._ticks or not self._wait:
             return True
         streams = ("joint_states", "base_pose", "base_twist", "left_wrench", "right_wrench")
@@ -162,7 +163,7 @@ class Rigid(WalkNode):
 
     def _publish(self) -> None:
         s = self._plant.state
-        self._asked = time.monotonic()
+        self._published_at = time.monotonic()
         self._pub["base_pose"].publish(ros.pose(self._stamp, ODOM, s.x_base))
         twist = TwistStamped()
         twist.header.stamp, twist.header.frame_id = ros.time_msg(self._stamp), self._pelvis
@@ -173,8 +174,8 @@ class Rigid(WalkNode):
 
     def _diagnose(self) -> None:
         level, text = self._commands.level()
-        if self.lockstep and level == "WARN" and not self._commands.gate.rejected:  # it waits, and that is fine
+        if self.lockstep and level == "WARN" and not self._commands.gate.rejected:  # waiting is normal
             waits = self._commands.gate.watchdog.age
-            level, text = ("OK", "in step") if waits < 2.0 else ("WARN", "waiting for a command")
+            level, text = ("OK", "lockstep") if waits < 2.0 else ("WARN", "waiting for a command")
         counts = {"ticks": self._ticks, **self._commands.counts()}
         self.diagnose("plant", self._model.name, level, text, counts, self._stamp)

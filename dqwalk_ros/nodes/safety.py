@@ -1,9 +1,8 @@
-"""What may enter a controller or a plant, and what may leave it.
+"""Decides which states a controller accepts, which commands a plant executes, and when either must stop.
 
-Every decision of ``docs/faults.md`` that needs no ROS is here, over an injected clock, so that it is tested without
-waiting; the nodes call it and publish what it decides. Two rules run through all of it. What is rejected changes
-nothing and does not feed a watchdog. Silence is judged by when a message was *received*, on a steady clock; a
-message's stamp is data, good for its order alone.
+The decisions of ``docs/faults.md`` that need no ROS are made here, with a clock that tests can replace; the nodes call
+this file and publish the result. Two rules apply everywhere. A rejected message changes nothing and does not feed a
+watchdog. A timeout is measured from the *receipt* of a message, on a steady clock; its stamp is used for order only.
 """
 
 from __future__ import annotations
@@ -41,9 +40,9 @@ Clock = Callable[[], float]
 
 
 class JointOrder:
-    """Put numbers that come with joint names into the order of the model.
+    """Sorts values that have joint names into the order of the model's joints.
 
-    Joints the model does not have are ignored. Anything else that does not fit rejects the whole message.
+    Joints that the model does not have are ignored. Any other mismatch rejects the whole message.
 
     Parameters
     ----------
@@ -61,22 +60,22 @@ class JointOrder:
         self._index: NDArray[np.intp] | None = None
 
     def __call__(self, names: Sequence[str], values: ArrayLike, what: str, *, finite: bool = True) -> Array:
-        """Return the values of the model's joints, shape (n,); `what` is their name in messages.
+        """Return the values of the model's joints, shape (n,); `what` is the name of the values in error messages.
 
         Raises
         ------
         StateError
-            If joints are missing or doubled, a length is wrong or, with `finite`, a number is not; the message names
-            the joints.
+            If joints are missing or named twice, a length is wrong or, with `finite`, a value is not finite; the
+            message names the joints.
         """
         if self._index is None or names != self._names:
             self._index = self._order(names)
             self._names = list(names)
         given = np.asarray(values, dtype=np.float64)
         if given.shape != (len(self._names),):
-            raise StateError(f"{len(self._names)} names with {given.size} numbers in '{what}'")
+            raise StateError(f"{len(self._names)} names, but {given.size} numbers in '{what}'")
         out: Array = given[self._index]
-        if finite and not (math.isfinite(sum(out.tolist())) or np.isfinite(out).all()):  # the sum is quick
+        if finite and not (math.isfinite(sum(out.tolist())) or np.isfinite(out).all()):  # the sum is a fast first test
             bad = ", ".join(f"{self._joints[i]} = {out[i]}" for i in np.flatnonzero(~np.isfinite(out)))
             raise StateError(f"not a finite {what}: {bad}")
         return out
@@ -85,7 +84,7 @@ class JointOrder:
         place = {name: i for i, name in enumerate(names)}
         if missing := [joint for joint in self._joints if joint not in place]:
             extra = [name for name in names if name not in self._joints]
-            also = f"; it has {listed(extra)}, which the model has not" if extra else ""
+            also = f"; it has {listed(extra)}, which are not in the model" if extra else ""
             raise StateError(f"joints missing: {', '.join(missing)}{also}")
         if len(place) != len(names):
             seen: set[str] = set()
@@ -95,12 +94,12 @@ class JointOrder:
 
 
 class Watchdog:
-    """Tell silence by the time of receipt.
+    """Detects a timeout by the time of receipt.
 
     Parameters
     ----------
     timeout : callable
-        Returns the longest silence that is still none [s]; asked each time, so that it may change.
+        Returns the timeout [s]; called each time, because the parameter may change.
     clock : callable
         Steady time [s].
     """
@@ -111,30 +110,30 @@ class Watchdog:
 
     @property
     def age(self) -> float:
-        """Time since it was fed last [s]; infinite before the first time."""
+        """Time since the last accepted message [s]; infinite before the first."""
         return self._clock() - self._fed
 
     @property
     def silent(self) -> bool:
-        """Whether nothing acceptable came for longer than the timeout."""
+        """Whether no message was accepted for longer than the timeout."""
         return not self.age <= self._timeout()
 
     def feed(self) -> None:
-        """Note that something acceptable came."""
+        """Register an accepted message."""
         self._fed = self._clock()
 
     def starve(self) -> None:
-        """Forget what came: silent until the next feed."""
+        """Set the state to silent until the next `feed`."""
         self._fed = -float("inf")
 
 
 class FaultCounter:
-    """Count faults in a row; so many of them latch, until a reset.
+    """Counts consecutive faults; at a limit the fault is latched until a reset.
 
     Parameters
     ----------
     limit : int
-        Faults in a row that latch it.
+        Number of consecutive faults that latches.
     """
 
     def __init__(self, limit: int) -> None:
@@ -142,19 +141,19 @@ class FaultCounter:
         self.count, self.reason = 0, ""
 
     def fault(self, reason: str) -> bool:
-        """Note a fault; return whether it is latched now."""
+        """Register a fault; return whether it is latched now."""
         self.count += 1
         if self.count >= self.limit and not self.reason:
             self.reason = reason
         return bool(self.reason)
 
     def good(self) -> None:
-        """Note that all is well; it ends a row of faults, but not a latched one."""
+        """Register a success; it resets the count, but not a latched fault."""
         if not self.reason:
             self.count = 0
 
     def reset(self) -> None:
-        """Forget all."""
+        """Clear the count and a latched fault."""
         self.count, self.reason = 0, ""
 
     def __bool__(self) -> bool:
@@ -162,10 +161,10 @@ class FaultCounter:
 
 
 class DuplicatePublishers:
-    """Tell from the publishers of a topic whether there are two where there must be one.
+    """Detects two publishers on a topic that must have one.
 
-    Two different nodes are told at once. Two of one name may be a node and its own ghost, for the middleware remembers
-    one that was killed for 20 s; they are two when they stay.
+    Two different nodes are reported at once. Two publishers of the same name may be a node and its killed predecessor,
+    which the middleware lists for another 20 s; they are reported when both are still listed after `ghost`.
 
     Parameters
     ----------
@@ -173,14 +172,14 @@ class DuplicatePublishers:
     """
 
     ghost = 25.0
-    """How long a publisher that was killed may still be listed [s]."""
+    """Time for which a killed publisher may remain listed [s]."""
 
     def __init__(self, clock: Clock = time.monotonic) -> None:
         self._clock = clock
         self._doubled = float("inf")
 
     def judge(self, names: Sequence[str]) -> str:
-        """Return who they are, empty for one publisher or none; `names` has one entry per publisher."""
+        """Return the names of duplicate publishers, empty if there are none; `names` has one entry per publisher."""
         if len(set(names)) > 1:
             return ", ".join(sorted(set(names)))
         if len(names) < 2:
@@ -191,16 +190,16 @@ class DuplicatePublishers:
 
 
 class DuplicateStates:
-    """Tell two plants from a plant and its neighbours on one topic.
+    """Detects two plants, as opposed to one plant and other publishers on the same topic.
 
-    Several nodes may publish joint_states, each for joints of its own: a hand, a head, a joint_state_publisher. Two
-    plants are two publishers of the *model's* joints. They name them in different lists, or more of their messages
-    come than their stamps account for, or their stamps go back and forth; all of it in two looks in a row.
+    Several nodes may publish joint_states, each for different joints: a hand, a head, a joint_state_publisher. Two
+    plants are two publishers of the *model's* joints. Signs of them are different lists of joints, more messages than
+    the stamps account for, or stamps that go back and forth, in two consecutive checks.
 
     Parameters
     ----------
     period : float
-        Of the states, as long as none is measured [s].
+        Period of the states until it has been measured [s].
     """
 
     looks = 2
@@ -217,7 +216,7 @@ class DuplicateStates:
         self._first = self._last = -1
 
     def note(self, names: Sequence[str], stamp: int) -> None:
-        """Note a message that names joints of the model, and its stamp [ns]."""
+        """Register a message that names joints of the model, and its stamp [ns]."""
         if not self._count:
             self._first = stamp
         elif stamp < self._last:
@@ -227,7 +226,7 @@ class DuplicateStates:
             self._lists.add(tuple(names))
 
     def judge(self, publishers: Sequence[str]) -> str:
-        """Return who publishes what must have one publisher, empty if all is well.
+        """Return the names of the publishers if there are two plants; empty otherwise.
 
         Parameters
         ----------
@@ -248,7 +247,7 @@ class DuplicateStates:
 
 
 def outside_limits(q: Array, model: RobotModel, slack: float) -> str:
-    """Return which joints are beyond their limits by more than `slack` [rad], and by how much; empty if none is."""
+    """Return the joints beyond their limits by more than `slack` [rad], and by how much; empty if there are none."""
     beyond = np.maximum(model.q_min - q, q - model.q_max)
     if (beyond <= slack).all():
         return ""
@@ -258,8 +257,8 @@ def outside_limits(q: Array, model: RobotModel, slack: float) -> str:
 def clamp_velocity(u: Array, q: Array, model: RobotModel, dt: float) -> Array:
     """Return `u` within the velocity limits, and such that no joint leaves its range within `dt`.
 
-    A joint that is outside already may move back in, or stay, but not further out. This is the last thing a plant
-    does to a command; what a controller of ours sends is inside it already.
+    A joint outside its range may move back or stay, but not further out. This is the last step before a plant executes
+    a command; commands of this package's controllers are within these limits already.
 
     Parameters
     ----------
@@ -269,7 +268,7 @@ def clamp_velocity(u: Array, q: Array, model: RobotModel, dt: float) -> Array:
         [rad]
     model : RobotModel
     dt : float
-        Time for which it will move [s].
+        Duration of the motion [s].
     """
     if dt <= 0.0:
         return np.zeros_like(u)
@@ -284,7 +283,7 @@ def clamp_effort(effort: Array, model: RobotModel) -> Array:
 
 
 class StateGate:
-    """Decide which measured states a controller may act on.
+    """Decides which measured states a controller accepts.
 
     Parameters
     ----------
@@ -292,22 +291,22 @@ class StateGate:
     dt : float
         Period of the states [s].
     timeout : callable
-        Returns the time after which the plant is silent [s].
+        Returns the timeout of the states [s].
     outside : float
-        A state further outside the joint limits is refused [rad].
+        Largest excess over the joint limits of an accepted state [rad].
     jumps : int
-        Jumps in a row after which every state is refused until `reset`.
+        Consecutive jumps after which every state is rejected until `reset`.
     by_stamp : bool
-        Lockstep: time is that of the stamps, and the steady clock says nothing about it.
+        In lockstep: time is measured by the stamps, not by the steady clock.
     clock : callable
 
     Attributes
     ----------
     watchdog : Watchdog
-        Fed by accepted states alone.
+        Fed by accepted states only.
     jumped : FaultCounter
     overtaken, rejected : int
-        States that were ignored for their stamp, and refused for what they said.
+        Number of states ignored because of their stamp, and rejected because of their values.
     """
 
     def __init__(
@@ -331,9 +330,9 @@ class StateGate:
         self._passed = 0.0  # from the last accepted state to the first jump after it [s]
 
     def is_new(self, stamp: int) -> bool:
-        """Tell whether a stamp [ns] is newer than the last accepted one, or the plant's clock was set back.
+        """Return whether a stamp [ns] is newer than the last accepted one, or the plant's clock was set back.
 
-        An older state has been overtaken, unless nothing newer came for as long as makes a silence.
+        An older state arrived out of order; after a timeout it is accepted as the first one of a clock set back.
         """
         if stamp > self._stamp or self.watchdog.silent:
             return True
@@ -341,7 +340,7 @@ class StateGate:
         return False
 
     def accept(self, stamp: int, q: Array) -> None:
-        """Take in a state, or refuse it and change nothing.
+        """Accept a state, or raise an error and change nothing.
 
         Raises
         ------
@@ -352,13 +351,13 @@ class StateGate:
         if self.jumped:
             raise self._refusal(self.jumped.reason)
         if outside := outside_limits(q, self._model, self._outside):
-            raise self._refusal(f"outside the joint limits: {outside} (at most {self._outside:g} is led back in)")
+            raise self._refusal(f"outside the joint limits: {outside} ({self._outside:g} rad are tolerated)")
         if self._q is not None:
             passed = (stamp - self._stamp) * 1e-9
-            if not self._by_stamp:  # a stamp that is late or early says little, the time of receipt a little more
+            if not self._by_stamp:  # a stamp may be wrong; the time of receipt bounds the error
                 age = self.watchdog.age
                 passed = min(max(passed, age), age + self._timeout())
-            if self.jumped.count:  # a joint that jumped and stays there does not come within reach by waiting
+            if self.jumped.count:  # waiting does not make a jump plausible
                 passed = min(passed, self._passed)
             self._passed = passed
             reach = self._model.velocity_max * (max(passed, 0.0) + self._dt)
@@ -367,7 +366,7 @@ class StateGate:
                 far = np.flatnonzero(~(moved <= reach))
                 names = ", ".join(f"{self._model.joint_names[i]} by {moved[i]:.3g} rad" for i in far)
                 why = f"a jump that the velocity limits do not allow: {names}"
-                if self.jumped.fault(f"{why}; {self.jumped.limit} in a row, refused until ~/reset"):
+                if self.jumped.fault(f"{why}; {self.jumped.limit} in a row, rejecting all states until ~/reset"):
                     why = self.jumped.reason
                 raise self._refusal(why)
         self.jumped.good()
@@ -375,7 +374,7 @@ class StateGate:
         self.watchdog.feed()
 
     def reset(self) -> None:
-        """Take the next state, wherever it is."""
+        """Accept any joint angles in the next state."""
         self.jumped.reset()
         self._q, self._stamp = None, -1
         self.watchdog.starve()
@@ -386,16 +385,16 @@ class StateGate:
 
 
 class BodyGate(StateGate):
-    """Decide which states of a whole body a controller may act on: those of its joints, and of its base.
+    """Decides which states of the whole body, joints and base, a controller accepts.
 
-    Time is that of the stamps. A push or a touchdown changes velocities at once, and what a robot can do to itself is
-    no bound for what is done to it; so joints may turn `fast` times as fast as their limits say.
+    Time is measured by the stamps. A push or a touchdown can accelerate the joints beyond the limits of the motors, so
+    joint velocities up to `fast` times their limits are accepted.
     """
 
     fast = 3.0
-    """Joint velocities beyond this many times their limits are refused."""
+    """Largest accepted joint velocity, in units of its limit."""
     speed, turn = 10.0, 30.0
-    """So are faster bases [m/s, rad/s]."""
+    """Largest accepted velocities of the base [m/s, rad/s]."""
 
     def __init__(self, model: RobotModel, dt: float, timeout: Callable[[], float], **options: Any) -> None:
         able = dataclasses.replace(model, velocity_max=self.fast * model.velocity_max)
@@ -403,7 +402,7 @@ class BodyGate(StateGate):
         self._place: Array | None = None
 
     def accept_body(self, stamp: int, q: Array, dq: Array, place: Array, v_base: Array) -> None:
-        """Take in a state, or refuse it and change nothing.
+        """Accept a state, or raise an error and change nothing.
 
         Parameters
         ----------
@@ -419,7 +418,7 @@ class BodyGate(StateGate):
         Raises
         ------
         StateError
-            If a number is not finite, a velocity is beyond what can be, or joints or base jumped.
+            If a number is not finite, a velocity is too large, or joints or base jumped.
         """
         if not all(np.isfinite(part).all() for part in (q, dq, place, v_base)):
             raise self._refusal("a number is not finite")
@@ -432,7 +431,7 @@ class BodyGate(StateGate):
             moved = float(np.linalg.norm(place - self._place))
             if not moved <= self.speed * (max((stamp - self._stamp) * 1e-9, 0.0) + self._dt):
                 why = f"the base jumped by {moved:.3g} m"
-                if self.jumped.fault(f"{why}; {self.jumped.limit} jumps in a row, refused from now on"):
+                if self.jumped.fault(f"{why}; {self.jumped.limit} jumps in a row, rejecting all states until ~/reset"):
                     why = self.jumped.reason
                 raise self._refusal(why)
         self.accept(stamp, q)
@@ -440,10 +439,10 @@ class BodyGate(StateGate):
 
 
 class Contradictions:
-    """Tell what does not move as it was told, and sensors that contradict each other, state by state.
+    """Detects joints that do not follow their commands, and inertial measurements that contradict each other.
 
-    The motion that was measured less the one that was expected is summed up and fades with time, so that the sag of
-    servos and the bias of a gyroscope stay small, and an angle that is frozen, has slipped or drifts does not.
+    The difference between measured and expected motion is integrated with a decay. The sag of servos and the bias of a
+    gyroscope stay small in this sum; an angle that is frozen, has slipped or drifts does not.
 
     Parameters
     ----------
@@ -451,44 +450,44 @@ class Contradictions:
     limit : float
         Largest sum [rad].
     timeout : callable
-        Returns the time after which the plant is silent [s].
+        Returns the timeout of the states [s].
     """
 
     memory = 10.0, 1.0
-    """Times in which the sums fade, of the joints and of the vertical [s]."""
+    """Time constants of the decay, of the joints and of the vertical [s]."""
 
     def __init__(self, joint_names: Sequence[str], limit: float, timeout: Callable[[], float]) -> None:
         self._names, self._limit, self._timeout = joint_names, limit, timeout
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew: nothing is expected of the next state."""
+        """Clear the sums; the next state is compared with nothing."""
         self._before: State | None = None
         self._off, self._turned = np.zeros(len(self._names)), np.zeros(3)
 
-    def judge(self, state: State, told: Array, *, leaning: bool = False) -> str:
-        """Return what contradicts what, empty if nothing does.
+    def judge(self, state: State, commanded: Array, *, leaning: bool = False) -> str:
+        """Return a description of the contradiction, empty if there is none.
 
         Parameters
         ----------
         state : State
-        told : ndarray, shape (n,)
-            Velocities that were commanded since the state before [rad/s].
+        commanded : ndarray, shape (n,)
+            Velocities commanded since the previous state [rad/s].
         leaning : bool
-            Whether the base sole seems to lean, which a wrong angle makes it do: then half of the limit is enough.
+            Whether the base sole seems to be tilted, which a wrong angle causes; the limit is then halved.
         """
         before, self._before = self._before, state
         passed = state.time - before.time if before is not None else 0.0
-        if before is None or not 0.0 < passed <= self._timeout():  # after a silence it may stand elsewhere
+        if before is None or not 0.0 < passed <= self._timeout():  # after a gap it may have moved
             self.forget()
             self._before = state
             return ""
-        self._off = math.exp(-passed / self.memory[0]) * (self._off + state.q - before.q - passed * told)
+        self._off = math.exp(-passed / self.memory[0]) * (self._off + state.q - before.q - passed * commanded)
         if (worst := np.abs(self._off)).max() > (0.5 * self._limit if leaning else self._limit):
             k = int(worst.argmax())
             return (
-                f"{self._names[k]} does not move as it is told, it is {worst[k]:.2f} rad off: it is blocked or without "
-                "power, or its angle is frozen or has slipped"
+                f"{self._names[k]} does not follow its commands, it is {worst[k]:.2f} rad off: it is blocked or "
+                "without power, or its angle is frozen or has slipped"
             )
         if before.up is None or before.gyro is None or state.up is None:
             return ""
@@ -497,35 +496,35 @@ class Contradictions:
         self._turned = math.exp(-passed / self.memory[1]) * (self._turned + state.up - before.up - turning)
         if (off := math.sqrt(float(self._turned @ self._turned))) > self._limit:
             return (
-                f"the inertial sensor contradicts itself: its vertical has turned by {off:.2f} rad otherwise than its "
-                "gyroscope says; look at its mounting"
+                f"the inertial sensor contradicts itself: the rotation of its vertical differs by {off:.2f} rad from "
+                "that of its gyroscope; check its mounting"
             )
         return ""
 
 
 class CommandGate:
-    """Decide how a plant moves: what the last acceptable command says, or not at all.
+    """Decides how a plant moves: as the last accepted command says, or not at all.
 
     Parameters
     ----------
     model : RobotModel
     timeout : callable
-        Returns the time without a command after which the plant holds [s].
+        Returns the timeout of the commands, after which the plant holds [s].
     clock : callable
 
     Attributes
     ----------
     watchdog : Watchdog
     refused : str
-        Why nothing may move whatever the commands say, such as a second controller; empty if nothing is in the way.
+        Reason to hold regardless of the commands, such as a second controller; empty if there is none.
     late, rejected : int
-        Commands that were ignored for their stamp, and refused for what they said.
+        Number of commands ignored because of their stamp, and rejected because of their values.
     ignored : str
-        Why the last command was ignored; empty if it was not.
+        Why the last command was ignored; empty if it was accepted.
     """
 
     contradictions = 3
-    """Different answers to one state, within a second, that make two controllers."""
+    """Number of different commands with the stamp of one state, within a second, that indicates two controllers."""
 
     def __init__(self, model: RobotModel, timeout: Callable[[], float], clock: Clock = time.monotonic) -> None:
         self._model, self._timeout, self._clock = model, timeout, clock
@@ -540,53 +539,53 @@ class CommandGate:
 
     @property
     def effort(self) -> Array | None:
-        """Torques that the last command asked to be fed forward (n,) [N m]; None where it did not, or the plant holds.
+        """Feed-forward torques of the last command (n,) [N m]; None if it has none, or the plant holds.
 
-        A drive that holds keeps the torques it had: without them a robot sags.
+        A drive that holds keeps its last torques, because the robot would sag without them.
         """
         return None if self.holding else self._effort
 
     @property
     def holding(self) -> bool:
-        """Whether the plant stands still, whatever the last command was."""
+        """Whether the plant stands still, regardless of the last command."""
         return bool(self.refused) or self.contradicted or self.watchdog.silent
 
     @property
     def ready(self) -> bool:
-        """Whether a command would count, and none is missing."""
-        fell_silent = self.watchdog.silent and self.watchdog.age < math.inf
-        return not (self.refused or self.contradicted or fell_silent)
+        """Whether commands are executed; true before the first command, false after a timeout."""
+        timed_out = self.watchdog.silent and self.watchdog.age < math.inf
+        return not (self.refused or self.contradicted or timed_out)
 
     @property
     def contradicted(self) -> bool:
-        """Whether two controllers answer the same states, and differ."""
+        """Whether two controllers answer the same states with different commands."""
         now = self._clock()
         self._contradicted = [at for at in self._contradicted if now - at < 1.0]
         return len(self._contradicted) >= self.contradictions
 
     def accept(self, stamp: int, u: Array, now: int, effort: Array | None = None, *, clock: int | None = None) -> bool:
-        """Take in a command, or ignore it and change nothing; return which.
+        """Accept a command and return True, or ignore it, change nothing, and return False.
 
-        A command counts if its stamp is that of a state which is not older than the timeout, as this package's
-        controllers have it; or within the timeout of the clock, as of a node that stamps its messages when it sends
-        them; or zero, which is ROS for "not stamped": then it counts when it is received.
+        A command is accepted if its stamp is that of a state not older than the timeout, as sent by the controllers of
+        this package; or within the timeout of the clock, as sent by a node that stamps its messages on sending; or
+        zero, which in ROS means "not stamped".
 
         Parameters
         ----------
         stamp : int
             [ns]
         u : ndarray, shape (n,)
-            Velocities [rad/s], or torques [N m] for a plant that takes those; finite.
+            Velocities [rad/s], or torques [N m] for a plant with torque input; finite.
         now : int
-            Stamp of the state that the plant published last [ns].
+            Stamp of the last state published by the plant [ns].
         effort : ndarray, shape (n,), optional
-            Torques to be fed forward [N m], finite.
+            Feed-forward torques [N m], finite.
         clock : int, optional
             Time of the node's clock [ns].
         """
         unstamped = stamp == 0 and now > 0
         if stamp == self._stamp and not unstamped and not np.array_equal(u, self._u):
-            # a controller that stops says zero once for a state it has answered already; that is no second one
+            # a controller that stops sends zero once with the stamp of a state it has answered already
             self._contradicted.append(self._clock())
         self.ignored = "" if unstamped else self._out_of_time(stamp, now, clock)
         if self.ignored:
@@ -597,9 +596,9 @@ class CommandGate:
         return True
 
     def _out_of_time(self, stamp: int, now: int, clock: int | None) -> str:
-        """Return why a stamp [ns] does not count; empty if it does."""
+        """Return why a stamp [ns] is not accepted; empty if it is."""
         if stamp < self._stamp and not self.watchdog.silent:
-            return "overtaken by a newer one"
+            return "older than the last command"
         timeout = self._timeout() * 1e9
         if 0 <= now - stamp <= timeout or (clock is not None and abs(clock - stamp) <= timeout):
             return ""
@@ -607,10 +606,10 @@ class CommandGate:
         return f"stamped {abs(off):.3f} s {'after' if off > 0.0 else 'before'} the last state"
 
     def velocity(self, q: Array, dt: float) -> Array:
-        """Return the velocities with which to move for `dt` [s] from `q`: clamped, and zero where the plant holds."""
+        """Return the velocities with which to move for `dt` [s] from `q`: clamped, and zero while the plant holds."""
         return self._zero if self.holding else clamp_velocity(self._u, q, self._model, dt)
 
     def hold(self) -> None:
-        """Forget the last command: stand still until the next."""
+        """Discard the last command: stand still until the next."""
         self._u, self._effort = self._zero, None
         self.watchdog.starve()

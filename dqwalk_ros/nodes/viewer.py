@@ -1,7 +1,7 @@
-"""Show a walk in the browser while it goes on.
+"""Shows a running walk in the browser.
 
-The node only listens: it takes the newest state, as often as a picture is due, and rebuilds the phase from the topics.
-Nobody waits for it.
+The node only subscribes: for each frame it takes the newest state and rebuilds the phase from the topics. No other node
+waits for it.
 """
 
 from __future__ import annotations
@@ -34,28 +34,28 @@ __all__ = ["Viewer"]
 Array = NDArray[np.float64]
 
 _PUSH = 0.1
-"""Impulse that the page proposes, per mass of the robot [m/s]."""
+"""Default impulse of the push buttons, per mass of the robot [m/s]."""
 
 
 class Viewer(WalkNode):
-    """Show the walk in the browser while it goes on: robot, constraints, margins (needs viser).
+    """Show a running walk in the browser: robot, constraints, margins (needs viser).
 
-    Where in odom the walk is, follows from the phases: each begins where the one before it has put its foot. Only
-    once `base_pose` is asked, for a walk whose first phases nobody keeps any more.
+    The pose of the walk in odom follows from the phases: each begins where the one before has placed its foot. For a
+    walk whose first phases were missed, the first pose is taken from one message of `base_pose`.
 
     Subscribes to::
 
         joint_states, phase, phase_start, com_target, swing_target, walk_config, robot_description, /diagnostics;
-        true_base_pose           geometry_msgs/PoseStamped: of a simulated robot, which may be pushed
-        base_pose once           geometry_msgs/PoseStamped: where in odom the first phase seen stands
+        true_base_pose           geometry_msgs/PoseStamped: published by a simulated robot, which can be pushed
+        base_pose, one message   geometry_msgs/PoseStamped: pose in odom of the first phase received
 
-    Publishes, where true_base_pose says that the robot is simulated, and somebody pushes it on the page::
+    Publishes, if the robot is simulated and a push button of the page is pressed::
 
         push                     geometry_msgs/WrenchStamped: its force times 1 s is the impulse [N s]
 
     Serves::
 
-        a page on 127.0.0.1, whose address is logged; the walk never waits for it
+        a page on 127.0.0.1, whose address is logged; the walk does not wait for it
 
     Example::
 
@@ -64,7 +64,7 @@ class Viewer(WalkNode):
     Raises
     ------
     ViewerError
-        If the page's port is taken.
+        If the port of the page is in use.
     """
 
     has_diagnostics = False
@@ -78,13 +78,13 @@ class Viewer(WalkNode):
         self._phase: Phase | None = None
         self._index = -1
         self._began = -1  # [ns]
-        self._origin = 0  # of the time shown: where the first phase seen began [ns]
+        self._origin = 0  # zero of the time shown: start of the first phase received [ns]
         self._x_odom_base = DQ(1.0).vec8()
-        self._state: JointState | None = None  # that is to be shown
+        self._state: JointState | None = None  # to be shown next
         self._newest = -1  # [ns]
-        self._states: dict[int, Array] = {}  # by stamp [ns], until base_pose has told where in odom they are
+        self._states: dict[int, Array] = {}  # pelvis poses by stamp [ns], until base_pose is received
         self._solver = ""
-        self._impulse = 0.0  # that is proposed [N s]
+        self._impulse = 0.0  # default of the push buttons [N s]
         self._push = self.create_publisher(WrenchStamped, "push", ros.stream(10))
         for name, kind, callback in (
             ("walk_config", String, self._on_config),
@@ -103,7 +103,7 @@ class Viewer(WalkNode):
         self.create_timer(FRAME, self._show, clock=STEADY)
         self.get_logger().info(f"the page is {self.page.url}")
 
-    # ------------------------------------------------------------------ what the walk is
+    # ------------------------------------------------------------------ configuration and phases
 
     def _on_config(self, msg: String) -> None:
         self._phases.add_config(msg.data)
@@ -135,8 +135,8 @@ class Viewer(WalkNode):
         self._x_odom_base = DQ(1.0).vec8()
 
     def _follow(self, stamp: int) -> bool:
-        """Enter the phase that a state [ns] is in, through those before it; tell whether it is known."""
-        if stamp < self._newest:  # a plant that began again, or whose clock was set back
+        """Advance to the phase at a state's stamp [ns], through all phases before it; return whether it is known."""
+        if stamp < self._newest:  # the plant restarted, or its clock was set back
             self._phases.forget_after(stamp)
             self._restart()
         self._newest = stamp
@@ -152,7 +152,7 @@ class Viewer(WalkNode):
         if self._index == 0:
             self._origin = began
         if self._phase is not None and phase.base is not self._phase.base:
-            # the world moves to the other sole, as that stood
+            # the base changes to the other sole, at its pose at the start of this phase
             kin = Kinematics(model, phase.q_start, self._phase.base)
             self._x_odom_base = compose(self._x_odom_base, kin.pose(kin.swing))
         self._phase, self._began, self._states = phase, began, {}
@@ -163,7 +163,7 @@ class Viewer(WalkNode):
         self._state = msg
 
     def _on_pose(self, msg: PoseStamped) -> None:
-        """Find where the first phase seen stands in odom, from the pelvis at one of its states; then listen no more."""
+        """Compute the pose in odom of the first phase received from one pelvis pose; then unsubscribe."""
         x = self._states.get(ros.nanoseconds(msg.header.stamp))
         if x is None or self._odometry is None:
             return
@@ -228,5 +228,5 @@ class Viewer(WalkNode):
         )
 
     def close(self) -> None:
-        """End the page."""
+        """Stop the page."""
         self.page.close()

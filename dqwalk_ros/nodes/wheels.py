@@ -1,13 +1,13 @@
-"""What rclpy 7.1 (Jazzy) lacks, above all as its wheels on PyPI are built. Nothing here is about walking.
+"""Workarounds for rclpy 7.1 (Jazzy), most of all for its wheels on PyPI. Nothing here is specific to walking.
 
-1. Its signal handling ends the context before a node can publish a last message: ours only ends the spinning.
-2. `EventsExecutor`, which has half the latency of the others, runs nothing while it spins without a deadline: it is
-   spun in slices. Python also runs its signal handlers only between two slices.
-3. A timer on the steady clock sleeps until a moment of the system's clock where rclpy is built for an old C library.
-   Set that clock back by an hour and every timer sleeps an hour too long: a thread wakes the ones that are late.
-4. `destroy_node` can hang inside the middleware (Fast-DDS issue 6513): the end has a deadline.
-5. A Fast DDS publisher asks for acknowledgements every 3 s only, and sends again what was lost no sooner:
-   config/fastdds.xml makes it 0.1 s.
+1. rclpy's signal handlers shut the context down before a node can publish a last message: ours only stop the spinning.
+2. `EventsExecutor`, which has half the latency of the others, does not handle Python's signals while it spins without a
+   deadline: it spins in slices, and signals are handled between two slices.
+3. Where rclpy is built for an old C library, a timer on the steady clock waits for a time of the system clock. If that
+   clock is set back by an hour, every timer is an hour late: a thread resets late timers.
+4. `destroy_node` can hang inside the middleware (Fast-DDS issue 6513): shutdown has a deadline.
+5. A Fast DDS publisher asks for acknowledgements, and repeats lost messages, only every 3 s: config/fastdds.xml sets
+   this to 0.1 s.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 """For every timer and throttled log: those of rclpy's default clock stop when the system's clock is set back."""
 
 _SLICE = 0.1
-"""Longest time before a signal is seen [s]."""
+"""Longest time until a signal is handled [s]."""
 _END = 5.0
-"""Longest time that the middleware may take to end [s]."""
+"""Deadline for the shutdown of the middleware [s]."""
 
 
 def init(argv: Sequence[str]) -> threading.Event:
@@ -48,7 +48,7 @@ def init(argv: Sequence[str]) -> threading.Event:
     Raises
     ------
     ConfigError
-        For ROS arguments that cannot be used, or security without its keys.
+        For invalid ROS arguments, or missing security keys.
     """
     stopped = threading.Event()
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(find_share("config", "fastdds.xml")))
@@ -63,7 +63,7 @@ def init(argv: Sequence[str]) -> threading.Event:
 
 
 def first_line(error: BaseException) -> str:
-    """Return the first line of what rcl says; the rest is about its own source."""
+    """Return the first line of an error of rcl; the rest refers to its source code."""
     return str(error).strip().splitlines()[0]
 
 
@@ -74,15 +74,15 @@ def spin(node: Node, until: Callable[[], bool], *, pause: float = 0.0) -> None:
     ----------
     node : rclpy.node.Node
     until : callable
-        Asked after each event; true ends the spinning.
+        Called after each event; true ends the spinning.
     pause : float
-        Sleep so long [s], then handle all that has come. A node that is not in the loop of a walk leaves the
-        processor to those which are, instead of waking up for each message.
+        Time to sleep [s] before all messages received until then are handled. A node outside the control loop thereby
+        leaves the processor to those in the loop, instead of waking up for each message.
     """
     executor: Any = EventsExecutor()
     executor.add_node(node)
     gc.collect()
-    gc.freeze()  # a full collection looks at all that is loaded for 30 ms, which is six periods at 200 Hz
+    gc.freeze()  # a full collection of all loaded modules takes 30 ms, which is six periods at 200 Hz
     waker = TimerWaker(node, executor)
     waker.start()
     try:
@@ -90,7 +90,7 @@ def spin(node: Node, until: Callable[[], bool], *, pause: float = 0.0) -> None:
             executor.spin_once(timeout_sec=_SLICE)
             if pause:
                 time.sleep(pause)
-                waiting = executor.create_task(lambda: None)  # comes behind everything that waits now
+                waiting = executor.create_task(lambda: None)  # queued behind all waiting messages
                 while not waiting.done():
                     executor.spin_once(timeout_sec=0.0)
     finally:
@@ -98,11 +98,11 @@ def spin(node: Node, until: Callable[[], bool], *, pause: float = 0.0) -> None:
 
 
 def shutdown(node: Node | None, exit_code: int) -> None:
-    """Destroy a node and end rclpy; after `_END` seconds end the process with `exit_code` where that hangs."""
+    """Destroy a node and shut rclpy down; if that hangs for `_END` seconds, exit the process with `exit_code`."""
     guard = threading.Timer(_END, os._exit, (exit_code,))
     guard.daemon = True
     guard.start()
-    # the thread cannot run if the middleware hangs with the interpreter's lock; faulthandler needs no lock
+    # the thread cannot run if the middleware hangs while it holds the GIL; faulthandler does not need the GIL
     faulthandler.dump_traceback_later(_END + 1.0, exit=True)
     if node is not None:
         node.destroy_node()
@@ -112,19 +112,19 @@ def shutdown(node: Node | None, exit_code: int) -> None:
 
 
 class TimerWaker(threading.Thread):
-    """A thread that wakes timers of a node which are late.
+    """A thread that resets late timers of a node.
 
     Parameters
     ----------
     node : rclpy.node.Node
     executor : rclpy.executors.Executor
-        The loop that waits; it is woken at each look.
+        Woken at each check.
     """
 
     period = 0.1
-    """Time between two looks [s]."""
+    """Period of the checks [s]."""
     late = 0.1
-    """A timer that is due for longer than this was not merely held up [s]."""
+    """Delay above which a timer is considered late [s]."""
 
     def __init__(self, node: Node, executor: Any) -> None:
         super().__init__(name="timer_waker", daemon=True)
@@ -132,16 +132,16 @@ class TimerWaker(threading.Thread):
         self._stopped = threading.Event()
 
     def run(self) -> None:
-        """Look until `stop`."""
+        """Check the timers until `stop`."""
         while not self._stopped.wait(self.period):
             for timer in self._node.timers:
                 left = timer.time_until_next_call()  # [ns]; None once it is cancelled
                 if left is not None and left < -1e9 * self.late:
                     timer.reset()
-            self._executor.wake()  # the wait of the loop may oversleep as well
+            self._executor.wake()  # the executor's own wait may be late as well
 
     def stop(self) -> None:
-        """End the thread, before the node ends."""
+        """Stop the thread; to be called before the node is destroyed."""
         self._stopped.set()
-        with contextlib.suppress(RuntimeError):  # it never began
+        with contextlib.suppress(RuntimeError):  # it was not started
             self.join(1.0)

@@ -1,8 +1,7 @@
-"""The whole-body controller on topics: a state of joints and base comes in, joint torques go out.
+"""The whole-body controller as a node: it answers each state of joints and base with joint torques.
 
-The state is three messages with one stamp, joint_states, base_pose and base_twist; the tick begins when all are there.
-What a recorder needs to tell the walk again is published as well: the configuration, the robot, and from which state
-on which target was in force.
+A state consists of three messages with one stamp: joint_states, base_pose and base_twist. The configuration, the robot
+and the stamp from which each target applies are published as well, so that a recorded walk can be recomputed.
 """
 
 from __future__ import annotations
@@ -36,36 +35,36 @@ __all__ = ["WholeBodyController"]
 Array = NDArray[np.float64]
 
 _PARTS = 20
-"""So many messages of each kind wait for the rest of their state."""
+"""Most messages of each kind that wait for the other messages of their state."""
 _AT_REST = 0.05
-"""A robot all of whose velocities are below this stands, and may begin a walk [m/s, rad/s]."""
+"""Largest velocity of a robot at rest, which a walk starts from [m/s, rad/s]."""
 _DAY = 86_400_000_000_000
-"""Stamps below this count from the beginning of a simulation, and of its walk [ns]."""
+"""Stamps below this are simulated time, counted from the start of the walk [ns]."""
 
 
 class WholeBodyController(AnsweringNode):
-    """Walk where the hand wants to go, and keep able to stop: answer each state with joint torques.
+    """Walk to where the hand can reach its target, always able to stop: answer each state with joint torques.
 
     Subscribes to::
 
         joint_states, base_pose, base_twist   one state in three messages with one stamp [rad, rad/s, m, m/s]:
                                  sensor_msgs/JointState; geometry_msgs/PoseStamped of the root link in odom;
-                                 geometry_msgs/TwistStamped of it in its own axes
-        hand_target              geometry_msgs/PoseStamped: where the hand should be in odom; move it at any time
+                                 geometry_msgs/TwistStamped of the root link in its own axes
+        hand_target              geometry_msgs/PoseStamped: target of the hand in odom; may change at any time
 
     Publishes::
 
         joint_effort_commands    sensor_msgs/JointState [N m]; stamp: that of the state it answers
-        hand_target_applied      geometry_msgs/PoseStamped, latched; stamp: the first state that it holds for
-        walk_config              std_msgs/String, latched: all parameters in force
+        hand_target_applied      geometry_msgs/PoseStamped, latched; stamp: the first state to which it applies
+        walk_config              std_msgs/String, latched: all current parameters
         walk_origin              std_msgs/String, latched: versions and machine
         robot_description        std_msgs/String, latched: URDF
-        /diagnostics             diagnostic_msgs/DiagnosticArray: WARN where it cannot stop within the preview,
-                                 ERROR where states are refused or the walk has failed, STALE without states
+        /diagnostics             diagnostic_msgs/DiagnosticArray: WARN if it cannot stop within the preview,
+                                 ERROR if states are rejected or the walk has failed, STALE without states
 
     Services::
 
-        ~/reset                  std_srvs/Trigger: the walk begins anew, without a target
+        ~/reset                  std_srvs/Trigger: starts a new walk, without a target
 
     Sections of the schema: dt, robot, gait, whole_body, plant, monitor, safety, node.
 
@@ -81,7 +80,7 @@ class WholeBodyController(AnsweringNode):
         super().__init__(name, options, gate=BodyGate, states=states, stopping="zero torque", **keywords)
         model = self._model
         self._controller = core.WholeBodyController(self.config, model)
-        self._most = np.minimum(model.effort_max, self.config.whole_body.effort)
+        self._effort_max = np.minimum(model.effort_max, self.config.whole_body.effort)
         self._still = self._sent = self._answered = np.zeros(model.n)  # torques [N m]
         self._begin: int | None = None  # stamp at which the walk began [ns]
         self._last: Answer | None = None  # of the hierarchy
@@ -89,7 +88,7 @@ class WholeBodyController(AnsweringNode):
         self._poses: dict[int, Array] = {}
         self._twists: dict[int, Array] = {}
         self._targets_rejected = self._missed = 0
-        self._new_target: Array | None = None  # of which no state has been told yet
+        self._new_target: Array | None = None  # not applied to a state yet
         latched = {
             "walk_config": to_yaml(self.config),
             "walk_origin": to_text(here()),
@@ -125,9 +124,9 @@ class WholeBodyController(AnsweringNode):
         self._part(self._twists, ros.nanoseconds(msg.header.stamp), np.array([v.x, v.y, v.z, w.x, w.y, w.z]))
 
     def _part(self, parts: dict[int, Any], stamp: int, part: Any) -> None:
-        """Keep a part of the state with a stamp, and answer the state once it is complete."""
+        """Store one message of the state with a stamp, and answer the state once it is complete."""
         parts[stamp] = part
-        while len(parts) > _PARTS:  # of states that never got complete
+        while len(parts) > _PARTS:  # of incomplete states
             del parts[min(parts)]
         every = (self._joints, self._poses, self._twists)
         if not all(stamp in kept for kept in every):
@@ -136,7 +135,7 @@ class WholeBodyController(AnsweringNode):
         for kept in every:
             for old in [key for key in kept if key <= stamp]:
                 del kept[old]
-        if stamp == self._stamp and not (self._problem or self._duplicates):  # the plant asks again
+        if stamp == self._stamp and not (self._problem or self._duplicates):  # the plant published it again
             self._sent = self._answered
             self._publish_command()
             return
@@ -155,23 +154,23 @@ class WholeBodyController(AnsweringNode):
         Raises
         ------
         StateError
-            If it cannot be used.
+            If it is invalid.
         """
         read = self._reader.state(joints)
         if read.dq is None:
-            raise StateError("joint_states without a finite velocity of each joint")
+            raise StateError("joint_states need a finite velocity of each joint")
         norm = float(np.linalg.norm(pose[3:]))
         if not abs(norm - 1.0) < 1e-3:
             raise StateError(f"base_pose has a quaternion of norm {norm:.3g}")
         if stamp < self._stamp:
             back = 1e-9 * (self._stamp - stamp)
-            raise StateError(f"the plant began again, {back:.3f} s before the last state answered: call ~/reset")
+            raise StateError(f"the plant restarted, {back:.3f} s before the last state answered: call ~/reset")
         begin = self._begin
         if begin is None:
-            # a robot that moves is in the middle of a walk: that of a controller before this one
+            # a robot that moves is in the middle of a walk that another controller started
             moving = bool(max(np.abs(read.dq).max(), np.abs(twist).max()) > _AT_REST)
             if moving and stamp >= _DAY:
-                raise StateError("the robot moves, and its stamps do not say since when: a walk begins at rest")
+                raise StateError("the robot moves, and its stamps are not simulated time: start the walk at rest")
             begin = 0 if moving else stamp
         assert isinstance(self._gate, BodyGate)
         self._gate.accept_body(stamp, read.q, read.dq, pose[:3], twist)
@@ -179,14 +178,14 @@ class WholeBodyController(AnsweringNode):
         x_base = DQ.from_pose(pose[:3], pose[3:] / norm).vec8()
         return BodyState(1e-9 * (stamp - begin), read.q, dq=read.dq, x_base=x_base, v_base=twist)
 
-    # ------------------------------------------------------------------ its answer
+    # ------------------------------------------------------------------ commands
 
     def _on_state(self, stamp: int, state: BodyState) -> None:
-        """Answer a state; without an answer the plant holds."""
+        """Answer a state; without a command the plant holds."""
         if not (self._problem or self._duplicates):
             command: BodyCommand | None = self._guarded(lambda: self._controller.step(state, self.config.dt))
             if command is not None:
-                self._stamp, self._answered = stamp, np.clip(command.effort, -self._most, self._most)
+                self._stamp, self._answered = stamp, np.clip(command.effort, -self._effort_max, self._effort_max)
                 self._sent = self._answered
                 if self._new_target is not None:
                     self._applied.publish(ros.pose(stamp, ODOM, DQ.from_pose(self._new_target).vec8()))
@@ -215,12 +214,12 @@ class WholeBodyController(AnsweringNode):
         self._problem = reason
 
     def _done(self) -> None:
-        self.get_logger().error(f"the walk failed; no torques any more: {self._problem}")
+        self.get_logger().error(f"the walk failed; sending no more torques: {self._problem}")
         self._diagnose()
         if self.config.node.exit_when_done:
             self.stop(1)
 
-    # ------------------------------------------------------------------ what is asked of it
+    # ------------------------------------------------------------------ targets and services
 
     def _on_target(self, msg: PoseStamped) -> None:
         p = msg.pose.position
@@ -237,7 +236,7 @@ class WholeBodyController(AnsweringNode):
         self._stamp, self._sent = -1, self._still
         self._gate.reset()
         self._failures.reset()
-        return self._answer(response, True, "the walk begins anew from where the robot stands, without a target")
+        return self._answer(response, True, "the next walk starts from the current posture, without a target")
 
     def _diagnose(self, level: str = "", message: str = "") -> None:
         values: dict[str, Any] = {
@@ -253,7 +252,7 @@ class WholeBodyController(AnsweringNode):
             trouble = self._problem or (f"two plants: {self._duplicates}" if self._duplicates else "")
             level, message = ("ERROR", trouble) if trouble else ("OK", "in balance")
             if self._failures.count:
-                level, message = "ERROR", trouble or "no motion for the last state"
+                level, message = "ERROR", trouble or "no command for the last state"
             elif not trouble and last is not None and last.residual > 1e-6:
                 level, message = "WARN", "cannot stop within the preview"
         self._diagnosed = time.perf_counter()
