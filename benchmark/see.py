@@ -126,12 +126,12 @@ def smoothness(folder: Path, seconds: float = 15.0) -> None:
         sent, began = [], time.monotonic()
         while time.monotonic() - began < seconds:
             time.sleep(1.0)
-            found = re.search(r"(\d+) pictures per second", page.inner_text("[data-dqwalk=status]"))
+            found = re.search(r"(\d+) frames per second", page.inner_text("[data-dqwalk=status]"))
             sent.append(int(found.group(1)) if found else 0)
         drawn = page.evaluate("window.drawn") / (time.monotonic() - began)
         errors = page.errors
     print(
-        f"page of a walk by the clock: {np.median(sent):.0f} pictures per second sent (least {min(sent)}), {drawn:.0f} "
+        f"page of a walk by the clock: {np.median(sent):.0f} frames per second sent (least {min(sent)}), {drawn:.0f} "
         f"frames drawn by Chromium in software, {len(errors)} errors in its console",
         flush=True,
     )

@@ -1,9 +1,9 @@
-"""Poppy behind ros2_control, and the walk: controller_manager, broadcasters, a forward controller, then walk.launch.py.
+"""Starts Poppy with ros2_control: controller_manager, broadcasters and a forward controller; then walk.launch.py.
 
 ros2 launch dqwalk_ros ros2_control.launch.py interface:=velocity
 ros2 launch dqwalk_ros ros2_control.launch.py plugin:=mujoco_ros2_control/MujocoSystemInterface mujoco_model:=poppy.xml
 
-A robot whose controllers are up already needs walk.launch.py plant:=ros2_control only.
+For a robot whose controllers are running already, walk.launch.py plant:=ros2_control is sufficient.
 """
 
 from launch import LaunchContext, LaunchDescription
@@ -30,16 +30,16 @@ PLUGINS = [
     "joint_state_topic_hardware_interface/JointStateTopicSystem",
 ]
 ARGUMENTS = {
-    "plugin": (PLUGINS[0], "hardware component of ros2_control: joints that go where they are told, MuJoCo, Gazebo, or "
-               "a plant behind topics; another robot's own is a name like these", None),
-    "mujoco_model": ("", "model file (MJCF) of mujoco_ros2_control; others do without", None),
-    "interface": ("position", "what the joints are told", ["position", "velocity"]),
+    "plugin": (PLUGINS[0], "hardware component of ros2_control: mock joints, MuJoCo, Gazebo, or a plant behind "
+               "topics; the plugin of another robot has a name like these", None),
+    "mujoco_model": ("", "model file (MJCF), for mujoco_ros2_control only", None),
+    "interface": ("position", "command interface of the joints", ["position", "velocity"]),
     "controllers": (str(find_share("config/ros2_control", "controllers.yaml")), "parameter file of the controllers",
                     None),
-    "walk": ("true", "start the walk as well; false: only the robot", ["true", "false"]),
+    "walk": ("true", "also start the walk; false: only the robot", ["true", "false"]),
     "config": ("", "parameter file of the walk; empty: poppy.yaml", None),
-    "namespace": ("", "of all nodes and topics of this robot", None),
-    "use_sim_time": ("false", "take the time of /clock, as with Gazebo", ["true", "false"]),
+    "namespace": ("", "namespace of all nodes and topics of this robot", None),
+    "use_sim_time": ("false", "use the time of /clock, as with Gazebo", ["true", "false"]),
 }  # fmt: skip
 
 
@@ -52,7 +52,7 @@ def nodes(context: LaunchContext) -> list[object]:
         mujoco_model=given["mujoco_model"],
     )
     package = given["plugin"].partition("/")[0]
-    # MuJoCo runs in a manager of its own; Gazebo brings one along
+    # mujoco_ros2_control and Gazebo have their own controller manager
     manager = {"mujoco_ros2_control": "mujoco_ros2_control", "gz_ros2_control": ""}.get(package, "controller_manager")
     forward = f"forward_{given['interface']}_controller"
 
@@ -94,7 +94,7 @@ def generate_launch_description() -> LaunchDescription:
         "discovery",
         default_value=EnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", default_value="LOCALHOST"),
         choices=["LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT"],
-        description="who can see the nodes: LOCALHOST this machine only, SUBNET the network as well",
+        description="which machines can discover the nodes: LOCALHOST only this one, SUBNET also the network",
     )
     stays = SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery"))
     return LaunchDescription([*arguments, discovery, stays, OpaqueFunction(function=nodes)])

@@ -1,4 +1,4 @@
-"""Walk: controller, plant, monitor and, if asked for, recorder, page and RViz.
+"""Starts a walk: controller, plant, monitor and, optionally, recorder, browser page and RViz.
 
 ros2 launch dqwalk_ros walk.launch.py lockstep:=true bag:=my_walk
 ros2 launch dqwalk_ros walk.launch.py plant:=physics rviz:=true namespace:=robot1
@@ -29,26 +29,27 @@ PLANTS = {
 }
 TRUE_OR_FALSE = ["true", "false"]
 ARGUMENTS = {
-    "config": ("", "parameter file of all nodes, `dqwalk config` explains each key; empty: paper.yaml, or poppy.yaml "
-               "where the robot must stand, with all plants but the integrator", None),
-    "plant": ("integrator", "other side of the command: integrator, an ideal robot; physics, MuJoCo; "
-              "poppy_as_built, the same with Poppy's own servos, delays and sensors; ros2_control, a robot whose "
-              "controllers are up (ros2_control.launch.py starts Poppy's); poppy, the real one with its own driver; "
-              "config/plants/NAME.yaml is what it asks of all nodes", list(PLANTS)),
-    "lockstep": ("false", "true: each state waits for its command, exact and as fast as the machine, and everything "
-                 "ends with the walk, with an error if it failed; false: by the clock, until Ctrl-C", TRUE_OR_FALSE),
-    "namespace": ("", "of all nodes and topics of this robot, /tf included", None),
-    "use_sim_time": ("false", "take the time of /clock, which a simulated plant then publishes", TRUE_OR_FALSE),
-    "autostart": ("", "walk at the first state; empty: what the configuration says, which is false for poppy "
-                  "and ros2_control", None),
-    "interface": ("", "with plant:=ros2_control: what the joints are told, position or velocity; empty: what the "
-                  "configuration says, output.interface", None),
+    "config": ("", "parameter file of all nodes, `dqwalk config` explains each key; empty: paper.yaml for "
+               "the integrator, poppy.yaml for all other plants, where the robot must stand", None),
+    "plant": ("integrator", "what executes the commands: integrator, ideal joints; physics, MuJoCo; poppy_as_built, "
+              "MuJoCo with Poppy's servos, delays and sensors; ros2_control, a robot whose controllers are running "
+              "(ros2_control.launch.py starts Poppy's); poppy, the real robot with its own driver; "
+              "config/plants/NAME.yaml contains the parameters it requires of all nodes", list(PLANTS)),
+    "lockstep": ("false", "true: each state waits for its command, so the walk is reproducible and as fast as the "
+                 "machine allows; all nodes stop after the walk, with an error if it failed; false: real time, until "
+                 "Ctrl-C", TRUE_OR_FALSE),
+    "namespace": ("", "namespace of all nodes and topics of this robot, including /tf", None),
+    "use_sim_time": ("false", "use the time of /clock, which a simulated plant then publishes", TRUE_OR_FALSE),
+    "autostart": ("", "start walking at the first state; empty: as configured, which is false for poppy and "
+                  "ros2_control", None),
+    "interface": ("", "with plant:=ros2_control: command interface of the joints, position or velocity; empty: as "
+                  "configured by output.interface", None),
     "dummy": ("false", "with plant:=poppy: dummy motors instead of a robot", TRUE_OR_FALSE),
-    "respawn": ("false", "start controller and monitor again when they die; not in lockstep", TRUE_OR_FALSE),
+    "respawn": ("false", "restart controller and monitor when they exit; not in lockstep", TRUE_OR_FALSE),
     "log_level": ("info", "debug, info, warn, error or fatal", None),
     "rviz": ("false", "show the robot in RViz, with a robot_state_publisher", TRUE_OR_FALSE),
     "view": ("false", "show the walk in the browser, on 127.0.0.1; the address is logged (needs viser)", TRUE_OR_FALSE),
-    "bag": ("", "record to this folder, which must not be there yet; empty: do not", None),
+    "bag": ("", "record to this folder, which must not exist yet; empty: no recording", None),
 }  # fmt: skip
 
 
@@ -90,7 +91,7 @@ def nodes(context: LaunchContext) -> list[object]:
             parameters=[*own, time],
             remappings=remappings,
             output="screen",
-            # see docs/security.md; nothing without SROS 2
+            # see docs/security.md; no effect without SROS 2
             ros_arguments=["--enclave", f"/dqwalk/{name}", "--log-level", given["log_level"]],
             **options,
         )
@@ -111,12 +112,12 @@ def nodes(context: LaunchContext) -> list[object]:
         others.append(node("rviz2", "rviz2", parameters=[], arguments=shown))
 
     def end(event: object, _: LaunchContext) -> list[object]:
-        """End what belongs to this walk, and nothing else that was launched with it."""
+        """Stop the other nodes of this walk, but nothing else that was launched with it."""
         if event.returncode:
             raise RuntimeError(f"the walk failed: the controller ended with {event.returncode}")
         return [EmitEvent(event=ShutdownProcess(process_matcher=matches_action(other))) for other in others]
 
-    # a robot's driver outlives its controller: with it, whoever holds the robot would lose ~/compliant
+    # a real robot's driver keeps running after its controller, so that ~/compliant remains available
     handlers = [RegisterEventHandler(OnProcessExit(target_action=controller, on_exit=end))] if lockstep else []
     return [*others, controller, *handlers]
 
@@ -129,8 +130,8 @@ def generate_launch_description() -> LaunchDescription:
         "discovery",
         default_value=EnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", default_value="LOCALHOST"),
         choices=["LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT"],
-        description="who can see the nodes: LOCALHOST this machine only, SUBNET the network as well",
+        description="which machines can discover the nodes: LOCALHOST only this one, SUBNET also the network",
     )
-    # nothing leaves this machine unless somebody asks for it
+    # by default the nodes are visible on this machine only
     stays = SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery"))
     return LaunchDescription([*arguments, discovery, stays, OpaqueFunction(function=nodes)])

@@ -1,4 +1,4 @@
-"""Reach with the whole body: controller, rigid plant and, if asked for, recorder.
+"""Starts the whole-body controller, its rigid plant and, optionally, the recorder.
 
 ros2 launch dqwalk_ros whole_body.launch.py bag:=my_walk
 ros2 topic pub --once /hand_target geometry_msgs/PoseStamped '{pose: {position: {x: 1.2, y: -0.8, z: 0.9}}}'
@@ -36,7 +36,7 @@ def generate_launch_description() -> LaunchDescription:
             name=name,
             parameters=parameters,
             output="screen",
-            ros_arguments=["--enclave", f"/dqwalk/{name}"],  # see docs/security.md; nothing without SROS 2
+            ros_arguments=["--enclave", f"/dqwalk/{name}"],  # see docs/security.md; no effect without SROS 2
             **options,
         )
 
@@ -53,18 +53,20 @@ def generate_launch_description() -> LaunchDescription:
                 "lockstep",
                 default_value="false",
                 choices=["true", "false"],
-                description="true: as fast as the machine; false: at most in real time",
+                description="true: as fast as the machine allows; false: at most in real time",
             ),
             DeclareLaunchArgument(
                 "discovery",
                 default_value=EnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", default_value="LOCALHOST"),
                 choices=["LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT"],
-                description="who can see the nodes: LOCALHOST this machine only, SUBNET the network as well",
+                description="which machines can discover the nodes: LOCALHOST only this one, SUBNET also the network",
             ),
             DeclareLaunchArgument(
-                "bag", default_value="", description="record to this folder, which must not be there yet; empty: do not"
+                "bag",
+                default_value="",
+                description="record to this folder, which must not exist yet; empty: none",
             ),
-            # nothing leaves this machine unless somebody asks for it
+            # by default the nodes are visible on this machine only
             SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery")),
             node("recorder", arguments=["--bag", bag], condition=IfCondition(recorded)),
             node("rigid"),

@@ -16,7 +16,7 @@ import numpy as np
 from exactness import Answers, condensed_difference, infeasible, model_difference, watched_walk
 from joblib import Parallel, delayed, parallel_config
 
-from dqwalk_ros.cli.body import leave
+from dqwalk_ros.cli.body import write_results
 from dqwalk_ros.cli.options import Output
 from dqwalk_ros.cli.progress import Progress
 from dqwalk_ros.config import Config, load
@@ -234,7 +234,7 @@ def main() -> int:
     bags = [args.out / "bag_1", args.out / "bag_2"]
     for walked, path in zip(both, bags, strict=True):
         bag.write_body(walked, path, overwrite=True)
-    leave(Output(args.out, force=True, formats=("png",), figures=True, quiet=False), args.out, report, both, bags)
+    write_results(Output(args.out, force=True, formats=("png",), figures=True, quiet=False), args.out, report, both, bags)
     return 0 if all(one.ok for one in demands if one.must) else 1
 
 

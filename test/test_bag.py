@@ -171,7 +171,7 @@ def column(trace, path, topic):
 
 
 def test_nothing_is_overwritten_unasked(trace, path, tmp_path):
-    with pytest.raises(BagError, match="is there already"):
+    with pytest.raises(BagError, match="exists already"):
         bag.write(trace, path)
     (tmp_path / "walk").mkdir()
     (tmp_path / "walk/old").touch()
@@ -502,7 +502,7 @@ def test_a_config_of_another_version(path, tmp_path):
 def test_no_bag_at_all(tmp_path):
     with pytest.raises(BagError, match="no bag at"):
         bag.read(tmp_path / "nowhere")
-    with pytest.raises(BagError, match="no rosbag2"):
+    with pytest.raises(BagError, match="not a rosbag2"):
         bag.read(tmp_path)
     (tmp_path / "text.mcap").write_text("hello")
     with pytest.raises(BagError, match="cannot read"):

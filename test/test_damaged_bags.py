@@ -56,7 +56,7 @@ def test_a_bag_without_metadata_is_reported(path, tmp_path):
     (tmp_path / "b/metadata.yaml").unlink()
     code, report = reported(tmp_path / "b", tmp_path / "out")
     assert code == 0
-    assert "metadata.yaml is missing: the recorder did not end as it should" in report["notes"]
+    assert "metadata.yaml is missing: the recorder was not shut down properly" in report["notes"]
 
 
 @pytest.mark.parametrize("whole", [True, False], ids=["folder", "one file"])
@@ -143,7 +143,7 @@ def test_a_state_five_seconds_ahead_near_the_end(trace, path, tmp_path):
 
     back = bag.read(edited(path, tmp_path / "b", "/joint_states", change))
     assert len(back) == len(trace) - 1
-    assert "1 states whose stamp cannot be are left out" in back.notes
+    assert "1 states with an impossible stamp are left out" in back.notes
     assert back.finished
 
 
@@ -207,8 +207,8 @@ def solver(text):
         ("/phase", wrong("foo/left"), ""),
         ("/phase", wrong("single_support/middle"), ""),
         ("/phase", wrong("\x1b[31m/\x1b[2J"), ""),
-        ("/phase_start", start_of_nan, "begins with numbers that cannot be"),
-        ("/swing_target", nan, "begins with numbers that cannot be"),
+        ("/phase_start", start_of_nan, "begins with impossible numbers"),
+        ("/swing_target", nan, "begins with impossible numbers"),
         ("/base_pose", nan, ""),
         ("/joint_velocity_commands", infinite, ""),
         ("/joint_states", far, ""),
@@ -349,9 +349,9 @@ def test_memory_and_time_are_bounded(path, tmp_path):
     said = {name: text for name, text, _ in map(json.loads, lines)}
     assert said.pop("names") == "581 states"
     assert len(said) == 8, said
-    assert "no regular file" in said["pipe.mcap"]
-    assert "no regular file" in said["zero.mcap"]
-    assert "inflates to more than a walk" in said["file.mcap.zstd"]
+    assert "not a regular file" in said["pipe.mcap"]
+    assert "not a regular file" in said["zero.mcap"]
+    assert "is larger than any walk" in said["file.mcap.zstd"]
     assert "a chunk or message of 3000 MB" in said["chunk.mcap"]
     assert "it has no tables" in said["view"]
     assert all("\n" not in text and len(text) < 400 for text in said.values()), said

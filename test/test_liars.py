@@ -24,7 +24,7 @@ from dqwalk_ros.plants import Inertial, upward
 from dqwalk_ros.robot import load_model
 from dqwalk_ros.simulation import closed_loop, make_controller, make_plant
 from dqwalk_ros.state import Command, State
-from dqwalk_ros.studies.robustness import told
+from dqwalk_ros.studies.robustness import assumed
 
 CONFIG = overlaid(load("poppy"), "poppy_as_built")
 MODEL = load_model(CONFIG.robot)
@@ -122,7 +122,7 @@ def test_ordinary_servos_and_sensors_are_no_lie(stiffness: float, latency: float
     values = {"servo.stiffness": stiffness, "servo.latency": latency, "servo.rate": rate, "servo.backlash": 0.0058}
     sensors = {f"sensors.{name}": value for name, value in dataclasses.asdict(CONFIG.sensors).items()}
     config = overlaid(load("poppy"), "physics").updated({**values, **sensors})
-    config = config.updated(told(config))
+    config = config.updated(assumed(config))
     controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
     judge, before = Contradictions(MODEL.joint_names, 0.3 * config.safety.contradiction, lambda: 0.1), np.zeros(MODEL.n)
     for measured, command in closed_loop(controller, plant):

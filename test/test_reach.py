@@ -287,18 +287,18 @@ def test_a_bag_is_the_walk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert again.landing == pytest.approx(w.landing, abs=1e-6)
     assert again.margins["cop_margin"] == pytest.approx(w.margins["cop_margin"], abs=1e-6)
     assert [jump.time for jump in again.reactions] == pytest.approx([0.7])
-    with pytest.raises(BagError, match="is there already"):
+    with pytest.raises(BagError, match="exists already"):
         bag.write_body(w, tmp_path / "bag")
 
     words = ["report", str(tmp_path / "bag"), "--html", "--out", str(tmp_path / "out"), "--no-figures"]
     assert cli.main(words) == 0
     said = capsys.readouterr().out
-    assert "torques recorded and solved again differ by at most" in said
+    assert "recorded and recomputed torques differ by at most" in said
     names = {file.name for file in (tmp_path / "out").iterdir()}
     assert names == {"report.html", "report.json"}
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "hrp2_like" in page
-    assert "every demand met" in page
+    assert "every requirement met" in page
     assert page.count("data:image/svg+xml") == 3
 
 

@@ -154,7 +154,7 @@ def test_a_study_that_was_stopped_goes_on_without_losing_a_walk(tmp_path, number
     said = process.communicate(timeout=60)[1]
     if number == signal.SIGINT:
         assert process.returncode == 1
-        assert "of 12 walks are kept, the same command goes on" in said
+        assert "of 12 walks are saved, the same command continues" in said
         assert "Traceback" not in said
     before = log.read_text().splitlines()
     assert 3 < len(before) < 13
@@ -291,14 +291,14 @@ def test_stiffness_is_varied_relative_to_the_robots_own():
 def test_the_controller_may_be_told_a_wrong_latency():
     config = POPPY.updated({"servo.latency": 0.03, "sensors.age": 0.01})
     for error, expected in ((0.0, 0.04), (0.02, 0.06), (-0.02, 0.02), (-0.1, 0.0)):
-        assert robustness.told(config, error)["servo.assumed_latency"] == pytest.approx(expected)
+        assert robustness.assumed(config, error)["servo.assumed_latency"] == pytest.approx(expected)
 
 
 def test_as_built_is_walked_at_two_gains_and_with_many_seeds():
     axes = robustness.axes_of(overlaid(POPPY, "poppy_as_built"))
     assert len(robustness.cells(axes)) == 40
     done = [robustness.Cell({"servo.p_gain": 255.0, "sensors.seed": k}, True, 1.0, 3, "", 0.001 * k) for k in range(3)]
-    assert "leaned by 0.06 degrees" in table(done, axes)
+    assert "loaded sole: 0.06 degrees" in table(done, axes)
 
 
 def test_a_robot_with_weak_servos_that_nothing_holds_falls(tmp_path):
@@ -367,5 +367,5 @@ def test_a_stance_that_never_comes_is_not_pushed(monkeypatch):
     monkeypatch.setattr(pushes, "_due", lambda controller, time, number, part: False)
     monkeypatch.setattr(pushes, "_LATE", -1.0)
     monkeypatch.setattr(pushes, "_STANDS", 0.1)
-    with pytest.raises(PlantError, match="before it was pushed"):
+    with pytest.raises(PlantError, match="before the push"):
         pushes.pushed(POPPY, pushes.Push("standing", 0.0, 0.1))

@@ -1,6 +1,6 @@
 """The command line, ``dqwalk``: one module per command.
 
-A module of a command imports nothing heavy until the command runs, so that help comes at once.
+The module of a command imports heavy dependencies only when the command runs, so that help is fast.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ COMMANDS = (
 _EPILOG = """\b
 examples:
   dqwalk simulate --cycles 1 --out walk     walk in this process: bag, figures and report in walk/
-  dqwalk walk --cycles 1 --out walk         the same through ROS 2: four nodes, each a process of its own
-  dqwalk reach                              walk where the hand needs to go (whole body)
+  dqwalk walk --cycles 1 --out walk         the same through ROS 2: four nodes, each in its own process
+  dqwalk reach                              walk so that the hand reaches its target (whole body)
   dqwalk report walk/bag                    evaluate and draw any recorded walk
   dqwalk view walk/bag                      replay it in the browser
-  dqwalk robustness, dqwalk pushes          what the standing walk survives in physics
+  dqwalk robustness, dqwalk pushes          which robots, floors and pushes a walk survives in physics
   dqwalk study studies/step_length.yaml     walk many times with parameters varied
   dqwalk exercise, dqwalk identify BAG      what the servos of a robot that hangs do; dqwalk replay BAG compares
   dqwalk adopt my_robot.urdf                another robot: a configuration that walks
@@ -58,7 +58,7 @@ exit code: 0 success; 1 the walk failed or violated a constraint; 2 wrong argume
 
 
 class _Commands(click.Group):
-    """Commands by the names of their modules."""
+    """Finds a command by the name of its module."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -73,7 +73,7 @@ class _Commands(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         if args[0] not in COMMANDS:
-            ctx.fail(f"no command {args[0]!r}; there are {', '.join(COMMANDS)}")
+            ctx.fail(f"no command {args[0]!r}; the commands are {', '.join(COMMANDS)}")
         return super().resolve_command(ctx, args)
 
 
@@ -88,8 +88,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 if all went well, 1 if the walk failed or violated a constraint, 2 if the arguments or the configuration
-        cannot be used.
+        0 on success, 1 if the walk failed or violated a constraint, 2 if the arguments or the configuration are
+        invalid.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     try:
@@ -122,7 +122,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _fail(error: object, code: int) -> int:
-    """Print what went wrong in one line without control characters, and return the exit code."""
+    """Print an error in one line without control characters, and return the exit code."""
     line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(error))
     print(f"dqwalk: {line}", file=sys.stderr)
     return code

@@ -1,4 +1,4 @@
-"""``dqwalk adopt``: another robot's URDF to a configuration that walks."""
+"""``dqwalk adopt``: makes a configuration that walks from another robot's URDF."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ __all__ = ["adopt"]
 @command("""
 writes to the folder of --out:
   robot.urdf       the robot repaired, with soles; the original is not changed
-  robot.yaml       the walk that stands; beside each number stands where it is from
+  robot.yaml       the standing walk; a comment beside each number gives its source
   paper.yaml       the walk of Urban & Adorno
-  whole_body.yaml  the whole-body controller, where the ankles roll and there are arms
-  robot.png        the robot in the posture, its soles, its CoM, and which way is ahead
-  adopt.json       all that was found
+  whole_body.yaml  the whole-body controller, if the robot has ankle roll joints and arms
+  robot.png        the robot in its posture, soles, CoM, and forward direction
+  adopt.json       all results
 
-exit code: 0 it walks; 1 it was adopted and falls; 2 this robot cannot walk here, and why
+exit code: 0 the robot walks; 1 it was adopted but falls; 2 it cannot be adopted, with the reason
 
 examples:
   dqwalk adopt my_robot.urdf
@@ -33,10 +33,10 @@ examples:
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path), default="adopted", show_default=True,
               help="Folder of the results.")  # fmt: skip
 @click.option("--package-path", "places", metavar="DIR", multiple=True, type=click.Path(path_type=Path),
-              help="Look for ROS packages here, too; may be given several times.")  # fmt: skip
+              help="Also search for ROS packages here; may be given several times.")  # fmt: skip
 @click.option("--left", metavar="LINK", default="", help="Link of the left foot.")
 @click.option("--right", metavar="LINK", default="", help="Link of the right foot.")
-@click.option("--forward", type=click.Choice(["+x", "-x", "+y", "-y"]), help="Axis of the root link that looks ahead.")
+@click.option("--forward", type=click.Choice(["+x", "-x", "+y", "-y"]), help="Forward axis of the root link.")
 @click.option("--yes", is_flag=True, help="Take the best guess instead of asking.")
 @click.option("--no-walk", is_flag=True, help="Write the files and check them; do not walk.")
 @quiet_option
@@ -53,7 +53,7 @@ def adopt(
     quiet: bool,
     changes: tuple[str, ...],
 ) -> int:
-    """Make a configuration that walks of a robot description, URDF or xacro."""
+    """Make a configuration that walks from a robot description, URDF or xacro."""
     from dqwalk_ros import adopt as adopting
     from dqwalk_ros.adopt.picture import draw
     from dqwalk_ros.adopt.trial import first_walks
@@ -61,7 +61,7 @@ def adopt(
     from dqwalk_ros.errors import ConfigError
 
     if bool(left) != bool(right):
-        raise ConfigError("--left and --right are given together")
+        raise ConfigError("--left and --right must be given together")
     given = dict(parse_overrides(changes))
     found = adopting.adopt(
         urdf, out, package_paths=places, left=left, right=right, forward=forward or "", changes=given
@@ -72,7 +72,7 @@ def adopt(
         print(adopting.table(found))
     unsure = [e.what for e in found.anatomy.evidence if e.what == "ahead" and e.confidence == "guess"]
     if unsure and not yes:
-        click.confirm("which way is ahead is a guess (see the table); go on?", abort=True)
+        click.confirm("the forward direction is a guess (see the table); continue?", abort=True)
     draw(found.config, found.model, out / "robot.png")
     for finding in found.findings:
         print(f"check: {finding}")

@@ -1,4 +1,4 @@
-"""What `reach` and `report` write of whole-body walks: bag, report, figures, page."""
+"""Writes the results of whole-body walks, for `reach` and `report`: report, figures, page."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from dqwalk_ros.whole_body.demands import Demand, checks, render_checks, summary
 from dqwalk_ros.whole_body.experiments import retrace
 from dqwalk_ros.whole_body.trace import WholeBodyTrace
 
-__all__ = ["leave", "report"]
+__all__ = ["report", "write_results"]
 
 
-def leave(
+def write_results(
     output: Output,
     out: Path,
     found: Any,
@@ -30,7 +30,7 @@ def leave(
     *,
     quiet: bool = False,
 ) -> None:
-    """Write ``report.json`` and the figures of some walks, and say what was written."""
+    """Write ``report.json`` and the figures of some walks, and print the names of the files."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         (out / "report.json").write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
@@ -54,7 +54,7 @@ def report(
     as_json: bool,
     series: bool,
 ) -> int:
-    """Evaluate and draw a recorded whole-body walk, to be called `name`; return the exit code."""
+    """Evaluate and draw a recorded whole-body walk under the title `name`; return the exit code."""
     if series:
         raise ConfigError("--compare and --csv are not available for whole-body walks")
     log = bag.read_body(path, namespace=namespace)
@@ -70,13 +70,13 @@ def report(
     if as_json:
         print(json.dumps(result, indent=2))
     elif not output.quiet:
-        _say(walked, found, off, log.notes)
-    leave(output, out, result, [walked], files, quiet=as_json)
+        _print(walked, found, off, log.notes)
+    write_results(output, out, result, [walked], files, quiet=as_json)
     return 0 if result["ok"] else 1
 
 
-def _say(walked: WholeBodyTrace, found: Sequence[Demand], off: float, notes: Sequence[str]) -> None:
+def _print(walked: WholeBodyTrace, found: Sequence[Demand], off: float, notes: Sequence[str]) -> None:
     for note in notes:
         print(f"note: {note}", file=sys.stderr)
     print(render_checks(walked, found))
-    print(f"torques recorded and solved again differ by at most {off:.2g} N m\n")
+    print(f"recorded and recomputed torques differ by at most {off:.2g} N m\n")

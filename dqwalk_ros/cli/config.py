@@ -1,4 +1,4 @@
-"""``dqwalk config``: list, check or print parameters."""
+"""``dqwalk config``: lists, checks or prints parameters."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ examples:
   dqwalk config                                            every parameter
   dqwalk config --section ssp                              those of one section
   dqwalk config paper > mine.yaml                          start a configuration of your own
-  dqwalk config mine.yaml --check                          is it usable?
+  dqwalk config mine.yaml --check                          is it valid?
   dqwalk config paper --set gait.step_length=0.04
 """)
 @click.argument("config", required=False)
 @click.option("--section", metavar="NAME", help="List one section only.")
-@click.option("--check", is_flag=True, help="Only say whether it can be used, and fits its robot.")
+@click.option("--check", is_flag=True, help="Only check that it is valid and fits its robot.")
 @set_option
 def config(config: str | None, section: str | None, check: bool, changes: tuple[str, ...]) -> int:
     """List, check or print parameters.
 
     Without CONFIG: the list of all parameters. With CONFIG, the name of a shipped configuration or the path of a YAML
-    file: check it and print it in full, as a ROS parameter file. What is live may be set while a node runs.
+    file: check it and print it in full, as a ROS parameter file. Live parameters may be set while a node runs.
     """
     from dqwalk_ros.config import Config, to_yaml
 
@@ -49,7 +49,7 @@ def config(config: str | None, section: str | None, check: bool, changes: tuple[
 
 
 def _check(name: str, made: Config) -> int:
-    """Print what does not fit the robot; a configuration whose robot is not there cannot be used."""
+    """Print the parameters that do not fit the robot; return 1 if there are any."""
     from dqwalk_ros.adopt.check import check
     from dqwalk_ros.robot import load_model
 
@@ -70,7 +70,7 @@ def _listing(section: str | None) -> str:
     specs = [spec for spec in Config.specs() if section in (None, spec.name.rpartition(".")[0])]
     if not specs:
         known = dict.fromkeys(spec.name.rpartition(".")[0] for spec in Config.specs())
-        raise ConfigError(f"no section {section!r}; there are {', '.join(name for name in known if name)}")
+        raise ConfigError(f"no section {section!r}; the sections are {', '.join(name for name in known if name)}")
     names = max(len(spec.name) for spec in specs)
     lines = []
     for spec in specs:

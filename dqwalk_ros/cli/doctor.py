@@ -1,4 +1,4 @@
-"""``dqwalk doctor``: whether a robot is ready to walk."""
+"""``dqwalk doctor``: checks whether a robot is ready to walk."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ examples:
     type=click.Choice(["integrator", "physics", "poppy_as_built", "ros2_control", "poppy"]),
     default="poppy",
     show_default=True,
-    help="What the other side of the commands is.",
+    help="What executes the commands.",
 )
 @click.option(
-    "--seconds", metavar="S", type=click.FloatRange(0.5, 600.0), default=5.0, show_default=True, help="Listen."
+    "--seconds", metavar="S", type=click.FloatRange(0.5, 600.0), default=5.0, show_default=True, help="Time to listen."
 )
-@click.option("--namespace", metavar="NAME", default="", help="Of the robot.")
+@click.option("--namespace", metavar="NAME", default="", help="Namespace of the robot.")
 @click.option("--offline", is_flag=True, help="Do not listen to the robot.")
 @set_option
 def doctor(config: str, plant: str, seconds: float, namespace: str, offline: bool, changes: tuple[str, ...]) -> int:
     """Check a robot that stands, before its first step.
 
-    Listens to its topics without moving anything, and says of each check what it found; where that is not as it must
-    be, what to do. docs/hardware.md leads from a boxed robot to a first step. Exit code 1 where something is wrong.
+    Listens to its topics without moving anything, and prints the result of each check; for a check that failed, also
+    what to do. docs/hardware.md leads from a boxed robot to a first step. Exit code 1 if a check failed.
     """
     from dqwalk_ros.adopt.check import check
     from dqwalk_ros.robot import load_model
@@ -55,5 +55,5 @@ def doctor(config: str, plant: str, seconds: float, namespace: str, offline: boo
     for found in examine(made, model, listen(made, seconds, namespace)):
         print(found)
         wrong += not found.ok
-    print("ready to walk" if not wrong else f"{wrong} to mend, from the top down")
+    print("ready to walk" if not wrong else f"{wrong} to repair, from the top down")
     return 1 if wrong else 0

@@ -1,4 +1,4 @@
-"""``dqwalk footsteps``: which steps the legs of a robot reach."""
+"""``dqwalk footsteps``: shows which steps the legs of a robot reach."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["footsteps", "reached"]
 
 _LENGTHS = (-0.24, -0.18, -0.12, -0.06, 0.0, 0.06, 0.12, 0.18, 0.24)
 _SIDES = (-0.14, -0.1, -0.05, -0.025, -0.0125, 0.0, 0.0125, 0.025, 0.05, 0.1, 0.14)
-"""Steps that are asked for, in heights of the pelvis."""
+"""Requested steps, in units of the height of the pelvis."""
 _TURNS = (-30, -20, -15, -10, -5, 0, 5, 10, 15, 20, 30)
 """[deg]"""
 
@@ -72,12 +72,12 @@ def footsteps(config: str, support: str, changes: tuple[str, ...]) -> int:
 
 
 def reached(steps: Footsteps, support: Foot, length: float, side: float, turn: float) -> NDArray[np.float64]:
-    """Return the step that a wanted step becomes.
+    """Return the reachable step nearest to a requested one.
 
     Returns
     -------
     ndarray, shape (5,)
-        How far the body moves ahead, aside, and turns, and how far the footprint is from the wanted one
+        Motion of the body ahead, aside and in yaw, and distance of the footprint from the requested one
         [m, m, rad, m, rad].
     """
     import numpy as np

@@ -1,4 +1,4 @@
-"""``dqwalk movie``: a recorded walk as a movie or as a strip of pictures."""
+"""``dqwalk movie``: renders a recorded walk as a movie or as a strip of pictures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ examples:
   MUJOCO_GL=egl dqwalk movie walk/bag --out strip.png --strip 9 --between 0,7.5
 """)
 @click.argument("bag", type=click.Path(path_type=Path))
-@click.option("--namespace", metavar="NAME", help="Namespace of the robot, where the bag holds several.")
+@click.option("--namespace", metavar="NAME", help="Namespace of the robot, if the bag contains several.")
 @click.option(
     "--out",
     metavar="FILE",
@@ -48,8 +48,8 @@ def movie(
 ) -> int:
     """Draw a recorded walk as a movie or a strip of pictures.
 
-    MuJoCo draws the robot as its URDF shows it, without a display: set MUJOCO_GL=egl (or osmesa) where there is none.
-    Bags of walks in physics have the true pose of the pelvis, otherwise it is that of the odometry.
+    MuJoCo draws the robot with the visual shapes of its URDF; on a machine without a display set MUJOCO_GL=egl (or
+    osmesa). Bags of walks in physics contain the true pose of the pelvis; for others it is that of odometry.
     Needs dqwalk_ros[sim].
     """
     if out.suffix.lower() not in (".gif", ".webp", ".png"):

@@ -1,4 +1,4 @@
-"""Options that several commands share, and what is made of them."""
+"""Options that several commands share, and the values made from them."""
 
 from __future__ import annotations
 
@@ -45,18 +45,18 @@ Function = Callable[..., Any]
 
 
 def command(epilog: str) -> Callable[[Function], click.Command]:
-    """Return a decorator that makes a command of a function: its docstring, then an epilog, printed as it stands."""
+    """Return a decorator that makes a command from a function; the epilog is printed without reformatting."""
     kept = "\n\n".join("\b\n" + paragraph for paragraph in epilog.strip("\n").split("\n\n"))
     return click.command(epilog=kept, context_settings={"max_content_width": 120})
 
 
 def _with(options: Sequence[Callable[[Function], Function]], function: Function) -> Function:
-    """Return a function with options added, so that help shows them in their order."""
+    """Return a function with options added, in the order in which help shows them."""
     return functools.reduce(lambda made, option: option(made), reversed(options), function)
 
 
 def numbers(count: int) -> Callable[[click.Context, click.Parameter, Any], Any]:
-    """Return a callback that reads so many numbers, separated by commas."""
+    """Return a callback that parses `count` numbers separated by commas."""
 
     def read(text: str) -> tuple[float, ...]:
         try:
@@ -64,7 +64,7 @@ def numbers(count: int) -> Callable[[click.Context, click.Parameter, Any], Any]:
         except ValueError:
             out = ()
         if len(out) != count or not all(map(math.isfinite, out)):
-            raise click.BadParameter(f"{count} numbers separated by commas are needed, not {text!r}")
+            raise click.BadParameter(f"expected {count} numbers separated by commas, not {text!r}")
         return out
 
     def callback(_: click.Context, option: click.Parameter, value: Any) -> Any:
@@ -78,7 +78,7 @@ def numbers(count: int) -> Callable[[click.Context, click.Parameter, Any], Any]:
 def _formats(_: click.Context, __: click.Parameter, text: str) -> tuple[str, ...]:
     formats = tuple(part.strip().lower() for part in text.split(",") if part.strip())
     if not formats or not set(formats) <= {"png", "pdf", "svg"}:
-        raise click.BadParameter(f"png, pdf or svg, separated by commas, not {text!r}")
+        raise click.BadParameter(f"expected png, pdf or svg, separated by commas, not {text!r}")
     return formats
 
 
@@ -90,7 +90,7 @@ def config_option(default: str) -> Callable[[Function], Function]:
 
 
 def folder_option(default: str | None, shown: str = "") -> Callable[[Function], Function]:
-    """Return the option --out; where its default depends on another argument, `shown` says how."""
+    """Return the option --out; `shown` describes a default that depends on another argument."""
     return click.option(
         "--out",
         metavar="DIR",
@@ -118,10 +118,10 @@ params_option = click.option(
 force_option = click.option("--force", is_flag=True, help="Replace earlier results.")
 quiet_option = click.option("--quiet", is_flag=True, help="Print no progress and no tables.")
 jobs_option = click.option(
-    "--jobs", metavar="N", type=click.IntRange(1), default=2, show_default=True, help="Processes at a time."
+    "--jobs", metavar="N", type=click.IntRange(1), default=2, show_default=True, help="Number of parallel processes."
 )
 scheduler_option = click.option(
-    "--scheduler", metavar="ADDRESS", help="Address of a Dask scheduler to walk on instead, such as tcp://host:8786."
+    "--scheduler", metavar="ADDRESS", help="Address of a Dask scheduler to use instead, such as tcp://host:8786."
 )
 format_option = click.option(
     "--format", "formats", metavar="LIST", callback=_formats, default="png", show_default=True, help="png, pdf, svg."
@@ -150,16 +150,20 @@ def walk_options(function: Function) -> Function:
 
 @dataclass(frozen=True)
 class Output:
-    """Where results go, and which.
+    """Which results are written, and where.
 
     Attributes
     ----------
     out : Path or None
+        Folder of the results.
     force : bool
         Replace earlier results.
     formats : tuple of str
-        Of the figures.
-    figures, quiet : bool
+        File formats of the figures.
+    figures : bool
+        Draw figures.
+    quiet : bool
+        Print no progress and no tables.
     """
 
     out: Path | None
@@ -170,13 +174,13 @@ class Output:
 
     @property
     def folder(self) -> Path:
-        """The folder of a command that has a default."""
+        """`out`, for commands whose --out has a default."""
         assert self.out is not None
         return self.out
 
 
 def output_options(default: str | None, shown: str = "") -> Callable[[Function], Function]:
-    """Return a decorator that adds --out and its like; the function gets them as `output`."""
+    """Return a decorator that adds the options of `Output`, which the function gets as `output`."""
     options = [
         folder_option(default, shown),
         *([force_option] if default else []),
@@ -204,14 +208,20 @@ def output_options(default: str | None, shown: str = "") -> Callable[[Function],
 
 @dataclass(frozen=True)
 class Many:
-    """How many walks are made at a time, and where they are kept.
+    """Options of a study of many walks.
 
     Attributes
     ----------
     out : Path or None
+        Folder of the results.
     jobs : int
+        Number of parallel processes.
     scheduler : str or None
-    force, quiet : bool
+        Address of a Dask scheduler.
+    force : bool
+        Replace earlier results.
+    quiet : bool
+        Print no progress and no tables.
     """
 
     out: Path | None
@@ -222,13 +232,13 @@ class Many:
 
     @property
     def folder(self) -> Path:
-        """The folder of a command that has a default."""
+        """`out`, for commands whose --out has a default."""
         assert self.out is not None
         return self.out
 
     @contextlib.contextmanager
     def options(self, unit: str, describe: Callable[[Any], str] = lambda _: "") -> Iterator[dict[str, Any]]:
-        """Give what a study takes of these options, with a progress bar that counts in `unit`."""
+        """Provide the keyword arguments of a study, with a progress bar that counts in `unit`."""
         from dqwalk_ros.cli.progress import Progress
 
         with Progress(quiet=self.quiet) as bar:
@@ -240,7 +250,7 @@ class Many:
 
 
 def many_options(default: str | None, shown: str = "") -> Callable[[Function], Function]:
-    """Return a decorator that adds --jobs, --scheduler, --out, --force and --quiet; the function gets all as `many`."""
+    """Return a decorator that adds the options of `Many`, which the function gets as `many`."""
     options: list[Callable[[Function], Function]]
     options = [jobs_option, scheduler_option, folder_option(default, shown), force_option, quiet_option]
 
@@ -272,18 +282,18 @@ def config_of(
     changes : sequence of str
         Of --set.
     plant : str
-        What ``config/plants/NAME.yaml`` asks of all nodes is put in.
+        Name of a plant, whose ``config/plants/NAME.yaml`` is applied.
     params : sequence of Path
         Of --params.
     course : sequence of str
-        Of --cmd-vel; with one the walk takes steps until the course is over.
+        Of --cmd-vel; with a course the walk takes steps until its end.
     also : mapping of str to value, optional
-        Of options that are short for a parameter; those that are None were not given.
+        Values of options that stand for a parameter; None for options that were not given.
 
     Raises
     ------
     ConfigError
-        If any of it cannot be used.
+        If any of them is invalid.
     """
     from dqwalk_ros.config import load
 
@@ -315,19 +325,19 @@ def put_on(config: Config, files: Sequence[Path]) -> Config:
 
 
 def overlaid(config: Config, plant: str) -> Config:
-    """Return a configuration with what ``config/plants/NAME.yaml`` asks of all nodes put in."""
+    """Return a configuration with the parameters of ``config/plants/NAME.yaml`` applied."""
     from dqwalk_ros.config import find_share, from_yaml
 
     return from_yaml(find_share("config/plants", f"{plant}.yaml").read_text(encoding="utf-8"), onto=config)
 
 
 def parse_overrides(pairs: Sequence[str]) -> dict[str, Any]:
-    """Return ``{key: value}`` of texts ``key=value``; a value is read as YAML.
+    """Return ``{key: value}`` from texts ``key=value``; a value is parsed as YAML.
 
     Raises
     ------
     ConfigError
-        If a text is not of that form.
+        If a text does not have this form.
     """
     from dqwalk_ros import strict_yaml
 

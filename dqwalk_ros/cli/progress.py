@@ -1,4 +1,4 @@
-"""Progress of what takes long, by tqdm."""
+"""Progress bar, by tqdm."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["Progress"]
 
 
 class Progress:
-    """How far something is, with a line of text and the time left, on standard error; a context manager.
+    """Shows the fraction done, a line of text and the time left on standard error; a context manager.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""``dqwalk pushes``: the largest impulse the robot survives in each direction, standing and walking."""
+"""``dqwalk pushes``: finds the largest impulse the robot survives in each direction, standing and walking."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _LABELS = {
 
 @command("""
 writes to the folder of --out:
-  limits.jsonl            a line per finished direction; a run that was stopped goes on from here
+  limits.jsonl            a line per finished direction; an interrupted run continues from here
   pushes.csv, .txt, .png
 
 examples:
@@ -46,7 +46,7 @@ examples:
     type=click.FloatRange(0.0, 0.95),
     default=0.5,
     show_default=True,
-    help="Of a step, after which the push begins.",
+    help="Fraction of a step after which the push begins.",
 )
 @click.option(
     "--directions", metavar="N", type=click.IntRange(1, 360), default=8, show_default=True, help="Evenly spread."
@@ -57,14 +57,14 @@ examples:
     type=click.FloatRange(0.0, min_open=True),
     default=0.1,
     show_default=True,
-    help="Of each push [s].",
+    help="Duration of each push [s].",
 )
 @click.option(
     "--tolerance",
     metavar="NS",
     type=click.FloatRange(0.0, min_open=True),
     show_default="0.36 % of M sqrt(g h)",
-    help="Of each impulse [N s].",
+    help="Accuracy of each impulse [N s].",
 )
 @many_options("pushes")
 @set_option
@@ -81,7 +81,7 @@ def pushes(
     """Find the largest push the robot survives.
 
     Pushes the pelvis of a walking robot in physics, in eight directions, standing on both feet and in the middle of a
-    step on either foot, harder and harder until it falls, and prints the largest impulse survived.
+    step on either foot, finds by bisection the impulse at which it falls, and prints the largest impulse survived.
     Needs dqwalk_ros[sim].
     """
     from dqwalk_ros.cli.results import write_csv
@@ -92,7 +92,7 @@ def pushes(
 
     made = config_of(config, changes)
     if made.gait.style == "paper":
-        raise ConfigError(f"pushes need a walk that stands; gait.style of '{config}' is {made.gait.style}")
+        raise ConfigError(f"pushes need a standing or a dynamic walk; gait.style of '{config}' is {made.gait.style}")
     out, moments = many.folder, study.MOMENTS if moment == "all" else (moment,)
     with many.options("directions") as options:
         found = study.limits(
@@ -100,7 +100,7 @@ def pushes(
         )
     total = len(moments) * directions
     if len(found) < total:
-        raise StudyError(f"interrupted; {len(found)} of {total} directions are kept, the same command goes on")
+        raise StudyError(f"interrupted; {len(found)} of {total} directions are saved, the same command continues")
     write_csv(
         out / "pushes.csv",
         ["moment", "direction_deg", "survived_Ns", "failed_Ns", "reason"],
@@ -123,7 +123,7 @@ def table(found: Sequence[Limit], duration: float, scale: float) -> str:
     ----------
     found : sequence of Limit
     duration : float
-        Of the pushes [s].
+        Duration of the pushes [s].
     scale : float
         M sqrt(g h) of the robot [N s].
     """

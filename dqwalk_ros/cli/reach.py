@@ -1,4 +1,4 @@
-"""``dqwalk reach``: the tests of the whole-body paper, evaluated and drawn, and how hard a push may be."""
+"""``dqwalk reach``: the tests of the whole-body paper, evaluated and drawn, and the largest push survived."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ __all__ = ["reach"]
 
 @dataclass(frozen=True)
 class _Options:
-    """What was asked for, beside the configuration and the output."""
+    """The options of `reach`, except configuration and output."""
 
     test: str
     when: float
@@ -47,16 +47,16 @@ class _Options:
 
 @command("""
 writes to the folder of --out:
-  bag/, or bag_1/ and bag_2/   the walks as rosbag2 (MCAP), as the nodes' recorder makes them: `dqwalk report`
+  bag/, or bag_1/ and bag_2/   the walks as rosbag2 (MCAP), as written by the recorder node: `dqwalk report`
   figure2 3 4 5                solving time, the walk from above, reactions to target and pushes
-  pushes                       --pushes: the hardest push that is survived, all around
+  pushes                       --pushes: the largest push survived in each direction
   report.json                  every figure of the tables
 
 examples:
   dqwalk reach                                             both tests of the paper
-  dqwalk reach --pushes --plant both                       the hardest push survived, in MuJoCo and on rigid ground
+  dqwalk reach --pushes --plant both                       the largest push survived, in MuJoCo and on rigid ground
   dqwalk reach --test 1 --target 0.8,-0.3,0.9              a target of your own
-  dqwalk reach --test 1 --push 2.5,0,20,0                  hit it harder: 20 N s to the left at 2.5 s
+  dqwalk reach --test 1 --push 2.5,0,20,0                  another push: 20 N s to the left at 2.5 s
   dqwalk reach --test 1 --set whole_body.capturability=false --duration 3     it falls
   dqwalk report reach/bag_1 --html                         look at the walk: replay in 3D, figures, table
 """)
@@ -64,40 +64,40 @@ examples:
 @click.option(
     "--test", type=click.Choice(["1", "2", "both"]), default="both", show_default=True, help="Test of the paper."
 )
-@click.option("--pushes", is_flag=True, help="The hardest push survived, in eight directions.")
+@click.option("--pushes", is_flag=True, help="Find the largest push survived, in eight directions.")
 @click.option("--when", metavar="S", type=float, default=2.5, show_default=True, help="--pushes: time of the push.")
-@click.option("--exact", metavar="R", type=float, default=1.0, show_default=True, help="--pushes: resolution [N s].")
+@click.option("--exact", metavar="R", type=float, default=1.0, show_default=True, help="--pushes: accuracy [N s].")
 @jobs_option
 @click.option(
     "--plant",
     type=click.Choice(["rigid", "physics", "both"]),
     default="rigid",
     show_default=True,
-    help="physics: MuJoCo, by torques.",
+    help="physics: MuJoCo, torque-controlled.",
 )
-@click.option("--paper-times", is_flag=True, help="The target jumps at 4 and 8 s, not as in the thesis.")
+@click.option("--paper-times", is_flag=True, help="The target jumps at 4 and 8 s (paper), not as in the thesis.")
 @click.option(
     "--target", metavar="X,Y,Z", callback=numbers(3), help="One target of the hand instead of the test's [m]."
 )
 @click.option("--push", metavar="T,X,Y,Z", callback=numbers(4), multiple=True, help="Another push [s, N s].")
-@click.option("--duration", metavar="S", type=float, help="Instead of the test's 14 s.")
+@click.option("--duration", metavar="S", type=float, help="Duration instead of the test's 14 s.")
 @set_option
 @output_options("reach")
 def reach(config: str, pushes: bool, changes: tuple[str, ...], output: Output, **options: object) -> int:
-    """Reach for a target with the whole body, and get pushed.
+    """Reach for a target with the whole body, under pushes.
 
-    A robot of HRP-2's size reaches for a target with its right hand and walks there by itself; no footsteps are
-    planned beforehand. Test 1 moves the target in mid-swing, Test 2 also pushes the torso, 15 N s twice. Needs
+    A robot of HRP-2's size reaches for a target with its right hand and walks there without footsteps planned in
+    advance. Test 1 moves the target in mid-swing, Test 2 also pushes the torso, 15 N s twice. Needs
     pinocchio: pip install pin
 
-    Exit code 1 where a demand of its table is not met.
+    Exit code 1 if a requirement of its table is not met.
 
-    Times are CPU time of this process; OPENBLAS_NUM_THREADS=1 keeps it from using threads that do not help here.
+    Times are CPU time of this process; set OPENBLAS_NUM_THREADS=1, because more threads are not faster here.
     """
     asked = _Options(**options)  # type: ignore[arg-type]
     made, out = config_of(config, changes), output.folder
     if asked.plant == "both" and not pushes:
-        raise ConfigError("--plant both goes with --pushes")
+        raise ConfigError("--plant both requires --pushes")
     if (out / "report.json").exists() and not output.force:
         raise BagError(f"'{out}' has a report already; choose another folder with --out, or replace it with --force")
     out.mkdir(parents=True, exist_ok=True)
@@ -107,7 +107,7 @@ def reach(config: str, pushes: bool, changes: tuple[str, ...], output: Output, *
 
 
 def _scenarios(args: _Options, config: Config) -> list[Scenario]:
-    """Return the tests that were asked for, fitted to the robot and changed as was asked for."""
+    """Return the selected tests, fitted to the robot and modified by the options."""
     from dqwalk_ros.robot import load_model
     from dqwalk_ros.whole_body import PAPER_TIMES, SCENARIOS, WholeBodyController
     from dqwalk_ros.whole_body.scenario import fitted
@@ -128,8 +128,8 @@ def _scenarios(args: _Options, config: Config) -> list[Scenario]:
 
 
 def _tests(args: _Options, output: Output, config: Config, scenarios: Sequence[Scenario], out: Path) -> int:
-    """Walk, one after the other."""
-    from dqwalk_ros.cli.body import leave
+    """Run the scenarios one after the other and write the results; return the exit code."""
+    from dqwalk_ros.cli.body import write_results
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.whole_body.demands import checks, render_checks, summary
     from dqwalk_ros.whole_body.experiments import Walk, walk
@@ -142,7 +142,7 @@ def _tests(args: _Options, output: Output, config: Config, scenarios: Sequence[S
     for scenario in scenarios:
         walked = make(scenario)
         without = []
-        for k, (when, _) in enumerate(scenario.pushes):  # what would have happened: only as far as it matters
+        for k, (when, _) in enumerate(scenario.pushes):  # the walk without this push, as far as needed for comparison
             others = (*scenario.pushes[:k], *scenario.pushes[k + 1 :])
             end = min(scenario.duration, when + 2.0 * config.whole_body.single_support)
             name = f"{scenario.name} without push {k + 1}"
@@ -152,13 +152,13 @@ def _tests(args: _Options, output: Output, config: Config, scenarios: Sequence[S
         reports.append(summary(walked, found))
         if not output.quiet:
             print(render_checks(walked, found) + "\n")
-    leave(output, out, reports, walks, _bags(output, walks, out))
+    write_results(output, out, reports, walks, _bags(output, walks, out))
     return 0 if all(report["ok"] for report in reports) else 1
 
 
 def _pushes(args: _Options, output: Output, config: Config, out: Path) -> int:
-    """Look for the hardest push in every direction."""
-    from dqwalk_ros.cli.body import leave
+    """Find the largest push survived in every direction and write the results; return the exit code."""
+    from dqwalk_ros.cli.body import write_results
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.report.figures.studies import pushes_figure
     from dqwalk_ros.report.figures.style import drawing
@@ -181,12 +181,12 @@ def _pushes(args: _Options, output: Output, config: Config, out: Path) -> int:
         )
     by_plant = {plant: [one for one in found if one.moment == plant] for plant in plants}
     if len(found) < len(plants) * len(torso_pushes.DIRECTIONS):
-        raise StudyError(f"interrupted; {len(found)} directions are kept, the same command goes on")
+        raise StudyError(f"interrupted; {len(found)} directions are saved, the same command continues")
     swing = Stepping.of(config.whole_body, Foot(config.gait.first_support)).swing(args.when)
-    stands = "both feet stand" if swing is None else f"the {swing.foot.other.value} foot stands"
-    title = f"hit at {args.when:g} s, walking in place, {stands}"
+    stands = "on both feet" if swing is None else f"on the {swing.foot.other.value} foot"
+    title = f"pushed at {args.when:g} s, walking in place, {stands}"
     if not output.quiet:
-        print(f"largest push survived, smallest that was not [N s]; {title}")
+        print(f"largest push survived, smallest not survived [N s]; {title}")
         limits_of = {name: [by_plant[plant][k] for plant in plants] for k, name in enumerate(torso_pushes.DIRECTIONS)}
         table = [
             [name, *(f"{limit.survived:g}, {limit.failed or math.inf:g}" for limit in limits)]
@@ -204,7 +204,7 @@ def _pushes(args: _Options, output: Output, config: Config, out: Path) -> int:
     with drawing():
         for file in files:
             pushes_figure(by_plant, f"Largest push survived [N s]\n{title}").savefig(file)
-    leave(output, out, rows, [], files)
+    write_results(output, out, rows, [], files)
     return 0
 
 

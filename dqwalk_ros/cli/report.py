@@ -1,4 +1,4 @@
-"""``dqwalk report``: evaluate and draw a recorded walk."""
+"""``dqwalk report``: evaluates and draws a recorded walk."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ examples:
   dqwalk report rosbag2_2025_01_31/ --namespace poppy_1
 """)
 @click.argument("bag", type=click.Path(path_type=Path))
-@click.option("--namespace", metavar="NAME", help="Namespace of the robot, where the bag holds several.")
+@click.option("--namespace", metavar="NAME", help="Namespace of the robot, if the bag contains several.")
 @click.option("--html", is_flag=True, help="Also write one offline page: replay, figures, tables.")
 @click.option(
     "--compare", metavar="BAG", type=click.Path(path_type=Path), help="Another walk, side by side on that page."
@@ -40,7 +40,7 @@ def report(
     """Evaluate and draw a recorded walk.
 
     BAG is the folder of a rosbag2, or one .mcap or .db3 file: split or compressed, recorded by `dqwalk` or by
-    `ros2 bag record`, or cut off by a crash; then the report says what is missing. All distances are computed anew
+    `ros2 bag record`, or truncated by a crash; the report then lists what is missing. All distances are recomputed
     from joint_states and the phases.
     """
     from dqwalk_ros.cli.results import write_results
@@ -100,7 +100,7 @@ def _html(
 
 
 def _name(path: Path) -> str:
-    """Return what to call a bag: its folder, with the parent folder where the name alone says nothing."""
+    """Return the title of a bag: its folder, with the parent folder if its name is a default one."""
     path = path.resolve()
     return f"{path.parent.name}/{path.name}" if path.name in ("bag", "bag_1", "bag_2", "walk") else path.name
 

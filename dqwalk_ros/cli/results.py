@@ -1,4 +1,4 @@
-"""What `simulate`, `walk` and `report` write: the report, the figures, and a line about each."""
+"""Writes the results of `simulate`, `walk` and `report`: report, figures, tables."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ __all__ = ["prepare", "write_csv", "write_results"]
 
 
 def prepare(output: Output) -> None:
-    """Make the folder for a walk's results.
+    """Create the folder for a walk's results.
 
     Raises
     ------
     BagError
-        If it cannot be made, or holds an earlier walk that must not be replaced.
+        If it cannot be created, or contains an earlier walk and --force is not given.
     """
     bag = output.folder / "bag"
     if bag.exists() and not output.force:
         raise BagError(f"'{bag}' exists; choose another folder with --out, or replace it with --force")
     if bag.exists() and not any(bag.glob("*.mcap")) and not any(bag.glob("*.db3")):
-        raise BagError(f"'{bag}' is not a bag and will not be replaced; choose another folder with --out")
+        raise BagError(f"'{bag}' is not a bag and is not replaced; choose another folder with --out")
     try:
         if bag.exists():
             shutil.rmtree(bag)
         output.folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise BagError(f"cannot make the folder '{output.folder}': {error}") from error
+        raise BagError(f"cannot create the folder '{output.folder}': {error}") from error
 
 
 def write_csv(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Write a table, a line per row."""
+    """Write a table as CSV, a line per row."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(head)
@@ -52,7 +52,7 @@ def write_csv(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]]) ->
 def write_results(
     trace: Trace, out: Path, output: Output, *, as_json: bool = False, series: Series | None = None
 ) -> dict[str, Any]:
-    """Analyse a walk, unless its `series` are known, write ``report.json`` and the figures, and print the tables.
+    """Analyse a walk, unless its `series` are given, write ``report.json`` and the figures, and print the tables.
 
     Returns
     -------

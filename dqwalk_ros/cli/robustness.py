@@ -1,4 +1,4 @@
-"""``dqwalk robustness``: the same walk in physics on robots and floors that differ."""
+"""``dqwalk robustness``: simulates the same walk in physics for different robots and floors."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ _NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
 
 @command("""
 writes to the folder of --out:
-  cells.jsonl             a line per finished cell; a run that was stopped or killed goes on from here
-  robustness.csv, .txt    all cells in order, and the table that is printed
-  robustness.png          the matrix: what stood, and after how many steps the rest fell
+  cells.jsonl             a line per finished cell; an interrupted run continues from here
+  robustness.csv, .txt    all cells in order, and the printed table
+  robustness.png          the matrix: which cells stood, and after how many steps the others fell
 
 examples:
   dqwalk robustness --jobs 4 --set qp.solver=daqp          daqp gives the same answers in less time
   dqwalk robustness --sample 40
   dqwalk robustness --axis servo.stiffness=60 --axis servo.latency=0,0.06 --steps 4
-  dqwalk robustness --axis latency_error=-0.02,0.02 --sample 72      the controller is told a wrong latency
+  dqwalk robustness --axis latency_error=-0.02,0.02 --sample 72      the controller assumes a wrong latency
   dqwalk robustness --plant poppy_as_built --steps 20                40 walks: two P gains, 20 seeds of the sensors
 """)
 @config_option("poppy")
@@ -45,7 +45,7 @@ examples:
     help="MuJoCo with ideal sensors, or Poppy as it is built.",
 )
 @click.option("--steps", metavar="N", type=int, default=10, show_default=True, help="Steps of each walk.")
-@click.option("--axis", metavar="KEY=A,B", multiple=True, help="Vary this parameter over these values instead.")
+@click.option("--axis", metavar="KEY=A,B", multiple=True, help="Vary a parameter over these values.")
 @click.option("--sample", metavar="N", type=int, default=0, show_default="all", help="Walk N random combinations.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of --sample.")
 @many_options("robustness")
@@ -62,7 +62,7 @@ def robustness(
     params: tuple[Path, ...],
     changes: tuple[str, ...],
 ) -> int:
-    """Walk in physics on robots and floors that differ.
+    """Walk in physics with different robots and floors.
 
     Walks every combination of friction, mass, servo stiffness, backlash, output rate and latency (432 of them) and
     prints the fraction that stood and why the others did not. Needs dqwalk_ros[sim].
@@ -80,7 +80,7 @@ def robustness(
             axes[name] = tuple(float(value) for value in values.split(","))
         except ValueError:
             raise ConfigError(f"--axis needs KEY=NUMBER,NUMBER..., not {text!r}") from None
-    for name, numbers in axes.items():  # what cannot be walked is refused now
+    for name, numbers in axes.items():  # invalid values are rejected before the first walk
         for number in numbers if name != study.LATENCY_ERROR else ():
             made.updated({name: number}, source="--axis")
     combinations, out = study.cells(axes, sample, seed), many.folder
@@ -103,14 +103,14 @@ def robustness(
 
 
 def table(done: Sequence[Cell], axes: dict[str, tuple[float, ...]]) -> str:
-    """Return the fraction that stood, in all and for each value, and what failed."""
+    """Return the fraction that stood, in total and for each value, and the failures."""
     stood = sum(cell.stood for cell in done)
     total = math.prod(map(len, axes.values()))
     lines = [f"{stood} of {len(done)} cells stood ({len(done)} of the {total} combinations were walked)"]
     tilts = [math.degrees(cell.tilt) for cell in done if cell.stood and cell.tilt is not None]
     if tilts:
         lines.append(
-            f"the sole that carries leaned by {statistics.median(tilts):.2f} degrees (median of those that stood)"
+            f"largest tilt of the loaded sole: {statistics.median(tilts):.2f} degrees (median of those that stood)"
         )
     lines.append("")
     for name, values in axes.items():

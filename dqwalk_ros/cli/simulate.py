@@ -1,4 +1,4 @@
-"""``dqwalk simulate``: walk in this process, write the bag, evaluate and draw."""
+"""``dqwalk simulate``: walks in this process, writes the bag, evaluates and draws."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ writes to the folder of --out:
   report.json          every phase, distance, margin and violation
   figure7 8 9, top_view
 
-Ctrl-C stops the walk and keeps what was walked.
+Ctrl-C stops the walk and saves it up to there.
 
 examples:
   dqwalk simulate                                          the paper's walk, one cycle
   dqwalk simulate --cycles 3 --first right --out walk
   dqwalk simulate --set gait.step_length=0.03 --set dsp.flat_feet=false
   dqwalk simulate --config my_robot.yaml --format png,pdf
-  dqwalk simulate --view                                   look at it while it is computed
-  dqwalk simulate --config poppy --plant physics           the walk that stands, in MuJoCo (dqwalk_ros[sim])
-  dqwalk simulate --config poppy --plant physics --cmd-vel 0.015,0,0,20 --cmd-vel=-0.01,0,0,20    on, and back
+  dqwalk simulate --view                                   show it in the browser while it is computed
+  dqwalk simulate --config poppy --plant physics           the standing walk, in MuJoCo (dqwalk_ros[sim])
+  dqwalk simulate --config poppy --plant physics --cmd-vel 0.015,0,0,20 --cmd-vel=-0.01,0,0,20    forward, then back
 """)
 @walk_options
 @click.option(
@@ -105,7 +105,7 @@ def simulate(
 
 
 def _page(config: Config, port: int | None) -> Feed:
-    """Return a page in a process of its own."""
+    """Return a page in its own process."""
     if importlib.util.find_spec("viser") is None:
         raise ViewerError("--view needs viser: pip install 'dqwalk_ros[view]'")
     from dqwalk_ros.report.viewer.player import Feed
@@ -116,13 +116,13 @@ def _page(config: Config, port: int | None) -> Feed:
 
 
 class _Pilot:
-    """Steers along a course, then stops."""
+    """Steers the walk along a course, then stops it."""
 
     def __init__(self, controller: VelocityController, course: Course) -> None:
         self._controller, self._course, self._time = controller, course, 0.0
 
     def fraction(self) -> float:
-        """Return how much of the course is done."""
+        """Return the fraction of the course that is done."""
         return min(1.0, self._time / self._course.duration)
 
     def __call__(self, time: float) -> None:
@@ -135,7 +135,7 @@ class _Pilot:
 
 
 class _Fraction:
-    """How much of a walk is done: by phases, and within single support by the decay of its error."""
+    """Fraction of a walk that is done: by phases, and within single support by the decay of the error."""
 
     def __init__(self, controller: VelocityController) -> None:
         self._controller = controller

@@ -1,4 +1,4 @@
-"""``dqwalk study``: many walks with parameters varied."""
+"""``dqwalk study``: simulates many walks with varied parameters."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ __all__ = ["study"]
 @command("""
 a study is a file such as
   config: paper                     # a name or a path, as of --config
-  set: {gait.cycles: 1}             # the same in every walk
+  set: {gait.cycles: 1}             # parameters of every walk
   sample: grid                      # or latin_hypercube, sobol, with `count: 64` and `seed: 0`
   vary:
     gait.step_length: {from: 0.02, to: 0.12, steps: 6}
     dsp.flat_feet: [true, false]    # a list of values
-    start.l_knee_y: [0.0, 0.2]      # first angle of a joint [rad]
-    mass.pelvis: [1.0, 1.5]         # factor on the mass of the body that carries a link
+    start.l_knee_y: [0.0, 0.2]      # initial angle of a joint [rad]
+    mass.pelvis: [1.0, 1.5]         # factor on the mass of the body to which a link is attached
     disturbance.velocity: [0.0, 0.01]   # standard deviation, every joint, every tick [rad/s]
 
 writes to the folder of --out:
-  walks.jsonl      a line per finished walk; a study that was stopped or killed goes on from here
+  walks.jsonl      a line per finished walk; an interrupted study continues from here
   walks.parquet    all walks in order: parameters, finished, end, duration, error, margins (pandas.read_parquet)
   study.png        which walks finished, and their margins
 
@@ -38,17 +38,17 @@ needs: pip install 'dqwalk_ros[study]'
 
 examples:
   dqwalk study studies/step_length.yaml --jobs 2
-  dqwalk study mine.yaml --dry-run                         is it usable, how many walks
+  dqwalk study mine.yaml --dry-run                         check it, print the number of walks
   dqwalk study mine.yaml --scheduler tcp://127.0.0.1:8786
 """)
 @click.argument("path", metavar="STUDY.yaml", type=click.Path(path_type=Path))
 @many_options(None, shown="STUDY_study")
-@click.option("--dry-run", is_flag=True, help="Check the study and say how many walks it has.")
+@click.option("--dry-run", is_flag=True, help="Check the study and print the number of its walks.")
 @format_option
 def study(path: Path, many: Many, dry_run: bool, formats: tuple[str, ...]) -> int:
-    """Walk many times with parameters varied.
+    """Simulate many walks with varied parameters.
 
-    The exit code is 0 when all walks are there, however they ended.
+    The exit code is 0 when all walks were simulated, whether or not they finished.
     """
     from dqwalk_ros import studies
 
@@ -62,7 +62,7 @@ def study(path: Path, many: Many, dry_run: bool, formats: tuple[str, ...]) -> in
     with many.options("walks", lambda last: f"; the last one {'finished' if last.finished else 'failed'}") as options:
         rows = studies.walk_all(plan, folder, **options)
     if len(rows) < len(points):
-        raise StudyError(f"interrupted; {len(rows)} of {len(points)} walks are kept, the same command goes on")
+        raise StudyError(f"interrupted; {len(rows)} of {len(points)} walks are saved, the same command continues")
     found = list(rows.values())
     figures = _draw(plan, found, folder, formats)
     if not many.quiet:
@@ -91,8 +91,8 @@ def _summary(study: Study, rows: list[dict[str, Any]]) -> str:
     if finished:
         best = max(finished, key=lambda row: row["margin/paper"])
         at = ", ".join(f"{name} = {best[name]}" for name in study.vary)
-        lines.append(f"  largest least margin to the paper's planes: {1e3 * best['margin/paper']:.2f} mm at {at}")
-    # the same failure at other numbers is the same failure
+        lines.append(f"  best smallest margin to the paper's planes: {1e3 * best['margin/paper']:.2f} mm at {at}")
+    # failures that differ in numbers only are counted together
     ends = Counter(row["end"].partition(" at an error")[0].partition(":")[0] for row in rows if not row["finished"])
     lines += [f"  {count:4d} x {end}" for end, count in ends.most_common(6)]
     return "\n".join(lines)

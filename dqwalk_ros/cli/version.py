@@ -1,4 +1,4 @@
-"""``dqwalk version``: what is installed, for bug reports."""
+"""``dqwalk version``: prints the installed versions, for bug reports."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["version"]
 
 @command("")
 def version() -> int:
-    """Show the versions of this package and of what it uses."""
+    """Show the versions of this package and its dependencies."""
     from dqwalk_ros import provenance
 
     for name, value in provenance.machine().items():

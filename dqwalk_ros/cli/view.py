@@ -1,4 +1,4 @@
-"""``dqwalk view``: look at a recorded walk in the browser."""
+"""``dqwalk view``: shows a recorded walk in the browser."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ examples:
   dqwalk_viewer                                            a walk on ROS 2, live (or: ros2 run dqwalk_ros viewer)
 """)
 @click.argument("bag", type=click.Path(path_type=Path))
-@click.option("--namespace", metavar="NAME", help="Namespace of the robot, where the bag holds several.")
+@click.option("--namespace", metavar="NAME", help="Namespace of the robot, if the bag contains several.")
 @click.option("--port", type=int, help="Port of the page; 0: any.  [default: 8080, or the next free one]")
 @click.option("--open", "open_browser", is_flag=True, help="Open the page in the browser of this machine.")
 @click.option("--play", is_flag=True, help="Start playing at once.")
 def view(bag: Path, namespace: str | None, port: int | None, open_browser: bool, play: bool) -> int:
-    """Look at a recorded walk in the browser.
+    """Show a recorded walk in the browser.
 
     Serves a page on 127.0.0.1 until Ctrl-C: the robot, its soles and support polygon, the planes and cylinders of the
-    current phase, the centre of mass and its path, and every margin over time, the tightest one marked. BAG may be
-    any that `dqwalk report` reads. On another machine, forward the port: ssh -L 8080:127.0.0.1:8080 HOST.
+    current phase, the centre of mass and its path, and every margin over time, the smallest one marked. BAG may be
+    any bag that `dqwalk report` reads. On another machine, forward the port: ssh -L 8080:127.0.0.1:8080 HOST.
     """
     from dqwalk_ros.report import bag as bags
 
@@ -44,7 +44,7 @@ def view(bag: Path, namespace: str | None, port: int | None, open_browser: bool,
 
     page = Page(port)
     try:
-        print(f"{page.url}  (Ctrl-C ends it)", flush=True)
+        print(f"{page.url}  (stop with Ctrl-C)", flush=True)
         print(f"reading {bag}", file=sys.stderr)
         page.say(f"reading {bag}")
         if open_browser:

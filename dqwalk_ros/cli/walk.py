@@ -1,4 +1,4 @@
-"""``dqwalk walk``: walk through ROS 2, record, evaluate and draw."""
+"""``dqwalk walk``: walks through ROS 2, records, evaluates and draws."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["walk"]
 examples:
   dqwalk walk --out walk
   dqwalk walk --cycles 2 --set ssp.com_radius=0.045
-  dqwalk walk --realtime                                   at 1/dt by the clock instead
+  dqwalk walk --realtime                                   in real time, at 1/dt
   dqwalk walk --config poppy --plant physics --set gait.steps=20        20 steps in MuJoCo
   dqwalk walk --config poppy --plant physics --cmd-vel 0.015,0,0.03,30  steered by the node pilot on cmd_vel
 """)
@@ -27,9 +27,9 @@ examples:
     type=click.Choice(["integrator", "physics", "poppy_as_built", "poppy"]),
     default="integrator",
     show_default=True,
-    help="Ideal joints, MuJoCo, or the real robot (by the clock).",
+    help="Ideal joints, MuJoCo, or the real robot (in real time).",
 )
-@click.option("--realtime", is_flag=True, help="Run by the clock, at 1/dt, instead of in lockstep.")
+@click.option("--realtime", is_flag=True, help="Run in real time, at 1/dt, instead of in lockstep.")
 @output_options("walk")
 def walk(
     config: str,
@@ -45,7 +45,7 @@ def walk(
     """Walk through ROS 2: four nodes, in lockstep.
 
     Starts controller, plant, phase_monitor and recorder in lockstep (each state waits for its command, so the walk is
-    exact and as fast as the machine), records a bag, and reports on it.
+    reproducible and as fast as the machine allows), records a bag, and evaluates it.
     """
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import prepare, write_results
@@ -61,7 +61,7 @@ def walk(
             output.folder / "bag",
             plant=plant,
             course=course,
-            lockstep=not realtime and plant != "poppy",  # a robot does not wait
+            lockstep=not realtime and plant != "poppy",  # a real robot does not wait for commands
             progress=progress,
         )
     if not output.quiet or not outcome.finished:

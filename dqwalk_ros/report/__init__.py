@@ -1,6 +1,6 @@
-"""What a recorded walk was worth: series, report, figures.
+"""Evaluation of recorded walks: time series, report, figures.
 
-`analyse` recomputes every distance from the joint angles, `report` judges them, `save` draws them.
+`analyse` recomputes every distance from the joint angles, `report` checks them against the rules, `save` draws them.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Series", "Violation", "analyse", "render", "report", "save"]
 
-_HOME = {
+_MODULES = {
     "Series": "metrics",
     "Violation": "verdict",
     "analyse": "metrics",
@@ -27,6 +27,6 @@ _HOME = {
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+    return getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)

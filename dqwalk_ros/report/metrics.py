@@ -1,7 +1,7 @@
-"""What is computed from a walk: every distance at every tick, from the joint angles and the phases alone.
+"""Time series of a walk: every distance at every tick, computed from the joint angles and the phases alone.
 
-Nothing the controller said about itself is used: the phases are rebuilt from where they began, and evaluated again at
-the recorded angles. A bag is judged in the same way whatever recorded it.
+The controller's own values are not used: each phase is rebuilt from its start and evaluated at the recorded angles.
+A bag is evaluated in the same way, whichever program recorded it.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ __all__ = [
 Array = NDArray[np.float64]
 
 FALLEN = 0.6
-"""A robot whose pelvis is below this part of its first height has fallen."""
+"""Height of the pelvis, relative to its first height, below which the robot has fallen."""
 TIPPED = np.radians(20.0)
-"""And so has one whose soles lean by this, the one that carries [rad]."""
+"""Tilt of the more loaded sole above which the robot has fallen [rad]."""
 _TOUCH = 1e-4
-"""Contacts are soft: the centre of pressure counts as inside up to here beyond an edge [m]."""
+"""Distance beyond an edge up to which the centre of pressure counts as inside, because contacts are soft [m]."""
 _TURNED = np.radians(60.0)
-"""From this turn on a way is taken for an arc."""
+"""Turn above which a circle is fitted to the path [rad]."""
 
 
 # ---------------------------------------------------------------------- one state
 
 
 def left_of(constraint: Constraint, d: float) -> float:
-    """Return a distance in its plain unit: that to a cylinder is r^2 - d^2 [m^2], of which r - d [m] is returned."""
+    """Return a distance in [m] or [rad]; the distance to a cylinder, r^2 - d^2 [m^2], is converted to r - d [m]."""
     if isinstance(constraint, PointInCylinder):
         r = constraint.cylinder.radius
         return r - float(np.sqrt(max(0.0, r * r - d)))
@@ -64,15 +64,15 @@ def support_polygon(model: RobotModel, phase: Phase, kin: Kinematics) -> ConvexP
 # ---------------------------------------------------------------------- many states
 
 _BLOCK = 2000
-"""Hulls at a time; one takes some kilobytes."""
+"""Number of hulls computed at a time; one takes some kilobytes."""
 _TINY = 1e-12
 
 
 def hull_margin(points: Array, p: Array) -> Array:
-    """Signed distance of many points, each to the convex hull of its own points, positive inside.
+    """Return the signed distance of each point p[i] to the convex hull of points[i], positive inside.
 
-    What `geometry.ConvexPolygon.hull(points[i]).distance(p[i])` gives, for all at once: a segment between two of the
-    points is an edge of the hull where all others are to its left.
+    Equal to `geometry.ConvexPolygon.hull(points[i]).distance(p[i])`, for all i at once: a segment between two points is
+    an edge of the hull if all other points are to its left.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def hull_margin(points: Array, p: Array) -> Array:
 
 
 def pelvis_in_odom(trace: Trace) -> Array:
-    """Return the pose of the pelvis in odom at every tick, as the legs' odometry has it, shape (N, 8)."""
+    """Return the pose of the pelvis in odom at every tick, by leg odometry, shape (N, 8)."""
     out = np.tile(DQ(1.0).vec8(), (len(trace), 1))
     ends = [record.start for record in trace.phases[1:]] + [len(trace)]
     for record, end in zip(trace.phases, ends, strict=True):
@@ -114,27 +114,27 @@ def pelvis_in_odom(trace: Trace) -> Array:
 
 
 def urdf_soles(trace: Trace) -> Mapping[Foot, Sole] | None:
-    """Return the soles as the collision boxes of the URDF have them; None where ours agree."""
+    """Return the soles given by the collision boxes of the URDF; None if the configuration's soles are the same."""
     robot = dataclasses.replace(trace.config.robot, sole_length=0.0, sole_width=0.0, sole_center="link")
     try:
         soles = parse_model(trace.model.urdf, robot).soles
     except ModelError:
         return None
-    mine = trace.model.soles
-    same = all(np.allclose(soles[foot].corners, mine[foot].corners, atol=1e-6) for foot in Foot)
+    configured = trace.model.soles
+    same = all(np.allclose(soles[foot].corners, configured[foot].corners, atol=1e-6) for foot in Foot)
     return None if same else soles
 
 
 @dataclass(frozen=True)
 class Ending:
-    """A phase at the state that ended it, which is the first state of the next one.
+    """Quantities at the end of a phase, which is the first state of the next phase.
 
     Attributes
     ----------
     error : float
         Norm of the task error, as in `Series.error`.
     com_to_axis : float
-        Horizontal distance of the CoM from the centre of the foot that carries the weight from here on [m].
+        Horizontal distance of the CoM from the centre of the next support foot [m].
     end : ndarray, shape (8,)
         Pose of the other sole in the base sole's frame.
     """
@@ -158,13 +158,13 @@ class Span:
     Attributes
     ----------
     record : PhaseRecord
-        How it was recorded.
+        The recorded start of the phase.
     phase : Phase
-        The phase itself, rebuilt.
+        The rebuilt phase.
     start, end : int
         Its ticks, ``start <= tick < end``.
     ending : Ending or None
-        None where the walk stopped before the phase did.
+        None if the walk stopped before the end of the phase.
     """
 
     record: PhaseRecord
@@ -186,7 +186,7 @@ class Span:
 
 @dataclass(frozen=True)
 class Series:
-    """Time series of a walk, one value per tick (N of them); nan where a quantity has no meaning.
+    """Time series of a walk, one value per tick (N of them); nan where a quantity is not defined.
 
     Attributes
     ----------
@@ -195,15 +195,16 @@ class Series:
     error : ndarray, shape (N,)
         Norm of the task error: [m] in double support, of vec8 in single support.
     distances : dict of str to ndarray, shape (N,)
-        Every inequality, its distance minus its bound: at or above zero where it is kept.
+        Distance of each inequality minus its bound: not negative while the inequality holds.
     residuals : dict of str to ndarray, shape (N,)
-        Every equality: zero where it is kept.
+        Residual of each equality: zero while it holds.
     com, pelvis : ndarray, shape (N, 3)
         Centre of mass (U4) and pelvis in the base sole's frame [m].
     end : ndarray, shape (N, 8)
         Pose of the other sole in the base sole's frame.
     com_on_ground : ndarray, shape (N, 2)
-        Where the vertical through the CoM meets the base sole's plane [m]; an inertial sensor tells which way is up.
+        Intersection of the vertical through the CoM with the base sole's plane [m]; with an inertial sensor, the
+        vertical is the measured one.
     """
 
     trace: Trace
@@ -222,7 +223,7 @@ class Series:
         return self.trace.time
 
     def distance(self, name: str) -> Array:
-        """Return an inequality's distance less its bound, shape (N,); all nan where no phase of the walk has it."""
+        """Return an inequality's distance minus its bound, shape (N,); all nan if no phase of the walk contains it."""
         return self.distances.get(name, np.full(len(self.time), np.nan))
 
     @cached_property
@@ -237,7 +238,7 @@ class Series:
 
     @cached_property
     def slide(self) -> Array:
-        """Distance of the end foot's tip from where it was when double support began [m], that of (U7)."""
+        """Distance of the end foot's tip from its position at the start of double support [m], as in (U7)."""
         tip = self._of_end_foot(lambda sole: sole.tip)[:, :2]
         out = np.full(len(self.time), np.nan)
         for span in self.spans:
@@ -249,7 +250,7 @@ class Series:
 
     @cached_property
     def com_to_axis(self) -> Array:
-        """Horizontal distance of the CoM from the centre of the foot that carries the weight, or will [m]."""
+        """Horizontal distance of the CoM from the centre of the support foot, in double support the next one [m]."""
         center = self._of_end_foot(lambda sole: sole.center)[:, :2]
         for span in self.spans:
             if not span.double:
@@ -266,10 +267,10 @@ class Series:
 
     @cached_property
     def paper_margin(self) -> Array:
-        """How far inside the support region of the paper the CoM is [m].
+        """Distance of the CoM to the boundary of the paper's support region, positive inside [m].
 
-        Double support: the nearer of the tip and the back plane (U9), (U10). Single support: the radius of the cylinder
-        (U14) minus the distance from its axis. A standing walk has neither, and its margin is nan.
+        Double support: the smaller distance to the tip and the back plane (U9), (U10). Single support: the radius of
+        the cylinder (U14) minus the distance from its axis. A standing walk has neither; the margin is then nan.
         """
         if self.trace.config.gait.style != "paper":
             return np.full(len(self.time), np.nan)
@@ -287,13 +288,13 @@ class Series:
 
     @cached_property
     def urdf_margin(self) -> Array | None:
-        """`true_margin` over the soles the URDF has, where the configuration states others; else None."""
+        """`true_margin` for the soles of the URDF, if the configuration has different ones; else None."""
         soles = urdf_soles(self.trace)
         return None if soles is None else self.polygon_margin(self.com_on_ground, soles)
 
     @cached_property
     def ground(self) -> Ground | None:
-        """What the ground says of a walk in physics; None of another."""
+        """True motion and contact of a walk in physics; None without physics."""
         physics = self.trace.physics
         return None if physics is None or not np.isfinite(physics.pelvis).any() else Ground(self, physics)
 
@@ -378,14 +379,14 @@ def analyse(trace: Trace) -> Series:
 
 @dataclass(frozen=True)
 class Circle:
-    """The circle nearest to a way.
+    """The circle of least squares through a path.
 
     Attributes
     ----------
     center : ndarray, shape (2,)
         In the world [m].
     radius, deviation : float
-        And the root of the mean square distance from it [m].
+        Radius, and root mean square distance of the path from the circle [m].
     """
 
     center: Array
@@ -403,11 +404,10 @@ class Circle:
 
 
 class Ground:
-    """What the ground says of a walk in physics: tilt of the soles, centre of pressure, the true way.
+    """True motion and contact of a walk in physics: tilt of the soles, centre of pressure, path.
 
-    Everything is computed from the true pose of the pelvis, the joint angles and the wrenches on the soles; of what the
-    controller believes only the phases are used, which say on which soles the robot means to stand. Series have one
-    value per tick (N of them), in the world.
+    Computed from the true pose of the pelvis, the joint angles and the wrenches on the soles. From the controller only
+    the phases are used, which define the support soles. Series have one value per tick (N of them), in the world.
 
     Attributes
     ----------
@@ -417,20 +417,21 @@ class Ground:
     com : ndarray, shape (N, 3)
         [m]
     tilt : ndarray, shape (N,)
-        Of the sole that carries more [rad].
+        Of the more loaded sole [rad].
     cop_margin : ndarray, shape (N,)
-        How far the centre of pressure is inside the soles that the phase stands on [m]; nan in the air.
+        Distance of the centre of pressure to the edge of the phase's support soles, positive inside [m]; nan in the
+        air.
     height : ndarray, shape (N,)
         Of the pelvis [m].
     stands : ndarray, shape (M, 3)
-        x, y [m] and yaw [rad, without jumps] halfway between the feet, where a double support or stance begins and at
+        x, y [m] and yaw [rad, unwrapped] halfway between the feet, at the start of each double support or stance and at
         the end.
     circle : Circle or None
-        Where the way turned far enough.
+        Fitted if the path turns far enough.
     power : ndarray, shape (N,)
         Of all joints, sum |tau dq| [W]; nan where torques were not recorded.
     work : ndarray, shape (N,)
-        The positive part of each joint's power, summed [W]: what the servos put in, where braking gives nothing back.
+        Sum of the positive part of each joint's power [W]: the power of servos that do not recover braking energy.
     """
 
     def __init__(self, series: Series, physics: PhysicsRecord) -> None:
@@ -464,17 +465,17 @@ class Ground:
 
     @property
     def inside(self) -> float:
-        """Part of the ticks whose centre of pressure is inside; one in the air is not."""
+        """Fraction of the ticks whose centre of pressure is inside; ticks in the air count as outside."""
         return float(np.mean(np.nan_to_num(self.cop_margin, nan=-np.inf) >= -_TOUCH))
 
     @property
     def fallen(self) -> bool:
-        """Whether the robot fell: its pelvis came down, or it tipped over."""
+        """Whether the robot fell: its pelvis is too low, or a loaded sole is tilted too far."""
         low = np.nanmin(self.height) < FALLEN * self.height[np.isfinite(self.height)][0]
         return bool(low or np.nanmax(self.tilt) > TIPPED)
 
     def swing_load(self, series: Series) -> float | None:
-        """Return the part of the weight on the foot that swings, the median of all ticks; None where none swings."""
+        """Return the fraction of the weight on the swing foot, the median of all ticks; None without single support."""
         parts = []
         for span in series.spans:
             if not span.double:
@@ -487,11 +488,11 @@ class Ground:
         return float(np.nanmedian(part)) if np.isfinite(part).any() else None
 
     def drift(self, series: Series) -> float:
-        """Return how far odometry ends from the truth, both seen from the first base sole [m]."""
+        """Return the horizontal error of odometry at the end, relative to the first base sole [m]."""
         first, last = series.spans[0], series.spans[-1]
         true = DQ(self.soles[first.phase.base][0]).conj() * DQ(self.soles[last.phase.base][-1])
-        told = DQ(first.record.x_odom_base).conj() * DQ(last.record.x_odom_base)
-        return float(np.linalg.norm((true.translation() - told.translation())[:2]))
+        estimated = DQ(first.record.x_odom_base).conj() * DQ(last.record.x_odom_base)
+        return float(np.linalg.norm((true.translation() - estimated.translation())[:2]))
 
     def _stands(self, series: Series) -> Array:
         ticks = [span.start for span in series.spans if span.double] + [len(series.time) - 1]

@@ -1,4 +1,4 @@
-"""A walk as a movie and as a strip of pictures."""
+"""Renders a walk as a movie or as a strip of pictures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Image = NDArray[np.uint8]
 
 
 def pelvis_poses(trace: Trace) -> Array:
-    """Return the pelvis in the world at every tick, shape (N, 8): the true one where the physics engine told it."""
+    """Return the pelvis in the world at every tick, shape (N, 8): the true one for walks in physics."""
     return pelvis_in_odom(trace) if trace.physics is None else trace.physics.pelvis
 
 
@@ -37,7 +37,7 @@ def frames(
     Raises
     ------
     PlantError
-        If nothing can be drawn here.
+        If MuJoCo cannot render on this machine.
     """
     from dqwalk_ros.plants.camera import Camera
 
@@ -71,7 +71,7 @@ def save_movie(
     trace : Trace
     path : path-like
     speed : float
-        So many times as fast as it was walked.
+        Relative to real time.
     rate : float
         Pictures per second.
     width, height : int

@@ -1,7 +1,7 @@
-"""What there is to see of a walk at one moment: bodies, soles, constraints as shapes, and every margin.
+"""The content of a picture of the walk: bodies, soles, constraints as shapes, and every margin.
 
-Nothing here draws. The live page (`dqwalk_ros.report.viewer`), the replay in a report and the markers for RViz show the
-same shapes and the same `View`.
+Nothing is drawn here. The live page (`dqwalk_ros.report.viewer`), the replay in a report and the markers for RViz draw
+the same shapes and the same `View`.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Rgb = tuple[int, int, int]
 Rgba = tuple[float, float, float, float]
 _GREY: Rgba = (0.7, 0.72, 0.75, 1.0)
 _MARGIN = 1.25
-"""Regions are drawn this much taller than the point they hold is high."""
+"""Height of a drawn region, relative to the height of the constrained point."""
 
 COM: Rgb = (209, 36, 47)
 DIVERGENT: Rgb = (230, 130, 0)
@@ -63,12 +63,12 @@ def color_of(name: str) -> Rgb:
 
 @dataclass(frozen=True)
 class Shape:
-    """One part of the robot's looks.
+    """One visual shape of the robot.
 
     Attributes
     ----------
     body : int
-        Index of the body that carries it.
+        Index of the body to which it is attached.
     kind : str
         ``box`` (size: x, y, z), ``cylinder`` (radius, length; along z), ``sphere`` (radius), or ``mesh``.
     size : tuple of float [m]
@@ -90,7 +90,7 @@ class Shape:
 
 
 def shapes_of(config: Config, model: RobotModel) -> tuple[Shape, ...]:
-    """Return the visual shapes of the model's URDF; a mesh whose file is not there is left out."""
+    """Return the visual shapes of the model's URDF; meshes whose file is missing are omitted."""
     urdf = Urdf(model.urdf, model.name)
     try:
         near = find_urdf(config.robot.urdf)
@@ -139,7 +139,7 @@ class Region:
 
 @singledispatch
 def region(constraint: Constraint, kin: Kinematics) -> Region | None:
-    """Return where a constraint is, in the base frame; register a function for a constraint of your own."""
+    """Return the shape of a constraint in the base frame; register a function for a constraint of your own."""
     return None
 
 
@@ -189,9 +189,9 @@ class Gauge:
     unit : str
         ``mm`` or ``°``.
     share : float
-        `value` as a share of what there can be of it; by this the tightest is found.
+        `value` relative to the largest possible one; the tightest margin has the smallest share.
     role : str
-        ``kept`` (an inequality), ``held`` (an equality: how far off it is) or ``watched`` (nobody keeps it).
+        ``kept`` (an inequality), ``held`` (an equality; `value` is its residual) or ``watched`` (not a constraint).
     """
 
     name: str
@@ -225,17 +225,17 @@ class Moment:
     q : ndarray, shape (n,) [rad]
     phase : Phase
     index : int
-        Of the phase, 0, 1, ... from the beginning of the walk.
+        Number of the phase, 0, 1, ... from the beginning of the walk.
     began : float
         Time at which the phase began [s].
     x_odom_base : ndarray, shape (8,)
         Pose of the phase's base sole in odom.
     label : str
-        What the walk says of itself: the phase's name, ``finished``, ``failed``, ...
+        Published state of the walk: the phase's name, ``finished``, ``failed``, ...
     solver : str
-        What the solver of the quadratic program last said.
+        Last message about the solver of the quadratic program.
     dq : ndarray, shape (n,) [rad/s], or None
-        Joint velocities, where they are known.
+        Joint velocities; None if not known.
     """
 
     time: float
@@ -251,7 +251,7 @@ class Moment:
 
 @dataclass(frozen=True)
 class View:
-    """Everything to be drawn of a `Moment`; places are in odom [m].
+    """Everything to be drawn of a `Moment`; positions are in odom [m].
 
     Attributes
     ----------
@@ -267,7 +267,7 @@ class View:
     polygon : ndarray, shape (m, 3)
         Support polygon, counter-clockwise.
     target : ndarray, shape (8,), or None
-        Where the swing sole shall land.
+        Target pose of the swing sole.
     regions : tuple of Region
     gauges : tuple of Gauge
     error : float
@@ -323,7 +323,7 @@ class Scene:
 
     @cached_property
     def shapes(self) -> tuple[Shape, ...]:
-        """The robot's looks."""
+        """The visual shapes of the robot."""
         return shapes_of(self.config, self.model)
 
     @property
@@ -331,8 +331,8 @@ class Scene:
         """The link of the first body."""
         return self._links[0]
 
-    def judge(self, moment: Moment) -> tuple[Kinematics, Assessment]:
-        """Return the robot at a moment, in the frame of its base sole, and what is to be said of it."""
+    def assess(self, moment: Moment) -> tuple[Kinematics, Assessment]:
+        """Return the kinematics at a moment, in the frame of the base sole, and the assessment of the state."""
         phase, model = moment.phase, self.model
         if self._assess is None or self._assess.phase is not phase:
             self._assess = Assessor(self.config, model, phase)
@@ -340,9 +340,9 @@ class Scene:
         return kin, self._assess(kin, moment.time - moment.began)
 
     def look(self, moment: Moment) -> View:
-        """Return what is to be seen at a moment."""
+        """Return the view of a moment."""
         phase, model = moment.phase, self.model
-        kin, found = self.judge(moment)
+        kin, found = self.assess(moment)
         x = np.asarray(moment.x_odom_base)
         polygon = support_polygon(model, phase, kin).vertices
         regions = [r for c in phase.inequalities if (r := region(c, kin)) is not None]
@@ -383,7 +383,7 @@ def _divergent(kin: Kinematics, dq: Array) -> Array:
 
 
 def moment_of(trace: Trace, tick: int, phases: dict[int, Phase], label: str = "", solver: str = "") -> Moment:
-    """Return a tick of a recorded walk; `phases` keeps what was rebuilt."""
+    """Return a tick of a recorded walk; `phases` is a cache of the rebuilt phases, by index."""
     starts = [record.start for record in trace.phases]
     index = max(int(np.searchsorted(starts, tick, side="right")) - 1, 0)
     record = trace.phases[index]

@@ -1,4 +1,4 @@
-"""Tables for the terminal, and a report as such."""
+"""The report as text: aligned tables for the terminal."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any
 __all__ = ["aligned", "distances", "numbers", "phases", "render", "why"]
 
 _EDGE = 1e-5
-"""Closer than this to the edge of its support the CoM is on it [m]: what Euler's method may be off."""
+"""Distance up to which the CoM counts as at the edge of its support [m]: the error of Euler's method."""
 _TURNED = math.radians(0.5)
-"""A walk that turned less than this went straight on [rad]."""
+"""Turn below which the walk counts as straight [rad]."""
 _WIDTH = 10_000
-"""Nothing is cut off or wrapped: what reads the output may be a program."""
+"""Width of the console [characters]: no line is cut or wrapped, so that programs can read the output."""
 
 
 def render(report: Mapping[str, Any]) -> str:
@@ -62,7 +62,7 @@ def distances(report: Mapping[str, Any]) -> list[list[str]]:
 
 
 def numbers(report: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return what there is to say of the whole walk, each with its name."""
+    """Return name and text of each result for the whole walk."""
     walk, mm = report["walk"], 1e3
     margin, joints, speed = walk["margin"], walk["margin"]["joints"], walk["joint_speed"]
     lines = [
@@ -108,23 +108,23 @@ def numbers(report: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _physics(of: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return what a physics engine says of the walk."""
+    """Return name and text of each result for a walk in physics."""
     mm, degrees = 1e3, 180.0 / math.pi
     x, y = of["displacement"]
     pace = "" if of["seconds_per_step"] is None else f", {of['seconds_per_step']:.2f} s per step"
     lines = [
         ("in physics", "the robot FELL" if of["fallen"] else f"it stood{pace}"),
-        ("  true way", f"{of['way']:.3f} m; from start to end {x:+.3f} m ahead, {y:+.3f} m to the left"),
+        ("  true path", f"{of['way']:.3f} m; from start to end {x:+.3f} m ahead, {y:+.3f} m to the left"),
         ("  turned", f"{degrees * of['turned']:+.1f} degrees"),
     ]
     if "circle" in of:
         circle = of["circle"]
-        lines.append(("  circle", f"radius {circle['radius']:.3f} m, {mm * circle['deviation']:.1f} mm off it (rms)"))
+        lines.append(("  circle", f"radius {circle['radius']:.3f} m, rms error {mm * circle['deviation']:.1f} mm"))
     tilt = of["tilt"]
     lines.append(("  tilt of the sole", f"at most {degrees * tilt['value']:.2f} degrees at {tilt['time']:.2f} s"))
     if of["landing_height"] is not None:
         height = mm * of["landing_height"]
-        lines.append(("  landing height", f"at most {height:.1f} mm when the foot is taken for down"))
+        lines.append(("  landing height", f"at most {height:.1f} mm when touchdown is assumed"))
     margin = "" if of["cop_margin"] is None else f"; at worst {mm * of['cop_margin']:+.1f} mm"
     inside = 100.0 * of["cop_inside"]
     lines.append(("  pressure", f"centre inside the support polygon on {inside:.2f} % of ticks{margin}"))
@@ -170,7 +170,7 @@ def aligned(rows: Sequence[Sequence[str]], head: Sequence[str] = (), right: Sequ
     head : sequence of str
         Names of the columns, with a line below them; a name may have several lines.
     right : sequence of int
-        The columns that are set to the right.
+        Indices of the right-aligned columns.
     """
     from rich import box
     from rich.console import Console
@@ -182,7 +182,7 @@ def aligned(rows: Sequence[Sequence[str]], head: Sequence[str] = (), right: Sequ
         name = Text(head[c]) if head else ""
         made.add_column(name, justify="right" if c in right else "left", no_wrap=True, header_style="")
     for row in rows:
-        made.add_row(*map(Text, row))  # what looks like rich's markup is text
+        made.add_row(*map(Text, row))  # Text: no markup of rich
     console = Console(file=io.StringIO(), width=_WIDTH, color_system=None)
     console.print(made)
     text = console.file.getvalue()  # type: ignore[attr-defined]

@@ -1,8 +1,9 @@
-"""What a walk is worth: one state judged, the rules a whole walk broke, and everything in numbers.
+"""Checks of a walk: the assessment of a single state, the rules violated by a whole walk, and the report in numbers.
 
-The rules are those of the paper in discrete time, Groenwall's inequality for Euler's method: a distance that began at
-d_0 stays above ``(1 - eta dt)^k d_0``, an equality that began at r_0 below ``(1 - eta dt)^k |r_0|``; the end foot is on
-the ground in double support, every phase ends by its own rule, and every step lands where it should.
+The rules are those of the paper in discrete time, Groenwall's inequality for Euler's method: an inequality that begins
+at the distance d_0 stays above ``(1 - eta dt)^k d_0``, an equality that begins at the residual r_0 stays below
+``(1 - eta dt)^k |r_0|``; the end foot is on the ground in double support, every phase ends by its own rule, and every
+step lands on its target.
 """
 
 from __future__ import annotations
@@ -30,17 +31,17 @@ __all__ = ["Assessment", "Assessor", "Violation", "report", "violations"]
 Array = NDArray[np.float64]
 
 TILT = np.radians(2.0)
-"""The sole that carries most may lean by this [rad]."""
+"""Largest tilt of the more loaded sole [rad]."""
 COP_INSIDE = 0.99
-"""The centre of pressure must be inside the soles that the phase stands on, on this part of the ticks."""
+"""Smallest fraction of the ticks on which the centre of pressure is inside the phase's support soles."""
 LANDING = 5e-3
-"""A swing foot must land this close to its footprint in physics [m]."""
+"""Largest landing error in physics [m]."""
 GROUND_TOLERANCE = 2e-5
-"""Height [m] the end foot's tip may have once it has come down; the paper saw 1e-5 of discretisation."""
+"""Largest height of the end foot's tip after it has come down [m]; the paper reports 1e-5 due to discretisation."""
 LANDING_TOLERANCE = 2.1
 """Largest landing error [m] per unit of `ssp.threshold`: ||vec8|| of a pure translation t is |t| / 2."""
 UNIT_TOLERANCE = 1e-12
-"""How far from one the norm of a pose may be."""
+"""Largest error of the norm of a pose."""
 
 
 # ---------------------------------------------------------------------- one state
@@ -48,15 +49,15 @@ UNIT_TOLERANCE = 1e-12
 
 @dataclass(frozen=True)
 class Assessment:
-    """What is to be said of one state.
+    """The assessment of one state.
 
     Attributes
     ----------
     level : str
-        ``"OK"``, ``"WARN"`` where a distance is closer to its bound than ``monitor.warn_margin``, ``"ERROR"`` where
-        one is beyond what is promised by more than ``monitor.tolerance``.
+        ``"OK"``, ``"WARN"`` if a distance is closer to its bound than ``monitor.warn_margin``, ``"ERROR"`` if one
+        violates its guaranteed bound by more than ``monitor.tolerance``.
     message : str
-        The phase, and what decided the level.
+        The phase, and the reason for the level.
     values : mapping of str to float
         ``distance/NAME``, ``residual/NAME``, ``error``, and the margins: ``margin/paper`` of the CoM to the paper's
         planes (U9), (U10) or cylinder (U14), ``margin/polygon`` to the true support polygon, ``margin/joints``.
@@ -68,7 +69,7 @@ class Assessment:
 
 
 class Assessor:
-    """Judges the states of one phase.
+    """Assesses the states of one phase.
 
     Parameters
     ----------
@@ -84,16 +85,16 @@ class Assessor:
         self._held = [(row.name, abs(start[row.name]), _decay(row.eta, config.dt)) for row in phase.equalities]
 
     def __call__(self, kin: Kinematics, elapsed: float, monitor: MonitorConfig | None = None) -> Assessment:
-        """Judge one state.
+        """Return the assessment of one state.
 
         Parameters
         ----------
         kin : Kinematics
-            Seen from the base of the phase.
+            Of that state, relative to the base sole of the phase.
         elapsed : float
             Time since the phase began [s].
         monitor : MonitorConfig, optional
-            Instead of the configuration's own.
+            Replaces that of the configuration.
         """
         monitor = monitor or self.config.monitor
         ticks = max(elapsed, 0.0) / self.config.dt
@@ -105,7 +106,7 @@ class Assessor:
         for name, start, decay in self._held:
             d = values[f"residual/{name}"] = float(distances[name])
             if abs(d) > start * decay**ticks + monitor.tolerance:
-                broken.append(f"{name} is off by {d:.3g}")
+                broken.append(f"{name} has a residual of {d:.3g}")
         for row, start, decay in self._kept:
             d = values[f"distance/{row.name}"] = float(distances[row.name])
             if d < min(0.0, start * decay**ticks) - monitor.tolerance:
@@ -135,24 +136,24 @@ def _decay(eta: float, dt: float) -> float:
     return 1.0 - min(1.0, eta * dt)
 
 
-# ---------------------------------------------------------------------- the rules that were broken
+# ---------------------------------------------------------------------- violations of a whole walk
 
 
 @dataclass(frozen=True)
 class Violation:
-    """A rule that was broken.
+    """A violated rule.
 
     Attributes
     ----------
     what : str
         Name of the distance or of the rule.
     phase : str
-        Name of the phase; empty where it is the whole walk.
+        Name of the phase; empty for a rule of the whole walk.
     time : float
         [s]
     value, allowed : float
     message : str
-        All of it in one sentence.
+        All of this in one sentence.
     """
 
     what: str
@@ -164,7 +165,7 @@ class Violation:
 
 
 def violations(series: Series) -> list[Violation]:
-    """Return every rule that was broken, in the order of time within each phase."""
+    """Return all violations: of each phase in turn, then of the whole walk, then in physics."""
     found = [violation for span in series.spans for violation in _of_a_phase(series, span)]
     return [*found, *_of_the_walk(series), *([] if series.ground is None else _of_the_ground(series, series.ground))]
 
@@ -175,8 +176,8 @@ def _broken(series: Series, what: str, tick: int, value: float, allowed: float, 
 
 
 def _landing(span: Span, ending: Ending) -> dict[str, float]:
-    """Return where the swing foot landed and how far from its target [m, rad], in the support sole's frame."""
-    assert span.record.swing_target is not None  # single support has one
+    """Return the landing position of the swing foot and its error [m, rad], in the support sole's frame."""
+    assert span.record.swing_target is not None  # every single support has one
     off = DQ(span.record.swing_target).conj() * DQ(ending.end)
     place = dict(zip("xyz", DQ(ending.end).translation().tolist(), strict=True))
     angle = 2.0 * np.arctan2(np.linalg.norm(off.vec4()[1:]), abs(off.vec4()[0]))
@@ -184,7 +185,7 @@ def _landing(span: Span, ending: Ending) -> dict[str, float]:
 
 
 def _groenwall(series: Series, span: Span) -> Iterator[tuple[str, float, int]]:
-    """Yield name, least slack ``d[k] - (1 - eta dt)^k d[0]`` and its tick for each constraint of a phase.
+    """Yield name, smallest slack ``d[k] - (1 - eta dt)^k d[0]`` and its tick for each constraint of a phase.
 
     An equality converges from either side: its slack is ``(1 - eta dt)^k |d[0]| - |d[k]|``.
     """
@@ -196,7 +197,7 @@ def _groenwall(series: Series, span: Span) -> Iterator[tuple[str, float, int]]:
     ):
         for row in rows:
             if math.isfinite(row.return_speed):
-                continue  # its return is not at the rate eta
+                continue  # it returns at a fixed speed, not at the rate eta
             d = table[row.name][span.ticks]
             d = d if sign > 0.0 else -np.abs(d)
             slack = d - _decay(row.eta, dt) ** k * d[0]
@@ -215,7 +216,7 @@ def _settled_height(series: Series, span: Span) -> tuple[float | None, int]:
 
 
 def _of_a_phase(series: Series, span: Span) -> Iterator[Violation]:
-    """Yield what a phase broke."""
+    """Yield the violations of a phase."""
     config, tolerance, name = series.trace.config, series.trace.config.monitor.tolerance, span.phase.name
     for row in span.phase.constraints:
         d = series.distances[row.name][span.ticks]
@@ -252,7 +253,7 @@ def _of_a_phase(series: Series, span: Span) -> Iterator[Violation]:
 
 
 def _of_the_walk(series: Series) -> Iterator[Violation]:
-    """Yield what the walk as a whole broke."""
+    """Yield the violations of the whole walk."""
     tolerance, end = series.trace.config.monitor.tolerance, float(series.time[-1])
     if not series.trace.finished:
         name = series.spans[-1].phase.name
@@ -265,11 +266,11 @@ def _of_the_walk(series: Series) -> Iterator[Violation]:
             text = f"{name} is {-least:.3g} rad beyond its limit at {time:.3f} s"
             yield Violation(f"joint/{name}", "", time, least, -tolerance, text)
     if (error := _unit_norm_error(series)) > UNIT_TOLERANCE:
-        yield Violation("unit_norm", "", end, error, UNIT_TOLERANCE, f"a pose is {error:.2g} off unit norm")
+        yield Violation("unit_norm", "", end, error, UNIT_TOLERANCE, f"norm of a pose is off by {error:.2g}")
 
 
 def _of_the_ground(series: Series, of: Ground) -> Iterator[Violation]:
-    """Yield where a walk in physics did not stand."""
+    """Yield the violations in physics: fall, tilt of the sole, centre of pressure."""
     low = of.height < FALLEN * of.height[0]
     if low.any():
         tick = int(np.argmax(low))
@@ -277,7 +278,7 @@ def _of_the_ground(series: Series, of: Ground) -> Iterator[Violation]:
         yield _broken(series, "fallen", tick, float(of.height[tick]), float(FALLEN * of.height[0]), text)
     tick = int(np.nanargmax(of.tilt))
     if of.tilt[tick] > TILT:
-        text = f"the sole that carries leans by {np.degrees(of.tilt[tick]):.2f} degrees"
+        text = f"the support sole is tilted by {np.degrees(of.tilt[tick]):.2f} degrees"
         yield _broken(series, "tilt", tick, float(of.tilt[tick]), float(TILT), text)
     if of.inside < COP_INSIDE:
         text = f"the centre of pressure is inside the support polygon on {100 * of.inside:.2f} % of ticks only"
@@ -295,13 +296,13 @@ def _unit_norm_error(series: Series) -> float:
 
 
 def report(series: Series) -> dict[str, Any]:
-    """Return everything there is to say about a walk, of plain types only.
+    """Return the complete report of a walk, in plain types.
 
     Returns
     -------
     dict
         ``ok``, ``violations`` (see `Violation`), ``causes`` of a fall (see `causes.causes`), ``walk``, ``physics``
-        (None without), ``phases`` (a list),
+        (or None), ``phases`` (a list),
         ``solve_time``, ``robot``, ``config`` and ``notes``. Lengths in metres, angles in radians, times in seconds.
     """
     trace, broken, sole = series.trace, violations(series), series.trace.model.soles[Foot.LEFT]
@@ -337,7 +338,7 @@ def report(series: Series) -> dict[str, Any]:
 
 
 def _least(series: Series, values: Array, ticks: slice = slice(None)) -> dict[str, float]:
-    """Return the least value over some ticks and when it was."""
+    """Return the smallest value over some ticks and its time."""
     part = values[ticks]
     at = int(np.nanargmin(part))
     return {"value": float(part[at]), "time": float(series.time[ticks][at])}
@@ -380,7 +381,7 @@ def _phase(series: Series, index: int, span: Span) -> dict[str, Any]:
 
 
 def _margins(series: Series, ticks: slice = slice(None)) -> dict[str, dict[str, float]]:
-    """Return the least of each margin of the CoM and of the joints."""
+    """Return the smallest value of each margin of the CoM and of the joints."""
     hulls = {"true": series.true_margin, "true_urdf_sole": series.urdf_margin}
     known = {name: values for name, values in hulls.items() if values is not None}
     paper = {"paper": series.paper_margin} if series.trace.config.gait.style == "paper" else {}
@@ -397,7 +398,7 @@ def _walk(series: Series, phases: list[dict[str, Any]]) -> dict[str, Any]:
     joint = int(np.argmin(series.joint_margin.min(axis=0)))
     way = _between_the_feet(series, len(series.time) - 1) - _between_the_feet(series, 0)
     ahead = np.array([DQ(span.record.x_odom_base).rotation_matrix()[:, 0] for span in series.spans])
-    yaw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))  # of the base soles, beyond a full turn too
+    yaw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))  # of the base soles, unwrapped
     return {
         "finished": trace.finished,
         "duration": float(series.time[-1] - series.time[0]),
@@ -420,7 +421,7 @@ def _walk(series: Series, phases: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _between_the_feet(series: Series, tick: int) -> Array:
-    """Return the middle of the soles in odom, shape (2,) [m]."""
+    """Return the midpoint of the soles in odom, shape (2,) [m]."""
     span = series.spans[int(series.span_of[tick])]
     x, soles, base = DQ(span.record.x_odom_base), series.trace.model.soles, span.phase.base
     there = (x * DQ(series.end[tick])).transform_point(soles[base.other].center)
@@ -453,7 +454,7 @@ def _physics(series: Series, of: Ground) -> dict[str, Any]:
         "odometry_drift": of.drift(series),
     }
     if np.isfinite(of.power).any():
-        # what the servos put in over the time, per weight and way
+        # cost of transport: positive work per weight and path length
         work = float(np.nanmean(of.work)) * duration
         moved = series.trace.model.mass * GRAVITY * out["way"]
         out["energy"] = {

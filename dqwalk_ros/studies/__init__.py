@@ -1,7 +1,7 @@
-"""Studies: many walks with parameters varied.
+"""Studies: many walks with varied parameters.
 
-`runner` makes them, on one machine or on a Dask cluster, and keeps and resumes them. A study from a file is a `Study`
-(`plan`) of walks (`walks`); `robustness` and `pushes` are studies in physics.
+`runner` runs the walks on one machine or on a Dask cluster, saves each outcome, and resumes an interrupted study. A
+study from a file is a `Study` (`plan`) of walks (`walks`); `robustness` and `pushes` are studies in physics.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The largest load that is survived, by doubling and bisection."""
+"""Finds the largest load that is survived, by doubling and bisection."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ __all__ = ["Bracket", "largest"]
 
 @dataclass(frozen=True)
 class Bracket:
-    """What was found.
+    """The interval that contains the limit.
 
     Attributes
     ----------
     survived : float
         The largest load that was survived.
     failed : float or None
-        The least that was not, less than the tolerance above; None where nothing failed.
+        The smallest load that was not, at most the tolerance above `survived`; None if no load failed.
     reason : str
-        What failed there.
+        Why it was not survived.
     """
 
     survived: float
@@ -30,15 +30,16 @@ class Bracket:
 def largest(fails: Callable[[float], str], first: float, most: float, tolerance: float) -> Bracket:
     """Double a load until it is not survived, then bisect.
 
-    A robot that survives a load is taken to survive every lesser one.
+    Assumes that a robot that survives a load also survives every smaller one.
 
     Parameters
     ----------
     fails : callable
-        Returns why a load is not survived, an empty text if it is.
+        Returns why a load is not survived, an empty text if it is survived.
     first, most : float
-        The first load that is tried, and the largest.
+        First and largest load that are tried.
     tolerance : float
+        Largest width of the interval.
     """
     survived, failed, reason = 0.0, None, ""
     while survived < most and failed is None:

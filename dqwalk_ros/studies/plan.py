@@ -1,20 +1,20 @@
-"""What a study varies: a file, checked, and the list of its walks.
+"""Reads the file of a study, checks it, and lists its walks.
 
 ::
 
     config: paper                       # name or path, as of --config
-    set: {gait.cycles: 1}               # the same in every walk
+    set: {gait.cycles: 1}               # parameters of every walk
     sample: grid                        # grid, latin_hypercube or sobol
     count: 64                           # walks, for latin_hypercube and sobol
     seed: 0
     vary:
       gait.step_length: {from: 0.03, to: 0.12, steps: 10}
-      robot.drop: [[abs_y], []]         # any list of values
+      robot.drop: [[abs_y], []]         # a list of any values
       start.l_knee_y: {from: 0.0, to: 0.3, steps: 4}
 
-Besides every parameter of `dqwalk config` a study may vary ``start.JOINT`` (first angle [rad]), ``mass.LINK`` (factor
-on the mass of the body that carries the link) and ``disturbance.velocity`` (standard deviation of a random velocity
-added to every joint at every tick [rad/s]).
+Besides every parameter of `dqwalk config` a study may vary ``start.JOINT`` (initial angle [rad]), ``mass.LINK`` (factor
+on the mass of the body to which the link is attached) and ``disturbance.velocity`` (standard deviation of a random
+velocity added to every joint at every tick [rad/s]).
 """
 
 from __future__ import annotations
@@ -37,20 +37,20 @@ from dqwalk_ros.errors import ConfigError
 __all__ = ["MAX_WALKS", "OWN", "Study", "digest", "read"]
 
 OWN = ("start.", "mass.", "disturbance.velocity")
-"""Beginnings of the names that are a study's own, not parameters of the configuration."""
+"""Prefixes of the names that only studies have, which are not parameters of the configuration."""
 MAX_WALKS = 100_000
-"""Largest study."""
+"""Largest number of walks of a study."""
 
 
 class Range(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """From `low` to `high`; a grid takes `steps` values, both ends included."""
+    """Range from `low` to `high`; a grid uses `steps` values, including both ends."""
 
     low: float = msgspec.field(name="from")
     high: float = msgspec.field(name="to")
     steps: Annotated[int, msgspec.Meta(ge=1, le=MAX_WALKS)] = 5
 
     def at(self, fraction: float) -> float:
-        """Return the value at a fraction of the way, rounded to twelve digits as a decimal number would be written."""
+        """Return the value at a fraction of the range, rounded to twelve digits."""
         return float(f"{self.low + fraction * (self.high - self.low):.12g}")
 
 
@@ -67,18 +67,18 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class Study:
-    """A study, checked.
+    """A valid study.
 
     Attributes
     ----------
     name : str
     config : Config
-        With what is the same in every walk.
+        The configuration common to all walks.
     sample : str
         ``"grid"``, ``"latin_hypercube"`` or ``"sobol"``.
     count, seed : int
     vary : mapping of str to Range or tuple
-        A range, or the values themselves.
+        A range, or a tuple of values.
     """
 
     name: str
@@ -105,13 +105,13 @@ class Study:
         ]
 
     def digest(self) -> str:
-        """Return a text that changes with anything that changes a walk."""
+        """Return a hash of everything that affects a walk."""
         vary = {name: msgspec.to_builtins(of) for name, of in self.vary.items()}
         return digest(self.config, self.sample, self.count, self.seed, list(vary.items()))
 
 
 def digest(config: Config, *more: Any) -> str:
-    """Return a text that changes with a configuration and with whatever else makes an outcome."""
+    """Return a hash of a configuration and of everything else that affects an outcome."""
     text = json.dumps([config.flat(), *more], sort_keys=True, default=list)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -126,7 +126,7 @@ def read(path: str | pathlib.Path) -> Study:
     Raises
     ------
     ConfigError
-        If the file cannot be used; the message names the key.
+        If the file is invalid; the message names the key.
     """
     source = pathlib.Path(path)
     try:
@@ -140,11 +140,11 @@ def read(path: str | pathlib.Path) -> Study:
     walks = math.prod(sizes) if file.sample == "grid" else file.count
     if walks > MAX_WALKS:
         raise ConfigError(
-            f"{path}: {walks:.3g} walks are too many for one study, {MAX_WALKS} is the most; take fewer steps, or "
+            f"{path}: {walks:.3g} walks are too many for one study, at most {MAX_WALKS}; use fewer steps, or "
             "'sample: latin_hypercube' with a 'count'"
         )
     config = load(file.config).updated(file.set, source=str(path))
-    for name, of in vary.items():  # what cannot be walked is refused now, not after an hour
+    for name, of in vary.items():  # invalid values are rejected before the first walk
         for value in (of.low, of.high) if isinstance(of, Range) else of:
             if not name.startswith(OWN):
                 config.updated({name: value}, source=str(path))

@@ -1,4 +1,4 @@
-"""How hard may the robot be pushed? The largest impulse that it survives, for each direction, by bisection."""
+"""Finds the largest impulse on the pelvis that the robot survives, for each direction, by bisection."""
 
 from __future__ import annotations
 
@@ -31,29 +31,29 @@ MOMENTS = ("standing", "left", "right")
 """In a stance on both feet, or in the middle of a step on the left or on the right foot."""
 
 _STANDS = 3.0
-"""How long it must stand after a push in a stance [s]."""
+"""Time for which the robot must stand after a push in a stance [s]."""
 _LATE = 5.0
-"""A stance that has not come this long after its time does not come [s]."""
+"""Longest delay of the stance; without a stance by then the walk is stopped [s]."""
 _FIRST, _MOST, _TOLERANCE = 0.045, 1.5, 0.0036
-"""First and largest impulse that is tried, and how exactly the limit is found, in units of `impulse_scale`."""
+"""First and largest impulse that are tried, and accuracy of the limit, in units of `impulse_scale`."""
 
 
 @dataclass(frozen=True)
 class Push:
-    """A force on the pelvis.
+    """A constant force on the pelvis for some time.
 
     Attributes
     ----------
     moment : str
         One of `MOMENTS`.
     direction : float
-        Where it pushes to, 0 ahead, a right angle to the left [rad].
+        Direction of the force, 0 ahead, pi/2 to the left [rad].
     impulse : float
         [N s]
     duration : float
         [s]
     part : float
-        Of the step, after which it begins.
+        Fraction of the step after which the push begins.
     """
 
     moment: str
@@ -64,7 +64,7 @@ class Push:
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """What was found in one direction: see `Limit`."""
+    """The result for one direction: see `Limit`."""
 
     survived: float
     failed: float | None
@@ -83,9 +83,9 @@ class Limit:
     survived : float
         Largest impulse survived [N s].
     failed : float or None
-        Least impulse that was not; None where the hardest push that was tried was survived [N s].
+        Smallest impulse that was not survived [N s]; None if the largest one tried was survived.
     reason : str
-        What ended the walk at `failed`.
+        Why the walk ended at `failed`.
     """
 
     moment: str
@@ -96,24 +96,24 @@ class Limit:
 
 
 def impulse_scale(config: Config) -> float:
-    """Return M sqrt(g h) [N s], by which impulses are compared between robots; h is the height of the CoM."""
+    """Return M sqrt(g h) [N s], the scale of impulses for a comparison of robots; h is the height of the CoM."""
     model = load_model(config.robot)
     height = float(Kinematics(model, make_walk(config, model).posture, Foot.LEFT).com[2])
     return sum(body.mass for body in model.bodies) * math.sqrt(GRAVITY * height)
 
 
 def pushed(config: Config, push: Push) -> str:
-    """Walk with one push; return why it did not survive, an empty text if it did.
+    """Simulate a walk with one push; return why it was not survived, an empty text if it was.
 
     Raises
     ------
     PlantError
-        If the walk ends, or falls, before it is pushed.
+        If the walk ends, or the robot falls, before the push.
     """
     standing = push.moment == "standing"
-    pushed_at = 2 if config.gait.style == "standing" else 6  # a moving walk is to have its full length
+    pushed_at = 2 if config.gait.style == "standing" else 6  # a dynamic walk needs some steps to full length
     values: dict[str, object] = {"gait.steps": 0 if standing else 2 * pushed_at - 2}
-    if not standing:  # the step that is pushed, an even one, is on the foot that is asked for
+    if not standing:  # so that the pushed step, an even one, is on the requested foot
         values["gait.first_support"] = Foot(push.moment).other.value
     varied = config.updated(values)
     model = load_model(varied.robot)
@@ -133,17 +133,17 @@ def pushed(config: Config, push: Push) -> str:
     except DqwalkError as error:
         why = str(error)
     if began == math.inf:
-        raise PlantError(f"the walk ended before it was pushed{': ' + why if why else ''}")
+        raise PlantError(f"the walk ended before the push{': ' + why if why else ''}")
     return why
 
 
 def _transfer(config: Config) -> float:
-    """Return the time after which a stance is at rest [s]."""
+    """Return the time after which a robot in a stance is at rest [s]."""
     return config.standing.transfer_duration if config.gait.style == "standing" else config.dynamic.stop_duration
 
 
 def _due(controller: VelocityController, time: float, number: int, part: float) -> bool:
-    """Return whether the moment of the push has come: in a stance, or in a part of the step of a number, 1, 2, ..."""
+    """Return whether the push begins now: with `number` 0 in a stance, else in a fraction `part` of step `number`."""
     since = time - controller.phase_time0
     if not number:
         return since >= _transfer(controller.config)
@@ -162,13 +162,13 @@ def limit(
     duration : float
         Of each push [s].
     part : float
-        Of a step, after which it begins.
+        Fraction of a step after which the push begins.
     tolerance : float
         [N s]
     index : int
-        Not used; what the runner passes.
+        Not used; passed by the runner.
     point : mapping
-        ``moment``, of `MOMENTS`, and ``direction`` [rad].
+        ``moment``, one of `MOMENTS`, and ``direction`` [rad].
     """
     scale = impulse_scale(config)
 
@@ -200,11 +200,11 @@ def limits(
     moments : sequence of str
         Of `MOMENTS`.
     directions : int
-        So many, evenly spread.
+        Number of directions, evenly spread.
     duration : float
         Of each push [s].
     part : float
-        Of a step, after which it begins.
+        Fraction of a step after which the push begins.
     tolerance : float, optional
         [N s]; by default 0.36 % of `impulse_scale`.
     **options
@@ -230,16 +230,16 @@ def every_limit(
     Parameters
     ----------
     task : callable
-        Finds one, as `limit` does.
+        Finds one limit, such as `limit`.
     settings : tuple
-        All that its outcome depends on, besides the point.
+        Everything besides the point that affects its outcome; first the configuration.
     out : Path
         Folder of ``limits.jsonl``.
     moments : sequence of str
     directions : int
-        So many, evenly spread.
+        Number of directions, evenly spread.
     force : bool
-        Begin anew.
+        Discard earlier results.
     **options
         As `runner.run`.
     """

@@ -1,4 +1,4 @@
-"""Does a walk in physics stand when the robot is not the one it was tuned for? One cell per combination."""
+"""Simulates a walk in physics for many combinations of robot and floor parameters; one cell per combination."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from dqwalk_ros.studies.plan import MAX_WALKS, digest
 from dqwalk_ros.studies.runner import Store, run
 from dqwalk_ros.walk import PhaseKind
 
-__all__ = ["Cell", "Outcome", "axes_of", "cells", "told", "walk", "walk_all"]
+__all__ = ["Cell", "Outcome", "assumed", "axes_of", "cells", "walk", "walk_all"]
 
 
 LATENCY_ERROR = "latency_error"
-"""An axis of its own: so much more latency is the controller told than there is [s]."""
-_LOOK = 0.02
-"""The tilt of the soles is looked at this often [s]."""
+"""An axis that is not a parameter: error of the latency that the controller assumes [s]."""
+_SAMPLE = 0.02
+"""Sampling period of the tilt of the soles [s]."""
 
 
 def axes_of(config: Config) -> dict[str, tuple[float, ...]]:
-    """Return what is varied by default.
+    """Return the axes that are varied by default.
 
-    The controller is told stiffness, damping, rate and latency of the servos, nothing of the rest. Stiffness is varied
-    relative to the robot's own, which grows with its weight and height. Servos of a type are what they are: at the
-    highest P gain and half of it, with other faults of the sensors in each walk.
+    The controller knows stiffness, damping, rate and latency of the servos, but not the other parameters. Stiffness is
+    varied relative to the robot's own, which grows with its weight and height. For a robot with servos of known types,
+    the axes are the highest P gain and half of it, and the seed of the sensor errors.
     """
     if config.servo.types:
         return {"servo.p_gain": (255, 127), "sensors.seed": tuple(range(20))}
@@ -50,20 +50,20 @@ def axes_of(config: Config) -> dict[str, tuple[float, ...]]:
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """What came of a walk.
+    """The outcome of a walk.
 
     Attributes
     ----------
     stood : bool
-        Whether the walk came to its end upright.
+        Whether the robot was upright at the end of the walk.
     time : float
-        When it ended [s].
+        Time at which the walk ended [s].
     steps : int
-        Steps that were landed.
+        Number of completed steps.
     reason : str
         Why it did not stand.
     tilt : float or None
-        The most that the sole that carries leaned [rad].
+        Largest tilt of the loaded sole [rad].
     """
 
     stood: bool
@@ -75,7 +75,7 @@ class Outcome(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class Cell:
-    """A combination and its walk: `Outcome` with `values`, what was varied."""
+    """A combination of parameters, `values`, and the `Outcome` of its walk."""
 
     values: Mapping[str, float]
     stood: bool
@@ -95,13 +95,13 @@ def cells(axes: Mapping[str, Sequence[float]], sample: int = 0, seed: int = 0) -
     """
     count = math.prod(map(len, axes.values()))
     if count > MAX_WALKS:
-        raise ConfigError(f"{count:.3g} combinations are too many, {MAX_WALKS} is the most")
+        raise ConfigError(f"{count:.3g} combinations are too many, at most {MAX_WALKS}")
     every = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
     return random.Random(seed).sample(every, sample) if 0 < sample < len(every) else every
 
 
-def told(config: Config, latency_error: float = 0.0) -> dict[str, float]:
-    """Return what the controller is told of its servos; all of it is so but for `latency_error` [s]."""
+def assumed(config: Config, latency_error: float = 0.0) -> dict[str, float]:
+    """Return the controller's assumptions about its servos: the true values, except for `latency_error` [s]."""
     s = config.servo
     damping = {"servo.assumed_lead": s.damping} if s.assumed_lead else {"servo.assumed_damping": s.damping}
     return {
@@ -113,16 +113,16 @@ def told(config: Config, latency_error: float = 0.0) -> dict[str, float]:
 
 
 def walk(config: Config, index: int, values: Mapping[str, Any]) -> Outcome:
-    """Walk one combination in physics, to the end or to the fall."""
+    """Simulate one combination in physics, until the walk ends or the robot falls."""
     time, steps, phase, tilt = 0.0, 0, None, 0.0
     parameters = {name: value for name, value in values.items() if name != LATENCY_ERROR}
     try:
         varied = config.updated(parameters)
-        varied = varied.updated({**told(varied, values.get(LATENCY_ERROR, 0.0)), **parameters})
+        varied = varied.updated({**assumed(varied, values.get(LATENCY_ERROR, 0.0)), **parameters})
         model = load_model(varied.robot)
         controller, plant = make_controller(varied, model), make_plant("physics", varied, model)
         for state, _ in closed_loop(controller, plant):
-            if state.time >= time + _LOOK - 1e-9 and (truth := plant.truth) is not None:
+            if state.time >= time + _SAMPLE - 1e-9 and (truth := plant.truth) is not None:
                 time, tilt = state.time, max(tilt, truth.tilt)
             if controller.phase is not phase:
                 steps += phase is not None and phase.kind is PhaseKind.SINGLE_SUPPORT
@@ -136,7 +136,7 @@ def walk(config: Config, index: int, values: Mapping[str, Any]) -> Outcome:
 def walk_all(
     config: Config, combinations: Sequence[Mapping[str, float]], out: Path, *, force: bool = False, **options: Any
 ) -> list[Cell]:
-    """Make the walks that are missing in a folder, and return all cells that are there, in order.
+    """Simulate the walks that are missing in a folder, and return all cells in order.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def walk_all(
     out : Path
         Folder of ``cells.jsonl``.
     force : bool
-        Begin anew.
+        Discard earlier results.
     **options
         As `runner.run`.
     """

@@ -1,4 +1,4 @@
-"""Many walks: on the processes of one machine or on a Dask cluster, kept as they finish, resumed where they stopped."""
+"""Runs many walks in processes of one machine or on a Dask cluster; saves each outcome, resumes interrupted studies."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from dqwalk_ros.errors import ConfigError, StudyError
 __all__ = ["Store", "run"]
 
 Outcome = TypeVar("Outcome", bound=msgspec.Struct)
-"""What is kept of a walk: plain types."""
+"""The outcome of a walk, a struct of plain types."""
 Point = Mapping[str, Any]
 
 
 class Store(Generic[Outcome]):
-    """The outcomes of a study in a file, a line of JSON each, so that a study that was stopped goes on from there.
+    """The outcomes of a study in a file, a line of JSON each, from which an interrupted study continues.
 
     Parameters
     ----------
     path : Path
     digest : str
-        Changes with anything that changes an outcome.
+        Hash of everything that affects an outcome.
     points : sequence of mapping
-        What each walk varies.
+        The varied parameters of each walk.
     kind : type
-        Of an outcome.
+        Type of an outcome.
     force : bool
-        Begin anew whatever is there.
+        Discard earlier outcomes.
 
     Attributes
     ----------
     done : dict of int to outcome
-        By the index of the point; lines that cannot be read are walked again.
+        By the index of the point; walks whose line is damaged are repeated.
 
     Raises
     ------
@@ -61,7 +61,7 @@ class Store(Generic[Outcome]):
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             self._file.close()
-            raise ConfigError(f"another process walks a study into '{path.parent}'; choose another folder") from None
+            raise ConfigError(f"another process writes a study to '{path.parent}'; choose another folder") from None
         try:
             with self._explained():
                 self._file.seek(0)
@@ -82,11 +82,11 @@ class Store(Generic[Outcome]):
             raise
 
     def close(self) -> None:
-        """Let others write to the file."""
+        """Close the file and release its lock."""
         self._file.close()
 
     def add(self, index: int, outcome: Outcome) -> None:
-        """Keep an outcome."""
+        """Save an outcome."""
         self.done[index] = outcome
         with self._explained():
             self._write({"walk": index, **self._points[index], **msgspec.to_builtins(outcome)})
@@ -128,15 +128,15 @@ def run(
     scheduler: str | None = None,
     progress: Callable[[int, int, Outcome], None] | None = None,
 ) -> dict[int, Outcome]:
-    """Walk what is missing in the store, and return all outcomes by the index of their point.
+    """Run the walks that are missing in the store, and return all outcomes by the index of their point.
 
-    The walks are made in a random order, so that what is there when a study is stopped is a fair sample. Ctrl-C stops
-    it; the outcomes until then are returned, and stay in the store.
+    The order of the walks is random, so that the outcomes of an interrupted study are a fair sample. Ctrl-C stops the
+    study; the outcomes until then are returned and remain in the store.
 
     Parameters
     ----------
     task : callable
-        Makes walk number `index` at a point; whatever process it runs in, it returns the same.
+        Runs walk number `index` at a point; its outcome must not depend on the process.
     points : sequence of mapping
     store : Store
     jobs : int
@@ -151,7 +151,7 @@ def run(
     ConfigError
         If no scheduler answers.
     StudyError
-        If an outcome cannot be kept.
+        If an outcome cannot be saved.
     """
     from joblib import Parallel, delayed
 
@@ -172,7 +172,7 @@ def _numbered(task: Callable[[int, Point], Outcome], index: int, point: Point) -
 
 @contextlib.contextmanager
 def _backend(scheduler: str | None) -> Iterator[None]:
-    """Let joblib work on a Dask cluster, or in processes of this machine with one thread each."""
+    """Configure joblib for a Dask cluster, or for processes of this machine with one thread each."""
     from joblib import parallel_config
 
     if scheduler is None:

@@ -1,4 +1,4 @@
-"""How hard may the torso be hit while the whole-body controller walks in place? By bisection, all around."""
+"""Finds the largest impulse on the torso that the whole-body controller survives while it walks in place."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from dqwalk_ros.whole_body.scenario import Scenario
 __all__ = ["DIRECTIONS", "limit", "limits"]
 
 DIRECTIONS = ("ahead", "ahead, left", "left", "back, left", "back", "back, right", "right", "ahead, right")
-"""Where the push sends the robot, every 45 degrees."""
+"""Names of the directions of the push, every 45 degrees."""
 _FIRST, _MOST = 8.0, 256.0
-"""First and largest impulse that is tried [N s]."""
+"""First and largest impulse that are tried [N s]."""
 _AFTER = 4.0
-"""How long the robot must stand after it is hit [s]."""
+"""Time for which the robot must stand after the push [s]."""
 
 
 def limit(config: Config, when: float, exact: float, index: int, point: Mapping[str, Any]) -> Outcome:
@@ -31,13 +31,13 @@ def limit(config: Config, when: float, exact: float, index: int, point: Mapping[
     ----------
     config : Config
     when : float
-        When the torso is hit [s].
+        Time of the push [s].
     exact : float
-        [N s]
+        Accuracy of the limit [N s].
     index : int
-        Not used; what the runner passes.
+        Not used; passed by the runner.
     point : mapping
-        ``moment``, the plant, and ``direction`` [rad].
+        ``moment``, here the name of the plant, and ``direction`` [rad].
     """
     x, y = math.cos(point["direction"]), math.sin(point["direction"])
 

@@ -1,4 +1,4 @@
-"""One walk of a study, in whatever process: numbers in, numbers out."""
+"""The walks of a study from a file: runs one walk for given parameters, and all walks of a study."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ __all__ = ["Outcome", "walk", "walk_all"]
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
-    """What came of a walk; numbers are None where there was no walk.
+    """The outcome of a walk; numbers are None if the walk could not begin.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     error : float
         Of the last phase.
     paper, true, joints : float
-        Least margin of the walk to the paper's planes and cylinder, to the edges of the soles [m], and to the joint
+        Smallest margin of the walk to the paper's planes and cylinder, to the edges of the soles [m], and to the joint
         limits [rad]; ``margin/paper`` and so on in files.
     """
 
@@ -56,12 +56,12 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
 
     @classmethod
     def unwalked(cls, end: str) -> Outcome:
-        """Return the outcome of a walk that did not begin."""
+        """Return the outcome of a walk that could not begin."""
         return msgspec.convert({**dict.fromkeys(cls.__struct_encode_fields__), "finished": False, "end": end}, cls)
 
 
 def walk(config: Config, seed: int, index: int, point: Mapping[str, Any]) -> Outcome:
-    """Walk once.
+    """Run one walk.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def walk(config: Config, seed: int, index: int, point: Mapping[str, Any]) -> Out
     seed, index : int
         Seed of the study and number of the walk; together they fix its random numbers.
     point : mapping of str to value
-        What this walk varies.
+        The varied parameters of this walk.
     """
     try:
         return _walked(config, seed, index, point)
@@ -78,15 +78,15 @@ def walk(config: Config, seed: int, index: int, point: Mapping[str, Any]) -> Out
 
 
 def walk_all(study: Study, out: Path, *, force: bool = False, **options: Any) -> dict[int, dict[str, Any]]:
-    """Make the walks of a study that are missing in a folder, and return the rows of all that are there.
+    """Run the walks of a study that are missing in a folder, and return the rows of all walks.
 
     Parameters
     ----------
     study : Study
     out : Path
-        Folder of ``walks.jsonl`` and, when all walks are there, ``walks.parquet``.
+        Folder of ``walks.jsonl`` and, when all walks are done, ``walks.parquet``.
     force : bool
-        Begin anew.
+        Discard earlier results.
     **options
         As `runner.run`.
 
@@ -138,7 +138,7 @@ def _walked(config: Config, seed: int, index: int, point: Mapping[str, Any]) -> 
     plant = _Disturbed(model, q0, float(own.get("disturbance.velocity", 0.0)), np.random.default_rng([seed, index]))
     trace = simulate(controller, plant)
     if trace.interrupted:
-        raise KeyboardInterrupt  # this is no outcome
+        raise KeyboardInterrupt  # an interrupted walk has no outcome
     if not trace.phases:
         return Outcome.unwalked("; ".join(trace.notes))
     found = report.report(report.analyse(trace))["walk"]

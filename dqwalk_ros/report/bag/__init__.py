@@ -1,4 +1,4 @@
-"""A walk as a rosbag2, of phases or of the whole body: written, recorded, and read back."""
+"""Walks as rosbag2, of phases or of the whole body: writing and reading."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _FILES = {"is_body": "recording", "read": "walk", "write": "walk", "read_body": 
 
 
 def __getattr__(name: str) -> Any:
-    """Import on use: the recorder needs no kinematics, and a walk of phases does without Pinocchio."""
+    """Import on first use: the recorder needs no kinematics, and a walk of phases needs no Pinocchio."""
     if name not in _FILES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module(f"{__name__}.{_FILES[name]}"), name)

@@ -1,4 +1,4 @@
-"""A whole-body walk as a rosbag2: what the nodes' recorder makes of one, and what is read of any."""
+"""Writes a whole-body walk as a rosbag2, in the form of the recorder node, and reads one back."""
 
 from __future__ import annotations
 
@@ -43,19 +43,19 @@ Stamps = NDArray[np.int64]
 
 
 def write_body(walked: WholeBodyTrace, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-    """Write a walk to the folder `path`, which appears only once it is complete.
+    """Write a walk to the folder `path`, which is created when the bag is complete.
 
     Raises
     ------
     BagError
-        If something is there already, or the disk refuses.
+        If the folder exists already, or cannot be written.
     """
     topics = {name: topic for name, topic in BODY_TOPICS.items() if name != "diagnostics"}
     write_columns(path, topics, _columns(walked), overwrite=overwrite)
 
 
 def _columns(walked: WholeBodyTrace) -> list[tuple[str, Stamps, list[bytes]]]:
-    """Return the messages of each topic and when they came, in the order of one period."""
+    """Return stamps and messages of each topic, in the order of publication within one period."""
     model, stamps = walked.model, stamps_of(walked.time)
     first = stamps[:1]
     targets, pushes = walked.scenario.targets, walked.scenario.pushes
@@ -82,7 +82,7 @@ def _columns(walked: WholeBodyTrace) -> list[tuple[str, Stamps, list[bytes]]]:
 
 
 def _when(timed: tuple[Timed, ...], stamps: Stamps) -> Stamps:
-    """Return the stamp of the first state that each target or push shows in."""
+    """Return the stamp of the first state to which each target or push applies."""
     asked = stamps_of(np.array([when for when, _ in timed]))
     found: Stamps = stamps[np.searchsorted(stamps, asked[asked <= stamps[-1]])]
     return found
@@ -92,19 +92,19 @@ def _when(timed: tuple[Timed, ...], stamps: Stamps) -> Stamps:
 
 
 def read_body(path: str | os.PathLike[str], *, namespace: str | None = None) -> BodyLog:
-    """Read a recorded whole-body walk, whatever recorded it.
+    """Read a recorded whole-body walk, whichever program recorded it.
 
     Parameters
     ----------
     path : path-like
         The bag's folder, or one of its files.
     namespace : str, optional
-        Of the robot, where the bag holds several.
+        Of the robot, if the bag contains several.
 
     Raises
     ------
     BagError
-        If the bag cannot be read, lacks a topic that is needed, or is that of another robot.
+        If the bag cannot be read, lacks a required topic, or is that of another robot.
     """
     bag = open_recording(path, namespace, BODY_TOPICS, BODY_REQUIRED)
     path, model, columns, notes = bag.path, bag.model, bag.columns, bag.notes
@@ -116,16 +116,16 @@ def read_body(path: str | os.PathLike[str], *, namespace: str | None = None) -> 
     if not whole.any():
         raise BagError(f"'{path}': no state has joints, pose, twist and torques with one stamp")
     if left_out := int(np.count_nonzero(~whole)):
-        notes.append(f"{left_out} states are not complete, or have no answer, and are left out")
+        notes.append(f"{left_out} states are incomplete or have no command, and are left out")
     stamps, rows, poses, twists, efforts = stamps[whole], rows[whole], poses[whole], twists[whole], efforts[whole]
     if gaps := int(np.count_nonzero(np.diff(stamps) > 1.5 * NS * bag.config.dt)):
-        notes.append(f"{gaps} times a period or more is missing between two states")
+        notes.append(f"{gaps} gaps of one period or more between two states")
     begin, end = int(stamps[0]), int(stamps[-1])
     time = (stamps - begin) / NS
     q, dq, x = joints.position[rows], joints.velocity[rows], pose_of(poses)
     states = tuple(BodyState(float(time[k]), q[k], dq=dq[k], x_base=x[k], v_base=twists[k]) for k in range(len(stamps)))
     wrenches = np.stack([aligned(columns.get(f"{foot.value}_wrench"), stamps, 6) for foot in FEET], axis=1)
-    # of the targets from before the first state the last holds
+    # of the targets before the first state, the last one applies
     led = {max(stamp, begin): place for stamp, place in _places(columns.get("hand_target_applied")) if stamp <= end}
     targets = tuple(((stamp - begin) / NS, place) for stamp, place in led.items())
     pushed = [(stamp, place) for stamp, place in _places(columns.get("push_applied")) if begin <= stamp <= end]
@@ -146,7 +146,7 @@ def _places(column: Column | None) -> list[tuple[int, tuple[float, float, float]
 
 
 def _efforts(path: Path, model: RobotModel, column: Column, stamps: Stamps, notes: list[str]) -> Array:
-    """Return the torques (N, n) [N m] of each stamp, nan where none was sent: the first that a plant would take."""
+    """Return the torques (N, n) [N m] of each stamp, nan where none were sent; of several, the first."""
     told = joint_states(column, model.joint_names)
     finite = np.isfinite(told.effort).all(axis=1)
     if not finite.any():
@@ -166,7 +166,7 @@ def _efforts(path: Path, model: RobotModel, column: Column, stamps: Stamps, note
 
 
 def _named(scenario: Scenario) -> Scenario:
-    """Return the scenario under the name of the test it is, if it is one."""
+    """Return the matching test of the paper, or the scenario itself if there is none."""
     times = Scenario("Test 1, the paper's times", 14.0, PAPER_TIMES)
     for known in (*SCENARIOS.values(), times):
         if abs(known.duration - scenario.duration) < 0.05 and all(

@@ -1,7 +1,7 @@
-"""The messages of a topic as arrays, and arrays as messages.
+"""Conversion between the messages of a topic and arrays.
 
-A walk has some hundred thousand joint states which differ in their stamp and their numbers only. `rosbags` reads and
-serialises one of them; of the others only those bytes are copied that change with the stamp and the numbers.
+A walk has some hundred thousand joint states that differ only in stamp and numbers. `rosbags` deserialises or
+serialises one of them; for the others only the bytes of stamp and numbers are copied.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ __all__ = [
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 NS = 1_000_000_000
-"""Nanoseconds of a second."""
+"""Nanoseconds per second."""
 LEVELS = ("OK", "WARN", "ERROR", "STALE")
-"""Of diagnostic_msgs/DiagnosticStatus [REP-107]."""
+"""Levels of diagnostic_msgs/DiagnosticStatus [REP-107]."""
 _ALL_BITS = float(np.frombuffer(b"\xff" * 8)[0])  # a nan of which every bit is set
 
 
@@ -45,7 +45,7 @@ def stamps_of(time: Array) -> Stamps:
 
 
 def new(kind: str, **values: Any) -> Any:
-    """Return a message of a type; the fields that `values` does not name are empty or zero."""
+    """Return a message of a type; fields that are not in `values` are empty or zero."""
     store = typestore()
     return store.types[kind](**{name: values.get(name, _zero(desc)) for name, desc in store.fielddefs[kind][1]})
 
@@ -65,22 +65,22 @@ def serialize(message: Any) -> bytes:
 
 
 def unpack(raw: bytes, kind: str) -> Any:
-    """Return one message.
+    """Return one deserialised message.
 
-    Bytes left over at the end are no damage: rclpy leaves some behind an empty last sequence, and
-    `Typestore.deserialize_cdr` would refuse them.
+    Extra bytes at the end are accepted: rclpy appends some after an empty last sequence, which
+    `Typestore.deserialize_cdr` would reject.
 
     Raises
     ------
     BagError
-        If the bytes are no such message.
+        If the bytes are not a message of this type.
     """
     store = typestore()
     definition = store.get_msgdef(kind)
     try:
         parse = definition.deserialize_cdr_le if raw[1] else definition.deserialize_cdr_be
         return parse(raw[4:], 0, definition.cls, store)[0]
-    except Exception as error:  # whatever damaged bytes make the parser raise
+    except Exception as error:  # damaged bytes may raise any exception in the parser
         raise BagError(f"a damaged {kind}: {error}") from error
 
 
@@ -125,7 +125,7 @@ def diagnostics(stamp: int, name: str, hardware: str, level: str, message: str, 
 
 
 def _doubles(message: Any) -> Iterator[tuple[Any, str, Any]]:
-    """Yield every field of doubles in a message, in the order of its bytes: what has it, its name, its value."""
+    """Yield every field of doubles in a message, in the order of its bytes: its owner, its name, its value."""
     for entry in fields(message):
         value = getattr(message, entry.name)
         if isinstance(value, float) or (isinstance(value, np.ndarray) and value.dtype == np.float64):
@@ -135,7 +135,7 @@ def _doubles(message: Any) -> Iterator[tuple[Any, str, Any]]:
 
 
 class _Layout:
-    """Where the stamp and the doubles are among the bytes of a message: those bytes change with them."""
+    """The positions of stamp and doubles among the bytes of a message."""
 
     def __init__(self, message: Any) -> None:
         low, high = copy.deepcopy(message), copy.deepcopy(message)
@@ -146,12 +146,12 @@ class _Layout:
         self.bytes = np.frombuffer(serialize(low), np.uint8)
         changed = np.flatnonzero(self.bytes != np.frombuffer(serialize(high), np.uint8))
         self.stamp, self.doubles = changed[:8], changed[8:]
-        same = np.setdiff1d(np.arange(4, len(self.bytes)), changed)  # the first four say how it is encapsulated
+        same = np.setdiff1d(np.arange(4, len(self.bytes)), changed)  # the first four bytes are the encapsulation
         parts = [part for part in np.split(same, np.flatnonzero(np.diff(same) > 1) + 1) if len(part)]
         self._same = [(slice(part[0], part[-1] + 1), self.bytes[part].tobytes()) for part in parts]
 
     def fits(self, raw: bytes) -> bool:
-        """Tell whether a message differs in nothing but stamp and doubles, and padding at its end."""
+        """Return whether a message differs only in stamp, doubles and padding at its end."""
         size = len(self.bytes)
         return size <= len(raw) < size + 8 and raw[1] == 1 and all(raw[part] == same for part, same in self._same)
 
@@ -185,7 +185,7 @@ class Table:
     message : message
         One of them.
     rows : ndarray of int, shape (N,)
-        Which of the column they are.
+        Their indices in the column.
     stamps : ndarray of int64, shape (N,) [ns]
     numbers : ndarray, shape (N, k)
         Every double behind the header, in the order of the message.
@@ -198,12 +198,12 @@ class Table:
 
 
 def tables(column: Column) -> Iterator[Table]:
-    """Yield the messages of a column as tables, as many as there are changes of anything but stamp and numbers.
+    """Yield the messages of a column as tables; a new table begins where anything but stamp and numbers changes.
 
     Raises
     ------
     BagError
-        If every one of them is damaged; where only some are, those are left out.
+        If all messages are damaged; if only some are, those are omitted.
     """
     layout: _Layout | None = None
     message: Any = None
@@ -245,12 +245,12 @@ def _table(column: Column, layout: _Layout, message: Any, rows: list[int]) -> Ta
 
 
 def aligned(column: Column | None, stamps: Stamps, width: int) -> Array:
-    """Return the numbers of the message that has each stamp, shape (N, width), nan where no finite ones are known.
+    """Return the numbers of the message with each stamp, shape (N, width); nan without a message of finite numbers.
 
     Parameters
     ----------
     column : Column or None
-        Of a type that has a fixed count of doubles.
+        Of a type with a fixed number of doubles.
     stamps : ndarray of int64, shape (N,) [ns]
         In ascending order.
     width : int
@@ -293,13 +293,13 @@ class JointStates:
     Attributes
     ----------
     rows : ndarray of int, shape (N,)
-        Which messages of the column they are; damaged ones are left out.
+        Their indices in the column; damaged messages are omitted.
     stamps : ndarray of int64, shape (N,) [ns]
     frames : tuple of str, N
     named : tuple of str
-        The joints that the messages name, a hundred at most.
+        The joints named in the messages, at most a hundred.
     position, velocity, effort : ndarray, shape (N, n)
-        Of the joints asked for; nan where a message does not say.
+        Of the requested joints; nan where a message has no value.
     """
 
     rows: NDArray[np.intp]
@@ -312,12 +312,12 @@ class JointStates:
 
 
 def joint_states(column: Column, names: Sequence[str]) -> JointStates:
-    """Return the JointState messages of a column, whatever the order of their joints.
+    """Return the JointState messages of a column, for any order of their joints.
 
     Raises
     ------
     BagError
-        If every one of them is damaged.
+        If all of them are damaged.
     """
     count, n = len(column.raws), len(names)
     rows, stamps, frames = [], [], []
@@ -402,7 +402,7 @@ class Status:
     values: Mapping[str, str]
 
     def number(self, key: str) -> float:
-        """Return a value as a number, nan where it is none."""
+        """Return a value as a number; nan if it is not a number."""
         try:
             return float(self.values.get(key, "nan"))
         except ValueError:
@@ -411,7 +411,7 @@ class Status:
 
 @dataclass(frozen=True)
 class Fault:
-    """The same complaint, however often it was made."""
+    """A fault on /diagnostics, with its first and last time and the number of its messages."""
 
     name: str
     level: str
@@ -422,7 +422,7 @@ class Fault:
 
 
 def diagnostics_of(path: str | os.PathLike[str]) -> list[Status]:
-    """Return every status in the order of time; messages that cannot be read are left out.
+    """Return every status in the order of time; damaged messages are omitted.
 
     Raises
     ------
@@ -443,10 +443,10 @@ def diagnostics_of(path: str | os.PathLike[str]) -> list[Status]:
     return sorted(out, key=lambda status: status.time)
 
 
-def faults(said: list[Status]) -> list[Fault]:
-    """Return every complaint once, the worst first; numbers in a message make no difference."""
+def faults(statuses: list[Status]) -> list[Fault]:
+    """Return each fault once, the worst first; messages that differ in numbers only are the same fault."""
     found: dict[tuple[str, str, str], Fault] = {}
-    for status in said:
+    for status in statuses:
         if status.level == "OK":
             continue
         key = status.name, status.level, re.sub(r"[-+.\d]+(e[-+]?\d+)?", "#", status.message)

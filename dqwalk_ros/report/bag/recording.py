@@ -1,4 +1,4 @@
-"""What a bag of either kind of walk holds: one robot's topics, configuration and model, and the states of one run."""
+"""Common content of the bags of both kinds of walk: topics, configuration and model of a robot, states of one run."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ class Recording:
     ----------
     path : Path
     columns : dict of str to Column
-        By the names of the topics' table.
+        By the names in `dqwalk_ros.topics`.
     config : Config
     model : RobotModel
     states : JointStates
-        All messages of joint_states that can be read.
+        All readable messages of joint_states.
     rows : ndarray of int, shape (N,)
-        Those of the last run, in the order of time, one for each stamp.
+        Indices of those of the last run, in the order of time, one for each stamp.
     stamps : ndarray of int64, shape (N,)
         Their stamps [ns].
     origin : dict of str to str
-        Versions and machine that walked; empty where the bag does not say.
+        Versions and machine of the recorded walk; empty if they are not in the bag.
     notes : list of str
-        What is missing or was left out.
+        Descriptions of missing or omitted data.
     tuned : dict of int to Config
-        Parameters that were changed while the robot walked, by the stamp [ns] from which they were in force.
+        Parameters that were changed during the walk, by the stamp [ns] from which they applied.
     """
 
     path: Path
@@ -62,7 +62,7 @@ class Recording:
 
 
 def is_body(path: str | os.PathLike[str]) -> bool:
-    """Tell whether a bag holds a whole-body walk rather than one of phases.
+    """Return whether a bag contains a whole-body walk, not a walk of phases.
 
     Raises
     ------
@@ -83,16 +83,16 @@ def open_recording(
     path : path-like
         The bag's folder, or one of its files.
     namespace : str or None
-        Of the robot, where the bag holds several.
+        Of the robot, if the bag contains several.
     topics : mapping of str to Topic
-        Those of a walk.
+        The topics of this kind of walk.
     required : sequence of str
-        Without these it is not a walk.
+        Names of the topics that must be present.
 
     Raises
     ------
     BagError
-        If the bag cannot be read, lacks a topic that is needed, or is that of another robot.
+        If the bag cannot be read, lacks a required topic, or is that of another robot.
     """
     path, wanted = Path(path), {name: topic.type for name, topic in topics.items() if name != "diagnostics"}
     content = load(path, lambda topic, kind: wanted.get(topic.rpartition("/")[2]) == kind)
@@ -122,7 +122,7 @@ def open_recording(
 
 
 def _configurations(found: Sequence[str], source: str) -> tuple[Config, dict[int, Config]]:
-    """Return the configuration with which the last run began, and those that were in force later, by stamp [ns]."""
+    """Return the configuration at the start of the last run, and the later ones by stamp [ns]."""
     began = max((k for k, one in enumerate(found) if configuration.since(one) is None), default=0)
     first, *later = (configuration.from_yaml(one, source=source) for one in found[began:])
     stamps = (configuration.since(one) for one in found[began + 1 :])
@@ -132,7 +132,7 @@ def _configurations(found: Sequence[str], source: str) -> tuple[Config, dict[int
 def _columns_of(
     path: Path, content: Content, namespace: str | None, wanted: Mapping[str, str], required: Sequence[str]
 ) -> dict[str, Column]:
-    """Return the columns of one namespace by the names of the topics' table."""
+    """Return the columns of one namespace by the names in `dqwalk_ros.topics`."""
     found: dict[str, set[str]] = {}
     for topic, kind in content.topics.items():
         prefix, _, name = topic.rpartition("/")
@@ -154,7 +154,7 @@ def _columns_of(
 
 
 def _model_in(path: Path, config: Config, columns: Mapping[str, Column], notes: list[str]) -> RobotModel:
-    """Return the robot of the bag; the URDF that is installed serves where the bag has none."""
+    """Return the robot of the bag, or from the installed URDF if the bag contains none."""
     if "robot_description" not in columns:
         notes.append(f"robot_description is missing: {config.robot.urdf} as installed here was used")
         return load_model(config.robot)
@@ -165,16 +165,16 @@ def _model_in(path: Path, config: Config, columns: Mapping[str, Column], notes: 
 
 
 _GAP = NS
-"""A stamp this far ahead of the one before it [ns] may be an error of one message."""
+"""Jump of the stamp [ns] above which the stamp of a single message may be wrong."""
 _FEW, _PART = 5, 0.01
-"""So many states, or this part of all, may have a stamp that cannot be; more of them are another run."""
+"""Number and fraction of consecutive states whose stamps may be wrong; more of them are another run."""
 
 
 def _last_run(stamps: Stamps, notes: list[str]) -> tuple[NDArray[np.intp], int]:
-    """Return the rows of the last run, in the order of time, and the row it begins with.
+    """Return the rows of the last run, in the order of time, and its first row.
 
-    Where time goes back the plant began anew. But a few states whose stamp fits neither before nor after them are
-    errors of messages: they alone are left out.
+    If time goes back, the plant was restarted. A few states whose stamps fit neither those before nor those after them
+    are considered errors, and only they are omitted.
     """
     few = max(_FEW, _PART * len(stamps))
     step = np.diff(stamps)
@@ -182,19 +182,19 @@ def _last_run(stamps: Stamps, notes: list[str]) -> tuple[NDArray[np.intp], int]:
     wrong = again = begin = 0
     for run in np.split(np.arange(len(stamps)), np.flatnonzero((step < 0) | (step > _GAP)) + 1):
         while kept and stamps[kept[-1][-1]] > stamps[run[0]] and len(kept[-1]) <= min(few, len(run)):
-            wrong += len(kept.pop())  # it lay ahead of what follows
+            wrong += len(kept.pop())  # its stamps were ahead of those that follow
         if not kept or stamps[run[0]] - stamps[kept[-1][-1]] > _GAP:
             kept.append(run)
         elif stamps[run[0]] >= stamps[kept[-1][-1]]:
             kept[-1] = np.concatenate([kept[-1], run])
         elif len(run) <= few:
-            wrong += len(run)  # it lies behind what came before
+            wrong += len(run)  # its stamps are behind those before
         else:
             again, begin, kept = again + 1, int(run[0]), [run]
     if len(kept) > 1 and len(kept[-1]) <= _FEW:
-        wrong += len(kept.pop())  # it lies ahead, and nothing follows
+        wrong += len(kept.pop())  # its stamps are ahead, and nothing follows
     if again:
         notes.append(f"time went back {again} times: only the last run is read")
     if wrong:
-        notes.append(f"{wrong} states whose stamp cannot be are left out")
+        notes.append(f"{wrong} states with an impossible stamp are left out")
     return np.concatenate([np.zeros(0, np.intp), *kept]), begin

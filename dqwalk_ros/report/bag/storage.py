@@ -1,8 +1,8 @@
-"""The raw messages of a rosbag2: how they are written, and how they are read back from whatever is left of a bag.
+"""Reads and writes the serialised messages of a rosbag2, also of a damaged one.
 
 Bags are written by `rosbags`. They are read in the order of the file, with `mcap` and SQLite, because the reader of
-`rosbags` refuses a recording that was cut off, and inflates whatever it is told to: here memory and time are bounded
-by the size of the bag, every checksum is verified, and a damaged file is read up to the damage.
+`rosbags` rejects a truncated recording and decompresses without a limit. Here memory and time are bounded by the size
+of the bag, every checksum is verified, and a damaged file is read up to the damage.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def open_writer(path: Path) -> Writer:
     Raises
     ------
     BagError
-        If something is there already, or the disk refuses.
+        If the folder exists already, or cannot be written.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -67,12 +67,12 @@ def open_writer(path: Path) -> Writer:
     except (OSError, WriterError) as error:
         raise BagError(f"cannot write '{path}': {error}") from error
     storage: Any = writer.storage
-    storage.compressor = zstandard.ZstdCompressor(write_checksum=True).compress  # rosbags itself writes none
+    storage.compressor = zstandard.ZstdCompressor(write_checksum=True).compress  # rosbags writes no checksum
     return writer
 
 
 def connect(writer: Writer, name: str, topic: Topic) -> Connection:
-    """Return the connection that messages of a topic are written to, under the full name `name`."""
+    """Return the connection for writing the messages of a topic under the full name `name`."""
     qos = Qos(
         history=QosHistory.KEEP_LAST,
         depth=topic.depth,
@@ -88,8 +88,8 @@ def connect(writer: Writer, name: str, topic: Topic) -> Connection:
 
 
 def flush(writer: Writer) -> None:
-    """Hand to the system what an open writer holds back, so that it can be read even if nobody ends the bag."""
-    storage: Any = writer.storage  # rosbags holds up to a megabyte back, which is many seconds of walking
+    """Write the buffered messages of an open writer to the file, so that they survive a kill of the process."""
+    storage: Any = writer.storage  # rosbags buffers up to a megabyte, which is many seconds of walking
     if storage is not None and storage.chunk.msgs:
         storage.close_chunk()
         storage.bio.flush()
@@ -102,26 +102,26 @@ def write_columns(
     *,
     overwrite: bool,
 ) -> None:
-    """Write the bag `path`, which appears only once it is complete.
+    """Write the bag `path`, which is created when it is complete.
 
     Parameters
     ----------
     path : path-like
     topics : mapping of str to Topic
-        Of the bag.
+        All topics of the bag.
     columns : iterable of (str, ndarray of int64, sequence of bytes)
         Topic, stamps [ns] and messages; at the same stamp they are written in the order of the columns.
     overwrite : bool
-        Replace what is there.
+        Replace an existing file or folder.
 
     Raises
     ------
     BagError
-        If something is there already, or the disk refuses.
+        If the folder exists already, or cannot be written.
     """
     target = Path(path)
     if target.exists() and not overwrite:
-        raise BagError(f"'{target}' is there already; choose another folder, or ask for it to be overwritten")
+        raise BagError(f"'{target}' exists already; choose another folder, or overwrite it")
     entries = [
         (stamp, order, name, raw)
         for order, (name, stamps, raws) in enumerate(columns)
@@ -136,7 +136,7 @@ def write_columns(
                 connections = {name: connect(writer, "/" + name, topic) for name, topic in topics.items()}
                 for stamp, _, name, raw in entries:
                     writer.write(connections[name], stamp, raw)
-                    if stamp >= due:  # a second of walking is the most that damage takes
+                    if stamp >= due:  # so that damage costs at most one second
                         due = stamp + 1_000_000_000
                         flush(writer)
             if target.is_dir():
@@ -153,12 +153,12 @@ def write_columns(
 _MOST = 16 << 20
 """Largest message or chunk that is read [bytes]; writers make chunks of about one megabyte."""
 _ROOM, _RATIO = 64 << 20, 200
-"""A bag may inflate to so many bytes, and to so many times its size on disk: a robot that stands still compresses to a
-fiftieth."""
+"""Largest decompressed size of a bag: this many bytes plus this many times its size on disk. States of a robot that
+stands still are compressed to a fiftieth."""
 _MAGIC = b"\x89MCAP0\r\n"
 _ZSTD = b"\x28\xb5\x2f\xfd"
-_HEAD = struct.Struct("<BQ")  # how every record of an MCAP file begins: opcode, length
-_Item = tuple[str, str, int, bytes | None]  # topic, type, time of recording [ns], message; None names the topic alone
+_HEAD = struct.Struct("<BQ")  # head of every record of an MCAP file: opcode, length
+_Item = tuple[str, str, int, bytes | None]  # topic, type, time of recording [ns], message; None only names the topic
 
 
 @dataclass
@@ -171,7 +171,7 @@ class Column:
     times : list of int [ns]
         When each was recorded.
     order : list of int
-        Its place among all messages of the bag.
+        Position of each among all messages of the bag.
     raws : list of bytes
     """
 
@@ -181,14 +181,14 @@ class Column:
     raws: list[bytes] = field(default_factory=list)
 
     def since(self, place: int) -> Column:
-        """Return the messages from a place in the bag on, and where there is none the last before it."""
+        """Return the messages from a position in the bag on; if there are none, the last one before it."""
         first = next((i for i, order in enumerate(self.order) if order >= place), max(len(self.order) - 1, 0))
         return Column(self.type, self.times[first:], self.order[first:], self.raws[first:])
 
 
 @dataclass(frozen=True)
 class Content:
-    """What a bag holds: the columns asked for, the name and type of every topic, and what is wrong with it."""
+    """Content of a bag: the requested columns, name and type of every topic, and notes on damage."""
 
     columns: dict[str, Column]
     topics: dict[str, str]
@@ -211,19 +211,19 @@ def load(path: str | os.PathLike[str], wanted: Callable[[str, str], bool]) -> Co
     Raises
     ------
     BagError
-        If there is no bag at `path`, nothing in it can be read, or it inflates to more than any walk.
+        If there is no bag at `path`, nothing in it can be read, or its decompressed size is too large.
     """
     path = Path(path)
     if not path.exists():
         raise BagError(f"no bag at '{path}'")
     files = _files(path)
     if not files:
-        raise BagError(f"'{path}' is no rosbag2: it holds no .mcap or .db3 file")
+        raise BagError(f"'{path}' is not a rosbag2: it contains no .mcap or .db3 file")
     columns: dict[str, Column] = {}
     topics: dict[str, str] = {}
     notes: list[str] = []
     if path.is_dir() and not (path / "metadata.yaml").exists():
-        notes.append("metadata.yaml is missing: the recorder did not end as it should")
+        notes.append("metadata.yaml is missing: the recorder was not shut down properly")
     place = 0
     for file in files:
         before, reason = place, ""
@@ -242,12 +242,12 @@ def load(path: str | os.PathLike[str], wanted: Callable[[str, str], bool]) -> Co
             raise
         except sqlite3.DatabaseError as error:
             reason = f"{error}; the .recover command of sqlite3 may save what is left"
-        except Exception as error:  # whatever damaged bytes make a parser raise
+        except Exception as error:  # damaged bytes may raise any exception in a parser
             reason = str(error) or type(error).__name__
         if reason:
             notes.append(f"{file.name} is damaged or cut off ({reason}): {place - before} messages recovered")
     if not topics:
-        raise BagError(f"cannot read '{path}': {'; '.join(notes) or 'it holds no topic'}")
+        raise BagError(f"cannot read '{path}': {'; '.join(notes) or 'it contains no topic'}")
     return Content(columns, topics, tuple(notes))
 
 
@@ -258,13 +258,13 @@ def _files(path: Path) -> list[Path]:
         files = [file for file in path.iterdir() if re.search(r"\.(mcap|db3)(\.zstd)?$", file.name)]
     for file in files:
         if not stat.S_ISREG(file.stat().st_mode):
-            raise BagError(f"'{file}' is no regular file")
+            raise BagError(f"'{file}' is not a regular file")
     return sorted(files, key=lambda file: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", file.name)])
 
 
 def _messages(file: Path) -> Iterator[_Item]:
-    status = file.stat()
-    room = _Room(_ROOM + _RATIO * min(status.st_size, 512 * status.st_blocks))  # holes in a file are not on the disk
+    status = file.stat()  # st_blocks: a sparse file may be much smaller than its nominal size
+    room = _Room(_ROOM + _RATIO * min(status.st_size, 512 * status.st_blocks))
     with tempfile.TemporaryDirectory() as scratch:
         if file.suffix == ".zstd":
             plain = Path(scratch) / file.stem
@@ -281,7 +281,7 @@ def _messages(file: Path) -> Iterator[_Item]:
 
 
 class _Room:
-    """Counts what a file has become, and ends that where it is more than a walk can be."""
+    """Limits the decompressed size of a file."""
 
     def __init__(self, left: int) -> None:
         self._left = left
@@ -290,11 +290,11 @@ class _Room:
         """Count `size` bytes more."""
         self._left -= size
         if self._left < 0:
-            raise BagError("the bag inflates to more than a walk can hold: it is damaged, or no bag of a walk")
+            raise BagError("the decompressed bag is larger than any walk: it is damaged, or not a bag of a walk")
 
 
 def _inflate(data: bytes, compression: str, size: int) -> bytes:
-    """Return what `data` inflates to, `size` bytes at most."""
+    """Return `data` decompressed, at most `size` + 1 bytes."""
     if size > _MOST:
         raise _Damage(f"a chunk or message of {size >> 20} MB")
     if compression == "zstd":
@@ -307,7 +307,7 @@ def _inflate(data: bytes, compression: str, size: int) -> bytes:
 
 
 def _message(data: bytes, room: _Room) -> bytes:
-    if data[:4] == _ZSTD:  # compressed message by message; CDR never begins like this
+    if data[:4] == _ZSTD:  # compressed message by message; CDR never begins with these bytes
         data = _inflate(data, "zstd", _MOST)
     room.take(len(data))
     return data
@@ -318,7 +318,7 @@ def _mcap(stream: IO[bytes], room: _Room) -> Iterator[_Item]:
     channels: dict[int, Channel] = {}
     count, ended = 0, False
     if stream.read(len(_MAGIC)) != _MAGIC:
-        raise _Damage("it is no MCAP file")
+        raise _Damage("it is not an MCAP file")
     for record in _records(stream, room):
         if isinstance(record, Message):
             count += 1
@@ -330,21 +330,21 @@ def _mcap(stream: IO[bytes], room: _Room) -> Iterator[_Item]:
             channels[record.id] = record
             yield record.topic, schemas[record.schema_id].name, 0, None
         elif isinstance(record, Statistics) and record.message_count != count:
-            raise _Damage(f"it says that it holds {record.message_count} messages")
+            raise _Damage(f"its statistics state {record.message_count} messages")
         ended = isinstance(record, Footer)
     if not ended:
         raise _Damage("its end is missing")
 
 
 def _records(stream: IO[bytes], room: _Room) -> Iterator[McapRecord]:
-    """Yield the records of an MCAP file one by one, those of a chunk in its place.
+    """Yield the records of an MCAP file one by one, with the records of a chunk at its position.
 
-    `mcap.stream_reader.StreamReader` would read on through gigabytes of zeros, and inflate chunks without a bound.
+    `mcap.stream_reader.StreamReader` would read gigabytes of zeros, and decompress chunks without a limit.
     """
     while head := stream.read(_HEAD.size):
         opcode, length = _HEAD.unpack(head)
         if not (0 < opcode <= Opcode.DATA_END or opcode >= 0x80) or length > 2 * _MOST:
-            raise _Damage("what follows is no record")
+            raise _Damage("the next bytes are not a record")
         body = stream.read(length)
         if opcode == Opcode.CHUNK:
             chunk = Chunk.read(ReadDataStream(io.BytesIO(body)))
@@ -356,7 +356,7 @@ def _records(stream: IO[bytes], room: _Room) -> Iterator[McapRecord]:
             room.take(len(data))
             yield from _records(io.BytesIO(data), room)
         if len(body) < length:
-            raise _Damage("its last record is not complete")
+            raise _Damage("its last record is incomplete")
         if opcode in _KINDS:
             yield _KINDS[Opcode(opcode)](ReadDataStream(io.BytesIO(body)), length)
         if opcode == Opcode.FOOTER:
@@ -377,7 +377,7 @@ def _sqlite(file: Path, room: _Room) -> Iterator[_Item]:
         connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MOST)
         tables: Iterable[tuple[str, str]] = connection.execute("SELECT name, sql FROM sqlite_master")
         plain = {name for name, sql in tables if sql and sql.lstrip().upper().startswith("CREATE TABLE")}
-        if not {"topics", "messages"} <= plain:  # a view may be without end
+        if not {"topics", "messages"} <= plain:  # a view may be infinite
             raise _Damage("it has no tables of topics and messages")
         for name, kind in connection.execute("SELECT name, type FROM topics"):
             yield name, kind, 0, None

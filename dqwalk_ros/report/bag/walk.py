@@ -1,4 +1,4 @@
-"""A walk of phases as a rosbag2: written as the recorder node would have made it, and read back from any recording."""
+"""Writes a walk of phases as a rosbag2, in the form of the recorder node, and reads one back."""
 
 from __future__ import annotations
 
@@ -47,35 +47,35 @@ Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 _Messages = tuple[str, Stamps, list[bytes]]
 _CLOCK = 10**18
-"""A stamp beyond this [ns], in 2001, is that of a clock; a simulation's time begins by itself."""
+"""Stamps above this [ns], a time in 2001, are those of a clock; smaller ones are simulated time."""
 _FARTHEST = 100.0
-"""An angle beyond this [rad] is an error of a sensor or of a file."""
+"""Angles above this [rad] are errors of a sensor or of the file; positions above this [m] likewise."""
 
 
 # ---------------------------------------------------------------------- writing
 
 
 def write(trace: Trace, path: str | os.PathLike[str], *, diagnostics: bool = True, overwrite: bool = False) -> None:
-    """Write a walk to the folder `path`, which appears only once it is complete.
+    """Write a walk to the folder `path`, which is created when the bag is complete.
 
     Parameters
     ----------
     trace : Trace
-        With one state at least.
+        With at least one state.
     path : path-like
         The bag's folder.
     diagnostics : bool
         Add ``/diagnostics`` at ``monitor.rate``.
     overwrite : bool
-        Replace a bag that is there already.
+        Replace an existing bag.
 
     Raises
     ------
     BagError
-        If there is nothing to write, something is there already, or the disk refuses.
+        If the walk has no state, or the folder exists already or cannot be written.
     """
     if len(trace.time) == 0:
-        raise BagError("a walk without a single state makes no bag")
+        raise BagError("a walk without a state cannot be written as a bag")
     topics = {name: topic for name, topic in TOPICS.items() if topic.source != "physics" or trace.physics is not None}
     if not diagnostics:
         del topics["diagnostics"]
@@ -83,7 +83,7 @@ def write(trace: Trace, path: str | os.PathLike[str], *, diagnostics: bool = Tru
 
 
 def _columns(trace: Trace, diagnostics: bool) -> list[_Messages]:
-    """Return the messages of each topic, in the order in which they are published within one period."""
+    """Return the messages of each topic, in the order of publication within one period."""
     stamps, names, model = stamps_of(trace.time) + trace.epoch, trace.model.joint_names, trace.model
     applied = np.zeros_like(trace.u)  # the velocity that led to a state is the command before it
     applied[1:] = np.nan_to_num(trace.u[:-1])
@@ -117,7 +117,7 @@ def _columns(trace: Trace, diagnostics: bool) -> list[_Messages]:
 
 
 def _physics_messages(model: RobotModel, stamps: Stamps, known: PhysicsRecord) -> list[_Messages]:
-    """Return the messages of a physics engine, one per tick where they are known."""
+    """Return the messages of the physics node, for the ticks on which their values are known."""
     unsure = np.zeros((len(stamps), 9))
     turned = known.orientation[:, [1, 2, 3, 0]]
     felt = np.concatenate([turned, unsure, known.gyro, unsure, known.acceleration, unsure], axis=1)
@@ -135,11 +135,11 @@ def _physics_messages(model: RobotModel, stamps: Stamps, known: PhysicsRecord) -
 
 
 def _phase_start(model: RobotModel, record: PhaseRecord, stamp: Stamps) -> list[_Messages]:
-    """Return what is published where a phase begins."""
+    """Return the messages published at the start of a phase."""
     frame = model.soles[record.base].frame
-    shown = [said for said in (record.name, record.decision) if said]
+    shown = [label for label in (record.name, record.decision) if label]
     found = [
-        ("phase", np.repeat(stamp, len(shown)), [text(said) for said in shown]),
+        ("phase", np.repeat(stamp, len(shown)), [text(label) for label in shown]),
         ("support_foot", stamp, [text(record.support.value)]),
         ("phase_start", stamp, pack_joint_states(stamp, model.joint_names, position=record.q_start[None], frame=frame)),
     ]
@@ -150,7 +150,7 @@ def _phase_start(model: RobotModel, record: PhaseRecord, stamp: Stamps) -> list[
 
 
 def _diagnostics(trace: Trace, stamps: Stamps) -> list[_Messages]:
-    """Return what the phase monitor would have published, at its rate from the beginning of each phase."""
+    """Return the messages of the phase monitor, at its rate from the beginning of each phase."""
     period, found = round(NS / trace.config.monitor.rate), []
     for record, end in zip(trace.phases, [*(record.start for record in trace.phases[1:]), len(stamps)], strict=True):
         assess = Assessor(trace.config, trace.model, record.phase(trace.config, trace.model))
@@ -177,24 +177,24 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
     path : path-like
         The bag's folder, or one of its files.
     namespace : str, optional
-        Of the robot, where the bag holds several.
+        Of the robot, if the bag contains several.
 
     Returns
     -------
     Trace
-        Velocities are nan where a state has no command; what was missing or left out is in ``notes``.
+        Velocities are nan where a state has no command; missing and omitted data are listed in ``notes``.
 
     Raises
     ------
     BagError
-        If the bag cannot be read, lacks a topic that is needed, or is that of another robot.
+        If the bag cannot be read, lacks a required topic, or is that of another robot.
     """
     bag = open_recording(path, namespace, TOPICS, REQUIRED)
     path, model, columns, notes, stamps = bag.path, bag.model, bag.columns, bag.notes, bag.stamps
     starts = _starts(path, model, columns, notes)
     q = bag.states.position[bag.rows]
     walking = stamps >= starts[0].stamp
-    whole = ~(~(np.abs(q) < _FARTHEST)).any(axis=1)  # no nan is less
+    whole = ~(~(np.abs(q) < _FARTHEST)).any(axis=1)  # false for nan
     if early := int(np.count_nonzero(~walking)):
         notes.append(f"{early} states before the first phase are left out")
     if not walking.any():
@@ -207,10 +207,10 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
     stamps, q = stamps[walking & whole], q[walking & whole]
     u = _commands(path, model, stamps, columns["joint_velocity_commands"], notes)
     unanswered = np.flatnonzero(np.isnan(u).any(axis=1))
-    last_word = texts(columns["phase"])[-1]
-    if last_word in (FAILED, FALLEN):
+    last_phase = texts(columns["phase"])[-1]
+    if last_phase in (FAILED, FALLEN):
         notes.append("the walk failed: a phase could not end by its rule")
-    if last_word == FINISHED and len(unanswered) < len(u):  # what the plant published after the walk is no part of it
+    if last_phase == FINISHED and len(unanswered) < len(u):  # states after the end of the walk are omitted
         end = int(np.setdiff1d(np.arange(len(u)), unanswered)[-1]) + 1
         stamps, q, u, unanswered = stamps[:end], q[:end], u[:end], unanswered[unanswered < end]
     if len(unanswered):
@@ -226,7 +226,7 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
             _records(model, starts, stamps, _first_base(model, columns, starts[0]), epoch, notes), bag, epoch
         ),
         solve_time=np.full(len(stamps), np.nan),
-        finished=last_word == FINISHED,
+        finished=last_phase == FINISHED,
         notes=tuple(notes),
         origin=bag.origin,
         physics=_physics(stamps, columns, bag),
@@ -251,22 +251,22 @@ class _Start:
 
 
 def _starts(path: Path, model: RobotModel, columns: Mapping[str, Column], notes: list[str]) -> list[_Start]:
-    """Return every phase in order; the names that were published are joined to the starts in their order."""
+    """Return every phase in order; published names are assigned to the starts in the order of both."""
     names = [name for name in texts(columns["phase"]) if "/" in name]
     begun = joint_states(columns["phase_start"], model.joint_names)
     if not names or not len(begun.stamps):
-        raise BagError(f"'{path}' holds no phase of a walk")
+        raise BagError(f"'{path}' contains no phase of a walk")
     feet = {model.soles[foot].frame: foot for foot in Foot}
     if not set(begun.frames) <= set(feet) or not set(model.joint_names) <= set(begun.named):
         told = f"{ascii(begun.frames[0])[1:-1][:60]} and {listed(begun.named)}"
         raise BagError(f"'{path}' is of another robot: phase_start names {told}")
     targets = _swing_targets(columns.get("swing_target"))
     known = [_parsed(name) for name in names]
-    # a name is published again after a pause, and does not tell which start it belongs to
+    # a name is published again after a pause, so it does not identify its start
     in_order = len(names) == len(begun.stamps) == len(columns["phase_start"].raws) and None not in known
     if None in known:
         strange = ascii(names[known.index(None)])[:60]
-        notes.append(f"no phase is called {strange}: phases are told by their base sole and swing target")
+        notes.append(f"unknown phase {strange}: phases are identified by their base sole and swing target")
     found: dict[int, _Start] = {}
     for i, stamp in enumerate(begun.stamps.tolist()):
         base, q, target = feet[begun.frames[i]], begun.position[i], targets.get(stamp)
@@ -281,7 +281,7 @@ def _starts(path: Path, model: RobotModel, columns: Mapping[str, Column], notes:
         if kind is PhaseKind.SINGLE_SUPPORT and target is None:
             raise BagError(f"'{path}': the swing target of {name} at {time:.3f} s is missing")
         if not (np.abs(q) < _FARTHEST).all() or not (target is None or _is_pose(target)):
-            raise BagError(f"'{path}': {name} at {time:.3f} s begins with numbers that cannot be")
+            raise BagError(f"'{path}': {name} at {time:.3f} s begins with impossible numbers")
         found[stamp] = _Start(name, kind, support, base, stamp, q, target)
     return [found[stamp] for stamp in sorted(found)]
 
@@ -295,12 +295,12 @@ def _parsed(name: str) -> tuple[PhaseKind, Foot] | None:
 
 
 def _is_pose(x: Array) -> bool:
-    """Tell whether (8,) is a unit dual quaternion at a place that a robot may reach."""
+    """Return whether (8,) is a unit dual quaternion with a plausible position."""
     return bool(np.isfinite(x).all() and abs(np.linalg.norm(x[:4]) - 1.0) < 1e-6 and np.abs(x[4:]).max() < _FARTHEST)
 
 
 def _swing_targets(column: Column | None) -> dict[int, Array]:
-    """Return the landing places (8,) by their stamp [ns]."""
+    """Return the targets (8,) of the swing foot by their stamp [ns]."""
     out: dict[int, Array] = {}
     for found in tables(column) if column is not None else ():
         out |= dict(zip(found.stamps.tolist(), pose_of(found.numbers), strict=True))
@@ -308,7 +308,7 @@ def _swing_targets(column: Column | None) -> dict[int, Array]:
 
 
 def _first_base(model: RobotModel, columns: Mapping[str, Column], start: _Start) -> Array:
-    """Return the pose of the first phase's base sole in odom: the origin, unless the recording began later."""
+    """Return the pose of the first phase's base sole in odom: the origin, unless the recording started later."""
     one = DQ(1.0).vec8()
     (told,) = pose_of(aligned(columns.get("base_pose"), np.array([start.stamp]), 7))
     if not _is_pose(told):
@@ -318,11 +318,11 @@ def _first_base(model: RobotModel, columns: Mapping[str, Column], start: _Start)
 
 
 _SAME_POSE = 5e-3
-"""An estimate of the base is not that of the joints to the last bit."""
+"""Largest difference of a pose from the origin that is attributed to the estimation of the base."""
 
 
 def _tuned(records: Sequence[PhaseRecord], bag: Recording, epoch: int) -> tuple[PhaseRecord, ...]:
-    """Return the records with the parameters that were in force in each, where they are not those of the beginning."""
+    """Return the records, those after a change of parameters with the changed configuration."""
     out = []
     for record in records:
         began = round(record.time * NS) + epoch
@@ -332,15 +332,15 @@ def _tuned(records: Sequence[PhaseRecord], bag: Recording, epoch: int) -> tuple[
 
 
 _NEAR = 1000
-"""Times in seconds are stamps to so many nanoseconds."""
+"""Rounding error of a time in seconds [ns]."""
 
 
 def _records(
     model: RobotModel, starts: Sequence[_Start], stamps: Stamps, x_odom_base: Array, epoch: int, notes: list[str]
 ) -> tuple[PhaseRecord, ...]:
-    """Return the records; odometry goes on where the base changes: x_odom_new = x_odom_old x_old_new(q_start).
+    """Return the records of the phases, with times counted from `epoch` [ns].
 
-    Their times count from `epoch` [ns].
+    Where the base sole changes, its pose in odom is updated: x_odom_new = x_odom_old x_old_new(q_start).
     """
     out: list[PhaseRecord] = []
     for start in starts:
@@ -351,7 +351,7 @@ def _records(
         if tick == len(stamps):
             notes.append(f"{start.name} began at {time:.3f} s, after the last state, and is left out")
             break
-        if out and out[-1].start == tick:  # over before the recording began
+        if out and out[-1].start == tick:  # ended before the recording started
             out.pop()
         if stamps[tick] != start.stamp:
             notes.append(f"the state at which {start.name} began, {time:.3f} s, is missing")
@@ -371,11 +371,11 @@ def _records(
     return tuple(out)
 
 
-# ---------------------------------------------------------------------- what goes with the states
+# ---------------------------------------------------------------------- commands and physics
 
 
 def _commands(path: Path, model: RobotModel, stamps: Stamps, column: Column, notes: list[str]) -> Array:
-    """Return the velocity that answers each state, shape (N, n), nan where none does."""
+    """Return the velocity commanded for each state, shape (N, n); nan for a state without a command."""
     commands = joint_states(column, model.joint_names)
     if missing := [name for name in model.joint_names if name not in commands.named]:
         raise BagError(f"'{path}': joint_velocity_commands lack {', '.join(missing)}")
@@ -386,14 +386,14 @@ def _commands(path: Path, model: RobotModel, stamps: Stamps, column: Column, not
     finite = np.isfinite(commands.velocity).all(axis=1)
     u[place[match & finite]] = commands.velocity[match & finite]
     if stray := int(np.count_nonzero(~match)):
-        notes.append(f"{stray} commands answer a state the bag does not hold")
+        notes.append(f"{stray} commands answer a state that is not in the bag")
     if wrong := int(np.count_nonzero(~finite)):
-        notes.append(f"{wrong} commands are not of finite numbers")
+        notes.append(f"{wrong} commands are not finite")
     return u
 
 
 def _physics(stamps: Stamps, columns: Mapping[str, Column], bag: Recording) -> PhysicsRecord | None:
-    """Return what a physics engine said at each state, nan where it did not; None where there was none."""
+    """Return the record of a walk in physics, nan where a message is missing; None for a walk without physics."""
     if "true_base_pose" not in columns:
         return None
     imu, pose = (aligned(columns.get(name), stamps, width) for name, width in (("imu", 37), ("true_base_pose", 7)))

@@ -1,4 +1,4 @@
-"""The figures of a walk; the only place that imports matplotlib, and only when one is drawn."""
+"""The figures of a walk. Only this folder imports matplotlib, and only when a figure is drawn."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FORMATS = ("png", "pdf", "svg")
 
 
 def fits(name: str, series: Series) -> bool:
-    """Tell whether a figure has anything to say of a walk."""
+    """Return whether a figure applies to a walk."""
     if name in ("figure7", "figure8"):
         return series.trace.config.gait.style == "paper"
     return name != "on_the_ground" or series.ground is not None
@@ -37,7 +37,7 @@ def save(series: Series, folder: str | os.PathLike[str], formats: Sequence[str] 
     ----------
     series : Series
     folder : path-like
-        Made where it does not exist.
+        Created if it does not exist.
     formats : sequence of {"png", "pdf", "svg"}
     """
     out = Path(folder)
@@ -49,7 +49,7 @@ def save(series: Series, folder: str | os.PathLike[str], formats: Sequence[str] 
         figure = draw(series)
         for kind in formats:
             files.append(out / f"{name}.{kind}")
-            with drawing():  # resolution and fonts are settings of the moment of saving
+            with drawing():  # resolution and fonts are read when the figure is saved
                 figure.savefig(files[-1])
-            figure.set_layout_engine("none")  # the layout is found once
+            figure.set_layout_engine("none")  # compute the layout only once
     return files

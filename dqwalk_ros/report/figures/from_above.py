@@ -1,4 +1,4 @@
-"""A walk from above, as the odometry of the legs has it and as it truly was in physics, and its margins over time."""
+"""Top views of a walk, by leg odometry and by the true motion in physics, and its margins over time."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ Array = NDArray[np.float64]
 _COLOR = {Foot.LEFT: BLUE, Foot.RIGHT: GREEN}
 _ORANGE, _HULL, _HULL_EDGE = "#b35900", "#eef1f4", "#c9d1d9"
 _LONG = 0.45
-"""From this extent [m] on the walk is drawn above its margins, not beside them."""
+"""Length of a walk [m] above which it is drawn above its margins instead of beside them."""
 _MANY = 50
-"""More phases than these are not marked over time in physics."""
+"""Number of phases above which they are not marked in the time series of physics."""
 
 
 def _patch(ax: Axes, corners: Array, edge: str, face: str = "none", **looks: Any) -> None:
@@ -58,7 +58,7 @@ def _ring(ax: Axes, center: Array, radius: float, zorder: int) -> None:
 
 
 def _way(way: Array) -> tuple[Array, Array]:
-    """Return x and y of some thousand points of a way."""
+    """Return x and y of some thousand points of a path."""
     step = max(1, len(way) // 3000)
     at = np.unique(np.append(np.arange(0, len(way), step), len(way) - 1))
     return way[at, 0], way[at, 1]
@@ -127,7 +127,7 @@ def _draw_footsteps(ax: Axes, series: Series, own: Mapping[Foot, Sole] | None) -
     from matplotlib.patheffects import Normal, Stroke
 
     soles, first = series.trace.model.soles, series.spans[0]
-    for foot in Foot:  # where the feet stood at first
+    for foot in Foot:  # initial stance
         _patch(ax, _in_odom(series, first, first.start, foot, soles), GREY, linestyle=":", linewidth=1.2, zorder=2)
     for span in series.spans:
         if span.double:
@@ -147,7 +147,7 @@ def _draw_footsteps(ax: Axes, series: Series, own: Mapping[Foot, Sole] | None) -
 def _draw_step(
     ax: Axes, series: Series, span: Span, own: Mapping[Foot, Sole] | None, number: int, *, last: bool
 ) -> None:
-    """Draw the sole that carries, its cylinder, the way of the swing foot, and the last landing."""
+    """Draw the support sole, its cylinder, the path of the swing foot, and the last landing."""
     soles, base, swing = series.trace.model.soles, span.phase.base, span.phase.base.other
     x_base, color = DQ(span.record.x_odom_base), _COLOR[base]
     stance = _in_odom(series, span, span.start, base, soles)
@@ -182,7 +182,7 @@ def _draw_margins(ax: Axes, series: Series) -> None:
     ax.set_ylim(low - 0.02 * (high - low), high + 0.36 * (high - low))
     set_time_limits(ax, series)
     ax.set(xlabel="time [s]", ylabel="margin [mm]")
-    ax.set_title("B   How far inside its support the CoM is (below zero: outside)")
+    ax.set_title("B   Margin of the CoM to the edge of its support (negative: outside)")
     name_phases(ax, series)
     ax.legend(loc="upper left", bbox_to_anchor=(0.0, 0.95), fontsize=8.5)
 
@@ -191,12 +191,12 @@ def _draw_margins(ax: Axes, series: Series) -> None:
 
 
 def on_the_ground(series: Series) -> Figure:
-    """Draw where the soles, the CoM and the centre of pressure truly were, the CoP's margin and the soles' tilt."""
+    """Draw the true soles, CoM and centre of pressure, the margin of the CoP and the tilt of the soles."""
     from matplotlib.lines import Line2D
 
     of = series.ground
     if of is None:
-        raise ValueError("the walk was not in physics")
+        raise ValueError("the walk was not simulated in physics")
     long, broad = np.ptp(of.stands[:, :2], axis=0) + 0.3
     with drawing():
         if long > 2.0 * broad:
@@ -240,7 +240,7 @@ def _draw_ground(ax: Axes, series: Series, of: Ground) -> None:
     ax.plot(*_way(of.physics.cop), color=_ORANGE, linewidth=0.8, alpha=0.85, zorder=4)
     ax.plot(*_way(of.com), color=INK, linewidth=1.6, zorder=5)
     ax.plot(*of.stands[:, :2].T, "o", color=GREY, markersize=2.5, zorder=6)
-    _finish(ax, "A   From above, as it truly was", "x [m]", "y [m]", "box")
+    _finish(ax, "A   True motion from above", "x [m]", "y [m]", "box")
 
 
 def _draw_over_time(axes: list[Axes], series: Series, of: Ground) -> None:
@@ -259,4 +259,4 @@ def _draw_over_time(axes: list[Axes], series: Series, of: Ground) -> None:
         axes[1].axhline(np.degrees(TILT), color=RED, linestyle=DASHED, linewidth=1.2)
     axes[1].set_ylim(bottom=0.0)
     axes[1].set(xlabel="time [s]", ylabel="tilt [degrees]")
-    axes[1].set_title(f"C   Tilt of the sole that carries more: at most {most:.2f} degrees")
+    axes[1].set_title(f"C   Tilt of the more loaded sole: at most {most:.2f} degrees")

@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 
 
 class _Panel(NamedTuple):
-    """One panel: its title, the label of its axis, what it shows, and where it must not go."""
+    """One panel: title, axis label, values, and a bound with its label."""
 
     title: str
     label: str
@@ -43,7 +43,7 @@ class _Panel(NamedTuple):
 
 
 def _curves(series: Series, double: bool) -> list[tuple[Span, tuple[float, float, float], str]]:
-    """Return the phases of one kind, their colours and legends; the first comes last, so that it lies on top."""
+    """Return the phases of one kind, their colours and legends, in reverse order, so that the first is drawn on top."""
     spans = [span for span in series.spans if span.double is double and span.end > span.start]
     cycles = (len(spans) + 1) // 2
     out = []
@@ -92,7 +92,7 @@ def _time_response(series: Series, panels: Sequence[_Panel], axes: Sequence[Axes
 
 
 def _name_bound(ax: Axes, bound: float, label: str) -> None:
-    """Write the name of a bound beside its line, where no curve runs."""
+    """Write the name of a bound beside its line, where it covers the fewest points of the curves."""
     from matplotlib.patheffects import withStroke
 
     (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
@@ -198,7 +198,7 @@ def figure8(series: Series) -> Figure:
     with drawing():
         fig = new_figure(11.0, 3.7)
         _time_response(series, panels, list(fig.subplots(1, 3)), double=False)
-        fig.suptitle("Single support: the swing foot goes to its place", fontsize=12, fontweight="bold")
+        fig.suptitle("Single support: the swing foot moves to its target", fontsize=12, fontweight="bold")
         _legend(fig, series, False, "bound")
     return fig
 

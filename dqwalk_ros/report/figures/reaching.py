@@ -27,7 +27,7 @@ _SOLE = {Foot.LEFT: ("#dbe7f7", BLUE), Foot.RIGHT: ("#dff3e5", GREEN)}
 
 
 def solver(walked: WholeBodyTrace) -> Figure:
-    """Draw Figure 2: what the hierarchy took to solve, and how often its active set changed."""
+    """Draw Figure 2: solving time of the hierarchy, and number of changes of its active set."""
     from matplotlib.ticker import LogFormatter, MaxNLocator
 
     with drawing():
@@ -37,17 +37,17 @@ def solver(walked: WholeBodyTrace) -> Figure:
         top.plot(walked.time, solve, color=BLUE, linewidth=0.7)
         relaxed = np.array(["relaxed" in method for method in walked.method])
         if relaxed.any():
-            top.plot(walked.time[relaxed], solve[relaxed], "o", color=RED, markersize=3.5, label="a level gave way")
+            top.plot(walked.time[relaxed], solve[relaxed], "o", color=RED, markersize=3.5, label="a level was relaxed")
         top.axhline(solve.mean(), color=INK, linestyle=DASHED, linewidth=1.1, label=f"mean {solve.mean():.2f} ms")
         top.axhline(0.92, color=GREY, linestyle=(0, (1, 2)), linewidth=1.4, label="the paper's mean, 0.92 ms (2012)")
-        title = "Time to solve the hierarchy" + (" (solved again from the record)" if walked.again else "")
+        title = "Time to solve the hierarchy" + (" (recomputed from the recording)" if walked.again else "")
         top.set(ylabel="time [ms]", title=title, yscale="log")
         top.legend(fontsize=8, loc="upper right", ncols=3)
         top.set_ylim(0.5 * solve.min(), 4.0 * solve.max())
         top.yaxis.set_major_formatter("{x:g}")
         top.yaxis.set_minor_formatter(LogFormatter())
         bottom.plot(walked.time, walked.iterations, color=BLUE, linewidth=0.7)
-        bottom.set(xlabel="time [s]", ylabel="iterations", title="Iterations of the active set (1: guessed right)")
+        bottom.set(xlabel="time [s]", ylabel="iterations", title="Iterations of the active set (1: guess was correct)")
         bottom.yaxis.set_major_locator(MaxNLocator(integer=True))
         bottom.set_xlim(0.0, walked.time[-1])
         _mark_pushes((top, bottom), walked)
@@ -107,7 +107,7 @@ def reactions(walked: WholeBodyTrace) -> Figure:
             ax.plot(*thinned(walked.time, walked.hand[:, axis]), color=BLUE, linestyle=DASHED, label="hand [m]")
             ax.plot(walked.time, walked.support[:, axis], color=GREEN, linewidth=1.4, label="support foot [m]")
             single = np.where(walked.single, walked.landing[:, axis], np.nan)
-            ax.plot(walked.time, single, color=GREEN, linewidth=0.9, alpha=0.55, label="its next place, previewed [m]")
+            ax.plot(walked.time, single, color=GREEN, linewidth=0.9, alpha=0.55, label="its next position [m]")
             velocity = walked.com_velocity[:, axis]
             ax.plot(*thinned(walked.time, velocity), color=INK, linewidth=1.1, label="CoM velocity [m/s]")
             ax.set(ylabel="[m], [m/s]", title=f"({'ab'[axis]}) along {'xy'[axis]}")
@@ -127,7 +127,7 @@ def reactions(walked: WholeBodyTrace) -> Figure:
 def save_reaching(
     walks: Sequence[WholeBodyTrace], folder: str | os.PathLike[str], formats: Sequence[str] = ("png",)
 ) -> list[Path]:
-    """Draw every figure of some walks into a folder and return the files; a single walk that is pushed has Figure 5."""
+    """Draw the figures of some walks into a folder and return the files; a single walk with pushes has Figure 5."""
     figures = {"figure2": solver(walks[0]), "figure3": walk_from_above(walks)}
     first = 5 if len(walks) == 1 and walks[0].scenario.pushes else 4
     figures |= {f"figure{first + i}": reactions(walked) for i, walked in enumerate(walks)}

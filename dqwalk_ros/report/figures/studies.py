@@ -32,10 +32,10 @@ def study_figure(rows: Sequence[Mapping[str, Any]], names: Sequence[str], units:
     rows : sequence of mapping
         As `studies.walk_all` returns them.
     names : sequence of str
-        The parameters that were varied. The first number is across; a second one is upwards, and the margin then a
-        colour; without a second one the margin is upwards. What is no number gets a panel per value.
+        The varied parameters. The first numeric one is the x axis; a second one is the y axis, with the margin as
+        colour; without a second one the y axis is the margin. Each value of a non-numeric parameter has its own panel.
     units : mapping of str to str
-        Unit of each parameter, where it has one.
+        Unit of each parameter that has one.
     """
     numbers = [name for name in names if all(_is_number(row[name]) for row in rows)]
     others = [name for name in names if name not in numbers]
@@ -113,7 +113,7 @@ _WORD = {
     "servo.latency": ("latency", "{:.0f} ms", 1e3, 0.0),
 }
 _FELL = ("#7a0916", "#d1242f", "#f0a3a8")
-"""From a fall at once to one at the end."""
+"""Colours from an early to a late fall."""
 
 
 def robustness_figure(done: Sequence[Cell], axes: Mapping[str, Sequence[float]], steps: int) -> Figure:
@@ -124,7 +124,7 @@ def robustness_figure(done: Sequence[Cell], axes: Mapping[str, Sequence[float]],
     done : sequence of Cell
     axes : mapping of str to sequence of float
     steps : int
-        Of a whole walk: a cell that fell says how many it made.
+        Of a whole walk; cells that fell show the number of their steps.
     """
     from matplotlib.colors import LinearSegmentedColormap
     from matplotlib.patches import Rectangle
@@ -162,32 +162,32 @@ def robustness_figure(done: Sequence[Cell], axes: Mapping[str, Sequence[float]],
             ax.set_xticks(np.arange(len(columns)) + 0.5, [_joined(across, column) for column in columns], rotation=90)
             ax.set_yticks(np.arange(len(rows)) + 0.5, [_joined(down, row) for row in rows])
             ax.tick_params(labelsize=7.0)
-            name = _said(_PANEL, panel) if _PANEL in axes else "all"
+            name = _described(_PANEL, panel) if _PANEL in axes else "all"
             ax.set_title(f"{name}: {stood} of {walked}", fontsize=9.5)
         fig.suptitle(
             f"{sum(cell.stood for cell in done)} of {len(done)} cells stood after {steps} steps",
             fontsize=12, fontweight="bold", color=INK,
         )  # fmt: skip
         fig.supxlabel(
-            "green: stood; red: fell or stopped, with the steps it made; grey: not walked", fontsize=8, color=GREY
+            "green: stood; red: fell or stopped, with the number of steps; grey: not simulated", fontsize=8, color=GREY
         )
     return fig
 
 
-def _said(name: str, value: float) -> str:
+def _described(name: str, value: float) -> str:
     word, form, scale, shift = _WORD.get(name, (name, "{:g}", 1.0, 0.0))
     return f"{word} {form.format(scale * value + shift)}"
 
 
 def _joined(names: Sequence[str], values: Sequence[float]) -> str:
-    return ", ".join(_said(name, value) for name, value in zip(names, values, strict=True))
+    return ", ".join(_described(name, value) for name, value in zip(names, values, strict=True))
 
 
 # ---------------------------------------------------------------------- pushes
 
 
 def pushes_figure(found: Mapping[str, Sequence[Limit]], title: str) -> Figure:
-    """Draw the impulse survived in each direction, ahead up and left to the left, a line for each name."""
+    """Draw the impulse survived in each direction, with ahead at the top and left on the left, a line per name."""
     with drawing():
         fig = new_figure(5.4, 5.6)
         ax: Any = fig.subplots(subplot_kw={"projection": "polar"})

@@ -1,4 +1,4 @@
-"""How every figure looks: colours, type, and what they share."""
+"""Common style of the figures: colours, fonts, time axis, marks of the phases."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ _MOST_POINTS = 1500
 
 @contextmanager
 def drawing() -> Iterator[None]:
-    """Draw in this style, and leave matplotlib's settings as they were."""
+    """Apply this style within the context, without changing matplotlib's global settings."""
     import matplotlib as mpl
 
     with mpl.rc_context(_STYLE):
@@ -83,7 +83,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def thinned(x: Array, y: Array) -> tuple[Array, Array]:
-    """Return the least and the greatest point of each of some hundred slices of a curve, and its ends."""
+    """Return the smallest and the largest point of each of some hundred slices of a curve, and its ends."""
     size = len(x) // (_MOST_POINTS // 2)
     if size < 2:
         return x, y
@@ -97,7 +97,7 @@ def thinned(x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def tone(color: str, cycle: int, cycles: int) -> tuple[float, float, float]:
-    """Return the colour of a cycle: the first one full, later ones fading."""
+    """Return the colour of a cycle: full for the first one, lighter for later ones."""
     from matplotlib.colors import to_rgb
 
     fade = 0.0 if cycles < 2 else 0.65 * cycle / (cycles - 1)
@@ -106,7 +106,7 @@ def tone(color: str, cycle: int, cycles: int) -> tuple[float, float, float]:
 
 
 def set_time_limits(ax: Axes, series: Series) -> None:
-    """Show the whole walk, be it a single tick."""
+    """Show the whole walk, also if it has a single tick."""
     ax.set_xlim(series.time[0], max(series.time[-1], series.time[0] + series.trace.config.dt))
 
 
@@ -120,7 +120,7 @@ def mark_phases(ax: Axes, series: Series) -> None:
 
 
 def name_phases(ax: Axes, series: Series) -> None:
-    """Write the name of each phase at the top of the axes, as much of it as there is room for."""
+    """Write the name of each phase at the top of the axes, abbreviated or omitted for short phases."""
     total = series.time[-1] - series.time[0]
     for span in series.spans:
         begin, end = series.time[span.start], series.time[span.end - 1]

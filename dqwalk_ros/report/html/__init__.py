@@ -1,6 +1,6 @@
-"""A walk as one HTML file that needs nothing else: verdict, replay, figures, tables.
+"""The report of a walk as one self-contained HTML file: verdict, replay, figures, tables.
 
-The file opens offline; the replay is drawn by `replay.js` with WebGL, from joint angles and the robot's own shapes.
+The file opens offline; `replay.js` draws the replay with WebGL from the joint angles and the shapes of the robot.
 """
 
 from __future__ import annotations

@@ -32,9 +32,9 @@ _CURVES = {
     "friction": ("friction, left to the pyramid", "% m g", 100.0),
 }
 _ROUNDING = 1e-6
-"""A limit that is touched is not missed."""
+"""Margins smaller than this are shown as zero, because a limit that is reached is not violated."""
 _CAPTIONS = (
-    "Figure 2: how long the hierarchy takes, and how often its active set changes.",
+    "Figure 2: solving time of the hierarchy, and changes of its active set.",
     "Figure 3: from above.",
     "Figures 4, 5: target, hand, support and the velocity of the centre of mass.",
 )
@@ -51,7 +51,7 @@ class BodySubject:
     walked : WholeBodyTrace
     found : sequence of Demand
     off : float
-        Largest difference of torques recorded and solved again [N m].
+        Largest difference between recorded and recomputed torques [N m].
     notes : sequence of str
     """
 
@@ -72,7 +72,7 @@ def _page(subject: BodySubject) -> str:
     parts = [
         _heading(subject),
         f"<h2>Replay</h2><div class='card'>{replay([subject.name], 'Blue ball: hand; red ball: its target. ')}</div>",
-        f"<h2>What was asked, and what was got</h2><div class='card scroll'>{_checks(subject.found)}</div>",
+        f"<h2>Requirements and results</h2><div class='card scroll'>{_checks(subject.found)}</div>",
         _figures(w),
         f"<h2>Notes</h2><div class='card'>{_notes(subject)}</div>",
         "<h2>Configuration</h2><details class='card'><summary>Every parameter</summary>"
@@ -86,14 +86,14 @@ def _page(subject: BodySubject) -> str:
 def _heading(subject: BodySubject) -> str:
     w = subject.walked
     broken = [check for check in subject.found if not check.ok]
-    word = "every demand met" if not broken else f"{len(broken)} not reached"
+    word = "every requirement met" if not broken else f"{len(broken)} not met"
     late = w.error[w.time > w.time[-1] - 3.0]
     numbers = {
         "time walked": f"{w.time[-1] + w.config.dt:.1f} s",
         "steps": str(max(len(w.footholds()) - 1, 0)),
-        "way of the CoM": f"{float(np.linalg.norm((w.com[-1] - w.com[0])[:2])):.2f} m",
-        "hand from its target, rms of the last 3 s": f"{1e3 * float(np.sqrt((late**2).mean())):.1f} mm",
-        "greatest torque, of its limit": f"{100.0 * (1.0 - float(w.margins['torque'].min())):.0f} %",
+        "path of the CoM": f"{float(np.linalg.norm((w.com[-1] - w.com[0])[:2])):.2f} m",
+        "error of the hand, rms of the last 3 s": f"{1e3 * float(np.sqrt((late**2).mean())):.1f} mm",
+        "largest torque, of its limit": f"{100.0 * (1.0 - float(w.margins['torque'].min())):.0f} %",
         "solving, on average": f"{1e3 * float(w.times[:, 2].mean()):.2f} ms",
     }
     tiles = "".join(
@@ -111,10 +111,10 @@ def _heading(subject: BodySubject) -> str:
 def _checks(found: Sequence[Demand]) -> str:
     rows = []
     for check in found:
-        verdict = "" if not check.bound else "ok" if check.ok else Markup("<span class='bad'>not reached</span>")
+        verdict = "" if not check.bound else "ok" if check.ok else Markup("<span class='bad'>not met</span>")
         authors = "" if check.authors is None else f"{check.authors:.4g}"
         rows.append((check.name, check.bound, check.got, authors, verdict))
-    return table(("", "asked", "got", "authors", ""), rows, (2, 3))
+    return table(("", "required", "result", "authors", ""), rows, (2, 3))
 
 
 def _figures(walked: WholeBodyTrace) -> str:
@@ -131,7 +131,7 @@ def _figures(walked: WholeBodyTrace) -> str:
 
 
 def _notes(subject: BodySubject) -> str:
-    items = [f"Torques recorded and solved again differ by at most {subject.off:.2g} N m.", *subject.notes]
+    items = [f"Recorded and recomputed torques differ by at most {subject.off:.2g} N m.", *subject.notes]
     return "<ul>" + "".join(f"<li>{escape(item)}</li>" for item in items) + "</ul>"
 
 
@@ -143,7 +143,7 @@ def body_replay_data(walked: WholeBodyTrace) -> dict[str, Any]:
     x = DQ(walked.x_base[rows])
     places, began = {Foot.LEFT: walked.left, Foot.RIGHT: walked.right}, float(walked.time[0])
     prints = []
-    for foot in Foot:  # where both stand at first
+    for foot in Foot:  # the initial stance
         prints.append(_print(walked, foot, 0.0, places[foot][0]))
     for index, (when, _) in enumerate(walked.footholds()):
         foot = stepping.foot(index)
@@ -156,13 +156,13 @@ def body_replay_data(walked: WholeBodyTrace) -> dict[str, Any]:
         name = "both feet stand" if swing is None else f"the {swing.foot.value} foot swings"
         base = Foot.LEFT if swing is None else swing.foot.other
         phases.append({"name": name, "t": float(walked.time[k]) - began, "double": swing is None, "base": base.value})
-    curves = [{"name": "hand from its target", "unit": "mm", "v": packed(1e3 * walked.error[rows])}]
+    curves = [{"name": "error of the hand", "unit": "mm", "v": packed(1e3 * walked.error[rows])}]
     for key, (name, unit, scale) in _CURVES.items():
         values = walked.margins[key][rows]
-        told = np.isfinite(values)
-        if told.any():
+        known = np.isfinite(values)
+        if known.any():
             exact = np.where(np.abs(values) < _ROUNDING, 0.0, values)
-            curves.append({"name": name, "unit": unit, "v": packed(scale * np.where(told, exact, np.nan))})
+            curves.append({"name": name, "unit": unit, "v": packed(scale * np.where(known, exact, np.nan))})
     return {
         **robot_data(walked.config, model),
         "t": packed(walked.time[rows] - began),

@@ -1,4 +1,4 @@
-"""The HTML of a report, for one walk or for two side by side."""
+"""Generates the HTML of a report, for one walk or for two side by side."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ __all__ = ["Subject", "document", "origin_table", "replay", "table", "write"]
 
 _CAPTIONS = {
     "figure7": "Figure 7: the task error, and the distances of double support.",
-    "figure8": "Figure 8: the same of single support.",
+    "figure8": "Figure 8: the same for single support.",
     "figure9": "Figure 9: joint angles, with their limits in red.",
-    "on_the_ground": "In physics, as it truly was: soles, centre of mass, centre of pressure, tilt.",
-    "top_view": "From above: footsteps, the way of the centre of mass, and how far inside its support it was.",
+    "on_the_ground": "True motion in physics: soles, centre of mass, centre of pressure, tilt.",
+    "top_view": "From above: footsteps, the path of the centre of mass, and its margin to the edge of the support.",
 }
 
 
@@ -44,15 +44,15 @@ class Subject:
         Of the bag.
     series : Series
     report : dict
-        As `verdict.report` gives it.
-    said : list of Status
-        What the nodes said of themselves.
+        From `verdict.report`.
+    statuses : list of Status
+        The diagnostics of the nodes.
     """
 
     name: str
     series: Series
     report: dict[str, Any]
-    said: list[Status]
+    statuses: list[Status]
 
 
 def write(subjects: Sequence[Subject], path: str | os.PathLike[str]) -> None:
@@ -73,12 +73,12 @@ def _page(subjects: Sequence[Subject]) -> str:
         _heading(subjects),
         f"<h2>Replay</h2><div class='card'>{replay([s.name for s in subjects])}</div>",
         _comparison(subjects) if both else _section("The walk in numbers", _all_numbers, subjects),
-        _section("Least distance to each bound", _margins, subjects),
+        _section("Smallest distance to each bound", _margins, subjects),
         _section("Phases", _phases, subjects),
         _figures(subjects),
         _section("Joint speeds and limits", _joints, subjects),
         _section("Time of a tick", _tick_times, subjects),
-        _section("Faults seen", _faults, subjects),
+        _section("Faults", _faults, subjects),
         _section("Violations and notes", _violations, subjects),
         _configuration(subjects),
         origin_table([(s.name, s.series.trace.origin) for s in subjects]),
@@ -87,8 +87,8 @@ def _page(subjects: Sequence[Subject]) -> str:
 
 
 def document(name: str, parts: Sequence[str], walks: Sequence[Any]) -> str:
-    """Return the whole of a page: its parts, and the walks that its replay draws."""
-    data = json.dumps(walks, separators=(",", ":")).replace("<", "\\u003c")  # no tag or comment begins in it
+    """Return a complete page from its parts and the walks for the replay."""
+    data = json.dumps(walks, separators=(",", ":")).replace("<", "\\u003c")  # so that it contains no tag or comment
     return (
         f"<!doctype html><html lang='en'><head><meta charset='utf-8'><title>dqwalk: {escape(name)}</title>"
         "<meta name='viewport' content='width=device-width, initial-scale=1'>"
@@ -112,11 +112,11 @@ def _label(subject: Subject, subjects: Sequence[Subject]) -> str:
 
 
 class Markup(str):
-    """A cell of a table that is HTML already; any other is text, and escaped."""
+    """A cell of a table that is HTML already; other cells are text and are escaped."""
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: Sequence[int] = ()) -> str:
-    """Return a table; `numbers` are the columns that are set to the right."""
+    """Return a table; `numbers` are the indices of the right-aligned columns."""
 
     def cells(tag: str, row: Sequence[str]) -> str:
         texts = (cell if isinstance(cell, Markup) else escape(cell) for cell in row)
@@ -126,7 +126,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: Sequence[
     return f"<table><tr>{cells('th', head)}</tr>{body}</table>"
 
 
-# ---------------------------------------------------------------------- what was walked
+# ---------------------------------------------------------------------- sections
 
 
 def _heading(subjects: Sequence[Subject]) -> str:
@@ -155,12 +155,12 @@ def _numbers(subject: Subject) -> dict[str, str]:
     return {
         "time walked": f"{walk['duration']:.1f} s",
         "steps": str(walk["steps"]),
-        "way": f"{1e3 * walk['distance']:.1f} mm",
-        "landing error, at most": "–" if error is None else f"{1e3 * error:.2f} mm",
-        "paper's margin, least": f"{1e3 * margin['paper']['value']:+.2f} mm" if "paper" in margin else "–",
-        "CoM in the soles, least": f"{1e3 * margin['true']['value']:+.2f} mm",
-        "joint limits, least": f"{np.degrees(margin['joints']['value']):.2f}°",
-        "joint speed, at most": f"{walk['joint_speed']['largest']:.3f} rad/s",
+        "distance": f"{1e3 * walk['distance']:.1f} mm",
+        "largest landing error": "–" if error is None else f"{1e3 * error:.2f} mm",
+        "smallest paper margin": f"{1e3 * margin['paper']['value']:+.2f} mm" if "paper" in margin else "–",
+        "smallest margin of the CoM in the soles": f"{1e3 * margin['true']['value']:+.2f} mm",
+        "smallest joint-limit margin": f"{np.degrees(margin['joints']['value']):.2f}°",
+        "largest joint speed": f"{walk['joint_speed']['largest']:.3f} rad/s",
     }
 
 
@@ -169,7 +169,7 @@ def _all_numbers(subject: Subject) -> str:
 
 
 def replay(names: Sequence[str], more: str = "") -> str:
-    """Return the stage of one walk, or of two side by side; `more` is said of what there is to see."""
+    """Return the replay of one walk, or of two side by side; `more` is added to its caption."""
     stages = "".join(
         f"<div><p>{escape(name)}: <b id='phase{k}'></b></p><div class='replay'>"
         f"<canvas class='stage' id='stage{k}'></canvas><div id='curves{k}'></div></div></div>"
@@ -181,16 +181,16 @@ def replay(names: Sequence[str], more: str = "") -> str:
         "<div class='bar'><button id='play'>Play</button>"
         "<input id='time' type='range' min='0' value='0' aria-label='time'><span id='clock'></span>"
         f"<label>speed × <select id='speed'>{speeds}</select></label></div>"
-        "<p class='muted'>Drag to turn, scroll to come closer, space to play. Red: centre of mass, its projection and "
-        f"way; green: support polygon. {more}A click into a curve goes to that time. Margins as distances left, "
-        "dashed: the bound.</p>"
+        "<p class='muted'>Drag to rotate, scroll to zoom, space to play. Red: centre of mass, its projection and "
+        f"path; green: support polygon. {more}Click a curve to go to that time. The curves show the distance to the "
+        "bound (dashed).</p>"
     )
 
 
 def _margins(subject: Subject) -> str:
     head, *rows = tables.distances(subject.report)
     marked = [[_bad(cell) if cell.startswith("-") else cell for cell in row] for row in rows]
-    note = "<p class='muted'>[m], cylinders (sliding, com_cylinder) [m²], joints [rad]; at or above zero is kept.</p>"
+    note = "<p class='muted'>[m], cylinders (sliding, com_cylinder) [m²], joints [rad]; kept if not negative.</p>"
     return table(head, marked, range(1, len(head))) + note
 
 
@@ -245,10 +245,10 @@ def _tick_times(subject: Subject) -> str:
     times = times[np.isfinite(times)]
     where = "every tick"
     if not len(times):
-        values = [status.number("solve time") for status in subject.said]
-        times, where = np.array([v for v in values if 0.0 <= v < 10.0]), "as the controller said on /diagnostics"
+        values = [status.number("solve time") for status in subject.statuses]
+        times, where = np.array([v for v in values if 0.0 <= v < 10.0]), "samples from /diagnostics"
     if not len(times):
-        return "<p class='muted'>The bag does not say how long the solver took.</p>"
+        return "<p class='muted'>The bag contains no solving times.</p>"
     micro = 1e6 * times
     edges = np.linspace(0.0, float(np.percentile(micro, 99)) * 1.1 + 1e-9, 41)
     counts, _ = np.histogram(micro, edges)
@@ -258,7 +258,7 @@ def _tick_times(subject: Subject) -> str:
     )
     text = ", ".join(f"{k} {v:.0f} µs" for k, v in _quantiles(micro).items())
     return (
-        f"<p>Solver, {where} ({len(micro)} of them): {text}.</p>"
+        f"<p>Solver, {where} ({len(micro)}): {text}.</p>"
         "<svg viewBox='0 0 480 118' style='width:100%;max-width:640px'>"
         f"<g fill='#1f5fb4'>{bars}</g><text x='0' y='115' font-size='11' fill='#57606a'>0</text>"
         f"<text x='480' y='115' font-size='11' fill='#57606a' text-anchor='end'>{edges[-1]:.0f} µs</text></svg>"
@@ -274,9 +274,9 @@ def _quantiles(micro: Any) -> dict[str, float]:
 
 
 def _faults(subject: Subject) -> str:
-    found = faults(subject.said)
+    found = faults(subject.statuses)
     if not found:
-        return "<p class='muted'>None: no node said anything but OK, or the bag has no /diagnostics.</p>"
+        return "<p class='muted'>None: every status was OK, or the bag has no /diagnostics.</p>"
     epoch = subject.series.trace.epoch / 1e9
     rows = [
         (
@@ -289,7 +289,7 @@ def _faults(subject: Subject) -> str:
         )
         for fault in found[:40]
     ]
-    return table(("level", "who", "what, when it was first said", "first [s]", "last [s]", "times"), rows, (3, 4, 5))
+    return table(("level", "status", "first message", "first [s]", "last [s]", "count"), rows, (3, 4, 5))
 
 
 def _violations(subject: Subject) -> str:
@@ -323,7 +323,7 @@ def _comparison(subjects: Sequence[Subject]) -> str:
     )
 
 
-# ---------------------------------------------------------------------- where it comes from
+# ---------------------------------------------------------------------- configuration and versions
 
 
 def _configuration(subjects: Sequence[Subject]) -> str:
@@ -336,7 +336,7 @@ def _configuration(subjects: Sequence[Subject]) -> str:
 
 
 def origin_table(walked: Sequence[tuple[str, Mapping[str, str]]]) -> str:
-    """Say who walked, by the name of each walk, beside who made this report."""
+    """Return a table of versions and machine, of each walk and of this report."""
     made = provenance.here()
     head = ("", *(f"walked: {name}" if len(walked) > 1 else "walked" for name, _ in walked), "reported")
     columns = [*(dict(entry) for _, entry in walked), made]
@@ -344,4 +344,4 @@ def origin_table(walked: Sequence[tuple[str, Mapping[str, str]]]) -> str:
     for key in dict.fromkeys(key for column in columns for key in column):
         cells = [column.get(key, "") if column else "not recorded" for column in columns]
         rows.append(("at" if key == "began" else key, *cells))
-    return f"<h2>Where this comes from</h2><div class='card scroll'>{table(head, rows)}</div>"
+    return f"<h2>Versions and machine</h2><div class='card scroll'>{table(head, rows)}</div>"

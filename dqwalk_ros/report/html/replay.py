@@ -1,4 +1,4 @@
-"""What the replay in a report is drawn from: bodies, shapes, joint angles and curves, packed small."""
+"""Data of the replay in a report: bodies, shapes, joint angles and curves, as compact JSON."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["FRAMES", "packed", "replay_data", "robot_data", "rounded"]
 
 Array = NDArray[np.float64]
 FRAMES = 2400
-"""Pictures kept of a walk; between two of them the replay interpolates."""
+"""Number of frames of a walk; the replay interpolates between them."""
 _ROUND = 5
 
 
@@ -33,7 +33,7 @@ def replay_data(series: Series) -> dict[str, Any]:
     root, com, curves, tight = [], [], {}, []  # type: ignore[var-annotated]
     for row, tick in enumerate(ticks.tolist()):
         moment = moment_of(trace, tick, phases)
-        kin, found = scene.judge(moment)
+        kin, found = scene.assess(moment)
         gauges = scene.gauges(moment.phase, found)
         root.append(compose(moment.x_odom_base, kin.pose(scene.root)))
         com.append(DQ(moment.x_odom_base).transform_point(kin.com))
@@ -72,7 +72,7 @@ def replay_data(series: Series) -> dict[str, Any]:
 
 
 def robot_data(config: Config, model: RobotModel) -> dict[str, Any]:
-    """Return what stays the same: bodies, their shapes, and where the soles are."""
+    """Return the constant data of a robot: bodies, their shapes, and the corners of the soles."""
     soles = {}
     for foot in Foot:
         frame = model.frames[model.soles[foot].frame]
@@ -103,7 +103,7 @@ def _pose(x: Array) -> dict[str, list[float]]:
 
 
 def rounded(values: Array) -> list[float]:
-    """Return numbers for JSON, none longer than it must be."""
+    """Return numbers for JSON, rounded to keep the file small."""
     return [round(float(v), _ROUND + 2) for v in values]
 
 

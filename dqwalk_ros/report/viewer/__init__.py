@@ -1,5 +1,5 @@
-"""The page people look at: a walk in three dimensions, in the browser [viser].
+"""A live page in the browser that shows a walk in three dimensions, drawn with viser.
 
-A page shows moments. They come from a recorded walk (`player.Player`), from a walk in another process (`player.Feed`),
-or from ROS (`dqwalk_ros.nodes.viewer`).
+A page shows moments. Their source is a recorded walk (`player.Player`), a walk in another process (`player.Feed`), or
+ROS (`dqwalk_ros.nodes.viewer`).
 """

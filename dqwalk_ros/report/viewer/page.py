@@ -1,4 +1,4 @@
-"""The page: a viser server on this machine only, and the walk in three dimensions."""
+"""The page: a viser server for this machine only, and the drawing of the walk in three dimensions."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ __all__ = ["HOST", "Page"]
 Array = NDArray[np.float64]
 
 HOST = "127.0.0.1"
-"""The page is for this machine only: it has no password."""
+"""The page is served to this machine only, because it has no password."""
 PORT = 8080
-"""Where the page is, on 127.0.0.1, unless somebody is there already."""
+"""Default port; if it is in use, the next free one."""
 FRAME = 1.0 / 30.0
-"""Time between two pictures [s]."""
+"""Period of the frames [s]."""
 _WAYS = {"ahead": (1.0, 0.0, 0.0), "back": (-1.0, 0.0, 0.0), "left": (0.0, 1.0, 0.0), "right": (0.0, -1.0, 0.0)}
 _TEXT = 0.2
-"""Time between two states of the panels [s]."""
+"""Period of the updates of the panels [s]."""
 
 
 class Page:
@@ -51,14 +51,14 @@ class Page:
     ----------
     server : viser.ViserServer
     history : History
-        The margins over time, as the curves show them.
+        The margins over time, for the curves.
     shown : int
-        Pictures sent so far.
+        Number of frames sent.
 
     Raises
     ------
     ViewerError
-        If the port is taken.
+        If the port is in use.
     """
 
     def __init__(self, port: int | None = None) -> None:
@@ -102,23 +102,23 @@ class Page:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """Address of the page."""
         return f"http://{HOST}:{self.server.get_port()}"
 
     @property
     def watched(self) -> bool:
-        """Whether anybody looks."""
+        """Whether a browser is connected."""
         return bool(self.server.get_clients())
 
     @property
     def rate(self) -> float:
-        """Pictures per second, of late."""
+        """Frames per second, averaged over the last ones."""
         if len(self._pictures) < 2:
             return 0.0
         return (len(self._pictures) - 1) / max(self._pictures[-1] - self._pictures[0], 1e-9)
 
     def say(self, text: str) -> None:
-        """Say something where the state will be, such as what is being waited for."""
+        """Show a message in place of the state, such as what the page is waiting for."""
         self._status.content = _message(text)
 
     def offer_push(self, push: Callable[[Array], None], impulse: float) -> None:
@@ -129,7 +129,7 @@ class Page:
         push : callable
             Called with the impulse (3,) in the frame of the base sole [N s].
         impulse : float
-            What is proposed; up to ten times as much can be chosen [N s].
+            Default value; the slider ends at ten times this value [N s].
         """
         if self._push is not None:
             return
@@ -139,7 +139,7 @@ class Page:
             size = gui.add_slider("impulse [N s]", 0.0, 10.0 * impulse, 0.1 * impulse, impulse)
             ways = gui.add_button_group("to", tuple(_WAYS))
 
-        def pushed(event: Any) -> None:  # a browser may send anything
+        def pushed(event: Any) -> None:  # the browser may send an invalid value
             way = _WAYS.get(event.target.value) if isinstance(event.target.value, str) else None
             strength = size.value
             if way is not None and isinstance(strength, int | float) and 0.0 <= strength <= 10.0 * impulse:
@@ -148,14 +148,14 @@ class Page:
         ways.on_click(pushed)
 
     def set_scene(self, scene: Scene) -> None:
-        """Show another robot from here on."""
+        """Set the robot to be shown."""
         if self._drawing is not None:
             self.server.scene.remove_by_name("/robot")
         self._scene = scene
         self._drawing = _Drawing(self.server, scene)
 
     def replay_of(self, history: History, prints: Iterator[tuple[int, Foot, Array]]) -> None:
-        """Take curves and footprints that are known already, instead of collecting them."""
+        """Show the complete curves and footprints of a recorded walk, instead of collecting them."""
         assert self._drawing is not None  # a replay comes with its scene
         self._live = False
         self.history = history
@@ -170,9 +170,9 @@ class Page:
         ----------
         moment : Moment
         way : ndarray, shape (N, 3), optional
-            Way of the centre of mass up to there; by default that of the moments shown so far.
+            Path of the centre of mass up to this moment; by default that of the moments shown so far.
         force : bool
-            Renew the panels too, even if they have just been.
+            Update the panels, too, even if they were updated recently.
         """
         assert self._scene is not None  # set_scene comes first
         assert self._drawing is not None
@@ -207,7 +207,7 @@ class Page:
         steps = (view.moment.index + 1) // 2
         if view.moment.label == "finished":
             steps = self.total_steps or steps + 1
-        note = f"{self.rate:.0f} pictures per second"
+        note = f"{self.rate:.0f} frames per second"
         self._status.content = status_html(view, steps=steps, total=self.total_steps, note=note)
         self._margins.content = margins_html(view, self.history)
 
@@ -227,10 +227,10 @@ _LOCAL = {HOST, "localhost", "::1"}
 
 @contextlib.contextmanager
 def _local_only() -> Iterator[None]:
-    """Let a server that is started within answer only to this machine's own names, and to pages that came from it.
+    """Make a server that is started in this context accept only requests with this machine's own names.
 
-    viser has no setting for that. A page on the internet whose name leads to this machine (DNS rebinding), or that
-    opens a websocket to it, could else watch the walk and move the controls.
+    viser has no setting for this. Otherwise a page on the internet whose name resolves to this machine (DNS
+    rebinding), or that opens a websocket to it, could watch the walk and use the controls.
     """
     serve = websockets.asyncio.server.serve
 
@@ -252,12 +252,12 @@ def _local_only() -> Iterator[None]:
 
 
 def _free(port: int | None) -> int:
-    """Return a port that nobody has.
+    """Return a free port.
 
     Raises
     ------
     ViewerError
-        If the port that was asked for is taken.
+        If the requested port is in use.
     """
     for candidate in (port,) if port is not None else (*range(PORT, PORT + 20), 0):
         with socket.socket() as probe:
@@ -267,14 +267,14 @@ def _free(port: int | None) -> int:
             except OSError:
                 continue
             return int(probe.getsockname()[1])
-    raise ViewerError(f"port {port} is taken on this machine; choose another with --port, or 0 for any")
+    raise ViewerError(f"port {port} is in use on this machine; choose another with --port, or 0 for any")
 
 
 # ---------------------------------------------------------------------- the drawing
 
 _INK, _COM_SOFT = (36, 41, 47), (240, 160, 160)
 _TRAIL = 600
-"""Points of the way of the centre of mass."""
+"""Points of the path of the centre of mass."""
 _THIN = 0.0012
 _ORIGIN = np.zeros(3)
 _LIFT = np.array([0.0, 0.0, 0.002])
@@ -330,7 +330,7 @@ class _Drawing:
                 handles.visible = index <= view.moment.index
 
     def add_footprint(self, index: int, foot: Foot, x: Array) -> None:
-        """Leave a print of a sole at `x` (8,) that is seen from phase `index` on; a phase has one print."""
+        """Add a footprint at `x` (8,) that is visible from phase `index` on; a phase has one footprint."""
         if index in self._footprints:
             return
         name = f"/footprints/{index}"
@@ -343,14 +343,14 @@ class _Drawing:
         self._footprints[index] = frame
 
     def forget(self) -> None:
-        """Wipe the footprints and the trail."""
+        """Remove the footprints and the trail."""
         for handle in self._footprints.values():
             handle.remove()
         self._footprints.clear()
         self.trail(np.empty((0, 3)), 0.0)
 
     def trail(self, way: Array, ground: float) -> None:
-        """Draw the way (N, 3) of the centre of mass, and its projection on the ground."""
+        """Draw the path (N, 3) of the centre of mass, and its projection on the ground."""
         name = "/com/trail"
         if len(way) < 2:
             self._scene.remove_by_name(name)
@@ -397,7 +397,7 @@ class _Drawing:
         self._scene.add_line_segments(name, pairs, np.array(color), thickness=thickness, thickness_units="screen")
 
     def _show_regions(self, view: View) -> None:
-        # kept and hidden, not removed and added again: the browser may show a new one before it is placed
+        # hidden instead of removed: the browser may show a new shape before it has its pose
         present = {r.name for r in view.regions}
         for name, (_, handle) in self._regions.items():
             if handle.visible != (name in present):
@@ -452,7 +452,7 @@ def _add_shape(scene: viser.SceneApi, name: str, shape: Shape) -> None:
 
 
 def _home(model: RobotModel, view: View) -> tuple[Array, Array]:
-    """Return where the camera stands and what it looks at: from ahead and the left, the whole robot in sight."""
+    """Return position and target of the camera: from ahead and the left, with the whole robot in view."""
     height = float(np.max(DQ(view.bodies).translation()[:, 2])) - view.ground
     reach = max(height, 0.2)
     at = np.array([view.com[0], view.com[1], view.ground + 0.52 * reach])

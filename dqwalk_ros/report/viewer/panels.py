@@ -1,4 +1,4 @@
-"""The margins as the page shows them: a bar, a number and a curve each, the tightest one marked."""
+"""HTML of the page's panels: for each margin a bar, a number and a curve; the smallest one is marked."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from dqwalk_ros.robot import Foot
 __all__ = ["TIGHT", "History", "margins_html", "status_html"]
 
 _MOST = 900
-"""Points kept of a curve; then every second one is dropped."""
+"""Most points of a curve; when it has more, every second one is dropped."""
 _WIDTH, _HEIGHT = 300.0, 34.0
 TIGHT: Rgb = (230, 126, 0)
-"""The tightest margin, and its shape."""
+"""Colour of the tightest margin and of its shape."""
 _MUTED = "#6e7781"
 _FONT = "font:13px/1.35 system-ui,-apple-system,'Segoe UI',sans-serif;color:#24292f"
 
 
 class History:
-    """Every margin over time, thinned where it grows long."""
+    """Every margin over time, with a limited number of points."""
 
     def __init__(self) -> None:
         self.times: list[float] = []
@@ -30,7 +30,7 @@ class History:
         self._step = 0.0
 
     def add(self, view: View) -> None:
-        """Take in a view; time that goes back begins anew."""
+        """Add a view; if time goes back, start again with it."""
         time = view.moment.time
         if self.times and time < self.times[-1]:
             self.__init__()  # type: ignore[misc]
@@ -45,14 +45,14 @@ class History:
             self._step = 1.5 * (self.times[-1] - self.times[0]) / len(self.times)
 
     def span(self, now: float) -> tuple[float, float]:
-        """Return the time shown, which holds `now`."""
+        """Return first and last time of the curves, which include `now`."""
         first = self.times[0] if self.times else now
         last = max(self.times[-1] if self.times else now, now)
         return first, max(last, first + 1.0)
 
 
 def margins_html(view: View, history: History) -> str:
-    """Return all margins of a view; those of other phases stay, greyed out, so that nothing jumps."""
+    """Return all margins of a view; those of other phases remain, greyed out, so that the layout does not change."""
     now = {gauge.name: gauge for gauge in view.gauges if gauge.role != "held"}
     rows = history.rows[:: max(1, len(history.rows) // 60)]
     names = sorted({*now, *(name for row in rows for name in row)}, key=_order)
@@ -63,7 +63,7 @@ def margins_html(view: View, history: History) -> str:
     tail = ""
     if held:
         cells = " &nbsp; ".join(f"{escape(_title(g.name))} <b>{abs(g.value):.2g}</b>" for g in held)
-        tail = f'<div style="color:{_MUTED};padding:4px 10px">held at zero, off by [10⁻³]: {cells}</div>'
+        tail = f'<div style="color:{_MUTED};padding:4px 10px">equalities, residual [10⁻³]: {cells}</div>'
     axis = (
         f'<div style="display:flex;justify-content:space-between;color:{_MUTED};font-size:11px;padding:0 10px">'
         f"<span>{first:.1f} s</span><span>{last:.1f} s</span></div>"
@@ -80,7 +80,7 @@ _TITLES = {
     "pelvis": "pelvis plane (U11)",
     "joint_max": "upper joint limits (U12)",
     "joint_min": "lower joint limits (U13)",
-    "support_polygon": "CoM in the soles (watched)",
+    "support_polygon": "CoM in the soles (not a constraint)",
 }
 
 
@@ -147,7 +147,7 @@ def _curve(name: str, color: str, history: History, span: tuple[float, float], n
 
 
 def _hexed(color: Rgb) -> str:
-    """Return a colour as HTML writes it."""
+    """Return a colour in HTML notation."""
     return "#{:02x}{:02x}{:02x}".format(*color)
 
 
@@ -160,7 +160,7 @@ def status_html(view: View, *, steps: int, total: int, note: str) -> str:
     kind, _, foot = moment.phase.name.partition("/")
     base = moment.phase.base.value
     double = kind.startswith("double")
-    doing = f"the CoM goes over the {foot} foot" if double else f"the {foot} foot carries, the other swings"
+    doing = f"the CoM moves over the {foot} foot" if double else f"support on the {foot} foot, the other swings"
     title = escape(kind.replace("_", " "))
     over = moment.label if moment.label in ("finished", "failed", "paused", "idle") else ""
     badge = _LEVEL.get(view.level, _MUTED)

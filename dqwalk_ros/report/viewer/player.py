@@ -1,7 +1,7 @@
-"""What the page shows: a recorded walk, to play, pause and scrub, or a walk that is being computed.
+"""Sources of the page: a recorded walk with controls to play, pause and seek, or a walk that is being computed.
 
-A walk that is being computed has its page in a process of its own, so that looking costs the walk nothing: it only
-leaves the newest moment behind.
+The page of a walk that is being computed runs in its own process, so that it does not slow the walk down: the walk
+only passes on the newest moment.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ _SPEEDS = ("0.25", "0.5", "1", "2", "5", "10", "20", "50")
 _CURVE = 400
 """Points of each curve."""
 _WAY = 1500
-"""Points of the way of the centre of mass."""
+"""Points of the path of the centre of mass."""
 _IDLE = 0.1
-"""Time between two looks at the controls while nothing moves [s]."""
+"""Period of the checks of the controls while the replay is paused [s]."""
 
 
 class Player:
@@ -55,7 +55,7 @@ class Player:
     ----------
     page : Page
     trace : Trace
-        With a state at least.
+        With at least one state.
     """
 
     def __init__(self, page: Page, trace: Trace) -> None:
@@ -115,12 +115,12 @@ class Player:
 
     @property
     def _pace(self) -> float:
-        """Times as fast as it was walked; a browser may send anything."""
+        """Speed relative to real time; 1 if the browser sends an invalid value."""
         return float(self._speed.value) if self._speed.value in _SPEEDS else 1.0
 
     def _on_slider(self, event: viser.GuiEvent[viser.GuiSliderHandle[float]]) -> None:
         at = event.target.value
-        if event.client is not None and isinstance(at, int | float) and math.isfinite(at):  # moved by a person
+        if event.client is not None and isinstance(at, int | float) and math.isfinite(at):  # moved by the user
             self._changed_at = time.monotonic()
             self.seek(float(at))
 
@@ -142,7 +142,7 @@ class Player:
         self._page.show(moment, way=way, force=not self.playing)
 
     def _solved(self, tick: int) -> str:
-        """Solve the quadratic program of a tick again and say how that went."""
+        """Solve the quadratic program of a tick again; return iterations and active constraints."""
         moment = moment_of(self._trace, tick, self._phases)
         try:
             kin = Kinematics(self._trace.model, moment.q, moment.phase.base)
@@ -155,7 +155,7 @@ class Player:
         return f"solved again, {found.iterations} iterations; active: {active}"
 
     def run(self, going: Callable[[], bool] = lambda: True) -> None:
-        """Play until `going` says no."""
+        """Play until `going` returns False."""
         last = time.monotonic()
         while going():
             began = time.monotonic()
@@ -174,7 +174,7 @@ class Player:
                 self._follow()
 
     def _follow(self) -> None:
-        """Move the slider along, but not under a person's hand."""
+        """Update the slider, unless the user is moving it."""
         now = time.monotonic()
         if now - self._changed_at > 0.3 and (not self.playing or now - self._slid_at > 0.1):
             self._slid_at = now
@@ -184,7 +184,7 @@ class Player:
 
 
 def _prints(trace: Trace) -> Iterator[tuple[int, Foot, Array]]:
-    """Yield phase, foot and pose of every footprint, each place once."""
+    """Yield phase, foot and pose of every footprint, each position once."""
     seen: list[Array] = []
     for index, record in enumerate(trace.phases):
         place = DQ(record.x_odom_base).translation()
@@ -196,14 +196,14 @@ def _prints(trace: Trace) -> Iterator[tuple[int, Foot, Array]]:
 # ---------------------------------------------------------------------- a walk that is being computed
 
 _PERIOD = 1.0 / 60.0
-"""Least time between two moments that are passed on [s]."""
+"""Shortest time between two moments that are passed on [s]."""
 _STARTUP = 60.0
-"""Longest time the page's process may take to come up [s]."""
+"""Longest time for the start of the page's process [s]."""
 
 
 @dataclass(frozen=True)
-class _News:
-    """A state and the phase it belongs to, small enough to be sent sixty times a second."""
+class _Update:
+    """A state and its phase, small enough to be sent sixty times a second."""
 
     time: float
     q: Array
@@ -219,7 +219,7 @@ class _News:
 
 
 class Feed:
-    """Starts a page in another process and passes moments on to it; what it cannot take in time is dropped.
+    """Starts a page in another process and sends moments to it; moments that arrive too fast are dropped.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ class Feed:
     Raises
     ------
     ViewerError
-        If the page does not come up.
+        If the page does not start.
     """
 
     def __init__(self, config: Config, port: int | None = None) -> None:
@@ -245,7 +245,7 @@ class Feed:
         self._process.start()
         other.close()
         try:
-            answer = mine.recv() if mine.poll(_STARTUP) else "the page did not come up"
+            answer = mine.recv() if mine.poll(_STARTUP) else "the page did not start"
         except EOFError:
             answer = "the page's process ended"
         if not answer.startswith("http"):
@@ -255,7 +255,7 @@ class Feed:
         self._due = 0.0
 
     def offer(self, state: State, controller: VelocityController) -> None:
-        """Pass a state on, unless one has just been."""
+        """Send a state to the page, at most sixty times a second."""
         now = time.monotonic()
         if now < self._due or controller.phase_index < 0:
             return
@@ -263,7 +263,7 @@ class Feed:
         phase, last = controller.phase, controller.last
         solver = f"solved in {1e6 * last.solve_time:.0f} µs, {last.iterations} iterations; "
         self._put(
-            _News(
+            _Update(
                 state.time,
                 state.q,
                 phase.kind,
@@ -284,28 +284,28 @@ class Feed:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _put(self, news: Any) -> None:
+    def _put(self, update: Any) -> None:
         with contextlib.suppress(queue.Full):
-            self._queue.put_nowait(news)
+            self._queue.put_nowait(update)
 
     def replay(self, bag: Path) -> None:
-        """Let the page go on with the bag of the walk."""
+        """Replay the bag of the walk on the page."""
         self._queue.put(str(bag))
 
     def wait(self) -> None:
-        """Wait until the page's process ends; Ctrl-C ends it."""
+        """Wait until the page's process ends; Ctrl-C stops it."""
         with contextlib.suppress(KeyboardInterrupt):
             self._process.join()
 
     def close(self) -> None:
-        """End the page."""
+        """Stop the page."""
         self._queue.cancel_join_thread()
         self._process.terminate()
         self._process.join(5.0)
 
 
-def _serve(news: Any, parent: Any, config: Config, port: int | None) -> None:
-    """Show what comes, until the process is terminated."""
+def _serve(updates: Any, parent: Any, config: Config, port: int | None) -> None:
+    """Show the received moments until the process is terminated."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the walk; the parent ends this process
     try:
         page = Page(port)
@@ -318,10 +318,10 @@ def _serve(news: Any, parent: Any, config: Config, port: int | None) -> None:
     page.total_steps = 2 * config.gait.cycles
     phases: dict[tuple[int, float], Phase] = {}
     while True:
-        item = news.get()
+        item = updates.get()
         with contextlib.suppress(queue.Empty):
             while not isinstance(item, str):
-                item = news.get_nowait()
+                item = updates.get_nowait()
         if isinstance(item, str):
             break
         began = time.monotonic()
