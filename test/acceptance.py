@@ -234,7 +234,8 @@ def main() -> int:
     bags = [args.out / "bag_1", args.out / "bag_2"]
     for walked, path in zip(both, bags, strict=True):
         bag.write_body(walked, path, overwrite=True)
-    write_results(Output(args.out, force=True, formats=("png",), figures=True, quiet=False), args.out, report, both, bags)
+    output = Output(args.out, force=True, formats=("png",), figures=True, quiet=False)
+    write_results(output, args.out, report, both, bags)
     return 0 if all(one.ok for one in demands if one.must) else 1
 
 

@@ -170,7 +170,7 @@ def test_what_steers_a_walk_is_in_its_bag(make: Any, tmp_path: Path) -> None:
     twists = pilot.create_publisher(Twist, "cmd_vel", 1)
     try:
         for _ in range(200):
-            one.node._look_for_others()
+            one.node._discover_others()
             if "cmd_vel" in one.node._others:
                 break
         assert one.node._others["cmd_vel"].type == "geometry_msgs/msg/Twist"
@@ -388,7 +388,7 @@ def test_cmd_vel_comes_as_nav2_sends_it(make: Any, stamped: bool) -> None:
     one.stranger("teleop").create_publisher(Twist if stamped else TwistStamped, "cmd_vel", 1)
     deadline = time.monotonic() + 20.0
     while "set node.stamped_cmd_vel" not in one.log and time.monotonic() < deadline:
-        one.node._steering._look_for_types()
+        one.node._steering._check_types()
         time.sleep(0.01)
     assert f"set node.stamped_cmd_vel to {str(not stamped).lower()}" in one.log
 
