@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import pathlib
+import urllib.parse
 from collections.abc import Sequence
 
 from dqwalk_ros.errors import ModelError
@@ -92,7 +93,7 @@ def find_package_file(
         tails = [pathlib.PurePosixPath(*parts[k:]) for k in range(len(parts) - 1)]
         found += [above / tail for tail in tails for above in near.resolve().parents[:6]]
     else:
-        found = [pathlib.Path(rest)]
+        found = [pathlib.Path(rest), pathlib.Path(urllib.parse.unquote(rest))]
     return next((place for place in found if _is_file(place)), None)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 
 from dqwalk_ros import cli
 from dqwalk_ros.adopt import Adoption, adopt
@@ -150,6 +151,20 @@ def test_a_small_robot_walks(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     out = capsys.readouterr().out
     assert re.search(r"kinematic: walked 0\.\d", out)
     assert re.search(r"physics: walked 0\.\d", out)
+
+
+def test_meshes_are_found_below_any_folder(tmp_path: Path) -> None:
+    """The adopted file names meshes by URI, in which a space and a plus sign are written otherwise."""
+    folder = tmp_path / "my robots+more"
+    folder.mkdir()
+    trimesh.creation.box((0.1265, 0.0825, 0.0132)).export(folder / "foot.stl")
+    box, mesh = r'<box size="0.1265 0.0825 0.0132"/>', '<mesh filename="foot.stl"/>'
+    found = adopt(edited(folder, SMALL, (box, mesh)), tmp_path / "out")
+    assert "%20" in (found.folder / "robot.urdf").read_text()
+    high = found.config.updated({"robot.left_sole_xyz": [0.0, 0.0, 0.035], "robot.right_sole_xyz": [0.0, 0.0, 0.035]})
+    assert "reaches 35 mm below its sole" in str(check(high, load_model(high.robot))[0])
+    (folder / "foot.stl").unlink()
+    assert "no shape of the left foot can be read" in str(check(found.config, found.model)[0])
 
 
 def test_no_robot_has_a_place_in_the_code() -> None:

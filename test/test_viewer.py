@@ -16,12 +16,14 @@ import trimesh
 import viser
 import yourdfpy
 from recorded import short_walk
+from robots import DATA
 
+from dqwalk_ros.adopt import adopt
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ViewerError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.report.html.replay import robot_data
-from dqwalk_ros.report.scene import Scene, moment_of, shapes_of
+from dqwalk_ros.report.scene import Scene, beginning, moment_of, shapes_of
 from dqwalk_ros.report.viewer.page import HOST, Page
 from dqwalk_ros.report.viewer.panels import History, margins_html, status_html
 from dqwalk_ros.report.viewer.player import Player
@@ -295,5 +297,25 @@ def test_the_page_is_for_this_machine_only(trace):
                 assert probe.connect_ex((address, port)) != 0
         with pytest.raises(ViewerError, match=r"port \d+ is taken.*--port"):
             Page(port)
+    finally:
+        page.close()
+
+
+def test_an_adopted_robot_is_shown_as_it_stands(tmp_path):
+    """Both soles on the ground side by side, the CoM over their middle, and an arrow between them, ahead."""
+    found = adopt(DATA / "small_humanoid.urdf", tmp_path)
+    page = Page(0)
+    try:
+        page.set_scene(Scene(found.config, found.model))
+        view = page.show(beginning(found.config, found.model), force=True)
+        page.point_ahead(view)
+        left, right = (DQ(view.soles[foot]).translation() for foot in Foot)
+        assert left[2] == pytest.approx(right[2], abs=1e-3)
+        np.testing.assert_allclose(view.com[:2], 0.5 * (left + right)[:2], atol=2e-3)
+        ((begin, end),) = page.server.scene.get_handle_by_name("/ahead").points
+        np.testing.assert_allclose(begin[:2], 0.5 * (left + right)[:2], atol=1e-3)
+        assert end[0] - begin[0] == pytest.approx(0.5 * (view.com[2] - view.ground), rel=1e-3)
+        assert abs(end[1] - begin[1]) < 1e-3
+        assert "double support" in page._status.content
     finally:
         page.close()

@@ -108,6 +108,10 @@ def _lowest(config: Config, model: RobotModel) -> list[Finding]:
             ]
             if found:
                 break
+        unread = next((f"'{mesh}' {why}" for mesh, why in shapes.missing.items()), "")
+        if not found and unread:
+            text = f"no shape of the {foot.value} foot can be read, so its sole is not checked: {unread}"
+            out.append(Finding(text, "robot.urdf"))
         if found and min(found) < -_BELOW:
             out.append(
                 Finding(

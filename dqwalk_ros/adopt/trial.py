@@ -53,7 +53,7 @@ class Trial:
 
 
 def first_walks(
-    found: Adoption, given: Mapping[str, Any], progress: Callable[[str], None] = lambda _: None
+    found: Adoption, given: Mapping[str, Any], progress: Callable[[float, str], None] = lambda *_: None
 ) -> Iterator[tuple[Trial, str]]:
     """Walk in kinematics, then in physics; where it falls there, try the cures, and keep in ``robot.yaml`` what helped.
 
@@ -63,7 +63,7 @@ def first_walks(
     given : dict of str to value
         Parameters that no cure changes.
     progress : callable, optional
-        Called with a line of text.
+        Called with the fraction done of the walk under way, and a line of text.
 
     Yields
     ------
@@ -94,14 +94,14 @@ def first_walks(
             return
 
 
-def walk(config: Config, model: RobotModel, plant: str, steps: int, progress: Callable[[str], None]) -> Trial:
+def walk(config: Config, model: RobotModel, plant: str, steps: int, progress: Callable[[float, str], None]) -> Trial:
     """Walk some steps on a plant."""
     changed = config.updated({"gait.steps": steps} if config.gait.style == "standing" else {"gait.cycles": 1})
     if plant == "physics":
         changed = from_yaml(find_share("config/plants", "physics.yaml").read_text(encoding="utf-8"), onto=changed)
     try:
         controller, body = make_controller(changed, model), make_plant(plant, changed, model)
-        trace = simulate(controller, body, progress=lambda _, text: progress(f"{plant}: {text}"))
+        trace = simulate(controller, body, progress=lambda done, text: progress(done, f"{plant}: {text}"))
     except DqwalkError as error:
         return Trial(plant, False, 0.0, str(error))
     why = () if trace.finished else tuple(causes(analyse(trace)))

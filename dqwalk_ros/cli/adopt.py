@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import importlib.util
+import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from dqwalk_ros.cli.options import command, parse_overrides, quiet_option, set_option
+from dqwalk_ros.errors import ConfigError, ViewerError
+
+if TYPE_CHECKING:
+    from dqwalk_ros.adopt import Adoption
+    from dqwalk_ros.report.viewer.page import Page
 
 __all__ = ["adopt"]
 
@@ -26,6 +34,7 @@ examples:
   dqwalk adopt my_robot.urdf
   dqwalk adopt robot.urdf.xacro --package-path ~/ws/src --out my_robot
   dqwalk adopt robot.urdf --left l_foot --right r_foot --forward -x
+  dqwalk adopt my_robot.urdf --view                        look at what was found, in the browser
   dqwalk simulate --config adopted/robot.yaml --plant physics
   dqwalk reach --config adopted/whole_body.yaml --test 1
 """)
@@ -39,6 +48,8 @@ examples:
 @click.option("--forward", type=click.Choice(["+x", "-x", "+y", "-y"]), help="Forward axis of the root link.")
 @click.option("--yes", is_flag=True, help="Take the best guess instead of asking.")
 @click.option("--no-walk", is_flag=True, help="Write the files and check them; do not walk.")
+@click.option("--view", is_flag=True, help="Show posture, soles, CoM and forward direction in the browser, until Ctrl-C.")
+@click.option("--port", type=int, help="Port of the page; 0: any.  [default: 8080, or the next free one]")
 @quiet_option
 @set_option
 def adopt(
@@ -50,16 +61,17 @@ def adopt(
     forward: str | None,
     yes: bool,
     no_walk: bool,
+    view: bool,
+    port: int | None,
     quiet: bool,
     changes: tuple[str, ...],
 ) -> int:
     """Make a configuration that walks from a robot description, URDF or xacro."""
     from dqwalk_ros import adopt as adopting
     from dqwalk_ros.adopt.picture import draw
-    from dqwalk_ros.adopt.trial import first_walks
-    from dqwalk_ros.cli.progress import Progress
-    from dqwalk_ros.errors import ConfigError
 
+    if view and importlib.util.find_spec("viser") is None:
+        raise ViewerError("--view needs viser: pip install 'dqwalk_ros[view]'")
     if bool(left) != bool(right):
         raise ConfigError("--left and --right must be given together")
     given = dict(parse_overrides(changes))
@@ -70,21 +82,48 @@ def adopt(
         for repair in found.repairs:
             print(f"repaired: {repair}")
         print(adopting.table(found))
+    draw(found.config, found.model, out / "robot.png")
+    page = _page(found, port) if view else None
     unsure = [e.what for e in found.anatomy.evidence if e.what == "ahead" and e.confidence == "guess"]
     if unsure and not yes:
         click.confirm("the forward direction is a guess (see the table); continue?", abort=True)
-    draw(found.config, found.model, out / "robot.png")
     for finding in found.findings:
         print(f"check: {finding}")
-    if no_walk:
-        return 1 if found.findings else 0
+    code = (1 if found.findings else 0) if no_walk else _walk(found, given, quiet=quiet)
+    if page is not None:
+        print(f"{page.url} shows the robot until Ctrl-C", flush=True)
+        try:
+            while True:
+                time.sleep(1.0)
+        except KeyboardInterrupt:
+            page.close()
+    return code
+
+
+def _page(found: Adoption, port: int | None) -> Page:
+    """Return a page that shows the robot in the posture in which its walk begins."""
+    from dqwalk_ros.report.scene import Scene, beginning
+    from dqwalk_ros.report.viewer.page import Page
+
+    page = Page(port)
+    page.set_scene(Scene(found.config, found.model))
+    page.point_ahead(page.show(beginning(found.config, found.model), force=True))
+    print(f"{page.url} shows the robot", flush=True)
+    return page
+
+
+def _walk(found: Adoption, given: dict[str, object], *, quiet: bool) -> int:
+    """Try the walks, print how they went, and return the exit code."""
+    from dqwalk_ros.adopt.trial import first_walks
+    from dqwalk_ros.cli.progress import Progress
+
     last = None
     with Progress(quiet=quiet) as bar:
-        for result, cure in first_walks(found, given, lambda text: bar(0.0, text)):
+        for result, cure in first_walks(found, given, bar):
             print(f"{result}" + (f" {'cured by' if result.stood else 'in spite of'}: {cure}" if cure else ""))
             last = result
     if last is None or not last.stood:
         print("no cure helped")
         return 1
-    print(f"dqwalk simulate --config {out / 'robot.yaml'} --plant physics")
+    print(f"dqwalk simulate --config {found.folder / 'robot.yaml'} --plant physics")
     return 0

@@ -265,6 +265,11 @@ class Physics(SimulatedPlant):
         self.create_service(Trigger, "~/reset", self._reset)
         self.create_subscription(WrenchStamped, "push", self._on_push, ros.stream(10))
         self.log_ready()
+        if not self.config.plant.imu:
+            self.get_logger().warning(
+                "plant.imu is false: without an inertial sensor the controller does not balance, and robots fall; give "
+                "both nodes the parameters of config/plants/physics.yaml, too"
+            )
 
     def make_plant(self, config: Config, model: RobotModel) -> Plant:
         """Return the robot on its soles."""

@@ -30,12 +30,14 @@ from dqwalk_ros.report.metrics import left_of, support_polygon
 from dqwalk_ros.report.verdict import Assessment, Assessor
 from dqwalk_ros.robot import Foot, RobotModel, find_urdf
 from dqwalk_ros.shapes import PRIMITIVES, meshes_of
-from dqwalk_ros.simulation import Trace
+from dqwalk_ros.simulation import Trace, make_walk
 from dqwalk_ros.stability import divergent_component
 from dqwalk_ros.urdf import Urdf
 from dqwalk_ros.walk import Phase
 
-__all__ = ["Gauge", "Moment", "Region", "Scene", "Shape", "View", "moment_of", "region", "shapes_of", "tightest"]
+__all__ = [
+    "Gauge", "Moment", "Region", "Scene", "Shape", "View", "beginning", "moment_of", "region", "shapes_of", "tightest",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 Rgb = tuple[int, int, int]
@@ -380,6 +382,16 @@ class Scene:
 def _divergent(kin: Kinematics, dq: Array) -> Array:
     v = kin.com_jacobian @ dq
     return np.append(divergent_component(kin.com[:2], v[:2], kin.com[2:]), 0.0)
+
+
+def beginning(config: Config, model: RobotModel) -> Moment:
+    """Return the robot in the posture in which its walk begins, before anything moves."""
+    walk = make_walk(config, model)
+    following = walk.following(None)
+    assert following is not None  # no walk is without a phase
+    kind, support, target = following
+    phase = walk.phase(kind, support, walk.posture, target)
+    return Moment(0.0, walk.posture, phase, 0, 0.0, DQ(1.0).vec8(), label=phase.name)
 
 
 def moment_of(trace: Trace, tick: int, phases: dict[int, Phase], label: str = "", solver: str = "") -> Moment:

@@ -193,6 +193,11 @@ class Page:
         self._pictures.append(now)
         return view
 
+    def point_ahead(self, view: View) -> None:
+        """Draw an arrow on the ground between the soles, the way the robot walks."""
+        assert self._drawing is not None  # set_scene comes first
+        self._drawing.point_ahead(view)
+
     def _collect(self, view: View) -> None:
         assert self._drawing is not None
         if self.history.times and view.moment.time < self.history.times[-1]:  # a new walk
@@ -361,6 +366,17 @@ class _Drawing:
         for path, points, color in ((name, way, _COM_SOFT), (f"{name}_ground", flat, COM)):
             pairs = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
             self._scene.add_line_segments(path, pairs, np.array(color), thickness=2.5, thickness_units="screen")
+
+    def point_ahead(self, view: View) -> None:
+        """Draw an arrow on the ground from between the soles, half as long as the CoM is high."""
+        centers = [DQ(x).transform_point(self._model.soles[foot].center) for foot, x in view.soles.items()]
+        begin = np.mean(centers, axis=0) + _LIFT
+        length = 0.5 * float(view.com[2] - view.ground)
+        end = begin + length * DQ(view.soles[view.moment.phase.base]).rotation_matrix()[:, 0]
+        self._scene.add_arrows(
+            "/ahead", np.array([[begin, end]], np.float32), np.array(_INK), shaft_radius=0.012 * length,
+            head_radius=0.04 * length, head_length=0.12 * length,
+        )  # fmt: skip
 
     def _sole(self, name: str, foot: Foot, opacity: float) -> Any:
         sole = self._model.soles[foot]
