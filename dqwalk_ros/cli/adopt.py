@@ -48,7 +48,7 @@ examples:
 @click.option("--forward", type=click.Choice(["+x", "-x", "+y", "-y"]), help="Forward axis of the root link.")
 @click.option("--yes", is_flag=True, help="Take the best guess instead of asking.")
 @click.option("--no-walk", is_flag=True, help="Write the files and check them; do not walk.")
-@click.option("--view", is_flag=True, help="Show posture, soles, CoM and forward direction in the browser, until Ctrl-C.")
+@click.option("--view", is_flag=True, help="Show posture, soles, CoM and forward direction in the browser.")
 @click.option("--port", type=int, help="Port of the page; 0: any.  [default: 8080, or the next free one]")
 @quiet_option
 @set_option
@@ -106,7 +106,7 @@ def _page(found: Adoption, port: int | None) -> Page:
     from dqwalk_ros.report.viewer.page import Page
 
     page = Page(port)
-    page.set_scene(Scene(found.config, found.model))
+    page.set_scene(Scene(found.config, found.model), opacity=0.45)
     page.point_ahead(page.show(beginning(found.config, found.model), force=True))
     print(f"{page.url} shows the robot", flush=True)
     return page

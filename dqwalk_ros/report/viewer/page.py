@@ -22,7 +22,7 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ViewerError
 from dqwalk_ros.report.scene import COM, DIVERGENT, FOOT, Moment, Region, Scene, Shape, View, color_of
 from dqwalk_ros.report.viewer.panels import TIGHT, History, margins_html, status_html
-from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.robot import Foot
 
 __all__ = ["HOST", "Page"]
 
@@ -147,12 +147,12 @@ class Page:
 
         ways.on_click(pushed)
 
-    def set_scene(self, scene: Scene) -> None:
-        """Set the robot to be shown."""
+    def set_scene(self, scene: Scene, opacity: float = 1.0) -> None:
+        """Set the robot to be shown; a lower opacity reveals what is inside it."""
         if self._drawing is not None:
             self.server.scene.remove_by_name("/robot")
         self._scene = scene
-        self._drawing = _Drawing(self.server, scene)
+        self._drawing = _Drawing(self.server, scene, opacity)
 
     def replay_of(self, history: History, prints: Iterator[tuple[int, Foot, Array]]) -> None:
         """Show the complete curves and footprints of a recorded walk, instead of collecting them."""
@@ -184,7 +184,7 @@ class Page:
             self._drawing.show(view)
             if self.shown == 0:
                 camera = self.server.initial_camera
-                camera.position, camera.look_at = _home(self._scene.model, view)
+                camera.position, camera.look_at = _home(self._scene, view)
             if force or now - self._text_at >= _TEXT:
                 self._text_at = now
                 self._drawing.trail(np.array(self._way) if way is None else way, view.ground)
@@ -297,13 +297,15 @@ class _Drawing:
     ----------
     server : viser.ViserServer
     scene : Scene
+    opacity : float
+        Of the robot's looks.
     """
 
-    def __init__(self, server: viser.ViserServer, scene: Scene) -> None:
+    def __init__(self, server: viser.ViserServer, scene: Scene, opacity: float = 1.0) -> None:
         self._scene, self._server, self._model = server.scene, server, scene.model
         self._bodies = [self._scene.add_frame(f"/robot/{b}", show_axes=False) for b in range(len(self._model.bodies))]
         for number, shape in enumerate(scene.shapes):
-            _add_shape(self._scene, f"/robot/{shape.body}/{number}", shape)
+            _add_shape(self._scene, f"/robot/{shape.body}/{number}", shape, opacity)
         self._soles = {foot: self._sole(f"/soles/{foot.value}", foot, 0.9) for foot in Foot}
         self._target = {foot: self._sole(f"/target/{foot.value}", foot, 0.35) for foot in Foot}
         self._com = self._scene.add_icosphere("/com/point", 0.011, color=COM)
@@ -452,8 +454,9 @@ def _move(handle: Any, x: Array, offset: Array) -> None:
     handle.position, handle.wxyz = DQ(x).transform_point(offset), x[:4]
 
 
-def _add_shape(scene: viser.SceneApi, name: str, shape: Shape) -> None:
+def _add_shape(scene: viser.SceneApi, name: str, shape: Shape, opacity: float) -> None:
     r, g, b, a = shape.color
+    a *= opacity
     color = (round(255 * r), round(255 * g), round(255 * b))
     looks: dict[str, Any] = {"opacity": None if a >= 1.0 else a, **_place(shape.pose)}
     if shape.kind == "box":
@@ -467,9 +470,13 @@ def _add_shape(scene: viser.SceneApi, name: str, shape: Shape) -> None:
         scene.add_icosphere(name, shape.size[0], color, **looks)
 
 
-def _home(model: RobotModel, view: View) -> tuple[Array, Array]:
+def _home(scene: Scene, view: View) -> tuple[Array, Array]:
     """Return position and target of the camera: from ahead and the left, with the whole robot in view."""
-    height = float(np.max(DQ(view.bodies).translation()[:, 2])) - view.ground
-    reach = max(height, 0.2)
+    tops = [float(DQ(view.bodies).translation()[:, 2].max())]
+    for shape in scene.shapes:
+        x = DQ(view.bodies[shape.body]) * DQ(shape.pose)
+        points = np.zeros((1, 3)) if shape.vertices is None else shape.vertices
+        tops.append(float(x.transform_point(points)[:, 2].max()))
+    reach = max(max(tops) - view.ground, 0.2)
     at = np.array([view.com[0], view.com[1], view.ground + 0.52 * reach])
     return at + reach * np.array([1.25, 0.95, 0.5]), at
