@@ -236,8 +236,6 @@ class VelocityController:
         bad = [name for name, angle in names if not math.isfinite(angle)]
         if bad:
             raise StateError(f"the angle of {', '.join(bad)} is not finite")
-        if state.up is not None and self._imu not in self.model.frames:
-            raise ConfigError(f"the state has an inertial sensor, and the robot has no link '{self._imu}' (robot.imu)")
 
     def _look(self, state: State) -> tuple[Kinematics, Evaluation]:
         """Return the robot at `state`, and what the phase makes of it."""

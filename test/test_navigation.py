@@ -25,7 +25,8 @@ from dqwalk_ros.robot import load_model
 from dqwalk_ros.simulation import make_plant
 from dqwalk_ros.state import Command
 
-CONFIG = overlaid(load("poppy"), "physics").updated({"gait.steps": 0, "plant.command_timeout": 10.0})
+LONE = {"gait.steps": 0, "plant.command_timeout": 10.0, "qp.solver": "daqp"}
+CONFIG = overlaid(load("poppy"), "physics").updated(LONE)
 MODEL = load_model(CONFIG.robot)
 NEAR, WITHIN = 0.04, 0.05
 """A goal is reached at this distance by odometry, and must be at this distance in truth [m]."""

@@ -189,7 +189,7 @@ def test_a_mirror_image_of_a_mirror_image_is_the_robot(robot):
 # ---------------------------------------------------------------------- what is refused
 
 
-@pytest.mark.parametrize("key", ["pelvis", "left_sole", "right_sole"])
+@pytest.mark.parametrize("key", ["pelvis", "left_sole", "right_sole", "imu"])
 def test_a_missing_link_is_named(key):
     with pytest.raises(ModelError, match=f"robot.{key} names the link 'nowhere', which is not there"):
         load_model(RobotConfig(**{key: "nowhere"}))

@@ -59,10 +59,8 @@ class Mode(enum.Enum):
     FALLEN = FALLEN
 
 
-def upright_axis(model: RobotModel) -> NDArray[np.float64] | None:
+def upright_axis(model: RobotModel) -> NDArray[np.float64]:
     """Return the direction in the inertial sensor's frame that points up in the robot's zero posture, shape (3,)."""
-    if model.imu not in model.frames:
-        return None
     kin = Kinematics(model, np.zeros(model.n), Foot.LEFT)
     return np.array([kin.direction(model.imu, axis)[2] for axis in np.eye(3)])
 
@@ -115,7 +113,7 @@ class Controller(AnsweringNode):
             self._awaited = "joint_states and imu"
         warm_up(config, self._model)
         self._walk = make_controller(config, self._model)
-        self._upright = upright_axis(self._model) if config.plant.imu else None
+        self._upright = upright_axis(self._model)
         self._mode = Mode.WALKING if config.node.autostart else Mode.IDLE
         self._published_config = config  # on walk_config
         self._still = self._sent = Command(0.0, np.zeros(self._model.n))
@@ -250,7 +248,7 @@ class Controller(AnsweringNode):
     def _look_for_a_fall(self, state: State) -> None:
         """End the walk if the pelvis leans too far: commands to a robot that lies on the floor only do damage."""
         self._lying = ""
-        if state.up is None or self._upright is None:
+        if state.up is None:
             return
         lean = math.acos(min(max(float(self._upright @ state.up), -1.0), 1.0))
         if lean > self.config.safety.tilt:
