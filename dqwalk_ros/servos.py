@@ -158,7 +158,7 @@ class Drive:
     stiffness : ndarray, shape (n,)
         By which torques are fed forward as angles [N m/rad]; 0: not at all.
     damping : ndarray, shape (n,)
-        Torque per speed [N m s/rad].
+        Torque per speed that the lead does not make up for [N m s/rad].
     lead : ndarray, shape (n,)
         Torque per commanded speed that makes a damped servo keep up with its goal [N m s/rad].
     delay : float
@@ -181,18 +181,21 @@ class Drive:
             As `Servos.of`, or if an entry of ``servo.assumed`` cannot be read.
         """
         c = config.servo
-        stiffness, lag = np.full(model.n, c.assumed_stiffness), np.full(model.n, c.assumed_damping)
+        stiffness, lag, lead = (
+            np.full(model.n, told) for told in (c.assumed_stiffness, c.assumed_damping, c.assumed_lead)
+        )
         if c.types:
             servos = Servos.of(config, model)
             typed = servos.back_emf > 0.0
             stiffness[typed], lag[typed] = servos.stiffness[typed], (servos.back_emf / servos.stiffness)[typed]
+            lead[typed] = np.minimum(lead, lag)[typed]
         for joints, text in _entries("servo.assumed", c.assumed, model):
             told = _numbers(text)
             stiffness[joints] = told.get("stiffness", stiffness[joints])
             lag[joints] = told.get("damping", lag[joints])
         hold = 1.0 / c.assumed_rate if c.assumed_rate > 0.0 else 0.0
-        late = c.assumed_latency + 0.5 * hold + max(float(lag.mean()) - c.assumed_lead, 0.0)
-        return cls(stiffness, lag * stiffness, c.assumed_lead * stiffness, late)
+        late = c.assumed_latency + 0.5 * hold + max(float((lag - lead).mean()), 0.0)
+        return cls(stiffness, np.maximum(lag - lead, 0.0) * stiffness, lead * stiffness, late)
 
     def angles(self, effort: Array) -> Array:
         """Return the change of the goals (n,) [rad] that gives the torques `effort` (n,) [N m]."""

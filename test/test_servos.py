@@ -104,6 +104,13 @@ def test_the_controller_is_told_the_type_unless_it_is_told_otherwise() -> None:
     np.testing.assert_allclose(told.angles(effort) * told.stiffness, effort)
 
 
+def test_a_lead_makes_up_for_the_back_emf_and_no_more() -> None:
+    plain, ahead = Drive.of(TYPED, MODEL), Drive.of(TYPED.updated({"servo.assumed_lead": 0.02}), MODEL)
+    assert ahead.lead == pytest.approx(plain.damping)
+    assert (ahead.damping == 0.0).all()
+    assert ahead.delay < plain.delay
+
+
 def test_the_delay_is_latency_half_a_hold_and_the_lag_of_damping() -> None:
     told = {"servo.assumed_latency": 0.04, "servo.assumed_rate": 50.0, "servo.assumed_damping": 0.02}
     assert Drive.of(CONFIG.updated(told), MODEL).delay == pytest.approx(0.07)

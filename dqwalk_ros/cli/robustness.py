@@ -77,7 +77,7 @@ def robustness(
     for text in axis:
         name, _, values = text.partition("=")
         try:
-            axes[name] = tuple(float(value) for value in values.split(","))
+            axes[name] = tuple(map(_number, values.split(",")))
         except ValueError:
             raise ConfigError(f"--axis needs KEY=NUMBER,NUMBER..., not {text!r}") from None
     for name, numbers in axes.items():  # invalid values are rejected before the first walk
@@ -100,6 +100,12 @@ def robustness(
         robustness_figure(done, axes, steps).savefig(out / "robustness.png")
     print(text)
     return 0 if len(done) == len(combinations) and all(cell.stood for cell in done) else 1
+
+
+def _number(text: str) -> float:
+    """Return a number, without a fraction where it has none: a seed is whole."""
+    value = float(text)
+    return int(value) if value.is_integer() else value
 
 
 def table(done: Sequence[Cell], axes: dict[str, tuple[float, ...]]) -> str:

@@ -51,6 +51,8 @@ _BEYOND, _YIELD = 0.002, 0.1
 """While more than this is left over [m], the CoM's path gives way to the CoM by this part at each state."""
 _SURE = 3
 """After so many such states in a row a step is adjusted: the noise of one state is no push."""
+_SMOOTH = 0.02
+"""Time constant with which xi, by which a step is adjusted, follows what is measured [s]."""
 _GAP = 0.1
 """After a longer time without a state the reference begins anew where the robot is [s]."""
 
@@ -99,11 +101,12 @@ class DynamicWalk(StandingWalk):
         super().__init__(config, model)
         self._step_now = np.zeros(3)  # length, side and turn of the step under way
         delay = Drive.of(config, model).delay
+        self._early = max(delay - config.dt, 0.0)
         self._gain = config.standing.balance / (1.0 + delay / _LATE)
         self._beyond = config.dynamic.catch_beyond * (1.0 + delay / _UNSURE)
         self._known: Phase | None = None
         self._time = -math.inf
-        self._com = self._xi = self._z = np.zeros(2)
+        self._com = self._xi = self._smooth = np.zeros(2)
         self._force, self._pressure = GRAVITY * _UP, np.zeros(2)
         self._course: Course
         self._flight: _Flight | None = None
@@ -261,21 +264,25 @@ class DynamicWalk(StandingWalk):
         dt = state.time - self._time
         self._time = state.time
         c, v = _along_ground(kin.com, up), _along_ground(self._com_velocity(kin, state), up)
-        if not 0.0 <= dt <= _GAP:
-            self._com, self._xi = c, c
-        else:
+        if known := 0.0 <= dt <= _GAP:
             self._com = self._com + dt * omega * (self._xi - self._com)  # c' = w (xi - c)
+        else:
+            dt, self._com, self._xi = 0.0, c, c
         if phase is not self._known:
             self._begin(phase, kin)
         t = kin.elapsed
         xi = c + v / omega
+        moved = self._smooth + dt * omega * (self._smooth - self._pressure) if known else xi  # xi' = w (xi - z)
+        self._smooth = moved + dt / (_SMOOTH + dt) * (xi - moved)
         flight = self._flight
         if flight is not None:
-            phase = self._catch(flight, phase, c, xi, t)
+            phase = self._catch(flight, phase, c, self._smooth, t)
         self._xi, z = self._course.at(t)
+        if flight is None:  # what is asked for now is so a delay later
+            _, z = self._course.at(t + self._early)
         z = z + (1.0 + self._gain) * (xi - self._xi)
-        if flight is not None:
-            place, velocity, acceleration = flight.swing.step(t, flight.rule.duration)
+        if flight is not None:  # and the foot is to be down when the weight comes
+            place, velocity, acceleration = flight.swing.step(t, flight.rule.duration - self._early)
             self._targets["swing"].set(place, velocity)
             z[0] += self.pendulum.swing * acceleration[0]
         self._pressure = z = self._inside(z)
@@ -339,6 +346,7 @@ class DynamicWalk(StandingWalk):
         other = Footprint.of(kin.pose(kin.swing))
         if before is not None and before.base is not phase.base:  # the base sole was the other one
             self._com, self._xi = other.points(self._com), other.points(self._xi)
+            self._smooth, self._pressure = other.points(self._smooth), other.points(self._pressure)
         self._targets = {task.name: task.target for task in phase.tasks if isinstance(task, Follow | FollowPose)}
         self._pushed = self._flight.most > self._beyond if self._flight else self._pushed
         self._flight = None

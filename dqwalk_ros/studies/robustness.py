@@ -114,7 +114,7 @@ def assumed(config: Config, latency_error: float = 0.0) -> dict[str, float]:
 
 def walk(config: Config, index: int, values: Mapping[str, Any]) -> Outcome:
     """Simulate one combination in physics, until the walk ends or the robot falls."""
-    time, steps, phase, tilt = 0.0, 0, None, 0.0
+    time, steps, number, swings, tilt = 0.0, 0, -1, False, 0.0
     parameters = {name: value for name, value in values.items() if name != LATENCY_ERROR}
     try:
         varied = config.updated(parameters)
@@ -124,9 +124,9 @@ def walk(config: Config, index: int, values: Mapping[str, Any]) -> Outcome:
         for state, _ in closed_loop(controller, plant):
             if state.time >= time + _SAMPLE - 1e-9 and (truth := plant.truth) is not None:
                 time, tilt = state.time, max(tilt, truth.tilt)
-            if controller.phase is not phase:
-                steps += phase is not None and phase.kind is PhaseKind.SINGLE_SUPPORT
-                phase = controller.phase
+            if controller.phase_index != number:
+                steps += swings
+                number, swings = controller.phase_index, controller.phase.kind is PhaseKind.SINGLE_SUPPORT
     except DqwalkError as error:
         return Outcome(False, time, steps, str(error), tilt)
     reason = "" if controller.finished else f"fell in {controller.phase.name}"
