@@ -166,6 +166,7 @@ class Controller(AnsweringNode):
                 state = self._imu.join(msg, state)
             if state is None or not self._is_new(stamp):
                 return
+            self._look_for_a_fall(state)
             self._gate.accept(stamp, state.q)
         except StateError as error:
             self._reject(error)
@@ -174,7 +175,6 @@ class Controller(AnsweringNode):
         if not self._may_answer():
             return
         before = self._mode
-        self._look_for_a_fall(state)
         ready = self._plant_ready and not self._duplicates
         self._look_for_contradictions(state, ready)
         if self._mode is Mode.WALKING and ready:
@@ -246,15 +246,21 @@ class Controller(AnsweringNode):
         return command
 
     def _look_for_a_fall(self, state: State) -> None:
-        """End the walk if the pelvis leans too far: commands to a robot that lies on the floor only do damage."""
+        """End the walk if the pelvis leans too far: commands to a robot that lies on the floor only do damage.
+
+        This does not depend on the joints: their angles may be refused when the robot hits the ground.
+        """
         self._lying = ""
         if state.up is None:
             return
         lean = math.acos(min(max(float(self._upright @ state.up), -1.0), 1.0))
         if lean > self.config.safety.tilt:
             self._lying = f"the robot has fallen: its pelvis leans by {math.degrees(lean):.0f} deg"
-            if self._mode in (Mode.WALKING, Mode.PAUSED):
-                self._mode, self._problem = Mode.FALLEN, self._lying
+            if self._mode in (Mode.WALKING, Mode.PAUSED, Mode.FAILED):
+                self._problem = "; ".join(filter(None, [self._problem, self._lying]))
+                self._mode = Mode.FALLEN
+                self._publish_zero()
+                self._done()
 
     def _look_for_contradictions(self, state: State, ready: bool) -> None:
         """End the walk if the measurements contradict the commands; not checked while the robot stands still."""
