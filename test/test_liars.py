@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
 
 from inside import inside, state
+from std_msgs.msg import Bool
 
 from dqwalk_ros.cli.options import overlaid
 from dqwalk_ros.config import load
@@ -106,11 +108,35 @@ def test_a_lie_is_named_and_ends_the_walk(make: Any, lie: Lie, named: str) -> No
         if node.got["phase"][-1].data in ("failed", "fallen"):
             break
         answer = node.got["joint_velocity_commands"][-1]
-        plant.step(Command(t, np.array(answer.velocity), np.array(answer.effort)), dt)
+        effort = np.array(answer.effort) if answer.effort else None
+        plant.step(Command(t, np.array(answer.velocity), effort), dt)
     assert at is not None
     assert named in node.got["diagnostics"][-1].status[0].message
     assert not any(node.got["joint_velocity_commands"][-1].velocity)
     assert np.abs(plant.state.q - at).max() < 0.4  # no joint was led astray further
+
+
+@pytest.mark.parametrize("holds", [True, False])
+def test_a_plant_that_no_command_reaches_is_no_lie(make: Any, holds: bool) -> None:
+    """The robot is told to stand at once; whether the walk is over, depends on whether the plant says that it holds."""
+    config = load("paper").updated({"dt": 0.02, "safety.contradiction": 0.01})
+    node, stamps = make("controller", config), itertools.count(50)
+
+    def stand(ticks: int) -> bool:
+        """Tell the controller that the robot does not move; return whether it is told to."""
+        for stamp in itertools.islice(stamps, ticks):
+            node.hand("joint_states", state(MODEL.joint_names, np.zeros(MODEL.n), 0.02 * stamp))
+        return any(node.got["joint_velocity_commands"][-1].velocity)
+
+    assert 50 < next(k for k in range(200) if not stand(1)) < 150
+    assert node.got["phase"][-1].data == "double_support/left"
+    if holds:
+        node.hand("plant_ready", Bool(data=False))
+    assert not stand(30)
+    assert node.got["phase"][-1].data == ("double_support/left" if holds else "failed")
+    if holds:
+        node.hand("plant_ready", Bool(data=True))
+        assert stand(2)
 
 
 @pytest.mark.long

@@ -16,8 +16,8 @@ from dqwalk_ros.plants.dynamixel import GAIN, TORQUE_ENABLE, TORQUE_LIMIT
 from dqwalk_ros.robot import RobotModel, load_model
 
 KNEE = MOTORS["l_knee_y"].id
-STEP = 0.002
-"""Two steps of an encoder [rad]."""
+STEP = 0.003
+"""Two steps of an MX's encoder, and more than half of one of an AX's, which the head has [rad]."""
 
 
 @pytest.fixture(scope="module")

@@ -43,6 +43,9 @@ __all__ = ["Controller", "Mode"]
 
 Array = NDArray[np.float64]
 
+_TELLS = 0.3
+"""A plant says within so long that it holds [s]."""
+
 
 _REMEMBERED = 10.0
 """The cause of a fall is looked for in the last states, for this long at least [s]."""
@@ -122,6 +125,7 @@ class Controller(AnsweringNode):
         self._contradictions = Contradictions(
             self._model.joint_names, config.safety.contradiction, lambda: self.config.plant.command_timeout
         )
+        self._suspected, self._suspected_at = "", 0.0  # what contradicts what, and when that was noticed [s]
         self._lying = ""  # how far the pelvis leans, where that is too far
         self._phase_index = self._phase_stamp = -1
         self._decision = ""
@@ -177,7 +181,7 @@ class Controller(AnsweringNode):
         before = self._mode
         ready = self._plant_ready and not self._duplicates
         self._look_for_contradictions(state, ready)
-        if self._mode is Mode.WALKING and ready:
+        if self._mode is Mode.WALKING and ready and not self._suspected:
             answer: Command | None = self._step(state, stamp)
         elif self.lockstep:
             answer = None  # no answer: simulated time stands still
@@ -266,10 +270,16 @@ class Controller(AnsweringNode):
         """End the walk if the measurements contradict the commands; not checked while the robot stands still."""
         if self._mode is not Mode.WALKING or not ready:
             self._contradictions.forget()
+            self._suspected = ""
             return
-        leaning = self._walk.lean > 0.5 * self.config.safety.sole_tilt
-        if why := self._contradictions.judge(state, self._sent.velocity, leaning=leaning):
-            self._fail(why)
+        if not self._suspected:
+            leaning = self._walk.lean > 0.5 * self.config.safety.sole_tilt
+            self._suspected = self._contradictions.judge(state, self._sent.velocity, leaning=leaning)
+            self._suspected_at = state.time
+        # a plant that our commands do not reach holds; it says so, a little later
+        waits = 0.0 if self.lockstep else self.config.plant.command_timeout + _TELLS
+        if self._suspected and state.time - self._suspected_at >= waits:
+            self._fail(self._suspected)
 
     def _fail(self, reason: str) -> None:
         self._mode, self._problem = Mode.FAILED, reason
@@ -343,6 +353,7 @@ class Controller(AnsweringNode):
         self._sent = self._still
         self._gate.reset()
         self._contradictions.forget()
+        self._suspected = ""
         self._failures.reset()
         self._show_phase()
         return self._answer(response, True, "the next walk starts from the current posture of the robot; call ~/start")
