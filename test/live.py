@@ -12,7 +12,7 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
@@ -58,7 +58,7 @@ class Live:
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain)
         self.node = Node(name, context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor: Any = EventsExecutor(context=self._context)
         self._executor.add_node(self.node)
         self.got: dict[str, list[Any]] = {}
         self._clients: dict[str, Any] = {}

@@ -210,11 +210,10 @@ def test_one_corrupted_state_in_ten(walk: Chaos) -> None:
 
 
 def test_a_spike(walk: Chaos) -> None:
-    done = []
+    count = iter(range(10**9))
 
     def spike(msg: JointState) -> Iterator[tuple[float, JointState]]:
-        if not done:
-            done.append(1)
+        if next(count) % 10 == 0:  # one alone may be lost on its way
             msg.position[2] = msg.position[2] + 0.5 * (-1.0 if msg.position[2] > 0.0 else 1.0)
         yield 0.0, msg
 
@@ -222,7 +221,7 @@ def test_a_spike(walk: Chaos) -> None:
     took = walk.said("controller", "a jump")
     walk.on_states = chaos.passing
     walk.walks()
-    row("a spike of 0.5 rad in one angle", "rejected as a jump", took, RESUMED)
+    row("a spike of 0.5 rad in one angle, now and then", "rejected as a jump", took, RESUMED)
 
 
 def test_joints_in_another_order_and_more_of_them(walk: Chaos) -> None:
@@ -373,7 +372,9 @@ def test_two_of_them(walk: Chaos, what: str, topic: str, node: str) -> None:
     stranger = other.create_publisher(JointState, topic, QoSProfile(depth=1))
 
     def claim(msg: JointState) -> Iterator[tuple[float, JointState]]:
-        stranger.publish(msg)  # a plant of its own: the same joints once more
+        theirs = copy.deepcopy(msg)  # a plant of its own: the same joints once more, by another clock
+        theirs.header.stamp.nanosec = max(theirs.header.stamp.nanosec - 50_000_000, 0)
+        stranger.publish(theirs)
         yield 0.0, msg
 
     walk.on_states = claim if what == "plant" else chaos.passing
