@@ -64,6 +64,13 @@ def exercise(
 
     made = exercise_config(config_of(config, plant=plant), cycles)
     made = made.updated(parse_overrides(changes), source="command line")
+    if plant == "poppy" and not made.servo.types:  # what servos it has is in the table of the motors
+        from dqwalk_ros.plants.poppy import load_motors
+        from dqwalk_ros.servos import load_types
+
+        known, motors = load_types(made.servo.table), load_motors(made.poppy.motors)
+        types = [f"{name}={motor.type}" for name, motor in motors.items() if motor.type in known]
+        made = made.updated({"servo.types": types, "servo.p_gain": made.poppy.p_gain or made.servo.p_gain})
     prepare(Output(out, force, (), False, quiet))
     with Progress(quiet=quiet) as bar:
         if ros or plant == "poppy":

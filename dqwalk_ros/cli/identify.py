@@ -47,12 +47,12 @@ def identify(bag: Path, mass: float | None, out: Path | None, quiet: bool) -> in
     """Find delay, stiffness, damping, backlash and friction of each servo in a recorded exercise."""
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.identification import fit
-    from dqwalk_ros.report.bag import read
+    from dqwalk_ros.report.bag import read, read_orientations
 
     trace = read(bag)
     scale = trace.config.physics.mass_scale if mass is None else mass / trace.model.mass
-    with Progress(quiet=quiet) as bar:
-        found = fit.identify(trace, mass_scale=scale, progress=bar)
+    with Progress(quiet=quiet) as progress:
+        found = fit.identify(trace, read_orientations(bag), mass_scale=scale, progress=progress)
     out = out or bag.resolve().parent / "identified.yaml"
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(fit.parameters(found, trace.config.dt, scale), encoding="utf-8")

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
@@ -129,7 +130,11 @@ def goals_of(trace: Trace) -> Array:
 
 
 def identify(
-    trace: Trace, *, mass_scale: float = 1.0, progress: Callable[[float, str], None] | None = None
+    trace: Trace,
+    orientations: Array | None = None,
+    *,
+    mass_scale: float = 1.0,
+    progress: Callable[[float, str], None] | None = None,
 ) -> Identified:
     """Return what an exercise shows of the servos and of the inertial sensor.
 
@@ -140,6 +145,8 @@ def identify(
     ----------
     trace : Trace
         An exercise.
+    orientations : ndarray, shape (m, 4), optional
+        Of the inertial sensor, unit quaternions, real part first.
     mass_scale : float
         What the robot weighs, as a part of what its URDF says.
     progress : callable, optional
@@ -154,8 +161,10 @@ def identify(
     model, dt = trace.model, float(np.median(np.diff(trace.time)))
     told, goals, nominal = np.nan_to_num(trace.u), goals_of(trace), Servos.of(trace.config, model)
     window = max(7, round(0.14 / dt) | 1)
-    q, dq, ddq = (savgol_filter(trace.q, window, 4, deriv=k, delta=dt, axis=0) for k in range(3))
-    tau, inertia = held_torques(model, mass_scale, q, dq, ddq)
+    # a spline's own acceleration, in straight pieces from state to state: so the model takes the torques, too
+    q = CubicSpline(trace.time, savgol_filter(trace.q, window, 4, axis=0))
+    ddq = q(trace.time, 2)
+    tau, inertia = held_torques(model, mass_scale, q(trace.time), q(trace.time, 1), ddq)
     tau -= inertia * ddq  # what the joint's own motion takes is in the model
     missing: dict[str, str] = {}
     servos: dict[int, _Servo] = {}
@@ -185,7 +194,7 @@ def identify(
     for k, (joint, servo) in enumerate(servos.items()):
         said(0.7 + 0.3 * k / len(servos), model.joint_names[joint])
         value[joint], deviation[joint], rms[joint] = servo.finish(delay)
-    return Identified(model.joint_names, value, deviation, rms, missing, _mounting(trace))
+    return Identified(model.joint_names, value, deviation, rms, missing, _mounting(trace, orientations))
 
 
 def parameters(found: Identified, dt: float, mass_scale: float) -> str:
@@ -287,8 +296,7 @@ class _Servo:
         found, many = self._solve(self.x, 25), len(self._block)
         x, J = found.x * self._scale, found.jac
         # errors that follow each other are no independent ones: they are summed over blocks of time
-        error = found.fun * (1.0 + (found.fun / _SOFT) ** 2) ** 0.25  # so weighted as the rows of this Jacobian are
-        score = J * error[:, None]
+        score = J * found.fun[:, None]
         blocks = np.add.reduceat(score[:many], np.flatnonzero(np.diff(self._block, prepend=-1.0)), axis=0)
         bread, known = np.linalg.pinv(J.T @ J), J[many:]
         covariance = bread @ (blocks.T @ blocks + known.T @ known) @ bread * np.outer(self._scale, self._scale)
@@ -303,8 +311,6 @@ class _Servo:
             lambda y: self._errors(y * self._scale),
             np.clip(x / self._scale, low + 1e-6, high - 1e-6),
             bounds=(low, high),
-            loss="soft_l1",
-            f_scale=_SOFT,
             diff_step=1e-3,
             x_scale="jac",
             max_nfev=most,
@@ -335,7 +341,8 @@ def _unlikely(error: Array, step: float) -> Array:
     inside, beyond = log_ndtr((0.5 * step - far) / sigma), log_ndtr((-0.5 * step - far) / sigma)
     cost = -(inside + np.log1p(-np.exp(beyond - inside)))
     least = -math.log(math.erf(0.5 * step / sigma / math.sqrt(2.0)))
-    out: Array = np.sign(error) * np.sqrt(2.0 * np.maximum(cost - least, 0.0))
+    z = 2.0 * np.maximum(cost - least, 0.0) / _SOFT**2
+    out: Array = np.sign(error) * _SOFT * np.sqrt(2.0 * (np.sqrt(1.0 + z) - 1.0))  # far ones count less
     return out
 
 
@@ -351,11 +358,10 @@ def _run(piece: _Piece, x: Array, limit: float) -> Array:
 # ---------------------------------------------------------------------- the inertial sensor
 
 
-def _mounting(trace: Trace) -> Mounting | None:
+def _mounting(trace: Trace, seen: Array | None) -> Mounting | None:
     """Return the roll and pitch at which the sensor sees the vertical of a root link that is held level."""
-    if trace.physics is None or not np.isfinite(trace.physics.orientation).any():
+    if seen is None or not len(seen):
         return None
-    seen = trace.physics.orientation[np.isfinite(trace.physics.orientation).all(axis=1)]
     up = np.array([upward(*row.tolist()) for row in seen])  # = R_mounted^T R_link^T z
     link = DQ(trace.model.frames[trace.model.imu_link].pose).rotation_matrix().T @ [0.0, 0.0, 1.0]
     mean = up.mean(axis=0) / np.linalg.norm(up.mean(axis=0))

@@ -326,9 +326,7 @@ def build(
         raise PlantError(f"MuJoCo refuses the robot: {error}") from error
 
 
-def held_torques(
-    model: RobotModel, mass_scale: float, q: Array, dq: Array, ddq: Array
-) -> tuple[Array, Array]:
+def held_torques(model: RobotModel, mass_scale: float, q: Array, dq: Array, ddq: Array) -> tuple[Array, Array]:
     """Return what moves the joints of a robot that is held by its root, level: torques, and inertias about the joints.
 
     Parameters

@@ -294,9 +294,9 @@ class Series:
 
     @cached_property
     def ground(self) -> Ground | None:
-        """True motion and contact of a walk in physics; None without physics."""
-        physics = self.trace.physics
-        return None if physics is None or not np.isfinite(physics.pelvis).any() else Ground(self, physics)
+        """True motion and contact of a walk in physics; None without physics or ground."""
+        physics, held = self.trace.physics, self.trace.config.physics.held
+        return None if physics is None or held or not np.isfinite(physics.pelvis).any() else Ground(self, physics)
 
     def corners(self, tick: int, soles: Mapping[Foot, Sole] | None = None) -> tuple[Array, Array]:
         """Return the corners (4, 3) of the base and of the other sole at a tick, in the base sole's frame [m]."""

@@ -8,11 +8,18 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from dqwalk_ros.report.bag.body import read_body, write_body
     from dqwalk_ros.report.bag.recording import is_body
-    from dqwalk_ros.report.bag.walk import read, write
+    from dqwalk_ros.report.bag.walk import read, read_orientations, write
 
-__all__ = ["is_body", "read", "read_body", "write", "write_body"]
+__all__ = ["is_body", "read", "read_body", "read_orientations", "write", "write_body"]
 
-_FILES = {"is_body": "recording", "read": "walk", "write": "walk", "read_body": "body", "write_body": "body"}
+_FILES = {
+    "is_body": "recording",
+    "read": "walk",
+    "read_orientations": "walk",
+    "write": "walk",
+    "read_body": "body",
+    "write_body": "body",
+}
 
 
 def __getattr__(name: str) -> Any:

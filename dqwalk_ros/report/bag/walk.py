@@ -41,7 +41,7 @@ from dqwalk_ros.simulation import PhaseRecord, PhysicsRecord, Trace
 from dqwalk_ros.topics import FAILED, FALLEN, FINISHED, ODOM, REQUIRED, TOPICS, WORLD
 from dqwalk_ros.walk import PhaseKind, com_target
 
-__all__ = ["read", "write"]
+__all__ = ["read", "read_orientations", "write"]
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -232,6 +232,22 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
         physics=_physics(stamps, columns, bag),
         epoch=epoch,
     )
+
+
+def read_orientations(path: str | os.PathLike[str], *, namespace: str | None = None) -> Array:
+    """Return what a recorded inertial sensor took for its orientation, unit quaternions (m, 4), real part first.
+
+    There may be none. Errors are those of `read`.
+    """
+    column = open_recording(path, namespace, TOPICS, REQUIRED).columns.get("imu")
+    seen = [table.numbers[:, [3, 0, 1, 2]] for table in tables(column)] if column is not None else []
+    all_seen = np.concatenate([np.zeros((0, 4)), *seen])
+    out: Array = all_seen[np.abs(np.linalg.norm(all_seen, axis=1) - 1.0) < _UNIT]
+    return out
+
+
+_UNIT = 0.01
+"""A quaternion whose norm is this far from one is no orientation."""
 
 
 # ---------------------------------------------------------------------- phases
