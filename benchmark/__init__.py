@@ -1,1 +1,1 @@
-"""What things cost: `benchmark.tick`, `cycle`, `physics`, `nodes`, `studies`; `page` writes docs/benchmarks.md."""
+"""Benchmarks: `benchmark.tick`, `cycle`, `physics`, `nodes`, `studies`; `page` writes docs/benchmarks.md."""

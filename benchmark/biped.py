@@ -1,7 +1,7 @@
-"""A made-up biped, the numbers of its two phases, and states of a walk: what every tick of `benchmark.tick` is given.
+"""A fictitious biped, the numbers of its two phases, and states of a walk: the input of every tick of `benchmark.tick`.
 
 The robot is a serial chain from the sole of the left foot, up the leg, through the pelvis and down the other leg; the
-world is the left sole. Body i hangs on joint i: x_i = x_{i-1} (fixed_R_i, fixed_p_i) rot(axis_i, q_i).
+world is the left sole. Body i is attached to joint i: x_i = x_{i-1} (fixed_R_i, fixed_p_i) rot(axis_i, q_i).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A closed loop of many ticks with either solver: how long it takes, and how far apart the walks end.
+"""Time of a closed loop of many ticks with either solver, and the difference between the two walks at the end.
 
 python -m benchmark.cycle [--ticks 100000]
 """

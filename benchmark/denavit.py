@@ -1,4 +1,4 @@
-"""Denavit and Hartenberg's parameters of a serial chain, as dqrobotics takes them."""
+"""Denavit-Hartenberg parameters of a serial chain, in the form of dqrobotics."""
 
 from __future__ import annotations
 

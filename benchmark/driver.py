@@ -1,14 +1,12 @@
-"""The Poppy driver walks on emulated servos, over topics and by the clock.
-
-Does it keep its rate, and do the angles follow?
+"""The Poppy driver with emulated servos, over topics in real time: its rate, and how well the angles follow.
 
     python -m benchmark.driver [--full]
 
-Commanded angles are those of `joint_goals`, the ones that the servos had when they were read; read-back ones are those
-of `joint_states`. A servo follows a goal as a ramp, a period or two behind, so an angle that is read back should be one
-that the goal had a few periods ago: the table says how many periods that takes. The period is that of the stamps,
-beside a bare loop that sleeps in a process of its own. Exit code 1 where the walk did not finish, the rate was not
-held, or an angle did not follow.
+Commanded angles are those of `joint_goals`, which the servos had when they were read; read-back angles are those of
+`joint_states`. A servo follows a goal as a ramp, a period or two later, so a read-back angle should be one that the
+goal had a few periods ago; the table shows how many. The period is that of the stamps, compared with a loop in
+another process that only sleeps. Exit code 1 if the walk did not finish, the rate was not kept, or an angle did not
+follow.
 """
 
 from __future__ import annotations

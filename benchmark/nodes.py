@@ -1,10 +1,10 @@
-"""The controller node in a process of its own, over DDS. This process is the plant. Needs ROS 2.
+"""The controller node in its own process, over DDS, with this process as the plant. Needs ROS 2.
 
     python -m benchmark.nodes [--ticks 3000] [--seconds 60]
 
-In lockstep, the next state is sent when the command to the last one is there. By the clock, states go out at a fixed
-rate, a loop that does nothing but sleep to the same schedule is timed in the same minute, and a period is missed whose
-command was not there when the next state was due.
+In lockstep the next state is sent when the command for the last one has arrived. In real time states are sent at a
+fixed rate, and a loop that only sleeps to the same schedule is timed in the same minute; a period is missed if its
+command has not arrived when the next state is due.
 """
 
 from __future__ import annotations

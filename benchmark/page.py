@@ -1,7 +1,7 @@
-"""Write docs/benchmarks.md: run every benchmark and keep what it prints.
+"""Write docs/benchmarks.md: run every benchmark and store its output.
 
 python -m benchmark.page [--peers PYTHON] [--out docs/benchmarks.md]
-python -m benchmark.page --only tick cycle       these anew, the others as they stand
+python -m benchmark.page --only tick cycle       run these, keep the others
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from pathlib import Path
 TEXT = """\
 # Benchmarks
 
-Written by `python -m benchmark.page`; do not edit. Times are medians of single calls of an interleaved
-run on a machine that other programs used as well: compare figures of one table only, and ratios rather than times.
+Written by `python -m benchmark.page`; do not edit. Times are medians of single calls in an interleaved run on a shared
+machine: compare only figures of one table, and ratios rather than times.
 
-**Peers** (`benchmark/peers.py`): the same robot, state in to joint velocities out. "In place" is Pinocchio as its best
-user would write it: arrays allocated once, the solver called directly. "qpsolvers" is what one writes first. Clarabel
-"in place" is at its default tolerances, unscaled. A peer's error is that of u relative to the largest joint velocity;
-mink, pink and placo follow the swing foot by tasks of their own, and their error there says how far their answer is
-from that of (U6).
+**Peers** are other packages (`benchmark/peers.py`) with the same robot, from the state to the joint velocities. "In place"
+is Pinocchio as an experienced user would write it: preallocated arrays, direct call of the solver. "qpsolvers" is a simple
+first version. Clarabel "in place" uses its default tolerances, without scaling. The error is that of u relative to the
+largest joint velocity; mink, pink and placo use their own tasks for the swing foot, and their error shows the difference of
+their result from that of (U6).
 
-**Nodes**: a late state is one that the plant, which is the benchmark here, could not send on time beside a controller
-at work; the bare loop sleeps to the same schedule and does nothing.
+**Nodes**: a late state is one that the plant, which is the benchmark here, could not send on time while the controller was
+working; the bare loop sleeps to the same schedule and does nothing else.
 
 """
 
@@ -37,14 +37,14 @@ TITLES = {
     "nodes": "The controller as a node (ROS 2)",
     "studies": "A thousand walks",
 }
-"""Of the sections, each by the benchmark that fills it."""
+"""Title of each section, by the name of its benchmark."""
 
 
 def main() -> None:
     """Run and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--peers", metavar="PYTHON", help="Python of an environment with benchmark/requirements.txt")
-    parser.add_argument("--ticks", type=int, default=100_000, help="of the long walk")
+    parser.add_argument("--ticks", type=int, default=100_000, help="number of ticks of the long walk")
     parser.add_argument("--out", type=Path, default=Path(__file__).resolve().parent.parent / "docs" / "benchmarks.md")
     parser.add_argument("--only", nargs="+", choices=TITLES, metavar="NAME", help=f"of {', '.join(TITLES)}")
     args = parser.parse_args()

@@ -1,7 +1,7 @@
-"""One tick through the public API: a phase built by hand, kinematics, rows, the quadratic program, its answer.
+"""One tick through the public API: a phase built by hand, kinematics, rows, the quadratic program, its solution.
 
 `make_clarabel` and `make_daqp` take the robot as a serial chain and the numbers of its two phases (`benchmark.biped`,
-or anything with the same attributes) and return u of q, as the ticks of `benchmark.peers` do.
+or any object with the same attributes) and return u as a function of q, like the ticks of `benchmark.peers`.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""The tick of a phase written with the packages one would use instead, each as its best user would write it.
+"""The tick of a phase written with other packages, each in the form that its experienced user would write.
 
-All but placo and, in single support, mink and pink solve the same quadratic program (U6) as `benchmark.peer_adapter`:
-the package's kinematics, the rows in numpy, its usual solver. "In place": arrays are allocated once and written into,
-and the solver is called directly; "qpsolvers": what one writes first, matrices built anew in numpy and handed to the
-package of that name. mink, pink and placo follow the swing foot by tasks of their own, so that in single support their
-answer is another one.
+Except for placo and, in single support, mink and pink, all solve the same quadratic program (U6) as
+`benchmark.peer_adapter`: with the package's kinematics, rows in numpy, and its usual solver. "In place":
+preallocated arrays and a direct call of the solver; "qpsolvers": a simple first version, with new numpy matrices
+passed to the package of that name. mink, pink and placo use their own tasks for the swing foot, so their result in
+single support differs.
 """
 
 from __future__ import annotations

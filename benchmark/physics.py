@@ -1,4 +1,4 @@
-"""The closed loop in physics beside the engine's own steps: the same robot, the same steps, in turn.
+"""The closed loop in physics compared with the engine's steps alone: same robot, same steps, alternately.
 
 python -m benchmark.physics [--ticks 2000]
 """

@@ -1,9 +1,9 @@
-"""Robots from outside, adopted and walked: one row for each robot description that is found.
+"""Adopts robots from other packages and lets them walk: one row per robot description.
 
 python -m benchmark.robots PATH ... [--out results/robots] [--only NAME]
 
-PATH is a URDF, a xacro, or a folder that is searched, such as those of the packages example-robot-data and
-jvrc-description (`make robots`). What is no biped is listed with the reason.
+PATH is a URDF, a xacro, or a folder to search, such as those of the packages example-robot-data and jvrc-description
+(`make robots`). Robots that are not bipeds are listed with the reason.
 
 Each robot is adopted and walks `gait.steps` of its own configuration in MuJoCo, then one cycle of the paper's walk.
 """

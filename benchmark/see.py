@@ -1,11 +1,9 @@
-"""What it takes to look at a walk.
-
-How soon the page is there, how smooth it is, what it costs the walk, and how long a report takes.
+"""Cost of the visualization: time until the page is shown, frame rate, effect on the walk, time of a report.
 
     python -m benchmark.see [open] [rate] [cost] [report]
 
-Needs Chromium, with WebGL in software: what a browser draws here says little of one with a graphics card, what the
-page sends does not depend on it.
+Needs Chromium, with WebGL in software: the frame rate drawn here is not that of a browser with a graphics card; the
+rate sent by the page does not depend on it.
 """
 
 from __future__ import annotations

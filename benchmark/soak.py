@@ -1,11 +1,9 @@
-"""An hour of walking through ROS in lockstep, recorded.
-
-Does a node grow, leak handles, or lose a message?
+"""An hour of walking through ROS in lockstep, recorded: memory, open files and lost messages of each node.
 
     python -m benchmark.soak [--minutes 60] [--out results/soak]
 
-Walks as many whole cycles of the paper as fill the time. Memory is the resident set of each node, after the first
-minute of the clock and at the end. Exit code 1 where one grew by 5 MB, opened more files, or the bag has a gap.
+Walks as many whole cycles of the paper as fit into the time. Memory is the resident set of each node, after the
+first minute and at the end. Exit code 1 if a node grew by 5 MB or opened more files, or the bag has a gap.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A study of many short walks on one process and on two.
+"""A study of many short walks in one process and in two.
 
 python -m benchmark.studies [--walks 1000]
 """

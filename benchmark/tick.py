@@ -1,11 +1,11 @@
-"""Every stage of one tick, and beside it the tick of other packages.
+"""Every stage of one tick, and the tick of other packages.
 
-    python -m benchmark.tick                  our stages
-    python -m benchmark.tick --peers          and what one would use instead, on the same problem
+    python -m benchmark.tick                  stages of this package
+    python -m benchmark.tick --peers          and other packages, on the same problem
 
-A peer's error is |u - u*| relative to the largest velocity of u*, the answer of the active-set solver, whose
-Karush-Kuhn-Tucker residuals are checked. A peer that is not installed is named and left out; their versions are in
-benchmark/requirements.txt, for an environment of their own.
+The error of another package is |u - u*| relative to the largest velocity of u*, the solution of the active-set
+solver, whose Karush-Kuhn-Tucker residuals are checked. A package that is not installed is named and omitted; the
+versions are in benchmark/requirements.txt, for a separate environment.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Interleaved timing for machines that other people use too.
+"""Interleaved timing for machines that are shared with other users.
 
-Every round visits every case for a short chunk, in random order. Only figures of one call can be compared: ratios are
+Every round runs every case for a short time, in random order. Only figures of one call can be compared: ratios are
 medians over the rounds of the ratio within a round.
 """
 

@@ -1,7 +1,7 @@
-"""What a tick of the whole-body controller costs, in CPU time: ``python -m benchmark.whole_body [--quick]``.
+"""CPU time of a tick of the whole-body controller: ``python -m benchmark.whole_body [--quick]``.
 
-Tests 1 and 2 of the paper in closed loop; the plant is not in the figures. One thread, so that CPU time is what one
-core would take with nobody else on it.
+Tests 1 and 2 of the paper in closed loop, without the time of the plant. One thread, so that the CPU time is the
+time on one idle core.
 """
 
 from __future__ import annotations

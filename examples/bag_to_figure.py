@@ -1,4 +1,4 @@
-"""A walk becomes a bag, the bag a walk again, and the walk a figure."""
+"""Write a walk as a bag, read it back, and draw a figure."""
 
 import tempfile
 from pathlib import Path

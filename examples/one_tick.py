@@ -1,4 +1,4 @@
-"""One tick of the controller by hand: a state, the phase, its quadratic program, its answer."""
+"""One tick of the controller by hand: a state, the phase, its quadratic program, its solution."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""A constraint of one's own, walked with: the centre of mass stays above a height in double support."""
+"""A walk with a user-defined constraint: the centre of mass stays above a height in double support."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""Another robot: a URDF, its pelvis and its soles are all that the paper's walk needs. See also `dqwalk adopt`."""
+"""Another robot: the paper's walk only needs its URDF, pelvis and soles. See also `dqwalk adopt`."""
 
 from dqwalk_ros import Config, KinematicPlant, load_model, make_controller, simulate
 

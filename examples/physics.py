@@ -1,4 +1,4 @@
-"""The walk that stands, in MuJoCo: one step of the whole Poppy (pip install 'dqwalk_ros[sim]')."""
+"""The standing walk in MuJoCo: one step of the whole Poppy (pip install 'dqwalk_ros[sim]')."""
 
 from dqwalk_ros import load, load_model, make_controller
 from dqwalk_ros.simulation import make_plant, simulate

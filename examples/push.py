@@ -1,4 +1,4 @@
-"""A push against the pelvis of a robot that stands in MuJoCo; `closed_loop` is the loop to put anything into."""
+"""Push the pelvis of a robot that stands in MuJoCo; `closed_loop` is the loop into which own code is inserted."""
 
 import numpy as np
 

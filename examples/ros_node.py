@@ -1,6 +1,7 @@
-"""A node around the core: joint_states in, joint_velocity_commands out (ROS 2). The package's own node does far more.
+"""A minimal node around the core: joint_states in, joint_velocity_commands out (ROS 2).
 
-With the integrator beside it (`ros2 run dqwalk_ros integrator`) it walks; here it answers one state and ends.
+With the integrator (`ros2 run dqwalk_ros integrator`) it walks; here it answers one state and exits. The package's own
+controller node does much more.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""A study: the same walk with parameters varied, on two processes; what was walked is kept (dqwalk_ros[study])."""
+"""A study: the same walk with varied parameters in two processes; outcomes are saved (dqwalk_ros[study])."""
 
 import tempfile
 from pathlib import Path

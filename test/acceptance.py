@@ -1,7 +1,7 @@
-"""Everything the whole-body controller must show, asked and got: ``make reach``.
+"""Acceptance test of the whole-body controller, ``make reach``: prints each requirement beside the result.
 
-14 walks, Tests 1 and 2 among them, and the equations and answers beside the same quantities computed another way. An
-aim is a goal beyond what must be: the authors' figures on another robot, and a time that depends on the machine.
+14 walks, including Tests 1 and 2, and equations and solutions compared with independent computations. An aim is a goal
+beyond the requirements: the authors' figures on another robot, or a time that depends on the machine.
 """
 
 from __future__ import annotations

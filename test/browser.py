@@ -1,4 +1,4 @@
-"""Headless Chromium for tests: opens a page, watches its console, takes pictures."""
+"""Headless Chromium for tests: opens a page, reads its console, takes pictures."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""A walk in real time with a man in the middle: every state and every command goes through the test's hands.
+"""A walk in real time whose states and commands all pass through the test, which can change, delay or drop them.
 
-Plugin of pytest as well: `-p chaos` prints the table of all faults at the end.
+Also a plugin of pytest: `-p chaos` prints the table of all faults at the end.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""What package.xml cannot declare: packages without a rosdep key, which `colcon test` may lack.
+"""Packages without a rosdep key, which package.xml cannot declare and `colcon test` may lack.
 
-A test that needs one of them is skipped where it is not installed. As a plugin (``-p declared``) this file hides all of
+A test that needs one of them is skipped if it is not installed. As a plugin (``-p declared``) this file hides all of
 them, so that the tests run as on such a machine.
 """
 

@@ -1,4 +1,4 @@
-"""Poppy's two buses with faults: in memory by a clock of the test's, or over pseudo-terminals by the machine's."""
+"""Emulation of Poppy's two motor buses with faults: in memory on a test clock, or over pseudo-terminals."""
 
 from __future__ import annotations
 

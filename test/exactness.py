@@ -1,4 +1,4 @@
-"""Equations and answers of the whole-body controller beside the same quantities computed another way."""
+"""Equations and solutions of the whole-body controller compared with independent computations."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""A node of ours within the test's own process: it is handed messages, and what it publishes and logs is kept.
+"""Runs a node inside the process of the test: the test passes it messages, and records what it publishes and logs.
 
-Nothing is spun: a test calls what the executor would call, so nothing depends on who is quick.
+The node is not spun: the test calls the callbacks that the executor would call, so no result depends on timing.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Real nodes for tests: processes in a ROS domain of their own, and a node of the test's that talks to them."""
+"""Runs real nodes for tests, as processes in their own ROS domain, and a node of the test that talks to them."""
 
 from __future__ import annotations
 

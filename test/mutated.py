@@ -1,4 +1,4 @@
-"""A copy of the package with one line broken, and what a script prints with it."""
+"""Runs a script with a copy of the package in which one line is changed, and returns its output."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Break each line that keeps a robot safe, one at a time, and see whether a test notices (`make mutation`).
+"""Changes each safety-relevant line, one at a time, and checks whether a test fails (`make mutation`).
 
-A mutant is one changed operator, number or function of a file. Its tests run in a child that takes the changed file in
-place of the true one; what survives is listed, and explained in docs/faults.md or a test is missing.
+A mutant is one changed operator, number or function of a file. Its tests run in a child process that uses the changed
+file instead of the original. Survivors are listed; each is explained in docs/faults.md, or a test is missing.
 
 Usage: python test/mutations.py [--every N] [--only TEXT] [FILE ...]
 """

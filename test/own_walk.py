@@ -1,4 +1,4 @@
-"""A walk of one's own, as docs/tutorial.md makes it, in a module that ``gait.walk`` names."""
+"""A user-defined walk as in docs/tutorial.md, in a module that ``gait.walk`` names."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A Poppy plant on servos in memory, by a clock of the test's."""
+"""A Poppy plant with emulated servos in memory, on a test clock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Walks to test on: one short but complete, made once per process, and ways to tamper with bags."""
+"""Walks for tests: one short but complete walk, computed once per process, and functions that modify bags."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Robots to test on: the paper's legs, the whole Poppy, a made-up biped, and mirror images."""
+"""Robots for tests: the paper's legs, the whole Poppy, a fictitious biped, and mirror images."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""A robot behind ros2_control, as Jazzy's broadcasters and forward controllers present it; written from their manuals.
+"""Emulation of a robot with ros2_control: Jazzy's broadcasters and forward controllers, written from their manuals.
 
 The controller manager reads the hardware, lets the broadcasters publish and the forward_command_controller copy its
-last command, and writes it: what answers a state reaches the joints a period later. joint_state_broadcaster lists the
-joints by the alphabet and fills in NaN for what is not measured; every stamp is the time now; the forward controller
-goes on with its last command for ever.
+last command, and writes it, so the answer to a state reaches the joints one period later. joint_state_broadcaster
+lists the joints alphabetically and publishes NaN for values that are not measured; every stamp is the current time;
+the forward controller repeats its last command for ever.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Robots that nobody prepared: what is found in them, what is refused, and that they walk."""
+"""Adoption of unknown robots: what is detected, what is rejected, and that they walk."""
 
 from __future__ import annotations
 

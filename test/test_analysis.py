@@ -1,4 +1,4 @@
-"""The report against numbers worked out by hand, what it says of a spoilt walk, and the figures."""
+"""The report compared with numbers computed by hand, its violations for spoilt walks, and the figures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The layers hold: a module imports only modules above it, and each heavy dependency has one home."""
+"""The layers: a module imports only modules above it, and each heavy dependency is imported at one place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The quadratic program of a phase against its definition (U6), from values and Jacobians alone."""
+"""The quadratic program of a phase compared with its definition (U6), from values and Jacobians alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was found by attacking live nodes: each is refused by name, and no node ends of it."""
+"""Attacks on live nodes that once succeeded: each is rejected by name, and no node exits because of it."""
 
 from __future__ import annotations
 

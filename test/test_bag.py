@@ -1,4 +1,4 @@
-"""Bags: exact round trips, other people's bags, damaged bags, and what is said of those that are of no use."""
+"""Bags: exact round trips, bags of other programs, damaged bags, and error messages for unusable bags."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The pages as people see them: pixels, curves and controls in headless Chromium (``make browser``)."""
+"""The pages in headless Chromium: pixels, curves and controls (``make browser``)."""
 
 from __future__ import annotations
 

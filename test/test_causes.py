@@ -1,4 +1,4 @@
-"""Whole walks in physics that fall, each by one known cause, and are told the right one."""
+"""Whole walks in physics that fall, each by one known cause, which the report must name."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Every row of docs/faults.md on live nodes, one fault after the other during one and the same walk (`make chaos`).
+"""Every row of docs/faults.md with live nodes, one fault after the other during the same walk (`make chaos`).
 
-The cases stand in an order: the walk goes on from one to the next, and at the end has to finish a whole cycle. Times
-are those of a busy machine; what is asserted is an order of magnitude.
+The order of the cases matters: the walk continues from one to the next, and must finish a whole cycle at the end. Times
+depend on the load of the machine; only their order of magnitude is asserted.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The system's clock is set, and simulated time steps: real clocks of real nodes (part of `make chaos`).
+"""The system clock is set and simulated time jumps, with the real clocks of real nodes (part of `make chaos`).
 
-stepped_clock.c steps the clock of the nodes' processes while they walk, and every wait that is measured on it; their
-steady clock goes on. libfaketime will not do: it leaves some waits where they were, so that nodes starve which a set
-clock does not disturb.
+stepped_clock.c changes the system clock of the nodes' processes during a walk, and every wait that depends on it; their
+steady clock is not changed. libfaketime is not used, because it leaves some waits unchanged, which blocks nodes that a
+real change of the clock does not disturb.
 """
 
 from __future__ import annotations

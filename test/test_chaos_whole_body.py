@@ -1,4 +1,4 @@
-"""The whole-body walk in real time: its nodes are killed and frozen, and the robot stays on its feet."""
+"""The whole-body walk in real time: its nodes are killed and frozen, and the robot does not fall."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command line: what it teaches, what it leaves behind, how it ends."""
+"""The command line: help, results and exit codes."""
 
 from __future__ import annotations
 

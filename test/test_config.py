@@ -1,4 +1,4 @@
-"""The one schema: what it refuses and why, that files keep it, and that paper.yaml is the paper."""
+"""The schema of the configuration: what it rejects and why, round trips of files, and the numbers of paper.yaml."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bags that are damaged, hostile or hold what cannot be: one clear sentence, bounded memory and time, no traceback."""
+"""Damaged, hostile or impossible bags: one clear sentence, bounded memory and time, no traceback."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The state after the delay, and walks that stand although everything is late."""
+"""Prediction of the state after the delay, and walks that stand in spite of delays."""
 
 from __future__ import annotations
 

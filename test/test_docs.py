@@ -1,4 +1,4 @@
-"""The documentation is true: links lead somewhere, commands parse, Python runs, node pages agree with the schema."""
+"""The documentation: links exist, commands parse, Python runs, node pages agree with the schema."""
 
 from __future__ import annotations
 

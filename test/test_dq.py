@@ -1,4 +1,4 @@
-"""Laws of dual quaternions, sections 2.1 and 3 [Adorno2017]; random ones from hypothesis."""
+"""Laws of dual quaternions, sections 2.1 and 3 [Adorno2017], with random values from hypothesis."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Any robot's drive: what the walk commands, as a robot's own controllers take it."""
+"""The node drive: conversion of the walk's commands for a robot's own controllers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The watch on the drive: what is not as told is found from the walk itself, with its number."""
+"""Monitoring of the drive: differences from the assumed parameters are found during a walk, with their size."""
 
 from __future__ import annotations
 

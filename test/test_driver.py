@@ -1,4 +1,4 @@
-"""The Poppy driver over topics and by the clock: its servos answer over pseudo-terminals, and fail.
+"""The Poppy driver as a node in real time, with emulated servos over pseudo-terminals, also with faults.
 
 `make driver` prints the figures of a walk on emulated servos.
 """

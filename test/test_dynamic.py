@@ -1,4 +1,4 @@
-"""The walk that moves: laws of its plan, its steps and its tasks, and a short walk in physics."""
+"""The dynamic walk: laws of its plan, steps and tasks, and a short walk in physics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The multibody system against independent sums over its bodies and against differences."""
+"""The multibody dynamics compared with independent sums over the bodies and with finite differences."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The estimate of the base against the truth of the physics, with all sensor faults and soles that slip."""
+"""The estimate of the base compared with the true motion in physics, with sensor errors and slipping soles."""
 
 from __future__ import annotations
 

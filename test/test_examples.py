@@ -1,4 +1,4 @@
-"""Every example runs as it stands and says what its reader expects."""
+"""Every example runs and prints the expected output."""
 
 from __future__ import annotations
 

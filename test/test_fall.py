@@ -1,4 +1,4 @@
-"""A fall ends the walk: what is commanded on the ground does only harm."""
+"""A fall ends the walk, because commands to a robot that lies on the floor only do damage."""
 
 from __future__ import annotations
 

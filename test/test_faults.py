@@ -1,4 +1,4 @@
-"""docs/faults.md names tests that exist."""
+"""The tests named in docs/faults.md exist."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Programs without an answer: which rows fight, and the way back in."""
+"""Infeasible quadratic programs: which rows conflict, and the return of a state that violates a constraint."""
 
 from __future__ import annotations
 

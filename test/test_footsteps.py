@@ -1,4 +1,4 @@
-"""Commanded footsteps: what can be stepped on is, what cannot is refused by the limit that is in the way."""
+"""Commanded footsteps: reachable ones are executed, others are refused with the violated limit."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Hostile robots, parameter files and messages without end: refused by an error of ours, quickly and in little memory.
+"""Random hostile robots, parameter files and messages: rejected by an error, in bounded time and memory.
 
-`make fuzz` runs 10 000 of them; the default suite a hundred.
+`make fuzz` runs 10 000 of them, the default suite a hundred.
 """
 
 from __future__ import annotations

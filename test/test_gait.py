@@ -1,4 +1,4 @@
-"""Which phase follows which, where feet go, what ends a phase, and what cannot end."""
+"""The order of the phases, the footprints, and the rules that end a phase."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Signed distances against formulas of another kind, their Jacobians against central differences."""
+"""Signed distances compared with other formulas, their Jacobians with central differences."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The hierarchy: exact on each level, whether all rows can hold or not."""
+"""The hierarchy: exact on each level, whether or not all rows can be satisfied."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The report as a page: everything is on it, nothing is fetched, and it stays small."""
+"""The HTML report: complete, self-contained, and small."""
 
 from __future__ import annotations
 

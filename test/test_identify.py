@@ -1,4 +1,4 @@
-"""An exercise in the air shows what servos do; the fit is never told what they are."""
+"""Identification of servo parameters from an exercise of a robot that hangs; the fit does not know the true ones."""
 
 from __future__ import annotations
 

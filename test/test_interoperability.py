@@ -1,6 +1,6 @@
-"""What a lab's robot and other people's nodes say and do, which this package's own never did.
+"""Messages and behaviour of other robots and nodes that this package itself never produces.
 
-Each test is a defect that was found where the package was used beside Jazzy's own nodes; it failed before its mend.
+Each test reproduces a defect that was found in use with Jazzy's own nodes; it failed before the correction.
 """
 
 from __future__ import annotations

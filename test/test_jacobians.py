@@ -1,4 +1,4 @@
-"""Every Jacobian there is, against central differences: 100 random configurations, both support feet, 1e-6."""
+"""Every Jacobian compared with central differences: 100 random configurations, both support feet, 1e-6."""
 
 from __future__ import annotations
 

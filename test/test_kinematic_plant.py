@@ -1,4 +1,4 @@
-"""The integrator: Euler's method to the last bit, within the limits, refusing what is no velocity."""
+"""The integrator: Euler's method to the last bit, within the limits; invalid velocities are rejected."""
 
 from __future__ import annotations
 

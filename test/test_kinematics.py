@@ -1,4 +1,4 @@
-"""Kinematics against plain dual quaternions from the pelvis, against `dqrobotics` and against `pin`."""
+"""Kinematics compared with dual quaternions from the pelvis, with `dqrobotics` and with `pin`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The launch files: what is started, and where a ROS is installed (`make colcon`) what `ros2 launch` reads."""
+"""The launch files: the started nodes and, if ROS is installed (`make colcon`), the result of `ros2 launch`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sensors that lie, joints that do not obey: noticed by what they contradict, named, and the walk is over."""
+"""Wrong sensor values and joints that do not follow: detected by contradictions, named, and the walk ends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parameters that are set while the robot walks: which, from when on, and that the bag knows."""
+"""Parameters that are set during a walk: which are allowed, when they take effect, and how they are recorded."""
 
 from __future__ import annotations
 

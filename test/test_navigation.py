@@ -1,4 +1,4 @@
-"""A client that navigates as Nav2 does: velocities in, odometry out, and nothing that no robot knows."""
+"""A navigation client like Nav2: velocities in, odometry out, using only what a real robot provides."""
 
 from __future__ import annotations
 

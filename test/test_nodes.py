@@ -1,4 +1,4 @@
-"""The nodes as real processes over DDS, each test in a ROS domain of its own. No timing is asserted tightly."""
+"""The nodes as real processes over DDS, each test in its own ROS domain; no timing is asserted tightly."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A constraint in one file is in the rows, the monitor, the report and on the page, by configuration alone."""
+"""A user-defined constraint appears in the rows, the monitor, the report and on the page, by configuration alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is installed: the metadata agree, and colcon builds something that runs (``make colcon``)."""
+"""The installed package: its metadata agree, and the result of colcon runs (``make colcon``)."""
 
 from __future__ import annotations
 

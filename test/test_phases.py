@@ -1,4 +1,4 @@
-"""The rows of (6) to (14) as the paper writes them, from positions alone."""
+"""The rows of (U6) to (U14) as written in the paper, from positions alone."""
 
 from __future__ import annotations
 

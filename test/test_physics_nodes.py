@@ -1,4 +1,4 @@
-"""The physics plant as a real process over DDS: the same walk as in one process, and what it says besides."""
+"""The physics plant as a real process over DDS: the same walk as in one process, and its further topics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Poppy's driver on servos in memory: signs, limits, speeds, the slow start, a whole cycle, and every fault."""
+"""Poppy's driver with emulated servos in memory: signs, limits, speeds, the slow start, a whole cycle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What goes wrong on Poppy's buses: the robot stops, says which motor it is, and nothing old passes for new."""
+"""Faults on Poppy's motor buses: the robot stops, the motor is named, and no old angle is published as new."""
 
 from __future__ import annotations
 

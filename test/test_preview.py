@@ -1,4 +1,4 @@
-"""The preview against the equations it was derived from."""
+"""The preview compared with the equations from which it was derived."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The quadratic programs of whole walks: optimal by the Karush-Kuhn-Tucker conditions, and equal to an exact answer."""
+"""The quadratic programs of whole walks: Karush-Kuhn-Tucker conditions, and comparison with an exact solution."""
 
 from __future__ import annotations
 

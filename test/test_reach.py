@@ -1,4 +1,4 @@
-"""Tests 1 and 2 as scenarios: how they are judged, drawn, recorded, and told on the command line."""
+"""Tests 1 and 2 as scenarios: requirements, figures, bags and command line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A controller that was killed, reset, paused or frozen in mid-step comes back, and the robot stands."""
+"""The robot stands after its controller was killed, reset, paused or frozen in the middle of a step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Robots read from URDF: which joints are left, what they weigh, where the soles are, and what is refused."""
+"""Robots read from URDF: remaining joints, masses, soles, and rejected descriptions."""
 
 from __future__ import annotations
 

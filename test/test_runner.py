@@ -1,4 +1,4 @@
-"""The runner: it ends every walk in order and says why it failed."""
+"""The runner of a walk in several processes: it stops all of them and reports why a walk failed."""
 
 from __future__ import annotations
 

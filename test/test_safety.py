@@ -1,4 +1,4 @@
-"""Every decision about what may enter and leave, over a clock that the test turns."""
+"""Every decision of `nodes/safety.py` about states and commands, on a test clock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures show the robot's visual shapes; the physics does not know of them."""
+"""Pictures show the robot's visual shapes, which do not affect the physics."""
 
 from __future__ import annotations
 

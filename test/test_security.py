@@ -1,4 +1,4 @@
-"""The policy for SROS 2 says exactly what the nodes do, and nothing is heard beyond this machine unless asked for."""
+"""The SROS 2 policy allows exactly what the nodes use, and by default the nodes are visible on this machine only."""
 
 from __future__ import annotations
 

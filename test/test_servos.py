@@ -1,4 +1,4 @@
-"""Servos by type, and sensors with faults: the physics does what their numbers say."""
+"""Models of servo types and of sensor errors: the physics behaves as their parameters say."""
 
 from __future__ import annotations
 

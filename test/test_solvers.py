@@ -1,4 +1,4 @@
-"""Clarabel and DAQP: the same answers, optimal, and the same error where there is no answer."""
+"""Clarabel and DAQP: equal and optimal solutions, and the same error for infeasible programs."""
 
 from __future__ import annotations
 

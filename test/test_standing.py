@@ -1,4 +1,4 @@
-"""The walk that stands: its rows and tasks, its footsteps, and short walks without and with physics."""
+"""The standing walk: its rows, tasks and footsteps, and short walks with and without physics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What it costs to begin: nothing heavy is imported before it is needed, and compiling is announced."""
+"""Start-up time: heavy modules are imported when needed, and compilation is announced."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A walk that is steered: course, limits, waiting, stopping. And what physics knows of a walk, kept and judged."""
+"""Steering of a walk: course, limits, waiting, stopping; recording and checks of the physics."""
 
 from __future__ import annotations
 

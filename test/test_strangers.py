@@ -1,4 +1,4 @@
-"""Who else commands, and who else is already there."""
+"""A second controller, a second plant, and nodes that are started twice."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files that are not parameter files: each is refused, with its line."""
+"""Files that are not parameter files: each is rejected with its line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Studies: what they walk, that they can be stopped, and that it does not matter where they run."""
+"""Studies: their walks, interruption and resumption, and independence of the machine."""
 
 from __future__ import annotations
 

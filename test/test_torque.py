@@ -1,4 +1,4 @@
-"""The whole-body controller closed through a physics engine, by joint torques."""
+"""The whole-body controller in closed loop with the physics engine, by joint torques."""
 
 from __future__ import annotations
 

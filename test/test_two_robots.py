@@ -1,4 +1,4 @@
-"""Two robots in two namespaces of one domain: what happens to one is nothing to the other."""
+"""Two robots in two namespaces of one domain do not affect each other."""
 
 from __future__ import annotations
 

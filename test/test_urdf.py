@@ -1,4 +1,4 @@
-"""Robot descriptions from outside: what is refused, with element and line, what is repaired, what is written."""
+"""Robot descriptions: what is rejected, with element and line, what is repaired, what is written."""
 
 from __future__ import annotations
 

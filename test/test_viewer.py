@@ -1,4 +1,4 @@
-"""What there is to see, and the page without a browser: it serves, plays, jumps, and refuses politely."""
+"""The content of the views, and the page without a browser: it serves, plays, seeks, and rejects bad requests."""
 
 from __future__ import annotations
 

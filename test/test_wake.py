@@ -1,4 +1,4 @@
-"""A thread of their own wakes timers that overslept, and only those."""
+"""A thread resets timers that are late, and only those."""
 
 from __future__ import annotations
 

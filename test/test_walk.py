@@ -1,4 +1,4 @@
-"""Whole walks at the paper's gains, judged by the figures of section 5 and by Groenwall's bounds."""
+"""Whole walks with the paper's gains, compared with the figures of section 5 and with Groenwall's bounds."""
 
 from __future__ import annotations
 

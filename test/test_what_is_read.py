@@ -1,7 +1,7 @@
-"""What is read is what runs: every equation of the paper is changed where its tag stands, and the walk changes.
+"""Every equation of the paper is executed: it is changed at its tag, and the walk must change.
 
-Each case breaks one line of a copy of the package, and looks at the rows of both phases and at a walk ten times as fast
-as the paper's. A second copy of a formula, or one that nothing executes, would leave both as they are.
+Each case changes one line of a copy of the package, and compares the rows of both phases and a walk ten times as
+fast as the paper's. If a second copy of the formula were executed instead, both would remain unchanged.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The whole-body controller and its plant: the walk as processes in lockstep, and in one process what they refuse."""
+"""The whole-body controller and its plant: as processes in lockstep, and inside the test with invalid messages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Each equation (S1)-(S24) stands at one place in the code, and that place is executed: broken, it changes the walk."""
+"""Each equation (S1)-(S24) is marked at one line of code, which is executed: if it is changed, the walk changes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whole walks, made once per process, and every distance along them."""
+"""Whole walks, computed once per process, and every distance along them."""
 
 from __future__ import annotations
 

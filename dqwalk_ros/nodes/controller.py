@@ -43,8 +43,8 @@ __all__ = ["Controller", "Mode"]
 
 Array = NDArray[np.float64]
 
-_TELLS = 0.3
-"""A plant says within so long that it holds [s]."""
+_READY_DELAY = 0.3
+"""Longest time until a plant reports on plant_ready that it holds [s]."""
 
 
 _REMEMBERED = 10.0
@@ -125,7 +125,7 @@ class Controller(AnsweringNode):
         self._contradictions = Contradictions(
             self._model.joint_names, config.safety.contradiction, lambda: self.config.plant.command_timeout
         )
-        self._suspected, self._suspected_at = "", 0.0  # what contradicts what, and when that was noticed [s]
+        self._suspected, self._suspected_at = "", 0.0  # contradiction that was detected, and its time [s]
         self._lying = ""  # how far the pelvis leans, where that is too far
         self._phase_index = self._phase_stamp = -1
         self._decision = ""
@@ -276,8 +276,8 @@ class Controller(AnsweringNode):
             leaning = self._walk.lean > 0.5 * self.config.safety.sole_tilt
             self._suspected = self._contradictions.judge(state, self._sent.velocity, leaning=leaning)
             self._suspected_at = state.time
-        # a plant that our commands do not reach holds; it says so, a little later
-        waits = 0.0 if self.lockstep else self.config.plant.command_timeout + _TELLS
+        # a plant that does not receive the commands holds, and reports this a little later
+        waits = 0.0 if self.lockstep else self.config.plant.command_timeout + _READY_DELAY
         if self._suspected and state.time - self._suspected_at >= waits:
             self._fail(self._suspected)
 
