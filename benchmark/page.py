@@ -16,17 +16,17 @@ from pathlib import Path
 TEXT = """\
 # Benchmarks
 
-Written by `python -m benchmark.page`; do not edit. Times are medians of single calls in an interleaved run on a shared
-machine: compare only figures of one table, and ratios rather than times.
+Written by `python -m benchmark.page`; do not edit. Times are medians of single calls in an interleaved run on a
+shared machine: compare only figures of one table, and ratios rather than times.
 
-**Peers** are other packages (`benchmark/peers.py`) with the same robot, from the state to the joint velocities. "In place"
-is Pinocchio as an experienced user would write it: preallocated arrays, direct call of the solver. "qpsolvers" is a simple
-first version. Clarabel "in place" uses its default tolerances, without scaling. The error is that of u relative to the
-largest joint velocity; mink, pink and placo use their own tasks for the swing foot, and their error shows the difference of
-their result from that of (U6).
+**Peers** are other packages (`benchmark/peers.py`) with the same robot, from the state to the joint velocities. "In
+place" is Pinocchio as an experienced user would write it: preallocated arrays, direct call of the solver. "qpsolvers"
+is a simple first version. Clarabel "in place" uses its default tolerances, without scaling. The error is that of u
+relative to the largest joint velocity; mink, pink and placo use their own tasks for the swing foot, and their error
+shows the difference of their result from that of (U6).
 
-**Nodes**: a late state is one that the plant, which is the benchmark here, could not send on time while the controller was
-working; the bare loop sleeps to the same schedule and does nothing else.
+**Nodes**: a late state is one that the plant, which is the benchmark here, could not send on time while the
+controller was working; the bare loop sleeps to the same schedule and does nothing else.
 
 """
 

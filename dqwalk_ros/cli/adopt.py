@@ -34,7 +34,7 @@ examples:
   dqwalk adopt my_robot.urdf
   dqwalk adopt robot.urdf.xacro --package-path ~/ws/src --out my_robot
   dqwalk adopt robot.urdf --left l_foot --right r_foot --forward -x
-  dqwalk adopt my_robot.urdf --view                        look at what was found, in the browser
+  dqwalk adopt my_robot.urdf --view                        show the result in the browser
   dqwalk simulate --config adopted/robot.yaml --plant physics
   dqwalk reach --config adopted/whole_body.yaml --test 1
 """)
@@ -101,7 +101,7 @@ def adopt(
 
 
 def _page(found: Adoption, port: int | None) -> Page:
-    """Return a page that shows the robot in the posture in which its walk begins."""
+    """Return a page that shows the robot in the first posture of its walk."""
     from dqwalk_ros.report.scene import Scene, beginning
     from dqwalk_ros.report.viewer.page import Page
 
@@ -113,7 +113,7 @@ def _page(found: Adoption, port: int | None) -> Page:
 
 
 def _walk(found: Adoption, given: dict[str, object], *, quiet: bool) -> int:
-    """Try the walks, print how they went, and return the exit code."""
+    """Test the walks, print their results, and return the exit code."""
     from dqwalk_ros.adopt.trial import first_walks
     from dqwalk_ros.cli.progress import Progress
 

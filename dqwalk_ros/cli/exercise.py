@@ -1,4 +1,4 @@
-"""``dqwalk exercise``: move every joint of a robot that hangs, and record what the servos do."""
+"""``dqwalk exercise``: moves every joint of a robot that hangs, and records the motion of the servos."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ __all__ = ["exercise"]
 
 
 @command("""
-The robot is held by its pelvis, level, all limbs free (docs/hardware.md). Each joint is swept slowly over 0.5 rad or
-what its limits allow, turned back and forth, moved by small steps, and shaken up to 6 Hz, 20 s in all, while the
-others keep a posture in which gravity loads it; the limbs move at the same time. A Poppy takes 5 minutes.
+The robot hangs by its pelvis, level, with all limbs free (docs/hardware.md). Each joint is moved slowly over 0.5 rad or
+its range, back and forth, in small steps, and by oscillations up to 6 Hz, 20 s in total, while the other joints keep a
+posture in which gravity loads it; the limbs move at the same time. A Poppy takes 5 minutes.
 
 writes to the folder of --out:
   bag/                 the exercise as a rosbag2 (MCAP), for `dqwalk identify`, and for `dqwalk view` as any walk
@@ -34,7 +34,7 @@ examples:
   dqwalk exercise --plant poppy --out exercise          the real one, through ROS 2; hold it up first
   dqwalk exercise --ros --out exercise                  MuJoCo through ROS 2
   dqwalk exercise --config my_robot.yaml --plant physics --cycles 2
-  dqwalk exercise --set 'robot.lock=["head_*", "*_arm_*"]'       some joints are left alone
+  dqwalk exercise --set 'robot.lock=["head_*", "*_arm_*"]'       without these joints
 then:
   dqwalk identify exercise/bag
 """)
@@ -47,7 +47,7 @@ then:
     help="MuJoCo with ideal sensors, Poppy as it is built, or the real robot.",
 )
 @click.option("--cycles", metavar="N", type=int, default=1, show_default=True, help="Exercise each joint N times.")
-@click.option("--ros", is_flag=True, help="Through ROS 2, as the real robot always is.")
+@click.option("--ros", is_flag=True, help="Use ROS 2, as always for the real robot.")
 @set_option
 @folder_option("exercise")
 @force_option
@@ -55,7 +55,7 @@ then:
 def exercise(
     config: str, plant: str, cycles: int, ros: bool, changes: tuple[str, ...], out: Path, force: bool, quiet: bool
 ) -> int:
-    """Move every joint of a robot that hangs, and record what its servos do."""
+    """Move every joint of a robot that hangs, and record the motion of its servos."""
     from dqwalk_ros.cli.options import parse_overrides
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import prepare

@@ -1,4 +1,4 @@
-"""``dqwalk identify``: what the servos of a recorded exercise do."""
+"""``dqwalk identify``: estimates the parameters of the servos from a recorded exercise."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ __all__ = ["identify", "table"]
 
 @command("""
 prints of each servo, with standard deviations:
-  delay [ms]           from a measurement to the effect of its answer: bus, USB, and the servo's own
+  delay [ms]           from a measurement to the effect of its command: bus, USB and servo
   stiffness [N m/rad], damping [ms] (torque per speed, divided by the stiffness), friction [N m]
   backlash [deg]       play between goal and joint within which there is no torque
-  off [deg]            the model of the servo against the recording, rms
-and roll and pitch at which the inertial sensor is mounted. Torques are known by gravity, so weigh the robot (--mass).
+  off [deg]            rms error of the servo model
+and roll and pitch of the inertial sensor's mounting. Gravity gives the torques, so weigh the robot (--mass).
 
 examples:
   dqwalk identify exercise/bag
   dqwalk identify exercise/bag --mass 3.4 --out mine.yaml
-  dqwalk simulate --config poppy --plant poppy_as_built --params mine.yaml      tell the controller
+  dqwalk simulate --config poppy --plant poppy_as_built --params mine.yaml      use the result
   ros2 run dqwalk_ros controller --ros-args --params-file config/poppy.yaml --params-file mine.yaml
 then:
-  dqwalk replay exercise/bag --params mine.yaml         does the robot of these servos move like the recording?
+  dqwalk replay exercise/bag --params mine.yaml         compare a robot with these servos with the recording
 """)
 @click.argument("bag", metavar="BAG", type=click.Path(path_type=Path))
 @click.option(
-    "--mass", metavar="KG", type=click.FloatRange(0.01), help="What the robot weighs.  [default: as the bag says]"
+    "--mass", metavar="KG", type=click.FloatRange(0.01), help="Mass of the robot.  [default: that in the bag]"
 )
 @click.option(
     "--out",
     metavar="FILE",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Parameter file of what is found.  [default: identified.yaml beside BAG]",
+    help="Parameter file for the result.  [default: identified.yaml beside BAG]",
 )
 @quiet_option
 def identify(bag: Path, mass: float | None, out: Path | None, quiet: bool) -> int:
@@ -63,7 +63,7 @@ def identify(bag: Path, mass: float | None, out: Path | None, quiet: bool) -> in
 
 
 def table(found: Identified) -> str:
-    """Return what was found as aligned text."""
+    """Return the result as aligned text."""
     from dqwalk_ros.report.table import aligned
 
     unit = (1e3, 1.0, 1e3, 180.0 / math.pi, 1.0)

@@ -113,7 +113,7 @@ params_option = click.option(
     metavar="FILE",
     multiple=True,
     type=click.Path(path_type=Path),
-    help="Parameter file put on top, such as that of `dqwalk identify`; may be given several times.",
+    help="Further parameter file, such as that of `dqwalk identify`; may be given several times.",
 )
 force_option = click.option("--force", is_flag=True, help="Replace earlier results.")
 quiet_option = click.option("--quiet", is_flag=True, help="Print no progress and no tables.")
@@ -307,7 +307,7 @@ def config_of(
 
 
 def put_on(config: Config, files: Sequence[Path]) -> Config:
-    """Return a configuration with the parameters that files name put in.
+    """Return a configuration with the parameters of files applied.
 
     Raises
     ------

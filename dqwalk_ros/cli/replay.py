@@ -1,4 +1,4 @@
-"""``dqwalk replay``: a robot with identified servos beside the recording of an exercise."""
+"""``dqwalk replay``: compares a simulated robot with identified servos with the recording of an exercise."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from dqwalk_ros.cli.options import command, params_option, quiet_option
 __all__ = ["replay"]
 
 _MOST = 1.5
-"""A joint that is further off than this does not move like the recording [deg]."""
+"""Largest rms error of a joint [deg]."""
 
 
 @command("""
-The commands of the exercise go to MuJoCo with the servos of --params; without it with those of identified.yaml beside
-the bag, or, where there is none, with those that the exercise was configured with. Exit code 1: a joint is further
-than 1.5 degrees (rms) from the recording.
+Simulates the commands of the exercise in MuJoCo with the servos of --params; by default with those of identified.yaml
+beside the bag, or, without this file, with those of the exercise's configuration. Exit code 1 if the rms error of a
+joint is larger than 1.5 degrees.
 
 examples:
   dqwalk replay exercise/bag
@@ -28,7 +28,7 @@ examples:
 @params_option
 @quiet_option
 def replay(bag: Path, params: tuple[Path, ...], quiet: bool) -> int:
-    """Run a robot with identified servos beside the recording of an exercise, and print how far its joints are off."""
+    """Compare a simulated robot with identified servos with the recording of an exercise; print the joint errors."""
     import numpy as np
 
     from dqwalk_ros.cli.options import put_on

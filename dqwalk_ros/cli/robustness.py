@@ -103,7 +103,7 @@ def robustness(
 
 
 def _number(text: str) -> float:
-    """Return a number, without a fraction where it has none: a seed is whole."""
+    """Return a number, as an integer if it is one, because a seed must be an integer."""
     value = float(text)
     return int(value) if value.is_integer() else value
 

@@ -48,7 +48,7 @@ _READY_DELAY = 0.3
 
 
 _REMEMBERED = 10.0
-"""The cause of a fall is looked for in the last states, for this long at least [s]."""
+"""Time for which the last states are stored, to find the cause of a fall [s]."""
 
 
 class Mode(enum.Enum):

@@ -1,8 +1,8 @@
-"""Why a robot fell: what acted first on the way, with its number and the parameter to change.
+"""Finds the causes of a fall, the earliest first, each with its number and the parameter to change.
 
-A fall is decided when the divergent component of the CoM, xi = c + v/w, leaves the support polygon for good: what the
-joints do later is its consequence. Servos and delay act from the beginning; a path may ask for a centre of pressure
-beyond the soles, and a torque may reach its limit, at some time.
+A fall is unavoidable when the divergent component of the CoM, xi = c + v/w, leaves the support polygon and does not
+return; motions of the joints after that time are consequences. Servos and delay act from the beginning. At some time a
+path may require a centre of pressure beyond the soles, or a torque may reach its limit.
 """
 
 from __future__ import annotations
@@ -24,21 +24,22 @@ __all__ = ["causes", "lost"]
 Array = NDArray[np.float64]
 
 _SMOOTH = 0.05
-"""Velocities of the CoM are means over this time [s]."""
+"""Time over which velocities of the CoM are averaged [s]."""
 _BEYOND = 1e-3
-"""A path whose centre of pressure leaves the soles by less than this is no cause [m]."""
+"""Distance of the required centre of pressure beyond the soles above which a path is a cause [m]."""
 _AT_LIMIT, _BRIEFLY = 0.98, 0.02
-"""A torque beyond this part of its limit for longer than this is at it [s]."""
+"""Fraction of its limit above which a torque counts as limited, and the shortest time of it that is a cause [s]."""
 _DELAYS, _SPAN, _UNLIKE = 0.3, 0.1, 0.3
-"""Delays up to this are looked for in motions of joints over this time [s]; what is left may be this part of them."""
+"""Longest delay that is considered [s], time over which motions of joints are compared [s], and largest relative
+residual of that comparison."""
 _DELAY_PART = 0.5
-"""Part of the longest delay that a robot with legs and servos bears."""
+"""Fraction of `stability.longest_delay` that a robot with legs and servos tolerates."""
 
 
 def causes(series: Series) -> list[Finding]:
-    """Return what made a robot fall, what acted first at the front; nothing of a walk that did not fall.
+    """Return the causes of a fall, the earliest first; an empty list if the robot did not fall.
 
-    A walk is judged where an inertial sensor was recorded: without it nobody knows that the robot tips.
+    Requires the record of an inertial sensor, because joint angles alone do not show that the robot tips.
     """
     tick = lost(series)
     if tick is None:
@@ -54,9 +55,9 @@ def causes(series: Series) -> list[Finding]:
 
 
 def lost(series: Series) -> int | None:
-    """Return the tick from which on the divergent component is outside the support polygon until the end.
+    """Return the first tick from which the divergent component stays outside the support polygon until the end.
 
-    Where a robot that fell sank within its soles it is the last tick; None of a walk that did not fall.
+    If the robot fell without leaving its support polygon, this is the last tick; None if it did not fall.
     """
     trace = series.trace
     if trace.finished or trace.interrupted or trace.physics is None or len(series.time) < 2:
@@ -83,7 +84,7 @@ def _divergent(series: Series) -> Array:
 
 
 def _delay(series: Series, tick: int) -> Iterator[Finding]:
-    """Yield a delay that the balance does not bear, measured from what was commanded to what the joints did."""
+    """Yield a delay between commands and joint motion that the balance control does not tolerate."""
     config, height = series.trace.config, float(series.com[0, 2])
     borne = _DELAY_PART * longest_delay(config.standing.balance, height)
     weak = _at_limit(series, slice(0, tick)).any(axis=1)  # a joint that is too weak lags, too
@@ -100,22 +101,22 @@ def _delay(series: Series, tick: int) -> Iterator[Finding]:
 
 
 def _measured_delay(series: Series, tick: int) -> float | None:
-    """Return the delay T at which q(t) and the integral of u until t - T moved most alike; None if nothing is alike."""
+    """Return the delay T for which q(t) fits the integral of u until t - T best; None if there is no good fit."""
     dt = series.trace.config.dt
     q, u = series.trace.q[:tick], np.nan_to_num(series.trace.u[:tick])
     reach, span = round(_DELAYS / dt), max(1, round(_SPAN / dt))
     if tick < 2 * (reach + span):
         return None
-    told = dt * (np.cumsum(u, axis=0) - u)
+    integral = dt * (np.cumsum(u, axis=0) - u)
     moved = (q[span:] - q[:-span])[reach:]
-    asked = told[span:] - told[:-span]
+    asked = integral[span:] - integral[:-span]
     left = [float(((moved - asked[reach - k : len(asked) - k]) ** 2).sum()) for k in range(reach)]
     best = int(np.argmin(left))
     return best * dt if left[best] < _UNLIKE * float((moved**2).sum()) else None
 
 
 def _pressure(series: Series, tick: int) -> Iterator[Finding]:
-    """Yield the first time at which the path of the CoM asks for a centre of pressure beyond the soles."""
+    """Yield the first time at which the path of the CoM requires a centre of pressure beyond the soles."""
     if series.trace.config.gait.style == "paper":
         short = series.true_margin
         text, parameter = "the paper's walk leads the CoM beyond the true soles", "gait.style"
@@ -142,9 +143,9 @@ def _pressure(series: Series, tick: int) -> Iterator[Finding]:
 
 
 def _planned_margin(series: Series) -> Array:
-    """Return how far the centre of pressure c - h/g c'' of the CoM's path is inside the soles, shape (N,) [m].
+    """Return the margin of the centre of pressure c - h/g c'' of the CoM's path to the edges of the soles, (N,) [m].
 
-    The soles are where they stood as the phase began.
+    The poses of the soles are those at the start of the phase.
     """
     model, out = series.trace.model, np.full(len(series.time), np.nan)
     for span in series.spans:
@@ -162,7 +163,7 @@ def _planned_margin(series: Series) -> Array:
 
 
 def _torque(series: Series, tick: int) -> Iterator[Finding]:
-    """Yield the joint that was at its torque limit for longest, and since when."""
+    """Yield the joint that was at its torque limit for the longest time."""
     trace, ticks = series.trace, _recent(series, tick)
     at_limit = _at_limit(series, ticks)
     count = at_limit.sum(axis=0)
@@ -181,7 +182,7 @@ def _torque(series: Series, tick: int) -> Iterator[Finding]:
 
 
 def _at_limit(series: Series, ticks: slice) -> NDArray[np.bool_]:
-    """Return which torques were at their limits, shape (ticks, n); none is where torques were not recorded."""
+    """Return which torques were at their limits, shape (ticks, n); all false if torques were not recorded."""
     trace, physics = series.trace, series.trace.physics
     if physics is None or ticks.stop - ticks.start < 2:
         return np.zeros((1, trace.model.n), bool)
@@ -192,7 +193,7 @@ def _at_limit(series: Series, ticks: slice) -> NDArray[np.bool_]:
 
 
 def _recent(series: Series, tick: int) -> slice:
-    """Return the ticks of the phase in which the fall was decided and of the one before it, until then."""
+    """Return the ticks before `tick` in its phase and in the phase before it."""
     index = int(series.span_of[tick])
     return slice(series.spans[max(index - 1, 0)].start, tick)
 

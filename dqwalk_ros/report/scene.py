@@ -385,10 +385,10 @@ def _divergent(kin: Kinematics, dq: Array) -> Array:
 
 
 def beginning(config: Config, model: RobotModel) -> Moment:
-    """Return the robot in the posture in which its walk begins, before anything moves."""
+    """Return the moment before the walk: the robot in its first posture."""
     walk = make_walk(config, model)
     following = walk.following(None)
-    assert following is not None  # no walk is without a phase
+    assert following is not None  # every walk has a phase
     kind, support, target = following
     phase = walk.phase(kind, support, walk.posture, target)
     return Moment(0.0, walk.posture, phase, 0, 0.0, DQ(1.0).vec8(), label=phase.name)

@@ -148,7 +148,7 @@ class Page:
         ways.on_click(pushed)
 
     def set_scene(self, scene: Scene, opacity: float = 1.0) -> None:
-        """Set the robot to be shown; a lower opacity reveals what is inside it."""
+        """Set the robot to be shown; with an opacity below 1 its interior is visible."""
         if self._drawing is not None:
             self.server.scene.remove_by_name("/robot")
         self._scene = scene
@@ -194,7 +194,7 @@ class Page:
         return view
 
     def point_ahead(self, view: View) -> None:
-        """Draw an arrow on the ground between the soles, the way the robot walks."""
+        """Draw an arrow on the ground between the soles, in the forward direction."""
         assert self._drawing is not None  # set_scene comes first
         self._drawing.point_ahead(view)
 
@@ -298,7 +298,7 @@ class _Drawing:
     server : viser.ViserServer
     scene : Scene
     opacity : float
-        Of the robot's looks.
+        Of the robot's shapes.
     """
 
     def __init__(self, server: viser.ViserServer, scene: Scene, opacity: float = 1.0) -> None:
