@@ -28,6 +28,9 @@ __all__ = ["IDENTIFIED", "Drive", "ServoType", "Servos", "load_types"]
 
 Array = NDArray[np.float64]
 
+_LATE = 0.02
+"""Damping that comes later than this shakes a joint whose servo damps it already [s]."""
+
 
 @dataclass(frozen=True)
 class ServoType:
@@ -158,7 +161,7 @@ class Drive:
     stiffness : ndarray, shape (n,)
         By which torques are fed forward as angles [N m/rad]; 0: not at all.
     damping : ndarray, shape (n,)
-        Torque per speed that the lead does not make up for [N m s/rad].
+        Torque per speed that is fed back; not what the lead makes up for, where it would come late [N m s/rad].
     lead : ndarray, shape (n,)
         Torque per commanded speed that makes a damped servo keep up with its goal [N m s/rad].
     delay : float
@@ -195,7 +198,8 @@ class Drive:
             lag[joints] = told.get("damping", lag[joints])
         hold = 1.0 / c.assumed_rate if c.assumed_rate > 0.0 else 0.0
         late = c.assumed_latency + 0.5 * hold + max(float((lag - lead).mean()), 0.0)
-        return cls(stiffness, np.maximum(lag - lead, 0.0) * stiffness, lead * stiffness, late)
+        fed = np.maximum(lag - min(late / _LATE, 1.0) * lead, 0.0)
+        return cls(stiffness, fed * stiffness, lead * stiffness, late)
 
     def angles(self, effort: Array) -> Array:
         """Return the change of the goals (n,) [rad] that gives the torques `effort` (n,) [N m]."""
