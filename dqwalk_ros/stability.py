@@ -141,10 +141,11 @@ def servo_findings(config: Config, model: RobotModel) -> Iterator[Finding]:
         )
     inertia = leg_inertia(model, kin) + float(np.median(servos.armature))
     damping = float(np.median((servos.damping + servos.back_emf) / servos.stiffness))
-    ratio = damping_ratio(damping, stiffness, inertia)
+    fed = float(np.median(drive.angles(drive.damping)))
+    # damping that is fed forward damps as far as it is that of the servos: beyond that it makes robots fall
+    ratio = damping_ratio(damping + min(fed, damping), stiffness, inertia)
     if ratio < DAMPING:
-        fed = config.servo.assumed_damping
-        more = f"; {fed:g} s are fed forward as if they had it" if fed > damping else ""
+        more = f"; {fed:.2g} s are fed forward as if they had it" if fed > damping else ""
         yield Finding(
             f"the damping ratio of a swinging leg is {ratio:.2f}, and it should be above {DAMPING}: a damping of "
             f"{math.sqrt(inertia / stiffness):.2g} s makes it 0.5{more}",

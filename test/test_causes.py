@@ -14,7 +14,7 @@ pytest.importorskip("mujoco", reason="needs the extra sim")
 from dqwalk_ros import cli
 from dqwalk_ros.adopt.trial import cures
 from dqwalk_ros.cli.options import overlaid
-from dqwalk_ros.config import load
+from dqwalk_ros.config import Config, load
 from dqwalk_ros.plants import orientation_of, upward
 from dqwalk_ros.report import analyse, html, report
 from dqwalk_ros.report.causes import causes
@@ -26,8 +26,8 @@ CONFIG = overlaid(load("poppy"), "physics").updated({"gait.steps": 4})
 MODEL = load_model(CONFIG.robot)
 
 
-def walk(changes: dict[str, Any], push: float = 0.0) -> Trace:
-    config = CONFIG.updated(changes)
+def walk(changes: dict[str, Any], push: float = 0.0, of: Config = CONFIG) -> Trace:
+    config = of.updated(changes)
     plant = make_plant("physics", config, MODEL)
 
     def before_step(time: float) -> None:
@@ -60,6 +60,23 @@ def test_a_fall_is_told_its_cause(name: str) -> None:
     first = causes(analyse(trace))[0]
     assert (first.what, first.parameter.split(",")[0]) == (what, parameter)
     assert text in first.message
+
+
+OTHERS: dict[str, tuple[str, str, dict[str, Any], str]] = {
+    "as built, late": ("poppy", "poppy_as_built", {"gait.steps": 3, "servo.latency": 0.15}, "latency"),
+    "as built, too fast": ("poppy", "poppy_as_built", {"gait.steps": 3, PATH: 0.6}, "pressure"),
+    "dynamic, late": ("poppy_dynamic", "physics", {"servo.latency": 0.1}, "latency"),
+    "dynamic, weak": ("poppy_dynamic", "physics", {WEAK: 0.25}, "torque"),
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", OTHERS)
+def test_noisy_sensors_typed_servos_and_another_walk_have_the_same_causes(name: str) -> None:
+    config, plant, changes, what = OTHERS[name]
+    trace = walk(changes, of=overlaid(load(config), plant))
+    assert not trace.finished
+    assert causes(analyse(trace))[0].what == what
 
 
 def test_a_fall_that_nothing_explains_is_said_to_be_one() -> None:

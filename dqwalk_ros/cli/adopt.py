@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 __all__ = ["adopt"]
 
+_SHOWN = 5
+"""Repairs that are printed."""
+
 
 @command("""
 writes to the folder of --out:
@@ -79,8 +82,10 @@ def adopt(
         urdf, out, package_paths=places, left=left, right=right, forward=forward or "", changes=given
     )
     if not quiet:
-        for repair in found.repairs:
+        for repair in found.repairs[:_SHOWN]:
             print(f"repaired: {repair}")
+        if len(found.repairs) > _SHOWN:
+            print(f"repaired: {len(found.repairs) - _SHOWN} more, listed in {out / 'adopt.json'}")
         print(adopting.table(found))
     draw(found.config, found.model, out / "robot.png")
     page = _page(found, port) if view else None

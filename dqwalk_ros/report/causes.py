@@ -29,9 +29,8 @@ _BEYOND = 1e-3
 """Distance of the required centre of pressure beyond the soles above which a path is a cause [m]."""
 _AT_LIMIT, _BRIEFLY = 0.98, 0.02
 """Fraction of its limit above which a torque counts as limited, and the shortest time of it that is a cause [s]."""
-_DELAYS, _SPAN, _UNLIKE = 0.3, 0.1, 0.3
-"""Longest delay that is considered [s], time over which motions of joints are compared [s], and largest relative
-residual of that comparison."""
+_DELAYS, _SPAN, _ALIKE = 0.3, 0.1, 0.8
+"""Longest delay that is considered [s], time over which motions of joints are compared [s], and least correlation."""
 _DELAY_PART = 0.5
 """Fraction of `stability.longest_delay` that a robot with legs and servos tolerates."""
 
@@ -101,7 +100,7 @@ def _delay(series: Series, tick: int) -> Iterator[Finding]:
 
 
 def _measured_delay(series: Series, tick: int) -> float | None:
-    """Return the delay T for which q(t) fits the integral of u until t - T best; None if there is no good fit."""
+    """Return the delay T for which q(t) and the integral of u until t - T correlate most; None if they do not."""
     dt = series.trace.config.dt
     q, u = series.trace.q[:tick], np.nan_to_num(series.trace.u[:tick])
     reach, span = round(_DELAYS / dt), max(1, round(_SPAN / dt))
@@ -110,9 +109,11 @@ def _measured_delay(series: Series, tick: int) -> float | None:
     integral = dt * (np.cumsum(u, axis=0) - u)
     moved = (q[span:] - q[:-span])[reach:]
     asked = integral[span:] - integral[:-span]
-    left = [float(((moved - asked[reach - k : len(asked) - k]) ** 2).sum()) for k in range(reach)]
-    best = int(np.argmin(left))
-    return best * dt if left[best] < _UNLIKE * float((moved**2).sum()) else None
+    late = [asked[reach - k : len(asked) - k] for k in range(reach)]
+    norms = [float(np.linalg.norm(moved) * np.linalg.norm(a)) for a in late]
+    correlation = [float((moved * a).sum()) / max(norm, 1e-12) for a, norm in zip(late, norms, strict=True)]
+    best = int(np.argmax(correlation))
+    return best * dt if correlation[best] > _ALIKE else None
 
 
 def _pressure(series: Series, tick: int) -> Iterator[Finding]:
