@@ -67,7 +67,7 @@ class Behind:
             for answer in self._answers:
                 self.drive.hand("joint_velocity_commands", answer)
             self._answers.clear()
-        self.drive.node._look()
+        self.drive.node._check()
         for message in self.told[self._heard :]:
             self.robot.on_commands(message)
         self._heard = len(self.told)

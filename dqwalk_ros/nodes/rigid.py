@@ -22,7 +22,7 @@ from dqwalk_ros.nodes.inputs import EFFORT, CommandInput
 from dqwalk_ros.nodes.safety import BodyGate, clamp_effort
 from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.topics import ODOM
-from dqwalk_ros.whole_body.controller import BodyCommand, WholeBodyController, Wrench
+from dqwalk_ros.whole_body.controller import BodyCommand, WholeBodyController
 from dqwalk_ros.whole_body.preview import Stepping
 from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 
@@ -140,19 +140,12 @@ class Rigid(WalkNode):
             self.stop(1)
             return
         for foot, wrench in self._plant.wrenches.items():
-            self._pub[f"{foot.value}_wrench"].publish(self._wrench(wrench))
+            w = np.concatenate([wrench.force, wrench.moment])
+            self._pub[f"{foot.value}_wrench"].publish(ros.wrench(self._stamp, ODOM, w))
         self._ticks += 1
         self._stamp = round(self._ticks * self._dt * 1e9)
         self._apply_pushes()
         self._publish()
-
-    def _wrench(self, wrench: Wrench) -> WrenchStamped:
-        msg = WrenchStamped()
-        msg.header.stamp, msg.header.frame_id = ros.time_msg(self._stamp), ODOM
-        force, torque = msg.wrench.force, msg.wrench.torque
-        force.x, force.y, force.z = wrench.force.tolist()
-        torque.x, torque.y, torque.z = wrench.moment.tolist()
-        return msg
 
     def _may_begin(self) -> bool:
         """Return whether the walk may begin: with a recorder, once it has subscribed to every message."""
