@@ -533,7 +533,7 @@ class DaqpSolver:
         _check_finite(s, curvature)
         began = time.perf_counter()
         try:
-            if kept:
+            if kept and k:  # it cannot update a problem that has bounds only
                 model = kept[0]
                 updated = model.update(*values) >= 0
             else:

@@ -23,6 +23,7 @@ from dqwalk_ros.robot import RobotModel
 from dqwalk_ros.servos import Drive, Servos
 from dqwalk_ros.simulation import Trace, make_controller, make_walk, simulate
 
+pytestmark = pytest.mark.timeout(900)  # what is compiled takes its time on a busy machine
 AS_BUILT = overlaid(dq.load("poppy"), "poppy_as_built")
 REST = ["head_*", "*_shoulder_*", "*_arm_*", "*_elbow_*", "abs_*", "bust_*", "*_hip_x", "*_hip_z", "*_ankle_y"]
 HIPS_AND_KNEES = exercise_config(AS_BUILT).updated({"robot.lock": REST})
@@ -182,7 +183,7 @@ def test_a_joint_without_room_is_named() -> None:
 def test_from_the_exercise_to_the_parameters_on_the_command_line(tmp_path, capsys) -> None:
     only = [*REST, "?_hip_y"]
     locked = "robot.lock=[" + ", ".join(f'"{name}"' for name in only) + "]"
-    assert cli.main(["exercise", "--set", locked, "--out", str(tmp_path), "--quiet"]) == 0
+    assert cli.main(["exercise", "--set", locked, "--set", "qp.solver=daqp", "--out", str(tmp_path), "--quiet"]) == 0
     assert cli.main(["identify", str(tmp_path / "bag")]) == 0
     shown = capsys.readouterr().out
     assert "l_knee_y" in shown
@@ -203,7 +204,7 @@ def test_from_the_exercise_to_the_parameters_on_the_command_line(tmp_path, capsy
 @pytest.mark.parametrize("seed", [11, 12, 13])
 def test_five_minutes_show_all_servos_of_a_poppy_drawn_at_random(seed: int) -> None:
     """`python -m pytest -m long -s test/test_identify.py` prints what was found and what is so."""
-    config = exercise_config(AS_BUILT).updated({"qp.solver": "daqp"})
+    config = exercise_config(AS_BUILT)
     model = dq.load_model(config.robot)
     trace, true, _ = exercised(config, model, seed)
     assert trace.time[-1] < 310.0

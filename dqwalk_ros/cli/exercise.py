@@ -59,7 +59,7 @@ def exercise(
     from dqwalk_ros.cli.options import parse_overrides
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import prepare
-    from dqwalk_ros.identification.exercise import exercise_config, path_of
+    from dqwalk_ros.identification.exercise import duration, exercise_config
     from dqwalk_ros.robot import load_model
 
     made = exercise_config(config_of(config, plant=plant), cycles)
@@ -85,9 +85,9 @@ def exercise(
             bar(0.0, "postures that load the joints")
             model = load_model(made.robot)
             controller, body = simulation.make_controller(made, model), simulation.make_plant(plant, made, model)
-            duration = len(path_of(model, cycles)) * 0.005
+            total = duration(model, made.gait.cycles)
             trace = simulation.simulate(
-                controller, body, before_step=lambda time: bar(time / duration, f"{time:.0f} of {duration:.0f} s")
+                controller, body, before_step=lambda time: bar(time / total, f"{time:.0f} of {total:.0f} s")
             )
             bag.write(trace, out / "bag", diagnostics=False)
             reason = "" if trace.finished else "; ".join(trace.notes)

@@ -25,7 +25,7 @@ from dqwalk_ros.state import State
 from dqwalk_ros.tasks import Task
 from dqwalk_ros.walk import Phase, PhaseKind, Walk, joint_limits
 
-__all__ = ["NAME", "Exercise", "Slot", "exercise_config", "limbs", "slots"]
+__all__ = ["NAME", "Exercise", "Slot", "duration", "exercise_config", "limbs", "path_of", "slots"]
 
 Array = NDArray[np.float64]
 
@@ -239,6 +239,12 @@ def _triangle(amplitude: float, duration: float) -> Array:
     )
 
 
+def duration(model: RobotModel, cycles: int) -> float:
+    """Return how long an exercise takes [s]."""
+    return len(path_of(model, cycles)) * _GRID
+
+
+@functools.lru_cache(maxsize=4)
 def path_of(model: RobotModel, cycles: int) -> Array:
     """Return the angles (m, n) of all joints on the grid, all zero at the beginning [rad]."""
     each = slots(model, cycles)
@@ -316,6 +322,10 @@ class _Duration:
 class Exercise(Walk):
     """All joints, ``gait.cycles`` times, in one phase."""
 
+    def __init__(self, config: Config, model: RobotModel) -> None:
+        super().__init__(config, model)
+        self._path = path_of(model, config.gait.cycles)  # takes seconds: before the first state waits for its answer
+
     @staticmethod
     def phases(config: Config) -> int:
         """Return one."""
@@ -337,7 +347,6 @@ class Exercise(Walk):
 
     def both_feet(self, kind: PhaseKind, support: Foot, q_start: Array) -> Phase:
         """Return the exercise."""
-        path = path_of(self.model, self.config.gait.cycles)
         return Phase(
             model=self.model,
             kind=kind,
@@ -347,11 +356,11 @@ class Exercise(Walk):
             swing_target=None,
             eta=self.config.task.eta,
             damping=1e-6,
-            tasks=(JointPath(name="path", path=path, dt=self.config.dt),),
+            tasks=(JointPath(name="path", path=self._path, dt=self.config.dt),),
             equalities=(),
             inequalities=(),
             limits=joint_limits(self.config, self.model),
-            rule=_Duration(len(path) * _GRID),
+            rule=_Duration(len(self._path) * _GRID),
         )
 
     def one_foot(self, support: Foot, q_start: Array, swing_target: Array) -> Phase:
@@ -361,7 +370,3 @@ class Exercise(Walk):
     def effort(self, phase: Phase, kin: Kinematics, state: State) -> Array:
         """Return no torques, shape (n,)."""
         return np.zeros(self.model.n)
-
-    def duration(self) -> float:
-        """Return how long it takes [s]."""
-        return len(path_of(self.model, self.config.gait.cycles)) * _GRID

@@ -61,8 +61,8 @@ _DELAY = 0.0002
 """How alike the delays of all servos are: they hang on the same bus [s]."""
 _SOFT = 3.0
 """Errors beyond this many standard deviations count less."""
-_FINE = 1e-5
-"""Steps of an angle that are smaller are rounding [rad]."""
+_FINE = 2e-4
+"""Finer readings than this are no better: the model is not [rad]."""
 _SHARE = 0.5
 """What the model is off, as a part of a step of the encoder."""
 _PARTS = (0.2, 0.5, 0.8)
@@ -327,7 +327,7 @@ class _Servo:
 def _encoder(pieces: list[_Piece]) -> float:
     """Return the step in which angles were read [rad]: the least change of them."""
     steps = np.abs(np.concatenate([np.diff(piece.q) for piece in pieces]))
-    return float(steps[steps > _FINE].min(initial=0.1))
+    return max(float(steps[steps > 1e-9].min(initial=0.1)), _FINE)
 
 
 def _unlikely(error: Array, step: float) -> Array:
@@ -336,8 +336,7 @@ def _unlikely(error: Array, step: float) -> Array:
     Goals have the same steps, so that in slow motion all readings are rounded the same way: that is no noise that
     averages out. A reading says that the angle was within half a step, no more.
     """
-    sigma = max(_SHARE * step, _FINE)
-    far = np.abs(error)
+    sigma, far = _SHARE * step, np.abs(error)
     inside, beyond = log_ndtr((0.5 * step - far) / sigma), log_ndtr((-0.5 * step - far) / sigma)
     cost = -(inside + np.log1p(-np.exp(beyond - inside)))
     least = -math.log(math.erf(0.5 * step / sigma / math.sqrt(2.0)))

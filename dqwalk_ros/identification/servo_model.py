@@ -13,8 +13,9 @@ __all__ = ["simulate"]
 def simulate(time, measured, tau, inertia, sent, goals, x, limit, step):  # type: ignore[no-untyped-def]
     """Return the angles (m,) of the model at `time`, from rest at the first one that was measured.
 
-    `sent` and `goals` (k,) are when which goal was sent; `x` is T, K, D, b, f, the rotor, the zero of the goals,
-    and the speed at which friction is all there.
+    `sent` and `goals` (k,) are when which goal was sent; `x` is T, K, D, b, f, the rotor, the zero of the goals, and
+    how soft friction is: it is all there where v + lead v' is beyond creep, and less in proportion below. Dry friction
+    has neither; that of a physics engine has both.
     """
     delay, K, D, b, f, rotor, zero, creep, lead = x
     out = np.empty(time.shape[0])
