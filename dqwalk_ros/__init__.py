@@ -1,6 +1,6 @@
 """Biped walking control with quadratic programming and vector-field inequalities, for ROS 2.
 
-The names below are loaded on first use, so that importing the package costs next to nothing.
+The public names below are imported on first use, so that importing the package is fast.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Any
 
 __version__ = "0.1.0"
 
-_HOME = {
+_MODULE_OF = {
     "Config": "config",
     "load": "config",
     "DQ": "dual_quaternions",
@@ -27,10 +27,10 @@ _HOME = {
     "Trace": "simulation",
 }
 
-__all__ = ["__version__", *_HOME]
+__all__ = ["__version__", *_MODULE_OF]
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
+    if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+    return getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)

@@ -1,10 +1,11 @@
-"""From tasks and constraints to the quadratic program (U6): everything a phase watches, at one configuration.
+"""Assembly of the quadratic program (U6) from the tasks and constraints of a phase.
 
-Each task and each constraint says a value and a gradient over what it watches (`tasks`, `constraints`). Here they are
-stacked and turned into Jacobians by the chain rule, once, for the controller, the monitor and the report alike.
+Each task and each constraint gives a value and its gradient with respect to the coordinates of its features (`tasks`,
+`constraints`). They are stacked here, and the chain rule turns the gradients into Jacobians with respect to the joint
+angles. Controller, monitor and report all use this code.
 
-What is affine is one product; the compiled functions of the other kinds that the package has are called from one
-compiled pass. Any other task or constraint, such as your own, is asked by its method `value`.
+All affine tasks and constraints are one matrix product. The other classes of the package are evaluated in one compiled
+function; a task or constraint of any other class, such as your own, is evaluated through its method `value`.
 """
 
 from __future__ import annotations
@@ -39,12 +40,14 @@ __all__ = ["Assembly", "Evaluation"]
 Array = NDArray[np.float64]
 
 DEPENDENT = 5e-3
-"""Equality rows with a singular value below this part of the largest are taken for dependent."""
+"""Ratio to the largest singular value below which a singular value of equality rows counts as zero."""
 
 
 @dataclass(slots=True, eq=False)
 class Evaluation:
-    """The tasks and constraints of a phase at one configuration; rows are those of the tasks, then the constraints.
+    """Values and gradients of the tasks and constraints of a phase for given joint angles.
+
+    There are r rows of tasks, l of equalities and m of inequalities, in this order.
 
     Attributes
     ----------
@@ -52,13 +55,13 @@ class Evaluation:
     values : ndarray, shape (r + l + m,)
         Errors of the tasks, and signed distances of the equalities and inequalities.
     gradients : ndarray, shape (r + l + m, k)
-        Of the same, over the coordinates of all features watched.
+        Gradients of the values with respect to the coordinates of all features.
     J_features : ndarray, shape (k, n)
-        Jacobian of these coordinates.
+        Jacobian of these coordinates with respect to the joint angles.
     rates : ndarray, shape (r,)
-        Velocities of the errors asked for.
-    joint_room : ndarray, shape (2n,)
-        Distances (U12) and (U13) from the joint limits, upper and lower.
+        Desired time derivatives of the errors.
+    limit_distances : ndarray, shape (2n,)
+        Distances (U12) and (U13) from the upper and the lower joint limits [rad].
     error : float
         Norm of the error of the first task.
     """
@@ -68,7 +71,7 @@ class Evaluation:
     gradients: Array
     J_features: Array
     rates: Array
-    joint_room: Array
+    limit_distances: Array
     error: float
 
     def problem(self, dt: float, velocity: Array) -> Problem:
@@ -77,34 +80,34 @@ class Evaluation:
         Parameters
         ----------
         dt : float
-            Control period [s], which caps the rates at 1/dt.
+            Control period [s]; rates are limited to 1/dt.
         velocity : ndarray, shape (n,)
-            Largest joint velocities, which the bounds are kept within [rad/s].
+            Largest joint velocities, to which the bounds of u are clipped [rad/s].
         """
-        of, n = self.assembly, velocity.shape[0]
-        k = of.rows.shape[1] - 2 * n
+        made, n = self.assembly, velocity.shape[0]
+        k = made.rows.shape[1] - 2 * n
         H, c, W, w, lower, upper = (
             np.empty((n, n)), np.empty(n), np.empty((k, n)), np.empty(k), np.empty(n), np.empty(n)
         )  # fmt: skip
         _program(
-            self.values, self.gradients, self.J_features, self.rates, self.joint_room, of.root, of.damping, of.rows,
-            dt, of.held, velocity, H, c, W, w, lower, upper,
+            self.values, self.gradients, self.J_features, self.rates, self.limit_distances, made.sqrt_weights,
+            made.damping, made.rows, dt, made.equality_rows, velocity, H, c, W, w, lower, upper,
         )  # fmt: skip
-        for group in of.groups:
+        for group in made.groups:
             _make_independent(W[group], w[group])
-        return Problem(H, c, W, w, lower, upper, of.held, of.names)
+        return Problem(H, c, W, w, lower, upper, made.equality_rows, made.names)
 
     def distances(self) -> dict[str, float]:
-        """Every signed distance less its bound, by name; what is kept is >= 0, what is held is 0.
+        """Return each signed distance minus its bound, by name: >= 0 for a satisfied inequality, 0 for an equality.
 
-        Of several rows it is the least, of an equality the one furthest from 0.
+        For a constraint of several rows it is the smallest one; for an equality the one with the largest magnitude.
         """
-        of = self.assembly
-        over = np.concatenate([self.values[len(self.rates) :], self.joint_room]) - of.rows[0]
+        made = self.assembly
+        margins = np.concatenate([self.values[len(self.rates) :], self.limit_distances]) - made.rows[0]
         out = {}
-        for name, span in of.spans.items():
-            part = over[span]
-            out[name] = float(part[np.argmax(np.abs(part))] if span.stop <= of.held else part.min())
+        for name, span in made.spans.items():
+            part = margins[span]
+            out[name] = float(part[np.argmax(np.abs(part))] if span.stop <= made.equality_rows else part.min())
         return out
 
 
@@ -114,16 +117,16 @@ _KINDS: dict[type, int] = {PointInCylinder: CYLINDER, PointInsideWall: WALL, Fra
 
 @jit
 def _stack(  # type: ignore[no-untyped-def]
-    items, parameters, A, b, A_limits, b_limits, eta, q, s, values, gradients, rates, joint_room
+    items, parameters, A, b, A_limits, b_limits, eta, q, s, values, gradients, rates, limit_distances
 ):
-    """Fill values and gradients of all rows, rates of the tasks' rows, and the room of the joint limits.
+    """Fill values and gradients of all rows, rates of the tasks' rows, and the distances from the joint limits.
 
-    What is affine is A s - b; `items` (k, 4) are kind, first row, first and last column of what has another kind known
-    here, `parameters` (k, 8) are its own.
+    Affine rows are A s - b. `items` (k, 4) lists the tasks and constraints of the classes in `_KINDS`: kind, first row,
+    first column, and column after the last one; `parameters` (k, 8) are their constants.
     """
     values[:] = A @ s - b
     gradients[:] = A
-    joint_room[:] = A_limits @ q - b_limits  # (U12), (U13)
+    limit_distances[:] = A_limits @ q - b_limits  # (U12), (U13)
     for k in range(items.shape[0]):
         kind, row, begin, end = items[k]
         part, a = s[begin:end], parameters[k]
@@ -140,30 +143,31 @@ def _stack(  # type: ignore[no-untyped-def]
 
 @jit
 def _program(  # type: ignore[no-untyped-def]
-    values, gradients, J_features, rates, joint_room, root, damping, rows, dt, held, velocity,
+    values, gradients, J_features, rates, limit_distances, sqrt_weights, damping, rows, dt, equality_rows, velocity,
     H, c, W, w, lower, upper,
 ):  # fmt: skip
-    """Fill H, c, W, w and the bounds of (U6).
+    """Fill H (n, n), c (n,), W (l + m, n), w (l + m,) and the bounds lower and upper (n,) of (U6).
 
-    `rows` (3, l + m + 2n) are bound, eta and return speed of all constraints, of which the first `held` are equalities.
+    `rows` (3, l + m + 2n) are bound, eta and return speed of the rows of all constraints; the first `equality_rows` of
+    them are equalities.
     """
     r, n, k = rates.shape[0], velocity.shape[0], w.shape[0]
     J = gradients @ J_features  # the chain rule: dd/dq = dd/ds ds/dq
-    objective(root.reshape((r, 1)) * J[:r], root * rates, damping, H, c)  # (U6)
-    right = vfi(np.concatenate((values[r:], joint_room)), rows[0], rows[1], rows[2], dt)
+    objective(sqrt_weights.reshape((r, 1)) * J[:r], sqrt_weights * rates, damping, H, c)  # (U6)
+    right = vfi(np.concatenate((values[r:], limit_distances)), rows[0], rows[1], rows[2], dt)
     W[:], w[:] = J[r:], right[:k]
-    w[:held] = np.maximum(w[:held], -rows[2, :held])
+    w[:equality_rows] = np.maximum(w[:equality_rows], -rows[2, :equality_rows])
     upper[:] = np.minimum(np.maximum(-right[k : k + n], -velocity), velocity)  # -u >= w of (U12)
     lower[:] = np.minimum(np.maximum(right[k + n :], -velocity), velocity)  # u >= w of (U13)
 
 
 class Assembly:
-    """Tasks, equalities and inequalities of one phase.
+    """Evaluates the tasks, equalities and inequalities of one phase.
 
     Parameters
     ----------
     kin : Kinematics
-        The robot where the phase begins, seen from the base of the phase.
+        The robot at the start of the phase, in the base frame of the phase.
     tasks : sequence of Task
     equalities, inequalities : sequence of Constraint
     limits : (JointMaximum, JointMinimum)
@@ -173,17 +177,17 @@ class Assembly:
     Attributes
     ----------
     names : tuple of str
-        Of the rows of the quadratic program.
+        Names of the rows of the quadratic program: equalities, inequalities, upper and lower joint limits.
     rows : ndarray, shape (3, l + m + 2n)
-        Bound, eta and return speed of each of them.
+        Bound, eta and return speed of each row.
     spans : dict of str to slice
         The rows of each constraint.
-    held : int
+    equality_rows : int
         Number of equality rows, l.
     groups : list of slice
-        Equalities of several rows, which may depend on each other.
-    root : ndarray, shape (r,)
-        Roots of the weights of the tasks' rows.
+        Rows of the equalities with more than one row, which may be linearly dependent.
+    sqrt_weights : ndarray, shape (r,)
+        Square roots of the weights of the tasks' rows.
     damping : float
         lambda.
     """
@@ -203,13 +207,13 @@ class Assembly:
         every = (*constraints, *limits)
         names = [constraint.row_names(joint_names) for constraint in every]
         self.names = tuple(name for group in names for name in group)
-        heights = [len(group) for group in names]
-        self.rows = np.repeat([[c.bound, c.eta, c.return_speed] for c in every], heights, axis=0).T.copy()
+        counts = [len(group) for group in names]
+        self.rows = np.repeat([[c.bound, c.eta, c.return_speed] for c in every], counts, axis=0).T.copy()
         self._A_limits = np.concatenate([limit.A for limit in limits])
         self._b_limits = np.concatenate([limit.b for limit in limits])
-        self.spans = {c.name: at for c, at in zip(every, _slices(heights), strict=True)}
-        self.held = sum(heights[: len(equalities)])
-        self.groups = [self.spans[c.name] for c in equalities if _size(self.spans[c.name]) > 1]
+        self.spans = {c.name: span for c, span in zip(every, _slices(counts), strict=True)}
+        self.equality_rows = sum(counts[: len(equalities)])
+        self.groups = [span for span in _slices(counts[: len(equalities)]) if span.stop - span.start > 1]
         self._eta, self.damping = eta, damping
 
         stacked: tuple[Task | Constraint, ...] = (*tasks, *constraints)
@@ -218,69 +222,65 @@ class Assembly:
         self._observer = Observer([feature for item in stacked for feature in item.watches], kin.tree)
         s, _ = self._observer(kin)
         sizes = [len(task.value(s[at], 0.0)[0]) for task, at in zip(tasks, columns, strict=False)]
-        self.root = np.repeat([task.weight**0.5 for task in tasks], sizes)
-        self._residuals, self._first = sum(sizes), sizes[0]
-        rows = _slices([*sizes, *heights[: len(constraints)]])
+        self.sqrt_weights = np.repeat([task.weight**0.5 for task in tasks], sizes)
+        self._task_rows, self._first = sum(sizes), sizes[0]
+        rows = _slices([*sizes, *counts[: len(constraints)]])
 
         shape = rows[-1].stop, self._observer.size
         self._A, self._b = np.zeros(shape), np.zeros(shape[0])
-        known: list[tuple[int, int, int, int]] = []
+        compiled: list[tuple[int, int, int, int]] = []
         parameters: list[Array] = []
-        self._asked: list[tuple[Task | Constraint, slice, slice]] = []
-        self._paths: list[tuple[Task, slice, slice]] = []
-        for item, at, where in zip(stacked, rows, columns, strict=True):
+        self._uncompiled: list[tuple[Task | Constraint, slice, slice]] = []
+        self._own_rate: list[tuple[Task, slice, slice]] = []
+        for item, row, column in zip(stacked, rows, columns, strict=True):
             if isinstance(item, Affine) and type(item).value is Affine.value:
-                self._A[at, where], self._b[at] = item.A, item.b
+                self._A[row, column], self._b[row] = item.A, item.b
             elif type(item) is ComOverFoot:
-                self._A[at, where] = item.value(s[where], 0.0)[1]
+                self._A[row, column] = item.value(s[column], 0.0)[1]
             elif type(item) in _KINDS:
-                known.append((_KINDS[type(item)], at.start, where.start, where.stop))
+                compiled.append((_KINDS[type(item)], row.start, column.start, column.stop))
                 parameters.append(np.resize(item.parameters, 8))
             else:
-                self._asked.append((item, at, where))
+                self._uncompiled.append((item, row, column))
             if isinstance(item, Task) and type(item).rate is not Task.rate:
-                self._paths.append((item, at, where))
-        self._items = np.array(known, dtype=np.int64).reshape(-1, 4)
+                self._own_rate.append((item, row, column))
+        self._items = np.array(compiled, dtype=np.int64).reshape(-1, 4)
         self._parameters = np.array(parameters).reshape(-1, 8)
 
     def __call__(self, kin: Kinematics) -> Evaluation:
-        """Return errors, distances and gradients at one configuration."""
+        """Return errors, distances and gradients for the joint angles and the elapsed time of `kin`."""
         s, J_features = self._observer(kin)
         values, gradients = np.empty(self._b.shape), np.empty(self._A.shape)
-        rates, room = np.empty(self._residuals), np.empty(self._b_limits.shape)
+        rates, limit_distances = np.empty(self._task_rows), np.empty(self._b_limits.shape)
         _stack(
             self._items, self._parameters, self._A, self._b, self._A_limits, self._b_limits, self._eta, kin.q, s,
-            values, gradients, rates, room,
+            values, gradients, rates, limit_distances,
         )  # fmt: skip
-        for item, rows, columns in self._asked:
+        for item, rows, columns in self._uncompiled:
             if isinstance(item, Task):
                 values[rows], gradients[rows, columns] = item.value(s[columns], kin.elapsed)
                 rates[rows] = -self._eta * values[rows]
             else:
                 values[rows], gradients[rows, columns] = item.value(s[columns])
-        for task, rows, columns in self._paths:
+        for task, rows, columns in self._own_rate:
             rates[rows] = task.rate(s[columns], values[rows], kin.elapsed, self._eta)
         e = values[: self._first]
-        return Evaluation(self, values, gradients, J_features, rates, room, math.sqrt(e @ e))
+        return Evaluation(self, values, gradients, J_features, rates, limit_distances, math.sqrt(e @ e))
 
 
 def _slices(sizes: Sequence[int]) -> list[slice]:
-    """Return where parts of these sizes lie, one after the other."""
+    """Return the slices of consecutive blocks of the given sizes."""
     ends = np.cumsum(sizes).tolist()
     return [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
 
 
-def _size(span: slice) -> int:
-    return int(span.stop - span.start)
-
-
 @jit
 def _make_independent(E, e):  # type: ignore[no-untyped-def]
-    """Replace the equalities E u = e by orthogonal combinations; one that no joint can move becomes 0 = 0.
+    """Replace the equalities E u = e (k rows) by orthogonal combinations; dependent ones become 0 = 0.
 
-    Two feet without ankle roll leave the six rows of a held sole with rank five.
+    The rows of a held sole have rank five, not six, if the ankles of both feet have no roll.
     """
-    squares, U = np.linalg.eigh(E @ E.T)  # of the singular values of E, and its left singular vectors
+    squares, U = np.linalg.eigh(E @ E.T)  # squared singular values of E, and its left singular vectors
     E[:], e[:] = U.T @ E, U.T @ e
     for k in range(e.shape[0]):
         if squares[k] <= DEPENDENT**2 * squares[-1]:

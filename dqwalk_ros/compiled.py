@@ -1,7 +1,8 @@
-"""Compilation: readable functions, compiled by numba as they stand and kept on disk.
+"""Compilation of numerical functions by numba, and the cache of their machine code on disk.
 
-Numba keeps a compiled function until its own file changes, although it contains the functions it calls from other
-files. So what is kept lies in a folder named after all files of this package that have compiled functions.
+Numba recompiles a cached function only when its own file changes, although its machine code contains the functions
+that it calls from other files. So the cache folder is named after a digest of all source files of this package that
+contain compiled functions: a change in any of them recompiles all.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from numba.core import event
 __all__ = ["jit"]
 
 
-def _folder() -> pathlib.Path:
+def _cache_folder() -> pathlib.Path:
+    """Return the folder of the cache: in the user's cache folder, or in the temporary one where that is read-only."""
     package = pathlib.Path(__file__).parent
     sources = (file.read_bytes() for file in sorted(package.rglob("*.py")))
     digest = hashlib.sha256(b"".join(text for text in sources if b"jit" in text)).hexdigest()
@@ -31,27 +33,29 @@ def _folder() -> pathlib.Path:
 
 
 if "NUMBA_CACHE_DIR" not in os.environ:
-    numba.config.CACHE_DIR = str(_folder())  # type: ignore[attr-defined]
+    numba.config.CACHE_DIR = str(_cache_folder())  # type: ignore[attr-defined]
 
 
-class _Notice(event.Listener):
-    """Says once that functions are being compiled; loading them from disk is not compiling."""
+class _CompilationNotice(event.Listener):
+    """Logs one warning at the first compilation of a process; loading a function from the cache is no compilation."""
 
-    _told = False
+    _logged = False
 
     def on_start(self, event: Any) -> None:
-        """Announce the first compilation."""
-        if not self._told:
-            self._told = True
-            logging.getLogger("dqwalk_ros").warning("compiling for this machine; this takes a while, once")
+        """Log the warning, once."""
+        if not self._logged:
+            self._logged = True
+            logging.getLogger("dqwalk_ros").warning(
+                "compiling for this machine; this takes about a minute and is done only once"
+            )
 
     def on_end(self, event: Any) -> None:
         """Do nothing."""
 
 
-event.register("numba:compile", _Notice())  # type: ignore[no-untyped-call]
+event.register("numba:compile", _CompilationNotice())  # type: ignore[no-untyped-call]
 
 
 def jit(function: Callable[..., Any]) -> Any:
-    """Return the function compiled, with IEEE arithmetic as written."""
+    """Return `function` compiled on its first call; floating-point operations are not reordered (no fast-math)."""
     return numba.njit(cache=True, fastmath=False, error_model="numpy")(function)

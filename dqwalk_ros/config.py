@@ -64,7 +64,7 @@ __all__ = [
 ]
 
 OF_RCLPY = ("use_sim_time", "qos_overrides", "start_type_description_service")
-"""Parameters that every node of rclpy has; ``ros2 param dump`` writes them too."""
+"""Parameters that rclpy declares for every node; ``ros2 param dump`` writes them, `from_yaml` ignores them."""
 
 Value = bool | int | float | str | tuple[str, ...] | tuple[float, ...]
 
@@ -78,7 +78,7 @@ def _par(
     *,
     live: bool = False,
 ) -> Any:
-    """Declare a parameter: its default, what it means, its unit, and its closed bounds."""
+    """Declare a parameter: default, meaning, unit, closed bounds, and whether it may be set during a walk (live)."""
     return dataclasses.field(
         default=default, metadata={"meaning": meaning, "unit": unit, "low": low, "high": high, "live": live}
     )
@@ -86,75 +86,75 @@ def _par(
 
 @dataclass(frozen=True)
 class RobotConfig:
-    """Which robot, and which part of it."""
+    """The robot description and the links and joints of it that the walk uses."""
 
-    urdf: str = _par("poppy.urdf", "URDF or xacro: a path, relative to this file, or the name of one shipped in urdf/")
-    pelvis: str = _par("pelvis", "link whose height (U11) watches")
-    left_sole: str = _par("l_sole", "link at the centre of the left sole, x forward, z up")
-    right_sole: str = _par("r_sole", "link at the centre of the right sole, x forward, z up")
-    left_sole_xyz: tuple[float, float, float] = _par((0.0, 0.0, 0.0), "centre of the left sole in that link", "m")
-    left_sole_rpy: tuple[float, float, float] = _par((0.0, 0.0, 0.0), "its roll, pitch and yaw there", "rad")
-    right_sole_xyz: tuple[float, float, float] = _par((0.0, 0.0, 0.0), "centre of the right sole in that link", "m")
-    right_sole_rpy: tuple[float, float, float] = _par((0.0, 0.0, 0.0), "its roll, pitch and yaw there", "rad")
+    urdf: str = _par("poppy.urdf", "URDF or xacro: a path relative to this file, or the name of a file in urdf/")
+    pelvis: str = _par("pelvis", "link whose height above the support sole is bounded by (U11)")
+    left_sole: str = _par("l_sole", "link of the left sole, origin at its centre, x forward, z up")
+    right_sole: str = _par("r_sole", "link of the right sole, origin at its centre, x forward, z up")
+    left_sole_xyz: tuple[float, float, float] = _par((0.0, 0.0, 0.0), "centre of the sole in left_sole", "m")
+    left_sole_rpy: tuple[float, float, float] = _par((0.0, 0.0, 0.0), "roll, pitch, yaw of the sole in it", "rad")
+    right_sole_xyz: tuple[float, float, float] = _par((0.0, 0.0, 0.0), "centre of the sole in right_sole", "m")
+    right_sole_rpy: tuple[float, float, float] = _par((0.0, 0.0, 0.0), "roll, pitch, yaw of the sole in it", "rad")
     imu: str = _par("", "link of the inertial sensor; empty: the pelvis")
-    imu_rpy: tuple[float, float, float] = _par(
-        (0.0, 0.0, 0.0), "roll, pitch and yaw at which it is mounted in that link (`dqwalk identify`)", "rad"
-    )
-    drop: tuple[str, ...] = _par((), "joints cut off together with all they carry")
-    lock: tuple[str, ...] = _par((), "joints held at zero, or at an angle: JOINT=RADIANS; '*' matches any text")
+    imu_rpy: tuple[float, float, float] = _par((0.0, 0.0, 0.0), "roll, pitch, yaw of the sensor in that link", "rad")
+    drop: tuple[str, ...] = _par((), "joints removed together with all links after them; '*' matches any text")
+    lock: tuple[str, ...] = _par((), "joints fixed at zero, or at an angle: JOINT=RADIANS; '*' matches any text")
     sole_center: Literal["link", "foot_com"] = _par(
         "link",
-        "where the sole's centre is: 'link' (the sole link's origin) or 'foot_com' (below the foot's centre of mass)",
+        "centre of the sole: 'link' (origin of the sole link) or 'foot_com' (below the foot's centre of mass)",
     )
-    sole_length: float = _par(0.0, "length of the sole; 0 takes the sole link's box", "m", 0.0, 1.0)
-    sole_width: float = _par(0.0, "width of the sole; 0 takes the sole link's box", "m", 0.0, 1.0)
+    sole_length: float = _par(0.0, "length of the sole; 0: that of the sole link's collision box", "m", 0.0, 1.0)
+    sole_width: float = _par(0.0, "width of the sole; 0: that of the sole link's collision box", "m", 0.0, 1.0)
 
 
 @dataclass(frozen=True)
 class GaitConfig:
-    """Where the feet go."""
+    """Kind of walk, length of the walk and its footsteps."""
 
     style: Literal["paper", "standing", "dynamic"] = _par(
         "paper",
-        "'paper' (Fig. 1: planes and a cylinder), 'standing' (the CoM stays over the true soles) or 'dynamic' (it does "
-        "not: docs/dynamic.md)",
+        "'paper' (Fig. 1: bounded by planes and a cylinder), 'standing' (statically stable: the CoM stays over "
+        "the soles) or 'dynamic' (dynamically stable: docs/dynamic.md)",
     )
-    walk: str = _par("", "a walk of your own in place of the style's, as MODULE:CLASS; docs/tutorial.md makes one")
-    first_support: Literal["left", "right"] = _par("left", "the foot that carries the weight first")
-    cycles: int = _par(1, "walking cycles, of four phases each (Fig. 1)", "", 1, 100000)
-    step_length: float = _par(0.05, "landing place of the swing foot ahead of the support foot", "m", -0.5, 0.5)
-    step_width: float = _par(
-        0.0, "lateral distance of the soles' centres; 0 keeps that of the zero posture", "m", 0.0, 1.0
+    walk: str = _par("", "class of your own walk, as MODULE:CLASS, in place of gait.style (docs/tutorial.md)")
+    first_support: Literal["left", "right"] = _par("left", "foot of the first single support")
+    cycles: int = _par(1, "paper: number of walking cycles of four phases each (Fig. 1)", "", 1, 100000)
+    step_length: float = _par(
+        0.05, "paper: landing place ahead of the support foot; otherwise: advance per step", "m", -0.5, 0.5
     )
-    steps: int = _par(4, "standing: steps before the feet are put together; 0 walks as cmd_vel says", "", 0, 100000)
-    step_side: float = _par(0.0, "standing: sideways part of each step, positive to the left", "m", -0.2, 0.2)
-    step_turn: float = _par(0.0, "standing: turn of each step, positive to the left", "rad", -0.8, 0.8)
-    step_height: float = _par(0.02, "standing: height of the swing foot's via point", "m", 0.0, 0.2, live=True)
-    most_length: float = _par(0.05, "standing: longest step that cmd_vel can ask for", "m", 0.0, 0.5, live=True)
-    most_side: float = _par(0.05, "standing: longest step to a side that cmd_vel can ask for", "m", 0.0, 0.2, live=True)
-    most_turn: float = _par(0.1, "standing: largest turn per step that cmd_vel can ask for", "rad", 0.0, 0.8, live=True)
+    step_width: float = _par(0.0, "lateral distance of the soles' centres; 0: that at zero angles", "m", 0.0, 1.0)
+    steps: int = _par(
+        4, "standing, dynamic: steps before the feet are put together; 0: steered by cmd_vel", "", 0, 100000
+    )
+    step_side: float = _par(0.0, "lateral part of each step, positive: left; not paper", "m", -0.2, 0.2)
+    step_turn: float = _par(0.0, "rotation of each step, positive: left; not paper", "rad", -0.8, 0.8)
+    step_height: float = _par(0.02, "height of the swing foot; larger: more clearance", "m", 0.0, 0.2, live=True)
+    most_length: float = _par(0.05, "longest step that cmd_vel can command", "m", 0.0, 0.5, live=True)
+    most_side: float = _par(0.05, "longest lateral step that cmd_vel can command", "m", 0.0, 0.2, live=True)
+    most_turn: float = _par(0.1, "largest rotation per step that cmd_vel can command", "rad", 0.0, 0.8, live=True)
     footstep_tolerance: float = _par(
         0.01,
-        "standing: a commanded footstep is moved by so much at most to where the legs reach",
+        "largest correction of a commanded footstep; larger: fewer are refused",
         "m",
         0.0,
         0.1,
         live=True,
     )
     cmd_vel_timeout: float = _par(
-        0.5, "without a new cmd_vel for this long the feet are put together", "s", 0.0, 60.0, live=True
+        0.5, "without a new cmd_vel for this time the robot puts its feet together", "s", 0.0, 60.0, live=True
     )
-    phase_timeout: float = _par(900.0, "a phase that takes longer has failed", "s", 0.1, 1e5, live=True)
+    phase_timeout: float = _par(900.0, "longest duration of a phase; beyond it: an error", "s", 0.1, 1e5, live=True)
 
 
 @dataclass(frozen=True)
 class TaskConfig:
-    """The objective of (U6)."""
+    """Parameters of the objective (U6)."""
 
-    eta: float = _par(0.05, "convergence rate of the task error in (U6)", "1/s", 1e-6, 1e3, live=True)
-    damping: float = _par(0.1, "lambda, the damping of the joint velocities in (U6)", "", 1e-6, 1e3, live=True)
+    eta: float = _par(0.05, "convergence rate of the error in (U6); larger: faster", "1/s", 1e-6, 1e3, live=True)
+    damping: float = _par(0.1, "lambda, velocity damping in (U6); larger: slower", "", 1e-6, 1e3, live=True)
     posture_weight: float = _par(
-        0.0, "weight of a task back to the zero posture (0: none, as in the paper)", "", 0.0, 1e3, live=True
+        0.0, "weight of a task that keeps standing.posture; larger: closer to it; 0: off", "", 0.0, 1e3, live=True
     )
 
 
@@ -162,336 +162,318 @@ class TaskConfig:
 class DspConfig:
     """Double support, section 4.1."""
 
-    eta_sliding: float = _par(5.0, "rate of (U7)", "1/s", 1e-3, 1e4)
-    sliding_radius: float = _par(0.04, "the end foot's tip may slide this far", "m", 1e-4, 1.0)
-    eta_ground: float = _par(5.0, "rate of (U8) and of the flat-foot rows", "1/s", 1e-3, 1e4)
-    flat_feet: bool = _par(True, "keep the end sole parallel to the ground; false: the literal (U8), its tip only")
-    eta_tip: float = _par(10.0, "rate of (U9)", "1/s", 1e-3, 1e4)
-    eta_back: float = _par(20.0, "rate of (U10)", "1/s", 1e-3, 1e4)
-    stall_rate: float = _par(
-        1e-4, "the phase is over when the error falls by less than this in a stall_window", "m", 1e-9, 1.0
-    )
-    stall_window: float = _par(1.0, "time over which the fall of the error is judged", "s", 0.01, 1e3)
+    eta_sliding: float = _par(5.0, "rate of (U7); larger: the tip slides faster to its limit", "1/s", 1e-3, 1e4)
+    sliding_radius: float = _par(0.04, "radius of (U7); larger: the tip may slide further", "m", 1e-4, 1.0)
+    eta_ground: float = _par(5.0, "rate of (U8) and flat_feet; larger: faster correction", "1/s", 1e-3, 1e4)
+    flat_feet: bool = _par(True, "keep the end sole parallel to the ground; false: only its tip, the literal (U8)")
+    eta_tip: float = _par(10.0, "rate of (U9); larger: faster approach to the front plane", "1/s", 1e-3, 1e4)
+    eta_back: float = _par(20.0, "rate of (U10); larger: faster approach to the back plane", "1/s", 1e-3, 1e4)
+    stall_rate: float = _par(1e-4, "fall of the error per stall_window that ends the phase", "m", 1e-9, 1.0)
+    stall_window: float = _par(1.0, "time over which the error's fall is measured", "s", 0.01, 1e3)
 
 
 @dataclass(frozen=True)
 class SspConfig:
     """Single support, section 4.2."""
 
-    eta_com: float = _par(5.0, "rate of (U14)", "1/s", 1e-3, 1e4)
-    com_radius: float = _par(0.05, "radius of the cylinder that holds the CoM in (U14)", "m", 1e-4, 1.0)
-    threshold: float = _par(1e-3, "the phase is over when ||vec8(x - x_d)|| is below this", "", 1e-9, 1.0)
+    eta_com: float = _par(5.0, "rate of (U14); larger: faster approach to the cylinder", "1/s", 1e-3, 1e4)
+    com_radius: float = _par(0.05, "radius of (U14); larger: the CoM may move further", "m", 1e-4, 1.0)
+    threshold: float = _par(1e-3, "||vec8(x - x_d)|| that ends the phase; larger: earlier", "", 1e-9, 1.0)
 
 
 @dataclass(frozen=True)
 class StandingConfig:
-    """The walk that stands: the CoM inside the edges of the true soles."""
+    """The standing walk: the CoM is kept inside the support polygon of the true soles."""
 
-    margin: float = _par(0.008, "distance kept from each edge of the support polygon", "m", 0.0, 0.1, live=True)
-    eta_edges: float = _par(5.0, "rate of the edges", "1/s", 1e-3, 1e4, live=True)
-    eta_feet: float = _par(
-        5.0, "rate at which the end sole is held in place; 0 only keeps it at rest", "1/s", 0.0, 1e4, live=True
+    margin: float = _par(0.008, "distance of the CoM from the edges; larger: safer", "m", 0.0, 0.1, live=True)
+    eta_edges: float = _par(5.0, "rate of the edges; larger: faster approach to them", "1/s", 1e-3, 1e4, live=True)
+    eta_feet: float = _par(5.0, "rate of the end sole's pose; larger: faster; 0: at rest", "1/s", 0.0, 1e4, live=True)
+    recovery: float = _par(
+        0.02, "largest speed at which a violation is corrected; larger: more abrupt", "m/s", 1e-4, 1e3, live=True
     )
-    recovery: float = _par(0.02, "a distance beyond its bound returns no faster than this", "m/s", 1e-4, 1e3, live=True)
-    transfer_duration: float = _par(1.5, "time of the CoM's path from foot to foot", "s", 0.05, 60.0, live=True)
-    swing_duration: float = _par(1.5, "time of the swing foot's path", "s", 0.05, 60.0, live=True)
-    com_threshold: float = _par(0.003, "a double support is over when the CoM is this close", "m", 1e-5, 0.1, live=True)
-    swing_threshold: float = _par(
-        0.002, "a single support is over when the sole is this close", "m", 1e-5, 0.1, live=True
-    )
-    saturation: float = _par(0.03, "the CoM error is limited to this length", "m", 1e-4, 1.0, live=True)
-    com_weight: float = _par(
-        0.3, "weight of the CoM over the support sole while the other foot swings", "", 0.0, 1e3, live=True
-    )
-    swing_weight: float = _par(10.0, "weight of the swing foot's path", "", 1e-3, 1e4, live=True)
-    swing_rate: float = _par(10.0, "convergence of the swing foot to its path", "1/s", 0.1, 1e3, live=True)
-    lever: float = _par(0.2, "length that converts angles of the swing foot to distances", "m/rad", 1e-3, 10.0)
-    balance: float = _par(
-        0.5, "gain of the torques that draw the CoM to its path; 0: gravity only", "", 0.0, 10.0, live=True
-    )
+    transfer_duration: float = _par(1.5, "time from foot to foot; larger: slower steps", "s", 0.05, 60.0, live=True)
+    swing_duration: float = _par(1.5, "duration of a swing; larger: slower steps", "s", 0.05, 60.0, live=True)
+    com_threshold: float = _par(0.003, "CoM error that ends the phase; larger: earlier", "m", 1e-5, 0.1, live=True)
+    swing_threshold: float = _par(0.002, "error that ends a swing; larger: earlier", "m", 1e-5, 0.1, live=True)
+    saturation: float = _par(0.03, "limit of the CoM error; larger: faster correction", "m", 1e-4, 1.0, live=True)
+    com_weight: float = _par(0.3, "weight of the CoM in single support; larger: closer", "", 0.0, 1e3, live=True)
+    swing_weight: float = _par(10.0, "weight of the swing foot's path; larger: closer", "", 1e-3, 1e4, live=True)
+    swing_rate: float = _par(10.0, "convergence to the swing path; larger: faster", "1/s", 0.1, 1e3, live=True)
+    lever: float = _par(0.2, "length that weights angles; larger: orientation counts more", "m/rad", 1e-3, 10.0)
+    balance: float = _par(0.5, "gain of the CoM's feedback; larger: stiffer; 0: none", "", 0.0, 10.0, live=True)
     pressure_margin: float = _par(
-        0.004, "least distance from an edge at which the torques put the CoP", "m", 0.0, 0.1, live=True
+        0.004, "least distance of the commanded CoP from the edges; larger: less torque", "m", 0.0, 0.1, live=True
     )
-    sole_gap: float = _par(0.004, "least distance of the soles beside each other", "m", 0.0, 0.2, live=True)
-    posture: tuple[str, ...] = _par((), "posture in which a walk begins, JOINT=RADIANS, '*' matches any text; others 0")
+    sole_gap: float = _par(0.004, "least lateral gap of the soles; larger: further apart", "m", 0.0, 0.2, live=True)
+    posture: tuple[str, ...] = _par((), "first posture, JOINT=RADIANS; '*' matches any text; other joints: zero")
 
 
 @dataclass(frozen=True)
 class DynamicConfig:
-    """The walk that moves; durations of a step, weights and gains that it shares with the standing walk are there."""
+    """The dynamic walk; durations, weights and gains common to both walks are in the section ``standing``."""
 
-    start_duration: float = _par(0.6, "time in which the first step begins, from rest", "s", 0.1, 10.0)
-    stop_duration: float = _par(1.0, "time in which the CoM comes to rest between the feet", "s", 0.1, 10.0)
-    ramp: int = _par(3, "steps over which the length grows to that asked for, and shrinks", "", 0, 100)
-    aim_ahead: float = _par(0.0, "the zero-moment point is aimed this far ahead of the sole's centre", "m", -0.1, 0.1)
-    aim_inside: float = _par(0.0, "and this far towards the other foot", "m", -0.05, 0.05)
-    side_frequency: float = _par(
-        1.0, "part of the pendulum's frequency to the side by the model that is used", "", 0.5, 1.5
-    )
-    com_weight: float = _par(20.0, "weight of the CoM's path", "", 1e-3, 1e4)
-    com_rate: float = _par(2.0, "convergence of the CoM to its path", "1/s", 0.0, 100.0)
-    height_weight: float = _par(5.0, "weight of the CoM's height, that of the posture", "", 0.0, 1e4)
-    height_rate: float = _par(4.0, "convergence of the CoM's height", "1/s", 0.0, 100.0)
-    upright_weight: float = _par(0.1, "weight of an upright pelvis", "", 0.0, 1e4)
-    upright_rate: float = _par(5.0, "convergence of the pelvis to upright", "1/s", 0.0, 100.0)
-    catch: bool = _par(True, "adjust time and place of a step to the divergent component as it is measured")
-    catch_margin: float = _par(
-        0.012, "the ankle is trusted with a zero-moment point this far inside the sole", "m", 0.0, 0.1
-    )
-    catch_beyond: float = _par(
-        0.01, "a step is adjusted where the ankle leaves over more than this at the landing", "m", 0.0, 1.0
-    )
-    catch_length: float = _par(0.1, "a landing place is moved this far ahead or back at most", "m", 0.0, 0.5)
-    catch_side: float = _par(0.0, "and to the side; 0 without ankle roll", "m", 0.0, 0.2)
-    shortest_step: float = _par(0.26, "least time of a single support that is adjusted", "s", 0.05, 10.0)
-    longest_step: float = _par(1.5, "its greatest time, as a multiple of the planned one", "", 1.0, 5.0)
-    hurry: float = _par(0.03, "the time of landing changes by this at most at one state", "s", 0.0, 1.0)
-    untouched: float = _par(0.04, "a step is not adjusted this long after it has begun", "s", 0.0, 1.0)
-    settled: float = _par(0.12, "nor this long before the foot lands", "s", 0.0, 1.0)
+    start_duration: float = _par(0.6, "duration of the first weight shift; larger: slower start", "s", 0.1, 10.0)
+    stop_duration: float = _par(1.0, "time in which the CoM comes to rest; larger: slower stop", "s", 0.1, 10.0)
+    ramp: int = _par(3, "number of steps over which the step length grows and shrinks; larger: smoother", "", 0, 100)
+    aim_ahead: float = _par(0.0, "offset of the planned zero-moment point ahead of the sole's centre", "m", -0.1, 0.1)
+    aim_inside: float = _par(0.0, "offset of the zero-moment point towards the other foot", "m", -0.05, 0.05)
+    side_frequency: float = _par(1.0, "lateral over model frequency; larger: faster sway", "", 0.5, 1.5)
+    com_weight: float = _par(20.0, "weight of the CoM's path; larger: followed more closely", "", 1e-3, 1e4)
+    com_rate: float = _par(2.0, "rate at which the CoM converges to its path; larger: faster", "1/s", 0.0, 100.0)
+    height_weight: float = _par(5.0, "weight of the CoM's height; larger: kept more closely", "", 0.0, 1e4)
+    height_rate: float = _par(4.0, "rate at which the CoM's height converges; larger: faster", "1/s", 0.0, 100.0)
+    upright_weight: float = _par(0.1, "weight of an upright pelvis; larger: kept more closely", "", 0.0, 1e4)
+    upright_rate: float = _par(5.0, "rate at which the pelvis converges to upright; larger: faster", "1/s", 0.0, 100.0)
+    catch: bool = _par(True, "adjust time and place of a step to the measured divergent component of motion")
+    catch_margin: float = _par(0.012, "margin of the ankle's pressure; larger: earlier steps", "m", 0.0, 0.1)
+    catch_beyond: float = _par(0.01, "error at landing that adjusts a step; larger: fewer", "m", 0.0, 1.0)
+    catch_length: float = _par(0.1, "largest adjustment of a step ahead; larger: more effect", "m", 0.0, 0.5)
+    catch_side: float = _par(0.0, "largest lateral adjustment of a step; 0 without ankle roll", "m", 0.0, 0.2)
+    shortest_step: float = _par(0.26, "least duration of an adjusted swing; smaller: earlier", "s", 0.05, 10.0)
+    longest_step: float = _par(1.5, "longest adjusted swing, as a multiple of the planned one", "", 1.0, 5.0)
+    hurry: float = _par(0.03, "largest change of the landing time per period; larger: faster", "s", 0.0, 1.0)
+    untouched: float = _par(0.04, "time after lift-off without adjustment; larger: later", "s", 0.0, 1.0)
+    settled: float = _par(0.12, "time before landing without adjustment; larger: fixed earlier", "s", 0.0, 1.0)
 
 
 @dataclass(frozen=True)
 class PelvisConfig:
     """The pelvis plane (U11)."""
 
-    eta: float = _par(500.0, "rate of (U11); 1/dt is used where it is larger", "1/s", 1e-3, 1e4)
-    height: float = _par(0.2, "height of the plane above the support sole", "m", 0.0, 10.0)
+    eta: float = _par(500.0, "rate of (U11), at most 1/dt; larger: faster approach to the plane", "1/s", 1e-3, 1e4)
+    height: float = _par(0.2, "height of the plane of (U11) above the sole; larger: higher pelvis", "m", 0.0, 10.0)
 
 
 @dataclass(frozen=True)
 class JointsConfig:
     """Joint limits (U12)-(U13)."""
 
-    eta: float = _par(10.0, "rate of (U12) and (U13)", "1/s", 1e-3, 1e4, live=True)
-    margin: float = _par(0.0, "distance kept from both limits", "rad", 0.0, 1.0, live=True)
-    velocity: float = _par(0.0, "largest joint velocity inside the QP; 0: no limit", "rad/s", 0.0, 100.0)
+    eta: float = _par(10.0, "rate of (U12), (U13); larger: faster approach to limits", "1/s", 1e-3, 1e4, live=True)
+    margin: float = _par(0.0, "distance kept from both limits; larger: less range", "rad", 0.0, 1.0, live=True)
+    velocity: float = _par(0.0, "largest joint velocity; smaller: slower; 0: the URDF's", "rad/s", 0.0, 100.0)
 
 
 @dataclass(frozen=True)
 class QpConfig:
-    """How (U6) is solved."""
+    """The solver of (U6)."""
 
-    solver: Literal["clarabel", "daqp"] = _par(
-        "clarabel", "solver of the QP; daqp, an extra, gives the same answers in less time"
-    )
+    solver: Literal["clarabel", "daqp"] = _par("clarabel", "QP solver; daqp, an optional package, is faster")
 
 
 @dataclass(frozen=True)
 class ServoConfig:
-    """Position servos that are told velocities; defaults: Dynamixel MX at 12 V with a raised P gain.
+    """Position servos behind velocity commands; defaults: Dynamixel MX at 12 V with a raised P gain.
 
-    What is assumed is what the controller and the driver are told; the rest is how the servos of the physics are.
+    The parameters ``assumed*`` are the servo model that controller and driver use; the others describe the servos of
+    the simulated robot.
     """
 
-    types: tuple[str, ...] = _par((), "servos of a type of the table, JOINT=TYPE; '*' matches any text")
-    table: str = _par("servos", "table of the types: a path, or the name of one in config/")
-    p_gain: int = _par(254, "P register of the servos of a type that has one", "", 1, 255)
-    voltage: float = _par(12.0, "supply of the servos of a type", "V", 1.0, 60.0)
+    types: tuple[str, ...] = _par((), "servo types of servo.table, JOINT=TYPE; '*' matches any text")
+    table: str = _par("servos", "table of servo types: a path, or the name of a file in config/")
+    p_gain: int = _par(254, "P register of the servos of servo.types that have one; larger: stiffer", "", 1, 255)
+    voltage: float = _par(12.0, "supply voltage of the servos of servo.types; larger: more torque", "V", 1.0, 60.0)
 
-    stiffness: float = _par(
-        60.0, "torque per position error; an MX-28 has 6 at its default P gain and 51 at most", "N m/rad", 0.1, 1e4
-    )
-    damping: float = _par(0.02, "torque per speed, divided by the stiffness", "s", 0.0, 1.0)
-    torque_scale: float = _par(
-        0.81, "stall torque as a part of the URDF's effort (MX-28: 2.5 of 3.1 N m)", "", 0.0, 100.0
-    )
-    backlash: float = _par(0.0, "play of the gears; an MX has 0.0058", "rad", 0.0, 0.1)
-    resolution: float = _par(0.00153, "smallest step of the commanded position", "rad", 0.0, 0.1)
-    friction: float = _par(0.02, "dry friction of the gears", "N m", 0.0, 10.0)
-    armature: float = _par(0.01, "inertia of the rotor behind the gears", "kg m^2", 0.0, 1.0)
-    rate: float = _par(0.0, "positions are written this often; 0: every period", "Hz", 0.0, 1e4)
-    latency: float = _par(0.0, "a written position takes effect this much later", "s", 0.0, 0.5)
-    window: float = _par(0.15, "the commanded position stays this close to the measured one", "rad", 1e-3, 3.0)
+    stiffness: float = _par(60.0, "torque per position error; larger: stiffer (MX-28: 6 to 51)", "N m/rad", 0.1, 1e4)
+    damping: float = _par(0.02, "torque per joint velocity, divided by the stiffness; larger: more lag", "s", 0.0, 1.0)
+    torque_scale: float = _par(0.81, "stall torque over the URDF's effort (MX-28: 2.5 of 3.1)", "", 0.0, 100.0)
+    backlash: float = _par(0.0, "total play of the simulated gears; an MX has 0.0058", "rad", 0.0, 0.1)
+    resolution: float = _par(0.00153, "step size of the commanded position; 0: continuous", "rad", 0.0, 0.1)
+    friction: float = _par(0.02, "dry friction of the simulated gears", "N m", 0.0, 10.0)
+    armature: float = _par(0.01, "inertia of the rotor, reflected through the gears", "kg m^2", 0.0, 1.0)
+    rate: float = _par(0.0, "rate at which positions are written; 0: every period", "Hz", 0.0, 1e4)
+    latency: float = _par(0.0, "delay from writing a position to its effect in the simulation", "s", 0.0, 0.5)
+    window: float = _par(0.15, "largest distance of goal and angle; larger: more torque", "rad", 1e-3, 3.0)
     assumed_stiffness: float = _par(
-        60.0, "stiffness by which torques are fed forward; 0: not at all; a type has its own", "N m/rad", 0.0, 1e4
+        60.0, "stiffness that converts torques to position offsets; 0: no feedforward", "N m/rad", 0.0, 1e4
     )
     assumed_damping: float = _par(
-        0.0, "damping that is fed forward; more than the servos truly have falls; a type has its own", "s", 0.0, 0.2
+        0.0, "damping assumed, divided by the stiffness; above the true one the robot falls", "s", 0.0, 0.2
     )
-    assumed_lead: float = _par(
-        0.0, "torque fed forward per commanded speed, divided by the stiffness: no lag by damping", "s", 0.0, 0.2
+    assumed_lead: float = _par(0.0, "torque fed forward per velocity; larger: less lag", "s", 0.0, 0.2)
+    assumed_latency: float = _par(
+        0.0, "assumed delay from a measurement to the effect of the command that answers it", "s", 0.0, 0.25
     )
-    assumed_latency: float = _par(0.0, "delay from a measurement to the effect of its answer", "s", 0.0, 0.25)
-    assumed_rate: float = _par(0.0, "positions are written this often; 0: every period", "Hz", 0.0, 1e4)
+    assumed_rate: float = _par(0.0, "assumed rate of writing positions; 0: every period", "Hz", 0.0, 1e4)
     assumed: tuple[str, ...] = _par((), "what `dqwalk identify` found, JOINT=stiffness 49.2, damping 0.009, ...")
 
 
 @dataclass(frozen=True)
 class PhysicsConfig:
-    """The world of the physics plant."""
+    """The simulated world of the physics plant."""
 
-    timestep: float = _par(0.001, "step of the physics engine", "s", 1e-5, 0.01)
-    friction: float = _par(0.8, "friction coefficient of the soles on the floor", "", 0.0, 5.0)
-    contact_time: float = _par(
-        0.005, "time constant of the contact of sole and floor; smaller is harder", "s", 1e-4, 1.0
-    )
-    slope: float = _par(0.0, "the floor rises ahead by this angle", "rad", -0.5, 0.5)
-    slope_side: float = _par(0.0, "the floor rises to the left by this angle", "rad", -0.5, 0.5)
-    rubble: float = _par(0.0, "boxes up to this high lie on the floor", "m", 0.0, 0.05)
-    mass_scale: float = _par(1.0, "masses and inertias are multiplied by this", "", 0.1, 10.0)
-    settle: float = _par(0.5, "time to come to rest before the walk", "s", 0.0, 60.0)
-    held: bool = _par(False, "the root link is held in the air, level, as in a stand (`dqwalk exercise`)")
+    timestep: float = _par(0.001, "time step of the physics engine; smaller: more accurate, slower", "s", 1e-5, 0.01)
+    friction: float = _par(0.8, "friction coefficient between soles and floor; smaller: more slippery", "", 0.0, 5.0)
+    contact_time: float = _par(0.005, "time constant of the contact; smaller: harder", "s", 1e-4, 1.0)
+    slope: float = _par(0.0, "inclination of the floor, positive: it rises ahead", "rad", -0.5, 0.5)
+    slope_side: float = _par(0.0, "lateral inclination of the floor, positive: it rises to the left", "rad", -0.5, 0.5)
+    rubble: float = _par(0.0, "largest height of boxes strewn on the floor; 0: no boxes", "m", 0.0, 0.05)
+    mass_scale: float = _par(1.0, "factor of all masses and inertias; larger: heavier", "", 0.1, 10.0)
+    settle: float = _par(0.5, "time simulated at rest before the walk begins", "s", 0.0, 60.0)
+    held: bool = _par(False, "the simulated root link is held level in the air, as in a stand (`dqwalk exercise`)")
 
 
 @dataclass(frozen=True)
 class SensorsConfig:
-    """What the sensors of the physics get wrong; all are exact by default."""
+    """Errors of the simulated sensors; by default there are none."""
 
-    encoder: float = _par(0.0, "joint angles are read in steps of this; an MX has 0.001534", "rad", 0.0, 0.1)
-    velocity_filter: float = _par(
-        0.0, "joint velocities are differences of readings, low-passed with this time constant; 0: exact", "s", 0.0, 1.0
-    )
-    rate: float = _par(0.0, "the joints are read this often; 0: every period", "Hz", 0.0, 1e4)
-    age: float = _par(0.0, "a reading is this old when it arrives", "s", 0.0, 0.5)
-    attitude_bias: float = _par(0.0, "error of the inertial sensor's vertical, in a random direction", "rad", 0.0, 0.2)
-    attitude_noise: float = _par(0.0, "standard deviation of its noise", "rad", 0.0, 0.2)
-    gyro_bias: float = _par(0.0, "error of the angular velocity, in a random direction", "rad/s", 0.0, 1.0)
-    gyro_noise: float = _par(0.0, "standard deviation of its noise", "rad/s", 0.0, 1.0)
-    accelerometer_bias: float = _par(0.0, "error of the acceleration, in a random direction", "m/s^2", 0.0, 10.0)
-    accelerometer_noise: float = _par(0.0, "standard deviation of its noise", "m/s^2", 0.0, 10.0)
-    misalignment: float = _par(0.0, "the inertial sensor is mounted askew by this", "rad", 0.0, 0.5)
-    seed: int = _par(0, "of all that is random here and on the floor", "", 0, 2**31 - 1)
+    encoder: float = _par(0.0, "step size of measured joint angles; 0: continuous; an MX has 0.001534", "rad", 0.0, 0.1)
+    velocity_filter: float = _par(0.0, "time constant of the velocities' low-pass; 0: exact", "s", 0.0, 1.0)
+    rate: float = _par(0.0, "rate at which the joints are read; 0: every control period", "Hz", 0.0, 1e4)
+    age: float = _par(0.0, "delay of a reading; larger: later", "s", 0.0, 0.5)
+    attitude_bias: float = _par(0.0, "constant error of the measured vertical, in a random direction", "rad", 0.0, 0.2)
+    attitude_noise: float = _par(0.0, "standard deviation of the noise of the measured vertical", "rad", 0.0, 0.2)
+    gyro_bias: float = _par(0.0, "constant error of the angular velocity, in a random direction", "rad/s", 0.0, 1.0)
+    gyro_noise: float = _par(0.0, "standard deviation of the noise of the angular velocity", "rad/s", 0.0, 1.0)
+    accelerometer_bias: float = _par(0.0, "error of the acceleration, random direction", "m/s^2", 0.0, 10.0)
+    accelerometer_noise: float = _par(0.0, "standard deviation of the noise of the acceleration", "m/s^2", 0.0, 10.0)
+    misalignment: float = _par(0.0, "angle of the inertial sensor's mounting error", "rad", 0.0, 0.5)
+    seed: int = _par(0, "seed of all random errors of the sensors and of the rubble", "", 0, 2**31 - 1)
 
 
 @dataclass(frozen=True)
 class PlantConfig:
-    """The other side of the command."""
+    """Communication with the plant, a simulator or a robot driver."""
 
-    lockstep: bool = _par(False, "each state waits for its command: exact, and as fast as the machine")
-    clock: bool = _par(False, "a simulated plant publishes /clock; the other nodes then take use_sim_time: true")
+    lockstep: bool = _par(False, "each state waits for its command: deterministic, fast; false: real time")
+    clock: bool = _par(False, "a simulated plant publishes /clock; the other nodes then need use_sim_time: true")
     imu: bool = _par(False, "each state comes with a message on imu; the controller waits for both")
-    command_timeout: float = _par(0.1, "without a new command for this long the plant holds", "s", 0.0, 10.0, live=True)
+    command_timeout: float = _par(0.1, "without a command for this long the plant stops", "s", 0.0, 10.0, live=True)
 
 
 @dataclass(frozen=True)
 class OutputConfig:
-    """What the node `drive` tells the controllers of a robot of your own."""
+    """Commands of the node `drive` to the joint controllers of another robot."""
 
     type: Literal["float64_multi_array", "joint_trajectory", "joint_state"] = _par(
         "float64_multi_array",
-        "messages: 'float64_multi_array' for a forward_command_controller, 'joint_trajectory' for a "
+        "message type: 'float64_multi_array' for a forward_command_controller, 'joint_trajectory' for a "
         "joint_trajectory_controller, or 'joint_state'",
     )
-    interface: Literal["position", "velocity"] = _par(
-        "position", "what the joints are told: velocities, or positions within servo.window of the measured ones"
-    )
-    topic: str = _par("", "topic of the robot's controller; empty: that of ros2_control's own for type and interface")
-    joints: tuple[str, ...] = _par((), "joints of that controller in its order; empty: those of the walk")
+    interface: Literal["position", "velocity"] = _par("position", "velocities, or positions within servo.window")
+    topic: str = _par("", "command topic of the robot's controller; empty: ros2_control's default")
+    joints: tuple[str, ...] = _par((), "joints of that controller in its order; empty: the joints of the model")
 
 
 @dataclass(frozen=True)
 class EstimationConfig:
-    """How sure the estimate of the base takes its sources to be; standard deviations."""
+    """Standard deviations that the estimator of the base assumes."""
 
-    gyro_noise: float = _par(0.002, "noise density of the gyroscope", "rad/s/sqrt(Hz)", 1e-6, 1.0)
-    accelerometer_noise: float = _par(0.04, "noise density of the accelerometer", "m/s^2/sqrt(Hz)", 1e-5, 100.0)
-    gyro_bias: float = _par(0.01, "bias of the gyroscope at the start", "rad/s", 0.0, 1.0)
-    accelerometer_bias: float = _par(0.12, "bias of the accelerometer at the start", "m/s^2", 0.0, 10.0)
-    gyro_drift: float = _par(1e-5, "random walk of the gyroscope's bias", "rad/s/sqrt(s)", 0.0, 1.0)
-    accelerometer_drift: float = _par(1e-4, "random walk of the accelerometer's bias", "m/s^2/sqrt(s)", 0.0, 10.0)
-    kinematics: float = _par(0.001, "place of a sole's heel or toe by the joint angles", "m", 1e-5, 0.1)
-    slip: float = _par(0.001, "random walk of a sole that stands", "m/sqrt(s)", 1e-6, 0.1)
-    pivot: float = _par(0.002, "random walk of the direction of a sole that stands", "rad/sqrt(s)", 1e-6, 0.1)
-    floor: float = _par(0.0015, "height of the floor from footfall to footfall", "m", 1e-5, 1.0)
+    gyro_noise: float = _par(0.002, "noise density of the gyroscope; larger: trusted less", "rad/s/sqrt(Hz)", 1e-6, 1.0)
+    accelerometer_noise: float = _par(
+        0.04, "noise density of the accelerometer; larger: trusted less", "m/s^2/sqrt(Hz)", 1e-5, 100.0
+    )
+    gyro_bias: float = _par(0.01, "standard deviation of the gyroscope's bias at the start", "rad/s", 0.0, 1.0)
+    accelerometer_bias: float = _par(
+        0.12, "standard deviation of the accelerometer's bias at the start", "m/s^2", 0.0, 10.0
+    )
+    gyro_drift: float = _par(
+        1e-5, "random walk of the gyroscope's bias; larger: changes faster", "rad/s/sqrt(s)", 0.0, 1.0
+    )
+    accelerometer_drift: float = _par(
+        1e-4, "random walk of the accelerometer's bias; larger: changes faster", "m/s^2/sqrt(s)", 0.0, 10.0
+    )
+    kinematics: float = _par(0.001, "error of a sole's heel or toe; larger: trusted less", "m", 1e-5, 0.1)
+    slip: float = _par(0.001, "random walk of a standing sole; larger: trusted less", "m/sqrt(s)", 1e-6, 0.1)
+    pivot: float = _par(
+        0.002, "random walk of a standing sole's direction; larger: contacts count less", "rad/sqrt(s)", 1e-6, 0.1
+    )
+    floor: float = _par(0.0015, "variation of the floor's height; larger: trusted less", "m", 1e-5, 1.0)
 
 
 @dataclass(frozen=True)
 class MonitorConfig:
-    """What is reported while walking."""
+    """Diagnostics during the walk."""
 
-    rate: float = _par(10.0, "diagnostics per second of walking", "Hz", 0.1, 1e3, live=True)
-    warn_margin: float = _par(0.002, "a distance closer than this to its bound is a warning", "m", 0.0, 1.0, live=True)
-    tolerance: float = _par(1e-5, "a distance beyond its bound by more than this is an error", "m", 0.0, 1.0, live=True)
+    rate: float = _par(10.0, "diagnostics published per second of walking", "Hz", 0.1, 1e3, live=True)
+    warn_margin: float = _par(0.002, "distance from a bound that is a warning", "m", 0.0, 1.0, live=True)
+    tolerance: float = _par(1e-5, "violation of a bound that is an error", "m", 0.0, 1.0, live=True)
 
 
 @dataclass(frozen=True)
 class NodeConfig:
-    """How the ROS nodes start and end."""
+    """Start, end and interfaces of the ROS nodes."""
 
-    autostart: bool = _par(True, "walk as soon as the first state arrives; false: wait for ~/start")
-    exit_when_done: bool = _par(False, "the controller exits when the walk is over: 0 if it finished, 1 if it failed")
-    wait_for_recorder: bool = _par(False, "the first tick waits for a recorder")
-    wait_for_monitor: bool = _par(False, "the first tick waits for a phase_monitor")
-    robot_description: bool = _par(True, "publish robot_description; false where a robot_state_publisher does")
+    autostart: bool = _par(True, "walk as soon as the first state arrives; false: wait for the service ~/start")
+    exit_when_done: bool = _par(False, "exit when the walk is over: code 0 if it finished, 1 if it failed")
+    wait_for_recorder: bool = _par(False, "the controller answers the first state only when a recorder is present")
+    wait_for_monitor: bool = _par(False, "the controller answers the first state only when a phase_monitor is present")
+    robot_description: bool = _par(True, "publish robot_description; false: a robot_state_publisher publishes it")
     stamped_cmd_vel: bool = _par(False, "cmd_vel is a TwistStamped, as with Nav2's enable_stamped_cmd_vel")
 
 
 @dataclass(frozen=True)
 class OdometryConfig:
-    """Where the robot is, for Nav2 and RViz [REP-105, REP-120]."""
+    """Odometry for Nav2 and RViz [REP-105, REP-120]."""
 
-    odom_frame: str = _par("odom", "frame of the base sole at the very start")
-    base_frame: str = _par("base_link", "frame of the URDF's root link, to which it is joined on /tf_static")
-    footprint_frame: str = _par("base_footprint", "frame on the ground below it; empty: none")
-    step_deviation: float = _par(0.003, "standard deviation of a step's length and width", "m", 0.0, 1.0)
-    turn_deviation: float = _par(0.005, "standard deviation of a step's turn", "rad", 0.0, 1.0)
-    window: float = _par(0.1, "the velocity is that of the last so long", "s", 0.001, 10.0)
+    odom_frame: str = _par("odom", "frame of the base sole at the start of the walk, fixed in the world")
+    base_frame: str = _par("base_link", "base frame of the robot, connected to the URDF's root link on /tf_static")
+    footprint_frame: str = _par("base_footprint", "frame on the ground below base_frame; empty: not published")
+    step_deviation: float = _par(0.003, "deviation of a step's length; larger: more covariance", "m", 0.0, 1.0)
+    turn_deviation: float = _par(0.005, "deviation of a step's turn; larger: more covariance", "rad", 0.0, 1.0)
+    window: float = _par(0.1, "time over which the velocity is averaged; larger: smoother, later", "s", 0.001, 10.0)
 
 
 @dataclass(frozen=True)
 class WholeBodyConfig:
-    """The whole-body controller of Sherikov, Dimitrov and Wieber; a robot with ankles that roll.
+    """The whole-body controller of Sherikov, Dimitrov and Wieber, for robots whose ankles pitch and roll.
 
-    Weights are w of 1/2 w ||r||^2 on the third level; wrenches are in units of the robot's weight there.
+    Weights are w of 1/2 w ||r||^2 on the third level of the hierarchy, where wrenches are in units of the robot's
+    weight. Stiffnesses without a damping of their own are critically damped.
     """
 
-    torso: str = _par("chest", "link that is kept upright (S18), and that pushes act on")
-    hand: str = _par("R_hand", "link that reaches (S17)")
-    posture: tuple[str, ...] = _par((), "angles of the posture, 'JOINT: RADIANS'; all others are zero")
-    free: tuple[str, ...] = _par((), "joints that are only damped, without a reference (S19); '*' matches any text")
+    torso: str = _par("chest", "link that is kept upright (S18), and on which pushes act")
+    hand: str = _par("R_hand", "link that reaches for the target (S17)")
+    posture: tuple[str, ...] = _par((), "reference posture, 'JOINT: RADIANS'; joints not listed: zero")
+    free: tuple[str, ...] = _par((), "joints that are only damped, without reference (S19); '*' matches any text")
 
-    interval: float = _par(0.1, "T, the sampling interval of the preview (S10)", "s", 0.01, 1.0)
-    intervals: int = _par(16, "N, the number of intervals previewed", "", 4, 64)
+    interval: float = _par(0.1, "T, the preview's sampling interval (S10); larger: coarser", "s", 0.01, 1.0)
+    intervals: int = _par(16, "N, number of preview intervals; larger: longer, slower", "", 4, 64)
     single_support: float = _par(0.7, "duration of a single support", "s", 0.1, 10.0)
-    double_support: float = _par(0.1, "duration of the double support between steps", "s", 0.01, 10.0)
-    first_double_support: float = _par(0.3, "standing before the first step", "s", 0.0, 10.0)
-    feet_distance: float = _par(0.19, "lateral distance of the soles at the start", "m", 0.05, 1.0)
-    cop_length: float = _par(0.1372, "rectangle of the CoP around the sole's link, along x (S7), (S11)", "m", 0.01, 0.5)
-    cop_width: float = _par(0.058, "width of that rectangle, along y", "m", 0.01, 0.5)
-    step_length: float = _par(0.2, "a foot lands at most this far ahead of or behind the other (S12)", "m", 0.0, 1.0)
-    step_width_min: float = _par(0.19, "least lateral distance of a landing foot from the other (S12)", "m", 0.0, 1.0)
-    step_width_max: float = _par(0.30, "greatest lateral distance (S12)", "m", 0.0, 1.0)
-    step_height: float = _par(0.07, "height of the swing foot in the middle of a step (S16)", "m", 0.0, 0.3)
-    freeze: float = _par(0.05, "the landing place is settled this long before the landing", "s", 0.01, 1.0)
-
-    friction: float = _par(0.7, "mu of (S4)", "", 0.05, 2.0)
-    contact_damping: float = _par(10.0, "rate at which a velocity of a standing foot decays (S8)", "1/s", 0.0, 100.0)
-    limit_time: float = _par(0.05, "T of the joint limits (S9)", "s", 0.005, 1.0)
-    effort: float = _par(150.0, "greatest joint torque; the URDF's where that is less", "N m", 1.0, 1e4)
-    capturability: bool = _par(True, "the second level, (S14); without it the robot falls")
-
-    com_kp: float = _par(100.0, "stiffness of the CoM's height", "1/s^2", 0.0, 1e4)
-    foot_kp: float = _par(400.0, "stiffness of the swing foot's orientation (S16)", "1/s^2", 0.0, 1e4)
-    hand_kp: float = _par(100.0, "stiffness of (S17); all damping is critical", "1/s^2", 0.0, 1e4)
-    hand_saturation: float = _par(
-        11.8, "largest acceleration asked of the hand along each axis (S17)", "m/s^2", 0.1, 1e3
+    double_support: float = _par(0.1, "duration of the double support between two steps", "s", 0.01, 10.0)
+    first_double_support: float = _par(0.3, "duration of standing before the first step", "s", 0.0, 10.0)
+    feet_distance: float = _par(0.19, "lateral distance between the soles' links at the start", "m", 0.05, 1.0)
+    cop_length: float = _par(
+        0.1372, "length of the rectangle in which the CoP is kept, along x of the sole (S7), (S11)", "m", 0.01, 0.5
     )
-    torso_kp: float = _par(100.0, "stiffness of (S18)", "1/s^2", 0.0, 1e4)
-    joint_kp: float = _par(25.0, "stiffness of (S19)", "1/s^2", 0.0, 1e4)
-    joint_kd: float = _par(3.0, "damping of the free joints (S19)", "1/s", 0.0, 1e3)
+    cop_width: float = _par(0.058, "width of that rectangle, along y of the sole", "m", 0.01, 0.5)
+    step_length: float = _par(0.2, "largest step ahead of or behind the other foot (S12)", "m", 0.0, 1.0)
+    step_width_min: float = _par(0.19, "least lateral distance of a landing foot (S12)", "m", 0.0, 1.0)
+    step_width_max: float = _par(0.30, "largest lateral distance of a landing foot (S12)", "m", 0.0, 1.0)
+    step_height: float = _par(0.07, "height of the swing foot at mid-swing (S16)", "m", 0.0, 0.3)
+    freeze: float = _par(0.05, "time before landing from which its place is fixed", "s", 0.01, 1.0)
 
-    hand_weight: float = _par(1.0, "weight of (S17)", "", 0.0, 1e6)
-    torso_weight: float = _par(10.0, "weight of (S18)", "", 0.0, 1e6)
-    joint_weight: float = _par(0.05, "weight of (S19)", "", 0.0, 1e6)
-    jerk_weight: float = _par(1e-6, "weight of (S20), the swing foot's jerk", "", 0.0, 1e6)
-    cop_weight: float = _par(5e3, "weight of (S21), the CoP in the middle of the feet", "", 0.0, 1e9)
-    cop_velocity_weight: float = _par(2.0, "weight of (S22)", "", 0.0, 1e6)
-    wrench_weight: float = _par(1e-4, "weight of the contact wrenches; not in the paper", "", 0.0, 1e6)
-    regularization: float = _par(
-        1e-6, "weight of all variables, which makes the answer unique; not in the paper", "", 1e-9, 1.0
-    )
+    friction: float = _par(0.7, "mu, the friction coefficient assumed in (S4); smaller: more cautious", "", 0.05, 2.0)
+    contact_damping: float = _par(10.0, "decay rate of a standing foot's velocity (S8)", "1/s", 0.0, 100.0)
+    limit_time: float = _par(0.05, "T of the joint limits (S9); larger: joints brake earlier", "s", 0.005, 1.0)
+    effort: float = _par(150.0, "largest joint torque; the URDF's limit where that is smaller", "N m", 1.0, 1e4)
+    capturability: bool = _par(True, "second level, capturability (S14); false: the robot falls")
+
+    com_kp: float = _par(100.0, "stiffness of the CoM's height; larger: stiffer", "1/s^2", 0.0, 1e4)
+    foot_kp: float = _par(400.0, "stiffness of the swing foot's orientation (S16); larger: stiffer", "1/s^2", 0.0, 1e4)
+    hand_kp: float = _par(100.0, "stiffness of the hand's position (S17); larger: stiffer", "1/s^2", 0.0, 1e4)
+    hand_saturation: float = _par(11.8, "largest acceleration by the hand's error (S17)", "m/s^2", 0.1, 1e3)
+    torso_kp: float = _par(100.0, "stiffness of the torso's orientation (S18); larger: stiffer", "1/s^2", 0.0, 1e4)
+    joint_kp: float = _par(25.0, "stiffness of the joints about the posture (S19); larger: stiffer", "1/s^2", 0.0, 1e4)
+    joint_kd: float = _par(3.0, "damping of the joints in whole_body.free (S19); larger: more damping", "1/s", 0.0, 1e3)
+
+    hand_weight: float = _par(1.0, "weight of the hand's position (S17); larger: followed more closely", "", 0.0, 1e6)
+    torso_weight: float = _par(10.0, "weight of the torso (S18); larger: followed more closely", "", 0.0, 1e6)
+    joint_weight: float = _par(0.05, "weight of the posture (S19); larger: followed more closely", "", 0.0, 1e6)
+    jerk_weight: float = _par(1e-6, "weight of the swing foot's jerk (S20); larger: smoother", "", 0.0, 1e6)
+    cop_weight: float = _par(5e3, "weight of the CoP's offset in its foot (S21); larger: smaller", "", 0.0, 1e9)
+    cop_velocity_weight: float = _par(2.0, "weight of the CoP's velocity (S22); larger: slower CoP", "", 0.0, 1e6)
+    wrench_weight: float = _par(1e-4, "weight of contact wrenches; larger: smaller wrenches", "", 0.0, 1e6)
+    regularization: float = _par(1e-6, "weight of all variables: makes the solution unique", "", 1e-9, 1.0)
 
 
 @dataclass(frozen=True)
 class SafetyConfig:
-    """What a node refuses (docs/faults.md)."""
+    """Limits at which a node refuses a state or ends the walk (docs/faults.md)."""
 
-    outside: float = _par(0.1, "a state further outside the joint limits is refused", "rad", 0.0, 1.0)
-    tilt: float = _par(0.5, "a pelvis that leans further (plant.imu) has fallen: the walk ends", "rad", 0.1, 1.5)
-    sole_tilt: float = _par(0.2, "so has a base sole that leans further: it has lost its ground", "rad", 0.02, 1.5)
-    contradiction: float = _par(
-        0.25, "a joint, or a vertical, that moves by so much otherwise than it should ends the walk", "rad", 0.01, 3.0
-    )
+    outside: float = _par(0.1, "distance outside the limits that refuses a state", "rad", 0.0, 1.0)
+    tilt: float = _par(0.5, "pelvis inclination (plant.imu) that counts as a fall", "rad", 0.1, 1.5)
+    sole_tilt: float = _par(0.2, "inclination of the base sole that ends the walk", "rad", 0.02, 1.5)
+    contradiction: float = _par(0.25, "motion error of joint or vertical that ends the walk", "rad", 0.01, 3.0)
     jumps: int = _par(5, "consecutive jumps of the state that end the walk", "", 1, 1000)
     failures: int = _par(10, "consecutive infeasible QPs that end the walk", "", 1, 1000)
 
@@ -500,31 +482,31 @@ class SafetyConfig:
 class PoppyConfig:
     """The driver of the real Poppy."""
 
-    motors: str = _par("poppy", "table of the motors: a path, or the name of one in config/motors/")
-    dummy: bool = _par(False, "emulated servos instead of a robot")
-    rate: float = _par(50.0, "goals sent and angles read per second", "Hz", 5.0, 100.0)
-    lower_port: str = _par("auto", "serial port of the legs, such as /dev/ttyACM0")
-    upper_port: str = _par("auto", "serial port of the upper body")
-    sync_read: bool = _par(True, "read all motors of a bus at once: USB2AX yes, FTDI and U2D2 no")
-    calibration: tuple[str, ...] = _par((), "angle that the motors show at a joint's zero, JOINT=DEGREES")
-    activate: bool = _par(False, "the driver switches the torque on at start; false: ~/activate does")
-    start_speed: float = _par(0.25, "speed of the way to the first pose", "rad/s", 0.01, 1.0)
-    start_tolerance: float = _par(0.1, "distance at which a joint counts as in the first pose", "rad", 1e-3, 0.5)
-    max_speed: float = _par(120.0, "largest speed asked of a servo", "deg/s", 2.0, 360.0)
-    max_lead: float = _par(0.2, "largest distance of a goal from the measured angle", "rad", 0.01, 1.0)
-    hot: float = _par(65.0, "the robot holds still when a motor is hotter", "degC", 30.0, 80.0)
-    low_voltage: float = _par(10.0, "the robot holds still when a motor has less; 0: never", "V", 0.0, 14.0)
-    max_load: float = _par(95.0, "load of a motor that counts as blocked after `blocked_after`", "%", 10.0, 1000.0)
-    blocked_after: float = _par(1.0, "longest time for which a joint may not follow its goal", "s", 0.1, 60.0)
-    p_gain: int = _par(127, "P register of MX servos (MX-28: 127 is 25 N m/rad, 32 is 6); 0: as it is", "", 0, 254)
-    torque_off_at_end: bool = _par(False, "the motors go limp when the driver ends; false: they stay as they are")
+    motors: str = _par("poppy", "table of the motors: a path, or the name of a file in config/motors/")
+    dummy: bool = _par(False, "use emulated servos instead of a robot")
+    rate: float = _par(50.0, "rate at which goals are written and angles are read", "Hz", 5.0, 100.0)
+    lower_port: str = _par("auto", "serial port of the legs, such as /dev/ttyACM0; auto: search for it")
+    upper_port: str = _par("auto", "serial port of the upper body; auto: search for it")
+    sync_read: bool = _par(True, "read all motors of a bus at once: USB2AX true, FTDI and U2D2 false")
+    calibration: tuple[str, ...] = _par((), "angle of a motor where its joint is at zero, JOINT=DEGREES")
+    activate: bool = _par(False, "switch the torque on at start; false: wait for the service ~/activate")
+    start_speed: float = _par(0.25, "joint speed to the first posture; larger: faster", "rad/s", 0.01, 1.0)
+    start_tolerance: float = _par(0.1, "joint error at which the posture is reached", "rad", 1e-3, 0.5)
+    max_speed: float = _par(120.0, "largest speed commanded to a servo; smaller: slower", "deg/s", 2.0, 360.0)
+    max_lead: float = _par(0.2, "largest distance of goal and angle; larger: more torque", "rad", 0.01, 1.0)
+    hot: float = _par(65.0, "motor temperature above which the robot holds still", "degC", 30.0, 80.0)
+    low_voltage: float = _par(10.0, "supply voltage below which the robot holds still; 0: not checked", "V", 0.0, 14.0)
+    max_load: float = _par(95.0, "load that counts as blocked after `blocked_after`", "%", 10.0, 1000.0)
+    blocked_after: float = _par(1.0, "longest time off the goal; larger: more tolerant", "s", 0.1, 60.0)
+    p_gain: int = _par(127, "P register of MX servos (MX-28: 127 is 25 N m/rad); 0: not written", "", 0, 254)
+    torque_off_at_end: bool = _par(False, "switch the torque off at the end; false: hold the position")
 
 
 @dataclass(frozen=True)
 class Config:
     """All parameters of a walk."""
 
-    dt: float = _par(0.005, "control period, and the step of Euler's integration", "s", 1e-4, 0.1)
+    dt: float = _par(0.005, "control period, and step of the Euler integration; smaller: more accurate", "s", 1e-4, 0.1)
     robot: RobotConfig = RobotConfig()
     gait: GaitConfig = GaitConfig()
     task: TaskConfig = TaskConfig()
@@ -560,7 +542,7 @@ class Config:
 
     @classmethod
     def from_flat(cls, values: Mapping[str, Any], *, source: str = "") -> Config:
-        """Build a configuration from ``{dotted name: value}``; parameters that are not named keep their defaults.
+        """Return a configuration with the values of ``{dotted name: value}`` and defaults for all other parameters.
 
         Raises
         ------
@@ -573,7 +555,7 @@ class Config:
         """Return a copy with some values replaced, checked as in `from_flat`."""
         if "physics.imu" in values:
             values = {"robot.imu" if name == "physics.imu" else name: value for name, value in values.items()}
-            if values["robot.imu"] != "imu":  # its default then, which is in every recorded configuration
+            if values["robot.imu"] != "imu":  # the former default, which every older recording contains
                 warnings.warn(f"{source or 'a configuration'}: 'physics.imu' is now 'robot.imu'", stacklevel=2)
         try:
             checked = {name: _checked(name, value) for name, value in values.items()}
@@ -598,7 +580,7 @@ class Spec:
     name : str
         Dotted name, such as ``"ssp.com_radius"``.
     hint : type
-        The annotation: type, bounds and meaning, as msgspec reads them.
+        Type annotation with bounds, by which msgspec checks a value.
     type : type
         ``bool``, ``int``, ``float``, ``str`` or ``tuple``.
     default : bool, int, float, str or tuple
@@ -606,9 +588,9 @@ class Spec:
     low, high : float or None
         Closed bounds.
     live : bool
-        It may be set while a standing walk goes on, and counts from the next phase on.
+        Whether it may be set during a standing walk; it takes effect at the next phase.
     choices : tuple of str
-        The only values allowed; empty where any text is.
+        The values allowed; empty for any value within the bounds.
     """
 
     name: str
@@ -624,7 +606,7 @@ class Spec:
 
     @property
     def expects(self) -> str:
-        """What a value must be, in words."""
+        """Description of the values allowed, such as ``a number in [0, 1]``."""
         if self.choices:
             return f"one of {', '.join(self.choices)}"
         if self.type is tuple:
@@ -635,15 +617,16 @@ class Spec:
 
 @functools.cache
 def _specs() -> dict[str, Spec]:
-    return {spec.name: spec for spec in _walked(Config, "")}
+    return {spec.name: spec for spec in _section_specs(Config, "")}
 
 
-def _walked(section: Any, prefix: str) -> Iterator[Spec]:
+def _section_specs(section: Any, prefix: str) -> Iterator[Spec]:
+    """Yield the parameters of a section and of its subsections, with `prefix` before each name."""
     hints = get_type_hints(section)
     for field in dataclasses.fields(section):
         hint, meta = hints[field.name], field.metadata
         if dataclasses.is_dataclass(hint):
-            yield from _walked(hint, f"{prefix}{field.name}.")
+            yield from _section_specs(hint, f"{prefix}{field.name}.")
             continue
         choices = get_args(hint) if get_origin(hint) is Literal else ()
         yield Spec(
@@ -657,10 +640,16 @@ def _walked(section: Any, prefix: str) -> Iterator[Spec]:
 
 
 def _checked(name: str, value: Any) -> Value:
-    """Return a value in the type of its parameter, or say why it cannot be."""
+    """Return a value converted to the type of its parameter.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such parameter, or the value has another type or is out of bounds.
+    """
     specs = _specs()
     if name not in specs:
-        raise ConfigError(f"unknown parameter {name[:80]!r}{_hint(name, specs)}")
+        raise ConfigError(f"unknown parameter {name[:80]!r}{_suggestion(name, specs)}")
     spec = specs[name]
     if spec.type is tuple and isinstance(value, list | tuple):
         value = [item for item in value if item != ""]  # ROS has no empty list: it is written as one empty text
@@ -672,7 +661,8 @@ def _checked(name: str, value: Any) -> Value:
     return checked
 
 
-def _hint(name: str, known: Mapping[str, Any]) -> str:
+def _suggestion(name: str, known: Mapping[str, Any]) -> str:
+    """Return the names most similar to an unknown one, as the end of an error message."""
     close = difflib.get_close_matches(name[:100], known, n=3, cutoff=0.6)
     if not close:
         key = name.rpartition(".")[2]
@@ -683,12 +673,12 @@ def _hint(name: str, known: Mapping[str, Any]) -> str:
 def find_share(folder: str, name: str) -> pathlib.Path:
     """Return the path of a data file of this package (``config/``, ``urdf/``, ``launch/``).
 
-    The search goes from the sources to the ament index to ``sys.prefix``.
+    It is searched in the source tree, in the ament index and in ``sys.prefix``, in this order.
 
     Raises
     ------
     ConfigError
-        If the file is in none of these places; the message lists them.
+        If the file is not found; the message lists the folders searched.
     """
     roots = [pathlib.Path(__file__).resolve().parent.parent]
     prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
@@ -717,13 +707,13 @@ def load(source: str | os.PathLike[str]) -> Config:
 
 
 def beside(path: pathlib.Path, config: Config) -> Config:
-    """Return a configuration whose URDF is found from anywhere: its path is relative to the file that names it."""
+    """Return `config` with an absolute path of its URDF, which is given relative to the configuration file `path`."""
     urdf = path.parent / config.robot.urdf
     return config.updated({"robot.urdf": str(urdf.resolve())}) if config.robot.urdf and urdf.is_file() else config
 
 
 def from_yaml(text: str, *, source: str = "text", onto: Config | None = None) -> Config:
-    """Read a configuration from the text of a ROS parameter file; parameters it does not name are those of `onto`.
+    """Read a configuration from the text of a ROS parameter file; all other parameters are those of `onto`.
 
     Raises
     ------
@@ -742,7 +732,7 @@ def from_yaml(text: str, *, source: str = "text", onto: Config | None = None) ->
         try:
             config = config.updated(values)
         except ConfigError:
-            for name, value in values.items():  # which one was it?
+            for name, value in values.items():  # find the parameter, for the line in the message
                 line = strict_yaml.line_of(text, [str(node), "ros__parameters", *name.split(".")])
                 config.updated({name: value}, source=f"{source}, line {line}")
             raise
@@ -750,13 +740,14 @@ def from_yaml(text: str, *, source: str = "text", onto: Config | None = None) ->
 
 
 def _flattened(tree: Mapping[Any, Any], prefix: str, source: str) -> dict[str, Any]:
+    """Return ``{dotted name: value}`` of nested dictionaries."""
     out: dict[str, Any] = {}
     for key, value in tree.items():
         if not isinstance(key, str):
             raise ConfigError(f"{source}: the key {prefix}{key!r} is not a text")
         found = _flattened(value, f"{prefix}{key}.", source) if isinstance(value, dict) else {prefix + key: value}
-        if doubled := [name for name in found if name in out]:  # gait.cycles and gait: {cycles: }
-            raise ConfigError(f"{source}: '{doubled[0]}' is given twice")
+        if duplicates := [name for name in found if name in out]:  # gait.cycles and gait: {cycles: }
+            raise ConfigError(f"{source}: '{duplicates[0]}' is given twice")
         out.update(found)
     return out
 
@@ -765,7 +756,10 @@ _SINCE = "# in force from the state with the stamp {} ns"
 
 
 def since(text: str) -> int | None:
-    """Return the stamp [ns] of the state from which the configuration of a text is in force; None: from the start."""
+    """Return the stamp [ns] of the state from which a configuration written by `to_yaml` applies; None: from the start.
+
+    A configuration that was changed during a walk contains this stamp as a comment.
+    """
     found = re.match(_SINCE.format(r"(-?\d+)"), text)
     return int(found.group(1)) if found else None
 
@@ -773,8 +767,8 @@ def since(text: str) -> int | None:
 def to_yaml(config: Config, since: int | None = None) -> str:
     """Return the configuration as the text of a ROS parameter file; `from_yaml` reads it back exactly.
 
-    An empty list has no type in a ROS parameter file and is written as a list with one empty text. One that was changed
-    while the robot walked tells since which stamp [ns].
+    An empty list has no type in a ROS parameter file and is written as a list with one empty text. `since` is the stamp
+    [ns] of the first state that the configuration applies to, if it was changed during the walk; see `since`.
     """
     tree: dict[str, Any] = {}
     for name, value in config.flat().items():

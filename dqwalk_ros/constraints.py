@@ -1,12 +1,12 @@
 """Distances and the vector-field inequality that keeps them, sections 3 and 4 [Urban2020, Marinho2019].
 
-Every signed distance *grows towards safety*, so the package has one inequality, d' >= -eta (d - bound). Where the
-paper writes <= (cylinders, upper joint limits) the distance here is its negative. The same distance, held at its
-bound by d' = -eta (d - bound), is an equality such as (U8).
+Every signed distance d increases towards the safe side, so that the package has one kind of inequality,
+d' >= -eta (d - bound). Where the paper has <= (cylinders, upper joint limits), the distance here is the negative of the
+paper's. A distance that is kept equal to its bound by d' = -eta (d - bound) is an equality such as (U8).
 
-A constraint names the features of the robot that it watches, and says from their coordinates s what the distance d
-is, and its gradient dd/ds. The Jacobian of the distance is this gradient times the Jacobian of s, by the chain rule
-(`walk.Phase.evaluate`).
+A constraint lists the features of the robot that it depends on (`watches`), and computes from their coordinates s the
+distance d and its gradient dd/ds. The Jacobian of the distance is this gradient times the Jacobian of s, by the chain
+rule (`walk.Phase.evaluate`).
 """
 
 from __future__ import annotations
@@ -64,11 +64,11 @@ def vfi(d, bound, eta, return_speed, dt):  # type: ignore[no-untyped-def]
     Parameters
     ----------
     d, bound : ndarray, shape (k,)
-        Signed distances and their least values.
+        Signed distances and their lower bounds.
     eta : ndarray, shape (k,)
-        [1/s]. In discrete time only eta dt <= 1 keeps the bound, so no rate beyond 1/dt is used.
+        Rates [1/s], limited to 1/dt here: in discrete time the bound is kept only if eta dt <= 1.
     return_speed : ndarray, shape (k,)
-        Where a distance is below its bound, the fastest return that is asked for.
+        Upper limit of w, for distances below their bound [unit of the distance per second].
     dt : float
         Control period [s].
     """
@@ -83,12 +83,12 @@ class Constraint(ABC):
     ----------
     name : str
     eta : float
-        Rate at which the bound may be approached [1/s].
+        Rate [1/s]: a distance d may approach its bound at the speed eta (d - bound).
     bound : float
         Least distance allowed.
     return_speed : float
-        A distance below its bound is led back no faster than this, so that the quadratic program stays feasible
-        wherever a real robot has been pushed to [unit of the distance per second].
+        Largest speed at which a distance below its bound is required to return [unit of the distance per second]. It
+        keeps the quadratic program feasible after a disturbance that violates the constraint.
     """
 
     name: str
@@ -99,34 +99,34 @@ class Constraint(ABC):
     @property
     @abstractmethod
     def watches(self) -> tuple[Feature, ...]:
-        """Features of the robot; their coordinates, one after the other, are what `value` is given."""
+        """Features that the distance depends on; `value` takes their stacked coordinates s."""
 
     @property
     def parameters(self) -> Array:
-        """The numbers its compiled function takes, where it has one that `assembly` knows."""
+        """Constants of its compiled function, for the classes that `assembly` evaluates in compiled code."""
         return np.empty(0)
 
     @abstractmethod
     def value(self, s: Array) -> tuple[Array | float, Array]:
-        """Return the distance, a float or (k,), and its gradient, shape (m,) or (k, m), at the coordinates s (m,)."""
+        """Return the distance, a float or (k,), and its gradient (m,) or (k, m) with respect to s (m,), at s."""
 
     def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
-        """Name of each of the k rows."""
+        """Return the names of the k rows."""
         return (self.name,)
 
     def distance(self, kin: Kinematics) -> Array:
-        """Signed distances at one configuration, shape (k,)."""
+        """Signed distances for the joint angles of `kin`, shape (k,)."""
         s, _ = Observer(self.watches, kin.tree)(kin)
         return np.atleast_1d(self.value(s)[0])
 
     def jacobian(self, kin: Kinematics) -> Array:
-        """Jacobian of `distance`, shape (k, n)."""
+        """Jacobian of `distance` with respect to the joint angles, shape (k, n)."""
         s, J = Observer(self.watches, kin.tree)(kin)
         return np.atleast_2d(self.value(s)[1]) @ J
 
 
 class Affine(Constraint):
-    """A distance that is affine in what it watches, d = A s - b: its gradient is known once and for all."""
+    """A constraint whose distance is affine in the coordinates of its features, d = A s - b, with constant A and b."""
 
     @property
     @abstractmethod
@@ -136,7 +136,7 @@ class Affine(Constraint):
     @property
     @abstractmethod
     def b(self) -> Array | float:
-        """Offset, shape (k,) or one for all rows."""
+        """Offset, shape (k,), or one number for all rows."""
 
     def value(self, s: Array) -> tuple[Array, Array]:
         """Return A s - b and A."""
@@ -148,14 +148,14 @@ class Affine(Constraint):
 
 @jit
 def inside_cylinder(s, a):  # type: ignore[no-untyped-def]
-    """r^2 - |p x l - m|^2 [m^2] of the point s, and its gradient, with a = (l, m, r): (U7) and (U14)."""
+    """Return r^2 - |p x l - m|^2 [m^2] of p = s and its gradient (3,), with a = (l, m, r): (U7) and (U14)."""
     square, gradient = point_to_line_squared(s, a[:3], a[3:6])
     return a[6] ** 2 - square, -gradient
 
 
 @dataclass(frozen=True, kw_only=True)
 class PointInCylinder(Constraint):
-    """Keep a point inside an infinite cylinder at rest, (U7) and (U14): r^2 - d^2 >= 0 [m^2]."""
+    """Keep a point inside a fixed infinite cylinder, (U7) and (U14): r^2 - d^2 >= 0 [m^2], d from the axis."""
 
     point: Point | CenterOfMass
     cylinder: Cylinder
@@ -171,14 +171,14 @@ class PointInCylinder(Constraint):
         return np.array([*self.cylinder.axis.l, *self.cylinder.axis.m, self.cylinder.radius])
 
     def value(self, s: Array) -> tuple[float, Array]:
-        """Radius squared less the squared distance from the axis [m^2]."""
+        """Squared radius minus squared distance from the axis [m^2]."""
         d, gradient = inside_cylinder(s, self.parameters)
         return d, gradient
 
 
 @dataclass(frozen=True, kw_only=True)
 class PointOverPlane(Affine):
-    """Keep a point on the positive side of a plane at rest, (U11); held at zero it is (U8) [m]."""
+    """Keep a point on the positive side of a fixed plane, (U11) [m]; as an equality it is (U8)."""
 
     point: Point | CenterOfMass
     plane: Plane
@@ -201,23 +201,23 @@ class PointOverPlane(Affine):
 
 @jit
 def inside_wall(s, a):  # type: ignore[no-untyped-def]
-    """Distance of p from the upright plane through a[:3] and b, s = (p, b), on the side a[3]: (U9) and (U10) [m]."""
+    """Signed distance of p from the vertical plane through a[:3] and b, s = (p, b), side a[3]: (U9) and (U10) [m]."""
     return point_to_wall(s, a[:3], a[3])
 
 
 @dataclass(frozen=True, kw_only=True)
 class PointInsideWall(Constraint):
-    """Keep a point inside the upright plane through a place at rest and a moving one, (U9) and (U10) [m].
+    """Keep a point on one side of the vertical plane through a fixed and a moving point, (U9) and (U10) [m].
 
     Attributes
     ----------
     point : Point or CenterOfMass
     fixed : ndarray, shape (3,)
-        Place on the base foot [m].
+        Point of the base foot [m].
     moving : Point
-        Place on the end foot; the plane turns with it.
+        Point of the end foot, with which the plane moves.
     side : float
-        1 where the inside is to the left of the way from `fixed` to `moving`, -1 to the right.
+        1 if the allowed side is to the left of the line from `fixed` to `moving`, -1 if it is to the right.
     """
 
     point: Point | CenterOfMass
@@ -227,29 +227,29 @@ class PointInsideWall(Constraint):
 
     @property
     def watches(self) -> tuple[Feature, ...]:
-        """The point, and the moving place."""
+        """The point, and the moving point of the plane."""
         return (self.point, self.moving)
 
     @cached_property
     def parameters(self) -> Array:
-        """The place at rest, and the side, shape (4,)."""
+        """The fixed point of the plane, and the side, shape (4,)."""
         return np.array([*self.fixed, self.side])
 
     def value(self, s: Array) -> tuple[float, Array]:
-        """Distance of the point from the wall [m]; the gradient at b is the residual of [Marinho2019]."""
+        """Signed distance from the plane [m]; its gradient at the moving point gives the residual of [Marinho2019]."""
         d, gradient = inside_wall(s, self.parameters)
         return d, gradient
 
 
 @dataclass(frozen=True, kw_only=True)
 class PointsOverPlane(Affine):
-    """Keep points of a frame, such as the corners of a sole, on the positive side of a plane at rest, one row each [m].
+    """Keep points of a frame, such as the corners of a sole, on the positive side of a fixed plane, one row each [m].
 
     Attributes
     ----------
     frame : str
     points : ndarray, shape (k, 3)
-        In the frame [m].
+        Coordinates in the frame [m].
     plane : Plane
     """
 
@@ -264,7 +264,7 @@ class PointsOverPlane(Affine):
 
     @cached_property
     def A(self) -> Array:
-        """The normal of the plane, once per point."""
+        """The normal of the plane, in one row per point."""
         return np.asarray(np.kron(np.eye(len(self.points)), self.plane.n), dtype=np.float64)
 
     @property
@@ -279,21 +279,21 @@ class PointsOverPlane(Affine):
 
 @dataclass(frozen=True, kw_only=True)
 class ComInsideEdges(Affine):
-    """Keep the vertical through the CoM inside a convex polygon on the base sole's plane, one row per edge [m].
+    """Keep the vertical through the CoM inside a convex polygon in the base sole's plane, one row per edge [m].
 
-    "As many planes as necessary", section 3.1.
+    Each edge is a plane; section 3.1 allows "as many planes as necessary".
 
     Attributes
     ----------
     polygon : ConvexPolygon
-        At rest in the base frame.
+        Fixed in the base frame.
     """
 
     polygon: ConvexPolygon
 
     @property
     def watches(self) -> tuple[Feature, ...]:
-        """The CoM along the vertical."""
+        """The projection of the CoM along the vertical."""
         return (CenterOfMassOnGround(),)
 
     @property
@@ -316,9 +316,9 @@ class ComInsideEdges(Affine):
 
 @dataclass(frozen=True, kw_only=True)
 class AxisLevel(Affine):
-    """The height <z_frame, direction> that a frame's normal has along a horizontal direction at rest [rad].
+    """Inner product of a frame's z axis with a fixed direction: for small angles, the inclination along it [rad].
 
-    Held at zero along x and y it keeps a sole parallel to the ground.
+    As an equality along x and along y it keeps a sole parallel to the ground.
     """
 
     frame: str
@@ -326,7 +326,7 @@ class AxisLevel(Affine):
 
     @property
     def watches(self) -> tuple[Feature, ...]:
-        """The frame's normal."""
+        """The z axis of the frame."""
         return (Direction(self.frame, _UP),)
 
     @property
@@ -342,9 +342,10 @@ class AxisLevel(Affine):
 
 @jit
 def pose_error(s, p_d, r_d, lever):  # type: ignore[no-untyped-def]
-    """Difference of a pose from p_d (3,) and r_d (4,): p - p_d [m] and 2 Im(r r_d*) times `lever`; zero where equal.
+    """Pose error (p - p_d, 2 lever Im(r r_d*)) [m, rad times `lever`], and its gradient.
 
-    Near r_d the second is the angle [rad]. It is linear in `s` (7,), the coordinates of a `Point` and a `Rotation`.
+    `s` (7,) are the coordinates of a `Point` and a `Rotation`, p (3,) and r (4,), in which the error is affine. For
+    small errors 2 Im(r r_d*) is the rotation vector from r_d to r [rad].
 
     Returns
     -------
@@ -364,7 +365,9 @@ def pose_error(s, p_d, r_d, lever):  # type: ignore[no-untyped-def]
 
 @dataclass(frozen=True, kw_only=True)
 class FrameHeld(Constraint):
-    """Six rows that are zero where a frame is at a pose: p - p_d [m] and 2 Im(r r_d*), near it the angle [rad].
+    """Pose error of a frame, six rows: p - p_d [m] and 2 Im(r r_d*), for small errors the rotation vector [rad].
+
+    As an equality it holds the frame at the pose.
 
     Attributes
     ----------
@@ -387,12 +390,12 @@ class FrameHeld(Constraint):
         return np.array([*DQ(self.pose).translation(), *self.pose[:4]])
 
     def value(self, s: Array) -> tuple[Array, Array]:
-        """Difference from the pose, shape (6,)."""
+        """Pose error, shape (6,)."""
         e, gradient = pose_error(s, self.parameters[:3], self.parameters[3:], 1.0)
         return e, gradient
 
     def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
-        """One name per axis, translations first."""
+        """One name per axis, translation first."""
         return tuple(f"{self.name}/{axis}" for axis in range(6))
 
 
@@ -412,12 +415,12 @@ class JointMaximum(Affine):
 
     @cached_property
     def A(self) -> Array:
-        """Minus one: d = -q - (-q_max), (U12)."""
+        """Minus the identity: d = -q - (-q_max), (U12)."""
         return -np.eye(len(self.q_max))
 
     @property
     def b(self) -> Array:
-        """The limits with their sign changed [rad]."""
+        """Minus the limits [rad]."""
         return -self.q_max
 
     def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
@@ -438,7 +441,7 @@ class JointMinimum(Affine):
 
     @cached_property
     def A(self) -> Array:
-        """One: d = q - q_min, (U13)."""
+        """The identity: d = q - q_min, (U13)."""
         return np.eye(len(self.q_min))
 
     @property

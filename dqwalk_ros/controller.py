@@ -1,6 +1,6 @@
-"""The walking controller of section 4: one quadratic program per phase, joint velocities out [Urban2020].
+"""The walking controller of section 4 [Urban2020]: joint velocities from one quadratic program per control period.
 
-A state comes in, a command goes out; `VelocityController.step` is the whole way between them.
+`VelocityController.step` computes the command for a measured state; the tasks and constraints are those of the phase.
 """
 
 from __future__ import annotations
@@ -31,17 +31,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Tick:
-    """The last step of a controller, in numbers.
+    """Results of one control period.
 
     Attributes
     ----------
     error : float
-        Norm of the phase's own task error.
+        Norm of the error of the phase's first task.
     solve_time : float
-        Time the solver took [s].
+        Time taken by the solver [s].
     iterations : int
+        Number of iterations of the solver.
     active : tuple of str
-        Rows that held the command back, strongest first.
+        Names of the active inequalities, in decreasing order of their multipliers.
     """
 
     error: float
@@ -51,34 +52,33 @@ class Tick:
 
 
 class VelocityController:
-    """Walks `model` through the phases of a walk.
+    """Controls `model` through the phases of a walk.
 
-    What it measures is late, and so is what it commands; it is told how late, and how the servos answer
-    (`servos.Drive`).
+    Delays of measurement and command, and the response of the servos, are compensated by the model `servos.Drive`.
 
     Parameters
     ----------
     config : Config
     model : RobotModel
     walk : type of Walk
-        Made anew for each walk.
+        Class of the walk; `reset` creates a new instance.
 
     Attributes
     ----------
     config : Config
-        In force in the phase under way.
+        Configuration of the current phase.
     walk : Walk
-        The walk under way.
+        The current walk.
     phase_index : int
-        0, 1, ... from the beginning of the walk; -1 before the first step.
+        Number of the current phase, from 0; -1 before the first step.
     phase_time0 : float
-        Time of the state at which the phase began [s], and later by as long as the plant held.
+        Time of the state at which the phase began [s], plus the time for which the plant held still.
     finished : bool
         Whether the last phase is over; commands are zero from then on.
     error : float
-        Norm of the error of the phase's own task at the last state.
+        Norm of the error of the phase's first task at the last state.
     problem, solution : Problem, Solution or None
-        The last quadratic program and its answer.
+        The last quadratic program and its solution.
     """
 
     def __init__(self, config: Config, model: RobotModel, walk: type[Walk]) -> None:
@@ -92,7 +92,7 @@ class VelocityController:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the walk; the next state begins a new one."""
+        """Discard the walk; the next state begins a new one."""
         self.config = self._tuned
         self.walk = self._make_walk(self.config, self.model)
         self.phase_index = -1
@@ -104,70 +104,70 @@ class VelocityController:
         self._phase: Phase | None = None
         self._kin: Kinematics | None = None
         self._last_state: State | None = None
-        self._answered = math.inf
-        self._sent = CommandHistory(self._drive.delay, self.model.n)
+        self._last_time = math.inf
+        self._history = CommandHistory(self._drive.delay, self.model.n)
         self._x_odom_base = DQ(1.0)
 
     @property
     def phase(self) -> Phase:
-        """The current phase; there is one after the first step."""
+        """The current phase; not available before the first step."""
         if self._phase is None:
             raise RuntimeError("a walk has no phase before its first step")
         return self._phase
 
     @property
     def x_odom_base(self) -> Array:
-        """Pose of the phase's base sole in the world of the first phase, shape (8,)."""
+        """Pose of the base sole of the phase in the base frame of the first phase, shape (8,)."""
         return self._x_odom_base.vec8()
 
     @property
     def lean(self) -> float:
-        """Angle between the base sole and the ground, as the inertial sensor and the joints say [rad]."""
+        """Inclination of the base sole, from the inertial sensor and the joint angles [rad]; 0 without the sensor."""
         return math.acos(min(float(self._kin.up[2]), 1.0)) if self._kin is not None else 0.0
 
     @property
     def solve_time(self) -> float:
-        """Time the solver took for the last command [s]."""
+        """Time taken by the solver for the last command [s]; nan without one."""
         return self.solution.solve_time if self.solution is not None else math.nan
 
     @property
     def last(self) -> Tick:
-        """The last step in numbers."""
+        """Results of the last step."""
         if self.problem is None or self.solution is None:
             return Tick(self.error, math.nan, 0, ())
         return Tick(self.error, self.solution.solve_time, self.solution.iterations, self.solution.active(self.problem))
 
     def odometry(self) -> Array:
-        """Pose of the pelvis in the world of the first phase, shape (8,)."""
+        """Pose of the pelvis in the base frame of the first phase, shape (8,)."""
         if self._kin is None:
             raise RuntimeError("a walk has no odometry before its first step")
         return (self._x_odom_base * DQ(self._kin.pose(self.model.pelvis))).vec8()
 
     def soles(self) -> dict[Foot, Array]:
-        """Poses of both soles in the world of the first phase, shape (8,) each."""
+        """Poses of both soles in the base frame of the first phase, shape (8,) each."""
         if self._kin is None:
             raise RuntimeError("a walk has no soles before its first step")
         kin, base = self._kin, self._x_odom_base
         return {kin.base: base.vec8(), kin.base.other: (base * DQ(kin.pose(kin.swing))).vec8()}
 
     def steer(self, forward: float, left: float, turn: float) -> tuple[float, float, float]:
-        """Set the velocity of a walk that is steered [m/s, m/s, rad/s]; see `Walk.steer`."""
+        """Set the velocity of a steered walk [m/s, m/s, rad/s]; see `Walk.steer`."""
         return self.walk.steer(forward, left, turn)
 
     def tune(self, config: Config) -> None:
-        """Go on with other parameters, all of them live, from the next phase on.
+        """Replace live parameters; the new configuration applies from the next phase on.
 
         Raises
         ------
         ConfigError
-            If this walk keeps the parameters that it began with.
+            If the parameters of this walk cannot be changed.
         """
         if not self.walk.is_tunable:
             raise ConfigError("this walk keeps the parameters that it began with")
         self._tuned = config
 
     def stop(self) -> None:
-        """Put the feet together after the step under way, and end the walk; see `Walk.stop`."""
+        """Put the feet together after the current step, and end the walk; see `Walk.stop`."""
         self.walk.stop()
 
     def step(self, state: State, dt: float) -> Command:
@@ -184,38 +184,38 @@ class VelocityController:
         StateError
             If the state does not fit the model or is not finite.
         PhaseError
-            If the phase cannot end by its rule.
+            If the phase has stalled or takes too long.
         QPError
-            If the quadratic program has no answer.
+            If the quadratic program has no solution.
         """
         if state.q.shape != self._shape:
             raise StateError(f"the state has {state.q.size} joints, the model {self.model.n}")
         if self.phase_index < 0:
             self._check(state)
-            self._enter(state)
-        elif (held := state.time - self._answered - self.config.plant.command_timeout) > 0.0:
+            self._begin_next_phase(state)
+        elif (held := state.time - self._last_time - self.config.plant.command_timeout) > 0.0:
             self._resume(state, held)
         state = self._with_velocity(state)
-        kin, now = self._look(state)
-        self._answered = state.time
+        kin, now = self._evaluate(state)
+        self._last_time = state.time
         while not self.finished and self._is_over(now, state.time):
-            self._enter(state, kin)
-            kin, now = self._look(state)
+            self._begin_next_phase(state, kin)
+            kin, now = self._evaluate(state)
         self._kin, self.error = kin, now.error
         if self.finished:
             return Command(state.time, np.zeros(self.model.n))
-        if self._drive.delay > 0.0:  # the answer is to the state in which it has its effect
-            q, elapsed = state.q + self._sent.pending(state.time), kin.elapsed + self._drive.delay
+        if self._drive.delay > 0.0:  # the command is computed for the predicted state at which it takes effect
+            q, elapsed = state.q + self._history.pending(state.time), kin.elapsed + self._drive.delay
             now = self.phase.evaluate(Kinematics(self.model, q, kin.base, kin.up, elapsed))
         self.problem = now.problem(dt, self._limit)  # (U6)
         self.solution = self._solve(self.problem)
         u = np.minimum(np.maximum(self.solution.u, -self._limit), self._limit)
         if self._drive.delay > 0.0:
-            self._sent.add(state.time, u, dt)
+            self._history.add(state.time, u, dt)
         return Command(state.time, u, self._effort(kin, state, u))
 
     def _with_velocity(self, state: State) -> State:
-        """Return a state whose joint velocities, where nobody measures them, are the differences of its angles."""
+        """Return the state with joint velocities, from the difference to the last state if they are not measured."""
         before, self._last_state = self._last_state, state
         if state.dq is not None or before is None:
             return state
@@ -225,7 +225,7 @@ class VelocityController:
         return dataclasses.replace(state, dq=(state.q - before.q) / passed)
 
     def _effort(self, kin: Kinematics, state: State, u: Array) -> Array | None:
-        """Return the torques fed forward, those that damp the joints as the servos themselves do among them."""
+        """Return the feedforward torques (n,) [N m], including lead and damping; None without an inertial sensor."""
         if state.up is None:
             return None
         effort = self.walk.effort(self.phase, kin.later(self._drive.delay), state) + self._drive.lead * u
@@ -237,16 +237,13 @@ class VelocityController:
         if bad:
             raise StateError(f"the angle of {', '.join(bad)} is not finite")
 
-    def _look(self, state: State) -> tuple[Kinematics, Evaluation]:
-        """Return the robot at `state`, and what the phase makes of it."""
-        kin = self._kinematics(state)
+    def _evaluate(self, state: State) -> tuple[Kinematics, Evaluation]:
+        """Return the kinematics at `state`, and the errors and distances of the phase, which the walk may update."""
+        kin = self._kinematics(state, self.phase.base, state.time - self.phase_time0)
         self._phase = self.walk.observe(self.phase, kin, state)
         return kin, self.phase.evaluate(kin)
 
-    def _kinematics(self, state: State) -> Kinematics:
-        return self._seen(state, self.phase.base, state.time - self.phase_time0)
-
-    def _seen(self, state: State, base: Foot, elapsed: float = 0.0) -> Kinematics:
+    def _kinematics(self, state: State, base: Foot, elapsed: float = 0.0) -> Kinematics:
         kin = Kinematics(self.model, state.q, base, elapsed=elapsed)
         if not kin.finite:
             self._check(state)
@@ -260,19 +257,21 @@ class VelocityController:
         except PhaseError as error:
             raise error.held_by(self.last.active) from error
 
-    def _enter(self, state: State, kin: Kinematics | None = None) -> None:
-        """Begin the next phase at `state`; `kin` is seen from the base of the phase before."""
+    def _begin_next_phase(self, state: State, kin: Kinematics | None = None) -> None:
+        """Begin the next phase at `state`; `kin` is in the base frame of the previous phase."""
         if self._tuned is not self.config:
             self.config = self._tuned
             self.walk.tune(self.config)
-        before = self._phase
-        following = self.walk.beginning(self._seen(state, Foot.LEFT)) if before is None else self.walk.following(before)
+        if self._phase is None:
+            following = self.walk.beginning(self._kinematics(state, Foot.LEFT))
+        else:
+            following = self.walk.following(self._phase)
         if following is None:
             self.finished = True
             return
         phase = self.walk.phase(*following[:2], state.q, following[2])
         if kin is not None and phase.base is not kin.base:
-            # the world moves to the other sole, as that stands now
+            # the base frame changes to the other sole at its present pose
             self._x_odom_base = (self._x_odom_base * DQ(kin.pose(kin.swing))).normalized()
         self._begin(phase, state.time)
 
@@ -282,16 +281,16 @@ class VelocityController:
         self.problem = self.solution = None
 
     def _resume(self, state: State, held: float) -> None:
-        """Go on after states without an answer, when the plant has moved on for its timeout and then `held` [s]."""
+        """Continue after an interruption, in which the plant held still for `held` [s] after its command timeout."""
         phase = self.phase
-        self._sent = CommandHistory(self._drive.delay, self.model.n)
+        self._history = CommandHistory(self._drive.delay, self.model.n)
         if (still := self.walk.restarts(phase)) is not None:
             self._begin(self.walk.phase(phase.kind, phase.support, state.q, phase.swing_target), state.time + still)
         else:
             self.phase_time0 += held
 
     def _solve(self, problem: Problem) -> Solution:
-        """Return the answer of (U6); outside its constraints, where the wanted return is too fast, a slower one."""
+        """Return the solution of (U6), or, if it is infeasible, of the problem with a slower return (`lead_back`)."""
         try:
             return self._solver.solve(problem)
         except QPError as error:

@@ -1,7 +1,7 @@
 """Quaternions and dual quaternions, section 2.1 [Adorno2017].
 
 A dual quaternion is an array of eight reals, ``h1 + h2 i + h3 j + h4 k + eps (h1' + h2' i + h3' j + h4' k)``,
-and a `DQ` holds any number of them, shape ``(..., 8)``. A quaternion is a dual quaternion without dual part.
+and a `DQ` contains any number of them, shape ``(..., 8)``. A quaternion is a dual quaternion whose dual part is zero.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ _SMALL = 1e-12
 
 
 def product(a1: Any, a2: Any, a3: Any, a4: Any, b1: Any, b2: Any, b3: Any, b4: Any) -> tuple[Any, Any, Any, Any]:
-    """Hamilton's product of two quaternions, coefficient by coefficient; numbers, or arrays of one shape.
+    """Hamilton product of the quaternions (a1, a2, a3, a4) and (b1, b2, b3, b4), real part first.
 
-    `kinematics` compiles it (jit) for numbers.
+    The coefficients are numbers, or arrays of the same shape; `kinematics` compiles it (jit) for numbers.
     """
     return (
         a1 * b1 - a2 * b2 - a3 * b3 - a4 * b4,
@@ -34,7 +34,7 @@ def product(a1: Any, a2: Any, a3: Any, a4: Any, b1: Any, b2: Any, b3: Any, b4: A
 
 
 def qmul(a: Array, b: Array) -> Array:
-    """Hamilton's product of quaternions, shapes (..., 4)."""
+    """Hamilton product of quaternions, shapes (..., 4), real part first."""
     parts = product(*(a[..., k] for k in range(4)), *(b[..., k] for k in range(4)))
     out = np.empty((*parts[0].shape, 4))
     for k, part in enumerate(parts):
@@ -54,12 +54,13 @@ class DQ:
     Parameters
     ----------
     value : array_like, shape (..., 8), (..., 4), (..., 3) or scalar
-        Four numbers are a quaternion, three a pure quaternion, one a real.
+        Coefficients on the last axis: eight of a dual quaternion, four of a quaternion, three of a pure quaternion
+        (imaginary part), or one real number. Missing coefficients are zero.
 
     Raises
     ------
     ValueError
-        If the last axis has another length.
+        If the last axis has a different length.
     """
 
     __slots__ = ("_h",)
@@ -79,7 +80,7 @@ class DQ:
             h = full
         self._h = h
 
-    # ------------------------------------------------------------------ making
+    # ------------------------------------------------------------------ construction
 
     @classmethod
     def rotation_about(cls, angle: ArrayLike, axis: ArrayLike) -> Self:
@@ -104,7 +105,7 @@ class DQ:
     def from_matrix(cls, rotation: ArrayLike, p: ArrayLike = (0.0, 0.0, 0.0)) -> Self:
         """Return the pose of a rotation matrix (3, 3) and a translation (3,) [m]."""
         m = np.asarray(rotation, dtype=np.float64)
-        # row i is 4 r_i (r1, r2, r3, r4); the row of the largest r_i is accurate everywhere
+        # row i is 4 r_i (r1, r2, r3, r4); normalizing the row of the largest r_i is accurate for every rotation
         w1, w2, w3 = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
         s12, s13, s23 = m[1, 0] + m[0, 1], m[0, 2] + m[2, 0], m[2, 1] + m[1, 2]
         d1, d2, d3 = np.diag(m)
@@ -163,7 +164,7 @@ class DQ:
         return type(self)(self._h * _CONJ8)
 
     def norm(self) -> Self:
-        """Norm, the dual number whose square is h h*; its dual part needs a primary part that is not zero."""
+        """Norm, the dual number whose square is h h*; its dual part is valid only for a non-zero primary part."""
         square = (self * self.conj())._h
         primary = np.sqrt(square[..., 0])
         h = np.zeros_like(self._h)
@@ -182,14 +183,14 @@ class DQ:
         square = (self * self.conj())._h
         a, b = square[..., :1], square[..., 4:5]
         if np.any(a == 0.0):
-            raise ZeroDivisionError("a dual quaternion without primary part has no inverse")
+            raise ZeroDivisionError("a dual quaternion whose primary part is zero has no inverse")
         h = np.zeros_like(self._h)
         h[..., :1] = 1.0 / a
         h[..., 4:5] = -b / a**2
         return self.conj() * type(self)(h)
 
     def normalized(self) -> Self:
-        """Return h |h|^-1, the closest unit dual quaternion along h."""
+        """Return the unit dual quaternion h |h|^-1."""
         return self * self.norm().inv()
 
     # ------------------------------------------------------------------ algebra
@@ -226,11 +227,11 @@ class DQ:
         return f"DQ({np.array2string(self._h, precision=6, suppress_small=True)})"
 
     def dot(self, other: DQ) -> Self:
-        """Inner product <a, b> = -(ab + ba)/2, of pure (dual) quaternions."""
+        """Inner product <a, b> = -(ab + ba)/2 of pure quaternions or pure dual quaternions."""
         return -0.5 * (self * other + other * self)
 
     def cross(self, other: DQ) -> Self:
-        """Cross product a x b = (ab - ba)/2, of pure (dual) quaternions."""
+        """Cross product a x b = (ab - ba)/2 of pure quaternions or pure dual quaternions."""
         return 0.5 * (self * other - other * self)
 
     def hamiplus4(self) -> Array:
@@ -256,7 +257,7 @@ class DQ:
         return 2.0 * qmul(self._h[..., 4:], qconj(self._h[..., :4]))[..., 1:]
 
     def rotation(self) -> Array:
-        """Orientation r = P(x) of the pose (1), shape (..., 4)."""
+        """Orientation r = P(x) of the pose (U1), a unit quaternion, shape (..., 4)."""
         return self._h[..., :4]
 
     def rotation_matrix(self) -> Array:
@@ -266,23 +267,24 @@ class DQ:
         return both[..., 1:, 1:]
 
     def Ad(self, other: DQ) -> Self:
-        """Return x h x*: what a frame at x calls the quaternion, direction or line h; shape as the product."""
+        """Return x h x*: the quaternion, direction or line `other` given in the frame x, in the parent frame."""
         return self * type(self)(other._h) * self.conj()
 
     def Ad_sharp(self, other: DQ) -> Self:
-        """(P(x) - eps D(x)) h x*: the motion of a plane n + eps d, or of a point 1 - eps p."""
+        """Return (P(x) - eps D(x)) h x*: a plane n + eps d or a point 1 - eps p of the frame x, in the parent frame."""
         sharp = self._h.copy()
         sharp[..., 4:] *= -1.0
         return type(self)(sharp) * type(self)(other._h) * self.conj()
 
     def transform_point(self, p: ArrayLike) -> Array:
-        """Return the point p + r c r* of a point c [m] fixed to the frame, shape (..., 3)."""
+        """Return p + r c r*: the point c given in the frame x, in the parent frame, shape (..., 3) [m]."""
         return self.translation() + self.P().Ad(DQ(p)).vec3()
 
     def log(self) -> Self:
-        """Logarithm (phi n + eps p)/2 of a unit dual quaternion, a pure one; phi in [0, 2 pi] as the sign gives it.
+        """Logarithm (phi n + eps p)/2 of a unit dual quaternion, a pure dual quaternion.
 
-        A full turn has no axis of its own; it is given i.
+        The angle phi is in [0, 2 pi]; x and -x, the same pose, have different angles. The axis n of phi = 2 pi is not
+        unique and set to i.
         """
         r = self._h[..., :4]
         sin = np.linalg.norm(r[..., 1:], axis=-1, keepdims=True)
@@ -298,7 +300,7 @@ class DQ:
         """Exponential of a pure dual quaternion, the inverse of `log`."""
         g = self._h[..., 1:4]
         half = np.linalg.norm(g, axis=-1, keepdims=True)
-        # sin(x)/x as numpy has it, without a division at zero
+        # np.sinc(x / pi) is sin(x)/x, also at zero
         r = np.concatenate([np.cos(half), np.sinc(half / np.pi) * g], axis=-1)
         return type(self).from_pose(2.0 * self._h[..., 5:], r)
 
@@ -308,18 +310,21 @@ def _as_dq(value: DQ | float) -> DQ:
 
 
 def _left(a: Array) -> Array:
+    """Return the matrices H+4 of the quaternions a (..., 4), shape (..., 4, 4): vec4(ab) = H+4(a) vec4(b)."""
     a1, a2, a3, a4 = np.moveaxis(a, -1, 0)
     rows = [[a1, -a2, -a3, -a4], [a2, a1, -a4, a3], [a3, a4, a1, -a2], [a4, -a3, a2, a1]]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def _right(a: Array) -> Array:
+    """Return the matrices H-4 of the quaternions a (..., 4), shape (..., 4, 4): vec4(ba) = H-4(a) vec4(b)."""
     a1, a2, a3, a4 = np.moveaxis(a, -1, 0)
     rows = [[a1, -a2, -a3, -a4], [a2, a1, a4, -a3], [a3, -a4, a1, a2], [a4, a3, -a2, a1]]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def _blocks(primary: Array, dual: Array) -> Array:
+    """Return the matrices [[primary, 0], [dual, primary]], shape (..., 8, 8)."""
     top = np.concatenate([primary, np.zeros_like(primary)], axis=-1)
     return np.concatenate([top, np.concatenate([dual, primary], axis=-1)], axis=-2)
 

@@ -1,4 +1,4 @@
-"""What can go wrong, each error carrying its evidence."""
+"""Exceptions of the package; some have attributes that name the rows or the phase concerned."""
 
 from __future__ import annotations
 
@@ -26,31 +26,31 @@ def listed(names: Collection[str]) -> str:
 
 
 class DqwalkError(Exception):
-    """The parent of every error this package raises on purpose."""
+    """Base class of all exceptions that this package defines."""
 
 
 class ConfigError(DqwalkError):
-    """A configuration that cannot be used; the message names the key and what it should be."""
+    """A configuration is not valid; the message names the key and the values allowed."""
 
 
 class ModelError(DqwalkError):
-    """A robot description that cannot be used; the message names the element."""
+    """A robot description is not valid; the message names the element."""
 
 
 class StateError(DqwalkError):
-    """A measured state that must not reach the controller; the message names the joints."""
+    """A measured state or a commanded target is not valid; the message names the joints or the value."""
 
 
 class PlantError(DqwalkError):
-    """The other side of the command (simulator, driver) failed."""
+    """The plant (simulator or robot driver) failed, or a command does not fit it."""
 
 
 class BagError(DqwalkError):
-    """A bag that cannot be read as a walk; the message says what is missing."""
+    """A bag does not contain a walk that can be read; the message names what is missing."""
 
 
 class ViewerError(DqwalkError):
-    """The page cannot be served; the message says what to do."""
+    """The viewer's web page cannot be served; the message says what to do."""
 
 
 class StudyError(DqwalkError):
@@ -58,16 +58,17 @@ class StudyError(DqwalkError):
 
 
 class QPError(DqwalkError):
-    """A quadratic program without an acceptable answer.
+    """A quadratic program has no solution, or the solver found none that fulfils the optimality conditions.
 
     Attributes
     ----------
     status : str
-        What the solver said.
+        Status of the solver, or of the check of its solution.
     rows : tuple of str
-        Names of the rows that stand in the way, most violated first; may be empty.
+        Names of the rows that conflict or are violated, most violated first; may be empty.
     short : dict of str to float
-        By how much rows would have to give way, in their own unit per second; may be empty.
+        Amount by which each of some rows must be relaxed for the problem to be feasible, in the row's own unit per
+        second; may be empty.
     """
 
     def __init__(
@@ -80,16 +81,16 @@ class QPError(DqwalkError):
 
 
 class PhaseError(DqwalkError):
-    """A phase that cannot end by its rule.
+    """A phase does not reach the condition that ends it.
 
     Attributes
     ----------
     phase : str
         Name of the phase, such as ``"single_support/left"``.
     error : float
-        Norm of the task error at which it stopped.
+        Norm of the task error when the exception was raised.
     active : tuple of str
-        Names of the rows that hold it there.
+        Names of the inequalities that were active then.
     """
 
     def __init__(self, message: str, *, phase: str, error: float, active: Sequence[str] = ()) -> None:
@@ -99,6 +100,6 @@ class PhaseError(DqwalkError):
         self.active = tuple(active)
 
     def held_by(self, rows: Sequence[str]) -> PhaseError:
-        """Return the error with the rows that hold the phase where it is."""
+        """Return a copy of the error that names `rows`, the inequalities that are active, in attribute and message."""
         text = f"; active: {', '.join(rows)}" if rows else "; no constraint is active: a local minimum of the task"
         return PhaseError(f"{self}{text}", phase=self.phase, error=self.error, active=rows)

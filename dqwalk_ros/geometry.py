@@ -1,7 +1,7 @@
 """Geometric primitives and their signed distances, sections 3.1 to 3.3 [Adorno2017, Marinho2019].
 
-Plain arrays of coordinates in one frame, in metres. A distance comes with its gradient; where a primitive moves with
-the joints, the gradient has a part for what moves it: the residual of [Marinho2019].
+All coordinates are in the same frame, in metres. Each distance function also returns the gradient; where the primitive
+moves with the joints, the gradient with respect to the moving point gives the residual of [Marinho2019].
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Plane:
-    """Plane n + eps d: unit normal `n` (3,) and distance `d` [m] of the plane from the origin along it."""
+    """Plane n + eps d: unit normal `n` (3,) and signed distance `d` [m] of the plane from the origin along `n`."""
 
     n: Array
     d: float
@@ -50,13 +50,13 @@ class Plane:
         return DQ(np.concatenate([[0.0], self.n, [self.d, 0.0, 0.0, 0.0]]))
 
     def distance(self, p: ArrayLike) -> float:
-        """Signed distance of a point (3,), positive on the side the normal points at."""
+        """Signed distance of a point (3,) from the plane [m], positive on the side that the normal points to."""
         return float(np.asarray(p) @ self.n) - self.d
 
 
 @dataclass(frozen=True)
 class Line:
-    """Pluecker line l + eps m: unit direction `l` (3,) and moment m = p x l (3,) [m] of any of its points p."""
+    """Pluecker line l + eps m: unit direction `l` (3,), and moment m = p x l (3,) [m] with any point p of the line."""
 
     l: Array  # noqa: E741 - the paper's symbol
     m: Array
@@ -79,7 +79,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Cylinder:
-    """Infinite cylinder: the pair of its axis and its radius [m], section 3.2."""
+    """Infinite cylinder, given by its axis and its radius [m], section 3.2."""
 
     axis: Line
     radius: float
@@ -97,10 +97,10 @@ class ConvexPolygon:
 
     @classmethod
     def hull(cls, points: ArrayLike) -> Self:
-        """Return the convex hull of points (k, 2), by Andrew's monotone chain; collinear points are left out.
+        """Return the convex hull of points (k, 2), by Andrew's monotone chain; collinear points are omitted.
 
-        Points are rounded to a nanometre first: the chain sorts them, and two that differ only by rounding would be
-        taken in an order that cuts corners off.
+        Points are rounded to a nanometre first: the algorithm sorts them, and two points that differ by rounding errors
+        only could be sorted such that a corner is lost.
 
         Raises
         ------
@@ -126,7 +126,7 @@ class ConvexPolygon:
         return cls(np.array(vertices))
 
     def edges(self) -> tuple[Array, Array]:
-        """Return inward unit normals n (m, 2) and offsets d (m,) [m]; a point inside has n p - d >= 0."""
+        """Return inward unit normals n (m, 2) and offsets d (m,) [m]; a point p is inside if n p - d >= 0."""
         return self._edges
 
     @cached_property
@@ -138,7 +138,7 @@ class ConvexPolygon:
         return n, np.einsum("ij,ij->i", n, a)
 
     def distance(self, p: ArrayLike) -> float:
-        """Signed distance [m] of a point (2,) or (3,): inside that of the nearest edge, outside negative."""
+        """Signed distance [m] of a point (2,) or (3,) from the boundary, positive inside; see `point_to_polygon`."""
         return float(point_to_polygon(np.asarray(p, dtype=np.float64), self.vertices)[0])
 
 
@@ -147,13 +147,13 @@ class ConvexPolygon:
 
 @jit
 def point_to_line_squared(p, l, m):  # type: ignore[no-untyped-def] # noqa: E741
-    """Squared distance |p x l - m|^2 of a point (3,) to the line l + eps m [m^2], eq. (24) of [Marinho2019].
+    """Squared distance |p x l - m|^2 of a point p (3,) from the line l + eps m [m^2], eq. (24) of [Marinho2019].
 
     Returns
     -------
     square : float
     gradient : ndarray, shape (3,)
-        At the point.
+        With respect to p.
     """
     h = np.cross(p, l) - m
     return h @ h, 2.0 * np.cross(l, h)
@@ -161,10 +161,11 @@ def point_to_line_squared(p, l, m):  # type: ignore[no-untyped-def] # noqa: E741
 
 @jit
 def point_to_wall(s, a, side):  # type: ignore[no-untyped-def]
-    """Signed distance [m] of a point p to the upright plane through `a` (3,), which is at rest, and b, which moves.
+    """Signed distance [m] of a point p from the vertical plane through a fixed point `a` (3,) and a moving point b.
 
-    It is positive to the left of the way from `a` to `b` where `side` is 1, to the right where it is -1. Moving b
-    turns the plane about a; where the foot of p lies at the part `share` of the way that moves the plane by share n.b'.
+    Seen from above, the distance is positive to the left of the line from `a` to b for `side` = 1, and to the right for
+    `side` = -1. A motion of b turns the plane about `a`: at the projection of p, a fraction r of the way from `a` to b,
+    the plane moves by r n.b'.
 
     Parameters
     ----------
@@ -172,31 +173,33 @@ def point_to_wall(s, a, side):  # type: ignore[no-untyped-def]
         p and b [m].
     a : ndarray, shape (3,)
     side : float
+        1 or -1; see `wall_side`.
 
     Returns
     -------
     distance : float
     gradient : ndarray, shape (6,)
+        With respect to p and b.
     """
     tx, ty = s[3] - a[0], s[4] - a[1]
     vx, vy = s[0] - a[0], s[1] - a[1]
     length = math.hypot(tx, ty)
     nx, ny = -side * ty / length, side * tx / length
-    share = (tx * vx + ty * vy) / length**2
-    return nx * vx + ny * vy, np.array([nx, ny, 0.0, -share * nx, -share * ny, 0.0])
+    ratio = (tx * vx + ty * vy) / length**2
+    return nx * vx + ny * vy, np.array([nx, ny, 0.0, -ratio * nx, -ratio * ny, 0.0])
 
 
 def wall_side(a: Array, b: Array, inside: Array) -> float:
-    """Return 1 where `inside` lies to the left of the way from `a` to `b` (3,) [m], -1 where it lies to the right.
+    """Return 1 if `inside` is to the left of the line from `a` to `b` seen from above, else -1; points (3,) [m].
 
     Raises
     ------
     ValueError
-        If one of the points is above the other: then no single upright plane holds both.
+        If `a` and `b` are on one vertical line, so that the vertical plane through them is not unique.
     """
     t, v = b[:2] - a[:2], inside[:2] - a[:2]
     if np.hypot(*t) < 1e-9:
-        raise ValueError("two points above each other do not fix an upright plane")
+        raise ValueError("two points on one vertical line do not define a vertical plane")
     return 1.0 if t[0] * v[1] >= t[1] * v[0] else -1.0
 
 
@@ -204,14 +207,15 @@ def wall_side(a: Array, b: Array, inside: Array) -> float:
 
 
 def point_to_polygon(p: Array, vertices: Array) -> tuple[float, Array]:
-    """Signed distance [m] of the ground projection of `p` (2,) or (3,) to a convex polygon (m, 2), and its gradient.
+    """Signed distance [m] of the ground projection of `p` (2,) or (3,) from the boundary of a convex polygon (m, 2).
 
-    Positive inside. Outside, the nearest feature may be a corner, and then the distance is that to the corner.
+    It is positive inside. Outside it is minus the distance from the nearest edge or corner.
 
     Returns
     -------
     distance : float
     gradient : ndarray, shape (2,)
+        With respect to the projection of `p`.
     """
     n, d = ConvexPolygon(vertices).edges()
     distances = n @ p[:2] - d

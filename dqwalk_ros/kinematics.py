@@ -1,14 +1,15 @@
 """Kinematics seen from the support foot, sections 2.2, 3.4 and 3.5 [Urban2020].
 
-The tree is re-rooted at the sole of one foot: the way from there to the pelvis is the reversed leg, whose joints
-turn about their axes the other way. The swing foot's pose is then x_left* x_6^5 x_right of section 3.4 without a
-special case, and the foot on the ground carries its part of (U4) at rest.
+The kinematic tree is re-rooted at the sole of one foot, the base: the chain from there to the pelvis is that leg
+reversed, whose joints turn about the opposite axes. The swing foot's pose is then x_left* x_6^5 x_right of section 3.4
+without a special case, and the base foot contributes to (U4) as a body at rest.
 
-A joint is a line l + eps m. It turns all bodies after it about this line, so every Jacobian is a product with the
-lines: x' = 1/2 (l + eps m) x q' of a pose, p' = (l x p + m) q' of a point, v' = (l x v) q' of a direction.
+The axis of a joint is a line l + eps m in the base frame. The joint turns all bodies after it about this line, so every
+Jacobian is a product with the lines: x' = 1/2 (l + eps m) x q' of a pose, p' = (l x p + m) q' of a point,
+v' = (l x v) q' of a direction.
 
-What tasks and constraints watch are features of the robot (`Point`, `CenterOfMass`, `Pose`, ...). `observe` works
-out the coordinates of any number of them, and the Jacobian of these coordinates.
+Tasks and constraints are functions of features of the robot (`Point`, `CenterOfMass`, `Pose`, ...). `Observer` computes
+the coordinates of any number of features, and the Jacobian of these coordinates.
 """
 
 from __future__ import annotations
@@ -49,14 +50,14 @@ _ORIGIN = np.zeros(3)
 _Z = np.array([0.0, 0.0, 1.0])
 
 
-# ---------------------------------------------------------------------- compiled, as it is read
+# ---------------------------------------------------------------------- compiled functions
 
 _product = jit(product)
 
 
 @jit
 def _multiply(a, b, out):  # type: ignore[no-untyped-def]
-    """Product of dual quaternions (8,) into `out`: P(a)P(b) + eps (P(a)D(b) + D(a)P(b))."""
+    """Fill `out` with the product of dual quaternions (8,): P(a)P(b) + eps (P(a)D(b) + D(a)P(b))."""
     out[0], out[1], out[2], out[3] = _product(a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3])
     s = _product(a[0], a[1], a[2], a[3], b[4], b[5], b[6], b[7])
     t = _product(a[4], a[5], a[6], a[7], b[0], b[1], b[2], b[3])
@@ -66,7 +67,7 @@ def _multiply(a, b, out):  # type: ignore[no-untyped-def]
 
 @jit
 def _rotate(x, v, out):  # type: ignore[no-untyped-def]
-    """P(x) v P(x)* of a direction (3,) into `out`."""
+    """Fill `out` (3,) with P(x) v P(x)*: the direction v (3,) of the frame x (8,) in the base frame."""
     s = _product(x[0], x[1], x[2], x[3], 0.0, v[0], v[1], v[2])
     t = _product(s[0], s[1], s[2], s[3], x[0], -x[1], -x[2], -x[3])
     out[0], out[1], out[2] = t[1], t[2], t[3]
@@ -74,32 +75,33 @@ def _rotate(x, v, out):  # type: ignore[no-untyped-def]
 
 @jit
 def _translation(x, out):  # type: ignore[no-untyped-def]
-    """Position p = 2 D(x) P(x)* (3,) of the pose r + eps 1/2 p r (U1) into `out`."""
+    """Fill `out` (3,) with the position p = 2 D(x) P(x)* of the pose x = r + eps 1/2 p r (U1)."""
     t = _product(x[4], x[5], x[6], x[7], x[0], -x[1], -x[2], -x[3])
     out[0], out[1], out[2] = 2.0 * t[1], 2.0 * t[2], 2.0 * t[3]
 
 
 @jit
-def _turned(line, p, share, out):  # type: ignore[no-untyped-def]
-    """Fill what a turn of the joint on the line l + eps m (6,) does to `p` (3,): l x p + share m.
+def _jacobian_column(line, p, factor, out):  # type: ignore[no-untyped-def]
+    """Fill `out` (3,) with l x p + factor m: the derivative of `p` (3,) with respect to the joint on the line (6,).
 
-    The share is 1 for a point, 0 for a direction; for a part of the CoM it is the part of the mass.
+    The factor is 1 for a point and 0 for a direction. For a mass-weighted sum of points it is the sum of the weights.
     """
-    out[0] = line[1] * p[2] - line[2] * p[1] + share * line[3]
-    out[1] = line[2] * p[0] - line[0] * p[2] + share * line[4]
-    out[2] = line[0] * p[1] - line[1] * p[0] + share * line[5]
+    out[0] = line[1] * p[2] - line[2] * p[1] + factor * line[3]
+    out[1] = line[2] * p[0] - line[0] * p[2] + factor * line[4]
+    out[2] = line[0] * p[1] - line[1] * p[0] + factor * line[5]
 
 
 @jit
 def _forward(q, tree, links, poses, lines, p_com, J_com):  # type: ignore[no-untyped-def]
     """Fill poses (b, 8), joint lines (n, 6), the CoM (3,) of (U4) and its Jacobian (3, n) of (U5).
 
-    Return whether all of q is finite. Bodies come parents first, body 0 at rest; the columns of `tree` are parent
-    and joint, those of `links` origin (8), axis (3), mass divided by the total, and centre of mass (3).
+    Return whether all joint angles q (n,) are finite. Parents come before children, body 0 is at rest; the columns of
+    `tree` are parent and joint, those of `links` origin (8), axis (3), mass divided by the total, and centre of mass
+    (3).
     """
     bodies = tree.shape[0]
     half, x, p, c = np.zeros(8), np.empty(8), np.empty(3), np.empty(3)
-    after = np.empty((bodies, 4))  # of a body and all bodies after it: sum of m_k p_ck / M, and of m_k / M
+    subtree = np.empty((bodies, 4))  # over a body and all bodies after it: sum of m_k p_ck / M, and of m_k / M
     poses[0, :] = 0.0
     poses[0, 0] = 1.0
     for b in range(bodies):
@@ -117,18 +119,18 @@ def _forward(q, tree, links, poses, lines, p_com, J_com):  # type: ignore[no-unt
             line[5] = p[0] * line[1] - p[1] * line[0]
         _translation(pose, p)
         _rotate(pose, link[12:15], c)
-        after[b, :3] = link[11] * (p + c)  # (U2): the CoM of a body is the translation of x_i x_ci^i
-        after[b, 3] = link[11]
+        subtree[b, :3] = link[11] * (p + c)  # (U2): the CoM of a body is the translation of x_i x_ci^i
+        subtree[b, 3] = link[11]
     for b in range(bodies - 1, 0, -1):
         i = tree[b, 1]
-        after[tree[b, 0]] += after[b]
+        subtree[tree[b, 0]] += subtree[b]
         # (U5): the joint moves the masses after it, 1/M sum m_k (l x p_ck + m)
-        _turned(lines[i], after[b], after[b, 3], J_com[:, i])
-    p_com[:] = after[0, :3]  # (U4): 1/M sum m_i p_ci
-    good = True
+        _jacobian_column(lines[i], subtree[b], subtree[b, 3], J_com[:, i])
+    p_com[:] = subtree[0, :3]  # (U4): 1/M sum m_i p_ci
+    finite = True
     for i in range(q.shape[0]):
-        good = good and math.isfinite(q[i])
-    return good
+        finite = finite and math.isfinite(q[i])
+    return finite
 
 
 @jit
@@ -141,7 +143,7 @@ def compose(a, b):  # type: ignore[no-untyped-def]
 
 @jit
 def _point(x, offset):  # type: ignore[no-untyped-def]
-    """Return the point (3,) at `offset` in the frame `x` (8,)."""
+    """Return the point (3,) at `offset` (3,) [m] in the frame `x` (8,), in the base frame."""
     p, c = np.empty(3), np.empty(3)
     _translation(x, p)
     _rotate(x, offset, c)
@@ -150,7 +152,7 @@ def _point(x, offset):  # type: ignore[no-untyped-def]
 
 @jit
 def direction(x, v):  # type: ignore[no-untyped-def]
-    """Return the direction (3,) that is `v` in the frame `x` (8,)."""
+    """Return the direction `v` (3,) of the frame `x` (8,), in the base frame."""
     out = np.empty(3)
     _rotate(x, v, out)
     return out
@@ -158,25 +160,25 @@ def direction(x, v):  # type: ignore[no-untyped-def]
 
 @jit
 def _point_jacobian(lines, moves, p, J):  # type: ignore[no-untyped-def]
-    """Fill J_p (3, n) with l x p + m of the joints that move the point `p` (3,)."""
+    """Fill J_p (3, n) with the columns l x p + m of the joints that move the point `p` (3,)."""
     J[:] = 0.0
     for i in range(lines.shape[0]):
         if moves[i]:
-            _turned(lines[i], p, 1.0, J[:, i])
+            _jacobian_column(lines[i], p, 1.0, J[:, i])
 
 
 @jit
 def _direction_jacobian(lines, moves, v, J):  # type: ignore[no-untyped-def]
-    """Fill J (3, n) with l x v of the joints that turn the direction `v` (3,)."""
+    """Fill J (3, n) with the columns l x v of the joints that turn the direction `v` (3,)."""
     J[:] = 0.0
     for i in range(lines.shape[0]):
         if moves[i]:
-            _turned(lines[i], v, 0.0, J[:, i])
+            _jacobian_column(lines[i], v, 0.0, J[:, i])
 
 
 @jit
 def _pose_jacobian(lines, moves, x, J):  # type: ignore[no-untyped-def]
-    """Fill J (8, n) with vec8(x') = 1/2 H-8(x) vec8(l + eps m) (U3) of the joints that move the frame `x` (8,)."""
+    """Fill J (8, n) with the columns 1/2 H-8(x) vec8(l + eps m) (U3) of the joints that move the frame `x` (8,)."""
     J[:] = 0.0
     line, column = np.zeros(8), np.empty(8)
     for i in range(lines.shape[0]):
@@ -191,9 +193,10 @@ _COM, _COM_ON_GROUND, _POINT, _DIRECTION, _ROTATION, _POSE, _ANGLES = range(7)
 
 @jit
 def _observe(kinds, bodies, local, q, poses, lines, moves, p_com, J_com, up, s, J):  # type: ignore[no-untyped-def]
-    """Fill the coordinates s (m,) of features, one after the other, and their Jacobian J (m, n).
+    """Fill the stacked coordinates s (m,) of k features, and their Jacobian J (m, n).
 
-    `kinds` and `bodies` (k,) are kind and body of each, `local` (k, 8) its pose or offset on the body.
+    `kinds` (k,) and `bodies` (k,) are the kind and the body of each feature, `local` (k, 8) is its pose, offset or
+    direction in the frame of the body.
     """
     at, n = 0, q.shape[0]
     x, part = np.empty(8), np.empty((8, n))
@@ -202,11 +205,11 @@ def _observe(kinds, bodies, local, q, poses, lines, moves, p_com, J_com, up, s, 
         if kind == _COM:
             s[at : at + 3], J[at : at + 3] = p_com, J_com
             at += 3
-        elif kind == _COM_ON_GROUND:  # along the vertical onto the plane z = 0 of the base sole
+        elif kind == _COM_ON_GROUND:  # projected along the vertical to the plane z = 0 of the base sole
             for i in range(2):
-                lean = up[i] / up[2]
-                s[at + i] = p_com[i] - lean * p_com[2]
-                J[at + i] = J_com[i] - lean * J_com[2]
+                slope = up[i] / up[2]
+                s[at + i] = p_com[i] - slope * p_com[2]
+                J[at + i] = J_com[i] - slope * J_com[2]
             at += 2
         elif kind == _POINT:
             p = s[at : at + 3]
@@ -232,26 +235,28 @@ def _observe(kinds, bodies, local, q, poses, lines, moves, p_com, J_com, up, s, 
             at += size
 
 
-# ---------------------------------------------------------------------- the robot seen from one sole
+# ---------------------------------------------------------------------- the tree rooted at a sole
 
 
 class SupportTree:
-    """The constants of a model seen from one sole; get it from `support_tree`.
+    """The kinematic tree of a model re-rooted at one sole: constants only; `support_tree` returns it.
 
     Attributes
     ----------
-    tree, links : ndarray, shapes (bodies, 2) and (bodies, 15)
-        Parent and joint of every body; origin, axis, share of the mass and centre of mass.
+    tree : ndarray of int, shape (bodies, 2)
+        Parent body and joint of every body, parents first.
+    links : ndarray, shape (bodies, 15)
+        Origin (8), axis (3), mass as a fraction of the total, and centre of mass (3) of every body.
     frames : dict of str to (int, ndarray)
-        Body and pose (8,) on it of every frame.
+        Body of every frame, and the frame's pose (8,) in the frame of that body.
     moves : ndarray of bool, shape (bodies, n)
-        Which joints move which body.
+        Whether a joint moves a body.
     """
 
     def __init__(self, model: RobotModel, base: Foot) -> None:
         sole = model.frames[model.soles[base].frame]
         count = len(model.bodies)
-        # x_old[b]: pose of the model's body frame in the re-rooted body's frame, which begins at its joint
+        # x_old[b]: pose of the model's body frame in the frame of the re-rooted body, whose origin is at its joint
         x_old: dict[int, DQ] = {sole.body: DQ(sole.pose).conj()}
         order, parent, joint, origin, axis = [sole.body], [-1], [-1], [DQ(1.0)], [np.zeros(3)]
 
@@ -263,13 +268,13 @@ class SupportTree:
             axis.append(a)
 
         # the reversed leg, from the sole up to the model's root
-        here = sole.body
-        while model.bodies[here].parent >= 0:
-            body = model.bodies[here]
-            visit(body.parent, len(order) - 1, body.joint, x_old[here], -body.axis)
+        child = sole.body
+        while model.bodies[child].parent >= 0:
+            body = model.bodies[child]
+            visit(body.parent, len(order) - 1, body.joint, x_old[child], -body.axis)
             x_old[body.parent] = DQ(body.origin).conj()
-            here = body.parent
-        # everything else hangs from it as in the model
+            child = body.parent
+        # all other bodies keep the parent that they have in the model
         for b, body in enumerate(model.bodies):
             if b not in x_old:
                 x_old[b] = DQ(1.0)
@@ -299,15 +304,15 @@ def _support_tree(model: RobotModel, left: bool) -> SupportTree:
 
 
 def support_tree(model: RobotModel, base: Foot) -> SupportTree:
-    """Return the constants of `model` seen from the sole `base`, worked out once per model."""
-    return _support_tree(model, base is _LEFT)  # hashing a Foot takes longer than everything else here
+    """Return the tree of `model` re-rooted at the sole `base`; computed once per model and foot."""
+    return _support_tree(model, base is _LEFT)  # hashing a Foot would take longer than the rest of this function
 
 
 _LEFT = Foot.LEFT
 
 
 class Kinematics:
-    """A read-only snapshot of the robot at `q`, in the frame of the sole `base`.
+    """Poses, CoM and Jacobians of the robot at the joint angles `q`, in the frame of the sole `base`.
 
     Parameters
     ----------
@@ -315,26 +320,26 @@ class Kinematics:
     q : array_like, shape (n,)
         Joint angles [rad].
     base : Foot
-        The sole taken for the world: x forward, z up, ground at z = 0.
+        The foot whose sole is the base frame: x forward, z up, ground at z = 0.
     up : array_like, shape (3,), optional
-        Unit vector against gravity in the frame of the base sole; z, a level sole, without it.
+        Unit vector against gravity in the base frame; by default z, a level sole.
     elapsed : float
-        Time since the phase began [s], for what follows a path; without it the end of every path.
+        Time since the phase began [s], for tasks that follow a path; by default infinity, the end of the path.
 
     Attributes
     ----------
     tree : SupportTree
-        The constants of the model seen from `base`.
+        The model's tree re-rooted at the sole `base`.
     poses : ndarray, shape (bodies, 8)
-        Of all bodies of the tree.
+        Poses of all bodies of the tree.
     lines : ndarray, shape (n, 6)
-        The joints' Pluecker lines l, m; the joints of the reversed leg point the other way.
+        Pluecker lines (l, m) of the joint axes; those of the reversed leg have the opposite direction.
     com : ndarray, shape (3,)
-        Centre of mass (U4), the base foot's mass included [m].
+        Centre of mass (U4), including the base foot [m].
     com_jacobian : ndarray, shape (3, n)
         J_CoM of (U5) [m/rad].
     finite : bool
-        Whether every angle is a finite number.
+        Whether all joint angles are finite.
     """
 
     __slots__ = ("base", "com", "com_jacobian", "elapsed", "finite", "lines", "model", "poses", "q", "tree", "up")
@@ -354,31 +359,31 @@ class Kinematics:
         self.finite: bool = _forward(self.q, tree.tree, tree.links, self.poses, self.lines, self.com, self.com_jacobian)
 
     def tilted(self, up: ArrayLike) -> Kinematics:
-        """Return the same snapshot with gravity against `up` (3,), a unit vector in the frame of the base sole."""
+        """Return a copy with another vertical `up` (3,), the unit vector against gravity in the base frame."""
         kin = self._copy()
         kin.up = np.asarray(up, dtype=np.float64)
         return kin
 
     def later(self, dt: float) -> Kinematics:
-        """Return the same snapshot with paths `dt` [s] further on."""
+        """Return a copy with the elapsed time increased by `dt` [s]."""
         kin = self._copy()
         kin.elapsed = self.elapsed + dt
         return kin
 
     def _copy(self) -> Kinematics:
         kin = Kinematics.__new__(Kinematics)
-        for name in Kinematics.__slots__:  # in a tenth of the time of copy.copy
+        for name in Kinematics.__slots__:  # ten times as fast as copy.copy
             setattr(kin, name, getattr(self, name))
         return kin
 
     @property
     def com_on_ground(self) -> Array:
-        """Where the vertical through the CoM meets the plane of the base sole, shape (2,) [m]."""
+        """Intersection of the vertical through the CoM with the plane of the base sole, shape (2,) [m]."""
         return self.value(CenterOfMassOnGround())
 
     @property
     def swing(self) -> str:
-        """Frame of the other sole."""
+        """Name of the frame of the other sole."""
         return self.model.soles[self.base.other].frame
 
     def value(self, feature: Feature) -> Array:
@@ -407,7 +412,7 @@ class Kinematics:
         return J
 
     def direction(self, frame: str, v: Array) -> Array:
-        """Direction `v` (3,) of a frame in the world, shape (3,)."""
+        """Direction `v` (3,) of a frame, in the base frame, shape (3,)."""
         d: Array = direction(self.pose(frame), v)
         return d
 
@@ -416,40 +421,43 @@ class Kinematics:
         return self.jacobian(Pose(frame))
 
     def angular_jacobian(self, frame: str) -> Array:
-        """Angular velocity of a frame per joint velocity, in world axes, shape (3, n)."""
+        """Jacobian of the angular velocity of a frame, in axes of the base frame, shape (3, n)."""
         return np.where(self.tree.moves[self.tree.frames[frame][0]], self.lines[:, :3].T, 0.0)
 
 
-# ---------------------------------------------------------------------- what can be watched
+# ---------------------------------------------------------------------- features
 
 
 @dataclass(frozen=True)
 class Feature:
-    """Something of the robot with coordinates: what tasks and constraints watch."""
+    """A quantity of the robot, such as a point or the CoM, whose coordinates tasks and constraints are functions of.
+
+    `size` is the number of its coordinates; 0 stands for the number of joints.
+    """
 
     kind: ClassVar[int]
     size: ClassVar[int] = 3
 
     def placed(self, tree: SupportTree) -> tuple[int, Array]:
-        """Return the body it is on and its pose or offset there, shape (8,) or (3,)."""
+        """Return the body it belongs to, and its pose (8,), offset (3,) or direction (3,) in the body's frame."""
         return 0, _ORIGIN
 
 
 class CenterOfMass(Feature):
-    """The centre of mass, (3,) [m]."""
+    """The centre of mass; coordinates (3,) [m]."""
 
     kind = _COM
 
 
 class CenterOfMassOnGround(Feature):
-    """Where the vertical through the CoM meets the plane of the base sole, (2,) [m]."""
+    """Intersection of the vertical through the CoM with the plane of the base sole; coordinates (2,) [m]."""
 
     kind, size = _COM_ON_GROUND, 2
 
 
 @dataclass(frozen=True)
 class Point(Feature):
-    """The point at `offset` in a frame, (3,) [m]."""
+    """The point at `offset` (3,) in a frame; coordinates (3,) [m]."""
 
     frame: str
     offset: Array = field(default_factory=lambda: _ORIGIN)
@@ -463,7 +471,7 @@ class Point(Feature):
 
 @dataclass(frozen=True)
 class Direction(Feature):
-    """The direction `v` of a frame, (3,)."""
+    """The direction `v` (3,) of a frame; coordinates (3,)."""
 
     frame: str
     v: Array
@@ -477,7 +485,7 @@ class Direction(Feature):
 
 @dataclass(frozen=True)
 class Rotation(Feature):
-    """vec4 of the orientation r of a frame, (4,)."""
+    """The orientation r of a frame; coordinates vec4(r), (4,)."""
 
     frame: str
     kind, size = _ROTATION, 4
@@ -489,7 +497,7 @@ class Rotation(Feature):
 
 @dataclass(frozen=True)
 class Pose(Feature):
-    """vec8 of the pose x of a frame, (8,)."""
+    """The pose x of a frame; coordinates vec8(x), (8,)."""
 
     frame: str
     kind, size = _POSE, 8
@@ -500,13 +508,13 @@ class Pose(Feature):
 
 
 class JointAngles(Feature):
-    """All joint angles, (n,) [rad]."""
+    """All joint angles; coordinates (n,) [rad]."""
 
     kind, size = _ANGLES, 0
 
 
 class Observer:
-    """Works out the coordinates of features, one after the other, and their Jacobian.
+    """Computes the stacked coordinates of features, and their Jacobian.
 
     Parameters
     ----------
@@ -527,7 +535,7 @@ class Observer:
         self.size = sum(sizes)
 
     def __call__(self, kin: Kinematics) -> tuple[Array, Array]:
-        """Return the coordinates s (m,) and their Jacobian (m, n) at one configuration."""
+        """Return the coordinates s (m,) and their Jacobian (m, n) for the joint angles of `kin`."""
         s, J = np.empty(self.size), np.empty((self.size, self._n))
         _observe(
             self._kinds, self._bodies, self._local, kin.q, kin.poses, kin.lines, self._moves, kin.com,

@@ -1,7 +1,7 @@
-"""Files of other ROS packages: ``package://`` names, and xacro files that include them.
+"""Files of other ROS packages: resolution of ``package://`` names, and expansion of xacro files that include them.
 
-A package is an installed one, or a folder of that name around the file that names it, so that a description that was
-cloned or unpacked serves without being installed.
+A package is searched among the installed ones, and among the folders around the file that refers to it. So a robot
+description that was cloned or unpacked can be used without installing it.
 """
 
 from __future__ import annotations
@@ -17,21 +17,22 @@ __all__ = ["expanded", "find_package_file"]
 
 
 def expanded(path: pathlib.Path, **arguments: str) -> bytes:
-    """Return the URDF of a xacro file with values for its arguments.
+    """Return the URDF of a xacro file; `arguments` are the values of its xacro arguments.
 
     Raises
     ------
     ModelError
-        If the package xacro is missing, or refuses it.
+        If the Python package xacro is not installed, the file needs a ROS package that is not found, or xacro reports
+        an error.
     """
     try:
         import xacro
-        from xacro import substitution_args as found
+        from xacro import substitution_args
     except ImportError as error:
         raise ModelError(
             f"'{path}' is a xacro file: pip install xacro, or expand it (xacro {path.name} > robot.urdf)"
         ) from error
-    known = found._eval_find
+    original = substitution_args._eval_find
     missing: list[str] = []
 
     def find(package: str) -> str:
@@ -41,15 +42,15 @@ def expanded(path: pathlib.Path, **arguments: str) -> bytes:
             raise LookupError(package)
         return str(folder)
 
-    found._eval_find = find
+    substitution_args._eval_find = find
     try:
         return str(xacro.process_file(str(path), mappings=arguments).toxml()).encode()
-    except (Exception, SystemExit) as error:  # xacro has many of its own, and lets those of XML and of Python pass
+    except (Exception, SystemExit) as error:  # xacro raises errors of its own, of XML parsing and of Python
         if missing:
             raise ModelError(f"'{path}' needs the ROS package '{missing[0]}', which is not installed") from error
         raise ModelError(f"xacro refuses '{path}': {' '.join(str(error).split())[:300]}") from error
     finally:
-        found._eval_find = known
+        substitution_args._eval_find = original
 
 
 def _package(name: str, near: pathlib.Path) -> pathlib.Path | None:
@@ -67,16 +68,16 @@ def _package(name: str, near: pathlib.Path) -> pathlib.Path | None:
 def find_package_file(
     uri: str, near: str | os.PathLike[str], places: Sequence[str | os.PathLike[str]] = ()
 ) -> pathlib.Path | None:
-    """Return the file that a URDF names, or None.
+    """Return the path of a file that a URDF refers to; None if it does not exist.
 
     Parameters
     ----------
     uri : str
-        ``package://PACKAGE/...``, ``file://...``, or a path, which is relative to the URDF.
+        ``package://PACKAGE/...``, ``file://...``, or a path relative to the URDF.
     near : path
-        The URDF. A package is an installed one, or a folder of that name around the URDF.
+        Path of the URDF. A package is an installed one, or a folder of that name around the URDF.
     places : sequence of path
-        Folders that may hold packages, too; they come first.
+        Additional folders that contain packages; they are searched first.
     """
     near = pathlib.Path(near)
     scheme, separator, rest = uri.partition("://")
@@ -88,7 +89,7 @@ def find_package_file(
         folder = _package(package, near)
         found = [*(place / package / inside for place in more), *(place / inside for place in more)]
         found += [folder / inside] if folder else []
-        # a package that was copied, under another name or only in part
+        # a package that was copied under another name, or only in part
         parts = pathlib.PurePosixPath(rest.lstrip("/")).parts
         tails = [pathlib.PurePosixPath(*parts[k:]) for k in range(len(parts) - 1)]
         found += [above / tail for tail in tails for above in near.resolve().parents[:6]]
@@ -98,7 +99,6 @@ def find_package_file(
 
 
 def _is_file(place: pathlib.Path) -> bool:
-    """Tell whether there is a regular file."""
     try:
         return place.is_file()
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""Where a walk comes from: the versions and the machine that made it, kept with its recording."""
+"""Provenance of a walk: the software versions and the machine that produced it, stored with its recording."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dqwalk_ros import __version__
 
 __all__ = ["from_text", "here", "machine", "to_text"]
 
-_PARTS = (
+_PACKAGES = (
     "numpy",
     "numba",
     "clarabel",
@@ -30,17 +30,17 @@ _PARTS = (
 
 
 def here() -> dict[str, str]:
-    """Return what this machine is and what is installed on it, and the time of day, as texts by name."""
+    """Return the entries of `machine` and the present time in UTC, as texts by name."""
     return {"began": time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime()), **machine()}
 
 
 @functools.cache
 def machine() -> Mapping[str, str]:
-    """Return what this machine is and what is installed on it, as texts by name."""
+    """Return versions of the installed packages, operating system, host and processor, as texts by name."""
     out = {"dqwalk_ros": __version__, "python": platform.python_version()}
-    for part in _PARTS:
+    for package in _PACKAGES:
         try:
-            out[part] = metadata.version(part)
+            out[package] = metadata.version(package)
         except metadata.PackageNotFoundError:
             continue
     if distribution := os.environ.get("ROS_DISTRO"):
@@ -61,11 +61,11 @@ def _processor() -> str:
 
 
 def to_text(origin: Mapping[str, str]) -> str:
-    """Return a line per entry, which is YAML as well."""
+    """Return one line ``key: value`` per entry, which is also YAML."""
     return "".join(f"{key}: {' '.join(value.split())}\n" for key, value in origin.items())
 
 
 def from_text(text: str) -> dict[str, str]:
-    """Return the entries of a text; lines of another form are left out."""
+    """Return the entries of a text written by `to_text`; lines of another form are ignored."""
     lines = (line.partition(": ") for line in text.splitlines())
     return {key.strip(): value.strip() for key, colon, value in lines if colon and key.strip()}

@@ -1,9 +1,9 @@
-"""The quadratic program (U6) and its solution, by Clarabel or by DAQP; the one importer of both.
+"""The quadratic program (U6) and its solution by Clarabel or by DAQP.
 
-The costs of a slow walk are tiny (joint velocities down to 1e-6 rad/s), so a solver's absolute tolerances never count
-unless the problem is scaled first: u = s v with s the length of a gradient step (or the longest step a row asks for),
-and the objective divided by its mean curvature. Whatever solved it, an answer is accepted only if it fulfils the
-Karush-Kuhn-Tucker conditions, so both solvers give the same one.
+The cost of a slow walk is small (joint velocities down to 1e-6 rad/s) compared with the absolute tolerances of a
+solver, so the problem is scaled first: u = s v, where s is the length of a gradient step (or of the longest step that a
+row requires), and the objective is divided by its mean curvature. A solution is accepted only if it fulfils the
+Karush-Kuhn-Tucker conditions, so that both solvers return the same one.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ Array = NDArray[np.float64]
 
 PRIMAL = 1e-7
 """Largest scaled violation of a row that is accepted."""
-STILL = 1e-9
-"""Steps shorter than this [rad/s] are rounding: what asks for no more is solved to this scale."""
+LEAST_SCALE = 1e-9
+"""Least scale s [rad/s]: shorter steps are rounding errors."""
 OPTIMAL = 1e-7
 """Largest relative residual of the other Karush-Kuhn-Tucker conditions that is accepted."""
 
@@ -56,7 +56,7 @@ def objective(J, rate, damping, H, c):  # type: ignore[no-untyped-def]
     J : ndarray, shape (r, n)
         Jacobian of the tasks.
     rate : ndarray, shape (r,)
-        Task velocity asked for.
+        Desired task velocity.
     damping : float
         lambda.
     H, c : ndarray, shapes (n, n) and (n,)
@@ -78,13 +78,13 @@ class Problem:
     c : ndarray, shape (n,)
         eta J'x of (U6).
     W, w : ndarray, shapes (l + m, n), (l + m,)
-        E over G, e over h: W_eq and w_eq of (U6), then its -W and -w without the joint limits.
+        E above G, e above h: W_eq and w_eq of (U6), then its -W and -w without the joint limits.
     lower, upper : ndarray, shape (n,)
-        Joint limits (U12) and (U13), and the largest velocities.
+        Bounds of u by the joint limits (U12) and (U13) and by the largest velocities [rad/s].
     equalities : int
-        How many of the rows are equalities, l.
+        Number of equality rows, l.
     names : tuple of str
-        Of the rows: equalities, inequalities, upper and lower limits.
+        Names of the rows: equalities, inequalities, upper and lower limits.
     """
 
     H: Array
@@ -101,7 +101,7 @@ class Problem:
         cls, H: Array, c: Array, E: Array, e: Array, G: Array, h: Array, lower: Array, upper: Array,
         names: tuple[str, ...] = (),
     ) -> Self:  # fmt: skip
-        """Return the problem with these equalities and inequalities."""
+        """Return the problem with the equalities E u = e and the inequalities G u >= h."""
         return cls(H, c, np.concatenate([E, G]), np.concatenate([e, h]), lower, upper, len(e), names)
 
     @property
@@ -116,12 +116,12 @@ class Problem:
 
     @property
     def G(self) -> Array:
-        """Inequalities, shape (m, n)."""
+        """Rows of the inequalities, shape (m, n)."""
         return self.W[self.equalities :]
 
     @property
     def h(self) -> Array:
-        """Least values of the inequalities, shape (m,)."""
+        """Right-hand sides of the inequalities, shape (m,)."""
         return self.w[self.equalities :]
 
     @property
@@ -137,16 +137,16 @@ class Problem:
 
 @dataclass(frozen=True)
 class Residuals:
-    """How far an answer is from the Karush-Kuhn-Tucker conditions, scaled.
+    """Scaled residuals of the Karush-Kuhn-Tucker conditions.
 
     Attributes
     ----------
     stationarity, dual, complementarity : float
-        Relative to the largest term of the gradient, or multiplier.
+        Relative to the length of the gradient step times the mean curvature, or to the largest multiplier.
     primal : float
         Largest violation of a row, in gradient steps.
     row : int
-        The row with the largest violation; -1 where all are kept.
+        Index of the row with the largest violation; -1 if all rows are satisfied.
     """
 
     stationarity: float
@@ -157,22 +157,24 @@ class Residuals:
 
     @property
     def largest(self) -> float:
-        """The worst of the four."""
+        """The largest of the four residuals."""
         return max(self.stationarity, self.primal, self.dual, self.complementarity)
 
 
 @dataclass(slots=True, eq=False)
 class Solution:
-    """An accepted answer.
+    """An accepted solution of a `Problem`.
 
     Attributes
     ----------
     u : ndarray, shape (n,)
+        Joint velocities [rad/s].
     z : ndarray, shape (l + m + 2n,)
-        Multipliers of the equalities, inequalities, upper and lower limits; >= 0 but for the equalities.
+        Multipliers of the equalities, inequalities, upper and lower limits; >= 0 except those of the equalities.
     iterations : int
+        Number of iterations of the solver.
     solve_time : float
-        Time the solver itself took [s].
+        Time taken by the solver [s].
     """
 
     u: Array
@@ -181,7 +183,7 @@ class Solution:
     solve_time: float
 
     def active(self, problem: Problem) -> tuple[str, ...]:
-        """Names of the inequalities that hold the answer back, strongest first."""
+        """Return the names of the active inequalities, in decreasing order of their multipliers."""
         start = problem.e.shape[0]
         z = self.z[start:]
         scale = 1e-6 * max(float(np.abs(problem.c).max()), 1e-300)
@@ -195,45 +197,45 @@ class Solution:
 
 
 class Solver(Protocol):
-    """What solves a `Problem`."""
+    """Interface of the solvers."""
 
     name: str
 
     def solve(self, problem: Problem) -> Solution:
-        """Return the answer; raise `QPError` where there is none."""
+        """Return the solution; raise `QPError` if there is none."""
 
 
 def make_solver(name: str) -> Solver:
-    """Return a new solver, ``"clarabel"`` or ``"daqp"``; it keeps what it learns from one problem for the next.
+    """Return a new solver, ``"clarabel"`` or ``"daqp"``; it reuses memory, DAQP also its active set, between problems.
 
     Raises
     ------
     QPError
-        If it is not installed.
+        If the solver is not installed.
     """
     return DaqpSolver() if name == "daqp" else ClarabelSolver()
 
 
-# ---------------------------------------------------------------------- scaling and check, compiled as they are read
+# ---------------------------------------------------------------------- scaling and check of the solution
 
 
 @jit
 def _scale(H, c, W, w, lower, upper, l):  # type: ignore[no-untyped-def] # noqa: E741
-    """Return s and the mean curvature; s is nan where any number of the problem is not finite."""
-    curvature, asked = np.trace(H) / c.shape[0], 0.0  # the longest step that a row asks for
+    """Return the scale s and the mean curvature of a problem; s is nan if any of its numbers is not finite."""
+    curvature, required = np.trace(H) / c.shape[0], 0.0  # the longest step that a row requires
     for k in range(w.shape[0]):
-        asked = max(asked, abs(w[k]) if k < l else w[k])
+        required = max(required, abs(w[k]) if k < l else w[k])
     for i in range(c.shape[0]):
-        asked = max(asked, lower[i], -upper[i])
-    s = max(math.sqrt(c @ c) / curvature, asked)
+        required = max(required, lower[i], -upper[i])
+    s = max(math.sqrt(c @ c) / curvature, required)
     if not math.isfinite(H.sum() + W.sum() + w.sum() + lower.sum() + upper.sum() + c.sum()):
         return math.nan, curvature
-    return max(s, STILL), curvature
+    return max(s, LEAST_SCALE), curvature
 
 
 @jit
-def _room(u, W, w, lower, upper, l):  # type: ignore[no-untyped-def] # noqa: E741
-    """Return the room that u leaves in the inequalities, (m + 2n,): G u - h, upper - u, u - lower."""
+def _slack(u, W, w, lower, upper, l):  # type: ignore[no-untyped-def] # noqa: E741
+    """Return the slack of the inequalities at u, shape (m + 2n,): G u - h, upper - u, u - lower."""
     return np.concatenate((W[l:] @ u - w[l:], upper - u, u - lower))
 
 
@@ -241,7 +243,7 @@ def _room(u, W, w, lower, upper, l):  # type: ignore[no-untyped-def] # noqa: E74
 def _kkt(H, c, W, w, lower, upper, l, u, z, s, curvature):  # type: ignore[no-untyped-def] # noqa: E741
     """Return stationarity, primal, dual, complementarity (see `Residuals`) and the row with the largest violation.
 
-    The slack in complementarity is scaled as the violations are; beyond one gradient step it counts as one.
+    In the complementarity the slack is scaled like the violations, and limited to one gradient step.
     """
     k, n = w.shape[0], c.shape[0]
     signed = z[:k].copy()
@@ -250,21 +252,21 @@ def _kkt(H, c, W, w, lower, upper, l, u, z, s, curvature):  # type: ignore[no-un
     force = max(s * curvature, np.abs(z).max())
     primal, row, dual, complementarity = 0.0, -1, 0.0, 0.0
     for i in range(l):
-        off = abs(W[i] @ u - w[i]) / s
-        if not off <= primal:
-            primal, row = off, i
-    room = _room(u, W, w, lower, upper, l) / s
-    for i in range(room.shape[0]):
+        error = abs(W[i] @ u - w[i]) / s
+        if not error <= primal:
+            primal, row = error, i
+    slack = _slack(u, W, w, lower, upper, l) / s
+    for i in range(slack.shape[0]):
         multiplier = z[l + i] / force
-        if not -room[i] <= primal:
-            primal, row = -room[i], l + i
+        if not -slack[i] <= primal:
+            primal, row = -slack[i], l + i
         dual = max(dual, -multiplier)
-        complementarity = max(complementarity, abs(multiplier) * min(abs(room[i]), 1.0))
+        complementarity = max(complementarity, abs(multiplier) * min(abs(slack[i]), 1.0))
     return np.abs(gradient).max() / force, primal, dual, complementarity, row
 
 
 def _check(problem: Problem, stationarity: float, primal: float, dual: float, complementarity: float, row: int) -> None:
-    """Refuse an answer with these residuals.
+    """Check the residuals of a solution.
 
     Raises
     ------
@@ -273,42 +275,42 @@ def _check(problem: Problem, stationarity: float, primal: float, dual: float, co
     """
     if not primal <= PRIMAL:
         name = problem.names[row] if problem.names else str(row)
-        text = f"the answer violates the row '{name}' by {primal:.3g} (scaled)"
+        text = f"the solution violates the row '{name}' by {primal:.3g} (scaled)"
         raise QPError(text, status="Violated", rows=[name])
     other = max(stationarity, dual, complementarity)
     if not other <= OPTIMAL:
-        raise QPError(f"the answer is not the optimum: a residual of {other:.3g} (relative)", status="NotOptimal")
+        raise QPError(f"the solution is not optimal: relative residual {other:.3g}", status="NotOptimal")
 
 
 def _check_finite(s: float, curvature: float) -> None:
     if not s * curvature > 0.0:
-        raise QPError("the problem has a number that is not finite", status="NotFinite")
+        raise QPError("the problem contains a number that is not finite", status="NotFinite")
 
 
 # ---------------------------------------------------------------------- Clarabel
 
-_REACH = 1.0
-"""Inequalities further away than this many gradient steps are left out at first."""
-_DOUBTFUL = ("NotOptimal", "Violated", "AlmostSolved", "InsufficientProgress", "NumericalError", "MaxIterations")
-"""What may be answered after all, with linear systems that are equilibrated and refined."""
+_NEARBY = 1.0
+"""Inequalities whose slack at u = 0 is larger than this many gradient steps are omitted at first."""
+_RETRY = ("NotOptimal", "Violated", "AlmostSolved", "InsufficientProgress", "NumericalError", "MaxIterations")
+"""Statuses after which the problem is solved again, with equilibration and iterative refinement."""
 
 
 @jit
 def _nearby(H, c, W, w, lower, upper, l):  # type: ignore[no-untyped-def] # noqa: E741
-    """Return s, curvature, and the numbers of the inequalities within reach of u = 0, the nearest one at least."""
+    """Return s, curvature, and the indices of the inequalities near u = 0, at least that of the nearest one."""
     s, curvature = _scale(H, c, W, w, lower, upper, l)
-    room = np.concatenate((-w[l:], upper, -lower)) / s
-    return s, curvature, np.flatnonzero(room <= max(_REACH, room.min()))
+    slack = np.concatenate((-w[l:], upper, -lower)) / s
+    return s, curvature, np.flatnonzero(slack <= max(_NEARBY, slack.min()))
 
 
 @jit
 def _clarabel_values(  # type: ignore[no-untyped-def]
     H, c, W, w, lower, upper, l, s, curvature, chosen, P, q, A, b,  # noqa: E741
 ):  # fmt: skip
-    """Fill P (upper triangle), q, A (n, l + k) and b of Clarabel's form with the k inequalities `chosen`.
+    """Fill P (upper triangle), q (n,), A (n, l + k) and b (l + k,) of Clarabel's form; `chosen` are k inequalities.
 
-    It minimises 1/2 v'Pv + q'v subject to A v + slack = b; the slack of the equalities, which come first, is zero,
-    that of the others not negative.
+    Clarabel minimises 1/2 v'Pv + q'v subject to A v + slack = b. The slack of the equalities, which come first, is
+    zero, that of the inequalities is not negative.
     """
     n, k, m = c.shape[0], chosen.shape[0], w.shape[0] - l
     q[:], A[:], at = c / (s * curvature), 0.0, 0
@@ -327,8 +329,8 @@ def _clarabel_values(  # type: ignore[no-untyped-def]
 
 
 @jit
-def _clarabel_answer(H, c, W, w, lower, upper, l, s, curvature, chosen, v, y, u, z):  # type: ignore[no-untyped-def] # noqa: E741
-    """Fill u and z with Clarabel's answer; return their residuals (see `_kkt`)."""
+def _clarabel_solution(H, c, W, w, lower, upper, l, s, curvature, chosen, v, y, u, z):  # type: ignore[no-untyped-def] # noqa: E741
+    """Fill u and z with Clarabel's primal and dual solution v and y, unscaled; return their residuals (see `_kkt`)."""
     u[:], z[:] = s * v, 0.0
     z[:l] = s * curvature * y[:l]
     for k in range(chosen.shape[0]):
@@ -337,31 +339,31 @@ def _clarabel_answer(H, c, W, w, lower, upper, l, s, curvature, chosen, v, y, u,
 
 
 class ClarabelSolver:
-    """Clarabel, kept and updated in place for each shape of problem.
+    """The interior-point solver Clarabel; one instance per shape of problem is kept and updated in place.
 
-    Most inequalities of a walk are far away most of the time, and an interior point pays for each of them in every
-    iteration. So the problem is solved with those within reach alone; if the answer keeps the others too, it is the
-    answer. If not, all of them take part.
+    Most inequalities of a walk are inactive and far from their bound, but each of them costs time in every iteration.
+    So the problem is first solved with the inequalities near u = 0 only. If the result satisfies all others, it is the
+    solution of the problem; if not, the problem is solved with all of them.
 
     Attributes
     ----------
     whole : int
-        How often all inequalities had to take part.
+        Number of problems that were solved with all inequalities.
     """
 
     name = "clarabel"
 
     def __init__(self) -> None:
-        self._kept: dict[tuple[int, int, int], _InPlace] = {}
+        self._programs: dict[tuple[int, int, int], _ClarabelProgram] = {}
         self.whole = 0
 
     def solve(self, problem: Problem) -> Solution:
-        """Solve one problem.
+        """Return the solution of a problem.
 
         Raises
         ------
         QPError
-            If there is no answer, or one that does not pass the check.
+            If there is no solution, or Clarabel's result does not fulfil the optimality conditions.
         """
         s, curvature, near = _nearby(*problem.arrays)
         _check_finite(s, curvature)
@@ -369,40 +371,41 @@ class ClarabelSolver:
         if 2 * len(near) <= m + 2 * n:
             try:
                 return self._solved(problem, s, curvature, near)
-            except QPError:  # a row that was left out is not kept, or the few rows alone have no answer
+            except QPError:  # a row that was omitted is violated, or Clarabel failed
                 pass
         self.whole += 1
         everything = np.arange(m + 2 * n)
         try:
             return self._solved(problem, s, curvature, everything)
         except QPError as error:
-            if error.status not in _DOUBTFUL:
+            if error.status not in _RETRY:
                 raise
         return self._solved(problem, s, curvature, everything, careful=True)
 
     def _solved(
         self, problem: Problem, s: float, curvature: float, chosen: NDArray[np.int64], *, careful: bool = False
     ) -> Solution:
+        """Return the checked solution of a problem with the inequalities `chosen` only."""
         n, l, m = problem.shape  # noqa: E741
         key = (n, l, -1 if careful else len(chosen))
-        program = self._kept.get(key)
+        program = self._programs.get(key)
         if program is None:
-            program = self._kept[key] = _InPlace(n, l, len(chosen), careful=careful)
+            program = self._programs[key] = _ClarabelProgram(n, l, len(chosen), careful=careful)
         _clarabel_values(*problem.arrays, s, curvature, chosen, *program.values)
-        answer, spent = program.solve()
-        if answer.status != _SOLVED:
+        found, spent = program.solve()
+        if found.status != _SOLVED:
             z = np.zeros(l + m + 2 * n)
-            z[np.concatenate([np.arange(l), l + chosen])] = answer.z
-            raise _no_answer(problem, str(answer.status), z)
-        u, z, v, y = np.empty(n), np.empty(l + m + 2 * n), np.array(answer.x), np.array(answer.z)
-        _check(problem, *_clarabel_answer(*problem.arrays, s, curvature, chosen, v, y, u, z))
-        return Solution(u, z, answer.iterations, spent)
+            z[np.concatenate([np.arange(l), l + chosen])] = found.z
+            raise _unsolved(problem, str(found.status), z)
+        u, z, v, y = np.empty(n), np.empty(l + m + 2 * n), np.array(found.x), np.array(found.z)
+        _check(problem, *_clarabel_solution(*problem.arrays, s, curvature, chosen, v, y, u, z))
+        return Solution(u, z, found.iterations, spent)
 
 
 _SOLVED = clarabel.SolverStatus.Solved
 
 
-class _InPlace:
+class _ClarabelProgram:
     """One Clarabel solver for all problems with n variables, l equalities and k inequalities.
 
     Attributes
@@ -414,11 +417,11 @@ class _InPlace:
     def __init__(self, n: int, l: int, k: int, *, careful: bool) -> None:  # noqa: E741
         settings = clarabel.DefaultSettings()
         settings.verbose = False
-        settings.presolve_enable = False  # it would change the pattern
-        # the problem is scaled already; dependent rows, such as those of two held feet, may need more
+        settings.presolve_enable = False  # presolving would change the sparsity pattern
+        # the problem is scaled already; linearly dependent rows, such as those of two held feet, may need both
         settings.equilibrate_enable = settings.iterative_refinement_enable = careful
         if not careful:
-            settings.max_step_fraction = 0.9999  # almost up to the boundary: fewer iterations
+            settings.max_step_fraction = 0.9999  # steps almost up to the boundary: fewer iterations
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12 if careful else 1e-14
         self._settings = settings
         rows = np.concatenate([np.arange(j + 1) for j in range(n)])
@@ -429,41 +432,43 @@ class _InPlace:
         self.values = np.empty(n * (n + 1) // 2), np.empty(n), np.empty((n, l + k)), np.empty(l + k)
 
     def solve(self) -> tuple[clarabel.DefaultSolution, float]:
-        """Solve for `values`; return the answer, and the time it took [s]: Clarabel's own figure contains the setup."""
+        """Solve for `values`; return Clarabel's result and the time taken [s], without that of the setup."""
         P, q, A, b = (part.ravel() for part in self.values)
         if self._solver is None:
             matrices = _csc(P, *self._P), q, _csc(A, *self._A), b
             self._solver = clarabel.DefaultSolver(*matrices, self._cones, self._settings)
-        else:  # lists are taken over faster than arrays
+        else:  # Clarabel converts lists faster than arrays
             self._solver.update(P=P.tolist(), q=q.tolist(), A=A.tolist(), b=b.tolist())
         began = time.perf_counter()
-        answer = self._solver.solve()
-        return answer, time.perf_counter() - began
+        found = self._solver.solve()
+        return found, time.perf_counter() - began
 
 
 def _csc(values: Array, rows: NDArray[np.int64], starts: NDArray[np.int64], shape: tuple[int, int]) -> SimpleNamespace:
-    """Return what clarabel reads of a scipy.sparse.csc_matrix, without the half second that scipy takes to import."""
+    """Return an object with the attributes of a scipy.sparse.csc_matrix; importing scipy would take half a second."""
     return SimpleNamespace(data=values, indices=rows, indptr=starts, shape=shape, has_canonical_format=True)
 
 
-def _no_answer(problem: Problem, status: str, z: Array) -> QPError:
+def _unsolved(problem: Problem, status: str, z: Array) -> QPError:
+    """Return the error of a problem that Clarabel did not solve; the rows with the largest multipliers conflict."""
     worst = np.argsort(-np.abs(z))[:6]
-    top = float(np.abs(z).max(initial=0.0))
-    rows = [problem.names[i] for i in worst if problem.names and abs(z[i]) > 1e-3 * top]
+    largest = float(np.abs(z).max(initial=0.0))
+    rows = [problem.names[i] for i in worst if problem.names and abs(z[i]) > 1e-3 * largest]
     conflict = f"; rows in conflict: {', '.join(rows)}" if rows else ""
-    return QPError(f"the quadratic program has no answer ({status}){conflict}", status=status, rows=rows)
+    return QPError(f"the quadratic program has no solution ({status}){conflict}", status=status, rows=rows)
 
 
 # ---------------------------------------------------------------------- DAQP
 
 _EQUALITY = 5
+"""DAQP's code of an equality."""
 _NO_BOUND = 1e30
-"""From here on daqp takes a bound for absent."""
+"""DAQP ignores bounds of this size and larger."""
 
 
 @jit
 def _daqp_values(H, c, W, w, lower, upper, l, H_out, c_out, A, high, low):  # type: ignore[no-untyped-def] # noqa: E741
-    """Fill H, c, A, high and low of low <= [v; A v] <= high, with A = W; return s and the mean curvature."""
+    """Fill DAQP's H, c, A, high and low of low <= [v; A v] <= high, with A = W; return s and the mean curvature."""
     s, curvature = _scale(H, c, W, w, lower, upper, l)
     n = c.shape[0]
     H_out[:], c_out[:], A[:] = H / curvature, c / (s * curvature), W
@@ -473,8 +478,11 @@ def _daqp_values(H, c, W, w, lower, upper, l, H_out, c_out, A, high, low):  # ty
 
 
 @jit
-def _daqp_answer(H, c, W, w, lower, upper, l, s, curvature, v, lam, u, z):  # type: ignore[no-untyped-def] # noqa: E741
-    """Fill u and z; return their residuals (see `_kkt`). In daqp a row at its lower bound has a negative multiplier."""
+def _daqp_solution(H, c, W, w, lower, upper, l, s, curvature, v, lam, u, z):  # type: ignore[no-untyped-def] # noqa: E741
+    """Fill u and z with DAQP's v and lam, unscaled; return their residuals (see `_kkt`).
+
+    DAQP's multiplier of a row at its lower bound is negative.
+    """
     n, k, force = c.shape[0], w.shape[0], s * curvature
     u[:] = s * v
     z[:l], z[l:k] = force * lam[n : n + l], -force * lam[n + l :]
@@ -483,15 +491,15 @@ def _daqp_answer(H, c, W, w, lower, upper, l, s, curvature, v, lam, u, z):  # ty
 
 
 class DaqpSolver:
-    """DAQP, an active-set solver: exact, warm started, several times faster; one instance per shape of problem.
+    """The active-set solver DAQP, warm started, several times faster than Clarabel; one instance per shape of problem.
 
-    It says only that there is no answer, not why. So where it finds no answer, or one that does not pass the check,
-    Clarabel answers instead, or names the rows in conflict.
+    DAQP reports that there is no solution, but not which rows conflict. So if it fails, or its result does not fulfil
+    the optimality conditions, Clarabel solves the problem, or names the rows in conflict.
 
     Attributes
     ----------
     fallbacks : int
-        How often Clarabel had to answer.
+        Number of problems that were passed on to Clarabel.
 
     Raises
     ------
@@ -510,22 +518,22 @@ class DaqpSolver:
                 "or set qp.solver to clarabel",
                 status="NotInstalled",
             ) from error
-        self._model = daqp.Model
-        self._kept: dict[tuple[int, int, int], tuple[Any, tuple[Array, ...]]] = {}
-        self._second = ClarabelSolver()
+        self._make_model = daqp.Model
+        self._models: dict[tuple[int, int, int], tuple[Any, tuple[Array, ...]]] = {}
+        self._fallback = ClarabelSolver()
         self.fallbacks = 0
 
     def solve(self, problem: Problem) -> Solution:
-        """Solve one problem.
+        """Return the solution of a problem.
 
         Raises
         ------
         QPError
-            If there is no answer; the rows in conflict are named.
+            If there is no solution; the rows in conflict are named.
         """
         n, l, m = shape = problem.shape  # noqa: E741
         k = l + m
-        kept = self._kept.get(shape)
+        kept = self._models.get(shape)
         values = (
             kept[1] if kept else (np.empty((n, n)), np.empty(n), np.empty((k, n)), np.empty(n + k), np.empty(n + k))
         )
@@ -537,49 +545,49 @@ class DaqpSolver:
                 model = kept[0]
                 updated = model.update(*values) >= 0
             else:
-                model, updated = self._model(), True
+                model, updated = self._make_model(), True
                 sense = np.zeros(n + l + m, dtype=np.int32)
                 sense[n : n + l] = _EQUALITY
                 model.setup(*values, sense)
                 model.settings = {"primal_tol": 1e-11, "dual_tol": 1e-12}
-                self._kept[shape] = model, values  # the model reads these arrays
+                self._models[shape] = model, values  # the model reads these arrays
             v, _, flag, info = model.solve() if updated else (None, None, 0, None)
             spent = time.perf_counter() - began
             if flag == 1 and info is not None:
                 u, z = np.empty(n), np.empty(k + 2 * n)
-                _check(problem, *_daqp_answer(*problem.arrays, s, curvature, v, info["lam"], u, z))
+                _check(problem, *_daqp_solution(*problem.arrays, s, curvature, v, info["lam"], u, z))
                 return Solution(u, z, info["iterations"], spent)
         except QPError:
             pass
         self.fallbacks += 1
-        self._kept.pop(shape, None)  # its working set led nowhere
-        return self._second.solve(problem)
+        self._models.pop(shape, None)  # the next warm start must not use this active set
+        return self._fallback.solve(problem)
 
 
-# ---------------------------------------------------------------------- a problem without an answer
+# ---------------------------------------------------------------------- infeasible problems
 
-# With every distance at or above its bound, standing still satisfies each inequality of (U6). So it has no answer only
-# where the robot is outside already, or an equality asks for more than the inequalities allow.
+# If every distance is at or above its bound, u = 0 satisfies each inequality of (U6). So the problem is infeasible only
+# if a constraint is violated already, or an equality requires more than the inequalities allow.
 
-_SLOWEST = 1e-3
-"""The least fraction of the wanted rate that counts as a return."""
-_SHARE = 0.9
-"""Part of the fastest return that is asked for: at the fastest one the rows leave a single point."""
-_FAST = 1e3
-"""Joint velocities are free up to here where they have no limit [rad/s]."""
+_LEAST_FRACTION = 1e-3
+"""Least fraction of the desired return speed that `lead_back` accepts."""
+_RETURN_FRACTION = 0.9
+"""Fraction of the fastest feasible return that is used; at the fastest one the feasible set is a single point."""
+_LARGEST_VELOCITY = 1e3
+"""Bound of the joint velocities in the linear programs below [rad/s]."""
 
 
 @dataclass(frozen=True)
 class Conflict:
-    """Rows that cannot be kept together.
+    """Rows that cannot be satisfied together.
 
     Attributes
     ----------
     short : dict of str to float
-        Rows that must give way, by how much, in the row's own unit per second (m/s, m^2/s for squared distances,
+        Amount by which each row must be relaxed, in its own unit per second (m/s, m^2/s for squared distances,
         rad/s); largest first.
     against : tuple of str
-        The rows they fight with, strongest first.
+        The active rows that conflict with them, in decreasing order of their multipliers.
     """
 
     short: dict[str, float]
@@ -591,12 +599,12 @@ class Conflict:
 
 
 def conflicts(problem: Problem) -> Conflict | None:
-    """Return which rows of a problem fight, and by how much; None where they can all be kept.
+    """Return the rows of a problem that conflict, and by how much; None if the problem is feasible.
 
-    The elastic program: the least total by which rows must give way. Each row is measured by its largest coefficient,
-    so that the total is a joint velocity whatever the units of the rows.
+    It is the solution of the elastic program, which minimises the sum of the relaxations of all rows. Each row is
+    divided by its largest coefficient, so that the sum has the unit of a joint velocity.
     """
-    from scipy.optimize import linprog  # slow to import, and seldom needed
+    from scipy.optimize import linprog  # slow to import and rarely needed
 
     n, l, m = problem.shape  # noqa: E741
     rows = np.vstack([problem.E, -problem.G, np.eye(n), -np.eye(n)])  # E u = e, and A u <= b for the rest
@@ -609,28 +617,28 @@ def conflicts(problem: Problem) -> Conflict | None:
     cost = np.concatenate([np.zeros(n), np.ones(2 * l + k)])
     equal = np.hstack([A[:l], np.eye(l), -np.eye(l), np.zeros((l, k))])
     below = np.hstack([A[l:], np.zeros((k, 2 * l)), -np.eye(k)])
-    bounds = [(-_FAST, _FAST)] * n + [(0.0, None)] * (2 * l + k)
+    bounds = [(-_LARGEST_VELOCITY, _LARGEST_VELOCITY)] * n + [(0.0, None)] * (2 * l + k)
     found = linprog(cost, below, b[l:], equal if l else None, b[:l] if l else None, bounds)
     if not found.success:
         return None
     slack = found.x[n:]
-    give = np.concatenate([slack[:l] + slack[l : 2 * l], slack[2 * l :]])
-    forces = np.abs(np.concatenate([found.eqlin.marginals if l else np.empty(0), found.ineqlin.marginals]))
+    relaxation = np.concatenate([slack[:l] + slack[l : 2 * l], slack[2 * l :]])
+    multipliers = np.abs(np.concatenate([found.eqlin.marginals if l else np.empty(0), found.ineqlin.marginals]))
     names = problem.names or tuple(f"row {i}" for i in range(l + k))
-    short = [i for i in np.argsort(-give) if give[i] > 1e-9 * max(1.0, float(np.abs(b).max()))]
+    short = [i for i in np.argsort(-relaxation) if relaxation[i] > 1e-9 * max(1.0, float(np.abs(b).max()))]
     if not short:
         return None
-    against = [i for i in np.argsort(-forces) if forces[i] > 1e-6 and i not in short]
-    return Conflict({names[i]: float(give[i] * size[i]) for i in short}, tuple(names[i] for i in against))
+    against = [i for i in np.argsort(-multipliers) if multipliers[i] > 1e-6 and i not in short]
+    return Conflict({names[i]: float(relaxation[i] * size[i]) for i in short}, tuple(names[i] for i in against))
 
 
 def explained(error: QPError, problem: Problem) -> QPError:
-    """Return the error with the rows that fight and by how much, where that can be said."""
+    """Return a copy of the error that names the conflicting rows, or the error itself if none are found."""
     found = conflicts(problem)
     if found is None:
         return error
     return QPError(
-        f"the quadratic program has no answer ({error.status}): {found}",
+        f"the quadratic program has no solution ({error.status}): {found}",
         status=error.status,
         rows=(*found.short, *found.against),
         short=found.short,
@@ -638,24 +646,24 @@ def explained(error: QPError, problem: Problem) -> QPError:
 
 
 def lead_back(problem: Problem) -> tuple[Problem, float]:
-    """Return the problem that leads back in as fast as can be, and the fraction of the wanted rate it goes at.
+    """Return a relaxed problem that leads back to the constraints more slowly, and the fraction of the desired speed.
 
-    Rows that are kept stay as they are, and rows that are broken may not get worse. Every right-hand side that
-    asks for motion, h > 0 or e != 0, is multiplied by one fraction in [0, 1], the largest for which all rows can be
-    kept; zero velocity keeps them all at fraction 0.
+    Rows that u = 0 satisfies stay as they are. All right-hand sides that require motion, h > 0 or e != 0, are
+    multiplied by the same fraction t in [0, 1]: 0.9 of the largest one for which the problem is feasible. Violated
+    distances do not decrease; with t = 0 the problem is always feasible, by u = 0.
 
     Raises
     ------
     QPError
-        If there is no way back in.
+        If the fraction is smaller than 1e-3.
     """
-    from scipy.optimize import linprog  # slow to import, and seldom needed
+    from scipy.optimize import linprog  # slow to import and rarely needed
 
     n, l, _ = problem.shape  # noqa: E741
-    wanted, kept = np.maximum(problem.h, 0.0), np.minimum(problem.h, 0.0)
+    wanted, satisfied = np.maximum(problem.h, 0.0), np.minimum(problem.h, 0.0)
     rise, low = np.maximum(problem.lower, 0.0), np.minimum(problem.lower, 0.0)
     fall, high = np.minimum(problem.upper, 0.0), np.maximum(problem.upper, 0.0)
-    # G u >= kept + t wanted, E u = t e, low + t rise <= u <= high + t fall
+    # G u >= satisfied + t wanted, E u = t e, low + t rise <= u <= high + t fall
     below = np.vstack(
         [
             np.hstack([-problem.G, wanted[:, None]]),
@@ -663,16 +671,16 @@ def lead_back(problem: Problem) -> tuple[Problem, float]:
             np.hstack([-np.eye(n), rise[:, None]]),
         ]
     )
-    b = np.concatenate([-kept, high, -low])
+    b = np.concatenate([-satisfied, high, -low])
     equal = np.hstack([problem.E, -problem.e[:, None]])
     cost = np.zeros(n + 1)
     cost[n] = -1.0
-    bounds = [(-_FAST, _FAST)] * n + [(0.0, 1.0)]
+    bounds = [(-_LARGEST_VELOCITY, _LARGEST_VELOCITY)] * n + [(0.0, 1.0)]
     finite = np.isfinite(below).all() and np.isfinite(b).all() and np.isfinite(equal).all()
     found = linprog(cost, below, b, equal if l else None, np.zeros(l) if l else None, bounds) if finite else None
-    t = _SHARE * float(found.x[n]) if found is not None and found.success else 0.0
-    if t < _SLOWEST:
+    t = _RETURN_FRACTION * float(found.x[n]) if found is not None and found.success else 0.0
+    if t < _LEAST_FRACTION:
         raise QPError("there is no way back inside the constraints", status="NoWayBack", rows=())
-    w = np.concatenate([t * problem.e, kept + t * wanted])
+    w = np.concatenate([t * problem.e, satisfied + t * wanted])
     relaxed = dataclasses.replace(problem, w=w, lower=low + t * rise, upper=high + t * fall)
     return relaxed, t

@@ -1,8 +1,8 @@
 """The robot as a tree of rigid bodies, read from a URDF [Urban2020, section 3.4].
 
-A `RobotModel` knows the joints that move, the masses they carry and where the soles are; joints that are locked
-are rigid, joints that are dropped are cut off with all they carry. Its `urdf` describes exactly that robot, so that
-physics and dynamics are of the same one. Nothing here is specific to one robot.
+A `RobotModel` contains the joints that move, the masses of the bodies between them, and the soles. Locked joints are
+fixed; dropped joints are removed with all links after them. Its attribute `urdf` describes the same reduced robot for
+the physics engine and the dynamics library. Nothing in this file is specific to one robot.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ class Foot(enum.Enum):
 
 @dataclass(frozen=True)
 class Sole:
-    """A rectangular sole; all points in the frame of its link, x forward, z up, ground at z = 0.
+    """A rectangular sole; its points are in the frame of its link, x forward, z up, ground at z = 0.
 
     Attributes
     ----------
     frame : str
-        The URDF link.
+        Name of the URDF link.
     center : ndarray, shape (3,)
         Centre of the rectangle [m].
     length, width : float
@@ -80,7 +80,7 @@ class Sole:
 
 @dataclass(frozen=True)
 class Body:
-    """A rigid body: one link with everything locked or fixed to it.
+    """A rigid body: a link and all links that fixed or locked joints connect to it.
 
     Attributes
     ----------
@@ -89,9 +89,9 @@ class Body:
     joint : int
         Index of the joint that moves it, -1 for the root.
     origin : ndarray, shape (8,)
-        Pose of the joint in the parent body.
+        Pose of the joint in the frame of the parent body.
     axis : ndarray, shape (3,)
-        Unit vector of the joint in its own frame, which is the body's.
+        Unit vector of the joint axis in the joint's frame, which is also the body's frame.
     mass : float
         [kg]
     com : ndarray, shape (3,)
@@ -108,7 +108,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Frame:
-    """A place on a body: the body's index and the pose (8,) in its frame."""
+    """A frame fixed to a body: index of the body, and pose (8,) in the body's frame."""
 
     body: int
     pose: Array
@@ -116,30 +116,30 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class RobotModel:
-    """A biped; make one with `load_model`.
+    """The model of a biped; `load_model` reads it from a URDF.
 
     Attributes
     ----------
     name : str
     joint_names : tuple of str
-        The joints that move, parents before children.
+        Names of the n joints that move, parents before children.
     q_min, q_max, velocity_max, effort_max : ndarray, shape (n,)
-        Limits [rad, rad/s, N m].
+        Limits of joint angles [rad], velocities [rad/s] and torques [N m].
     bodies : tuple of Body
         Parents before children; body 0 is the root.
     frames : mapping of str to Frame
-        Every link of the URDF that is left.
+        Frames of all remaining links of the URDF.
     soles : mapping of Foot to Sole
     pelvis : str
-        Frame whose height (11) watches.
+        Frame whose height (U11) bounds.
     imu : str
         Frame of the inertial sensor, as it is mounted.
     imu_link : str
         The link that its messages name.
     urdf : str
-        Description of this very robot: repaired, without what was dropped, locked joints fixed where they are held.
+        URDF of the reduced robot: repaired, without dropped links, with locked joints as fixed joints.
     repairs : tuple of str
-        What in the file no rigid body can be, and what was taken instead.
+        Each invalid value of the file, and the value that replaces it.
     """
 
     name: str
@@ -158,8 +158,8 @@ class RobotModel:
     repairs: tuple[str, ...] = ()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Let it be sent to another process, as views of mappings cannot be."""
-        return _sent, (vars(self) | {"frames": dict(self.frames), "soles": dict(self.soles)},)
+        """Support pickling, for use in other processes: read-only views of mappings cannot be pickled."""
+        return _unpickled, (vars(self) | {"frames": dict(self.frames), "soles": dict(self.soles)},)
 
     @property
     def n(self) -> int:
@@ -168,16 +168,18 @@ class RobotModel:
 
     @property
     def root(self) -> str:
-        """The root link of the URDF, which floats."""
+        """Name of the URDF's root link, the floating base."""
         return next(iter(self.frames))
 
     def posture(self, entries: Sequence[str], key: str = "standing.posture") -> Array:
-        """Return the joint angles of entries JOINT=RADIANS, shape (n,) [rad]; '*' matches any text, others are zero.
+        """Return the joint angles given by entries JOINT=RADIANS, shape (n,) [rad]; other joints are at zero.
+
+        In JOINT, '*' matches any text.
 
         Raises
         ------
         ConfigError
-            If an entry is of another form or names no moving joint; the message names the parameter `key`.
+            If an entry has another form or matches no moving joint; the message names the parameter `key`.
         """
         q = np.zeros(self.n)
         for entry in entries:
@@ -194,22 +196,23 @@ class RobotModel:
 
     @property
     def urdf_without_shapes(self) -> str:
-        """The same description, for an engine that needs no shapes or has its own."""
+        """`urdf` without visual and collision shapes."""
         return Urdf(self.urdf, self.name).text(shapes=False)
 
     @property
     def mass(self) -> float:
-        """Total mass M of (4) [kg]."""
+        """Total mass M of (U4) [kg]."""
         return sum(body.mass for body in self.bodies)
 
 
-def _sent(values: dict[str, Any]) -> RobotModel:
+def _unpickled(values: dict[str, Any]) -> RobotModel:
+    """Return a model from the values that `RobotModel.__reduce__` pickles."""
     views = {name: MappingProxyType(values[name]) for name in ("frames", "soles")}
     return RobotModel(**(values | views))
 
 
 def find_urdf(urdf: str) -> pathlib.Path:
-    """Return the path of a URDF: itself, or one shipped in urdf/.
+    """Return the path of a URDF: `urdf` itself if it is a file, or the file of this name in urdf/.
 
     Raises
     ------
@@ -237,9 +240,9 @@ def load_model(config: RobotConfig) -> RobotModel:
 
 
 def parse_model(text: str, config: RobotConfig, source: str = "robot_description") -> RobotModel:
-    """Return the robot of a description that was published or recorded: of a file, or a model's `urdf`.
+    """Return the model of a URDF text that was published or recorded: of a full robot, or `RobotModel.urdf`.
 
-    What `config` drops or locks may be cut off or fixed in it already.
+    Joints that `config` drops or locks may already be removed or fixed in it.
 
     Raises
     ------
@@ -250,6 +253,7 @@ def parse_model(text: str, config: RobotConfig, source: str = "robot_description
 
 
 def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
+    """Return the model of a description, reduced as `config` says; see `parse_model` for `published`."""
     urdf.cut(urdf.matching(config.drop, "robot.drop", strict=not published))
     urdf.weld(_locked(urdf, config, published))
     if not sum(link.mass for link in urdf.links.values()) > 0.0:
@@ -266,7 +270,7 @@ def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
             feet[foot] = placed
     links = urdf.links
     imu = config.imu or config.pelvis
-    if published and imu == "imu" and imu not in links:  # earlier recordings name it also where a robot has none
+    if published and imu == "imu" and imu not in links:  # older recordings name this link even if it does not exist
         imu = config.pelvis
     for key, name in (
         ("pelvis", config.pelvis),
@@ -306,7 +310,7 @@ def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
 
 
 def _locked(urdf: Urdf, config: RobotConfig, published: bool) -> dict[str, float]:
-    """Return the joints to be fixed and where: zero, or the angle of JOINT=RADIANS; and those that follow others."""
+    """Return the joints to be fixed, with their angles [rad]: those of ``robot.lock``, and joints with a mimic."""
     angles: dict[str, float] = {}
     for entry in config.lock:
         pattern, given, word = entry.partition("=")
@@ -327,7 +331,7 @@ def _locked(urdf: Urdf, config: RobotConfig, published: bool) -> dict[str, float
 
 
 def _tree(urdf: Urdf) -> dict[str, Any]:
-    """Return the bodies, frames and joints of a description in which everything that moves is a joint of the model."""
+    """Return bodies, frames and joints of a reduced description, as arguments of `RobotModel`."""
     links = urdf.links
     moving: list[Joint] = []
     frames: dict[str, Frame] = {}
@@ -340,9 +344,9 @@ def _tree(urdf: Urdf) -> dict[str, Any]:
             parts[body].append((link.mass, pose.transform_point(link.com)))
 
     attach(links[urdf.root], 0, DQ(1.0))
-    waiting = [(joint, 0, DQ(1.0)) for joint in reversed(urdf.carried_by(urdf.root))]
+    waiting = [(joint, 0, DQ(1.0)) for joint in reversed(urdf.child_joints(urdf.root))]
     while waiting:
-        joint, body, pose = waiting.pop()  # of the joint's parent link: its body, and its pose there
+        joint, body, pose = waiting.pop()  # body of the joint's parent link, and pose of that link in the body
         origin = pose * _pose(joint.origin)
         if joint.moves:
             if joint.type not in ("revolute", "continuous"):
@@ -354,12 +358,12 @@ def _tree(urdf: Urdf) -> dict[str, Any]:
             parts.append([])
             body, origin = len(tree) - 1, DQ(1.0)
         attach(links[joint.child], body, origin)
-        waiting += [(child, body, origin) for child in reversed(urdf.carried_by(joint.child))]
+        waiting += [(child, body, origin) for child in reversed(urdf.child_joints(joint.child))]
 
     bodies = []
-    for (parent, index, origin, axis), heavy in zip(tree, parts, strict=True):
-        mass = sum(m for m, _ in heavy)
-        com = sum((m * c for m, c in heavy), np.zeros(3)) / mass if mass else np.zeros(3)
+    for (parent, index, origin, axis), masses in zip(tree, parts, strict=True):
+        mass = sum(m for m, _ in masses)
+        com = sum((m * c for m, c in masses), np.zeros(3)) / mass if mass else np.zeros(3)
         bodies.append(Body(parent, index, origin.vec8(), axis, mass, com))
     limits = [_range(joint.lower, joint.upper) for joint in moving]
     return {
@@ -379,14 +383,14 @@ def _pose(origin: Origin) -> DQ:
 
 
 def _range(lower: float, upper: float) -> tuple[float, float]:
-    """Return finite limits: half a turn to either side where there is none."""
+    """Return finite limits [rad]: -pi and pi without limits, a range of 2 pi with only one limit."""
     if math.isinf(lower) and math.isinf(upper):
         return -math.pi, math.pi
     return (upper - math.tau if math.isinf(lower) else lower), (lower + math.tau if math.isinf(upper) else upper)
 
 
 def _sole(config: RobotConfig, link: Link, foot: Link, tree: Mapping[str, Any], source: str) -> Sole:
-    """Return the sole on `link`; `foot` is the link that the configuration names, whose box is the sole."""
+    """Return the sole with the frame `link`; the default of its size is the collision box of the link `foot`."""
     frame = tree["frames"][link.name]
     center = np.zeros(3)
     length, width = config.sole_length, config.sole_width

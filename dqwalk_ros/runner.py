@@ -1,7 +1,7 @@
-"""A whole walk through ROS 2: start the nodes as processes, follow them, end them, say how it went.
+"""Runs a whole walk through ROS 2: starts the nodes as processes, monitors and stops them, and returns the outcome.
 
-Where ROS was installed from wheels there is no `ros2 launch`; this does its work, and returns an outcome. It needs no
-ROS itself: the nodes report their progress as lines of JSON on their standard output.
+It replaces `ros2 launch`, which is missing where ROS was installed from wheels. It does not import ROS itself: the
+nodes report their progress as lines of JSON on their standard output.
 """
 
 from __future__ import annotations
@@ -35,34 +35,36 @@ PLANTS = {
     "poppy_as_built": "physics",
     "poppy": "poppy_driver",
 }
-"""The node that is each plant."""
+"""The node of each plant."""
 
 _GRACE = {signal.SIGINT: 20.0, signal.SIGTERM: 3.0, signal.SIGKILL: 2.0}
-"""How long a process may take to end after each signal [s]."""
+"""Time that a process has to end after each signal [s]."""
 _STARTUP = 180.0
-"""Longest wait for the first tick [s]; on a fresh machine the kinematics is compiled first."""
+"""Longest wait for the first control period [s]; on a new machine the kinematics is compiled first."""
 _STALL = 60.0
-"""Longest wait for the next sign of progress [s]."""
+"""Longest time without progress [s]."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a walk went.
+    """The outcome of a walk.
 
     Attributes
     ----------
     finished : bool
-        Every phase ended by its rule, and everything was recorded.
+        Whether all phases were finished and everything was recorded.
     reason : str
-        Why not, where it did not.
+        Reason why the walk was not finished; empty if it was.
     ticks : int
+        Number of control periods.
     walked : float
-        Time of the walk [s].
+        Simulated or measured duration of the walk [s].
     took : float
-        Time of the clock, from the first tick to the last [s].
+        Wall-clock time from the first to the last control period [s].
     bag, logs : Path
+        Folders of the recording and of the log files.
     pace : str
-        In real time, what the plant reported of its own.
+        Statistics of the control period that the plant reported, in real time.
     """
 
     finished: bool
@@ -94,25 +96,25 @@ def run_walk(
     logs: str | os.PathLike[str] | None = None,
     domain: int | None = None,
 ) -> Outcome:
-    """Walk with controller, plant, phase_monitor and recorder as processes of their own.
+    """Run a walk with controller, plant, phase_monitor and recorder in separate processes.
 
     Parameters
     ----------
     config : Config
     bag : path-like
-        The folder that the recorder makes; it must not be there yet.
-    plant : {"integrator", "physics", "poppy"}
-        Other side of the command; what ``config/plants/NAME.yaml`` asks for is in `config` already.
+        Folder that the recorder creates; it must not exist.
+    plant : {"integrator", "physics", "poppy_as_built", "poppy"}
+        The plant; `config` must already contain the values of ``config/plants/NAME.yaml``.
     course : sequence of str
-        Legs for the node pilot, as `standing.course.Course.parse` reads them; `config` has ``gait.steps: 0`` then.
+        Legs for the node pilot, see `standing.course.Course.parse`; they require ``gait.steps: 0``.
     lockstep : bool
-        Each state waits for its command; otherwise the walk goes by the clock.
+        Whether each state waits for its command; otherwise the walk runs in real time.
     progress : callable, optional
-        Called with the fraction done and some text, several times a second.
+        Called several times a second with the fraction done and a line of text.
     logs : path-like, optional
-        Where parameters and logs of the nodes go; `log` beside the bag by default.
+        Folder for parameters and logs of the nodes; by default `log` beside the bag.
     domain : int, optional
-        ROS domain; by default ``ROS_DOMAIN_ID`` where it is set, else one that nobody else on this machine uses.
+        ROS domain; by default ``ROS_DOMAIN_ID`` if it is set, else one that no other walk on this machine uses.
 
     Returns
     -------
@@ -139,7 +141,7 @@ def run_walk(
         if domain is None and "ROS_DOMAIN_ID" not in os.environ:
             domain = stack.enter_context(private_domain())
         processes = stack.enter_context(Processes(folder, domain))
-        walk = _Walk(config, processes, node, Course.parse(course).duration, progress)
+        walk = _Progress(config, processes, node, Course.parse(course).duration, progress)
         interrupted = stack.enter_context(_interrupts())
         processes.start("recorder", ["--bag", str(bag), *ros])
         processes.start("phase_monitor", ros)
@@ -149,12 +151,12 @@ def run_walk(
             processes.start("pilot", [*(f"--cmd-vel={leg}" for leg in course), *ros])
         reason = None
         while reason is None:
-            processes.wait_for_news(0.2)
-            walk.listen()
+            processes.wait_for_report(0.2)
+            walk.update()
             reason = f"interrupted by {interrupted[0].name}" if interrupted else walk.ended()
             walk.show()
         processes.stop()
-        reason = reason or _incomplete(processes, lockstep)
+        reason = reason or _recording_error(processes, lockstep)
         paces = [line["text"] for line in processes.said(node) if line.get("event") == "pace"]
     return Outcome(
         finished=not reason,
@@ -168,8 +170,8 @@ def run_walk(
     )
 
 
-class _Walk:
-    """What the controller has reported so far: `last` of it, and the time `took` since it began [s]."""
+class _Progress:
+    """Progress of the controller: its `last` report, and the time `took` since its first one [s]."""
 
     def __init__(
         self,
@@ -183,38 +185,38 @@ class _Walk:
         self._phases = walk_type(config).phases(config) or math.inf
         self.last: dict[str, Any] = {}
         self.took = 0.0
-        self._began = self._heard = time.monotonic()
-        self._first: tuple[float, int] | None = None  # when, and ticks by then
+        self._began = self._last_progress = time.monotonic()
+        self._first: tuple[float, int] | None = None  # time and ticks of the first report
 
-    def listen(self) -> None:
-        """Take in what the controller has reported."""
+    def update(self) -> None:
+        """Read the new reports of the controller."""
         now = time.monotonic()
         for line in self._processes.said("controller"):
             if line.get("event") != "walk":
                 continue
             if line["ticks"] > self.last.get("ticks", -1):
-                self._heard = now
+                self._last_progress = now
             self._first = self._first or (now, line["ticks"])
             self.last, self.took = line, now - self._first[0]
 
     def ended(self) -> str | None:
-        """Return None while the walk goes on, "" when it is over, else what went wrong."""
+        """Return None during the walk, "" if it is finished, or the error that ended it."""
         processes = self._processes
         if (code := processes.exit_code("controller")) is not None:
-            self.listen()
+            self.update()
             if code == 0 and self.last.get("mode") == "finished":
                 return ""
             return self.last.get("reason") or f"controller ended ({code}): {processes.last_error('controller')}"
         for name in (self._plant, "recorder"):
             if (code := processes.exit_code(name)) is not None:
                 return f"{name} ended ({code}): {processes.last_error(name)}"
-        silence = time.monotonic() - self._heard
-        if silence > (_STALL if self._first else _STARTUP):
-            return f"no progress for {silence:.0f} s: {processes.last_error('controller')}"
+        passed = time.monotonic() - self._last_progress
+        if passed > (_STALL if self._first else _STARTUP):
+            return f"no progress for {passed:.0f} s: {processes.last_error('controller')}"
         return None
 
     def show(self) -> None:
-        """Pass progress on."""
+        """Call the callback with the present progress."""
         if self._progress is None:
             return
         if self._first is None:
@@ -229,8 +231,8 @@ class _Walk:
         self._progress(min(1.0, max(0.0, done)), f"{text}  {rate:.0f} ticks/s")
 
 
-def _incomplete(processes: Processes, lockstep: bool) -> str:
-    """Return what is wrong with a recording that has ended; gaps are the clock's in real time, a loss in lockstep."""
+def _recording_error(processes: Processes, lockstep: bool) -> str:
+    """Return the error of the finished recording, "" without one; missing messages are an error in lockstep only."""
     recorded = [line for line in processes.said("recorder") if line.get("event") == "recorded"]
     if not recorded:
         return f"the recorder did not finish the bag: {processes.last_error('recorder')}"
@@ -242,30 +244,30 @@ def _incomplete(processes: Processes, lockstep: bool) -> str:
 
 @contextlib.contextmanager
 def _interrupts() -> Iterator[list[signal.Signals]]:
-    """Collect SIGINT and SIGTERM instead of dying of them."""
-    seen: list[signal.Signals] = []
-    before = {}
+    """Collect the signals SIGINT and SIGTERM in the list that is yielded, instead of ending the process."""
+    received: list[signal.Signals] = []
+    handlers = {}
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGINT, signal.SIGTERM):
-            before[number] = signal.signal(number, lambda n, _: seen.append(signal.Signals(n)))
+            handlers[number] = signal.signal(number, lambda n, _: received.append(signal.Signals(n)))
     try:
-        yield seen
+        yield received
     finally:
-        for number, handler in before.items():
+        for number, handler in handlers.items():
             signal.signal(number, handler)
 
 
 class Processes:
-    """Nodes as child processes, ended in order when the context is left.
+    """Nodes as child processes; leaving the context ends them in order.
 
     Parameters
     ----------
     logs : Path
-        Folder for ``NAME.log``.
+        Folder for the files ``NAME.log``.
     domain : int, optional
-        ROS domain; None leaves the environment's.
+        ROS domain; None: that of the environment.
     extra : mapping of str to str
-        Variables beside those of the environment.
+        Additional environment variables.
     """
 
     def __init__(self, logs: Path, domain: int | None = None, extra: Mapping[str, str] | None = None) -> None:
@@ -274,7 +276,7 @@ class Processes:
         self._running: dict[str, subprocess.Popen[str]] = {}
         self._reports: dict[str, list[dict[str, Any]]] = {}
         self._readers: dict[str, threading.Thread] = {}
-        self._news = threading.Event()
+        self._reported = threading.Event()
 
     def __enter__(self) -> Self:
         return self
@@ -288,7 +290,7 @@ class Processes:
         return tuple(self._running)
 
     def start(self, name: str, arguments: Sequence[str]) -> None:
-        """Start the node `name` of `dqwalk_ros.nodes`; it ends when we do, however we do."""
+        """Start the node `name` of `dqwalk_ros.nodes`; it also ends if this process ends, for any reason."""
         with (self._logs / f"{name}.log").open("w", encoding="utf-8") as errors:
             process = subprocess.Popen(
                 [sys.executable, "-m", "dqwalk_ros.nodes", name, "--child", *arguments],
@@ -297,7 +299,7 @@ class Processes:
                 stderr=errors,
                 text=True,
                 env=self._environment,
-                start_new_session=True,  # Ctrl-C is for us: the nodes end in order
+                start_new_session=True,  # Ctrl-C reaches this process only, which then ends the nodes in order
             )
         self._running[name], self._reports[name] = process, []
         self._readers[name] = threading.Thread(target=self._read, args=(process, self._reports[name]), daemon=True)
@@ -308,22 +310,22 @@ class Processes:
         for text in process.stdout:
             with contextlib.suppress(json.JSONDecodeError):
                 reports.append(json.loads(text))
-            self._news.set()
-        self._news.set()
+            self._reported.set()
+        self._reported.set()
 
-    def wait_for_news(self, timeout: float) -> None:
-        """Wait until a node reports something or ends [s]."""
-        self._news.wait(timeout)
-        self._news.clear()
+    def wait_for_report(self, timeout: float) -> None:
+        """Wait until a node reports something or ends, at most for the timeout [s]."""
+        self._reported.wait(timeout)
+        self._reported.clear()
 
     def said(self, name: str) -> Iterator[dict[str, Any]]:
-        """Yield what a node has reported on its standard output since the last call."""
+        """Yield the reports of a node on its standard output since the last call."""
         reports = self._reports[name]
         while reports:
             yield reports.pop(0)
 
     def exit_code(self, name: str) -> int | None:
-        """Return the exit code of a node, None while it runs; all it reported can then be read."""
+        """Return the exit code of a node, None while it runs; after its end, all of its reports are available."""
         code = self._running[name].poll()
         if code is not None:
             self._readers[name].join(1.0)
@@ -334,26 +336,29 @@ class Processes:
         self._running[name].send_signal(number)
 
     def wait(self, name: str, timeout: float) -> int:
-        """Wait for the end of a node; return its exit code.
+        """Wait for the end of a node and return its exit code.
 
-        It raises `subprocess.TimeoutExpired` after the timeout [s].
+        Raises
+        ------
+        subprocess.TimeoutExpired
+            After the timeout [s].
         """
         return self._running[name].wait(timeout)
 
     def log(self, name: str) -> str:
-        """Return what a node has logged so far."""
+        """Return the present content of a node's log file."""
         return (self._logs / f"{name}.log").read_text(encoding="utf-8", errors="replace")
 
     def last_error(self, name: str) -> str:
-        """Return the last error that a node logged, or else its last line."""
+        """Return the last error in a node's log file, or its last line if there is no error."""
         lines = [line for line in self.log(name).splitlines() if line.strip()]
         errors = [line for line in lines if "[ERROR]" in line or "[FATAL]" in line]
         return (errors or lines or ["it logged nothing"])[-1]
 
     def stop(self) -> None:
-        """End everything: SIGINT, then SIGTERM, then SIGKILL.
+        """End all nodes: by SIGINT, if necessary by SIGTERM, then by SIGKILL.
 
-        What was started first ends last: a recorder goes on until the others have published all they had to.
+        The node that was started first ends last, so that a recorder receives the last messages of all others.
         """
         order = list(reversed(self._running.values()))
         for group in (order[:-1], order[-1:]):
@@ -363,6 +368,7 @@ class Processes:
 
 
 def _end(group: Sequence[subprocess.Popen[str]]) -> None:
+    """End processes by the signals of `_GRACE`, each sent to those that are still running."""
     for number, grace in _GRACE.items():
         alive = [process for process in group if process.poll() is None]
         for process in alive:
@@ -374,10 +380,10 @@ def _end(group: Sequence[subprocess.Popen[str]]) -> None:
 
 
 def environment(domain: int | None) -> dict[str, str]:
-    """Return the environment of a node: this very package, and traffic that stays on this machine."""
+    """Return the environment of a node: this copy of the package, and by default discovery on this machine only."""
     out = dict(os.environ)
-    here = str(Path(__file__).resolve().parents[1])
-    out["PYTHONPATH"] = os.pathsep.join([here, *filter(None, [out.get("PYTHONPATH")])])
+    package_parent = str(Path(__file__).resolve().parents[1])
+    out["PYTHONPATH"] = os.pathsep.join([package_parent, *filter(None, [out.get("PYTHONPATH")])])
     out.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     out["PYTHONUNBUFFERED"] = "1"
     if domain is not None:
@@ -387,8 +393,8 @@ def environment(domain: int | None) -> dict[str, str]:
 
 @contextlib.contextmanager
 def private_domain() -> Iterator[int]:
-    """Yield a ROS domain that no other walk on this machine uses; it is ours until the context is left."""
-    candidates = list(range(1, 102))  # above 101 the ports run into those the kernel hands out
+    """Yield a ROS domain that no other walk on this machine uses, and lock it until the context is left."""
+    candidates = list(range(1, 102))  # the ports of domains above 101 overlap with the ephemeral ports of the kernel
     random.shuffle(candidates)
     for number in candidates:
         path = Path(tempfile.gettempdir()) / f"dqwalk_ros.domain{number}.{os.getuid()}.lock"

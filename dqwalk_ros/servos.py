@@ -1,10 +1,10 @@
-"""Position servos: what one does with a goal, and what the controller is told of that.
+"""Models of position servos: the servos of the simulated robot, and the model of them that the controller uses.
 
-A Dynamixel turns the error e of its position into a duty cycle, and that into a torque on the axis:
+A Dynamixel converts its position error e to a duty cycle, and the duty cycle to a torque on the output axis:
 
     duty = clip(P k e, -1, 1),    tau = stall (duty - dq / no_load_speed)
 
-so stall P k is a stiffness, and stall / no_load_speed, the back EMF, is the torque-speed line and a damping at once.
+So stall P k is a stiffness, and stall / no_load_speed (back EMF) is a damping that also limits the speed.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ __all__ = ["IDENTIFIED", "Drive", "ServoType", "Servos", "load_types"]
 Array = NDArray[np.float64]
 
 _LATE = 0.02
-"""Damping that comes later than this shakes a joint whose servo damps it already [s]."""
+"""Delay from which on fed-back damping excites a joint whose servo has damping of its own [s]."""
 
 
 @dataclass(frozen=True)
 class ServoType:
-    """One row of config/servos.yaml, where each column is explained."""
+    """One row of config/servos.yaml, which explains each column and its unit."""
 
     stall_torque: float
     no_load_speed: float
@@ -48,12 +48,12 @@ class ServoType:
 
 
 def load_types(source: str) -> dict[str, ServoType]:
-    """Read a table of types: a path, or the name of one in config/.
+    """Read a table of servo types from a path, or from the file of this name in config/.
 
     Raises
     ------
     ConfigError
-        If it is missing or does not fit; the message names the type.
+        If the file is missing or not a valid table; the message names the type.
     """
     path = Path(source)
     if not path.is_file():
@@ -67,7 +67,9 @@ def load_types(source: str) -> dict[str, ServoType]:
 
 @dataclass(frozen=True)
 class Servos:
-    """The servos of a robot, all arrays of shape (n,): tau = clip(stiffness e - damping dq, +-torque) - back_emf dq.
+    """The servos of the simulated robot: tau = clip(stiffness e - damping dq, +-torque) - back_emf dq.
+
+    All arrays have the shape (n,); e is the position error.
 
     Attributes
     ----------
@@ -76,15 +78,15 @@ class Servos:
     damping, back_emf : ndarray
         [N m s/rad]
     torque : ndarray
-        At stall [N m].
+        Stall torque [N m].
     backlash : ndarray
-        [rad]
+        Total play of the gears [rad].
     friction : ndarray
-        [N m]
+        Dry friction [N m].
     armature : ndarray
-        [kg m^2]
+        Inertia of the rotor, reflected through the gears [kg m^2].
     resolution : ndarray
-        Of the goals [rad]; 0: exact.
+        Step size of the goal positions [rad]; 0: continuous.
     """
 
     stiffness: Array
@@ -98,12 +100,12 @@ class Servos:
 
     @classmethod
     def of(cls, config: Config, model: RobotModel) -> Servos:
-        """Return the servos that the section ``servo`` describes, of which ``servo.types`` are of a type.
+        """Return the servos of the section ``servo``; those of the joints in ``servo.types`` are from the table.
 
         Raises
         ------
         ConfigError
-            If a type is unknown, or an entry names no joint.
+            If a type is not in the table, or an entry matches no joint.
         """
         c = config.servo
         stiffness = np.full(model.n, c.stiffness)
@@ -125,7 +127,7 @@ class Servos:
             stall = t.stall_torque * c.voltage / t.voltage
             out.stiffness[joints] = stall * t.duty * (c.p_gain if t.p_register else 1)
             out.damping[joints] = 0.0
-            out.back_emf[joints] = t.stall_torque / t.no_load_speed  # the same at every voltage
+            out.back_emf[joints] = t.stall_torque / t.no_load_speed  # independent of the voltage
             out.torque[joints] = stall
             out.backlash[joints] = t.backlash
             out.friction[joints] = t.friction
@@ -154,19 +156,20 @@ class Servos:
 
 @dataclass(frozen=True)
 class Drive:
-    """What the controller is told of its servos; all of it may be wrong.
+    """The model of the servos that the controller uses; it may differ from the true servos.
 
     Attributes
     ----------
     stiffness : ndarray, shape (n,)
-        By which torques are fed forward as angles [N m/rad]; 0: not at all.
+        Stiffness by which feedforward torques are converted to offsets of the goal [N m/rad]; 0: no feedforward.
     damping : ndarray, shape (n,)
-        Torque per speed that is fed back; not what the lead makes up for, where it would come late [N m s/rad].
+        Torque per joint velocity that is fed back, less the part that the lead compensates where it would act late
+        [N m s/rad].
     lead : ndarray, shape (n,)
-        Torque per commanded speed that makes a damped servo keep up with its goal [N m s/rad].
+        Feedforward torque per commanded velocity, which compensates the lag of a damped servo [N m s/rad].
     delay : float
-        From a measurement to the effect of its answer [s]: latency, half of the time for which a goal is held, and the
-        lag of a servo that is damped against the world, less the lead.
+        Time from a measurement to the effect of its command [s]: latency, half of the period at which goals are
+        written, and the lag by damping minus the lead.
     """
 
     stiffness: Array
@@ -176,16 +179,16 @@ class Drive:
 
     @classmethod
     def of(cls, config: Config, model: RobotModel) -> Drive:
-        """Return what ``servo.assumed_*`` say, and the types where ``servo.types`` name some.
+        """Return the model given by ``servo.assumed_*``, ``servo.types`` and, with precedence, ``servo.assumed``.
 
         Raises
         ------
         ConfigError
-            As `Servos.of`, or if an entry of ``servo.assumed`` cannot be read.
+            As `Servos.of`, or if an entry of ``servo.assumed`` is not valid.
         """
         c = config.servo
         stiffness, lag, lead = (
-            np.full(model.n, told) for told in (c.assumed_stiffness, c.assumed_damping, c.assumed_lead)
+            np.full(model.n, value) for value in (c.assumed_stiffness, c.assumed_damping, c.assumed_lead)
         )
         if c.types:
             servos = Servos.of(config, model)
@@ -193,25 +196,26 @@ class Drive:
             stiffness[typed], lag[typed] = servos.stiffness[typed], (servos.back_emf / servos.stiffness)[typed]
             lead[typed] = np.minimum(lead, lag)[typed]
         for joints, text in _entries("servo.assumed", c.assumed, model):
-            told = _numbers(text)
-            stiffness[joints] = told.get("stiffness", stiffness[joints])
-            lag[joints] = told.get("damping", lag[joints])
-        hold = 1.0 / c.assumed_rate if c.assumed_rate > 0.0 else 0.0
-        late = c.assumed_latency + 0.5 * hold + max(float((lag - lead).mean()), 0.0)
-        fed = np.maximum(lag - min(late / _LATE, 1.0) * lead, 0.0)
-        return cls(stiffness, fed * stiffness, lead * stiffness, late)
+            given = _numbers(text)
+            stiffness[joints] = given.get("stiffness", stiffness[joints])
+            lag[joints] = given.get("damping", lag[joints])
+        period = 1.0 / c.assumed_rate if c.assumed_rate > 0.0 else 0.0
+        delay = c.assumed_latency + 0.5 * period + max(float((lag - lead).mean()), 0.0)
+        damping = np.maximum(lag - min(delay / _LATE, 1.0) * lead, 0.0)
+        return cls(stiffness, damping * stiffness, lead * stiffness, delay)
 
     def angles(self, effort: Array) -> Array:
-        """Return the change of the goals (n,) [rad] that gives the torques `effort` (n,) [N m]."""
+        """Return the offsets of the goals (n,) [rad] that produce the torques `effort` (n,) [N m]."""
         return effort * self._compliance
 
     @cached_property
     def _compliance(self) -> Array:
+        """Inverse of the stiffness, zero where the stiffness is zero, shape (n,) [rad/(N m)]."""
         return np.divide(1.0, self.stiffness, out=np.zeros_like(self.stiffness), where=self.stiffness > 0.0)
 
 
 def _entries(key: str, entries: tuple[str, ...], model: RobotModel) -> list[tuple[list[int], str]]:
-    """Return the indices of the joints and the text of each entry JOINT=TEXT; a locked joint has no index."""
+    """Return the joint indices and the text of each entry JOINT=TEXT; locked joints match, but have no index."""
     known = re.findall(r'<joint\b[^>]*?\bname="([^"]+)"', model.urdf)
     out = []
     for entry in entries:
@@ -225,7 +229,7 @@ def _entries(key: str, entries: tuple[str, ...], model: RobotModel) -> list[tupl
 
 
 def _numbers(text: str) -> dict[str, float]:
-    """Read 'stiffness 49.2, damping 0.009'."""
+    """Return the numbers of a text such as 'stiffness 49.2, damping 0.009', by name."""
     try:
         pairs = [part.split() for part in text.split(",")]
         found = {name: float(value) for name, value in pairs}
@@ -237,4 +241,4 @@ def _numbers(text: str) -> dict[str, float]:
 
 
 IDENTIFIED = ("stiffness", "damping", "backlash", "friction")
-"""What an entry of ``servo.assumed`` may say [N m/rad, s, rad, N m]."""
+"""Names allowed in an entry of ``servo.assumed`` [N m/rad, s, rad, N m]."""

@@ -1,4 +1,4 @@
-"""The shapes of a robot's links as points and triangles, meshes included."""
+"""The visual and collision shapes of a robot's links as triangles, including meshes."""
 
 from __future__ import annotations
 
@@ -18,12 +18,24 @@ __all__ = ["PRIMITIVES", "Shapes", "Surface", "meshes_of"]
 Array = NDArray[np.float64]
 
 PRIMITIVES = ("box", "cylinder", "sphere")
-"""What everything that draws has; what else there is, is drawn as triangles."""
+"""Shapes that every viewer can draw; all other shapes are drawn as triangles."""
 
 
 @dataclass(frozen=True)
 class Surface:
-    """A triangulated shape in the frame of its link: vertices (N, 3) [m], faces (M, 3), colour, and its source."""
+    """A triangulated shape in the frame of its link.
+
+    Attributes
+    ----------
+    vertices : ndarray, shape (N, 3)
+        [m]
+    faces : ndarray of int, shape (M, 3)
+        Indices of the vertices of each triangle.
+    color : tuple of four float, or None
+        Red, green, blue, opacity.
+    what : str
+        Kind of the shape, or name of the mesh file.
+    """
 
     vertices: Array
     faces: NDArray[np.int64]
@@ -38,14 +50,14 @@ class Shapes:
     ----------
     urdf : Urdf
     near : path
-        The file of the robot description, around which packages are looked for.
+        Path of the robot description; packages are also searched in the folders around it.
     places : sequence of path
-        Folders that may hold packages, too.
+        Additional folders that contain packages.
 
     Attributes
     ----------
     missing : dict of str to str
-        Meshes that were not found or cannot be read, and why.
+        Reason for each mesh that was not found or cannot be read.
     """
 
     def __init__(self, urdf: Urdf, near: pathlib.Path, places: tuple[pathlib.Path, ...] = ()) -> None:
@@ -53,11 +65,11 @@ class Shapes:
         self.missing: dict[str, str] = {}
 
     def file(self, mesh: str) -> pathlib.Path | None:
-        """Return the file of a mesh, or None."""
+        """Return the path of a mesh; None if it is not found."""
         return find_package_file(mesh, self._near, self._places)
 
     def named(self, link: Link) -> Link:
-        """Return a link whose meshes are named by their files, as far as they were found."""
+        """Return a copy of a link in which the meshes that are found are named by the URI of their file."""
 
         def renamed(shape: Shape) -> Shape:
             file = self.file(shape.mesh) if shape.kind == "mesh" else None
@@ -72,20 +84,20 @@ class Shapes:
         return [surface for surface in found if surface is not None]
 
     def surface(self, link: Link, shape: Shape) -> Surface | None:
-        """Return a shape of a link as triangles; None where its mesh cannot be had, which `missing` explains."""
+        """Return a shape of a link as triangles; None if its mesh is not available, for the reason in `missing`."""
         if shape.kind == "mesh":
             file = self.file(shape.mesh)
             if file is None:
                 self.missing[shape.mesh] = "not found"
                 return None
             try:
-                vertices, faces, sideways = _mesh(str(file))
-            except Exception as error:  # every format has its own
+                vertices, faces, y_up = _mesh(str(file))
+            except Exception as error:  # the reader of each mesh format raises its own exceptions
                 self.missing[shape.mesh] = " ".join(str(error).split())[:100] or type(error).__name__
                 return None
             vertices = vertices * shape.size
-            if sideways and _fits_better_upright(vertices, link, shape):
-                vertices = vertices @ _UPRIGHT.T
+            if y_up and _is_closer_rotated(vertices, link, shape):
+                vertices = vertices @ _Y_UP.T
             what = file.name
         else:
             vertices, faces = _primitive(shape)
@@ -97,15 +109,15 @@ class Shapes:
 
 
 def meshes_of(urdf: Urdf, near: pathlib.Path, most: int = 60_000) -> list[tuple[str, Surface]]:
-    """Return what is seen of a robot and is no primitive, by its link.
+    """Return the visual shapes of a robot that are not in `PRIMITIVES`, each with the name of its link.
 
     Parameters
     ----------
     urdf : Urdf
     near : path
-        The file of the robot description.
+        Path of the robot description.
     most : int
-        So many triangles in all, about: finer meshes are made coarser.
+        Approximate limit of the total number of triangles, to which meshes are simplified.
     """
     shapes = Shapes(urdf, near)
     found = [
@@ -114,48 +126,48 @@ def meshes_of(urdf: Urdf, near: pathlib.Path, most: int = 60_000) -> list[tuple[
         for shape in link.visuals
         if shape.kind not in PRIMITIVES and (surface := shapes.surface(link, shape)) is not None
     ]
-    fine, cell = found, 0.5e-3
+    full, cell = found, 0.5e-3
     while sum(len(surface.faces) for _, surface in found) > most:
         cell *= 2.0
-        found = [(name, _coarser(surface, cell)) for name, surface in fine]
+        found = [(name, _simplified(surface, cell)) for name, surface in full]
     return found
 
 
-def _coarser(surface: Surface, cell: float) -> Surface:
-    """Return a surface whose vertices are merged within cells of that size [m]."""
+def _simplified(surface: Surface, cell: float) -> Surface:
+    """Return a surface whose vertices are merged within the cells of a cubic grid of size `cell` [m]."""
     _, first, place = np.unique(np.round(surface.vertices / cell), axis=0, return_index=True, return_inverse=True)
     faces = place.reshape(-1)[surface.faces]
     a, b, c = faces.T
     return replace(surface, vertices=surface.vertices[first], faces=faces[(a != b) & (b != c) & (c != a)])
 
 
-_UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""From a file whose y axis is up."""
+_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Rotation from the axes of a file whose y axis is up to those of a link, whose z axis is up."""
 
 
 @lru_cache(maxsize=512)
 def _mesh(file: str) -> tuple[Array, NDArray[np.int64], bool]:
-    """Return vertices and faces of a file, and whether it says that its y axis is up."""
+    """Return vertices (N, 3) [m] and faces (M, 3) of a file, and whether the file declares its y axis as up."""
     import trimesh
 
     mesh: Any = trimesh.load(file, force="mesh", process=False)
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
     if not len(vertices):
         raise ValueError("it has no triangles")
-    sideways = False
+    y_up = False
     if file.lower().endswith(".dae"):
         text = pathlib.Path(file).read_bytes()[:20000]
-        sideways = b"<up_axis>Y_UP" in text
+        y_up = b"<up_axis>Y_UP" in text
         units = str(mesh.metadata.get("units", ""))
         if units.endswith("* meters"):
             vertices = vertices * float(units.split()[0])
-    return vertices, np.asarray(mesh.faces, dtype=np.int64), sideways
+    return vertices, np.asarray(mesh.faces, dtype=np.int64), y_up
 
 
-def _fits_better_upright(vertices: Array, link: Link, shape: Shape) -> bool:
-    """Tell whether a mesh lies nearer to the link's CoM with its y axis up, as its file says.
+def _is_closer_rotated(vertices: Array, link: Link, shape: Shape) -> bool:
+    """Return whether a mesh that is declared as y up is closer to the link's CoM after the rotation to z up.
 
-    Tools differ in whether they heed that, so files that say it are not reliable.
+    Some tools ignore the declaration, so it does not tell reliably which axis of the file is up.
     """
     if not link.mass:
         return False
@@ -168,10 +180,11 @@ def _fits_better_upright(vertices: Array, link: Link, shape: Shape) -> bool:
             np.linalg.norm(0.5 * (low + high) - com)
         )
 
-    return distance(vertices @ _UPRIGHT.T) < 0.8 * distance(vertices)
+    return distance(vertices @ _Y_UP.T) < 0.8 * distance(vertices)
 
 
 def _primitive(shape: Shape) -> tuple[Array, NDArray[np.int64]]:
+    """Return vertices (N, 3) [m] and faces (M, 3) of a box, sphere, cylinder or capsule."""
     import trimesh
 
     make = trimesh.creation

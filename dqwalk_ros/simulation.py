@@ -1,4 +1,4 @@
-"""The closed loop without ROS, and the walk it records."""
+"""The closed loop of controller and plant without ROS, and the trace that it records."""
 
 from __future__ import annotations
 
@@ -45,16 +45,16 @@ __all__ = [
 Array = NDArray[np.float64]
 
 WALKS: Mapping[str, type[Walk]] = {"paper": PaperWalk, "standing": StandingWalk, "dynamic": DynamicWalk}
-"""The walk of each ``gait.style``."""
+"""Class of the walk of each ``gait.style``."""
 
 
 def walk_type(config: Config) -> type[Walk]:
-    """Return the class of the walk that `config` describes: that of ``gait.style``, or one of your own.
+    """Return the class of the walk that `config` describes: that of ``gait.walk`` if given, else of ``gait.style``.
 
     Raises
     ------
     ConfigError
-        If ``gait.walk`` is not MODULE:CLASS of a `Walk` that can be imported.
+        If ``gait.walk`` is not MODULE:CLASS, the class cannot be imported, or it is not a subclass of `Walk`.
     """
     own = config.gait.walk
     if not own:
@@ -70,29 +70,29 @@ def walk_type(config: Config) -> type[Walk]:
 
 
 def make_walk(config: Config, model: RobotModel) -> Walk:
-    """Return the walk that `config` describes, at its beginning."""
+    """Return a new walk as `config` describes it."""
     return walk_type(config)(config, model)
 
 
 def make_controller(config: Config, model: RobotModel) -> VelocityController:
-    """Return the controller that `config` describes."""
+    """Return a new controller as `config` describes it."""
     return VelocityController(config, model, walk_type(config))
 
 
 def make_plant(name: str, config: Config, model: RobotModel) -> Plant:
-    """Return a plant with the robot in the posture in which its walk begins.
+    """Return a plant with the robot in the initial posture of its walk.
 
     Parameters
     ----------
     name : {"kinematic", "integrator", "physics", "poppy_as_built"}
-        The first two are one plant. So are the last two, whose parameters are those of `config`.
+        The first two are the same plant, and so are the last two; `config` contains their parameters.
     config : Config
     model : RobotModel
 
     Raises
     ------
     PlantError
-        If there is no such plant, or it needs something that is not installed.
+        If there is no such plant, or the physics engine is not installed.
     """
     if name in ("kinematic", "integrator"):
         return KinematicPlant(model, make_walk(config, model).posture)
@@ -109,7 +109,7 @@ def make_plant(name: str, config: Config, model: RobotModel) -> Plant:
 
 
 def warm_up(config: Config, model: RobotModel) -> None:
-    """Compile everything that a tick needs, before the first state waits for its answer."""
+    """Compile all functions used in a control period, so that the first state is answered without delay."""
     sensed = {"up": np.array([0.0, 0.0, 1.0]), "gyro": np.zeros(3)} if config.plant.imu else {}
     with contextlib.suppress(DqwalkError):
         q = make_walk(config, model).posture
@@ -127,23 +127,22 @@ def closed_loop(
     before_step: Callable[[float], None] | None = None,
     is_over: Callable[[Any, Any], bool] | None = None,
 ) -> Iterator[tuple[Any, Any]]:
-    """Walk, and yield every state with its command, until the controller has finished or the robot has fallen.
+    """Run the closed loop, and yield each state with its command, until the walk is finished or the robot has fallen.
 
     Parameters
     ----------
     controller : VelocityController or WholeBodyController
     plant : Plant or BodyPlant
-        Of joint velocities or of torques, as the controller commands.
+        `Plant` for joint velocities, `BodyPlant` for joint torques, according to the controller.
     before_step : callable, optional
-        Called before each step with the time of walking [s]; it may steer, stop or push.
+        Called before each step with the time since the start [s]; it may steer, stop or push.
     is_over : callable, optional
-        Called after each step of the plant with the state before it and the command; where it returns true, the walk
-        ends.
+        Called after each step of the plant with the state before it and the command; the loop ends if it returns true.
 
     Raises
     ------
     DqwalkError
-        What the controller or the plant raises.
+        Any error of controller and plant.
     """
     dt = controller.config.dt
     begin = plant.state.time
@@ -171,7 +170,7 @@ def simulate(
     max_time: float | None = None,
     before_step: Callable[[float], None] | None = None,
 ) -> Trace:
-    """Walk until the controller has finished, and record it.
+    """Run the closed loop until the walk is finished, and record it.
 
     Parameters
     ----------
@@ -180,14 +179,15 @@ def simulate(
     progress : callable, optional
         Called about ten times a second with the fraction of phases done and a line of text.
     max_time : float, optional
-        Stop after this time of walking [s].
+        Simulated time after which the walk is stopped [s].
     before_step : callable, optional
         See `closed_loop`.
 
     Returns
     -------
     Trace
-        Up to the end, to `max_time`, to a fall, to Ctrl-C, or to an error of the controller, which is in its notes.
+        The walk up to its end, `max_time`, a fall, Ctrl-C, or an error of the controller. The last three are described
+        in its notes.
     """
     config = controller.config
     recorder = Recorder(config, controller.model)
@@ -219,7 +219,7 @@ def simulate(
 
 @dataclass(frozen=True)
 class PhaseRecord:
-    """Where a phase began: enough to build it again.
+    """The data of a recorded phase from which it can be built again.
 
     Attributes
     ----------
@@ -231,12 +231,15 @@ class PhaseRecord:
     time : float
         Time of that state [s].
     q_start : ndarray, shape (n,)
-        [rad]
+        Joint angles at that state [rad].
     swing_target : ndarray, shape (8,), or None
+        Pose at which the swing sole lands, in the base frame.
     x_odom_base : ndarray, shape (8,)
-        Pose of its base sole in the world of the first phase.
+        Pose of its base sole in the base frame of the first phase.
+    config : Config or None
+        Configuration of the phase, if parameters were changed during the walk.
     decision : str
-        What was changed while it lasted, and why.
+        Description of a change of the swing target during the phase, and its reason; empty without a change.
     """
 
     name: str
@@ -252,13 +255,13 @@ class PhaseRecord:
     decision: str = ""
 
     def phase(self, config: Config, model: RobotModel) -> Phase:
-        """Return the phase, built again."""
+        """Return the phase, built from the recorded data."""
         return make_walk(self.config or config, model).phase(self.kind, self.support, self.q_start, self.swing_target)
 
 
 @dataclass(frozen=True)
 class PhysicsRecord:
-    """What a physics engine knew at each state; nan where it was not recorded.
+    """Ground truth and inertial measurements of a physics engine at each state; nan where they were not recorded.
 
     Attributes
     ----------
@@ -267,11 +270,11 @@ class PhysicsRecord:
     wrenches : dict of Foot to ndarray, shape (N, 6)
         Force [N] and torque [N m] of the ground on each sole, about its origin, in its axes.
     cop : ndarray, shape (N, 3)
-        Centre of pressure in the world [m]; nan in the air, too.
+        Centre of pressure in the world [m]; nan also if no foot is on the ground.
     orientation : ndarray, shape (N, 4)
-        Of the inertial sensor in the world, a unit quaternion, real part first.
+        Orientation of the inertial sensor in the world, a unit quaternion, real part first.
     gyro, acceleration : ndarray, shape (N, 3)
-        In the sensor's frame [rad/s, m/s^2].
+        Angular velocity and specific force in the sensor's frame [rad/s, m/s^2].
     effort : ndarray, shape (N, n)
         Torques of the servos on the joints [N m].
     """
@@ -285,50 +288,50 @@ class PhysicsRecord:
     effort: Array
 
     @classmethod
-    def of(cls, seen: list[tuple[Truth, Inertial]]) -> PhysicsRecord:
-        """Gather what was seen at each state."""
-        none = np.full(3, math.nan)
-        centers = [truth.cop for truth, _ in seen]
+    def of(cls, samples: list[tuple[Truth, Inertial]]) -> PhysicsRecord:
+        """Return the record of one sample per state."""
+        no_contact = np.full(3, math.nan)
+        centers = [truth.cop for truth, _ in samples]
         return cls(
-            pelvis=np.array([truth.pelvis for truth, _ in seen]),
-            wrenches={foot: np.array([truth.wrenches[foot] for truth, _ in seen]) for foot in Foot},
-            cop=np.array([none if center is None else center for center in centers]),
-            orientation=np.array([sensor.orientation for _, sensor in seen]),
-            gyro=np.array([sensor.gyro for _, sensor in seen]),
-            acceleration=np.array([sensor.acceleration for _, sensor in seen]),
-            effort=np.array([truth.effort for truth, _ in seen]),
+            pelvis=np.array([truth.pelvis for truth, _ in samples]),
+            wrenches={foot: np.array([truth.wrenches[foot] for truth, _ in samples]) for foot in Foot},
+            cop=np.array([no_contact if center is None else center for center in centers]),
+            orientation=np.array([sensor.orientation for _, sensor in samples]),
+            gyro=np.array([sensor.gyro for _, sensor in samples]),
+            acceleration=np.array([sensor.acceleration for _, sensor in samples]),
+            effort=np.array([truth.effort for truth, _ in samples]),
         )
 
 
 @dataclass(frozen=True)
 class Trace:
-    """A walk.
+    """A recorded walk of N states.
 
     Attributes
     ----------
     config : Config
     model : RobotModel
     time : ndarray, shape (N,)
-        [s]
+        Times of the states [s].
     q : ndarray, shape (N, n)
         Measured joint angles [rad].
     u : ndarray, shape (N, n)
-        The command that answered each state [rad/s]; nan where none did.
+        Joint velocities commanded for each state [rad/s]; nan without a command.
     phases : tuple of PhaseRecord
     solve_time : ndarray, shape (N,)
-        [s]; nan where unknown.
+        Time taken by the solver [s]; nan if unknown.
     finished : bool
-        Whether the walk came to its end.
+        Whether the walk was finished.
     notes : tuple of str
-        What is missing or went wrong.
+        Errors of the walk, and data that the recording lacks.
     origin : mapping of str to str
-        Versions and machine that walked it (`dqwalk_ros.provenance`); empty where they are unknown.
+        Software versions and machine (`dqwalk_ros.provenance`); empty if unknown.
     physics : PhysicsRecord or None
-        Where the walk went through a physics engine.
+        Data of the physics engine, if the plant was one.
     epoch : int
-        Stamp of time zero [ns]: that of the first state where stamps are the time of day.
+        Stamp of time zero [ns]: that of the first state, if stamps are the time of day.
     interrupted : bool
-        Whether Ctrl-C stopped it.
+        Whether Ctrl-C stopped the walk.
     """
 
     config: Config
@@ -350,14 +353,14 @@ class Trace:
 
 
 class Recorder:
-    """Collects a `Trace` tick by tick.
+    """Collects a `Trace`, one state after the other.
 
     Parameters
     ----------
     config : Config
     model : RobotModel
     ticks : int, optional
-        So many of the last ones are kept, and up to twice as many; all without it.
+        Number of control periods to keep at least, the last ones; up to twice as many are kept. By default all are.
     """
 
     def __init__(self, config: Config, model: RobotModel, ticks: int | None = None) -> None:
@@ -371,7 +374,7 @@ class Recorder:
         self._finished = False
         self._notes: list[str] = []
         self._origin = provenance.here()
-        self._seen: list[tuple[Truth, Inertial]] = []
+        self._physics: list[tuple[Truth, Inertial]] = []
         self.interrupted = False
 
     def add(
@@ -381,24 +384,25 @@ class Recorder:
         controller: VelocityController,
         plant: Plant | None = None,
     ) -> None:
-        """Record a state and its answer.
+        """Record a state and its command.
 
         Parameters
         ----------
         state : State
         command : Command or None
-            None where the controller failed.
+            None if the controller failed.
         controller : VelocityController
         plant : Plant, optional
-            The plant at that state, for what no sensor measures; without it the vertical and the torques of the state.
+            The plant at that state, for its ground truth. Without it, only the vertical and the torques of the state
+            are recorded.
         """
         if self._kept is not None and len(self._time) >= 2 * self._kept:
             self._forget(self._kept)
         if plant is None:
             if state.up is not None:
-                self._seen.append(_felt(state))
-        elif (truth := plant.truth) is not None and (felt := plant.inertial) is not None:
-            self._seen.append((truth, felt))
+                self._physics.append(_from_state(state))
+        elif (truth := plant.truth) is not None and (inertial := plant.inertial) is not None:
+            self._physics.append((truth, inertial))
         self._finished = finished = controller.finished
         if controller.phase_index > self._index and not finished:
             phase, self._index = controller.phase, controller.phase_index
@@ -425,12 +429,12 @@ class Recorder:
         self._solve_time.append(math.nan if finished or command is None else controller.solve_time)
 
     def note(self, text: str) -> None:
-        """Add to the notes."""
+        """Add a text to the notes."""
         self._notes.append(text)
 
     def _forget(self, count: int) -> None:
-        """Drop the first ticks, and the phases that ended with them."""
-        for column in (self._time, self._q, self._u, self._solve_time, self._seen):
+        """Remove the first `count` states, and the phases that ended before the remaining ones."""
+        for column in (self._time, self._q, self._u, self._solve_time, self._physics):
             del column[:count]
         starts = [record.start - count for record in self._phases]
         first = max(k for k, start in enumerate(starts) if k == 0 or start <= 0)
@@ -440,7 +444,7 @@ class Recorder:
         ]
 
     def trace(self) -> Trace:
-        """Return what was recorded so far."""
+        """Return the trace of the states recorded so far."""
         n = self._model.n
         return Trace(
             config=self._config,
@@ -453,13 +457,13 @@ class Recorder:
             finished=self._finished,
             notes=tuple(self._notes),
             origin=self._origin,
-            physics=PhysicsRecord.of(self._seen) if self._seen else None,
+            physics=PhysicsRecord.of(self._physics) if self._physics else None,
             interrupted=self.interrupted,
         )
 
 
-def _felt(state: State) -> tuple[Truth, Inertial]:
-    """Return what the sensors of a state say in the form of what a plant knows; the rest is nan."""
+def _from_state(state: State) -> tuple[Truth, Inertial]:
+    """Return vertical and torques of a measured state in the form of a plant's ground truth; all else is nan."""
     assert state.up is not None
     effort = np.full(state.q.shape, math.nan) if state.effort is None else state.effort
     truth = Truth(_NAN, dict.fromkeys(Foot, _NAN), dict.fromkeys(Foot, _NAN[:6]), _NAN[:3], effort)

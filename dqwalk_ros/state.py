@@ -1,4 +1,4 @@
-"""What a plant measures, and what it is asked to do."""
+"""The state that a plant measures, and the command that it receives."""
 
 from __future__ import annotations
 
@@ -14,24 +14,25 @@ Array = NDArray[np.float64]
 
 @dataclass(slots=True, eq=False)
 class State:
-    """What is measured.
+    """A measured state.
 
     Attributes
     ----------
     time : float
-        [s]
+        Time of the measurement [s].
     q : ndarray, shape (n,)
         Joint angles, in the order of the model [rad].
     dq : ndarray, shape (n,), or None
         Joint velocities [rad/s].
     up : ndarray, shape (3,), or None
-        Unit vector against gravity in the frame of the inertial sensor, where there is one.
+        Unit vector against gravity in the frame of the inertial sensor; None without such a sensor.
     gyro : ndarray, shape (3,), or None
         Angular velocity of the inertial sensor in its frame [rad/s].
     acceleration : ndarray, shape (3,), or None
-        Against free fall, in the same frame: 9.81 upwards at rest [m/s^2]; for the odometry only.
+        Specific force, as an accelerometer measures it, in the same frame: 9.81 upwards at rest [m/s^2]. Only the
+        odometry uses it.
     effort : ndarray, shape (n,), or None
-        Torques of the joints [N m]; to tell the cause of a fall only.
+        Joint torques [N m]; used only to find the cause of a fall.
     """
 
     time: float
@@ -45,16 +46,16 @@ class State:
 
 @dataclass(slots=True, eq=False)
 class Command:
-    """What is asked of the joints until the next command.
+    """A command to the joints; it holds until the next one.
 
     Attributes
     ----------
     time : float
-        Time of the state it answers [s].
+        Time of the state that the command answers [s].
     velocity : ndarray, shape (n,)
-        [rad/s]
+        Joint velocities [rad/s].
     effort : ndarray, shape (n,), or None
-        Torques fed forward, for a drive that can take them [N m].
+        Feedforward torques, for a drive that accepts them [N m].
     """
 
     time: float

@@ -1,4 +1,4 @@
-"""YAML as rcl reads parameter files, and stricter: no anchors, no key twice, never longer than 1 MiB."""
+"""Reader of YAML files: scalars as rcl reads them, without anchors and duplicate keys, at most 1 MiB long."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from dqwalk_ros.errors import ConfigError
 __all__ = ["MAX_BYTES", "line_of", "read", "read_text"]
 
 MAX_BYTES = 1 << 20
-"""Longest file."""
+"""Largest size of a file."""
 
 
 class _Loader(yaml.SafeLoader):
-    """SafeLoader without anchors, aliases and merge keys, where every key of a table is given once."""
+    """SafeLoader that refuses anchors, aliases, merge keys and duplicate keys."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         event: Any = self.peek_event()  # type: ignore[no-untyped-call]
@@ -39,23 +39,24 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep=deep)
 
 
-# YAML 1.1 takes 1e-3 for a text; rcl and YAML 1.2 take it for a number
+# YAML 1.1 reads 1e-3 as a text; rcl and YAML 1.2 read it as a number
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
 )
 
 
 def _at(place: Any, problem: str) -> yaml.MarkedYAMLError:
+    """Return an error with the position of a node or event."""
     return yaml.MarkedYAMLError(problem=problem, problem_mark=place.start_mark)
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """Return the text of a small file.
+    """Return the text of a file of at most 1 MiB.
 
     Raises
     ------
     ConfigError
-        If it cannot be read, is not UTF-8, or is longer than 1 MiB.
+        If the file cannot be read, is not UTF-8, or is longer than 1 MiB.
     """
     try:
         with open(path, encoding="utf-8") as file:
@@ -68,12 +69,12 @@ def read_text(path: str | os.PathLike[str]) -> str:
 
 
 def read(text: str, *, source: str = "text") -> Any:
-    """Return the tree of a YAML text without anchors, each key once.
+    """Return the content of a YAML text as dictionaries, lists and scalars.
 
     Raises
     ------
     ConfigError
-        If it is not such a text; the message names the line.
+        If the text is not YAML, or has an anchor, a merge key or a duplicate key; the message names the line.
     """
     if len(text) > MAX_BYTES:
         raise ConfigError(f"{source}: longer than {MAX_BYTES >> 20} MiB")
@@ -92,12 +93,15 @@ def read(text: str, *, source: str = "text") -> Any:
 
 @lru_cache(maxsize=1)
 def _composed(text: str) -> Any:
-    """Return the nodes of a text; a file with many keys is asked for many lines."""
+    """Return the syntax tree of a text; cached, as `line_of` is called for many keys of the same text."""
     return yaml.compose(text, _Loader)
 
 
 def line_of(text: str, path: Sequence[str]) -> int:
-    """Return the line (from 1) of a key of a YAML text that `read` has read; of the deepest key that it has."""
+    """Return the line (from 1) of the key `path` in a YAML text that `read` accepts.
+
+    Where the text does not contain the whole path, it is the line of the deepest key that it does contain.
+    """
     node, left, line = _composed(text), ".".join(path), 1
     while left and isinstance(node, yaml.MappingNode):
         for key, value in node.value:

@@ -1,7 +1,7 @@
 """Tasks: errors that the objective of (U6) drives to zero, sections 4.1 and 4.2 [Urban2020].
 
-As a constraint does, a task names the features that it watches, and says from their coordinates s what the error is
-and its gradient; its Jacobian J_task is that gradient times the Jacobian of s.
+Like a constraint, a task lists the features of the robot that it depends on (`watches`), and computes from their
+coordinates s the error e and its gradient de/ds. Its Jacobian is this gradient times the Jacobian of s.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Task(ABC):
-    """An error e(q) with e' = J u; the objective has weight ||J u - rate||^2.
+    """An error e(q) with e' = J u; the objective of (U6) contains weight ||J u - rate||^2.
 
     Attributes
     ----------
@@ -37,37 +37,37 @@ class Task(ABC):
     @property
     @abstractmethod
     def watches(self) -> tuple[Feature, ...]:
-        """Features of the robot; their coordinates, one after the other, are what `value` is given."""
+        """Features that the error depends on; `value` takes their stacked coordinates s."""
 
     @property
     def parameters(self) -> Array:
-        """The numbers its compiled function takes, where it has one that `assembly` knows."""
+        """Constants of its compiled function, for the classes that `assembly` evaluates in compiled code."""
         return np.empty(0)
 
     @abstractmethod
     def value(self, s: Array, elapsed: float) -> tuple[Array, Array]:
-        """Return the error (k,) and its gradient (k, m) at the coordinates s (m,), `elapsed` [s] into the phase."""
+        """Return the error (k,) and its gradient (k, m) at s (m,); `elapsed` is the time since the phase began [s]."""
 
     def rate(self, s: Array, e: Array, elapsed: float, eta: float) -> Array:
-        """Return the e' asked for, shape (k,): -eta e in (U6); a task on a path adds the path's velocity."""
+        """Return the desired e', shape (k,): -eta e as in (U6); a task that follows a path adds the path's velocity."""
         return -eta * e
 
     def error(self, kin: Kinematics) -> Array:
-        """Error at one configuration, shape (k,)."""
+        """Error for the joint angles and the elapsed time of `kin`, shape (k,)."""
         s, _ = Observer(self.watches, kin.tree)(kin)
         return self.value(s, kin.elapsed)[0]
 
     def jacobian(self, kin: Kinematics) -> Array:
-        """Jacobian of `error`, shape (k, n)."""
+        """Jacobian of `error` with respect to the joint angles, shape (k, n)."""
         s, J = Observer(self.watches, kin.tree)(kin)
         return self.value(s, kin.elapsed)[1] @ J
 
 
 @dataclass(frozen=True, kw_only=True)
 class ComOverFoot(Task):
-    """CoM projection over a point of a foot, section 4.1 [m].
+    """Brings the projection of the CoM over a point of a foot, section 4.1 [m].
 
-    The foot may slide, so its Jacobian counts: e = (p_CoM - p_foot)_xy, J = (J_CoM - J_foot)_xy.
+    The foot may slide, so the Jacobian contains its motion: e = (p_CoM - p_foot)_xy, J = (J_CoM - J_foot)_xy.
     """
 
     foot: Point
@@ -82,20 +82,20 @@ class ComOverFoot(Task):
         return _COM_LESS_FOOT @ s, _COM_LESS_FOOT
 
 
-# the task of section 4.1: the CoM less the point of the foot, along x and y
+# the task of section 4.1: the CoM minus the point of the foot, along x and y
 _COM_LESS_FOOT = np.array([[1.0, 0.0, 0.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0, -1.0, 0.0]])
 
 
 @jit
 def pose_difference(s, target):  # type: ignore[no-untyped-def]
-    """Section 4.2: vec8(x - x_d) of the pose s, with the sign of x that is closer to x_d (8,), and its gradient."""
+    """Return vec8(x - x_d) of section 4.2 (8,) and its gradient; s (8,) is x or -x, of which the closer one is used."""
     sign = 1.0 if s[:4] @ target[:4] >= 0.0 else -1.0  # x and -x are the same pose
     return sign * s - target, sign * np.eye(8)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FramePose(Task):
-    """Pose of a frame, section 4.2: e = vec8(x - x_d), with the sign of x that is closer to x_d.
+    """Moves a frame to a pose, section 4.2: e = vec8(x - x_d), with the sign of x that is closer to x_d.
 
     Attributes
     ----------
@@ -118,14 +118,14 @@ class FramePose(Task):
         return (Pose(self.frame),)
 
     def value(self, s: Array, elapsed: float) -> tuple[Array, Array]:
-        """Difference of the dual quaternions, shape (8,)."""
+        """Difference of the unit dual quaternions, shape (8,)."""
         e, gradient = pose_difference(s, self.target)
         return e, gradient
 
 
 @dataclass(frozen=True, kw_only=True)
 class Posture(Task):
-    """All joints at a posture [rad]; not in the paper."""
+    """Moves all joints to a posture `q_ref` (n,) [rad]; not in the paper."""
 
     q_ref: Array
 
@@ -139,5 +139,5 @@ class Posture(Task):
         return np.eye(len(self.q_ref))
 
     def value(self, s: Array, elapsed: float) -> tuple[Array, Array]:
-        """Offset of every joint, shape (n,) [rad]."""
+        """Difference of the joint angles from the posture, shape (n,) [rad]."""
         return s - self.q_ref, self._gradient

@@ -1,4 +1,4 @@
-"""The topics of a walk: one table for the nodes, the bags and the documentation."""
+"""The topics of a walk: one table, used by the nodes, by the reader of bags and by the documentation."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ __all__ = [
 ]
 
 ODOM = "odom"
-"""Frame of the base sole at the very start of the walk [REP-105]."""
+"""Frame of the base sole at the start of the walk [REP-105]."""
 
 WORLD = "world"
-"""Frame of a physics engine's floor; what is told in it no robot knows."""
+"""Frame of a physics engine's floor; used for ground truth only, which a real robot does not have."""
 
 FINISHED = "finished"
-"""What `phase` says once the walk is over."""
+"""Message on `phase` after the last phase of a walk."""
 
 FALLEN = "fallen"
-"""What `phase` says once the robot has fallen."""
+"""Message on `phase` after a fall of the robot."""
 
 FAILED = "failed"
-"""What `phase` says where the walk could not go on."""
+"""Message on `phase` after an error that ended the walk."""
 
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic as its publisher offers it.
+    """One topic: name, message type and quality of service of its publisher.
 
     Attributes
     ----------
@@ -45,12 +45,12 @@ class Topic:
     type : str
         Message type.
     latched : bool
-        Transient local: a subscriber that comes late gets the last message.
+        Durability transient local: a late subscriber receives the last `depth` messages.
     depth : int
-        History kept by the publisher.
+        History depth of the publisher.
     meaning : str
     source : str
-        ``"plant"``, ``"controller"``, ``"physics"`` (the plant of that name alone) or ``"all"``.
+        Publishing node: ``"plant"``, ``"controller"``, ``"physics"`` (only the plant of that name) or ``"all"``.
     """
 
     name: str
@@ -62,13 +62,13 @@ class Topic:
 
 
 _HISTORY = 20_000
-"""What a publisher keeps of a stream, for a recorder that fell behind: some 20 s of lockstep at full speed.
+"""History depth of a stream, for a slow recorder: about 20 s of lockstep at full speed.
 
-On a busy machine the middleware drops samples on the way and repairs that only every 3 s. It delays nobody: what a
-subscriber takes next is decided by its own depth."""
+On a busy machine the middleware loses samples and sends them again only at the next heartbeat. A long history delays
+no other subscriber: the depth of each subscriber decides which message it takes next."""
 
 _PHASES = 100
-"""Phases that are kept for whoever comes late or fell behind: a recorder wants each of them."""
+"""History depth of messages of which there is one per phase, for late and slow subscribers such as the recorder."""
 
 _ALL = (
     Topic(
@@ -86,43 +86,43 @@ _ALL = (
         _HISTORY,
         "velocities [rad/s], with an inertial sensor torques [N m]; the stamp is that of the state they answer",
     ),
-    Topic("phase", "std_msgs/msg/String", True, 1, "such as double_support/left: what goes on now"),
+    Topic("phase", "std_msgs/msg/String", True, 1, "name of the current phase, such as double_support/left"),
     Topic(
         "phase_start",
         "sensor_msgs/msg/JointState",
         True,
         _PHASES,
-        "positions at the start of the phase, frame_id the base sole",
+        "joint positions [rad] at the start of the phase; frame_id is the base sole",
     ),
     Topic(
         "com_target",
         "geometry_msgs/msg/PointStamped",
         True,
         _PHASES,
-        "double support: where the CoM goes, as seen at the start, in the base sole",
+        "double support: goal of the CoM at the start of the phase, in the frame of the base sole",
     ),
     Topic(
         "swing_target",
         "geometry_msgs/msg/PoseStamped",
         True,
         _PHASES,
-        "single support: the landing place, in the base sole",
+        "single support: pose at which the swing foot lands, in the frame of the base sole",
     ),
-    Topic("support_foot", "std_msgs/msg/String", True, 1, "left or right: the foot the phase name gives"),
-    Topic("base_pose", "geometry_msgs/msg/PoseStamped", False, _HISTORY, "pelvis in odom"),
+    Topic("support_foot", "std_msgs/msg/String", True, 1, "support foot of the current phase: left or right"),
+    Topic("base_pose", "geometry_msgs/msg/PoseStamped", False, _HISTORY, "pose of the pelvis in odom"),
     Topic("walk_config", "std_msgs/msg/String", True, 1, "every parameter, as the text of a parameter file"),
-    Topic("walk_origin", "std_msgs/msg/String", True, 1, "versions and machine of who walks, a line each"),
+    Topic("walk_origin", "std_msgs/msg/String", True, 1, "software versions and machine of the controller"),
     Topic("robot_description", "std_msgs/msg/String", True, 1, "URDF"),
     Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", False, 10, "every distance, error and margin", "all"),
-    Topic("imu", "sensor_msgs/msg/Imu", False, _HISTORY, "inertial sensor of the pelvis", "physics"),
-    Topic("true_base_pose", "geometry_msgs/msg/PoseStamped", False, _HISTORY, "pelvis in the world", "physics"),
+    Topic("imu", "sensor_msgs/msg/Imu", False, _HISTORY, "measurements of the inertial sensor", "physics"),
+    Topic("true_base_pose", "geometry_msgs/msg/PoseStamped", False, _HISTORY, "true pelvis pose in world", "physics"),
     *(
         Topic(
             f"{side}_foot_wrench",
             "geometry_msgs/msg/WrenchStamped",
             False,
             _HISTORY,
-            f"ground on the {side} sole, about its origin, in its axes [N, N m]",
+            f"wrench of the ground on the {side} sole, about the sole's origin, in its axes [N, N m]",
             "physics",
         )
         for side in ("left", "right")
@@ -134,12 +134,12 @@ _ALL = (
 
 TOPICS: dict[str, Topic] = {topic.name.lstrip("/"): topic for topic in _ALL}
 
-PHASE_LOG = Topic("phase_log", "std_msgs/msg/String", True, _PHASES, "what `phase` has shown, for the recorder")
-"""`phase` keeps one message, so that whoever asks is told what goes on now; a bag's `phase` comes from here, so that
-none of them is lost."""
+PHASE_LOG = Topic("phase_log", "std_msgs/msg/String", True, _PHASES, "all messages of `phase`, for the recorder")
+"""`phase` has a history of one message, so that a late subscriber receives the current phase only. The recorder stores
+the messages of this topic as `phase`, so that none is lost."""
 
 REQUIRED = ("joint_states", "joint_velocity_commands", "phase", "phase_start", "walk_config")
-"""Without these a bag is not a walk."""
+"""Topics that a bag of a walk must contain."""
 
 _SHARED = ("joint_states", "base_pose", "walk_config", "walk_origin", "robot_description", "diagnostics")
 _BODY = (
@@ -163,8 +163,8 @@ _BODY = (
         "geometry_msgs/msg/WrenchStamped",
         False,
         _HISTORY,
-        "ground on the left sole while it stands: about the sole's origin, in the axes of odom [N, N m]; the stamp is "
-        "that of the state before",
+        "wrench of the ground on the left sole while it stands, about the sole's origin, in the axes of odom [N, N m]; "
+        "the stamp is that of the state before",
         "plant",
     ),
     Topic(
@@ -172,7 +172,7 @@ _BODY = (
         "geometry_msgs/msg/WrenchStamped",
         False,
         _HISTORY,
-        "the same of the right sole",
+        "the same for the right sole",
         "plant",
     ),
     Topic(
@@ -180,14 +180,14 @@ _BODY = (
         "geometry_msgs/msg/PoseStamped",
         True,
         _PHASES,
-        "where the hand should be; the stamp is that of the first state it holds for",
+        "target of the hand; the stamp is that of the first state that it applies to",
     ),
     Topic(
         "push_applied",
         "geometry_msgs/msg/WrenchStamped",
         True,
         _PHASES,
-        "force times 1 s: an impulse that has hit the torso [N s]; the stamp is that of the first state after it",
+        "impulse that acted on the torso [N s], as a force for 1 s; the stamp is that of the first state after it",
         "plant",
     ),
 )
@@ -196,4 +196,4 @@ BODY_TOPICS: dict[str, Topic] = {name: TOPICS[name] for name in _SHARED} | {topi
 """The topics of a whole-body walk."""
 
 BODY_REQUIRED = ("joint_states", "base_pose", "base_twist", "joint_effort_commands", "walk_config")
-"""Without these a bag is not a whole-body walk."""
+"""Topics that a bag of a whole-body walk must contain."""

@@ -1,11 +1,11 @@
-"""A robot description (URDF): read, checked, repaired, cut down to the joints that move, and written again.
+"""A robot description (URDF): reading, checks, repairs, reduction to the joints that move, and writing.
 
-The file is somebody else's. What every ROS tool accepts is accepted here; what a model of rigid bodies needs beyond
-that is repaired and listed (`Urdf.repairs`); what nobody could guess is refused, with the element and its line. The
-file is never changed and meshes are never opened. `Urdf.text` writes links, joints, masses and shapes as they are after
-all that, and nothing else, so that physics and dynamics are of the robot that the model is made of.
+The reader accepts what every ROS tool accepts. Data that a rigid-body model needs and the file lacks, or has wrong, is
+repaired and listed in `Urdf.repairs`; an error that has no obvious repair is reported with the element and its line.
+The file itself is not changed, and meshes are not opened. `Urdf.text` writes the repaired and reduced links, joints,
+masses and shapes, so that the physics engine, the dynamics library and the model describe the same robot.
 
-The reader is the standard library's: importing yourdfpy takes over a second, and it knows no lines.
+XML is parsed by the standard library: importing yourdfpy takes over a second, and it does not report line numbers.
 """
 
 from __future__ import annotations
@@ -33,25 +33,25 @@ Rgba = tuple[float, float, float, float]
 
 _MOST_BYTES = 32 << 20
 _DEEPEST = 64
-"""Elements within elements; a URDF has six."""
+"""Largest depth of nested elements; a valid URDF has six."""
 _LARGEST = 1e6
-"""No length [m], mass [kg] or inertia [kg m^2] of a robot is beyond this; a limit beyond it is no limit."""
+"""Largest length [m], mass [kg] and inertia [kg m^2] accepted; a larger joint limit counts as unlimited."""
 _TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _SIZES = {"box": {"size": 3}, "cylinder": {"radius": 1, "length": 1}, "sphere": {"radius": 1}}
 _SIZES["capsule"] = _SIZES["cylinder"]
 _LEAST_MASS = 1e-3
-"""Mass of a body that moves, where the file gives it none [kg]."""
+"""Mass assumed for a moving body without mass [kg]."""
 _GYRATION = 0.01
-"""Radius of gyration of a body whose inertia is not known [m]."""
+"""Radius of gyration assumed for a body without a valid inertia [m]."""
 _LEAST_MOMENT = 1e-12
-"""Engines take a smaller moment of inertia for zero [kg m^2]."""
+"""Least moment of inertia; physics engines treat a smaller one as zero [kg m^2]."""
 _ROUNDING = 1e-3
-"""Relative: inertias are printed with few digits, and those of thin plates meet the triangle inequality exactly."""
+"""Relative tolerance of the triangle inequality of the moments of inertia, which files give with few digits."""
 
 
 @dataclass(frozen=True)
 class Origin:
-    """A pose as a URDF gives it: offset [m], and angles about the fixed axes x, y, z one after the other [rad]."""
+    """A pose as a URDF gives it: position [m], and roll, pitch and yaw about the fixed axes x, y and z [rad]."""
 
     xyz: Triple = (0.0, 0.0, 0.0)
     rpy: Triple = (0.0, 0.0, 0.0)
@@ -68,12 +68,12 @@ class Origin:
     def of(cls, pose: Array) -> Origin:
         """Return the origin of a pose (4, 4)."""
         R = pose[:3, :3]
-        level = math.hypot(R[0, 0], R[1, 0])
-        upright = level > 1e-9  # else roll and yaw turn about the same axis
-        roll = math.atan2(R[2, 1], R[2, 2]) if upright else math.atan2(-R[1, 2], R[1, 1])
-        yaw = math.atan2(R[1, 0], R[0, 0]) if upright else 0.0
+        cos_pitch = math.hypot(R[0, 0], R[1, 0])
+        regular = cos_pitch > 1e-9  # otherwise the axes of roll and yaw coincide
+        roll = math.atan2(R[2, 1], R[2, 2]) if regular else math.atan2(-R[1, 2], R[1, 1])
+        yaw = math.atan2(R[1, 0], R[0, 0]) if regular else 0.0
         x, y, z = pose[:3, 3].tolist()
-        return cls((x, y, z), (roll, math.atan2(-R[2, 0], level), yaw))
+        return cls((x, y, z), (roll, math.atan2(-R[2, 0], cos_pitch), yaw))
 
 
 @dataclass(frozen=True)
@@ -88,11 +88,11 @@ class Shape:
     size : tuple of float
         [m]
     origin : Origin
-        In the frame of the link.
+        Pose in the frame of the link.
     color : tuple of four float, or None
         Red, green, blue, opacity.
     mesh : str
-        What the URDF calls the file.
+        File name or URI of the mesh, as the URDF gives it.
     """
 
     kind: str
@@ -104,7 +104,7 @@ class Shape:
 
 @dataclass(frozen=True)
 class Link:
-    """A link: mass [kg], CoM (3,) [m], inertia (3, 3) about it in the link's axes [kg m^2], and shapes."""
+    """A link: mass [kg], CoM (3,) [m], inertia (3, 3) about the CoM in the link's axes [kg m^2], and shapes."""
 
     name: str
     mass: float = 0.0
@@ -116,10 +116,10 @@ class Link:
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint: its place in the parent link, its unit axis (3,), and its limits.
+    """A joint: its pose in the parent link, its unit axis (3,), and its limits.
 
-    `lower` and `upper` [rad or m], `velocity` [rad/s or m/s] and `effort` [N m or N] are infinite without a limit.
-    A joint that has a `mimic` is at multiplier * (that joint's angle) + offset.
+    The limits `lower` and `upper` [rad or m], `velocity` [rad/s or m/s] and `effort` [N m or N] are infinite where the
+    file has none. The position of a joint with a `mimic` is multiplier * (position of the joint `mimic`) + offset.
     """
 
     name: str
@@ -138,11 +138,11 @@ class Joint:
 
     @property
     def moves(self) -> bool:
-        """Whether it is not fixed."""
+        """Whether the joint is not fixed."""
         return self.type != "fixed"
 
     def at(self, angle: float) -> Origin:
-        """Return the pose of the child link in the parent link at an angle [rad or m]."""
+        """Return the pose of the child link in the parent link at a joint position `angle` [rad or m]."""
         if not angle:
             return self.origin
         motion = np.eye(4)
@@ -159,8 +159,9 @@ class Urdf:
     Parameters
     ----------
     data : bytes or str
+        Content of the file.
     source : str
-        Its name in messages.
+        Name of the description in messages.
 
     Attributes
     ----------
@@ -169,12 +170,12 @@ class Urdf:
     joints : dict of str to Joint
         Both in the order of the file.
     repairs : list of str
-        What the file says that no rigid body can be, and what was taken instead.
+        Each invalid value of the file, and the value that replaces it.
 
     Raises
     ------
     ModelError
-        If it cannot be used, with everything that is wrong; each entry names the element and its line.
+        If the description has errors that cannot be repaired; the message lists them with element and line.
     """
 
     def __init__(self, data: bytes | str, source: str) -> None:
@@ -193,11 +194,11 @@ class Urdf:
         if read.wrong:
             more = len(read.wrong) - 8
             raise ModelError(f"{source}, " + "; ".join([*read.wrong[:8], *([f"and {more} more"] if more > 0 else [])]))
-        self._without_world()
+        self._remove_world()
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Urdf:
-        """Read a file; a xacro file is expanded by the package xacro.
+        """Read a URDF file, or a xacro file, which the Python package xacro expands.
 
         Raises
         ------
@@ -216,30 +217,30 @@ class Urdf:
 
     @property
     def root(self) -> str:
-        """The link that no joint carries."""
-        carried = {joint.child for joint in self.joints.values()}
-        return next(name for name in self.links if name not in carried)
+        """The link that is not the child of a joint."""
+        children = {joint.child for joint in self.joints.values()}
+        return next(name for name in self.links if name not in children)
 
-    def carried_by(self, link: str) -> list[Joint]:
-        """Return the joints whose parent is a link."""
+    def child_joints(self, link: str) -> list[Joint]:
+        """Return the joints whose parent is `link`."""
         return [joint for joint in self.joints.values() if joint.parent == link]
 
     def fixed_to(self, link: str) -> list[str]:
-        """Return a link and all that is fixed to it further out."""
+        """Return `link` and all links after it that only fixed joints connect to it."""
         found = [link]
         for name in found:
-            found += [joint.child for joint in self.carried_by(name) if not joint.moves]
+            found += [joint.child for joint in self.child_joints(name) if not joint.moves]
         return found
 
     # ------------------------------------------------------------------ changes
 
     def matching(self, patterns: Sequence[str], key: str, *, strict: bool = True) -> list[str]:
-        """Return the joints that some of `patterns` match, '*' being any text.
+        """Return the names of the joints that match one of `patterns`, in which '*' matches any text.
 
         Raises
         ------
         ModelError
-            If one matches no joint and `strict` is set; `key` is the parameter that the message names.
+            If `strict` is set and a pattern matches no joint; the message names the parameter `key`.
         """
         found: dict[str, None] = {}
         for pattern in patterns:
@@ -251,16 +252,16 @@ class Urdf:
         return list(found)
 
     def cut(self, joints: Sequence[str]) -> None:
-        """Remove joints together with all they carry."""
+        """Remove joints together with all links and joints after them."""
         waiting = [self.joints[name] for name in joints]
         while waiting:
             joint = waiting.pop()
             if self.joints.pop(joint.name, None):
                 del self.links[joint.child]
-                waiting += self.carried_by(joint.child)
+                waiting += self.child_joints(joint.child)
 
     def weld(self, angles: Mapping[str, float]) -> None:
-        """Fix joints at angles [rad or m]; one outside its limits is fixed at the nearest limit."""
+        """Make joints fixed at the given positions [rad or m], clipped to their limits."""
         for name, wanted in angles.items():
             joint = self.joints[name]
             if joint.moves:
@@ -270,30 +271,30 @@ class Urdf:
                 self.joints[name] = Joint(name, "fixed", joint.parent, joint.child, joint.at(angle), joint.axis)
 
     def add_frame(self, name: str, parent: str, origin: Origin) -> None:
-        """Add a link without mass, fixed to another."""
+        """Add a massless link `name` that is fixed to the link `parent` at the pose `origin`."""
         self.links[name] = Link(name)
         self.joints[f"{name}_joint"] = Joint(f"{name}_joint", "fixed", parent, name, origin, np.array([1.0, 0.0, 0.0]))
 
     def give_mass(self) -> None:
-        """Give mass to every body that moves and has none: no engine moves a body without inertia."""
+        """Assume a small mass for every moving body without mass: physics engines require one."""
         for joint in self.joints.values():
             if joint.moves and not sum(self.links[name].mass for name in self.fixed_to(joint.child)) > 0.0:
                 inertia = np.eye(3) * _LEAST_MASS * _GYRATION**2
                 self.links[joint.child] = replace(self.links[joint.child], mass=_LEAST_MASS, inertia=inertia)
                 self.repairs.append(f"link '{joint.child}' moves and has no mass: {1e3 * _LEAST_MASS:g} g are assumed")
 
-    def _without_world(self) -> None:
-        """Remove a root called world: it is no part of the robot, and engines take it for the ground."""
-        link, carried = self.links[self.root], self.carried_by(self.root)
+    def _remove_world(self) -> None:
+        """Remove an empty root link named world: physics engines would fix it, and the robot with it, to the ground."""
+        link, children = self.links[self.root], self.child_joints(self.root)
         empty = not (link.mass or link.visuals or link.collisions)
-        if link.name == "world" and empty and len(carried) == 1 and not carried[0].moves:
-            del self.links["world"], self.joints[carried[0].name]
+        if link.name == "world" and empty and len(children) == 1 and not children[0].moves:
+            del self.links["world"], self.joints[children[0].name]
             self.repairs.append("link 'world' is no part of the robot: removed, the robot floats")
 
     # ------------------------------------------------------------------ writing
 
     def text(self, *, shapes: bool = True) -> str:
-        """Return it as a URDF, with or without its shapes."""
+        """Return the URDF as a text, with or without the shapes of the links."""
         robot = ElementTree.Element("robot", name=self.name)
         for link in self.links.values():
             element = ElementTree.SubElement(robot, "link", name=link.name)
@@ -315,8 +316,8 @@ class Urdf:
             if joint.moves:
                 ElementTree.SubElement(element, "axis", xyz=_words(joint.axis))
                 given = {key: getattr(joint, key) for key in ("lower", "upper", "velocity", "effort")}
-                # a limit that is not there is a large one: without it a URDF has zero
-                limit = {key: repr(min(max(float(value), -_NONE), _NONE)) for key, value in given.items()}
+                # an absent limit is written as a large number: the default of a URDF is zero
+                limit = {key: repr(min(max(float(value), -_NO_LIMIT), _NO_LIMIT)) for key, value in given.items()}
                 if joint.type == "continuous":
                     del limit["lower"], limit["upper"]
                 ElementTree.SubElement(element, "limit", limit)
@@ -327,8 +328,8 @@ class Urdf:
         return ElementTree.tostring(robot, encoding="unicode") + "\n"
 
 
-_NONE = 1e9
-"""A limit as large as this is none."""
+_NO_LIMIT = 1e9
+"""Number that is written for an infinite limit."""
 
 
 def _write_shape(element: ElementTree.Element, shape: Shape) -> None:
@@ -358,15 +359,17 @@ def _words(numbers: Sequence[float] | Array) -> str:
 
 
 class _Element(ElementTree.Element):
+    """An XML element with the number of its line."""
+
     line = 0
 
 
 class _Unreadable(Exception):
-    """Something in an element that nobody can guess."""
+    """An error in an element that cannot be repaired."""
 
 
 def _parsed(data: bytes, source: str) -> ElementTree.Element:
-    """Return the elements of a file, each with its line."""
+    """Return the root element of a file; each element has the attribute `line`."""
     if len(data) > _MOST_BYTES:
         raise ModelError(f"{source}: not a robot description: more than {_MOST_BYTES >> 20} MiB")
     builder = ElementTree.TreeBuilder(element_factory=_Element)
@@ -399,13 +402,13 @@ def _parsed(data: bytes, source: str) -> ElementTree.Element:
 
 
 class _Reader:
-    """Links and joints of a file, repaired where that is possible; what cannot be is in `wrong`."""
+    """Reads links and joints; adds repairs to `repairs` and errors that cannot be repaired to `wrong`."""
 
     def __init__(self, root: ElementTree.Element, repairs: list[str]) -> None:
         self.wrong: list[str] = []
         self.links: dict[str, Link] = {}
         self.joints: dict[str, Joint] = {}
-        self.lines: dict[str, str] = {}  # where each link and joint stands
+        self.lines: dict[str, str] = {}  # line of each link and joint
         self._repairs = repairs
         self._colors = {material.get("name", ""): _color(material, {}) for material in root.findall("material")}
         for element in (*root.findall("link"), *root.findall("joint")):
@@ -434,8 +437,9 @@ class _Reader:
         return Link(name, mass, com, inertia, visuals, collisions)
 
     def _inertial(self, link: ElementTree.Element, element: ElementTree.Element | None) -> tuple[float, Array, Array]:
-        weight = element.find("mass") if element is not None else None
-        mass = _float(weight, "value") if weight is not None else 0.0
+        """Return mass [kg], CoM (3,) [m] and inertia (3, 3) [kg m^2] of an <inertial> element."""
+        given = element.find("mass") if element is not None else None
+        mass = _float(given, "value") if given is not None else 0.0
         if mass < 0.0:
             raise _Unreadable(f"{_place(link)} has a negative mass, {mass:g} kg")
         if element is None or not mass > 1e-9:
@@ -496,6 +500,7 @@ class _Reader:
         return self._limited(joint, element.find("limit"), where)
 
     def _limited(self, joint: Joint, limit: ElementTree.Element | None, where: str) -> Joint:
+        """Return the joint with the limits of its <limit> element."""
         ranged = joint.type != "continuous"
         if limit is None:
             if ranged:
@@ -523,23 +528,23 @@ class _Reader:
 
 
 def _not_a_tree(links: Mapping[str, Link], joints: Mapping[str, Joint], lines: Mapping[str, str]) -> list[str]:
-    """Return what keeps links and joints from being one tree."""
+    """Return the errors because of which links and joints are not one tree."""
     wrong = []
-    carrier: dict[str, str] = {}
+    parents: dict[str, str] = {}
     for joint in joints.values():
         where = lines[f"joint {joint.name}"]
         for end, name in (("parent", joint.parent), ("child", joint.child)):
             if name not in links:
                 wrong.append(f"{where} names the {end} '{name[:80]}', and there is no such link")
-        if joint.child in carrier:
+        if joint.child in parents:
             wrong.append(f"{where} is the second joint that carries the link '{joint.child[:80]}'")
-        carrier[joint.child] = joint.parent
+        parents[joint.child] = joint.parent
     if wrong:
         return wrong
-    roots = [name for name in links if name not in carrier]
+    roots = [name for name in links if name not in parents]
     reached = list(roots)
     for name in reached:
-        reached += [child for child, parent in carrier.items() if parent == name]
+        reached += [child for child, parent in parents.items() if parent == name]
     loop = set(links) - set(reached)
     if loop:
         name = next(name for name in links if name in loop)
@@ -550,11 +555,13 @@ def _not_a_tree(links: Mapping[str, Link], joints: Mapping[str, Joint], lines: M
 
 
 def _place(element: ElementTree.Element) -> str:
+    """Return line, tag and name of an element, for messages."""
     name = element.get("name")
     return f"line {getattr(element, 'line', 0)}: <{element.tag}>" + (f" '{name[:80]}'" if name else "")
 
 
 def _shape(part: ElementTree.Element, colors: Mapping[str, Rgba | None]) -> Shape | None:
+    """Return the shape of a <visual> or <collision> element; None if its geometry is missing or not known."""
     geometry = part.find("geometry")
     for shape in geometry if geometry is not None else ():
         origin, color = _origin(part), _color(part.find("material"), colors)
@@ -600,6 +607,7 @@ def _about(axis: Array, angle: float) -> Array:
 def _float(
     element: ElementTree.Element | None, key: str, absent: float | None = None, *, unbounded: bool = False
 ) -> float:
+    """Return the number in the attribute `key`, or `absent` if there is no such attribute."""
     word = element.get(key, "").strip() if element is not None else ""
     if not word and absent is not None:
         return absent
@@ -607,6 +615,7 @@ def _float(
 
 
 def _floats(element: ElementTree.Element, key: str, count: int, absent: str = "") -> list[float]:
+    """Return the `count` numbers in the attribute `key`, or those in `absent` if there is no such attribute."""
     words = (element.get(key) or absent).split()
     if len(words) != count:
         raise _Unreadable(
@@ -616,6 +625,7 @@ def _floats(element: ElementTree.Element, key: str, count: int, absent: str = ""
 
 
 def _number(element: ElementTree.Element | None, key: str, word: str, unbounded: bool) -> float:
+    """Return a word as a number; larger than `_LARGEST` it is infinite if `unbounded`, else an error."""
     try:
         value = math.nan if "_" in word else float(word)
     except ValueError:

@@ -1,7 +1,7 @@
-"""The walk of the paper: its phases, their order and the rules that end them (Fig. 1, sections 4.1, 4.2 and 5).
+"""Phases and walks, and the walk of the paper: Fig. 1, sections 4.1, 4.2 and 5 [Urban2020].
 
-A phase says what is wanted (tasks), what is held (equalities), what is kept (inequalities), and when it ends. The world
-of a phase is the sole of its base foot. A walk says which phase follows which, and where the feet go.
+A phase consists of tasks, equalities, inequalities, and the rule that ends it. Its base frame is the sole of its base
+foot. A walk determines the sequence of the phases and the footsteps.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _Y = np.array([0.0, 1.0, 0.0])
 
 
 class PhaseKind(enum.Enum):
-    """Both feet on the ground, or one; in a stance the weight is on both."""
+    """Kind of a phase: double support, single support, or stance, a double support with the CoM between the feet."""
 
     DOUBLE_SUPPORT = "double_support"
     SINGLE_SUPPORT = "single_support"
@@ -54,22 +54,22 @@ class PhaseKind(enum.Enum):
 
 
 class Rule(Protocol):
-    """Decides, state by state, when a phase ends."""
+    """Condition that ends a phase; it is evaluated once for each state of the phase."""
 
     def is_over(self, error: float, elapsed: float) -> bool:
-        """Return whether the phase ends at a state.
+        """Return whether the phase ends at the present state.
 
         Parameters
         ----------
         error : float
-            Norm of the error of the phase's own task.
+            Norm of the error of the phase's first task.
         elapsed : float
             Time since the phase began [s].
 
         Raises
         ------
         PhaseError
-            If it cannot end any more, or takes longer than ``gait.phase_timeout``.
+            If the phase has stalled, or takes longer than ``gait.phase_timeout``.
         """
 
 
@@ -82,27 +82,27 @@ class Phase:
     model : RobotModel
     kind : PhaseKind
     support : Foot
-        The foot that carries the weight at the end of the phase, by which the phase is named.
+        The foot that carries the weight at the end of the phase; it is part of the phase's name.
     base : Foot
-        The foot whose sole is the world: the support foot in single support, the other one in double support.
+        The foot whose sole is the base frame: the support foot in single support, the other one in double support.
     q_start : ndarray, shape (n,)
-        Where the phase began [rad].
+        Joint angles at the start of the phase [rad].
     swing_target : ndarray, shape (8,), or None
-        x_d of the swinging sole in the base frame.
+        x_d, the pose at which the swing sole lands, in the base frame.
     eta, damping : float
         eta [1/s] and lambda of (U6).
     tasks : tuple of Task
-        The first is the phase's own: its error ends the phase.
+        The phase's rule is applied to the error of the first one.
     equalities : tuple of Constraint
-        d' = -eta (d - bound).
+        Constraints d' = -eta (d - bound).
     inequalities : tuple of Constraint
-        d' >= -eta (d - bound).
+        Constraints d' >= -eta (d - bound).
     limits : tuple of JointMaximum and JointMinimum
-        Joint limits (U12) and (U13), which the quadratic program takes as bounds on u.
+        Joint limits (U12) and (U13), which are bounds of u in the quadratic program.
     rule : Rule
-        When it ends.
+        Condition that ends the phase.
     decision : str
-        What was changed while it lasted, and why; empty where nothing was.
+        Description of a change of the swing target during the phase, and its reason; empty without a change.
     """
 
     model: RobotModel
@@ -122,12 +122,12 @@ class Phase:
 
     @property
     def name(self) -> str:
-        """Such as ``double_support/left``."""
+        """Kind and support foot, such as ``double_support/left``."""
         return f"{self.kind.value}/{self.support.value}"
 
     @property
     def constraints(self) -> tuple[Constraint, ...]:
-        """All inequalities, the joint limits among them."""
+        """All inequalities, including the joint limits."""
         return (*self.inequalities, *self.limits)
 
     @cached_property
@@ -142,23 +142,20 @@ class Phase:
         return self._assembly.names
 
     def evaluate(self, kin: Kinematics) -> Evaluation:
-        """Return errors, distances and Jacobians at one configuration, seen from `base`."""
+        """Return errors, distances and their gradients for `kin`, which must be in the frame of `base`."""
         return self._assembly(kin)
 
     def error(self, kin: Kinematics) -> float:
-        """Norm of the error of the phase's own task."""
+        """Norm of the error of the phase's first task."""
         return self.evaluate(kin).error
 
     def distances(self, kin: Kinematics) -> dict[str, float]:
-        """Every signed distance less its bound, by name; what is kept is >= 0, what is held is 0.
-
-        Of several rows it is the least, of an equality the one furthest from 0.
-        """
+        """Return each signed distance minus its bound, by name; see `Evaluation.distances`."""
         return self.evaluate(kin).distances()
 
 
 class Walk(ABC):
-    """Which phase follows which, and where the feet go.
+    """The sequence of the phases, and the footsteps.
 
     Parameters
     ----------
@@ -172,27 +169,27 @@ class Walk(ABC):
     @staticmethod
     @abstractmethod
     def phases(config: Config) -> int:
-        """Return how many phases the whole walk has; 0 where it is steered and has no end."""
+        """Return the number of phases of the whole walk; 0 for a steered walk, which has no end."""
 
     @staticmethod
     @abstractmethod
     def describe(config: Config) -> str:
-        """Return in words how far the walk goes."""
+        """Return the extent of the walk in words, such as ``20 steps``."""
 
     @property
     @abstractmethod
     def posture(self) -> Array:
-        """The posture in which the walk begins, shape (n,) [rad]."""
+        """Joint angles at the start of the walk, shape (n,) [rad]."""
 
     is_tunable = False
-    """Whether parameters that the schema calls live may change between two phases."""
+    """Whether live parameters (`config.Spec.live`) may change between two phases."""
 
     def tune(self, config: Config) -> None:
-        """Go on with other parameters, from the next phase on."""
+        """Replace the parameters; the new ones apply from the next phase on."""
         self.config = config
 
     def is_waiting(self, phase: Phase) -> bool:
-        """Return whether `phase` goes on although its rule may say that it is over."""
+        """Return whether `phase` continues regardless of its rule."""
         return False
 
     @abstractmethod
@@ -200,7 +197,7 @@ class Walk(ABC):
         """Return kind, support foot and swing target of the phase after `phase`; None after the last one."""
 
     def beginning(self, kin: Kinematics) -> tuple[PhaseKind, Foot, Array | None] | None:
-        """Return kind, support foot and swing target of the first phase of a robot that stands as in `kin`."""
+        """Return kind, support foot and swing target of the first phase, for the posture of the robot in `kin`."""
         return self.following(None)
 
     def phase(self, kind: PhaseKind, support: Foot, q_start: ArrayLike, swing_target: ArrayLike | None = None) -> Phase:
@@ -213,18 +210,18 @@ class Walk(ABC):
         q_start : array_like, shape (n,)
             [rad]
         swing_target : array_like, shape (8,)
-            For single support.
+            Required for single support.
 
         Raises
         ------
         ValueError
-            If a single support comes without its target.
+            If the swing target of a single support is missing.
         """
         q = np.array(q_start, dtype=np.float64)
         if kind is not PhaseKind.SINGLE_SUPPORT:
             return self.both_feet(kind, support, q)
         if swing_target is None:
-            raise ValueError("a single support needs the target of its swing foot")
+            raise ValueError("a single support needs a swing target")
         return self.one_foot(support, q, np.array(swing_target, dtype=np.float64))
 
     @abstractmethod
@@ -236,31 +233,31 @@ class Walk(ABC):
         """Return the single support on `support` that swings the other foot to its target."""
 
     def restarts(self, phase: Phase) -> float | None:
-        """Return for how long to stand before a phase begins anew after states without an answer [s].
+        """Return for how long to stand before a phase begins again after an interruption of the control [s].
 
-        None where the phase goes on where it was.
+        None if the phase continues instead.
         """
         return None
 
     def observe(self, phase: Phase, kin: Kinematics, state: State) -> Phase:
-        """Look at a state before it is answered, and return the phase as it goes on.
+        """Process a measured state before its command is computed, and return the phase to continue with.
 
-        A walk that plans anew sets here what the tasks of `phase` follow. Where it decides that the foot lands
-        elsewhere, it returns the phase with that swing target and its decision in words.
+        A walk with online planning updates the references of the tasks of `phase` here. If it changes the landing
+        place, it returns a copy of the phase with the new swing target and a `decision`.
         """
         return phase
 
     def effort(self, phase: Phase, kin: Kinematics, state: State) -> Array:
-        """Return torques to be fed forward, shape (n,) [N m]: those that hold the robot against gravity."""
+        """Return feedforward torques, shape (n,) [N m]: by default those that compensate gravity."""
         return gravity_torques(kin, both=phase.kind is not PhaseKind.SINGLE_SUPPORT)
 
     def steer(self, forward: float, left: float, turn: float) -> tuple[float, float, float]:
-        """Set the velocity of a walk that is steered [m/s, m/s, rad/s]; zero puts the feet together and waits.
+        """Set the velocity of a steered walk [m/s, m/s, rad/s]; at zero it puts the feet together and waits.
 
         Returns
         -------
         tuple of float
-            The velocity it walks with, within what the legs can do.
+            The velocity of the walk, limited to the largest step.
 
         Raises
         ------
@@ -270,12 +267,12 @@ class Walk(ABC):
         raise ConfigError("only a standing walk without a number of steps is steered: gait.steps: 0")
 
     def stop(self) -> None:
-        """Put the feet together after the step under way, and end the walk.
+        """Put the feet together after the current step, and end the walk.
 
         Raises
         ------
         ConfigError
-            If this walk cannot end so.
+            If this walk does not support it.
         """
         raise ConfigError("the paper's walk does not put its feet together; pause it")
 
@@ -291,24 +288,25 @@ class PaperWalk(Walk):
 
     @staticmethod
     def phases(config: Config) -> int:
-        """Return four for each cycle."""
+        """Return the number of phases, four for each cycle."""
         return PaperWalk.PHASES_PER_CYCLE * config.gait.cycles
 
     @staticmethod
     def describe(config: Config) -> str:
-        """Return such as ``2 cycles``."""
+        """Return the number of cycles in words, such as ``2 cycles``."""
         return f"{config.gait.cycles} cycle{'s' if config.gait.cycles > 1 else ''}"
 
     @property
     def posture(self) -> Array:
-        """The posture of ``standing.posture``, shape (n,) [rad]: all joints at zero (section 5) unless it is given."""
+        """Joint angles of ``standing.posture``, shape (n,) [rad]; by default all are zero (section 5)."""
         return self.model.posture(self.config.standing.posture)
 
     @staticmethod
     def phase_at(config: Config, index: int) -> tuple[PhaseKind, Foot] | None:
         """Return kind and support foot of the phase `index` (0, 1, ...) of Fig. 1, or None after the last one.
 
-        Double support to the first support foot, single support on it, and the same with the other foot.
+        The cycle is: double support that moves the CoM to the first support foot, single support on this foot, and the
+        same two phases with the other foot.
         """
         if index >= PaperWalk.phases(config):
             return None
@@ -319,14 +317,14 @@ class PaperWalk(Walk):
     def following(self, phase: Phase | None) -> tuple[PhaseKind, Foot, Array | None] | None:
         """Return kind, support foot and swing target of the next phase of Fig. 1; None after the last one."""
         self._index += 1
-        at = self.phase_at(self.config, self._index)
-        if at is None:
+        found = self.phase_at(self.config, self._index)
+        if found is None:
             return None
-        kind, support = at
+        kind, support = found
         return kind, support, self.footstep(support) if kind is PhaseKind.SINGLE_SUPPORT else None
 
     def footstep(self, support: Foot) -> Array:
-        """Return x_d of the swinging sole in the support sole's frame, shape (8,): ahead, and flat."""
+        """Return x_d of the swing sole in the support sole's frame, shape (8,): a step ahead, flat on the ground."""
         width = self.config.gait.step_width
         if width == 0.0:
             kin = Kinematics(self.model, np.zeros(self.model.n), support)
@@ -422,13 +420,13 @@ class PaperWalk(Walk):
 
 
 def pelvis_height(config: Config, model: RobotModel) -> Constraint:
-    """Return (U11): the pelvis stays above a height."""
+    """Return the constraint (U11): the pelvis stays above ``pelvis.height``."""
     plane = Plane(_UP, config.pelvis.height)
     return PointOverPlane(name="pelvis", eta=config.pelvis.eta, point=Point(model.pelvis), plane=plane)
 
 
 def joint_limits(config: Config, model: RobotModel, return_speed: float = np.inf) -> tuple[JointMaximum, JointMinimum]:
-    """Return (U12) and (U13)."""
+    """Return the constraints (U12) and (U13) on the joint angles; `return_speed` [rad/s] as in `Constraint`."""
     eta, margin = config.joints.eta, config.joints.margin
     return (
         JointMaximum(name="joint_max", eta=eta, bound=margin, return_speed=return_speed, q_max=model.q_max),  # (U12)
@@ -437,32 +435,32 @@ def joint_limits(config: Config, model: RobotModel, return_speed: float = np.inf
 
 
 def com_target(model: RobotModel, kind: PhaseKind, base: Foot, q_start: Array) -> Array:
-    """Return where on the ground the CoM goes with both feet down, shape (3,) [m], as seen where the phase begins.
+    """Return the goal of the CoM on the ground in a double support, shape (3,) [m], in the frame of the base sole.
 
-    To the other sole's centre, in a stance halfway to it.
+    It is the centre of the other sole at the start of the phase; in a stance, the middle between both soles.
     """
     end = model.soles[base.other]
-    there = Kinematics(model, q_start, base).point(end.frame, end.center)
+    goal = Kinematics(model, q_start, base).point(end.frame, end.center)
     if kind is PhaseKind.STANCE:
-        there = 0.5 * (there + model.soles[base].center)
-    return np.array([there[0], there[1], 0.0])
+        goal = 0.5 * (goal + model.soles[base].center)
+    return np.array([goal[0], goal[1], 0.0])
 
 
 _STALLED_WINDOWS = 10
-"""After so many windows in a row in which the error falls too slowly to arrive in time, a phase has stalled."""
+"""A phase has stalled when the error decreases too slowly to reach its goal in time for this many windows in a row."""
 
 
 class EndRule:
     """The switching rule of section 5.
 
-    A double support is over when its error has stopped falling and the CoM projection is inside the cylinder of
-    the end foot as it then stands; a single support when its error is below the threshold.
+    A double support ends when its error has stopped decreasing and the projection of the CoM is inside the cylinder of
+    (U14) around the end foot. A single support ends when its error is below the threshold.
 
     Parameters
     ----------
     config : Config
     name : str
-        Of the phase, for the message.
+        Name of the phase, for messages.
     double : bool
         Whether it is a double support.
     """
@@ -474,7 +472,7 @@ class EndRule:
         self._window = window * config.dt
         # the error of the double support is the distance of the CoM from the end foot's centre
         self._goal = config.ssp.com_radius if double else config.ssp.threshold
-        self._hopeless = 0
+        self._slow_states = 0
         self._stall, self._timeout, self._dt = config.dsp.stall_rate, config.gait.phase_timeout, config.dt
 
     def is_over(self, error: float, elapsed: float) -> bool:
@@ -492,10 +490,10 @@ class EndRule:
         if elapsed > timeout:
             raise self._failed(f"is not over after {timeout:g} s", error)
         if full:
-            # at the rate of the last window the goal is further away than the time limit
-            hopeless = fall * timeout < (error - self._goal) * self._window
-            self._hopeless = self._hopeless + 1 if hopeless else 0
-            if self._hopeless * self._dt > _STALLED_WINDOWS * self._window:
+            # at the mean rate of the last window the goal is not reached within the timeout
+            too_slow = fall * timeout < (error - self._goal) * self._window
+            self._slow_states = self._slow_states + 1 if too_slow else 0
+            if self._slow_states * self._dt > _STALLED_WINDOWS * self._window:
                 raise self._failed("has stalled", error)
         return False
 

@@ -71,7 +71,8 @@ def test_damping_is_fed_forward_as_the_servos_have_it() -> None:
     state = State(0.0, q, dq_, np.array(up), np.zeros(3))
     controller = told(assumed_damping=0.02)
     command = controller.step(state, 0.005)
-    balance = controller.walk.effort(controller.phase, controller._kinematics(state).later(0.02), state)
+    kin = controller._kinematics(state, controller.phase.base).later(0.02)
+    balance = controller.walk.effort(controller.phase, kin, state)
     assert command.effort == pytest.approx(balance - 0.02 * 60.0 * (dq_ - command.velocity))
 
 

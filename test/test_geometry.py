@@ -69,7 +69,7 @@ def test_point_to_wall(rng):
 
 
 def test_two_points_above_each_other_fix_no_wall():
-    with pytest.raises(ValueError, match="do not fix an upright plane"):
+    with pytest.raises(ValueError, match="do not define a vertical plane"):
         wall_side(np.array([1.0, 2.0, 0.0]), np.array([1.0, 2.0, 5.0]), np.zeros(3))
 
 

@@ -120,7 +120,7 @@ def test_level_one_gives_way_only_where_it_may() -> None:
     violation[[first, -1]] = 0.0
     assert violation.max() < 1e-4  # and nearly nothing else gives way
     assert answer.violation == pytest.approx(np.sqrt(0.5), abs=1e-4)
-    with pytest.raises(QPError, match="laws"):
+    with pytest.raises(QPError, match="equations of motion"):
         HierarchySolver().solve(replace(h, level=np.where(h.level == LIMIT, LAW, h.level)))
 
 

@@ -14,7 +14,7 @@ from walks import problem_at
 from dqwalk_ros.errors import QPError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.plants.kinematic import KinematicPlant
-from dqwalk_ros.qp import ClarabelSolver, DaqpSolver, Problem, _InPlace, make_solver
+from dqwalk_ros.qp import ClarabelSolver, DaqpSolver, Problem, _ClarabelProgram, make_solver
 from dqwalk_ros.simulation import make_controller
 from dqwalk_ros.state import State
 
@@ -104,7 +104,7 @@ def test_numbers_that_are_none_are_refused(name):
 def test_an_answer_counts_only_with_its_status_and_its_residuals(lie, monkeypatch):
     """A solver that ran out of time has plausible numbers, and one that says Solved may be wrong."""
     problem = random_problem(np.random.default_rng(5))
-    solve = _InPlace.solve
+    solve = _ClarabelProgram.solve
 
     def lying(self):
         true, spent = solve(self)
@@ -117,7 +117,7 @@ def test_an_answer_counts_only_with_its_status_and_its_residuals(lie, monkeypatc
 
     solver = ClarabelSolver()
     assert solver.solve(problem).residuals(problem).largest < 1e-7
-    monkeypatch.setattr(_InPlace, "solve", lying)
+    monkeypatch.setattr(_ClarabelProgram, "solve", lying)
     with pytest.raises(QPError) as caught:
         solver.solve(problem)
     assert ("MaxTime" in caught.value.status) is lie.startswith("a bad status")

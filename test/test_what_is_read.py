@@ -13,8 +13,8 @@ PLACES = {
     "(U1)": ("dqwalk_ros/kinematics.py", "2.0 * t[1], 2.0 * t[2]", "2.1 * t[1], 2.0 * t[2]"),
     "(U2)": ("dqwalk_ros/kinematics.py", "link[11] * (p + c)", "link[11] * (p - c)"),
     "(U3)": ("dqwalk_ros/kinematics.py", "0.5 * lines[i, :3], 0.5", "0.6 * lines[i, :3], 0.5"),
-    "(U4)": ("dqwalk_ros/kinematics.py", "p_com[:] = after[0, :3]", "p_com[:] = 1.1 * after[0, :3]"),
-    "(U5)": ("dqwalk_ros/kinematics.py", "after[b], after[b, 3], J_com", "after[b], 1.1 * after[b, 3], J_com"),
+    "(U4)": ("dqwalk_ros/kinematics.py", "p_com[:] = subtree[0, :3]", "p_com[:] = 1.1 * subtree[0, :3]"),
+    "(U5)": ("dqwalk_ros/kinematics.py", "subtree[b], subtree[b, 3], J_com", "subtree[b], 1.1 * subtree[b, 3], J_com"),
     "(U6)": ("dqwalk_ros/qp.py", "H[i, i] += damping**2", "H[i, i] += damping"),
     "vector-field inequality": (
         "dqwalk_ros/constraints.py",

@@ -60,7 +60,7 @@ class Skeleton:
         self.bodies: dict[str, list[str]] = {"": [urdf.root]}
         waiting = [urdf.root]
         for link in waiting:
-            for joint in urdf.carried_by(link):
+            for joint in urdf.child_joints(link):
                 angle = min(max(0.0, joint.lower), joint.upper) if joint.moves else 0.0
                 self._pose[joint.child] = self._pose[link] @ joint.at(angle).matrix
                 chain = self.chain[link] + ((joint.name,) if joint.name in self.joints else ())
@@ -113,7 +113,7 @@ def _moved_by(urdf: Urdf, link: str, leader: str) -> int:
     above = urdf.joints[leader].child if leader in urdf.joints else ""
     count, waiting = 0, [link]
     for name in waiting:
-        for joint in urdf.carried_by(name):
+        for joint in urdf.child_joints(name):
             count += joint.moves and not joint.mimic
             waiting.append(joint.child)
     at = link

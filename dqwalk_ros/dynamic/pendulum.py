@@ -63,7 +63,7 @@ class Pendulum:
             size = len(task.error(kin))
             rows[task.name] = slice(at, at + size)
             at += size
-        root = now.assembly.root
+        root = now.assembly.sqrt_weights
         J = root[:, None] * (now.gradients @ now.J_features)[:at]
         H, L_u = J.T @ J + phase.damping**2 * np.eye(J.shape[1]), angular_momentum(kin)
 

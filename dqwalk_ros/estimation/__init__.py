@@ -1,1 +1,1 @@
-"""What a real robot needs beside its sensors: the state after the delay, and the pose of the base."""
+"""Estimation for a real robot: prediction over the delay, monitoring of the drive, pose and velocity of the base."""

@@ -1,12 +1,13 @@
-"""The base of a walking robot from joints, inertial sensor and contacts: pose, velocity, and how sure they are.
+"""Estimation of the base of a walking robot from joint angles, inertial sensor and contacts, with covariance.
 
-A contact-aided invariant extended Kalman filter [Hartley2020]: the state X in SE_N(3) is the orientation R, velocity v
-and position p of the inertial sensor in the world, and the positions d of heel and toe of each sole; beside it are the
-biases of gyroscope and accelerometer. The error is right-invariant, X_estimated = exp(xi) X, so that what a sole at
-rest says, R h(q) + p - d = 0, is linear in it with constant coefficients, wherever the robot is.
+A contact-aided invariant extended Kalman filter [Hartley2020]: the state X in SE_N(3) consists of orientation R,
+velocity v and position p of the inertial sensor in the world, and of the positions d of heel and toe of each sole; in
+addition the biases of gyroscope and accelerometer are estimated. The error xi is right-invariant,
+X_estimated = exp(xi) X, so that the measurement equation of a sole at rest, R h(q) + p - d = 0, is linear in xi with
+coefficients that do not depend on the state.
 
-A floor is taken for level up to a few millimetres from footfall to footfall: the height of a sole that is put down is
-the only reference that tells a tilt of the sensor from the bias of its accelerometer.
+The floor is assumed to be level except for a few millimetres between footholds: the height of a landing sole is the
+only measurement that distinguishes a tilt of the sensor from a bias of its accelerometer.
 """
 
 from __future__ import annotations
@@ -30,31 +31,32 @@ Array = NDArray[np.float64]
 
 _GRAVITY = np.array([0.0, 0.0, -9.80665])
 _POINTS = tuple((foot, side) for foot in Foot for side in (-0.5, 0.5))
-"""Heel and toe of either sole."""
+"""Heel and toe of both soles, as offsets from the centre in lengths of the sole."""
 _R, _V, _P, _GYRO, _ACCELEROMETER = slice(0, 3), slice(3, 6), slice(6, 9), slice(21, 24), slice(24, 27)
-"""Where the errors are in xi; from 9 to 20 those of the points."""
+"""Indices in xi of the errors of R, v, p and of the biases; those of the contact points are 9 to 20."""
 _SIZE = 27
+"""Length of xi."""
 _GATE = 25.0
-"""A sole whose point is further from where it stood than this many variances has slipped or lifted."""
-_BEARS = 0.1
-"""A sole that bears less than this part of the weight is about to lift, or has not landed yet."""
+"""Squared Mahalanobis distance of a contact point from its former position above which it has slipped or lifted."""
+_LEAST_LOAD = 0.1
+"""Fraction of the weight below which a sole does not count as standing: it is about to lift, or has just landed."""
 
 
 @dataclass(frozen=True)
 class BaseEstimate:
-    """Where the pelvis is and how it moves.
+    """Estimated pose and velocity of the pelvis; the world is the frame of the first base sole, with z vertical.
 
     Attributes
     ----------
     pose : ndarray, shape (8,)
-        Of the pelvis in the world, which is the first base sole, level.
+        Pose of the pelvis in the world.
     velocity, angular_velocity : ndarray, shape (3,)
-        Of the pelvis in the axes of the world [m/s, rad/s].
+        Velocities of the pelvis in axes of the world [m/s, rad/s].
     covariance : ndarray, shape (9, 9)
-        Of the errors of orientation (a rotation vector in the axes of the world), velocity and position
+        Covariance of the errors of orientation (a rotation vector in axes of the world), velocity and position
         [rad, m/s, m].
     contacts : frozenset of Foot
-        Soles that stand and do not slip.
+        Soles that stand without slipping.
     """
 
     pose: Array
@@ -65,7 +67,7 @@ class BaseEstimate:
 
 
 class BaseEstimator:
-    """Follows the base from state to state.
+    """Estimates the base recursively; `update` processes one state.
 
     Parameters
     ----------
@@ -86,22 +88,22 @@ class BaseEstimator:
         deviations += [c.pivot * 0.5 * min(sole.length for sole in model.soles.values())]
         self._noise = np.array(deviations) ** 2
         self._time = math.nan
-        self._felt = np.zeros(3), np.zeros(3)
+        self._last_inertial = np.zeros(3), np.zeros(3)
         self._stood = np.zeros(4, dtype=bool)
 
     def update(self, time: float, kin: Kinematics, gyro: Array, acceleration: Array, *, both: bool) -> BaseEstimate:
-        """Return the base at `time` [s].
+        """Return the estimate at `time` [s].
 
         Parameters
         ----------
         time : float
         kin : Kinematics
-            Of the measured joints and vertical, seen from a sole on the ground.
+            The robot at the measured joint angles and vertical, in the frame of a sole on the ground.
         gyro, acceleration : ndarray, shape (3,)
-            As the inertial sensor has them [rad/s, m/s^2].
+            Measurements of the inertial sensor in its frame [rad/s, m/s^2].
         both : bool
-            Whether the other sole is down, too. Of two that are down only those count that bear weight: one about to
-            lift, or just landed, is dragged along by a millimetre.
+            Whether the other sole is on the ground, too. A sole that carries less than 10 % of the weight is not used
+            as a contact: it may slide by a millimetre before it lifts and after it lands.
         """
         c, foot_of = self._config, [foot for foot, _ in _POINTS]
         x_imu = DQ(kin.pose(self._imu))
@@ -109,32 +111,31 @@ class BaseEstimator:
         points = [kin.point(frame, offset) for frame, offset in self._points]
         h = np.ascontiguousarray((np.array(points) - p_imu) @ R_imu)  # (4, 3), from the sensor in its frame
         base, other = (self._model.soles[foot] for foot in (kin.base, kin.base.other))
-        part = float(share(kin.com_on_ground, base.center, kin.point(other.frame, other.center))) if both else 0.0
-        bears = {kin.base: part <= 1.0 - _BEARS, kin.base.other: part >= _BEARS}
-        stands = np.array([bears[foot] for foot in foot_of])
+        load = float(share(kin.com_on_ground, base.center, kin.point(other.frame, other.center))) if both else 0.0
+        loaded = {kin.base: load <= 1.0 - _LEAST_LOAD, kin.base.other: load >= _LEAST_LOAD}
+        stands = np.array([loaded[foot] for foot in foot_of])
         if math.isnan(self._time):
             self._begin(R_imu, p_imu, h)
         else:
-            felt = 0.5 * (gyro + self._felt[0]), 0.5 * (acceleration + self._felt[1])
-            _predict(time - self._time, *felt, self._R, self._v, self._p, self._d, self._bias, self._P, self._noise)
+            mean = 0.5 * (gyro + self._last_inertial[0]), 0.5 * (acceleration + self._last_inertial[1])
+            _predict(time - self._time, *mean, self._R, self._v, self._p, self._d, self._bias, self._P, self._noise)
         lost = _contact(
             h, stands, self._stood, self._R, self._v, self._p, self._d, self._bias, self._P, c.kinematics**2, c.floor**2
         )
-        self._time, self._felt, self._stood = time, (gyro, acceleration), stands
+        self._time, self._last_inertial, self._stood = time, (gyro, acceleration), stands
         pelvis = DQ.from_pose(self._p, _quaternion(self._R)) * x_imu.conj() * DQ(kin.pose(self._model.pelvis))
         p = pelvis.translation()
-        turning = self._R @ (gyro - self._bias[:3])
-        held = frozenset(foot for foot, s, slipped in zip(foot_of, stands, lost, strict=True) if s and not slipped)
-        velocity = self._v + _cross(turning) @ (p - self._p)
-        return BaseEstimate(pelvis.vec8(), velocity, turning, self._covariance(p), held)
-
-    # ------------------------------------------------------------------ inside
+        omega = self._R @ (gyro - self._bias[:3])
+        contacts = frozenset(foot for foot, s, slipped in zip(foot_of, stands, lost, strict=True) if s and not slipped)
+        velocity = self._v + _cross(omega) @ (p - self._p)
+        return BaseEstimate(pelvis.vec8(), velocity, omega, self._covariance(p), contacts)
 
     def _begin(self, R: Array, p: Array, h: Array) -> None:
+        """Initialize state and covariance by the sensor's pose and the contact points `h` (4, 3) in its frame."""
         c = self._config
         self._R, self._v, self._p, self._bias = np.ascontiguousarray(R), np.zeros(3), p.copy(), np.zeros(6)
         self._d = np.ascontiguousarray(p + h @ R.T)
-        tilt = c.floor / 0.07  # two points of a sole that lie on an uneven floor
+        tilt = c.floor / 0.07  # inclination of a sole by the unevenness of the floor
         first = np.array([tilt, tilt, 1e-4, *[0.01] * 3, *[c.kinematics] * 3])
         P = np.zeros((_SIZE, _SIZE))
         P[:9, :9] = np.diag(first**2)
@@ -142,28 +143,28 @@ class BaseEstimator:
         P[_ACCELEROMETER, _ACCELEROMETER] = np.eye(3) * c.accelerometer_bias**2
         self._P = P
         for k in range(len(_POINTS)):
-            _put_down(k, h[k], self._R, self._p, self._d, P, c.kinematics**2)
+            _reset_point(k, h[k], self._R, self._p, self._d, P, c.kinematics**2)
 
     def _covariance(self, p: Array) -> Array:
-        """Return the covariance (9, 9) of plain errors of orientation, velocity and the position `p`."""
+        """Return the covariance (9, 9) of the errors of orientation, velocity, and position at `p`, from that of xi."""
         T = np.eye(9)
         T[_V, _R], T[_P, _R] = -_cross(self._v), -_cross(p)
         out: Array = T @ self._P[:9, :9] @ T.T
         return out
 
 
-# ---------------------------------------------------------------------- compiled, as it is read
+# ---------------------------------------------------------------------- compiled functions
 
 
 @jit
 def _cross(a):  # type: ignore[no-untyped-def]
-    """Return the matrix (3, 3) of a x."""
+    """Return the matrix (3, 3) of the cross product a x."""
     return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
 
 
 @jit
 def _exp(a):  # type: ignore[no-untyped-def]
-    """Return the rotation matrix (3, 3) by |a| about a (Rodrigues)."""
+    """Return the rotation matrix (3, 3) of the rotation vector `a` (3,) [rad] (Rodrigues)."""
     angle = math.sqrt(a[0] ** 2 + a[1] ** 2 + a[2] ** 2)
     K = _cross(a)
     if angle < 1e-8:
@@ -173,9 +174,9 @@ def _exp(a):  # type: ignore[no-untyped-def]
 
 @jit
 def _predict(dt, gyro, acceleration, R, v, p, d, bias, P, noise):  # type: ignore[no-untyped-def]
-    """Move on by what the inertial sensor felt over `dt` [s]; `noise` are variances per second."""
-    turning = gyro - bias[:3]
-    pull = R @ (acceleration - bias[3:]) + _GRAVITY
+    """Prediction step over `dt` [s] with the measurements of the inertial sensor; `noise` are variances per second."""
+    omega = gyro - bias[:3]
+    linear = R @ (acceleration - bias[3:]) + _GRAVITY
     A = np.zeros((_SIZE, _SIZE))  # xi' = A xi + noise
     A[_V, _R], A[_P, _V] = _cross(_GRAVITY), np.eye(3)
     A[_R, _GYRO], A[_V, _ACCELEROMETER] = -R, -R
@@ -183,9 +184,9 @@ def _predict(dt, gyro, acceleration, R, v, p, d, bias, P, noise):  # type: ignor
     for k in range(4):
         A[9 + 3 * k : 12 + 3 * k, _GYRO] = -_cross(d[k]) @ R
     F = np.eye(_SIZE) + dt * A + 0.5 * dt**2 * (A @ A)
-    G = np.ascontiguousarray(A[:, 21:])  # the sensors' noise comes in where their biases do
+    G = np.ascontiguousarray(A[:, 21:])  # noise of the sensors has the same input matrix as their biases
     Q = (G * noise[:6]) @ G.T
-    for i in range(12):  # a sole creeps along the floor as a whole, and its heel against its toe
+    for i in range(12):  # a sole slides along the floor as a whole, and its heel relative to its toe
         Q[9 + i, 9 + i] += noise[13]
         if i % 3 < 2:
             partner = i + 3 if i % 6 < 3 else i - 3
@@ -194,14 +195,14 @@ def _predict(dt, gyro, acceleration, R, v, p, d, bias, P, noise):  # type: ignor
     for i in range(6):
         Q[21 + i, 21 + i] += noise[7 + i]
     P[:] = F @ P @ F.T + dt * Q
-    p += dt * v + 0.5 * dt**2 * pull
-    v += dt * pull
-    R[:] = R @ _exp(dt * turning)
+    p += dt * v + 0.5 * dt**2 * linear
+    v += dt * linear
+    R[:] = R @ _exp(dt * omega)
 
 
 @jit
-def _put_down(k, h, R, p, d, P, variance):  # type: ignore[no-untyped-def]
-    """Take the point k, at `h` (3,) from the sensor, for where it is now: its error is that of the base."""
+def _reset_point(k, h, R, p, d, P, variance):  # type: ignore[no-untyped-def]
+    """Set the contact point k to its present position, `h` (3,) in the sensor's frame, with the error of the base."""
     i = 9 + 3 * k
     d[k] = p + R @ h
     P[i : i + 3, :] = P[_P, :]
@@ -212,7 +213,7 @@ def _put_down(k, h, R, p, d, P, variance):  # type: ignore[no-untyped-def]
 
 @jit
 def _contact(h, standing, stood, R, v, p, d, bias, P, kinematics, floor):  # type: ignore[no-untyped-def]
-    """Correct by the points that stand; return which of these are not where they stood, all (4,)."""
+    """Correction step with the standing contact points; return which of the four have slipped or lifted, shape (4,)."""
     H, z, noise = np.zeros((12, _SIZE)), np.zeros(12), np.zeros(12)
     m, lost = 0, np.zeros(4, np.bool_)
     for k in range(4):
@@ -227,7 +228,7 @@ def _contact(h, standing, stood, R, v, p, d, bias, P, kinematics, floor):  # typ
                 H[m, 6 + j], H[m, i + j], z[m], noise[m] = 1.0, -1.0, e[j], kinematics
                 m += 1
         else:
-            _put_down(k, h[k], R, p, d, P, kinematics)
+            _reset_point(k, h[k], R, p, d, P, kinematics)
             # its height: d_z = (xi_R x d + xi_d)_z + noise
             H[m, 0], H[m, 1], H[m, i + 2], z[m], noise[m] = d[k, 1], -d[k, 0], 1.0, d[k, 2], floor
             m += 1
@@ -238,7 +239,7 @@ def _contact(h, standing, stood, R, v, p, d, bias, P, kinematics, floor):  # typ
 
 @jit
 def _correct(H, z, noise, R, v, p, d, bias, P):  # type: ignore[no-untyped-def]
-    """Correct by residuals z = H xi + noise (m,): X = exp(-K z) X."""
+    """Correct the state by the residuals z = H xi + noise (m,): X = exp(-K z) X; `noise` (m,) are variances."""
     S = H @ P @ H.T + np.diag(noise)
     K = np.ascontiguousarray(np.linalg.solve(S, H @ P).T)
     xi = -(K @ z)

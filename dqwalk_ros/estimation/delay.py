@@ -1,8 +1,8 @@
-"""The state after the delay: where the joints will be when the command of this moment has its effect.
+"""Prediction of the joint angles at the time when a command takes effect (Smith predictor).
 
-A Smith predictor. The goals of position servos integrate the commanded velocities, so what was commanded within the
-delay T and has not been seen yet is S(t) - S(t - T) with S the integral of u. No measured velocity is in it: that would
-close a derivative loop through the delay.
+The goals of position servos integrate the commanded velocities u. So the motion that was commanded within the delay T,
+and is not measured yet, is S(t) - S(t - T), where S is the integral of u. Measured velocities are not used: they would
+close a derivative feedback loop through the delay.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class CommandHistory:
     Parameters
     ----------
     delay : float
-        T, from a measurement to the effect of its answer [s].
+        T, the time from a measurement to the effect of the command that answers it [s].
     n : int
         Number of joints.
     """
@@ -42,17 +42,17 @@ class CommandHistory:
         self._forget(time - self._delay)
 
     def pending(self, time: float) -> Array:
-        """Return what the joints will have moved when the command of `time` [s] has its effect, shape (n,) [rad]."""
+        """Return S(t) - S(t - T) at `time` [s]: the motion until the next command takes effect, shape (n,) [rad]."""
         begin, sums = time - self._delay, self._sums
         self._forget(begin)
         if len(sums) < 2:
             return np.zeros_like(self._sum)
         (t0, s0), (t1, s1) = sums[0], sums[1]
-        part = min(max((begin - t0) / (t1 - t0), 0.0), 1.0)
-        ahead: Array = self._sum - (s0 + part * (s1 - s0))
-        return ahead
+        fraction = min(max((begin - t0) / (t1 - t0), 0.0), 1.0)
+        motion: Array = self._sum - (s0 + fraction * (s1 - s0))
+        return motion
 
     def _forget(self, begin: float) -> None:
-        """Drop what ended before `begin` [s]."""
+        """Remove the commands that ended before `begin` [s]."""
         while len(self._sums) > 1 and self._sums[1][0] <= begin:
             self._sums.popleft()

@@ -1,4 +1,4 @@
-"""Plants: a simulator or a robot, on the other side of the command, and what a simulator knows besides the state."""
+"""Plants: simulators and robots that execute commands; ground truth of simulators; measurement of the vertical."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ class Plant(ABC):
     @property
     @abstractmethod
     def state(self) -> State:
-        """The state now."""
+        """The present measured state."""
 
     @abstractmethod
     def step(self, command: Command, dt: float) -> State:
-        """Return the state one period `dt` [s] later."""
+        """Execute a command for one period `dt` [s] and return the state after it."""
 
     @property
     def truth(self) -> Truth | None:
-        """What no sensor measures, where the plant is a simulator that knows it."""
+        """Ground truth of a simulator; None if it is not available."""
         return None
 
     @property
     def inertial(self) -> Inertial | None:
-        """What the inertial sensor measures, where there is one."""
+        """Measurements of the inertial sensor; None without such a sensor."""
         return None
 
     @property
@@ -47,12 +47,12 @@ class Plant(ABC):
 
 
 class World(Plant):
-    """A simulator of the ground, too, so that the robot can fall."""
+    """A simulator with contact dynamics, in which the robot can be pushed and can fall."""
 
     @property
     @abstractmethod
     def truth(self) -> Truth:
-        """What no sensor measures."""
+        """Ground truth."""
 
     @abstractmethod
     def push(self, force: ArrayLike) -> None:
@@ -61,7 +61,7 @@ class World(Plant):
 
 @dataclass(frozen=True)
 class Inertial:
-    """What the inertial sensor measures.
+    """Measurements of the inertial sensor.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Inertial:
     gyro : ndarray, shape (3,)
         Angular velocity in its frame [rad/s].
     acceleration : ndarray, shape (3,)
-        Acceleration against free fall in its frame: 9.81 upwards at rest [m/s^2].
+        Specific force in its frame: 9.81 upwards at rest [m/s^2].
     """
 
     orientation: Array
@@ -80,20 +80,20 @@ class Inertial:
 
 @dataclass(frozen=True)
 class Truth:
-    """What no sensor of the robot measures.
+    """Ground truth of a simulator, which no sensor of the robot measures.
 
     Attributes
     ----------
     pelvis : ndarray, shape (8,)
-        Its pose in the world, whose xy plane is the floor.
+        Pose of the pelvis in the world, whose xy plane is the floor.
     soles : dict of Foot to ndarray, shape (8,)
         Poses of the soles in the world.
     wrenches : dict of Foot to ndarray, shape (6,)
         Force [N] and torque [N m] of the ground on each sole, about its origin, in its axes.
     com : ndarray, shape (3,)
-        In the world [m].
+        Centre of mass in the world [m].
     effort : ndarray, shape (n,)
-        Torques of the servos on the joints [N m]; times the velocities they are the mechanical power [W].
+        Torques of the servos on the joints [N m].
     """
 
     pelvis: Array
@@ -104,7 +104,7 @@ class Truth:
 
     @property
     def cop(self) -> Array | None:
-        """Centre of pressure of both feet in the world, shape (3,) [m]; None in the air."""
+        """Centre of pressure of both feet in the world, shape (3,) [m]; None without ground contact."""
         total, moment = 0.0, np.zeros(3)
         for foot, w in self.wrenches.items():
             if w[2] > 1e-3:
@@ -114,21 +114,21 @@ class Truth:
 
     @property
     def tilt(self) -> float:
-        """Angle of the sole that bears most against the floor [rad]."""
-        carries = max(self.wrenches, key=lambda foot: float(self.wrenches[foot][2]))
-        return float(tilt(self.soles[carries]))
+        """Inclination against the floor of the sole with the larger load [rad]."""
+        support = max(self.wrenches, key=lambda foot: float(self.wrenches[foot][2]))
+        return float(tilt(self.soles[support]))
 
 
 def tilt(x: Array) -> Array:
-    """Return the angle between the normals of soles (..., 8) and that of the floor [rad]."""
+    """Return the angle between the z axes of the poses `x` (..., 8) and that of the world [rad]."""
     out: Array = 2.0 * np.arcsin(np.clip(np.hypot(x[..., 1], x[..., 2]), 0.0, 1.0))
     return out
 
 
 def upward(w: float, i: float, j: float, k: float) -> Array:
-    """Return the unit vector against gravity in a frame whose orientation is the quaternion w + i + j + k, shape (3,).
+    """Return the unit vector against gravity (3,) in a frame with the orientation w + i + j + k, of any norm.
 
-    Its yaw makes no difference, nor does its norm.
+    The result does not depend on the yaw of the frame.
     """
     size = math.sqrt(w * w + i * i + j * j + k * k)
     w, i, j, k = w / size, i / size, j / size, k / size
@@ -136,7 +136,7 @@ def upward(w: float, i: float, j: float, k: float) -> Array:
 
 
 def orientation_of(up: Array) -> Array:
-    """Return an orientation (4,), a unit quaternion, in which `up` (3,) of the frame points up: `upward` backwards."""
+    """Return a unit quaternion (4,), an orientation whose `upward` is the unit vector `up` (3,)."""
     r = np.array([1.0 + up[2], up[1], -up[0], 0.0])
     size = float(np.linalg.norm(r))
     return r / size if size > 1e-9 else np.array([0.0, 1.0, 0.0, 0.0])

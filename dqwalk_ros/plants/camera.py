@@ -1,4 +1,4 @@
-"""Pictures of the robot, drawn by MuJoCo without a display: set MUJOCO_GL to egl or osmesa where there is none."""
+"""Pictures of the robot rendered by MuJoCo; on a machine without a display set MUJOCO_GL to egl or osmesa."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ _GREY = (0.7, 0.72, 0.75, 1.0)
 
 
 class Camera:
-    """Looks at a robot from aside, as far ahead as it is; to be used with `with`.
+    """A camera beside the robot that moves forward with it; a context manager.
 
     Parameters
     ----------
     config : Config
     model : RobotModel
     width, height : int
-        Of the pictures [pixels].
+        Size of the pictures [pixels].
     azimuth, elevation : float
-        Where the camera looks to [degrees].
+        Direction of view [degrees].
     distance : float
-        [m]
+        Distance of the camera from the robot [m].
 
     Raises
     ------
     PlantError
-        If nothing can be drawn here.
+        If OpenGL rendering is not available.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Camera:
         except ModelError:
             near = Path(config.robot.urdf)
         meshes = meshes_of(seen, near)
-        for name, link in seen.links.items():  # MuJoCo itself reads neither all files nor all their names
+        for name, link in seen.links.items():  # MuJoCo cannot read all mesh formats and URIs by itself
             plain = tuple(shape for shape in link.visuals if shape.kind != "mesh")
             collide = tuple(shape for shape in link.collisions if shape.kind != "mesh")
             seen.links[name] = replace(link, visuals=plain, collisions=collide)
@@ -92,7 +92,7 @@ class Camera:
         self._look.azimuth, self._look.elevation, self._look.distance = azimuth, elevation, distance
         try:
             self._renderer = mujoco.Renderer(self._mj, height, width)
-        except Exception as error:  # whatever the OpenGL that is there raises
+        except Exception as error:  # the exceptions depend on the OpenGL platform
             raise PlantError(f"nothing can be drawn here: {error}; set MUJOCO_GL to egl or osmesa") from error
 
     def __enter__(self) -> Self:
@@ -104,7 +104,7 @@ class Camera:
         self._renderer.close()
 
     def picture(self, q: Array, pelvis: Array) -> NDArray[np.uint8]:
-        """Return the robot at the angles `q` (n,) [rad] with the pelvis at a pose (8,), shape (height, width, 3)."""
+        """Return a picture (height, width, 3) of the robot at the angles `q` (n,) [rad] and the `pelvis` pose (8,)."""
         kin = Kinematics(self._model, q, Foot.LEFT)
         root = DQ(pelvis) * DQ(kin.pose(self._model.pelvis)).conj() * DQ(kin.pose(self._model.root))
         self._data.qpos[:3], self._data.qpos[3:7] = root.translation(), root.P().vec4()
@@ -118,7 +118,7 @@ class Camera:
 
 
 def add_scenery(spec: Any) -> None:
-    """Add a sky, lines on the floor and light that casts shadows; nothing that touches.
+    """Add a sky, lines on the floor and a light with shadows, without effect on the physics.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Dynamixel servos in memory, behind the packets of protocol 1: the dummy motors of the Poppy driver.
+"""Emulated Dynamixel servos that exchange packets of protocol 1: the dummy motors of the Poppy driver.
 
-They are told and asked as real ones are, byte by byte, so that all of the driver runs on them. An emulated servo turns
-to its goal at its moving speed, while its torque is on; it has no weight.
+The driver runs on them without any change. While its torque is on, an emulated servo turns to its goal at its moving
+speed; gravity and inertia are not simulated.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ __all__ = ["EmulatedPort", "EmulatedServo", "EmulatedServos"]
 
 _PING, _READ, _WRITE, _SYNC_WRITE, _SYNC_READ = 1, 2, 3, 0x83, 0x84
 _ADAPTER = 0xFD
-"""Id under which a USB2AX answers for all servos."""
+"""Id with which a USB2AX answers a sync read of several servos."""
 
 
 class EmulatedServo:
-    """The registers of one servo, and how it turns.
+    """The registers and the motion of one servo.
 
     Parameters
     ----------
     number : int
-        Its id.
+        Id of the servo.
     kind : ServoType
     degrees : float
-        Its angle [deg].
+        Initial angle [deg].
     """
 
     def __init__(self, number: int, kind: ServoType, degrees: float = 0.0) -> None:
@@ -40,7 +40,7 @@ class EmulatedServo:
         self.power_on()
 
     def power_on(self) -> None:
-        """Set the registers to those after the power comes on: the torque is off."""
+        """Set the registers to their values after power-on, with the torque off."""
         self.write(0, self.kind.model.to_bytes(2, "little") + bytes([30, self.number, 1]))
         self.write(6, bytes(2) + (self.kind.positions - 1).to_bytes(2, "little"))  # limits of its angle
         self.write(TORQUE_ENABLE, bytes([0]))
@@ -57,7 +57,7 @@ class EmulatedServo:
         self.memory[address : address + len(data)] = data
 
     def advance(self, now: float) -> None:
-        """Turn until `now` [s]."""
+        """Simulate the motion until the time `now` [s]."""
         passed, self._at = max(now - self._at, 0.0), now
         if self.memory[TORQUE_ENABLE] and self.word(TORQUE_LIMIT) and not self.blocked:
             unit = self.kind.range / (self.kind.positions - 1)  # [deg]
@@ -74,7 +74,7 @@ class EmulatedServos:
     ----------
     servos : sequence of EmulatedServo
     clock : callable
-        Steady time [s].
+        Monotonic time [s].
     """
 
     def __init__(self, servos: Sequence[EmulatedServo], clock: Callable[[], float] = time.monotonic) -> None:
@@ -82,7 +82,7 @@ class EmulatedServos:
         self._clock = clock
 
     def reply(self, packet: bytes) -> bytes:
-        """Return what the bus answers to an instruction packet, empty for one without an answer."""
+        """Return the reply of the bus to an instruction packet; empty if there is no reply."""
         number, instruction, words = packet[2], packet[4], packet[5:-1]
         if instruction == _SYNC_WRITE:
             address, length = words[0], words[1]
@@ -95,19 +95,19 @@ class EmulatedServos:
         elif number in self.servos and instruction in (_PING, _READ, _WRITE):
             if instruction == _WRITE:
                 self.write(number, words[0], words[1:])
-            told = self.read(number, words[0], words[1]) if instruction == _READ else b""
-            return b"" if told is None else self.status(number, self.servos[number].error, told)
+            reply = self.read(number, words[0], words[1]) if instruction == _READ else b""
+            return b"" if reply is None else self.status(number, self.servos[number].error, reply)
         return b""
 
     def read(self, number: int, address: int, length: int) -> bytes | None:
-        """Return registers of a servo; None where it does not answer."""
+        """Return registers of a servo; None if there is no servo with this id."""
         if (servo := self.servos.get(number)) is None:
             return None
         servo.advance(self._clock())
         return bytes(servo.memory[address : address + length])
 
     def write(self, number: int, address: int, data: bytes) -> None:
-        """Write registers of a servo, if it is there."""
+        """Write registers of a servo, if there is one with this id."""
         if (servo := self.servos.get(number)) is not None:
             servo.advance(self._clock())
             servo.write(address, data)
@@ -120,7 +120,7 @@ class EmulatedServos:
 
 
 class EmulatedPort:
-    """A port of dynamixel_sdk with emulated servos behind it; what has not been answered at once never is."""
+    """A port of dynamixel_sdk connected to emulated servos, which reply immediately or not at all."""
 
     def __init__(self, servos: EmulatedServos) -> None:
         self.servos = servos
@@ -128,7 +128,7 @@ class EmulatedPort:
         self._waiting = b""
 
     def clearPort(self) -> None:
-        """Forget what came in."""
+        """Discard the bytes received."""
         self._waiting = b""
 
     def writePort(self, packet: Sequence[int]) -> int:
@@ -137,16 +137,16 @@ class EmulatedPort:
         return len(packet)
 
     def readPort(self, length: int) -> bytes:
-        """Return what has come in, at most `length` bytes."""
+        """Return the bytes received, at most `length`."""
         out, self._waiting = self._waiting[: max(length, 0)], self._waiting[max(length, 0) :]
         return out
 
     def setPacketTimeout(self, length: int) -> None:
-        """Say how long a reply will be."""
+        """Do nothing: a reply is available immediately."""
 
     def isPacketTimeout(self) -> bool:
-        """Tell whether there is nothing more to wait for."""
+        """Return whether all bytes received have been read."""
         return not self._waiting
 
     def closePort(self) -> None:
-        """Let go of it."""
+        """Do nothing."""

@@ -1,4 +1,4 @@
-"""The kinematic integrator: joints that move exactly as they are told."""
+"""The kinematic plant: joints that follow commanded velocities exactly."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class KinematicPlant(Plant):
     ----------
     model : RobotModel
     q0 : array_like, shape (n,), optional
-        Where it begins [rad]; all zero without it.
+        Initial joint angles [rad]; zero by default.
     time0 : float
-        [s]
+        Initial time [s].
 
     Raises
     ------
@@ -44,11 +44,11 @@ class KinematicPlant(Plant):
 
     @property
     def state(self) -> State:
-        """The state now."""
+        """The present state."""
         return self._state
 
     def step(self, command: Command, dt: float) -> State:
-        """Return the state one period later; velocities beyond the joints' limits are clamped.
+        """Return the state after one period; velocities are clipped to the joints' limits.
 
         Raises
         ------
@@ -60,6 +60,6 @@ class KinematicPlant(Plant):
             raise PlantError(f"the command must have {q.size} finite velocities, got {u}")
         u = np.minimum(np.maximum(u, -self._limit), self._limit)
         self._periods += 1
-        # counted, not summed up: a million periods later the time is still exact
+        # time is computed from the number of periods: a sum would accumulate rounding errors
         self._state = State(self._time0 + self._periods * dt, q + dt * u, u)
         return self._state

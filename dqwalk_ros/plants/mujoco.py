@@ -1,7 +1,7 @@
-"""The robot in a physics engine (MuJoCo): true soles, friction, position servos and an inertial sensor.
+"""The robot in the physics engine MuJoCo, with rectangular soles, friction, position servos and an inertial sensor.
 
-What no joint of the model moves is welded, the pelvis floats, and only the soles touch the ground. The engine's own
-loop takes all steps between two changes of what the servos are told; nothing of Python runs in between.
+The root link floats, and only the soles have contacts with the ground. All simulation steps between two changes of the
+servos' goals are one call of the engine, without Python code in between.
 """
 
 from __future__ import annotations
@@ -34,25 +34,25 @@ __all__ = ["PhysicsPlant", "build", "held_torques", "robot_spec"]
 Array = NDArray[np.float64]
 
 _THICK = 0.008
-"""Of the boxes of the soles [m]."""
+"""Thickness of the boxes of the soles [m]."""
 _HELD = 1.5
-"""Height at which a robot is held in the air [m]; one that is taller touches nothing either."""
+"""Height at which the root link is held in the air [m]."""
 _SOLID = [0.95, 0.99, 0.0005, 0.5, 2.0]
-"""Impedance of a contact: firm from half a millimetre on."""
+"""MuJoCo's contact impedance (solimp): full from a penetration of 0.5 mm on."""
 _NO_ACCELERATION = np.zeros(3)
 
 
 class PhysicsPlant(World):
-    """MuJoCo behind the servos.
+    """The robot with position servos in MuJoCo.
 
     Parameters
     ----------
     config : Config
     model : RobotModel
     q0 : array_like, shape (n,), optional
-        Where it begins, on both soles, or held by its root [rad]; all zero without it.
+        Initial joint angles, with both soles on the ground, or held by its root [rad]; zero by default.
     servos : Servos, optional
-        Those that it has; as ``servo`` describes them without it.
+        The simulated servos; by default those of the section ``servo``.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class PhysicsPlant(World):
         self._soles = {foot: self.mj.body(model.soles[foot].frame).id for foot in Foot}
         self._ground = {foot: self.mj.sensor(f"ground_{foot.value}").adr[0] for foot in Foot}
         self._goals = self.data.ctrl.reshape(-1, model.n)  # a view; a second row where there is backlash
-        # soft servos that do not hold the weight sink back onto the heels before the first command comes
+        # without these torques the robot would tip backwards on soft servos before the first command
         up = -self.mj.opt.gravity / GRAVITY
         standing = Kinematics(model, q, Foot.LEFT, up)
         effort = np.zeros(model.n) if config.physics.held else gravity_torques(standing, both=True)
@@ -93,16 +93,16 @@ class PhysicsPlant(World):
 
     @property
     def state(self) -> State:
-        """The state now, as the robot's sensors have it."""
+        """The present state as measured by the robot's sensors."""
         return self._state
 
     def step(self, command: Command, dt: float) -> State:
-        """Return the state one period later.
+        """Return the state after one period.
 
         Raises
         ------
         PlantError
-            If the command does not fit, or the simulation has gone astray.
+            If the command has a wrong size or is not finite, or the simulation has diverged.
         """
         u, tau = self._checked(command.velocity, "velocities"), command.effort
         if tau is not None:
@@ -114,7 +114,7 @@ class PhysicsPlant(World):
         while left:
             self._goals[:], until = self._bus.output(now)
             steps = min(left, max(1, math.ceil((until - now) / h - 1e-6))) if until < math.inf else left
-            # positions and velocities of this moment are there already: only the forces are missing
+            # mj_step1 has computed positions and velocities already; mj_step2 applies the forces
             mujoco.mj_step2(mj, data)
             if steps > 1:
                 mujoco.mj_step(mj, data, steps - 1)
@@ -132,12 +132,12 @@ class PhysicsPlant(World):
 
     @property
     def commanded(self) -> Array:
-        """Positions that the servos are told, without the sag, shape (n,) [rad]."""
+        """Commanded positions without the offsets by feedforward torques, shape (n,) [rad]."""
         return self._bus.wanted
 
     @property
     def truth(self) -> Truth:
-        """What no sensor measures; forces are those of the engine's last step."""
+        """Ground truth; forces are those of the engine's last step."""
         soles = {foot: self._pose(body) for foot, body in self._soles.items()}
         return Truth(
             pelvis=self._pose(self._pelvis),
@@ -149,18 +149,17 @@ class PhysicsPlant(World):
 
     @property
     def inertial(self) -> Inertial:
-        """What the inertial sensor measures."""
+        """Measurements of the inertial sensor."""
         r = self._reading
         return Inertial(r.orientation, r.gyro, self._acceleration() if self._sensors.exact else r.acceleration)
 
     @property
     def fallen(self) -> bool:
-        """Whether the pelvis has come down to 60 % of its first height or leans by more than 60 degrees."""
+        """Whether the root link is below 60 % of its initial height or is inclined by more than 60 degrees."""
         return bool(self._xpos[self._root, 2] < 0.6 * self._height or self._xmat[self._root, 8] < 0.5)
 
-    # ------------------------------------------------------------------ inside
-
     def _checked(self, values: Array, what: str) -> Array:
+        """Return `values` as an array (n,); raise PlantError if the size is wrong or a number is not finite."""
         values = np.asarray(values, dtype=np.float64)
         if values.shape != self._shape or not math.isfinite(values.sum()):
             raise PlantError(f"the command must have {self.model.n} finite {what}, got {values}")
@@ -170,9 +169,9 @@ class PhysicsPlant(World):
         turning, orientation = np.empty(6), np.empty(4)
         mujoco.mj_objectVelocity(self.mj, self.data, mujoco.mjtObj.mjOBJ_XBODY, self._imu, turning, 1)
         mujoco.mju_mulQuat(orientation, self._level, self._xquat[self._imu])
-        time = round(self._ticks * self._dt * 1e9) * 1e-9  # as a stamp of ROS has it
+        time = round(self._ticks * self._dt * 1e9) * 1e-9  # rounded to nanoseconds, like a ROS stamp
         q, dq = self._qpos[self._qadr], self._qvel[self._vadr]
-        # an exact sensor's acceleration is computed where it is asked for
+        # the acceleration of an exact sensor is computed only when `inertial` is read
         acceleration = _NO_ACCELERATION if self._sensors.exact else self._acceleration()
         r = self._reading = self._sensors.measure(time, Reading(q, dq, orientation, turning[:3], acceleration))
         felt = None if self._sensors.exact else r.acceleration
@@ -185,7 +184,7 @@ class PhysicsPlant(World):
         return out[3:]
 
     def _seat(self, q: Array) -> None:
-        """Put the left sole flat on the floor, unless the robot is held in the air."""
+        """Set the initial pose, with the left sole flat on the floor, unless the root link is held in the air."""
         self.data.qpos[self._qadr] = q
         if self.config.physics.held:
             self._height = -math.inf  # it cannot fall
@@ -219,34 +218,34 @@ class PhysicsPlant(World):
 def robot_spec(
     model: RobotModel, *, friction: float, contact_time: float, visual: bool = False, held: bool = False
 ) -> Any:
-    """Return the robot on a floor as a MuJoCo specification that may still be changed, without actuators.
+    """Return a MuJoCo specification of the robot on a floor, without actuators; the caller may extend it.
 
     Parameters
     ----------
     model : RobotModel
     friction : float
-        Of the soles on the floor.
+        Friction coefficient of soles and floor.
     contact_time : float
-        Time constant of the contact between both [s].
+        Time constant of the contact between soles and floor [s].
     visual : bool
-        Keep the visual shapes of the URDF. What collides is in group 2 then.
+        Whether to keep the visual shapes of the URDF. Colliding shapes are in geometry group 2.
     held : bool
-        The root is held in the air and does not float.
+        Whether the root link is held in the air instead of floating.
     """
-    # MuJoCo drops the visual shapes unless the file itself says otherwise
+    # MuJoCo discards visual shapes unless the file itself contains this option
     keep = '<mujoco><compiler discardvisual="false"/></mujoco></robot>'
     spec = mujoco.MjSpec.from_string(model.urdf.replace("</robot>", keep) if visual else model.urdf_without_shapes)
-    spec.compiler.inertiafromgeom = 0  # the soles have no mass; none may be made up
+    spec.compiler.inertiafromgeom = 0  # masses are those of the URDF, not of the geometries
     spec.compiler.fusestatic = False
     spec.compiler.balanceinertia = True
-    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a simulation gone astray is to be seen
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # divergence must be detected, not reset
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     if held:
         spec.body(model.root).pos = [0.0, 0.0, _HELD]
     else:
         spec.body(model.root).add_freejoint(name="root")
     for geom in spec.geoms:
-        geom.contype, geom.conaffinity = 0, 0  # only soles touch
+        geom.contype, geom.conaffinity = 0, 0  # only the soles have contacts
     touching = {"friction": [friction, 0.005, 0.0001], "solref": [contact_time, 1.0], "solimp": _SOLID, "group": 2}
     for foot in Foot:
         sole = model.soles[foot]
@@ -289,12 +288,12 @@ def build(
     servos : Servos, optional
         As ``servo`` describes them without it.
     scenery : callable, optional
-        For pictures: called with the specification to add what is only seen. The visual shapes of the URDF are there.
+        Called with the specification, to add elements for pictures; the visual shapes of the URDF are then kept.
 
     Raises
     ------
     PlantError
-        If MuJoCo refuses the robot.
+        If MuJoCo cannot compile the model.
     """
     c, s = config.physics, servos or Servos.of(config, model)
     play = 0.5 * s.stiffness * s.backlash  # [N m]
@@ -312,7 +311,7 @@ def build(
             joint.limited = False
             _add_spring(spec, name, s.stiffness[k], s.damping[k], s.torque[k] + play[k])
         if play.any():
-            # No torque within the play of the gears: K (e - clip(e, -b/2, b/2)) is two springs, one of them negative.
+            # zero torque within the backlash b: K (e - clip(e, -b/2, b/2)) is a positive plus a negative spring
             for k, name in enumerate(model.joint_names):
                 _add_spring(spec, name, -s.stiffness[k], 0.0, play[k])
         if c.rubble > 0.0:
@@ -361,7 +360,7 @@ def held_torques(model: RobotModel, mass_scale: float, q: Array, dq: Array, ddq:
 
 
 def _add_spring(spec: Any, joint: str, stiffness: float, damping: float, limit: float) -> None:
-    """Draw a joint to its control with a torque clip(K e - D dq, -limit, limit)."""
+    """Add an actuator to a joint, with the torque clip(K e - D dq, -limit, limit), e from the control."""
     act = spec.add_actuator(target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     act.gainprm[0] = stiffness
     act.biastype = mujoco.mjtBias.mjBIAS_AFFINE
@@ -370,7 +369,7 @@ def _add_spring(spec: Any, joint: str, stiffness: float, damping: float, limit: 
 
 
 def _add_ground_sensor(spec: Any, foot: Foot) -> None:
-    """Measure the net force, torque and centre of all contacts of a sole, in world axes."""
+    """Add a sensor of the net force, torque and centre of all contacts of a sole, in world axes."""
     field = mujoco.mjtConDataField
     wanted = sum(1 << int(f) for f in (field.mjCONDATA_FORCE, field.mjCONDATA_TORQUE, field.mjCONDATA_POS))
     net_force = 3  # the reduction to a single wrench
@@ -384,12 +383,12 @@ def _add_ground_sensor(spec: Any, foot: Foot) -> None:
 
 
 def _add_rubble(spec: Any, height: float, seed: int) -> None:
-    """Strew boxes up to `height` [m] on the floor ahead of the robot and behind it."""
+    """Add boxes of random size, up to `height` [m] high, to the floor ahead of and behind the robot."""
     random, floor = np.random.default_rng(seed), spec.geom("floor")
     for x in np.arange(-1.0, 1.5, 0.06):
         for y in np.arange(-0.3, 0.31, 0.06):
             if abs(x) < 0.2:
-                continue  # where it begins
+                continue  # the robot starts here
             half = [*random.uniform(0.01, 0.03, 2), 0.5 * height * random.uniform()]
             turn = random.uniform(0.0, np.pi)
             spec.worldbody.add_geom(
@@ -408,7 +407,7 @@ def _add_rubble(spec: Any, height: float, seed: int) -> None:
 
 
 def _level(config: Config) -> Array:
-    """Return the orientation (4,) of the floor, the world of all that is simulated, in a level world."""
+    """Return the orientation (4,) of the floor, which is the simulation's world frame, relative to the level."""
     c, out = config.physics, np.empty(4)
     ahead = [math.cos(0.5 * c.slope), 0.0, -math.sin(0.5 * c.slope), 0.0]
     aside = [math.cos(0.5 * c.slope_side), math.sin(0.5 * c.slope_side), 0.0, 0.0]

@@ -1,4 +1,4 @@
-"""The sensors of a simulated robot as they are: late, in steps, noisy, and mounted askew."""
+"""Simulated sensors with delay, quantization, noise, bias and mounting error."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Reading:
-    """What all sensors measure at one time.
+    """Measurements of all sensors at one time.
 
     Attributes
     ----------
     q, dq : ndarray, shape (n,)
-        [rad, rad/s]
+        Joint angles and velocities [rad, rad/s].
     orientation : ndarray, shape (4,)
-        Of the inertial sensor in the level world, a unit quaternion, real part first.
+        Orientation of the inertial sensor in a level world, a unit quaternion, real part first.
     gyro, acceleration : ndarray, shape (3,)
-        In the sensor's frame [rad/s, m/s^2].
+        Angular velocity and specific force in the sensor's frame [rad/s, m/s^2].
     """
 
     q: Array
@@ -39,7 +39,7 @@ class Reading:
 
 
 class Sensors:
-    """Makes of what is true what is measured.
+    """Computes measurements from the true values.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class Sensors:
         self._read: tuple[float, Reading] | None = None
 
     def measure(self, time: float, true: Reading) -> Reading:
-        """Return what has arrived at `time` [s] of the measurements so far, when `true` is the case now."""
+        """Return the latest measurement available at `time` [s]; `true` are the true values at this time."""
         if self.exact:
             return true
         c = self._config
@@ -73,6 +73,7 @@ class Sensors:
         return self._arrived
 
     def _faulty(self, time: float, true: Reading) -> Reading:
+        """Return the measurement of the true values, with all errors except the delay."""
         c, noise = self._config, self._random.normal
         out = replace(
             true,
@@ -95,11 +96,12 @@ class Sensors:
         return out
 
     def _mounted(self, v: Array) -> Array:
-        """Return a vector of the link in the frame of the sensor that is mounted askew on it."""
+        """Return a vector of the link in the frame of the sensor, rotated by the mounting error."""
         out: Array = self._mounting.conj().Ad(DQ(np.concatenate([[0.0], v]))).vec4()[1:]
         return out
 
     def _direction(self, size: float, *, level: bool = False) -> Array:
+        """Return a vector of the given norm in a random direction, horizontal if `level`, shape (3,)."""
         v = self._random.normal(size=3) * (1.0, 1.0, 0.0 if level else 1.0)
         out: Array = size * v / np.linalg.norm(v)
         return out

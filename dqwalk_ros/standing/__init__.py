@@ -1,1 +1,1 @@
-"""The walk that stands and steps on true soles; not in the paper of Urban and Adorno."""
+"""The standing walk: statically stable steps on rectangular soles; not in the paper of Urban and Adorno."""

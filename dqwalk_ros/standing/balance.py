@@ -1,7 +1,7 @@
-"""Torques that keep a biped standing: gravity, and the centre of mass drawn to its path within what the soles bear.
+"""Feedforward torques of the standing walk: gravity compensation, and feedback that balances the CoM on its path.
 
-A robot on position servos is an inverted pendulum on springs. Velocities alone, integrated by the servos, answer too
-late; torques fed forward answer at once.
+A robot on position servos is an inverted pendulum on springs. Commanded velocities, which the servos integrate, act too
+late to balance it; feedforward torques act immediately.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _NO_EDGES = np.empty((0, 2)), _NONE
 
 
 class Balance:
-    """The torques of one phase.
+    """Computes the feedforward torques of one phase; call it with the kinematics and the state.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class Balance:
         self.phase, self._both = phase, phase.kind is not PhaseKind.SINGLE_SUPPORT
         path = next((task for task in phase.tasks if isinstance(task, ComPath)), None)
         self._path = path if standing.balance > 0.0 else None
-        edges = next((row for row in phase.inequalities if isinstance(row, ComInsideEdges)), None)
+        edges = next((constraint for constraint in phase.inequalities if isinstance(constraint, ComInsideEdges)), None)
         base, other = (model.soles[foot] for foot in (phase.base, phase.base.other))
         self._imu = (*tree.frames[model.imu], tree.moves[tree.frames[model.imu][0]]) if model.imu in tree.frames else ()
         body, pose = tree.frames[other.frame]
@@ -51,16 +51,16 @@ class Balance:
         if path is not None:
             over = [goal.placed(tree) for goal in path.over]
             self._goals = np.array([body for body, _ in over]), np.array([offset for _, offset in over])
-            self._way = path.start, path.duration
-        self._kept = edges.polygon.edges() if edges is not None else _NO_EDGES
+            self._path_parameters = path.start, path.duration
+        self._edges = edges.polygon.edges() if edges is not None else _NO_EDGES
         self._gains = standing.balance, standing.pressure_margin, model.mass
 
     def __call__(self, kin: Kinematics, state: State) -> Array:
-        """Return joint torques (n,) [N m]: gravity, and the CoM drawn to its path.
+        """Return the joint torques (n,) [N m] that compensate gravity and accelerate the CoM towards its path.
 
-        The acceleration asked for is that of a linear inverted pendulum under feedback of its divergent component,
-        a = a_d - w^2 k (c - c_d) - w (1 + k) (v - v_d); the centre of pressure it needs, c - a/w^2, is moved into the
-        support polygon first.
+        The desired acceleration is that of a linear inverted pendulum with feedback of its divergent component,
+        a = a_d - w^2 k (c - c_d) - w (1 + k) (v - v_d). The centre of pressure that it requires, c - a/w^2, is first
+        moved into the support polygon.
         """
         if self._path is None:
             return gravity_torques(kin, both=self._both)
@@ -69,26 +69,27 @@ class Balance:
             gyro = _NONE if state.gyro is None else state.gyro
             v = com_velocity(kin.com, kin.com_jacobian, kin.lines, kin.poses, *self._imu, state.dq, gyro)
         tau: Array = _torques(
-            kin.com, kin.com_jacobian, kin.lines, kin.poses, kin.up, v, kin.elapsed, *self._way, *self._goals,
-            *self._kept, *self._gains, self._both, *self._soles,
+            kin.com, kin.com_jacobian, kin.lines, kin.poses, kin.up, v, kin.elapsed, *self._path_parameters,
+            *self._goals, *self._edges, *self._gains, self._both, *self._soles,
         )  # fmt: skip
         return tau
 
 
 @jit
 def com_velocity(com, J_com, lines, poses, imu, x_imu, moves, dq, gyro):  # type: ignore[no-untyped-def]
-    """Return the velocity of the CoM, the turning of a sole that tips included, shape (3,) [m/s].
+    """Return the velocity of the CoM, including that by a rotation of the base sole, shape (3,) [m/s].
 
-    `imu` is the body of the inertial sensor, `x_imu` (8,) its pose there, `moves` (n,) are the joints that move it.
+    `imu` is the body of the inertial sensor, `x_imu` (8,) its pose on that body, `moves` (n,) the joints that move it.
+    Without a measured angular velocity `gyro` (empty) the base sole is assumed to be at rest.
     """
     v = J_com @ dq
     if gyro.shape[0] > 0:
-        # what the inertial sensor turns besides the joints is the base sole
-        turning = direction(compose(poses[imu], x_imu), gyro)
+        # the angular velocity of the base sole is that of the sensor minus that by the joints
+        omega = direction(compose(poses[imu], x_imu), gyro)
         for i in range(lines.shape[0]):
             if moves[i]:
-                turning -= dq[i] * lines[i, :3]
-        v += np.cross(turning, com)
+                omega -= dq[i] * lines[i, :3]
+        v += np.cross(omega, com)
     return v
 
 
@@ -97,11 +98,12 @@ def _torques(  # type: ignore[no-untyped-def]
     com, J_com, lines, poses, up, v, elapsed, start, duration, over, offsets, n, d, k, margin, mass, both,
     center, other_center, half, other, x_other, moves,
 ):  # fmt: skip
+    """Return the joint torques (n,) [N m] of `Balance`."""
     goals = np.zeros(2 + 3 * over.shape[0])
     for j in range(over.shape[0]):
         goals[2 + 3 * j : 5 + 3 * j] = _point(poses[over[j]], offsets[j])
     c_d, v_d, a_d = com_path(goals, start, elapsed, duration)
-    a, pressure = _drawn(com, up, v, c_d, v_d, a_d, n, d, k, margin)
+    a, pressure = _com_acceleration(com, up, v, c_d, v_d, a_d, n, d, k, margin)
     force = mass * (GRAVITY * up + a)
     tau = force @ J_com
     if both:
@@ -111,8 +113,8 @@ def _torques(  # type: ignore[no-untyped-def]
 
 
 @jit
-def _drawn(com, up, v, c_d, v_d, a_d, n, d, k, margin):  # type: ignore[no-untyped-def]
-    """Return the acceleration (3,) that draws the CoM back along the ground, and its centre of pressure (2,)."""
+def _com_acceleration(com, up, v, c_d, v_d, a_d, n, d, k, margin):  # type: ignore[no-untyped-def]
+    """Return the horizontal acceleration (3,) of the CoM towards its path, and its centre of pressure (2,)."""
     w2 = GRAVITY / max(up[0] * com[0] + up[1] * com[1] + up[2] * com[2], 0.05)
     w = math.sqrt(w2)
     c, pressure = np.empty(2), np.empty(2)
@@ -120,11 +122,11 @@ def _drawn(com, up, v, c_d, v_d, a_d, n, d, k, margin):  # type: ignore[no-untyp
         c[i] = com[i] - com[2] * (up[i] / up[2])
         a = a_d[i] - w2 * k * (c[i] - c_d[i]) - w * (1.0 + k) * (v[i] - v_d[i])
         pressure[i] = c[i] - a / w2
-    for _ in range(3):  # towards the inside, all edges at once
+    for _ in range(3):  # moved inside all edges, by three simultaneous projections
         x, y = pressure[0], pressure[1]
         for j in range(d.shape[0]):
-            short = max(d[j] + margin - (n[j, 0] * x + n[j, 1] * y), 0.0)
-            pressure[0] += short * n[j, 0]
-            pressure[1] += short * n[j, 1]
+            violation = max(d[j] + margin - (n[j, 0] * x + n[j, 1] * y), 0.0)
+            pressure[0] += violation * n[j, 0]
+            pressure[1] += violation * n[j, 1]
     a0, a1 = w2 * (c[0] - pressure[0]), w2 * (c[1] - pressure[1])
     return np.array([a0, a1, -(a0 * up[0] + a1 * up[1]) / up[2]]), pressure

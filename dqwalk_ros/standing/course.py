@@ -1,4 +1,4 @@
-"""A course: velocities one after the other, for a walk that is steered."""
+"""A course: a sequence of velocity commands for a steered walk."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ __all__ = ["Course", "Leg"]
 
 @dataclass(frozen=True)
 class Leg:
-    """A velocity for a while.
+    """One part of a course: a constant velocity for a given time.
 
     Attributes
     ----------
     forward, left : float
-        [m/s]
+        Linear velocity [m/s].
     turn : float
-        To the left [rad/s].
+        Angular velocity, positive to the left [rad/s].
     duration : float
         [s]
     """
@@ -34,7 +34,7 @@ class Leg:
 
 @dataclass(frozen=True)
 class Course:
-    """Legs of a course, walked in order.
+    """The legs of a course, in their order.
 
     Attributes
     ----------
@@ -45,12 +45,12 @@ class Course:
 
     @classmethod
     def parse(cls, texts: Sequence[str]) -> Self:
-        """Read legs such as ``"0.01,0,0.02,30"``: forward, left [m/s], turn [rad/s], for so long [s].
+        """Read legs such as ``"0.01,0,0.02,30"``: forward, left [m/s], turn [rad/s], duration [s].
 
         Raises
         ------
         ConfigError
-            If one is not of that form.
+            If a text has another form.
         """
         legs = []
         for text in texts:
@@ -68,11 +68,11 @@ class Course:
 
     @property
     def duration(self) -> float:
-        """Time of all legs [s]."""
+        """Total duration of the legs [s]."""
         return sum(leg.duration for leg in self.legs)
 
     def at(self, time: float) -> tuple[float, float, float] | None:
-        """Return the velocity at a time from the start [s]; None once the course is over."""
+        """Return forward, left [m/s] and turn [rad/s] at a time since the start [s]; None after the last leg."""
         for leg in self.legs:
             if time < leg.duration:
                 return leg.forward, leg.left, leg.turn

@@ -1,4 +1,4 @@
-"""Where the feet go: footprints beside the body's path, moved to the nearest place the legs can reach."""
+"""Footstep planning: footprints beside the path of the body, moved to the nearest pose that the legs can reach."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ __all__ = ["Footprint", "Footsteps", "flat"]
 Array = NDArray[np.float64]
 
 _LEVER = 0.1
-"""What an angle counts beside a distance when the nearest place is looked for [m/rad]."""
+"""Length that weights angles against distances in the search for the nearest reachable pose [m/rad]."""
 _KEPT, _POSTURE = 30.0, 1e-3
-"""Weights of what must be kept, and of the standing posture [m/rad], beside the nearest place."""
+"""Weights of the residuals that must vanish, and of the standing posture [m/rad], relative to the distance."""
 _UPRIGHT, _FREE = [2, 3, 4], [0, 1, 5]
 _FREE_WEIGHT = np.array([1.0, 1.0, _LEVER])
 _STEPS, _STILL, _DAMPING = 60, 1e-5, 1e-4
-"""Most steps of Levenberg and Marquardt's method, the change at which it ends [m], and the least damping."""
+"""Levenberg-Marquardt method: largest number of iterations, change at which it ends [m], and least damping."""
 
 
 @dataclass(frozen=True)
 class Footprint:
-    """A place on level ground and a direction in it, as complex numbers: real ahead, imaginary to the left.
+    """A planar pose on level ground, as complex numbers: real part ahead, imaginary part to the left.
 
     Attributes
     ----------
     place : complex
-        [m]
+        Position [m].
     ahead : complex
-        Of absolute value one.
+        Direction, of absolute value one.
     """
 
     place: complex = 0.0
@@ -49,7 +49,7 @@ class Footprint:
 
     @classmethod
     def of(cls, x: Array) -> Self:
-        """Return the footprint nearest to a pose (8,)."""
+        """Return the projection of a pose (8,) to the ground."""
         a, b, c, d = x[:4].tolist()
         p, ahead = DQ(x).translation(), complex(a * a + b * b - c * c - d * d, 2.0 * (b * c + a * d))
         return cls(complex(p[0], p[1]), ahead / abs(ahead))
@@ -61,11 +61,11 @@ class Footprint:
         return DQ.from_pose([self.place.real, self.place.imag, 0.0], [half.real, 0.0, 0.0, half.imag]).vec8()
 
     def then(self, other: Footprint) -> Footprint:
-        """Return the footprint `other`, that is given in this one."""
+        """Return the footprint `other`, given relative to this one, in the frame of this one's coordinates."""
         return Footprint(self.place + self.ahead * other.place, self.ahead * other.ahead)
 
     def points(self, p: Array) -> Array:
-        """Return the points `p` (..., 2), that are given in this one [m]."""
+        """Return the points `p` (..., 2), given relative to this footprint, in the frame of its coordinates [m]."""
         x, y = p[..., 0], p[..., 1]
         out = np.empty(p.shape)
         out[..., 0] = self.place.real + self.ahead.real * x - self.ahead.imag * y
@@ -74,7 +74,7 @@ class Footprint:
 
 
 class Footsteps:
-    """Footprints of a standing walk.
+    """Plans the footprints of a standing walk.
 
     Parameters
     ----------
@@ -88,22 +88,22 @@ class Footsteps:
         self._model = model
         self._q_ref = posture
         half = 0.5j * config.gait.step_width
-        if not half:  # as the zero posture has them
+        if not half:  # the distance in the zero posture
             kin = Kinematics(model, np.zeros(model.n), Foot.RIGHT)
             half = 0.5 * Footprint.of(kin.pose(kin.swing)).place
-        self._place = {Foot.RIGHT: -half, Foot.LEFT: half}  # of the soles, seen from halfway between
+        self._place = {Foot.RIGHT: -half, Foot.LEFT: half}  # positions of the soles relative to the middle between them
         self._known: dict[tuple[object, ...], Array] = {}
         self.config = config
 
     def beside(self, support: Foot) -> Array:
-        """Return where the other sole stands when the feet are together, in the sole of `support`, shape (8,)."""
+        """Return the pose of the other sole with the feet side by side, in the frame of the `support` sole, (8,)."""
         return self.step(support, 0.0, 0.0, 0.0)
 
     def step(self, support: Foot, length: float, side: float, turn: float) -> Array:
-        """Return where the swing sole lands, in the sole of `support`, shape (8,); flat, and within reach.
+        """Return the reachable landing pose of the swing sole, flat, in the frame of the `support` sole, shape (8,).
 
-        The body, halfway between the feet, moves by (length, side) [m] and turns by `turn` [rad]; the swing foot
-        comes to its place beside it.
+        The body, in the middle between the feet, moves by (length, side) [m] and turns by `turn` [rad]; the swing foot
+        lands in its position relative to the moved body.
         """
         key = (support, round(length, 6), round(side, 6), round(turn, 6))
         if key not in self._known:
@@ -111,28 +111,28 @@ class Footsteps:
         return self._known[key]
 
     def wanted(self, support: Foot, length: float, side: float, turn: float) -> Array:
-        """Return where the swing sole would land whatever the legs reach, as `step`, shape (8,)."""
+        """Return the landing pose of `step` without regard to the reach of the legs, shape (8,)."""
         return self.stride(support, length, side, turn).pose
 
     def stride(self, support: Foot, length: float, side: float, turn: float) -> Footprint:
-        """Return `wanted` as a footprint, in that of `support`."""
+        """Return `wanted` as a footprint, relative to that of `support`."""
         body = Footprint(complex(length, side) - self._place[support], cmath.rect(1.0, turn))
         return body.then(Footprint(self._place[support.other]))
 
     def planned(self, support: Foot, wanted: Sequence[Array]) -> list[Array]:
-        """Return footprints (8,) that the legs reach for commanded ones, each in the sole that it is stepped from.
+        """Return the reachable footprints (8,) nearest to commanded ones, each in the frame of its support sole.
 
         Parameters
         ----------
         support : Foot
-            Stands first; the feet alternate.
+            The first support foot; the feet alternate.
         wanted : sequence of ndarray, shape (8,)
-            Each in the footprint before it, the first in the sole of `support`.
+            Poses, each in the frame of the footprint before it; the first one in the frame of the `support` sole.
 
         Raises
         ------
         StateError
-            If one cannot be stepped on; the message names the footprint and the limit.
+            If a footprint violates a limit; the message names the footprint and the limit.
         """
         out = []
         for k, x in enumerate(wanted, start=1):
@@ -144,6 +144,7 @@ class Footsteps:
         return out
 
     def _allowed(self, support: Foot, wanted: Array) -> Array:
+        """Return the reachable footprint nearest to a commanded one (8,); raise StateError if it violates a limit."""
         gait, s = self.config.gait, self.config.standing
         x = DQ(wanted)
         height, up = float(x.translation()[2]), float(x.rotation_matrix()[2, 2])
@@ -183,16 +184,16 @@ class Footsteps:
         return reached
 
     def reachable(self, support: Foot, wanted: Array) -> Array:
-        """Return the flat pose of the swing sole nearest to `wanted` that the legs reach, shape (8,)."""
+        """Return the reachable flat pose of the swing sole nearest to `wanted` (8,), shape (8,)."""
         return self._nearest(support, wanted)[0]
 
     def _nearest(self, support: Foot, wanted: Array) -> tuple[Array, tuple[str, ...]]:
-        """Return the nearest footprint (8,), and the joints that are at a limit there.
+        """Return the nearest reachable footprint (8,), and the names of the joints that are at a limit there.
 
-        It is looked for with two postures at once: one with the CoM over the support sole, in which the swing foot
-        lands, and one with the CoM over the swing sole, in which the double support after it ends. Levenberg-Marquardt
-        from the standing posture; height, roll and pitch, that both agree, and the places of the CoM are kept, the rest
-        gives way. A joint at its limit stays there unless it is drawn back in.
+        Two postures with the same footprint are computed together: one with the CoM over the support sole, in which the
+        swing foot lands, and one with the CoM over the swing sole, in which the next double support ends. The method is
+        Levenberg-Marquardt from the standing posture, with the joint limits as an active set. Large weights enforce
+        height, roll and pitch of the footprint, the positions of the CoM, and the equality of both footprints.
         """
         model, n = self._model, self._model.n
         frame = model.soles[support.other].frame
@@ -218,7 +219,7 @@ class Footsteps:
                 J[rows, part] = np.concatenate(
                     [_KEPT * turn[_UPRIGHT], _FREE_WEIGHT[:, None] * turn[_FREE], _KEPT * J_com]
                 )
-            # of the second posture not the place counts, but that it is that of the first
+            # the footprint of the second posture must be that of the first one
             e[11:14] = _KEPT * (e[11:14] - e[3:6])
             J[11:14, n:] *= _KEPT
             J[11:14, :n] = -_KEPT * J[3:6, :n]
@@ -252,5 +253,5 @@ class Footsteps:
 
 
 def flat(x: Array) -> Array:
-    """Return the pose (8,) on the ground, upright, that is nearest to `x` (8,)."""
+    """Return the pose (8,) with z = 0 and vertical z axis that is nearest to `x` (8,)."""
     return Footprint.of(x).pose

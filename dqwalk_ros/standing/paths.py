@@ -1,4 +1,4 @@
-"""The paths of a walk that stands: the CoM from foot to foot, a sole over a via point."""
+"""Path-following tasks of the standing walk: the CoM from foot to foot, and the swing sole over a via point."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 @jit
 def _minimum_jerk(s):  # type: ignore[no-untyped-def]
-    """Return the place 0..1 at the fraction `s` of the time, its slope and its bend: at rest at both ends."""
+    """Return the minimum-jerk profile from 0 to 1 at the fraction `s` of the time, and its first two derivatives."""
     s = min(max(s, 0.0), 1.0)
     place = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
     return place, 30.0 * (s * (1.0 - s)) ** 2, 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
@@ -29,7 +29,10 @@ def _minimum_jerk(s):  # type: ignore[no-untyped-def]
 
 @jit
 def com_path(s, start, elapsed, duration):  # type: ignore[no-untyped-def]
-    """Return place, velocity and acceleration (2,) of the path from `start` (2,) to the mean of the points in s[2:]."""
+    """Return position, velocity and acceleration (2,) on the path from `start` (2,) to the mean of the points in s[2:].
+
+    `s` (2 + 3 k,) are the coordinates of the projected CoM and of k points.
+    """
     goal, count = np.zeros(2), (s.shape[0] - 2) // 3
     for k in range(count):
         goal += s[2 + 3 * k : 4 + 3 * k] / count
@@ -40,20 +43,20 @@ def com_path(s, start, elapsed, duration):  # type: ignore[no-untyped-def]
 
 @dataclass(frozen=True, kw_only=True)
 class ComPath(Task):
-    """The vertical through the CoM moves to the middle of some points and stays there [m].
+    """Moves the projection of the CoM along the vertical to the mean of some points, and keeps it there [m].
 
-    A step in CoM velocity tips a robot, so the target leaves `start` and arrives with no acceleration.
+    A step in the CoM velocity would tip the robot, so the path begins and ends with zero velocity and acceleration.
 
     Attributes
     ----------
     start : ndarray, shape (2,)
-        Where the CoM began, in the base frame [m].
+        Projection of the CoM at the start, in the base frame [m].
     over : tuple of Point
-        Its goal is the mean of these.
+        Points whose mean is the goal.
     duration : float
-        [s]
+        Duration of the path [s].
     saturation : float
-        Larger errors are answered like this one [m].
+        Norm at which the error is saturated [m].
     """
 
     start: Array
@@ -63,12 +66,12 @@ class ComPath(Task):
 
     @property
     def watches(self) -> tuple[Feature, ...]:
-        """The CoM along the vertical, and the points of its goal."""
+        """The projection of the CoM, and the points of its goal."""
         return (CenterOfMassOnGround(), *self.over)
 
     @cached_property
     def _gradient(self) -> Array:
-        # feet that a phase holds do not move, and where they do the error follows them
+        # the motion of the goal is neglected in the gradient: the phase holds the feet at rest
         return np.eye(2, 2 + 3 * len(self.over))
 
     def value(self, s: Array, elapsed: float) -> tuple[Array, Array]:
@@ -77,7 +80,7 @@ class ComPath(Task):
         return s[:2] - place, self._gradient
 
     def rate(self, s: Array, e: Array, elapsed: float, eta: float) -> Array:
-        """Return the e' asked for: the path's velocity and the way back to it, shape (2,) [m/s]."""
+        """Return the desired e': the velocity of the path minus the saturated error times eta, shape (2,) [m/s]."""
         _, velocity, _ = com_path(s, self.start, elapsed, self.duration)
         size = float(e @ e) ** 0.5
         back: Array = velocity - eta * min(1.0, self.saturation / max(size, 1e-12)) * e
@@ -88,7 +91,7 @@ class ComPath(Task):
 def _swing_path(elapsed, duration, height, start, way, r_start, half_turn):  # type: ignore[no-untyped-def]
     """Return position (3,), orientation (4,) and velocity, linear and angular (6,), of a sole on its path.
 
-    It moves along the ground in the middle 80 % of the time, so that lift-off and landing are upright.
+    The horizontal motion takes place in the middle 80 % of the time, so that lift-off and landing are vertical.
     """
     s = min(max(elapsed / duration, 0.0), 1.0)
     place, slope, _ = _minimum_jerk((s - 0.1) / 0.8)
@@ -105,7 +108,9 @@ def _swing_path(elapsed, duration, height, start, way, r_start, half_turn):  # t
 
 @dataclass(frozen=True, kw_only=True)
 class SwingPath(Task):
-    """A sole lifts off, passes over a via point and lands: p - p_d [m], and the angle times `lever` [m].
+    """Moves a sole along a path that lifts off, passes over a via point and lands.
+
+    The error is p - p_d [m] and the rotation vector times `lever` [m].
 
     Attributes
     ----------
@@ -113,13 +118,13 @@ class SwingPath(Task):
     start, goal : ndarray, shape (8,)
         Poses in the base frame.
     height : float
-        Of the via point above both [m].
+        Height of the via point above both [m].
     duration : float
-        [s]
+        Duration of the path [s].
     convergence : float
-        Rate at which it returns to the path [1/s].
+        Rate at which the sole converges to the path [1/s].
     lever : float
-        What an angle of 1 rad counts [m/rad].
+        Length that weights angles against distances [m/rad].
     """
 
     frame: str
@@ -137,7 +142,7 @@ class SwingPath(Task):
 
     @cached_property
     def _ends(self) -> tuple[Array, Array, Array, Array]:
-        """Start, way to the goal (3,) [m], orientation at the start, and the logarithm of the turn."""
+        """Start (3,) [m], displacement (3,) [m], orientation at the start (4,), and half the rotation vector (3,)."""
         a, b = DQ(self.start), DQ(self.goal)
         turn = b.P() * a.P().conj()
         half = (turn if turn.vec4()[0] >= 0.0 else -turn).log().vec3()
@@ -149,13 +154,13 @@ class SwingPath(Task):
         return path
 
     def value(self, s: Array, elapsed: float) -> tuple[Array, Array]:
-        """Difference from the path, shape (6,) [m]."""
+        """Error from the path, shape (6,) [m]."""
         p, r, _ = self.at(elapsed)
         e, gradient = pose_error(s, p, r, self.lever)
         return e, gradient
 
     def rate(self, s: Array, e: Array, elapsed: float, eta: float) -> Array:
-        """Return the e' asked for: the path's velocity and the way back to it, shape (6,) [m/s]."""
+        """Return the desired e': the velocity of the path minus the error times `convergence`, shape (6,) [m/s]."""
         _, _, velocity = self.at(elapsed)
         velocity[3:] *= self.lever
         back: Array = velocity - self.convergence * e

@@ -1,7 +1,7 @@
-"""The walk that stands and steps on true soles: its phases, their order and the rule that ends them.
+"""The standing walk: statically stable steps on rectangular soles; its phases, their order and the rule that ends them.
 
-With both feet on the ground the support polygon is the convex hull of both soles, with one foot it is its sole; each
-edge is a plane, "as many planes as necessary" (section 3.1 [Urban2020]), moved in by a margin.
+In double support the support polygon is the convex hull of both soles, in single support it is the support sole. Each
+of its edges is a plane, "as many planes as necessary" (section 3.1 [Urban2020]), moved inwards by a margin.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ Array = NDArray[np.float64]
 
 _UP = np.array([0.0, 0.0, 1.0])
 _JOINT_RETURN = 0.5
-"""A joint beyond its limit returns no faster than this [rad/s]."""
+"""Largest speed at which a joint beyond its limit is required to return [rad/s]."""
 _LIFTED = 0.004
-"""A sole that is higher than the other one by more than this is in the air [m]."""
+"""Height difference of the soles above which the higher one is in the air [m]."""
 
 
 class StandingWalk(Walk):
-    """Double support to a foot, single support on it, and so on; at the end the feet are put together.
+    """Alternating double and single supports; at the end the feet are put together and the CoM between them.
 
-    The CoM comes to rest between them. With ``gait.steps: 0`` the walk waits in a stance for `steer`.
+    With ``gait.steps: 0`` the walk is steered (`steer`) and waits in a stance while its velocity is zero.
     """
 
     def __init__(self, config: Config, model: RobotModel) -> None:
@@ -52,81 +52,81 @@ class StandingWalk(Walk):
         self._stopping = False
         self._together = False
         self._done = 0
-        self._planned: deque[Array] = deque()  # commanded footprints to come, each in the sole it is stepped from
-        self._stands_first: Foot | None = None  # on the way to them
+        self._planned: deque[Array] = deque()  # remaining commanded footprints, each in the frame of its support sole
+        self._stands_first: Foot | None = None  # support foot of the first commanded footprint
         self._first = Foot(config.gait.first_support)
         self._balance: Balance | None = None
 
     is_tunable = True
 
     def tune(self, config: Config) -> None:
-        """Go on with other parameters, from the next phase on."""
+        """Replace the parameters; the new ones apply from the next phase on."""
         super().tune(config)
         self.footsteps.config = config
 
     @staticmethod
     def phases(config: Config) -> int:
-        """Return two for each step, two for the feet together, and a stance; 0 where it is steered."""
+        """Return the number of phases: two per step, two to put the feet together, and a stance; 0 if steered."""
         return 2 * config.gait.steps + 3 if config.gait.steps else 0
 
     @staticmethod
     def describe(config: Config) -> str:
-        """Return such as ``20 steps``."""
+        """Return the number of steps in words, such as ``20 steps``."""
         steps = config.gait.steps
         return f"{steps} step{'s' if steps > 1 else ''}" if steps else "steered by cmd_vel"
 
     @cached_property
     def posture(self) -> Array:
-        """The posture of ``standing.posture``, shape (n,) [rad]."""
+        """Joint angles of ``standing.posture``, shape (n,) [rad]."""
         return self.model.posture(self.config.standing.posture)
 
     # ------------------------------------------------------------------ order
 
     def steer(self, forward: float, left: float, turn: float) -> tuple[float, float, float]:
-        """Set the velocity of a steered walk; all three are made smaller alike until a step keeps within its limits.
+        """Set the velocity of a steered walk, scaled down if a step would exceed its limits; see `Walk.steer`.
 
-        The limits are ``gait.most_length``, ``gait.most_side`` and ``gait.most_turn`` together; see `Walk.steer`.
+        The limit is the ellipsoid with the half axes ``gait.most_length``, ``gait.most_side`` and ``gait.most_turn``.
         """
         if self.config.gait.steps:
             return super().steer(forward, left, turn)
         gait, period = self.config.gait, self._period
-        asked = (forward * period, left * period, turn * period)
+        wanted = (forward * period, left * period, turn * period)
         most = (gait.most_length, gait.most_side, gait.most_turn)
-        # a direction the legs cannot go is left out; the others share the step
-        parts = [min(max(a / m, -1e9), 1e9) if m else 0.0 for a, m in zip(asked, most, strict=True)]
+        # a direction with the limit zero is ignored
+        parts = [min(max(a / m, -1e9), 1e9) if m else 0.0 for a, m in zip(wanted, most, strict=True)]
         size = max(1.0, math.hypot(*parts))
         x, y, z = (part * m / (size * period) for part, m in zip(parts, most, strict=True))
         self._twist = (x, y, z)
         return self._twist
 
     def stop(self) -> None:
-        """Put the feet together after the step under way, and end the walk."""
+        """Put the feet together after the current step, and end the walk."""
         self._stopping = True
 
     def place(self, support: Foot, footprints: Sequence[Array]) -> None:
-        """Step on commanded footprints (8,), each in the sole it is stepped from, then wait on them; none cancels.
+        """Step on commanded footprints (8,), and wait on the last one; an empty sequence cancels the remaining ones.
 
         Raises
         ------
         StateError
-            If one cannot be stepped on; see `Footsteps.planned`.
+            If a footprint violates a limit; see `Footsteps.planned`, also for the frames of the footprints.
         """
         self._planned = deque(self.footsteps.planned(support, footprints))
         self._stands_first = support
 
     @property
     def placed(self) -> int:
-        """Number of commanded footprints that are still to be stepped on."""
+        """Number of remaining commanded footprints."""
         return len(self._planned)
 
     def is_waiting(self, phase: Phase) -> bool:
-        """Return whether it is a stance of a steered walk with nothing to do."""
+        """Return whether `phase` is a stance of a steered walk with zero velocity and without footprints."""
         idle = not (self.config.gait.steps or self._stopping or any(self._twist) or self._planned)
         return idle and phase.kind is PhaseKind.STANCE
 
     @property
     def _period(self) -> float:
-        """Time of a step [s]."""
+        """Duration of a step [s]."""
         s = self.config.standing
         return s.transfer_duration + s.swing_duration
 
@@ -152,7 +152,7 @@ class StandingWalk(Walk):
         return PhaseKind.DOUBLE_SUPPORT, phase.support.other, None
 
     def beginning(self, kin: Kinematics) -> tuple[PhaseKind, Foot, Array | None] | None:
-        """Return the first phase; a foot in the air, of a walk that was broken off in mid-swing, is put down first."""
+        """Return the first phase; if a foot is in the air, after an interrupted swing, it is put down first."""
         height = {
             foot: min(float(kin.up @ kin.point(sole.frame, corner)) for corner in sole.corners)
             for foot, sole in self.model.soles.items()
@@ -164,13 +164,15 @@ class StandingWalk(Walk):
         return PhaseKind.SINGLE_SUPPORT, support, self.footsteps.reachable(support, flat(below))
 
     def restarts(self, phase: Phase) -> float | None:
-        """Return the time of a transfer, with both feet down.
+        """Return ``standing.transfer_duration`` in double support, None in single support.
 
-        A CoM that was stopped, taken up at the path's velocity, tips the robot; on soft servos it comes to rest first.
+        After an interruption the CoM is at rest: continuing at the velocity of the path would tip the robot. On soft
+        servos it needs this time to come to rest.
         """
         return None if phase.kind is PhaseKind.SINGLE_SUPPORT else self.config.standing.transfer_duration
 
     def _step(self) -> tuple[float, float, float] | None:
+        """Return length, side [m] and turn [rad] of the next step; None if the feet are to be put together."""
         gait = self.config.gait
         if self._stopping:
             return None
@@ -182,12 +184,12 @@ class StandingWalk(Walk):
         return forward, left, turn
 
     def _leading(self) -> Foot:
-        """Return the foot to stand on first: the one on the side the robot turns away from or leaves."""
+        """Return the first support foot: the one on the side opposite to the direction of turn or lateral motion."""
         if self._planned and self._stands_first is not None:
             return self._stands_first
         _, left, turn = self._twist
-        sideways = turn if turn else left
-        return self._first if not sideways else Foot.RIGHT if sideways > 0.0 else Foot.LEFT
+        to_left = turn if turn else left
+        return self._first if not to_left else Foot.RIGHT if to_left > 0.0 else Foot.LEFT
 
     # ------------------------------------------------------------------ phases
 
@@ -245,13 +247,13 @@ class StandingWalk(Walk):
         return self._phase(PhaseKind.SINGLE_SUPPORT, support, kin, swing_target, (task, com), (), inequalities)
 
     def _held(self, kin: Kinematics) -> FrameHeld:
-        """Hold the other sole flat where it is."""
+        """Return the equality that holds the other sole flat at its present pose."""
         s, frame = self.config.standing, kin.swing
         pose = flat(kin.pose(frame))
         return FrameHeld(name="end_sole", eta=s.eta_feet, return_speed=s.recovery, frame=frame, pose=pose)
 
     def _gap(self, support: Foot) -> PointsOverPlane:
-        """Keep the swing sole on its side of the support sole's inner edge."""
+        """Return the constraint that keeps the swing sole beside the support sole's inner edge, at ``sole_gap``."""
         s, sole, swing = self.config.standing, self.model.soles[support], self.model.soles[support.other]
         side = 1.0 if support is Foot.RIGHT else -1.0
         inner = Plane(side * np.array([0.0, 1.0, 0.0]), side * float(sole.center[1]) + 0.5 * sole.width)
@@ -261,6 +263,7 @@ class StandingWalk(Walk):
         )  # fmt: skip
 
     def _edges(self, polygon: ConvexPolygon) -> ComInsideEdges:
+        """Return the constraint that keeps the CoM inside the support polygon."""
         s = self.config.standing
         return ComInsideEdges(name="edges", eta=s.eta_edges, bound=s.margin, return_speed=s.recovery, polygon=polygon)
 
@@ -296,14 +299,14 @@ class StandingWalk(Walk):
         return PathEnd(self.config, kind, f"{kind.value}/{support.value}")
 
     def effort(self, phase: Phase, kin: Kinematics, state: State) -> Array:
-        """Return the torques that hold the robot against gravity and draw its CoM to its path, shape (n,) [N m]."""
+        """Return the torques that compensate gravity and balance the CoM on its path, shape (n,) [N m]."""
         if self._balance is None or self._balance.phase is not phase:
             self._balance = Balance(phase, self.config)
         return self._balance(kin, state)
 
 
 class PathEnd:
-    """A phase of a standing walk is over when its path is done and its error is below a threshold."""
+    """Ends a phase of a standing walk after the duration of its path, when the error is below a threshold."""
 
     def __init__(self, config: Config, kind: PhaseKind, name: str) -> None:
         s, swing = config.standing, kind is PhaseKind.SINGLE_SUPPORT

@@ -1,7 +1,7 @@
 """The whole-body motion controller with long-term balance constraints [Sherikov2014], and its experiments.
 
-`WholeBodyController` is the controller of the paper; `follow` closes the loop over a `Scenario`, `retrace` solves a
-recorded walk again; both return a `WholeBodyTrace`.
+`WholeBodyController` is the controller of the paper. `follow` runs the closed loop over a `Scenario`, `retrace` solves
+a recorded walk again; both return a `WholeBodyTrace`.
 """
 
 from __future__ import annotations

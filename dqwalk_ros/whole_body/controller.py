@@ -1,4 +1,4 @@
-"""The controller: each period one hierarchy over the motion now and its preview, joint torques out [Sherikov2014]."""
+"""The whole-body controller: joint torques from one hierarchical least-squares problem per period [Sherikov2014]."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _EPS = 1e-9
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class BodyState(State):
-    """A state of the whole body: the joints, and the root link in the world.
+    """A state of the whole body: joint angles and velocities, and pose and velocity of the root link in the world.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class BodyState(State):
         Its linear and angular velocity in its own axes [m/s, rad/s].
     """
 
-    dq: Array = field()  # required: of a whole body it is always measured
+    dq: Array = field()  # required here, optional in `State`
     x_base: Array
     v_base: Array
 
@@ -54,14 +54,14 @@ class BodyState(State):
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class BodyCommand(Command):
-    """Joint torques for the next period, and the motion they are expected to make.
+    """Joint torques for the next period, and the predicted motion.
 
     Attributes
     ----------
     velocity : ndarray, shape (n,)
-        Joint velocities expected at the end of the period [rad/s].
+        Predicted joint velocities at the end of the period [rad/s].
     acceleration : ndarray, shape (6 + n,)
-        Generalized acceleration expected.
+        Predicted generalized acceleration.
     effort : ndarray, shape (n,)
         tau of (S1) [N m].
     stance : tuple of Foot
@@ -78,32 +78,33 @@ class BodyCommand(Command):
 
 @dataclass(frozen=True)
 class Wrench:
-    """What the ground does to a foot, at the origin of its sole's link, in world axes: force [N], moment [N m]."""
+    """Force (3,) [N] and moment (3,) [N m] of the ground on a foot, about its sole link's origin, in world axes."""
 
     force: Array
     moment: Array
 
     @property
     def cop(self) -> Array:
-        """Centre of pressure from that origin, (x, y) [m]."""
+        """Centre of pressure relative to that origin, (x, y) [m]."""
         cop: Array = np.array([-self.moment[1], self.moment[0]]) / self.force[2]
         return cop
 
 
 @dataclass(frozen=True)
 class BodyTick:
-    """The last step of the controller.
+    """Problem and solution of one control period.
 
     Attributes
     ----------
     scene : Scene
-        What it saw.
+        Dynamics, stance and preview.
     problem : Hierarchy
     answer : Answer
+        Solution of the problem.
     wrenches : mapping of Foot to Wrench
-        Of the feet that stand, as planned.
+        Planned contact wrenches of the standing feet.
     times : tuple of float
-        For model, assembly, solution, and the whole tick [s].
+        Time taken by model, assembly and solution, and in total [s].
     """
 
     scene: Scene
@@ -119,19 +120,19 @@ class BodyTick:
 
 
 class WholeBodyController:
-    """Makes the robot walk where its objectives lead, able to stop at any time.
+    """Controls a robot that walks as its objectives require, and that can stop within the preview at any time.
 
     Parameters
     ----------
     config : Config
     model : RobotModel
-        With ankles that pitch and roll.
+        A robot whose ankles pitch and roll.
     objectives : sequence of Objective
-        Besides (S17) to (S19).
+        Additional objectives, besides (S17) to (S19).
     distances : sequence of Distance
-        Besides the constraints of section II.
+        Additional constraints, besides those of section II.
     clock : callable
-        Measures the times in `last` [s].
+        Clock for the times in `last` [s].
 
     Attributes
     ----------
@@ -140,12 +141,12 @@ class WholeBodyController:
     stepping : Stepping
     point_mass : PointMass
     finished : bool
-        False: a whole-body walk has no end of its own.
+        Always False: a whole-body walk has no end.
 
     Raises
     ------
     ModelError
-        If the robot lacks a link or a joint that `config` names, or cannot stand as it says.
+        If the robot lacks a link or a joint that `config` names, or cannot stand in the configured posture.
     """
 
     finished = False
@@ -186,7 +187,7 @@ class WholeBodyController:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the walk and the target; the next state begins a new one."""
+        """Discard the walk and the hand's target; the next state begins a new walk."""
         self._solver = HierarchySolver(clock=self._clock)
         self._places: dict[int, Array] = {}
         self._landing: Array | None = None
@@ -195,31 +196,31 @@ class WholeBodyController:
 
     @property
     def last(self) -> BodyTick:
-        """What was found in the last step."""
+        """Problem and solution of the last step."""
         if self._last is None:
             raise RuntimeError("there is no tick before the first step")
         return self._last
 
     @property
     def posture_error(self) -> tuple[float, float]:
-        """By how much the CoM was off its height [m], and the torso off upright [rad], at the last step."""
+        """Error of the CoM's height [m], and inclination of the torso [rad], at the last step."""
         d = self.last.scene.dynamics
         tilt = rotation_error(d.frames[self.config.whole_body.torso].rotation)
         return float(d.com[2] - self.point_mass.height), float(np.linalg.norm(tilt))
 
     @property
     def start(self) -> BodyState:
-        """The state at rest in which a walk begins, the middle of the feet at the world's origin."""
+        """The initial state of a walk: at rest, the middle between the feet at the origin of the world."""
         x_base, q = self._start
         return BodyState(0.0, q, dq=np.zeros(self.model.n), x_base=x_base, v_base=np.zeros(6))
 
     @property
     def target(self) -> Array | None:
-        """Where the hand should be, shape (3,) [m]."""
+        """Target of the hand in the world, shape (3,) [m]; None without a target."""
         return None if self._reach is None else self._reach.target
 
     def reach(self, target: ArrayLike | None) -> None:
-        """Move the hand's target (S17), at any time; without one the robot walks in place.
+        """Set the target of the hand (S17) in the world (3,) [m], at any time; with None the robot walks in place.
 
         Raises
         ------
@@ -229,7 +230,7 @@ class WholeBodyController:
         self._reach = self._hand(target)
 
     def footsteps_for(self, target: ArrayLike | None) -> Array:
-        """Return the footsteps previewed had the hand's target been another at the last step, shape (K, 2) [m].
+        """Return the footsteps that the last step would have previewed for another target of the hand, (K, 2) [m].
 
         Raises
         ------
@@ -242,6 +243,7 @@ class WholeBodyController:
         return scene.footsteps(HierarchySolver().solve(self._hierarchy(scene, self._hand(target))).x)
 
     def _hand(self, target: ArrayLike | None) -> FramePosition | None:
+        """Return the objective (S17) for a target; None without one."""
         if target is None:
             return None
         place = np.asarray(target, dtype=np.float64)
@@ -270,7 +272,7 @@ class WholeBodyController:
         StateError
             If the state does not fit the model or is not finite.
         QPError
-            If no motion obeys the laws of motion and of contact.
+            If the equations of motion and the contact constraints have no solution.
         """
         self._check(state)
         times = [self._clock()]
@@ -308,7 +310,7 @@ class WholeBodyController:
                 raise StateError(f"the state's {what} must be {shape} finite numbers, got {value}")
 
     def _look(self, now: float, dynamics: Dynamics) -> Scene:
-        """Find which foot stands where, and what comes next."""
+        """Return the scene: positions of the standing feet, the swing, and the preview."""
         settings, stepping, soles = self.config.whole_body, self.stepping, self._soles
         swing = stepping.swing(now)
         here = {foot: dynamics.frames[frame].position[:2] for foot, frame in soles.items()}
@@ -332,7 +334,7 @@ class WholeBodyController:
 
 
 def _posture(lines: Sequence[str], model: RobotModel) -> Array:
-    """Read 'joint: angle', ..."""
+    """Return the joint angles (n,) [rad] of lines such as 'L_knee: 0.87'; other joints are at zero."""
     q = np.zeros(model.n)
     for line in lines:
         name, _, angle = line.partition(":")
@@ -346,7 +348,7 @@ def _posture(lines: Sequence[str], model: RobotModel) -> Array:
 
 
 def _matching(patterns: Sequence[str], model: RobotModel) -> NDArray[np.bool_]:
-    """Return which joints match a pattern, shape (n,)."""
+    """Return whether each joint matches one of the patterns, shape (n,)."""
     for pattern in patterns:
         if not fnmatch.filter(model.joint_names, pattern):
             raise ModelError(f"whole_body.free names '{pattern}', and '{model.name}' has no such joint")

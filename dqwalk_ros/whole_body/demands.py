@@ -1,4 +1,4 @@
-"""What a whole-body walk must achieve, demanded and got."""
+"""Requirements of a whole-body walk: measured values and their bounds."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["KEPT", "Demand", "aligned", "checks", "render_checks", "spread", "su
 Array = NDArray[np.float64]
 
 KEPT = dict.fromkeys(MARGINS, -1e-6) | {"joint": -1e-5}
-"""Less than this is a violation; the integration of (S9), and an impact, are no more exact than that."""
+"""Smallest margins accepted; they allow for the errors of the integration of (S9) and of impacts."""
 _LIMITS = {
     "cop_margin": ("CoP to the edge of its rectangle", "m"),
     "friction": ("force to the edge of the friction pyramid", "m g"),
@@ -31,27 +31,30 @@ _AUTHORS = {
 }
 """Measured from the vector figures of Sherikov's thesis [m]."""
 _AT = {("Test 1", 4.0): 0.10, ("Test 1", 8.0): 0.14, ("Test 1, the paper's times", 4.0): 0.10}
-"""How close the hand must be at a time [m]."""
+"""Largest distance of the hand from its target at a time of a test [m]."""
 _MOVED = 0.001
-"""A footstep has moved that moves so far [m]."""
+"""Least displacement for which a footstep counts as moved [m]."""
 
 
 @dataclass(frozen=True)
 class Demand:
-    """A figure: what was got, what it must be, and what the authors have, if that is known.
+    """A measured value, its required bound, and the authors' value if known.
 
     Attributes
     ----------
     name : str
     value : float or str
+        Measured value.
     unit : str
     bound : str
-        Empty for a figure that nothing is demanded of.
+        Required bound; empty without a requirement.
     ok : bool
+        Whether the bound is met.
     authors : float or None
+        The authors' value.
     topic : str
     must : bool
-        False for an aim: a goal that is hoped for, often the authors' figure on another robot.
+        True for a requirement, False for a goal, often the authors' value on another robot.
     """
 
     name: str
@@ -70,7 +73,7 @@ class Demand:
 
     @property
     def row(self) -> dict[str, Any]:
-        """What report.json contains of it."""
+        """The entry in report.json."""
         return {
             "topic": self.topic,
             "what": self.name,
@@ -82,13 +85,13 @@ class Demand:
 
 
 def checks(walked: WholeBodyTrace, without: Sequence[WholeBodyTrace] = ()) -> list[Demand]:
-    """Judge a walk.
+    """Return the measured values of a walk and whether they meet the requirements.
 
     Parameters
     ----------
     walked : WholeBodyTrace
     without : sequence of WholeBodyTrace
-        For each push of its scenario the same walk without that one.
+        For each push of the scenario, the same walk without this push.
     """
     name = walked.scenario.name
     size, slow = walked.scenario.size, walked.scenario.slow
@@ -102,7 +105,7 @@ def checks(walked: WholeBodyTrace, without: Sequence[WholeBodyTrace] = ()) -> li
             found.append(Demand(f"hand from target at {at:.3g} s", error, "m", bound, error <= most, authors.get(when)))
     late = walked.error[walked.time > walked.scenario.duration - 3.0 * slow]
     if walked.stood and walked.scenario.duration >= 11.0 * slow and late.size and np.isfinite(late).all():
-        must = name.startswith("Test")  # when the hand could have reached another target is not known
+        must = name.startswith("Test")  # for other targets it is not known when the hand can reach them
         for what, key, value, most in (
             ("rms", "rms", float(np.sqrt((late**2).mean())), 0.01 * size),
             ("most", "max", float(late.max()), 0.03 * size),
@@ -115,7 +118,7 @@ def checks(walked: WholeBodyTrace, without: Sequence[WholeBodyTrace] = ()) -> li
             found.append(_shift(walked, other, push, authors.get(push[0])))
     for key, (text, unit) in _LIMITS.items():
         least = float(walked.margins[key].min())
-        if np.isfinite(least):  # the forces of some plants are not judged
+        if np.isfinite(least):  # some plants do not measure contact forces
             found.append(Demand(f"least {text}", least, unit, ">= 0", least >= KEPT[key]))
     for what, column, most in (
         ("ticks that miss capturability (S14)", walked.residual, 1e-6),
@@ -129,11 +132,10 @@ def checks(walked: WholeBodyTrace, without: Sequence[WholeBodyTrace] = ()) -> li
 
 
 def _reaction(jump: Reaction, *, must: bool, least: float) -> Demand:
-    """Say what the preview did in the tick of a jump of the target.
+    """Return by how much the previewed footsteps moved in the period in which the target jumped.
 
-    The next footstep may stay where it is in a corner of its box (as long as it can be, and as wide), or settled: then
-    the one after it must move. And beyond the saturation of (S17) a target that jumps changes nothing, so outside the
-    paper's tests nothing is demanded.
+    If the next footstep is in a corner of its box (largest length and width), or fixed, the footstep after it must
+    move. A jump beyond the saturation of (S17) has no effect, so there is no requirement outside the paper's tests.
     """
     when = f"in the tick of the jump at {jump.time:g} s, {'in mid-swing' if jump.swinging else 'in double support'}"
     which, value = "next footstep moved", jump.moved[0]
@@ -145,7 +147,7 @@ def _reaction(jump: Reaction, *, must: bool, least: float) -> Demand:
 def _shift(
     walked: WholeBodyTrace, other: WholeBodyTrace, push: tuple[float, tuple[float, float, float]], authors: float | None
 ) -> Demand:
-    """Say where the first step after a push landed, compared with the walk without it, along the push."""
+    """Return the displacement along the push of the first landing after it, relative to the walk without the push."""
     when, impulse = push
     along = np.array(impulse[:2]) / np.linalg.norm(impulse[:2])
     pairs = list(zip(walked.footholds(), other.footholds(), strict=False))
@@ -155,7 +157,7 @@ def _shift(
 
 
 def summary(walked: WholeBodyTrace, found: Sequence[Demand]) -> dict[str, Any]:
-    """Return what goes into report.json."""
+    """Return the content of report.json."""
     keys = ("value", "unit", "bound", "ok", "authors")
     return {
         "scenario": walked.scenario.name,

@@ -1,10 +1,10 @@
 """The robot as a free-floating multibody system: H, h, Jacobians and their drifts (S1) [Sherikov2014].
 
-Coordinates are those of the package: the joints in the order of the model, and before them the six of the base,
-which the paper writes last. A velocity is v = (v_base, q'), where v_base is the linear and angular velocity of the
-root link in its own axes; a wrench or a velocity of a frame is (linear, angular) in world axes, at the frame's origin.
+The generalized velocity is v = (v_base, q'): the linear and angular velocity of the root link in its own axes, and the
+joint velocities in the order of the model; the paper has the base last. A wrench or a velocity of a frame is
+(linear, angular) in world axes, at the frame's origin.
 
-This is the one importer of pinocchio (the extra ``[wholebody]``).
+The computations are those of pinocchio, an optional dependency (the extra ``[wholebody]``).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
 @dataclass(frozen=True)
 class FrameMotion:
-    """Where a frame is, how it moves, and how its acceleration depends on that of the coordinates.
+    """Pose, velocity, Jacobian and drift of a frame, in world axes.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class FrameMotion:
 
 @dataclass(frozen=True)
 class Dynamics:
-    """A read-only snapshot of (S1) at one state.
+    """The terms of (S1), CoM and frames at one state.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Dynamics:
         c, c' and J'_com v [m, m/s, m/s^2].
     com_jacobian : ndarray, shape (3, nv)
     frames : mapping of str to FrameMotion
-        The frames that were asked for.
+        The frames given to `Multibody`.
     """
 
     q: Array
@@ -97,12 +97,12 @@ class Multibody:
     ----------
     model : RobotModel
     frames : iterable of str
-        Links whose motion every snapshot carries.
+        Links whose motion is computed.
 
     Raises
     ------
     ModelError
-        If pinocchio cannot read the robot, or a frame is not there.
+        If pinocchio cannot read the robot, or there is no such frame.
     """
 
     def __init__(self, model: RobotModel, frames: Iterable[str] = ()) -> None:
@@ -126,7 +126,7 @@ class Multibody:
         return int(self._pin.nv)
 
     def at(self, x_base: ArrayLike, q: Array, v: Array) -> Dynamics:
-        """Return the snapshot at a state.
+        """Return the dynamics at a state.
 
         Parameters
         ----------
@@ -179,16 +179,16 @@ class Multibody:
         return DQ.from_pose(full[:3], full[[6, 3, 4, 5]]).vec8(), full[self._iq]
 
     def stand(self, posture: Array, feet: Mapping[Foot, ArrayLike], upright: str) -> tuple[Array, Array]:
-        """Return a state at rest: both soles flat at places on the ground, the CoM above their middle.
+        """Return a standing state: both soles flat at given positions on the ground, the CoM above their middle.
 
         Parameters
         ----------
         posture : ndarray, shape (n,)
-            The joints the arms keep and the legs begin from [rad].
+            Joint angles that the arms keep, and from which the legs are iterated [rad].
         feet : mapping of Foot to array_like, shape (2,)
-            Where the soles' links are [m].
+            Positions of the soles' links [m].
         upright : str
-            The link that is upright.
+            The link to keep upright.
 
         Returns
         -------
@@ -198,7 +198,7 @@ class Multibody:
         Raises
         ------
         ModelError
-            If the robot cannot stand so.
+            If there is no such state.
         """
         soles = {foot: self.model.soles[foot].frame for foot in feet}
         body = Multibody(self.model, (*soles.values(), upright))
@@ -222,12 +222,13 @@ class Multibody:
                 return x_base, q
             x_base, q = body.integrate(x_base, q, np.clip(step, -0.2, 0.2))
         off = float(np.abs(error).max())
-        raise ModelError(f"'{self.model.name}' cannot stand with its soles at {dict(feet)}, but off by {off:.2g}")
+        raise ModelError(f"'{self.model.name}' cannot stand with its soles at {dict(feet)}: the error is {off:.2g}")
 
     def _configuration(self, x_base: ArrayLike, q: Array) -> Array:
+        """Return pinocchio's configuration vector, shape (nq,)."""
         w, x, y, z, w_, x_, y_, z_ = np.asarray(x_base, dtype=np.float64).tolist()
         full = np.empty(self._pin.nq)
-        # p = 2 D(x) P(x)*, written out: this runs every tick
+        # p = 2 D(x) P(x)*, expanded for speed: this runs in every control period
         full[0] = 2.0 * (x_ * w - w_ * x - y_ * z + z_ * y)
         full[1] = 2.0 * (y_ * w - w_ * y - z_ * x + x_ * z)
         full[2] = 2.0 * (z_ * w - w_ * z - x_ * y + y_ * x)
@@ -237,7 +238,7 @@ class Multibody:
 
 
 def rotation_error(rotation: Array, desired: Array | None = None) -> Array:
-    """Return the rotation vector from `desired` (upright without it) to `rotation`, in world axes, (3,) [rad]."""
+    """Return the rotation vector from `desired` (by default the identity) to `rotation`, in world axes, (3,) [rad]."""
     error: Array = pin.log3(rotation if desired is None else rotation @ desired.T)
     return error
 

@@ -1,7 +1,7 @@
-"""One tick of the whole-body controller as a hierarchy: the equations of sections II to V, in the paper's order.
+"""The problem of one control period: the equations of sections II to V as a hierarchy, in the paper's order.
 
-The variables are x = (v', (lambda, mu) per contact, y along x, y along y): the accelerations, base first; the wrenches,
-in units of the robot's weight; and per axis the preview's y = (c''_0, Z, P).
+The variables are x = (v', (lambda, mu) of each contact, y along x, y along y): the accelerations, base first; the
+wrenches, in units of the robot's weight; and for each axis the variables of the preview, y = (c''_0, Z, P).
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ __all__ = ["FACES", "Layout", "Scene", "friction_edges", "hierarchy", "joint_bou
 Array = NDArray[np.float64]
 
 FACES = 4
-"""Edges of the friction pyramid."""
+"""Number of edges of the friction pyramid."""
 _FAR = 500.0
-"""Joint accelerations beyond this are no sensible bound [rad/s^2]."""
+"""Largest bound of the joint accelerations [rad/s^2]."""
 _TURN = 0.05
 """Scale of the rows of the swing foot's orientation, for the conditioning."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the variables are.
+    """Indices of the variables in x.
 
     Attributes
     ----------
     nv, contacts : int
-        Sizes of v', and the number of wrenches.
+        Size of v', and number of contacts.
     preview : int
         Size of y: 1 + N + K.
     """
@@ -56,28 +56,28 @@ class Layout:
 
     @property
     def wrenches(self) -> slice:
-        """(lambda, mu) of all contacts."""
+        """Indices of (lambda, mu) of all contacts."""
         return slice(self.nv, self.nv + self.contacts * (FACES + 3))
 
     def force(self, contact: int) -> slice:
-        """Lambda of a contact."""
+        """Return the indices of lambda of a contact."""
         at = self.nv + contact * (FACES + 3)
         return slice(at, at + FACES)
 
     def moment(self, contact: int) -> slice:
-        """Mu of a contact."""
+        """Return the indices of mu of a contact."""
         at = self.nv + contact * (FACES + 3) + FACES
         return slice(at, at + 3)
 
     def y(self, axis: int) -> slice:
-        """Preview along x (0) or y (1)."""
+        """Return the indices of the preview along x (0) or y (1)."""
         at = self.wrenches.stop + axis * self.preview
         return slice(at, at + self.preview)
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything one tick is made of.
+    """The data from which the problem of one control period is built.
 
     Attributes
     ----------
@@ -89,12 +89,12 @@ class Scene:
         Soles on the ground.
     preview : Preview
     support : ndarray, shape (2,)
-        The foot that landed last: P counts from here [m].
+        Position of the foot that landed last, from which P is measured [m].
     swing : Swing or None
     sole : FrameMotion or None
-        The sole that swings.
+        The swing sole.
     settled : ndarray, shape (2,), or None
-        Where it lands, once that is settled [m].
+        Its landing place, once that is fixed [m].
     """
 
     dynamics: Dynamics
@@ -109,23 +109,23 @@ class Scene:
 
     @property
     def layout(self) -> Layout:
-        """Where the variables are."""
+        """Indices of the variables in x."""
         return Layout(self.dynamics.nv, len(self.stance), self.preview.M.shape[1])
 
     def footsteps(self, x: Array) -> Array:
-        """Return where the feet previewed in x land, shape (K, 2) [m]."""
+        """Return the previewed landing places of x, shape (K, 2) [m]."""
         P = np.stack([x[self.layout.y(axis)][self.preview.feet] for axis in (0, 1)], axis=1)
         return self.support + np.cumsum(P, axis=0)
 
     def wrenches(self, config: WholeBodyConfig, x: Array) -> list[Array]:
-        """Return what the ground does to each sole of the stance, force and moment, shape (6,) [N, N m]."""
+        """Return force and moment of the ground on each sole of the stance, shape (6,) [N, N m]."""
         edges, at = friction_edges(config.friction), self.layout
         found = [np.concatenate([edges @ x[at.force(k)], x[at.moment(k)]]) for k in range(at.contacts)]
         return [self.weight * wrench for wrench in found]
 
 
 class _Rows:
-    """Rows of A with their bounds and levels, added one block after the other."""
+    """Collects rows of A with their bounds and levels, block by block; at most `most` rows of n variables."""
 
     def __init__(self, most: int, n: int) -> None:
         self._A = np.zeros((most, n))
@@ -134,22 +134,22 @@ class _Rows:
         self._count, self._n = 0, n
 
     def add(self, lower: Array | float, upper: Array | float, level: int, count: int) -> Array:
-        """Add rows and return their part of A, still zero, shape (count, n)."""
+        """Add `count` rows and return their part of A, initially zero, shape (count, n)."""
         begin, self._count = self._count, self._count + count
         at = slice(self._n + begin, self._n + self._count)
         self._lower[at], self._upper[at], self._level[at] = lower, upper, level
         return self._A[begin : self._count]
 
     def equal(self, value: Array, level: int) -> Array:
-        """Add equalities and return their part of A."""
+        """Add equality rows and return their part of A, initially zero."""
         return self.add(value, value, level, len(value))
 
     def bound(self, at: slice, lower: Array | float, upper: Array | float, level: int) -> None:
-        """Bound variables."""
+        """Set the bounds of the variables `at`."""
         self._lower[at], self._upper[at], self._level[at] = lower, upper, level
 
     def hierarchy(self, H: Array, c: Array) -> Hierarchy:
-        """Return all rows with a cost."""
+        """Return the hierarchy of all rows, with the cost 1/2 x'Hx + c'x."""
         end = self._n + self._count
         return Hierarchy(H, c, self._A[: self._count], self._lower[:end], self._upper[:end], self._level[:end])
 
@@ -164,10 +164,10 @@ def friction_edges(mu: float) -> Array:
 
 
 def joint_bounds(model: RobotModel, q: Array, dq: Array, T: float) -> tuple[Array, Array]:
-    """Bounds of the joint accelerations that keep the joints within their limits (S9), shapes (n,) [rad/s^2].
+    """Return bounds of the joint accelerations that keep the joints within their limits (S9), shapes (n,) [rad/s^2].
 
-    Where a joint that moves towards its limit could not stop in time under (S9), the deceleration that stops it at the
-    limit takes its place.
+    A joint that moves towards its limit so fast that (S9) would not stop it in time gets the deceleration that stops it
+    at the limit instead.
     """
 
     def most(gap: Array, speed: Array) -> Array:
@@ -189,7 +189,7 @@ def hierarchy(
     objectives: Sequence[Objective],
     distances: Sequence[Distance] = (),
 ) -> Hierarchy:
-    """Return the three levels of one tick."""
+    """Return the hierarchy of one control period, with its three levels."""
     kept = [distance.rows(scene.dynamics) for distance in distances]
     contacts = len(scene.stance)
     rows = _Rows(6 + 12 * contacts + model.n + 3 + 6 + 2 + sum(len(h) for _, h in kept), scene.layout.size)
@@ -203,7 +203,7 @@ def hierarchy(
 
 
 def _whole_body(config: WholeBodyConfig, model: RobotModel, scene: Scene, rows: _Rows) -> None:
-    """Section II: laws of motion and of contact, limits of joints and torques."""
+    """Add the rows of section II: equations of motion, contact constraints, limits of joints and torques."""
     d, at, weight = scene.dynamics, scene.layout, scene.weight
     edges = friction_edges(config.friction)
     half = 0.5 * np.array([config.cop_width, config.cop_length])
@@ -224,13 +224,13 @@ def _whole_body(config: WholeBodyConfig, model: RobotModel, scene: Scene, rows: 
         for sign in (1.0, -1.0):
             cone = rows.add(0.0, np.inf, LAW, 3)
             cone[:, lam], cone[:, mu] = lever * edges[2], sign * np.eye(3)
-        # (S8) J_c v' + J'_c v = 0, and what is left of a velocity decays
+        # (S8) J_c v' + J'_c v = 0, and a residual velocity decays
         rows.equal(-sole.drift - config.contact_damping * sole.velocity, LAW)[:, : at.nv] = J
     rows.bound(slice(6, at.nv), *joint_bounds(model, d.q, d.v[6:], config.limit_time), LIMIT)
 
 
 def _balance(config: WholeBodyConfig, scene: Scene, rows: _Rows) -> None:
-    """Section III, and the coupling of the CoM (S15)."""
+    """Add the rows of section III, and the coupling of the CoM (S15)."""
     d, at, mass, preview = scene.dynamics, scene.layout, scene.mass, scene.preview
     xi = mass.capture_point(d.com, d.com_velocity)
     for axis in (0, 1):
@@ -246,18 +246,18 @@ def _balance(config: WholeBodyConfig, scene: Scene, rows: _Rows) -> None:
             # (S14) sum alpha_k z_k = xi_0
             stop = rows.equal(xi[axis : axis + 1] - mass.alpha @ preview.offset[:, axis : axis + 1], BALANCE)
             stop[0, y] = mass.alpha @ preview.M
-    # the height that the point mass takes for constant
+    # the CoM height, which the point-mass model assumes to be constant
     kd = 2.0 * math.sqrt(config.com_kp)
     wanted = config.com_kp * (mass.height - d.com[2:]) - kd * d.com_velocity[2:] - d.com_drift[2:]
     rows.equal(wanted, LIMIT)[:, : at.nv] = d.com_jacobian[2:]
 
 
 def _swing_foot(config: WholeBodyConfig, scene: Scene, swing: Swing, sole: FrameMotion, rows: _Rows) -> None:
-    """Section IV: lead the swing foot along a cubic to where it lands, and keep it level (S16)."""
+    """Add the rows of section IV: the swing foot follows a cubic to its landing place and is kept level (S16)."""
     at, J, v, drift = scene.layout, sole.jacobian, sole.velocity, sole.drift
     a, b = swing_acceleration(swing.remaining)
     if scene.settled is None:
-        # (S16) J v' + J' v = a (p + dP - s) - b s', divided by a as long as dP is free: for the conditioning
+        # (S16) J v' + J' v = a (p + dP - s) - b s', divided by a while dP is a variable, for better conditioning
         across = rows.equal((-drift[:2] - b * v[:2]) / a + scene.support - sole.position[:2], LIMIT)
         across[:, : at.nv] = J[:2] / a
         for axis in (0, 1):
@@ -266,7 +266,7 @@ def _swing_foot(config: WholeBodyConfig, scene: Scene, swing: Swing, sole: Frame
         wanted = a * (scene.settled - sole.position[:2]) - b * v[:2]
         rows.equal(wanted - drift[:2], LIMIT)[:, : at.nv] = J[:2]
     up = 0.5 * config.single_support - swing.elapsed
-    rising = up >= 0.005 - 1e-9  # to the middle of the step first, then down; rounding decides nothing
+    rising = up >= 0.005 - 1e-9  # up to the middle of the step, then down; the tolerance is for rounding errors
     a, b = swing_acceleration(up if rising else swing.remaining)
     height = config.step_height if rising else 0.0
     rows.equal(a * (height - sole.position[2:]) - b * v[2:3] - drift[2:3], LIMIT)[:, : at.nv] = J[2:3]
@@ -275,7 +275,7 @@ def _swing_foot(config: WholeBodyConfig, scene: Scene, swing: Swing, sole: Frame
 
 
 def _objectives(config: WholeBodyConfig, scene: Scene, objectives: Sequence[Objective]) -> tuple[Array, Array]:
-    """Section V as 1/2 x'Hx + c'x, shapes (n, n), (n,)."""
+    """Return H (n, n) and c (n,) of the cost 1/2 x'Hx + c'x of section V."""
     d, at, preview = scene.dynamics, scene.layout, scene.preview
     H, c = np.zeros((at.size, at.size)), np.zeros(at.size)
     diagonal = H.reshape(-1)[:: at.size + 1]
@@ -294,7 +294,7 @@ def _objectives(config: WholeBodyConfig, scene: Scene, objectives: Sequence[Obje
             first = y.start + preview.feet.start
             diagonal[first] += config.jerk_weight * a * a  # (S20) s''' = -a dP + rest
             c[first] -= config.jerk_weight * a * rest
-        diagonal[y][preview.cops] += config.cop_weight  # (S21) Z counts from the middle of its foot
+        diagonal[y][preview.cops] += config.cop_weight  # (S21) Z is relative to the middle of its foot
         H[y, y] += damping  # (S22) z' = D y + offset' over every interval
         c[y] += config.cop_velocity_weight * D.T @ np.diff(preview.offset[:, axis]) / scene.mass.interval
     diagonal[at.wrenches] += config.wrench_weight

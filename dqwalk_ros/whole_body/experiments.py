@@ -1,4 +1,4 @@
-"""The experiments of section VII [Sherikov2014]: the closed loop over a scenario, and a recorded walk solved again."""
+"""The experiments of section VII [Sherikov2014]: the closed loop over a scenario, and the replay of a recorded walk."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from dqwalk_ros.whole_body.trace import FEET, Array, BodyLog, Collector, Reactio
 __all__ = ["PLANTS", "Walk", "follow", "make_body_plant", "retrace", "walk"]
 
 PLANTS = ("rigid", "physics")
-"""What closes the loop: rigid bodies on rigid ground, or MuJoCo."""
+"""Plants: rigid bodies on rigid ground, or MuJoCo."""
 _LOW = 0.2
-"""A robot whose CoM is off its height by this fraction of it has fallen."""
+"""Relative error of the CoM's height that counts as a fall."""
 _LEANS = 1.0
-"""So has one whose torso leans by this much [rad], even if it bends its legs so that the CoM stays where it is."""
+"""Inclination of the torso that counts as a fall [rad], also if bent legs keep the CoM at its height."""
 
 Progress = Callable[[float, str], None]
-"""Called with the fraction done, and some text."""
+"""Callback with the fraction done and a line of text."""
 
 
 def make_body_plant(name: str, config: Config, model: RobotModel, state: BodyState) -> BodyPlant:
@@ -53,19 +53,19 @@ def make_body_plant(name: str, config: Config, model: RobotModel, state: BodySta
 def follow(
     controller: WholeBodyController, plant: BodyPlant, scenario: Scenario, *, progress: Progress | None = None
 ) -> WholeBodyTrace:
-    """Close the loop of controller and plant over a scenario.
+    """Run the closed loop of controller and plant over a scenario and return its trace.
 
-    A fall, or an error of controller or plant, ends it; what happened until then is returned.
+    A fall, or an error of controller or plant, ends the walk; the trace then contains the walk up to this time.
 
     Raises
     ------
     DqwalkError
-        If it ends before the first tick.
+        If the walk ends before the first control period.
     """
     rows, note, begin = Collector(controller, scenario), "", plant.state.time
     ticks = round(scenario.duration / controller.config.dt)
     targets, pushes = sorted(scenario.targets), sorted(scenario.pushes)
-    jumps: list[Array | None] = []  # the target before, of one that jumps in this tick
+    jumps: list[Array | None] = []  # the previous target, if the target jumps in this period
 
     def before_step(now: float) -> None:
         before, jumped = controller.target, False
@@ -99,7 +99,7 @@ def follow(
 
 
 def _reaction(now: float, controller: WholeBodyController, before: Array | None) -> Reaction:
-    """Compare the preview of this tick with that for the target before."""
+    """Compare the preview of this period with that for the previous target."""
     tick, scene, h = controller.last, controller.last.scene, controller.last.problem
     moved = np.linalg.norm(tick.footsteps - controller.footsteps_for(before), axis=1)
     first = [scene.layout.y(axis).start + scene.preview.feet.start for axis in (0, 1)]
@@ -115,14 +115,15 @@ def _fallen(controller: WholeBodyController) -> bool:
 
 @dataclass(frozen=True)
 class Walk:
-    """A walk to be made.
+    """Specification of a walk.
 
     Attributes
     ----------
     scenario : Scenario
     changes : mapping of str to value
-        Of the configuration, such as ``{"whole_body.friction": 0.4}``.
+        Changes of the configuration, such as ``{"whole_body.friction": 0.4}``.
     plant : str
+        One of `PLANTS`.
     """
 
     scenario: Scenario
@@ -131,7 +132,7 @@ class Walk:
 
 
 def walk(config: Config, wanted: Walk, progress: Progress | None = None) -> WholeBodyTrace:
-    """Make a walk; its times are CPU time of this process."""
+    """Run a walk and return its trace, whose `times` are CPU time of this process."""
     config = config.updated(dict(wanted.changes))
     model = load_model(config.robot)
     controller = WholeBodyController(config, model, clock=time.process_time)
@@ -145,21 +146,21 @@ def walk(config: Config, wanted: Walk, progress: Progress | None = None) -> Whol
 def retrace(
     log: BodyLog, *, clock: Callable[[], float] = time.perf_counter, progress: Progress | None = None
 ) -> tuple[WholeBodyTrace, float]:
-    """Ask the controller again for its answer to each recorded state, and return what was recorded beside it.
+    """Solve the problem of the controller again for each recorded state.
 
-    Forces and torques of the result are those of the log. The preview, the slack of (S14) and the times are those of
-    this controller now.
+    Forces and torques of the returned trace are the recorded ones. The preview, the residual of (S14) and the times are
+    those of the new solution.
 
     Returns
     -------
     trace : WholeBodyTrace
     off : float
-        Largest difference between a torque that was recorded and the one that this controller answers [N m].
+        Largest difference between recorded and newly computed torques [N m].
 
     Raises
     ------
     DqwalkError
-        If the controller cannot answer the first state.
+        If the problem of the first state cannot be solved.
     """
     plant = _RecordedPlant(log)
     controller = WholeBodyController(log.config, log.model, clock=clock)
@@ -167,7 +168,7 @@ def retrace(
 
 
 class _RecordedPlant(BodyPlant):
-    """A plant that does what it did when it was recorded, whatever the command."""
+    """A plant that returns the recorded states and forces, regardless of the command."""
 
     def __init__(self, log: BodyLog) -> None:
         super().__init__(log.states[0])
@@ -182,4 +183,4 @@ class _RecordedPlant(BodyPlant):
         self.state = self.log.states[min(self._periods, len(self.log.states) - 1)]
 
     def _hit(self, impulse: Array) -> None:
-        """Do nothing: the recorded states contain the push."""
+        """Do nothing: the recorded states contain the effect of the push."""

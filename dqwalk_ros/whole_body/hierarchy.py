@@ -1,10 +1,10 @@
 """Hierarchical least squares: constraints first, then balance, then the objectives, section VI [Sherikov2014].
 
-Rows lower <= (x, A x) <= upper have a level, and the cost comes last. Nearly always all rows can hold, and the
-hierarchy is one quadratic program. Where they cannot, the levels are solved in order: the rows of each are moved
-by the least, in the sense of least squares, that lets them hold together with the levels before it.
+Rows lower <= (x, A x) <= upper have a level; the cost is the last level. If all rows are feasible, which is the usual
+case, the hierarchy is one quadratic program. Otherwise the levels are solved in their order: the rows of each level are
+relaxed by the least amount, in the sense of least squares, for which they are feasible together with the previous ones.
 
-DAQP solves every program: an active-set method, exact to rounding, started from the active set of the tick before.
+All programs are solved by the active-set solver DAQP, started from the active set of the previous control period.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ __all__ = ["BALANCE", "LAW", "LIMIT", "Answer", "Hierarchy", "HierarchySolver"]
 Array = NDArray[np.float64]
 
 LAW, LIMIT, BALANCE = 0, 1, 2
-"""Levels of rows: laws of motion and contact, which never give way, and the rest of level 1; level 2."""
+"""Levels of rows: equations of motion and contact, which are never relaxed; the rest of level 1; level 2."""
 _EQUALITY = 5
-"""What DAQP calls an equality."""
+"""DAQP's code of an equality."""
 _INFINITE = 1e30
-"""What DAQP takes for no bound."""
+"""DAQP ignores bounds of this size and larger."""
 _OPTIONS = {"primal_tol": 1e-9, "sing_tol": 1e-13, "iter_limit": 1000}
-"""Of DAQP: largest violation of a row, and how nearly dependent the active rows may be."""
+"""Options of DAQP: tolerance of the rows, tolerance for dependent active rows, and largest number of iterations."""
 _HELD = 1e-7
-"""A row with a multiplier beyond this holds others back."""
+"""Least multiplier of an active row."""
 
 
 @dataclass(frozen=True)
 class Hierarchy:
-    """Least squares of three levels over x, shape (n,).
+    """A hierarchical least-squares problem of three levels over x, shape (n,).
 
     Attributes
     ----------
@@ -46,9 +46,9 @@ class Hierarchy:
         Cost 1/2 x'Hx + c'x of level 3; H is positive definite.
     A : ndarray, shape (m, n)
     lower, upper : ndarray, shape (n + m,)
-        Bounds of x, then of A x; equal for an equality, infinite for none.
+        Bounds of x, then of A x; equal for an equality, infinite for an unbounded side.
     level : ndarray of int, shape (n + m,)
-        `LAW`, `LIMIT` or `BALANCE`, of each bound and row.
+        `LAW`, `LIMIT` or `BALANCE` for each bound and row.
     """
 
     H: Array
@@ -59,7 +59,7 @@ class Hierarchy:
     level: NDArray[np.int_]
 
     def violation(self, x: Array) -> Array:
-        """Return by how much x violates each bound and row, shape (n + m,)."""
+        """Return the violation of each bound and row by x, shape (n + m,)."""
         rows = np.concatenate([x, self.A @ x])
         violation: Array = np.maximum(np.maximum(self.lower - rows, rows - self.upper), 0.0)
         return violation
@@ -67,7 +67,7 @@ class Hierarchy:
 
 @dataclass(frozen=True)
 class Answer:
-    """The lexicographic optimum.
+    """The solution of a hierarchy, its lexicographic optimum.
 
     Attributes
     ----------
@@ -75,13 +75,13 @@ class Answer:
     method : str
         ``"all rows hold"``, ``"level 2 relaxed"`` or ``"level 1 relaxed"``.
     residual : float
-        By how much the rows of level 2 are missed, in the norm of least squares.
+        Norm of the violation of the rows of level 2.
     violation : float
-        By how much those of level 1 had to give way.
+        Norm of the relaxation of the rows of level 1.
     iterations : int
-        Changes of the active set.
+        Number of changes of the active set.
     solve_time : float
-        [s], by the clock that the solver was given.
+        Time taken by the solver, measured by its clock [s].
     """
 
     x: Array
@@ -93,12 +93,12 @@ class Answer:
 
 
 class HierarchySolver:
-    """Solves one hierarchy after the other.
+    """Solves a sequence of hierarchies, each started from the active set of the previous one.
 
     Parameters
     ----------
     clock : callable
-        Measures `solve_time` [s].
+        Clock for `solve_time` [s].
     """
 
     def __init__(self, *, clock: Callable[[], float] = time.perf_counter) -> None:
@@ -106,12 +106,12 @@ class HierarchySolver:
         self._multipliers: dict[tuple[int, ...], Array] = {}
 
     def solve(self, h: Hierarchy) -> Answer:
-        """Return the answer.
+        """Return the solution of a hierarchy.
 
         Raises
         ------
         QPError
-            If a number is not finite, or the rows that never give way contradict each other.
+            If a number is not finite, or the rows of the level `LAW` contradict each other.
         """
         began = self._clock()
         if not np.isfinite(h.H.sum() + h.c.sum() + h.A.sum()) or np.isnan([h.lower, h.upper]).any():
@@ -123,17 +123,17 @@ class HierarchySolver:
             if moved is None:  # level 1 alone cannot hold
                 method, moved = "level 1 relaxed", _relaxed(h, LIMIT)
                 if moved is None:
-                    raise QPError("no motion obeys the laws of motion and of contact", status="Infeasible")
+                    raise QPError("the equations of motion and contact have no solution", status="Infeasible")
                 violation = float(np.linalg.norm(h.violation(moved[1])[h.level == LIMIT]))
                 moved = _relaxed(moved[0], BALANCE) or moved
             x, iterations = self._program(moved[0])
-            if x is None:  # there is no room left for level 3
+            if x is None:  # the levels before it leave no freedom for level 3
                 x = moved[1]
         residual = float(np.linalg.norm(h.violation(x)[h.level == BALANCE]))
         return Answer(x, method, residual, violation, iterations, self._clock() - began)
 
     def _program(self, h: Hierarchy) -> tuple[Array | None, int]:
-        """Return the optimum under all rows, None if the rows contradict each other, and the number of iterations."""
+        """Return the optimum subject to all rows (None if they are infeasible), and the number of iterations."""
         start = self._multipliers.get(h.A.shape)
         x, multipliers, iterations = _solve(h.H, h.c, h.A, h.lower, h.upper, dual_start=start)
         if x is not None:
@@ -142,13 +142,14 @@ class HierarchySolver:
 
 
 def _solve(H: Array, c: Array, A: Array, lower: Array, upper: Array, **options: Any) -> tuple[Array | None, Array, int]:
-    """Minimise 1/2 x'Hx + c'x with lower <= (x, A x) <= upper; x is None where DAQP finds no answer.
+    """Minimise 1/2 x'Hx + c'x subject to lower <= (x, A x) <= upper by DAQP.
 
     Returns
     -------
     x : ndarray, shape (n,), or None
+        None if DAQP finds no solution.
     multipliers : ndarray, shape (n + m,)
-        From which a similar problem may start.
+        Multipliers for the warm start of a similar problem.
     iterations : int
     """
     low, high = np.maximum(lower, -_INFINITE), np.minimum(upper, _INFINITE)
@@ -158,25 +159,25 @@ def _solve(H: Array, c: Array, A: Array, lower: Array, upper: Array, **options: 
 
 
 def _relaxed(h: Hierarchy, level: int) -> tuple[Hierarchy, Array] | None:
-    """Let the rows of a level hold as well as those of the levels before it allow, in the sense of least squares.
+    """Relax the rows of a level by the least squares for which they are feasible with the previous levels.
 
-    Every row that holds them back, or that gives way, has a multiplier that is not zero; these rows become equalities,
-    so that a later level cannot undo it.
+    All active and all relaxed rows have non-zero multipliers; they become equalities at the solution, so that a later
+    level cannot change it.
 
     Returns
     -------
     moved : Hierarchy
-        With those equalities.
+        The hierarchy with these equalities.
     nearest : ndarray, shape (n,)
-        The x that was found.
+        The solution x.
     None
-        Instead of both, where the levels before it cannot hold.
+        Instead of both, if the previous levels are infeasible.
     """
     n = len(h.c)
     rows = np.vstack([np.eye(n), h.A])
     before, soft = np.flatnonzero(h.level < level), np.flatnonzero(h.level == level)
-    # x, and a slack s per row that gives way: min 1/2 |s|^2 with lower <= A x + s <= upper; as it is singular in x,
-    # level 2 takes proximal steps, which are exact; level 1, when the robot falls, some of |x|^2, which never cycles
+    # x, and a slack s per relaxed row: min 1/2 |s|^2 with lower <= A x + s <= upper; singular in x, so level 2 has
+    # exact proximal steps; level 1, relaxed only when the robot falls, a small cost |x|^2, which avoids cycling
     weight, proximal = (1e-4, 0.0) if level == LIMIT else (0.0, 1e-6)
     k = len(soft)
     kept = np.concatenate([before, soft])

@@ -1,8 +1,8 @@
-"""Objectives and distances of the second order: what is wanted and what is kept, section V [Sherikov2014].
+"""Objectives of section V [Sherikov2014], and vector-field inequalities of second order.
 
-An `Objective` is to the second order what a `Task` is to the first: ||J v' + J' v - pi||^2 instead of
-||J u + eta e||^2. A `Distance` is a vector-field inequality of the second order. To add one of your own, write a
-frozen dataclass with its two or three methods and hand it to the controller::
+An `Objective` is the second-order counterpart of a `Task`: ||J v' + J' v - pi||^2 instead of ||J u + eta e||^2. A
+`Distance` is a vector-field inequality of second order. To add your own, write a frozen dataclass with its two or three
+methods and pass it to the controller::
 
     WholeBodyController(config, model, objectives=[...], distances=[...])
 """
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Objective(ABC):
-    """An acceleration J v' + J' v that should be pi; its cost is 1/2 weight ||J v' + J' v - pi||^2.
+    """An objective with the cost 1/2 weight ||J v' + J' v - pi||^2, where pi is a desired acceleration.
 
     Attributes
     ----------
@@ -55,20 +55,20 @@ class Objective(ABC):
 
     @abstractmethod
     def acceleration(self, dynamics: Dynamics) -> Array:
-        """Return what J v' should be: pi - J' v, shape (k,)."""
+        """Return the desired value of J v', pi - J' v, shape (k,)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FramePosition(Objective):
-    """A link's origin at a place, by a saturated PD controller (S17).
+    """Moves a link's origin to a target by a saturated PD controller (S17).
 
     Attributes
     ----------
     frame : str
     target : ndarray, shape (3,)
-        In the world [m].
+        Position in the world [m].
     saturation : float
-        Greatest pull along each axis [m/s^2].
+        Largest acceleration by the position error along each axis [m/s^2].
     """
 
     frame: str
@@ -93,13 +93,13 @@ class FramePosition(Objective):
 
 @dataclass(frozen=True, kw_only=True)
 class FrameOrientation(Objective):
-    """A link's orientation (S18).
+    """Turns a link to a target orientation by a PD controller (S18).
 
     Attributes
     ----------
     frame : str
     target : ndarray, shape (3, 3), optional
-        Rotation in the world; upright and facing x without it.
+        Rotation matrix in the world; by default the identity.
     """
 
     frame: str
@@ -123,7 +123,7 @@ class FrameOrientation(Objective):
 
 @dataclass(frozen=True, kw_only=True)
 class JointPosture(Objective):
-    """The joints near a posture, or only damped (S19); one stiffness and damping per joint.
+    """Moves the joints to a posture by PD controllers (S19); joints with zero stiffness are only damped.
 
     Attributes
     ----------
@@ -146,10 +146,10 @@ class JointPosture(Objective):
 
 @dataclass(frozen=True, kw_only=True)
 class Distance(ABC):
-    """Keep a signed distance d, which grows towards safety, at or above zero: d'' >= -2 eta d' - eta^2 d.
+    """Keep a signed distance d at or above zero by d'' >= -2 eta d' - eta^2 d.
 
-    This is d' >= -eta d twice over: with e = d' + eta d it says e' >= -eta e. Where d and e are not negative at the
-    beginning they never will be.
+    This is the inequality d' >= -eta d applied twice: with e = d' + eta d it is e' >= -eta e. If d and e are not
+    negative at the beginning, they stay so.
 
     Attributes
     ----------
@@ -168,15 +168,15 @@ class Distance(ABC):
 
     @abstractmethod
     def distance(self, dynamics: Dynamics) -> Array:
-        """d, shape (k,)."""
+        """Return d, shape (k,)."""
 
     @abstractmethod
     def jacobian(self, dynamics: Dynamics) -> Array:
-        """J of d' = J v, shape (k, nv)."""
+        """Return J of d' = J v, shape (k, nv)."""
 
     @abstractmethod
     def drift(self, dynamics: Dynamics) -> Array:
-        """J' v of d'' = J v' + J' v, shape (k,)."""
+        """Return J' v of d'' = J v' + J' v, shape (k,)."""
 
     def rows(self, dynamics: Dynamics) -> tuple[Array, Array]:
         """Return G (k, nv) and h (k,) of G v' >= h."""
@@ -186,13 +186,13 @@ class Distance(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class FrameOutsideSphere(Distance):
-    """A link's origin outside a sphere at rest [m]: obstacle avoidance for any part of the robot.
+    """Keep a link's origin outside a fixed sphere [m]: obstacle avoidance.
 
     Attributes
     ----------
     frame : str
     center : ndarray, shape (3,)
-        In the world [m].
+        Centre in the world [m].
     radius : float
         [m]
     """
@@ -207,7 +207,7 @@ class FrameOutsideSphere(Distance):
         return (self.frame,)
 
     def distance(self, dynamics: Dynamics) -> Array:
-        """Distance from the centre less the radius, shape (1,) [m]."""
+        """Distance from the centre minus the radius, shape (1,) [m]."""
         return np.array([np.linalg.norm(dynamics.frames[self.frame].position - self.center) - self.radius])
 
     def jacobian(self, dynamics: Dynamics) -> Array:

@@ -1,8 +1,8 @@
-"""The preview of the balance: a point mass, its steps, and how it can stop, section III [Sherikov2014].
+"""The preview of section III [Sherikov2014]: point-mass model, timing of the steps, CoP constraints, capturability.
 
-The preview looks at the times t + k T, k = 0..N, of a grid that moves along with the clock. A *support coordinate* s
-says where the robot stands: s = j on foot j alone, between j and j + 1 while the weight goes over, and s = -1 on both
-feet before the first step, where "foot -1" is the middle of the two.
+The preview samples the times t + k T, k = 0..N, after the present time t. A *support coordinate* s describes the
+support at a time: s = j in single support on foot j, between j and j + 1 while the weight is transferred to foot j + 1,
+and s = -1 on both feet before the first step, where "foot -1" is the middle between them.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _EPS = 1e-9
 
 @dataclass(frozen=True)
 class PointMass:
-    """The linear inverted pendulum (S10) with a CoP that moves piecewise linearly, per axis.
+    """The linear inverted pendulum (S10) of one axis, with a piecewise linear CoP.
 
     Attributes
     ----------
@@ -71,13 +71,13 @@ class PointMass:
         return alpha
 
     def capture_point(self, c: Array, c_dot: Array) -> Array:
-        """Return xi, shape (2,) [m]."""
+        """Return the capture point xi, shape (2,) [m]."""
         return c[:2] + c_dot[:2] / self.omega  # (S13)
 
 
 @dataclass(frozen=True)
 class Swing:
-    """A swing in progress: the foot that swings, and the time that went by and that is left [s]."""
+    """A swing in progress: the swing foot, the time since lift-off and the time until landing [s]."""
 
     foot: Foot
     elapsed: float
@@ -86,14 +86,14 @@ class Swing:
 
 @dataclass(frozen=True)
 class Stepping:
-    """When which foot carries the robot; durations are given, places are not.
+    """Timing of the steps.
 
     Attributes
     ----------
     first : Foot
-        The foot 0, which carries first.
+        The foot 0, the first support foot.
     standing, double, single : float
-        Durations of the first double support, of a transition and of a single support [s].
+        Durations of the first double support, of a double support between steps and of a single support [s].
     """
 
     first: Foot
@@ -103,12 +103,12 @@ class Stepping:
 
     @classmethod
     def of(cls, config: WholeBodyConfig, first: Foot) -> Stepping:
-        """Return the timing that a configuration describes."""
+        """Return the timing of a configuration."""
         return cls(first, config.first_double_support, config.double_support, config.single_support)
 
     @property
     def begin(self) -> float:
-        """When the first single support begins [s]."""
+        """Time at which the first single support begins [s]."""
         return self.standing + self.double
 
     @property
@@ -117,11 +117,11 @@ class Stepping:
         return self.single + self.double
 
     def foot(self, index: int) -> Foot:
-        """Which foot has the index 0, 1, 2, ..."""
+        """Return the foot with the index 0, 1, 2, ..."""
         return self.first if index % 2 == 0 else self.first.other
 
     def coordinate(self, time: ArrayLike) -> Array:
-        """Support coordinate s at times [s]; any shape."""
+        """Return the support coordinate s at times [s], of the same shape."""
         t = np.asarray(time, dtype=np.float64)
         step = np.floor((t - self.begin + _EPS) / self.period)
         within = t - self.begin - step * self.period
@@ -132,11 +132,11 @@ class Stepping:
         return np.where(np.abs(s - nearest) < 1e-6, nearest, s)
 
     def step(self, time: float) -> int:
-        """Index of the foot that carries at a time [s], -1 before the first single support."""
+        """Return the index of the support foot at a time [s], -1 before the first single support."""
         return -1 if time < self.begin - _EPS else math.floor((time - self.begin + _EPS) / self.period)
 
     def landed(self, time: float) -> int:
-        """Index of the foot that landed last at a time [s], -1 before the weight goes over to the first."""
+        """Return the index of the foot that landed last at a time [s], -1 before the first transfer of the weight."""
         if time < self.begin - _EPS:
             return 0 if time >= self.standing - _EPS else -1
         return self.step(time) + (self.swing(time) is None)
@@ -164,21 +164,20 @@ class Stepping:
 
 @dataclass(frozen=True)
 class Preview:
-    """Where the CoP is at t + k T, k = 0..N, per axis: z = offset + M y with y = (c''_0, Z, P).
+    """The CoP at t + k T, k = 0..N, for each axis: z = offset + M y with y = (c''_0, Z, P).
 
-    Z are the CoPs at k = 1..N relative to the middle of the foot they belong to, P the K displacements from each foot
-    to the next.
+    Z are the CoPs at k = 1..N relative to the middle of their foot, P the K displacements from each foot to the next.
 
     Attributes
     ----------
     M : ndarray, shape (N + 1, 1 + N + K)
-        Both axes have the same.
+        The same for both axes.
     offset : ndarray, shape (N + 1, 2)
         [m]
     lower, upper : ndarray, shape (1 + N + K, 2)
-        Bounds of y; c''_0 has none.
+        Bounds of y; those of c''_0 are infinite.
     steps : int
-        K.
+        Number K of previewed footsteps.
     """
 
     M: Array
@@ -189,12 +188,12 @@ class Preview:
 
     @property
     def cops(self) -> slice:
-        """Z in y."""
+        """Indices of Z in y."""
         return slice(1, self.M.shape[0])
 
     @property
     def feet(self) -> slice:
-        """P in y."""
+        """Indices of P in y."""
         return slice(self.M.shape[0], self.M.shape[1])
 
 
@@ -213,12 +212,12 @@ def previewed(
     com : ndarray, shape (2,) or (3,)
         c_0 [m].
     places : mapping of int to ndarray, shape (2,)
-        Where the feet that landed last are, by index; -1 is the middle of both feet before the first step [m].
+        Positions of the feet that landed last, by index; -1 is the middle of both feet before the first step [m].
 
     Notes
     -----
-    While the weight goes over from foot j to j + 1 the rectangle goes over with it, "translated support areas", so
-    that the constraints change smoothly as the grid moves.
+    While the weight is transferred from foot j to j + 1, the rectangle of the CoP moves from one to the other
+    ("translated support areas"), so that the constraints change continuously with time.
     """
     N, base = mass.intervals, max(places)
     s = stepping.coordinate(time + mass.interval * np.arange(1, N + 1))
@@ -232,11 +231,11 @@ def previewed(
         offset[1:] += np.minimum(s - base, 0.0)[:, None] * (places[base] - places[base - 1])
     upper = np.full((1 + N + K, 2), np.inf)
     lower = -upper
-    # (S11) the CoP in the rectangle of its foot; before the first step in that around both feet
+    # (S11) the CoP is in the rectangle of its foot; before the first step, in the rectangle around both feet
     upper[1 : N + 1] = 0.5 * config.cop_length, 0.5 * config.cop_width
     upper[1 : N + 1, 1] += np.clip(-s, 0.0, 1.0) * 0.5 * config.feet_distance
     lower[1 : N + 1] = -upper[1 : N + 1]
-    # (S12) each foot in a box beside the one before it
+    # (S12) each foot lands in a box beside the previous one
     for k in range(K):
         side = 1.0 if stepping.foot(base + 1 + k) is Foot.LEFT else -1.0
         across = sorted((side * config.step_width_min, side * config.step_width_max))

@@ -1,8 +1,8 @@
 """A robot of rigid bodies on rigid ground: the simulation of section VII [Sherikov2014].
 
-The model is perfect, and so are the contacts: a foot that stands does not move, whatever force that takes. Forces and
-motion follow from the joint torques alone; the contact forces are in `wrenches`, so that a foot that pulls or slides
-in this world of perfect contacts is seen.
+Model and contacts are ideal: a standing foot does not move, whatever contact force this requires. Forces and motion
+follow from the joint torques only. The contact forces are in `wrenches`, which show if a foot would have to pull or to
+exceed the friction.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ Array = NDArray[np.float64]
 
 
 class BodyPlant(ABC):
-    """A body that takes torques and pushes.
+    """A plant that executes joint torques and pushes.
 
     Parameters
     ----------
     state : BodyState
-        Where it begins.
+        Initial state.
 
     Attributes
     ----------
     state : BodyState
-        The state now, as a perfect sensor has it.
+        The present state, without measurement errors.
     effort : ndarray, shape (n,)
         Joint torques of the last period [N m].
     wrenches : mapping of Foot to Wrench
-        What the ground did to the feet in the last period; empty where that is not judged.
+        Contact wrenches of the last period; empty if the plant does not compute them.
     fallen : bool
-        False: a fall is seen by the controller's CoM and torso.
+        Always False: falls are detected from the CoM and the torso of the controller's model.
     """
 
     fallen = False
@@ -51,12 +51,12 @@ class BodyPlant(ABC):
         self._begin, self._periods = state.time, 0
 
     def step(self, command: BodyCommand, dt: float) -> BodyState:
-        """Return the state one period later.
+        """Return the state after one period.
 
         Raises
         ------
         PlantError
-            If the command is not finite or does not fit, or the simulation has gone astray.
+            If the command is not finite or has a wrong size, or the simulation has diverged.
         """
         if command.effort.shape != self.effort.shape or not np.isfinite(command.effort).all():
             raise PlantError(f"the command must have {self.effort.size} finite torques, got {command.effort}")
@@ -66,12 +66,12 @@ class BodyPlant(ABC):
         return self.state
 
     def push(self, impulse: ArrayLike) -> None:
-        """Hit the robot: an impulse (3,) [N s] at the link that pushes act on.
+        """Apply an impulse (3,) [N s] to the pushed link.
 
         Raises
         ------
         PlantError
-            If it is not three finite numbers, or too hard for finite velocities.
+            If the impulse is not three finite numbers, or the resulting velocities are not finite.
         """
         r = np.asarray(impulse, dtype=np.float64)
         if r.shape != (3,) or not np.isfinite(r).all():
@@ -80,11 +80,11 @@ class BodyPlant(ABC):
 
     @abstractmethod
     def _move(self, command: BodyCommand, time: float, dt: float) -> None:
-        """Set the state at a time [s], one period `dt` later."""
+        """Set the state at `time` [s], after one period `dt` with a command."""
 
     @abstractmethod
     def _hit(self, impulse: Array) -> None:
-        """Change the motion by an impulse (3,) [N s]."""
+        """Change the velocities by an impulse (3,) [N s]."""
 
 
 class RigidPlant(BodyPlant):
@@ -94,11 +94,11 @@ class RigidPlant(BodyPlant):
     ----------
     model : RobotModel
     state : BodyState
-        Where it begins.
+        Initial state.
     pushed : str
         The link that pushes act on.
     damping : float
-        Rate at which a velocity of a standing foot, left over by the integration, decays [1/s].
+        Rate at which a residual velocity of a standing foot, an integration error, decays [1/s].
     """
 
     def __init__(self, model: RobotModel, state: BodyState, *, pushed: str, damping: float = 10.0) -> None:
@@ -124,7 +124,7 @@ class RigidPlant(BodyPlant):
             self._hit(np.zeros(3))
 
     def _hit(self, impulse: Array) -> None:
-        """Change the velocity at once: by an impulse, and by the feet that stand."""
+        """Change the velocities instantaneously by an impulse and by the impact of the standing feet."""
         s = self.state
         d = self._body.at(s.x_base, s.q, s.v)
         J = self._contact_jacobian(d)
@@ -142,7 +142,7 @@ class RigidPlant(BodyPlant):
 
 
 def _constrained(H: Array, J: Array, right: Array, held: Array) -> tuple[Array, Array]:
-    """Solve H a = right + J' f, J a = held; f is the least where the contacts are redundant."""
+    """Return a and f of H a = right + J' f, J a = held; with redundant contacts f has the least norm."""
     inverse = np.linalg.solve(H, np.column_stack([J.T, right]))
     G, free = inverse[:, :-1], inverse[:, -1]
     f = np.asarray(np.linalg.lstsq(J @ G, held - J @ free, rcond=1e-10)[0], dtype=np.float64)

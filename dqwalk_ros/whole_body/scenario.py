@@ -1,4 +1,4 @@
-"""What happens to the robot: Tests 1 and 2 of section VII [Sherikov2014], and any other targets and pushes."""
+"""Scenarios of targets and pushes: Tests 1 and 2 of section VII [Sherikov2014], and any others."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from dqwalk_ros.whole_body.controller import WholeBodyController
 __all__ = ["PAPER_TIMES", "SCENARIOS", "Scenario", "Timed", "fitted"]
 
 Timed = tuple[float, tuple[float, float, float]]
-"""A time, and a place or an impulse."""
+"""A time [s], and a position [m] or an impulse [N s]."""
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """What happens to the robot.
+    """A sequence of targets of the hand and of pushes.
 
     Attributes
     ----------
@@ -26,13 +26,13 @@ class Scenario:
     duration : float
         [s]
     targets : tuple of (float, tuple)
-        From when on the hand should be where [s, m].
+        Time from which a target applies, and position of the target [s, m].
     pushes : tuple of (float, tuple)
-        When which impulse hits the torso [s, N s].
+        Time and impulse of each push of the torso [s, N s].
     size : float
-        Of the robot it is for, compared with that of the paper: lengths that are demanded scale with it.
+        Size of the robot relative to that of the paper; required lengths scale with it.
     slow : float
-        Duration of its steps, compared with that of the paper: times scale with it.
+        Duration of the steps relative to that of the paper; times scale with it.
 
     Raises
     ------
@@ -60,18 +60,17 @@ SCENARIOS = {
     "1": Scenario("Test 1", 14.0, _TARGETS),
     "2": Scenario("Test 2", 14.0, _TARGETS, _PUSHES),
 }
-"""The paper's tests, with the times of the thesis, where the target jumps in mid-swing."""
+"""The paper's tests, with the times of Sherikov's thesis, at which the target jumps during a swing."""
 PAPER_TIMES = ((0.0, (1.2, -0.8, 0.9)), (4.0, (2.0, -0.8, 0.9)), (8.0, (1.8, -0.4, 0.9)))
-"""The targets at the times that the paper's text has."""
+"""The targets at the times given in the text of the paper."""
 _HEIGHT, _MASS, _STEP = 0.73, 58.0, 0.8
-"""CoM height and mass of the robot that the tests are for, and the duration of its steps [m, kg, s]."""
+"""CoM height, mass and duration of a step of the robot in the paper [m, kg, s]."""
 
 
 def fitted(scenario: Scenario, controller: WholeBodyController) -> Scenario:
-    """Return a test for a robot of any size: places scale with its CoM height h, impulses with m sqrt(h).
+    """Return a scenario scaled to a robot: positions with its CoM height h, impulses with m sqrt(h).
 
-    Times scale with the duration of its steps. A robot within 2 % of the size and weight that the test is for, and as
-    fast, gets the test as it is.
+    Times are scaled with the duration of its steps. If all factors are within 2 % of one, the scenario is not changed.
     """
     size = controller.point_mass.height / _HEIGHT
     impulse = controller.weight / (_MASS * controller.point_mass.gravity) * math.sqrt(size)

@@ -1,7 +1,7 @@
-"""The whole-body controller's robot in MuJoCo, driven by joint torques: soles slip, tilt and bounce.
+"""The robot of the whole-body controller in MuJoCo, driven by joint torques; its soles can slip, tilt and bounce.
 
-What the controller takes for rigid contact is here a soft one that the engine finds by itself: which feet stand is not
-taken from the command. Robot, soles and floor are those of `plants.mujoco`; there are no servos.
+Contacts are compliant and detected by the engine; the stance in the command is not used. Robot, soles and floor are
+those of `plants.mujoco`, without servos.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ _PUSH = 0.05
 
 
 class TorquePlant(BodyPlant):
-    """MuJoCo with torques on the joints; a push acts at the centre of mass of its link, for 50 ms.
+    """MuJoCo with joint torques; a push is a force at the centre of mass of the pushed link, for 50 ms.
 
     Parameters
     ----------
     model : RobotModel
     state : BodyState
-        Where it begins.
+        Initial state.
     pushed : str
         The link that pushes act on.
     timestep : float
-        Of the engine [s].
+        Time step of the engine [s].
     friction : float
-        Of soles and ground.
+        Friction coefficient of soles and ground.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class TorquePlant(BodyPlant):
         d.qpos[:3], d.qpos[3:7], d.qpos[self._qadr] = x.translation(), x.rotation(), state.q
         d.qvel[:3], d.qvel[3:6], d.qvel[self._vadr] = x.rotation_matrix() @ state.v_base[:3], state.v_base[3:], state.dq
         mujoco.mj_forward(self._mj, d)
-        self._pushes: list[tuple[float, Array]] = []  # until when, and the force
+        self._pushes: list[tuple[float, Array]] = []  # end of the push [s], and force (3,) [N]
 
     def _move(self, command: BodyCommand, time: float, dt: float) -> None:
         d = self._data
@@ -73,7 +73,7 @@ class TorquePlant(BodyPlant):
         if not np.isfinite(d.qpos).all():
             raise PlantError("the simulation is not finite any more")
         x = DQ.from_pose(d.qpos[:3], d.qpos[3:7] / np.linalg.norm(d.qpos[3:7]))
-        linear = x.rotation_matrix().T @ d.qvel[:3]  # MuJoCo has it in the axes of the world
+        linear = x.rotation_matrix().T @ d.qvel[:3]  # MuJoCo's linear velocity is in world axes
         q, dq, v_base = d.qpos[self._qadr], d.qvel[self._vadr], np.concatenate([linear, d.qvel[3:6]])
         self.state = BodyState(time, q, dq=dq, x_base=x.vec8(), v_base=v_base)
 

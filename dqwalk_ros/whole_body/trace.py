@@ -1,4 +1,4 @@
-"""A whole-body walk as a table: what was measured, what was commanded, what the controller previewed."""
+"""The record of a whole-body walk: measurements, commands and preview of each control period."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ MARGINS = ("cop_margin", "friction", "normal", "torque", "joint", "step")
 
 @dataclass(frozen=True)
 class Reaction:
-    """What a jump of the target did to the preview in that very tick.
+    """Effect of a jump of the hand's target on the preview in the same control period.
 
     Attributes
     ----------
     time : float
-        [s]
+        Time of the jump [s].
     swinging : bool
         Whether a foot was in the air.
     moved : tuple of float
-        How far each previewed footstep moved, the next one first: solved with the new target, and from the same
-        state with the one before it [m].
+        Distance between the previewed footsteps for the new and for the previous target, solved for the same state,
+        the next footstep first [m].
     held : bool
-        Whether the next footstep cannot move: in both coordinates at a bound of its box, or settled.
+        Whether the next footstep cannot move: it is at a bound of its box in both coordinates, or fixed.
     """
 
     time: float
@@ -47,25 +47,25 @@ class Reaction:
 
 @dataclass(frozen=True)
 class BodyLog:
-    """A recorded whole-body walk: what its topics contain.
+    """The recorded data of a whole-body walk, as read from a bag.
 
     Attributes
     ----------
     config : Config
     model : RobotModel
     scenario : Scenario
-        Targets and pushes, when they took effect.
+        Targets and pushes, at the times at which they took effect.
     states : tuple of BodyState
-        Time counts from the first one.
+        States; their time is relative to the first one.
     effort : ndarray, shape (N, n)
-        The torques that answered each state [N m].
+        Torques commanded for each state [N m].
     wrenches : ndarray, shape (N, 2, 6)
         Force and moment of the ground on the left and the right sole in the period after each state, about the
-        sole's origin, in world axes [N, N m]; nan where a foot does not stand, or none was recorded.
+        sole's origin, in world axes [N, N m]; nan if the foot does not stand or its wrench was not recorded.
     notes : tuple of str
-        What is missing or was left out.
+        Data that are missing or were ignored.
     origin : mapping of str to str
-        Versions and machine of the walk, empty where the record does not say.
+        Software versions and machine of the walk; empty if they were not recorded.
     """
 
     config: Config
@@ -80,7 +80,7 @@ class BodyLog:
 
 @dataclass(frozen=True)
 class WholeBodyTrace:
-    """What happened, one row per tick.
+    """The trace of a whole-body walk, one row per control period.
 
     Attributes
     ----------
@@ -88,37 +88,38 @@ class WholeBodyTrace:
     config : Config
     model : RobotModel
     time : ndarray, shape (N,)
-        [s]
+        Times of the states [s].
     q, dq, x_base, v_base : ndarray, shapes (N, n), (N, n), (N, 8), (N, 6)
         The joints [rad, rad/s], the pose of the root link and its velocity in its own axes.
     effort : ndarray, shape (N, n)
         The plant's joint torques [N m].
     wrenches : ndarray, shape (N, 2, 6)
-        As of `BodyLog`.
+        As in `BodyLog`.
     target, hand, com, com_velocity, left, right : ndarray, shape (N, 3)
-        Places, and the soles' links [m, m/s]; nan where there is no target.
+        Target of the hand (nan without one), hand, CoM and its velocity, and the soles' links [m, m/s].
     support, landing, cop, cop_preview : ndarray, shape (N, 2)
-        The foot that landed last, where the next one is to land, the CoP of the contacts and of the point mass [m].
+        The foot that landed last, the next landing place, the CoP of the contacts and that of the point mass [m].
     single : ndarray of bool, shape (N,)
-        Whether one foot stands.
+        Whether the robot is in single support.
     height_error, tilt : ndarray, shape (N,)
-        Of the CoM [m] and of the torso [rad].
+        Error of the CoM's height [m] and inclination of the torso [rad].
     residual, violation, iterations : ndarray, shape (N,)
-        By how much (S14) was missed [m] and level 1 gave way, and the iterations of the solver.
+        Residual of (S14) [m], relaxation of level 1, and number of iterations of the solver.
     method : tuple of str
+        Method of the solution, as in `Answer`.
     times : ndarray, shape (N, 4)
-        Model, assembly, solution and the whole tick [s], by the controller's clock.
+        Time taken by model, assembly and solution, and in total, by the controller's clock [s].
     margins : mapping of str to ndarray, shape (N,)
-        How far each limit is away, at least: ``cop_margin`` [m], ``friction`` and ``normal`` force in units of the
-        weight, ``torque`` relative to the limit, ``joint`` [rad], ``step`` [m]. The forces are the plant's.
+        Least distance from each limit: ``cop_margin`` [m], ``friction`` and ``normal`` force in units of the
+        weight, ``torque`` relative to the limit, ``joint`` [rad], ``step`` [m]. The forces are those of the plant.
     reactions : tuple of Reaction
-        To each jump of the target.
+        Effect of each jump of the target.
     note : str
-        How it ended before its time, empty if it did not.
+        Reason for an early end of the walk; empty without one.
     again : bool
-        Whether it was solved again from a record.
+        Whether the trace is from a recorded walk that was solved again.
     origin : mapping of str to str
-        Versions and machine of the walk, empty where that is not known.
+        Software versions and machine of the walk; empty if unknown.
     """
 
     scenario: Scenario
@@ -157,7 +158,7 @@ class WholeBodyTrace:
 
     @property
     def stood(self) -> bool:
-        """Whether it came to its end on its feet."""
+        """Whether the walk reached its end without a fall or an error."""
         return not self.note
 
     @property
@@ -166,17 +167,17 @@ class WholeBodyTrace:
         return np.asarray(np.linalg.norm((self.hand - self.target)[:, :2], axis=1))
 
     def at(self, time: float) -> int:
-        """Index of the last tick before a time [s]."""
+        """Return the index of the last row before a time [s]."""
         return max(int(np.searchsorted(self.time, time - 1e-6)) - 1, 0)
 
     def footholds(self) -> list[tuple[float, Array]]:
-        """Return when and where each foot landed, beginning with the first support foot [s, m]."""
+        """Return time [s] and position (2,) [m] of each landing, beginning with the first support foot."""
         moved = np.flatnonzero(np.any(np.abs(np.diff(self.support, axis=0)) > 1e-9, axis=1)) + 1
         return [(float(self.time[i]), self.support[i]) for i in moved]
 
 
 class Collector:
-    """Collects a `WholeBodyTrace` tick by tick.
+    """Collects a `WholeBodyTrace`, one control period after the other.
 
     Parameters
     ----------
@@ -190,7 +191,7 @@ class Collector:
         self.reactions: list[Reaction] = []
 
     def add(self, state: BodyState, effort: Array, wrenches: Mapping[Foot, Wrench]) -> None:
-        """Add the tick that the controller has just made, with the plant's torques and contact forces after it."""
+        """Add the last step of the controller, with the torques and contact wrenches of the plant after it."""
         c, tick, target = self._controller, self._controller.last, self._controller.target
         scene, answer, settings = tick.scene, tick.answer, c.config.whole_body
         d, preview, footsteps = scene.dynamics, scene.preview, tick.footsteps
@@ -230,7 +231,7 @@ class Collector:
             self._rows.setdefault(name, []).append(value)
 
     def trace(self, note: str, *, again: bool, origin: Mapping[str, str]) -> WholeBodyTrace:
-        """Return what was collected."""
+        """Return the trace of all periods collected."""
         controller = self._controller
         columns = {name: np.array(rows) for name, rows in self._rows.items() if name not in ("method", *MARGINS)}
         return WholeBodyTrace(
@@ -250,16 +251,16 @@ class Collector:
         return len(self._rows.get("time", ()))
 
     def _margins(self, q: Array, effort: Array, wrenches: Mapping[Foot, Wrench]) -> dict[str, float]:
-        """Return how far each limit is away; the forces are those of the plant, not those that were planned."""
+        """Return the least distance from each limit; the forces are those of the plant, not the planned ones."""
         settings, model, weight = self._controller.config.whole_body, self._controller.model, self._controller.weight
         half = 0.5 * np.array([settings.cop_length, settings.cop_width])
         cop, friction, normal = np.inf, np.inf, np.inf
         for wrench in wrenches.values():
             up = float(wrench.force[2])
             normal = min(normal, up / weight)
-            # the pyramid's faces; and a foot that carries less than a thousandth of the weight has no CoP
-            sideways = float(np.abs(wrench.force[:2]).max())
-            friction = min(friction, (settings.friction / np.sqrt(2.0) * up - sideways) / weight)
+            # distance from the pyramid's faces; the CoP is defined from a thousandth of the weight on
+            tangential = float(np.abs(wrench.force[:2]).max())
+            friction = min(friction, (settings.friction / np.sqrt(2.0) * up - tangential) / weight)
             if up > 1e-3 * weight:
                 cop = min(cop, float((half - np.abs(wrench.cop)).min()))
         most = np.minimum(model.effort_max, settings.effort)
