@@ -62,7 +62,7 @@ def test_help_loads_nothing_heavy():
     ("arguments", "says"),
     [
         ([], "dqwalk --help"),
-        (["fly"], "'fly'; there are simulate"),
+        (["fly"], "'fly'; the commands are simulate"),
         (["simulate", "--cycles", "many"], "'many' is not a valid integer"),
         (["simulate", "--cycels", "1"], "'--cycles'"),
         (["report"], "Missing argument 'BAG'; `dqwalk report --help`"),
