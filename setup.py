@@ -1,5 +1,6 @@
 """Package of dqwalk_ros, for colcon (ament_python) and for pip."""
 
+import os
 from glob import glob
 
 from setuptools import find_packages, setup
@@ -87,7 +88,8 @@ setup(
     entry_points={
         "console_scripts": [
             "dqwalk = dqwalk_ros.cli:main",
-            *(f"dqwalk_{node} = dqwalk_ros.nodes.command_line:script" for node in NODES),
+            # beside the scripts of colcon, `ros2 run` would offer each node twice
+            *(f"dqwalk_{node} = dqwalk_ros.nodes.command_line:script" for node in NODES if "COLCON" not in os.environ),
         ]
     },
     install_requires=[

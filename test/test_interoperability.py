@@ -1,6 +1,65 @@
 """Messages and behaviour of other robots and nodes that this package itself never produces.
 
-Each test reproduces a defect that was found in use with Jazzy's own nodes; it failed before the correction.
+Each defect was found in use with Jazzy's own nodes, and has tests that failed before the correction; those without a
+file are here:
+
+ 1. The native installation stopped at its first command:
+    test_package::test_every_dependency_has_a_rosdep_key
+    test_package::test_the_native_lines_of_the_readme_do_what_they_say
+ 2. An inertial sensor was silently ignored where the URDF lacked its link, and its frame was never read:
+    test_robot::test_a_missing_link_is_named
+    test_physics_nodes::test_an_imu_that_cannot_be_used_is_refused
+ 3. RViz could show only the grid: no TF before the first phase, 25 joints described and 10 published:
+    test_frames_are_those_of_rep_105_and_120
+    test_launch::test_rviz_is_shown_the_joints_that_move
+ 4. Velocities of NaN, as joint_state_broadcaster sends them of position servos, were refused for ever:
+    test_velocities_that_nobody_measures_are_missing
+    test_diagnostics_of_rejected_states_come_at_the_rate_of_diagnostics
+ 5. A second publisher on joint_states stopped the walk, whatever it published:
+    test_a_gripper_on_joint_states_is_somebody_else
+    test_two_plants_are_told_by_what_they_publish
+ 6. Plants took commands only from a node that repeats the stamp of a state:
+    test_commands_count_whatever_way_they_are_stamped
+    test_a_command_out_of_time_is_ignored_and_the_plant_says_why
+ 7. The end of one controller ended every node of the launch, other robots and the driver included:
+    test_launch::test_a_controller_that_dies_takes_nothing_along
+    test_two_robots::test_a_robot_walks_on_when_another_is_killed
+ 8. `ros2 topic echo --once /phase` showed history:
+    test_phase_shows_what_is_now
+ 9. The driver published nothing while the torque was off:
+    test_driver::test_it_publishes_angles_and_moves_nothing_until_it_is_told_to
+10. Launching the driver moved the robot, then walked it:
+    test_poppy::test_nothing_is_written_before_activate
+    test_launch::test_a_real_robot_is_launched_with_the_walk_that_stands_and_moves_when_it_is_told_to
+11. use_sim_time without /clock gave nonsense, and no plant published /clock:
+    test_a_node_without_the_clock_it_was_told_of_says_so
+    test_a_simulated_plant_is_the_clock_of_the_others
+    test_the_integrator_moves_by_the_clock_it_is_given
+12. Launch ignored dummy, namespace and use_sim_time:
+    test_launch::test_each_argument_reaches_the_nodes
+13. Parameter files of a whole robot stopped the nodes:
+    test_a_file_of_a_whole_robot_is_taken
+    test_a_file_for_other_nodes_only_is_taken_with_a_warning
+    test_a_misspelt_key_is_an_error_all_the_same
+14. Each node by itself walked another robot, without a word:
+    test_a_file_for_other_nodes_only_is_taken_with_a_warning
+    test_package::test_the_native_lines_of_the_readme_do_what_they_say
+15. `colcon test` with the declared dependencies collected nothing:
+    test_package::test_the_tests_run_with_declared_dependencies_only
+16. A recording in real time could lose its beginning, and what steered the walk was not in it:
+    test_a_recording_in_real_time_has_its_beginning
+    test_what_steers_a_walk_is_in_its_bag
+17. Diagnostics of two robots merged, and a controller without a state said nothing:
+    test_diagnostics_name_the_robot
+18. Smaller: a stamped cmd_vel, qos_overrides, another rate of states, a failed walk that `ros2 launch` ended with 0,
+    each executable twice, what `ros2 param dump` writes, a neighbour of the same domain:
+    test_cmd_vel_comes_as_nav2_sends_it
+    test_quality_of_service_can_be_overridden
+    test_states_at_another_rate_are_told
+    test_launch::test_in_lockstep_the_end_of_the_walk_ends_its_own_nodes_and_is_an_error_where_it_failed
+    test_package::test_the_native_lines_of_the_readme_do_what_they_say
+    test_what_param_dump_writes_is_a_configuration
+    test_strangers::test_a_second_one_says_so_and_does_not_start
 """
 
 from __future__ import annotations

@@ -7,7 +7,8 @@ import re
 import shutil
 import subprocess
 import sys
-import venv
+import warnings
+from importlib import metadata
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -15,6 +16,7 @@ import pytest
 
 import dqwalk_ros
 from dqwalk_ros.nodes.command_line import NODES
+from dqwalk_ros.runner import private_domain
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -43,50 +45,121 @@ def test_package_xml_names_what_the_nodes_import() -> None:
     assert imported <= declared, imported - declared
 
 
+# ---------------------------------------------------------------------- README, "On a machine with ROS 2 Jazzy"
+
+CHEAP = "--set task.eta=1.0 --set gait.step_length=0.02 --set ssp.threshold=0.02 --set dsp.stall_rate=0.003"
+
+
+def native_lines() -> tuple[list[str], str]:
+    """Return the lines of README's native installation, and the one that starts a node by itself."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8").partition("## On a machine with ROS 2 Jazzy")[2]
+    block = re.search(r"```bash\n(.*?)```", text, re.S)
+    by_itself = re.search(r"`(ros2 run dqwalk_ros controller .*?)`", text)
+    assert block
+    assert by_itself
+    return block[1].splitlines(), by_itself[1]
+
+
+def lay_under(folder: Path, python: str) -> None:
+    """Make a folder of what a machine with ROS has before: its Python packages, colcon, and what rosdep installs.
+
+    Only what is declared: the wheels of ROS, and the keys of package.xml.
+    """
+    from packaging.requirements import Requirement
+
+    alias = {"yaml": "pyyaml", "serial": "pyserial"}
+    waiting = [alias.get(key.removeprefix("python3-"), key.removeprefix("python3-")) for key in keys()]
+    ros = [Requirement(one) for one in metadata.requires("dqwalk_ros") or ()]
+    waiting += [one.name for one in ros if one.marker and one.marker.evaluate({"extra": "ros"})]
+    found: dict[str, metadata.Distribution] = {}
+    while waiting:
+        name = waiting.pop().replace("_", "-").lower()
+        try:
+            found[name] = metadata.distribution(name)
+        except metadata.PackageNotFoundError:  # a package of ROS under its own name
+            continue
+        needs = [Requirement(one) for one in found[name].requires or ()]
+        extra = {"extra": "fastrtps"}
+        waiting += [r.name for r in needs if r.name not in found and (not r.marker or r.marker.evaluate(extra))]
+    command = [python, "-m", "pip", "install", "--quiet", "--target", str(folder)]
+    subprocess.run([*command, "colcon-common-extensions", "setuptools<80"], check=True)
+    if sys.version_info < (3, 12):  # a virtual environment brings its own then
+        for one in ("setuptools", "pkg_resources", "_distutils_hack", "setuptools-*"):
+            for place in folder.glob(one):
+                shutil.rmtree(place)
+    for distribution in found.values():
+        for top in {file.parts[0] for file in distribution.files or ()} - {"..", "__pycache__"}:
+            source = Path(str(distribution.locate_file(top)))
+            if source.exists() and not (folder / top).exists():
+                (folder / top).symlink_to(source)
+
+
 @pytest.mark.colcon
-@pytest.mark.timeout(900)
-def test_colcon_builds_and_its_executables_run(tmp_path: Path) -> None:
-    """In a virtual environment of its own that sees this one's packages."""
-    colcon = shutil.which("colcon")
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", sys.prefix)
-    if colcon is None:
-        venv.create(tmp_path / "venv", with_pip=True)
-        python = tmp_path / "venv" / "bin" / "python"
-        subprocess.run(
-            [python, "-m", "pip", "install", "--quiet", "colcon-common-extensions", "setuptools<80"], check=True
+@pytest.mark.timeout(1800)
+def test_the_native_lines_of_the_readme_do_what_they_say(tmp_path: Path) -> None:
+    """One by one, in one shell, from a copy of the sources on. What needs a ROS that is not there is named as not run.
+
+    On the wheels, the folder PYTHONPATH holds what such a machine has before, and `ros2` knows only `run`.
+    """
+    space, tools = tmp_path / "ws", tmp_path / "tools"
+    skipped = shutil.ignore_patterns(".*", "results", "build", "install", "log", "site", "*.egg-info", "__pycache__")
+    shutil.copytree(ROOT, space / "src" / "dqwalk_ros", ignore=skipped)
+    tools.mkdir()
+    path = [str(tools), str(Path(sys.executable).parent), os.environ["PATH"]]
+    environment = {key: value for key, value in os.environ.items() if key not in ("VIRTUAL_ENV", "COLCON")}
+    environment |= {"HOME": str(tmp_path), "PATH": os.pathsep.join(path), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    environment |= {"XDG_CACHE_HOME": os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))}
+    environment["NUMBA_DISABLE_JIT"] = "1"  # a minute of compiling shows nothing here
+    native = shutil.which("ros2") is not None
+    if not native:
+        (tools / "ros2").write_text(
+            "#!/bin/sh\n# ros2 run PACKAGE EXECUTABLE ...\npackage=$2 executable=$3; shift 3\n"
+            'for prefix in $(echo "$AMENT_PREFIX_PATH" | tr : " "); do\n'
+            '    [ -x "$prefix/lib/$package/$executable" ] && exec "$prefix/lib/$package/$executable" "$@"\n'
+            'done\necho "No executable found" >&2; exit 1\n'
         )
-        # colcon runs setup.py with its own Python, the nodes need the packages of this one
-        site = next((tmp_path / "venv" / "lib").glob("python*")) / "site-packages"
-        (site / "outer.pth").write_text("\n".join(p for p in sys.path if p.endswith("-packages")) + "\n")
-        colcon = str(tmp_path / "venv" / "bin" / "colcon")
-    environment = {**os.environ, "AMENT_PREFIX_PATH": prefixes}
-    base = ["--build-base", str(tmp_path / "build"), "--install-base", str(tmp_path / "install")]
-    built = subprocess.run(
-        [colcon, "--log-base", str(tmp_path / "log"), "build", "--base-paths", str(ROOT), *base],
-        cwd=tmp_path,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert built.returncode == 0, built.stdout + built.stderr
-    prefix = tmp_path / "install" / "dqwalk_ros"
+        (tools / "ros2").chmod(0o755)
+        lay_under(tmp_path / "before", sys.executable)
+        environment |= {"PYTHONPATH": str(tmp_path / "before"), "AMENT_PREFIX_PATH": sys.prefix}
+
+    lines, by_itself = native_lines()
+    run, not_run = [], []
+    for line in lines:
+        name = line.split()[0]
+        if name == "rosdep" and shutil.which("rosdep") is None:
+            not_run.append(line)
+        elif line.startswith("ros2 launch") and not native:
+            not_run.append(line)
+            run.append(f"ros2 run dqwalk_ros dqwalk walk {CHEAP} --no-figures --quiet --out made && mv made/bag walk")
+        else:
+            run.append(line)
+    for node in ("controller", "integrator", "phase_monitor", "recorder --bag recorded"):
+        run.append("timeout --preserve-status -s INT 30 " + by_itself.replace("controller", node, 1))
+    run += [f"ros2 run dqwalk_ros {node} --help | grep Example:" for node in NODES]
+
+    script = tmp_path / "script"
+    script.write_text("exec 2>&1\n" + "".join(f'{line}\necho "@@ $?"\n' for line in run))
+    with private_domain() as domain:
+        environment["ROS_DOMAIN_ID"] = str(domain)
+        done = subprocess.run(
+            ["bash", script], env=environment, cwd=tmp_path, stdout=subprocess.PIPE, text=True, check=False
+        )
+    said = done.stdout.split("@@ ")
+    for line, before, after in zip(run, said, said[1:], strict=False):
+        print(f"$ {line}\n{before.partition(chr(10))[2] if run.index(line) else before}")
+        assert after.split()[0] == "0", line
+    assert len(said) == len(run) + 1
+    for line in not_run:
+        warnings.warn(f"not run, there is no ROS: {line}", stacklevel=1)
+
+    prefix = space / "install" / "dqwalk_ros"
+    assert sorted(file.name for file in (prefix / "lib" / "dqwalk_ros").iterdir()) == sorted(["dqwalk", *NODES])
     share = prefix / "share"
     assert (share / "ament_index" / "resource_index" / "packages" / "dqwalk_ros").is_file()
     for file in ("package.xml", "config/paper.yaml", "urdf/poppy.urdf", "launch/walk.launch.py"):
         assert (share / "dqwalk_ros" / file).is_file(), file
-    for name in NODES:
-        command = f". '{tmp_path}/install/setup.sh' && exec '{prefix}/lib/dqwalk_ros/{name}' --help"
-        shown = subprocess.run(
-            ["sh", "-c", command],
-            cwd=tmp_path,
-            env={**environment, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert shown.returncode == 0, shown.stderr
-        assert "Example:" in shown.stdout
+    report = said[run.index("ros2 run dqwalk_ros dqwalk report walk")]
+    assert "single_support/right" in report
 
 
 def test_the_aggregator_knows_every_status() -> None:
@@ -108,8 +181,8 @@ KEYS = """
 builtin_interfaces diagnostic_msgs dynamixel_sdk geometry_msgs launch launch_ros nav_msgs rcl_interfaces rclpy
 rosgraph_msgs sensor_msgs std_msgs std_srvs tf2_msgs trajectory_msgs visualization_msgs xacro python3-click
 python3-collada python3-hypothesis python3-joblib python3-matplotlib python3-numba python3-numpy
-python3-psutil python3-pytest python3-pytest-timeout python3-pytest-xdist python3-rich python3-rosbags-pip
-python3-scipy python3-serial python3-tqdm python3-yaml python3-yourdfpy-pip
+python3-psutil python3-pytest python3-pytest-timeout python3-pytest-xdist python3-rich
+python3-scipy python3-serial python3-tqdm python3-yaml
 """
 """Keys that exist, as rosdistro had them on that day: packages of Jazzy, and rosdep/python.yaml."""
 ROSDISTRO = "https://raw.githubusercontent.com/ros/rosdistro/master/"
