@@ -13,9 +13,10 @@ import robots
 from dqwalk_ros.config import Config, load
 from dqwalk_ros.robot import Foot, RobotModel
 
-# a script's background job ignores Ctrl-C, and so would every process that a test starts and interrupts
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+# a script's background job ignores Ctrl-C, and one of nohup SIGHUP: so would every process that a test starts
+for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+    if signal.getsignal(number) is signal.SIG_IGN:
+        signal.signal(number, handler)
 
 
 def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> declared.Module:

@@ -95,13 +95,13 @@ def test_what_is_wrong_is_named_with_what_to_do(fault: str) -> None:
     assert check == next(iter(found))  # nothing before it is called wrong
 
 
-def test_it_listens_to_a_robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_it_listens_to_a_robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     with private_domain() as domain:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
         arguments = ["doctor", "--plant", "integrator", "--seconds", "1", "--set", "plant.imu=false"]
         assert main(arguments) == 1
-        assert "start the driver" in capsys.readouterr().out
+        assert "start the driver" in capfd.readouterr().out
         live = Live(tmp_path, domain, CONFIG)
         try:
             live.start("integrator")
@@ -109,7 +109,7 @@ def test_it_listens_to_a_robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
             main(arguments)
         finally:
             live.close()
-    said = capsys.readouterr().out
+    said = capfd.readouterr().out
     assert "  joints                 all 15" in said
     assert "  soles  " in said
     assert "  commands               integrator" in said

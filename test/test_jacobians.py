@@ -116,6 +116,8 @@ def examples(model, foot):
         "convergence": 3.0,
         "lever": 0.2,
         "saturation": 0.1,
+        "path": np.array([zero, 0.1 + zero]),
+        "dt": 0.005,
         "ComPath.start": np.array([0.01, 0.02]),
         "feature": CenterOfMassOnGround(),
         "Follow.target": Target(np.array([0.01, 0.02]), np.array([0.1, 0.0])),

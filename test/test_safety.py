@@ -376,6 +376,9 @@ def test_two_publishers_are_told_at_once_unless_one_may_be_a_ghost(clock: FakeCl
     judge = DuplicatePublishers(clock).judge
     assert judge([]) == judge(["/a"]) == ""
     assert judge(["/b", "/a"]) == "/a, /b"
+    unknown = "_NODE_NAMESPACE_UNKNOWN_/_NODE_NAME_UNKNOWN_"  # as rclpy names a node that is not discovered yet
+    assert judge([unknown]) == ""
+    assert judge([unknown, unknown]) == unknown
     assert judge(["/a", "/a"]) == ""
     clock.now += 24.9
     assert judge(["/a", "/a"]) == ""

@@ -295,7 +295,7 @@ def test_the_page_is_for_this_machine_only(trace):
             with socket.socket() as probe:
                 probe.settimeout(0.5)
                 assert probe.connect_ex((address, port)) != 0
-        with pytest.raises(ViewerError, match=r"port \d+ is taken.*--port"):
+        with pytest.raises(ViewerError, match=r"port \d+ is in use.*--port"):
             Page(port)
     finally:
         page.close()

@@ -10,6 +10,7 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
 from dqwalk_ros.nodes.safety import DuplicateStates, FaultCounter, StateGate
 from dqwalk_ros.robot import load_model
+from dqwalk_ros.topics import BODY_TOPICS, PHASE_LOG, TOPICS
 
 __all__ = ["AnsweringNode"]
 
@@ -166,7 +168,17 @@ class AnsweringNode(WalkNode):
             return True
         ends = self.get_subscriptions_info_by_topic(self.resolve_topic_name("joint_states"))
         gets_states = any(end.node_name == "recorder" for end in ends)
-        return gets_states and ros.is_heard_by(self, self._commands, "recorder")
+        return gets_states and all(
+            ros.is_heard_by(self, offered, "recorder")
+            for offered in self.publishers
+            if offered.topic_name in self._recorded
+        )
+
+    @cached_property
+    def _recorded(self) -> set[str]:
+        """Topics that a recorder subscribes to; it records `phase` by its log."""
+        names = {topic.name for topic in (TOPICS | BODY_TOPICS).values()} - {"phase"} | {PHASE_LOG.name}
+        return {self.resolve_topic_name(name) for name in names}
 
     # ------------------------------------------------------------------ answers
 

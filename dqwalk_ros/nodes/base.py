@@ -44,7 +44,7 @@ _DISCOVERED, _HEARD = 0.4, 1.5
 """Time to discover other nodes, and to receive a message of one that is running [s]: in lockstep a plant that waits
 for a command publishes twice a second. A node that is shutting down has the same time to end."""
 
-_ACKNOWLEDGED = {True: 8.0, False: 0.25}
+_ACKNOWLEDGED = {True: 12.0, False: 0.25}
 """Longest wait for acknowledgements at shutdown [s]: in lockstep, where the bag must be complete, and in real time,
 where the plant's watchdog stops the robot even if the last message is lost."""
 

@@ -160,6 +160,10 @@ class FaultCounter:
         return bool(self.reason)
 
 
+_UNKNOWN = "_NODE_NAME_UNKNOWN_"
+"""Name of a publisher's node, as rclpy reports it, until the node has been discovered."""
+
+
 class DuplicatePublishers:
     """Detects two publishers on a topic that must have one.
 
@@ -180,7 +184,8 @@ class DuplicatePublishers:
 
     def judge(self, names: Sequence[str]) -> str:
         """Return the names of duplicate publishers, empty if there are none; `names` has one entry per publisher."""
-        if len(set(names)) > 1:
+        unknown = any(name.endswith(_UNKNOWN) for name in names)  # discovered, its node not yet
+        if len(set(names)) > 1 or (len(names) > 1 and unknown):
             return ", ".join(sorted(set(names)))
         if len(names) < 2:
             self._doubled = float("inf")
