@@ -27,6 +27,7 @@ from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.runner import private_domain, run_walk
 from dqwalk_ros.simulation import make_controller, make_plant, simulate
 from dqwalk_ros.state import State
+from dqwalk_ros.topics import TOPICS
 
 CONFIG = overlaid(load("poppy"), "physics")
 DEEP = QoSProfile(depth=10_000)
@@ -52,7 +53,9 @@ def test_lockstep_is_the_walk_of_one_process_and_says_more(tmp_path: Path, domai
     values = {"plant.lockstep": True, "gait.steps": 100, "node.wait_for_recorder": True}
     live = Live(tmp_path, domain, CONFIG.updated(values), name="recorder")
     try:
-        listen(live, PoseStamped, "base_pose")
+        for topic in TOPICS.values():  # as a recorder does
+            profile = ros.latched(topic.depth) if topic.latched else DEEP
+            live.node.create_subscription(ros.message_type(topic.type), topic.name, lambda _: None, profile)
         states, commands = listen(live, JointState, "joint_states"), listen(live, JointState, "joint_velocity_commands")
         imus, bases = listen(live, Imu, "imu"), listen(live, PoseStamped, "true_base_pose")
         wrenches = {foot: listen(live, WrenchStamped, f"{foot.value}_foot_wrench") for foot in Foot}
