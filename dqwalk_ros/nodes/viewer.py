@@ -125,7 +125,6 @@ class Viewer(WalkNode):
             return
         self._shown = model
         self._restart()
-        self.page.total_steps = 2 * config.gait.cycles
 
     def _on_phase(self, msg: String) -> None:
         self._label = msg.data

@@ -23,6 +23,7 @@ from dqwalk_ros.errors import ViewerError
 from dqwalk_ros.report.scene import COM, DIVERGENT, FOOT, Moment, Region, Scene, Shape, View, color_of
 from dqwalk_ros.report.viewer.panels import TIGHT, History, margins_html, status_html
 from dqwalk_ros.robot import Foot
+from dqwalk_ros.simulation import walk_type
 
 __all__ = ["HOST", "Page"]
 
@@ -152,6 +153,7 @@ class Page:
         if self._drawing is not None:
             self.server.scene.remove_by_name("/robot")
         self._scene = scene
+        self.total_steps = walk_type(scene.config).phases(scene.config) // 2
         self._drawing = _Drawing(self.server, scene, opacity)
 
     def replay_of(self, history: History, prints: Iterator[tuple[int, Foot, Array]]) -> None:

@@ -68,7 +68,6 @@ class Player:
         self._changed_at = 0.0
         scene = Scene(trace.config, trace.model)
         page.set_scene(scene)
-        page.total_steps = 2 * trace.config.gait.cycles
         history = History()
         for tick in np.unique(np.linspace(0, len(trace) - 1, min(_CURVE, len(trace))).astype(int)).tolist():
             history.add(scene.look(moment_of(trace, tick, self._phases)))
@@ -315,7 +314,6 @@ def _serve(updates: Any, parent: Any, config: Config, port: int | None) -> None:
     parent.send(page.url)
     scene = Scene(config, load_model(config.robot))
     page.set_scene(scene)
-    page.total_steps = 2 * config.gait.cycles
     phases: dict[tuple[int, float], Phase] = {}
     while True:
         item = updates.get()
