@@ -118,9 +118,13 @@ class Chaos(Live):
     def _relay(self, policy: Policy, publisher: Any, msg: JointState) -> None:
         for delay, out in policy(msg):
             if delay:
-                self._late.append((time.monotonic() + delay, publisher, out))
+                self.publish_late(delay, publisher, out)
             else:
                 publisher.publish(out)
+
+    def publish_late(self, delay: float, publisher: Any, msg: JointState) -> None:
+        """Publish a message after a delay [s]."""
+        self._late.append((time.monotonic() + delay, publisher, msg))
 
     def _send_late(self) -> None:
         now = time.monotonic()
