@@ -275,6 +275,8 @@ class PhysicsRecord:
         Orientation of the inertial sensor in the world, a unit quaternion, real part first.
     gyro, acceleration : ndarray, shape (N, 3)
         Angular velocity and specific force in the sensor's frame [rad/s, m/s^2].
+    q : ndarray, shape (N, n)
+        True joint angles [rad].
     effort : ndarray, shape (N, n)
         Torques of the servos on the joints [N m].
     """
@@ -285,6 +287,7 @@ class PhysicsRecord:
     orientation: Array
     gyro: Array
     acceleration: Array
+    q: Array
     effort: Array
 
     @classmethod
@@ -299,6 +302,7 @@ class PhysicsRecord:
             orientation=np.array([sensor.orientation for _, sensor in samples]),
             gyro=np.array([sensor.gyro for _, sensor in samples]),
             acceleration=np.array([sensor.acceleration for _, sensor in samples]),
+            q=np.array([truth.q for truth, _ in samples]),
             effort=np.array([truth.effort for truth, _ in samples]),
         )
 
@@ -465,8 +469,9 @@ class Recorder:
 def _from_state(state: State) -> tuple[Truth, Inertial]:
     """Return vertical and torques of a measured state in the form of a plant's ground truth; all else is nan."""
     assert state.up is not None
-    effort = np.full(state.q.shape, math.nan) if state.effort is None else state.effort
-    truth = Truth(_NAN, dict.fromkeys(Foot, _NAN), dict.fromkeys(Foot, _NAN[:6]), _NAN[:3], effort)
+    unknown = np.full(state.q.shape, math.nan)
+    effort = unknown if state.effort is None else state.effort
+    truth = Truth(_NAN, dict.fromkeys(Foot, _NAN), dict.fromkeys(Foot, _NAN[:6]), _NAN[:3], unknown, effort)
     return truth, Inertial(orientation_of(state.up), _NAN[:3], _NAN[:3])
 
 

@@ -116,6 +116,7 @@ _ALL = (
     Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", False, 10, "every distance, error and margin", "all"),
     Topic("imu", "sensor_msgs/msg/Imu", False, _HISTORY, "measurements of the inertial sensor", "physics"),
     Topic("true_base_pose", "geometry_msgs/msg/PoseStamped", False, _HISTORY, "true pelvis pose in world", "physics"),
+    Topic("true_joint_states", "sensor_msgs/msg/JointState", False, _HISTORY, "true joint angles", "physics"),
     *(
         Topic(
             f"{side}_foot_wrench",

@@ -170,6 +170,7 @@ def test_power_is_torque_times_velocity(trace):
         orientation=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
         gyro=np.zeros((count, 3)),
         acceleration=np.zeros((count, 3)),
+        q=trace.q,
         effort=effort,
     )
     part = dataclasses.replace(trace, physics=known)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import mujoco
@@ -9,13 +10,19 @@ import numpy as np
 import pytest
 
 import dqwalk_ros as dq
+from dqwalk_ros import report as reporting
+from dqwalk_ros.cli.options import overlaid
 from dqwalk_ros.config import SensorsConfig
+from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.plants import upward
 from dqwalk_ros.plants.bus import Bus
 from dqwalk_ros.plants.mujoco import PhysicsPlant
 from dqwalk_ros.plants.sensors import Reading, Sensors
+from dqwalk_ros.report import bag
+from dqwalk_ros.robot import Foot
 from dqwalk_ros.servos import Drive, Servos, load_types
+from dqwalk_ros.simulation import make_controller, make_plant, simulate
 from dqwalk_ros.state import Command
 
 CONFIG = dq.load("poppy")
@@ -261,3 +268,26 @@ def test_rubble_lies_where_the_robot_does_not_begin() -> None:
     assert boxes.sum() > 200
     assert np.sort(tops)[:-2].max() <= 0.005  # all but the two soles
     assert not plant.fallen
+
+
+def test_the_report_judges_the_robot_not_its_sensors(tmp_path) -> None:
+    """Poses of the soles, from a bag, are those of the engine although every measured angle is late and in steps."""
+    config = overlaid(dq.load("poppy"), "poppy_as_built").updated({"gait.steps": 1})
+    model = dq.load_model(config.robot)
+    plant, true = make_plant("physics", config, model), []
+    trace = simulate(
+        make_controller(config, model), plant, max_time=2.0, before_step=lambda time: true.append(plant.truth.soles)
+    )
+    bag.write(trace, tmp_path / "bag")
+    back = bag.read(tmp_path / "bag")
+    assert np.abs(back.q - back.physics.q).max() > 1e-3  # by its sensors the robot is elsewhere
+    ground = reporting.analyse(back).ground
+    count = min(len(true), len(trace))
+    assert count >= 100
+    for foot in Foot:
+        expected = np.array([soles[foot] for soles in true[:count]])
+        np.testing.assert_allclose(DQ(ground.soles[foot][:count]).translation(), DQ(expected).translation(), atol=1e-6)
+        turned = np.abs((ground.soles[foot][:count, :4] * expected[:, :4]).sum(axis=1))
+        np.testing.assert_allclose(turned, 1.0, atol=1e-9)
+    without = dataclasses.replace(back.physics, q=np.full_like(back.q, np.nan))  # as bags were before
+    assert np.isfinite(reporting.analyse(dataclasses.replace(back, physics=without)).ground.tilt).all()

@@ -232,7 +232,8 @@ class Physics(SimulatedPlant):
         joint_states             sensor_msgs/JointState [rad, rad/s]
         plant_ready              std_msgs/Bool, latched: false while the plant holds, in real time
         imu                      sensor_msgs/Imu of the link robot.imu, with the stamp of the state
-        true_base_pose           geometry_msgs/PoseStamped: the pelvis in the world; for analysis, as the next three:
+        true_base_pose           geometry_msgs/PoseStamped: the pelvis in the world; for analysis, as the next four:
+        true_joint_states        sensor_msgs/JointState: angles without the errors of the sensors [rad]
         left_foot_wrench, right_foot_wrench   geometry_msgs/WrenchStamped: ground on the sole, in its frame
         center_of_pressure       geometry_msgs/PointStamped: of both feet in the world; not published in the air
         /clock                   rosgraph_msgs/Clock with plant.clock: the time of its stamps, for all nodes
@@ -257,6 +258,7 @@ class Physics(SimulatedPlant):
         super().__init__("physics", options, **keywords)
         self.streams |= {name: self.advertise(name) for name in TOPICS if TOPICS[name].source == "physics"}
         self._soles = {f"{foot.value}_foot_wrench": self.model.soles[foot].frame for foot in Foot}
+        self._true_angles = ros.JointWriter(self.model.joint_names)
         self._fell = ""
         self._late: list[float] = []  # delay of each tick while commands arrive [s]
         self._stamp0 = self.get_clock().now().nanoseconds
@@ -307,6 +309,7 @@ class Physics(SimulatedPlant):
         super().publish(stamp, None if truth is None else truth.effort)
         if truth is not None:
             streams["true_base_pose"].publish(ros.pose(stamp, WORLD, truth.pelvis))
+            streams["true_joint_states"].publish(self._true_angles(stamp, position=truth.q))
             for foot in Foot:
                 name = f"{foot.value}_foot_wrench"
                 streams[name].publish(ros.wrench(stamp, self._soles[name], truth.wrenches[foot]))

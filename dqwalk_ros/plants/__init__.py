@@ -92,6 +92,8 @@ class Truth:
         Force [N] and torque [N m] of the ground on each sole, about its origin, in its axes.
     com : ndarray, shape (3,)
         Centre of mass in the world [m].
+    q : ndarray, shape (n,)
+        Joint angles [rad].
     effort : ndarray, shape (n,)
         Torques of the servos on the joints [N m].
     """
@@ -100,6 +102,7 @@ class Truth:
     soles: dict[Foot, Array]
     wrenches: dict[Foot, Array]
     com: Array
+    q: Array
     effort: Array
 
     @property

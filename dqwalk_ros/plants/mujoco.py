@@ -144,6 +144,7 @@ class PhysicsPlant(World):
             soles=soles,
             wrenches={foot: self._wrench(foot) for foot in Foot},
             com=self.data.subtree_com[self._root].copy(),
+            q=self._qpos[self._qadr],
             effort=self.data.qfrc_actuator[self._vadr] - self._back_emf * self.data.qvel[self._vadr],
         )
 

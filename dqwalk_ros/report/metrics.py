@@ -406,7 +406,8 @@ class Circle:
 class Ground:
     """True motion and contact of a walk in physics: tilt of the soles, centre of pressure, path.
 
-    Computed from the true pose of the pelvis, the joint angles and the wrenches on the soles. From the controller only
+    Computed from the true pose of the pelvis, the true joint angles and the wrenches on the soles. Bags from before the
+    true angles were recorded have the measured ones instead, with the errors of the sensors. From the controller only
     the phases are used, which define the support soles. Series have one value per tick (N of them), in the world.
 
     Attributes
@@ -440,13 +441,17 @@ class Ground:
         self.soles = {foot: np.empty((count, 8)) for foot in Foot}
         self.com, self.cop_margin = np.empty((count, 3)), np.full(count, np.nan)
         self.height = DQ(physics.pelvis).translation()[:, 2]
+        true_q = np.where(np.isfinite(physics.q), physics.q, trace.q)
         for span in series.spans:
             ticks, base = span.ticks, span.phase.base
-            pelvis = np.array([Kinematics(model, q, base).pose(model.pelvis) for q in trace.q[ticks]])
+            kins = [Kinematics(model, q, base) for q in true_q[ticks]]
+            pelvis, end = (
+                np.array([kin.pose(f) for kin in kins]) for f in (model.pelvis, model.soles[base.other].frame)
+            )
             x = DQ(physics.pelvis[ticks]) * DQ(pelvis).conj()
             self.soles[base][ticks] = x.vec8()
-            self.soles[base.other][ticks] = (x * DQ(series.end[ticks])).vec8()
-            self.com[ticks] = x.transform_point(series.com[ticks])
+            self.soles[base.other][ticks] = (x * DQ(end)).vec8()
+            self.com[ticks] = x.transform_point(np.array([kin.com for kin in kins]))
             feet = tuple(Foot) if span.double else (span.phase.support,)
             poses = {foot: DQ(self.soles[foot][ticks]) for foot in feet}
             corners = [x.transform_point(c)[:, :2] for foot, x in poses.items() for c in model.soles[foot].corners]
@@ -459,7 +464,7 @@ class Ground:
         turned = abs(float(self.stands[-1, 2] - self.stands[0, 2]))
         arc = turned > _TURNED and len(self.stands) > 5
         self.circle = Circle.through(self.stands[1:, :2]) if arc else None
-        dq = np.gradient(trace.q, trace.time, axis=0) if count > 1 else np.zeros_like(trace.q)
+        dq = np.gradient(true_q, trace.time, axis=0) if count > 1 else np.zeros_like(true_q)
         joints = physics.effort * dq  # (N, n) [W]
         self.power, self.work = np.abs(joints).sum(axis=1), np.maximum(joints, 0.0).sum(axis=1)
 

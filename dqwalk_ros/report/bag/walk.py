@@ -131,7 +131,9 @@ def _physics_messages(model: RobotModel, stamps: Stamps, known: PhysicsRecord) -
     for name, (frame, column) in numbers.items():
         there = np.isfinite(column).all(axis=1)
         found.append((name, stamps[there], pack(stamped(TOPICS[name].type, frame), stamps[there], column[there])))
-    return found
+    there = np.isfinite(known.q).all(axis=1)
+    angles = pack_joint_states(stamps[there], model.joint_names, position=known.q[there])
+    return [*found, ("true_joint_states", stamps[there], angles)]
 
 
 def _phase_start(model: RobotModel, record: PhaseRecord, stamp: Stamps) -> list[_Messages]:
@@ -420,5 +422,6 @@ def _physics(stamps: Stamps, columns: Mapping[str, Column], bag: Recording) -> P
         orientation=imu[:, [3, 0, 1, 2]],
         gyro=imu[:, 13:16],
         acceleration=imu[:, 25:28],
+        q=aligned(columns.get("true_joint_states"), stamps, bag.states.effort.shape[1]),
         effort=bag.states.effort[bag.rows[np.searchsorted(bag.stamps, stamps)]],
     )
