@@ -1,6 +1,7 @@
-"""What a robot on position servos needs to stand, by its mass and its height: stiffness, damping, a short delay.
+"""Requirements on stiffness, damping and delay of the position servos of a standing robot.
 
-Each is one formula, for `dqwalk config --check` before a walk and for the cause of a fall after it.
+They depend on the mass and the height of the robot; `dqwalk config --check` uses them before a walk, and
+`report.causes` after a fall.
 """
 
 from __future__ import annotations
@@ -32,25 +33,25 @@ __all__ = [
 Array = NDArray[np.float64]
 
 STIFFNESS = 3.0
-"""Least stiffness of the servos [m g h]."""
+"""Least stiffness of the servos, as a multiple of m g h."""
 DAMPING = 0.3
-"""Least damping ratio of a leg that swings."""
+"""Least damping ratio of a swinging leg."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that makes a robot fall.
+    """A problem of a configuration, or a cause of a fall.
 
     Attributes
     ----------
     message : str
-        A sentence with its number.
+        A sentence with the measured value.
     parameter : str
-        What to change; empty where that is not known.
+        Parameters to change; empty if unknown.
     what : str
-        In one word, such as ``stiffness``.
+        Kind of the problem in one word, such as ``stiffness``.
     time : float
-        From when on [s].
+        Time from which on it acted [s].
     """
 
     message: str
@@ -63,13 +64,13 @@ class Finding:
 
 
 def pendulum_stiffness(config: Config, model: RobotModel, kin: Kinematics) -> float:
-    """Return m g h, the torque per angle with which gravity tips a robot about its ankles [N m/rad]."""
+    """Return m g h, the gravitational torque about the ankles per angle of inclination [N m/rad]."""
     return config.physics.mass_scale * model.mass * GRAVITY * float(kin.com[2])
 
 
 def leg_inertia(model: RobotModel, kin: Kinematics) -> float:
-    """Return the inertia of the right leg about its first joint, its bodies taken for points [kg m^2]."""
-    left, right = (_way(model, model.frames[model.soles[foot].frame].body) for foot in Foot)
+    """Return the inertia of the right leg about its first joint, with its bodies as point masses [kg m^2]."""
+    left, right = (_chain(model, model.frames[model.soles[foot].frame].body) for foot in Foot)
     leg = [body for body in right if body not in left]
     first: dict[int, str] = {}
     for name, frame in model.frames.items():
@@ -84,7 +85,7 @@ def leg_inertia(model: RobotModel, kin: Kinematics) -> float:
     return max(total, 1e-6)
 
 
-def _way(model: RobotModel, body: int) -> list[int]:
+def _chain(model: RobotModel, body: int) -> list[int]:
     """Return the bodies from the root to `body`."""
     out = []
     while body > 0:
@@ -96,59 +97,92 @@ def _way(model: RobotModel, body: int) -> list[int]:
 def divergent_component(c: Array, v: Array, height: Array) -> Array:
     """Return xi = c + v/w with w^2 = g/h, the divergent component of motion of a linear inverted pendulum.
 
-    A robot that puts its centre of pressure there comes to rest over it, so it is also called the capture point.
+    A robot whose centre of pressure is at xi comes to rest above it, so xi is also called the capture point.
 
     Parameters
     ----------
     c, v : ndarray, shape (..., 2)
         Centre of mass on the ground and its velocity [m, m/s].
     height : ndarray, shape (..., 1)
-        h, of the centre of mass over the ground [m].
+        Height h of the centre of mass above the ground [m].
+
+    Returns
+    -------
+    ndarray, shape (..., 2)
+        xi [m].
     """
     return c + v * np.sqrt(height / GRAVITY)
 
 
 def damping_ratio(damping: float, stiffness: float, inertia: float) -> float:
-    """Return that of a leg which swings on a servo; its damping is a part of its stiffness [s, N m/rad, kg m^2]."""
+    """Return the damping ratio of a leg that swings on a servo.
+
+    Parameters
+    ----------
+    damping : float
+        Damping divided by the stiffness [s].
+    stiffness : float
+        [N m/rad]
+    inertia : float
+        Inertia of the leg about the joint [kg m^2].
+    """
     return 0.5 * damping * math.sqrt(stiffness / inertia)
 
 
 def longest_delay(gain: float, height: float) -> float:
-    """Return the delay [s] up to which feedback of the divergent component keeps an inverted pendulum upright.
+    """Return the longest delay T [s] for which feedback of the divergent component stabilizes an inverted pendulum.
 
-    With the gain k and w^2 = g/h its closed loop is xi' = w xi - w (1 + k) xi(t - T), which is stable up to
+    With the gain k and w^2 = g/h the closed loop is xi' = w xi - w (1 + k) xi(t - T), which is stable up to
 
         T = acos(1/(1 + k)) / (w sqrt((1 + k)^2 - 1))
+
+    Parameters
+    ----------
+    gain : float
+        k.
+    height : float
+        Height h of the centre of mass [m].
     """
     k = 1.0 + max(gain, 1e-3)
     return math.acos(1.0 / k) / (math.sqrt(GRAVITY / height) * math.sqrt(k * k - 1.0))
 
 
 def servo_findings(config: Config, model: RobotModel) -> Iterator[Finding]:
-    """Yield what is wrong with the servos of a walk that stands: stiffness and damping."""
+    """Yield problems of the stiffness and the damping of the servos of a standing walk.
+
+    Parameters
+    ----------
+    config : Config
+    model : RobotModel
+
+    Yields
+    ------
+    Finding
+        ``stiffness`` below 3 m g h, or ``damping`` ratio of a swinging leg below 0.3.
+    """
     kin = Kinematics(model, model.posture(config.standing.posture), Foot.LEFT)
     servos, drive = Servos.of(config, model), Drive.of(config, model)
     stiffness = float(np.median(servos.stiffness))
     mgh = pendulum_stiffness(config, model, kin)
     if stiffness < STIFFNESS * mgh:
-        told = float(np.median(drive.stiffness))
-        wrong = f", told {told:.3g}," if abs(told - stiffness) > 0.1 * stiffness else ""
+        assumed = float(np.median(drive.stiffness))
+        wrong = f" (assumed: {assumed:.3g})" if abs(assumed - stiffness) > 0.1 * stiffness else ""
         yield Finding(
-            f"a stiffness of {stiffness:.3g} N m/rad{wrong} is {stiffness / mgh:.2g} m g h, and a robot stands from "
-            f"{STIFFNESS:g} m g h = {STIFFNESS * mgh:.3g} N m/rad on, better 5",
+            f"a stiffness of {stiffness:.3g} N m/rad{wrong} is {stiffness / mgh:.2g} m g h; to stand a robot needs at "
+            f"least {STIFFNESS:g} m g h = {STIFFNESS * mgh:.3g} N m/rad, better 5 m g h",
             "servo.stiffness, servo.assumed_stiffness" if wrong else "servo.stiffness",
             "stiffness",
         )
     inertia = leg_inertia(model, kin) + float(np.median(servos.armature))
     damping = float(np.median((servos.damping + servos.back_emf) / servos.stiffness))
     fed = float(np.median(drive.angles(drive.damping)))
-    # damping that is fed forward damps as far as it is that of the servos: beyond that it makes robots fall
+    # fed-back damping is effective only up to the damping of the servos; more of it makes robots fall
     ratio = damping_ratio(damping + min(fed, damping), stiffness, inertia)
     if ratio < DAMPING:
-        more = f"; {fed:.2g} s are fed forward as if they had it" if fed > damping else ""
+        more = f"; the assumed damping of {fed:.2g} s is larger than that of the servos" if fed > damping else ""
         yield Finding(
-            f"the damping ratio of a swinging leg is {ratio:.2f}, and it should be above {DAMPING}: a damping of "
-            f"{math.sqrt(inertia / stiffness):.2g} s makes it 0.5{more}",
+            f"the damping ratio of a swinging leg is {ratio:.2f} and should be above {DAMPING}: a damping of "
+            f"{math.sqrt(inertia / stiffness):.2g} s gives a ratio of 0.5{more}",
             "servo.damping, servo.assumed_damping" if more else "servo.damping",
             "damping",
         )

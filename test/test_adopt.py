@@ -121,7 +121,7 @@ MUTATIONS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "soles that look back": (
         {"robot.left_sole_rpy": [0.0, 0.0, np.pi], "robot.right_sole_rpy": [0.0, 0.0, np.pi]},
-        "look back",
+        "point backward",
     ),
     "knees the other way": ({"standing.posture": ["l_knee=-0.57", "r_knee=0.57"]}, "not level|ahead of|behind|degrees"),
     "a soft servo": ({"servo.stiffness": 22.0}, "m g h"),

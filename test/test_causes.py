@@ -40,11 +40,11 @@ WEAK, PATH = "servo.torque_scale", "standing.transfer_duration"
 UNDAMPED = {"servo.damping": 0.0, "servo.assumed_damping": 0.0}
 TOLD = {"servo.latency": 0.12, "servo.assumed_latency": 0.12}
 FALLS: dict[str, tuple[dict[str, Any], str, str, str]] = {
-    "soft servos": ({"servo.stiffness": 15.0}, "stiffness", "15 N m/rad, told 60, is 1.3 m g h", "servo.stiffness"),
+    "soft servos": ({"servo.stiffness": 15.0}, "stiffness", "15 N m/rad (assumed: 60) is 1.3 m g h", "servo.stiffness"),
     "no damping": (UNDAMPED, "damping", "ratio of a swinging leg is 0.00", "servo.damping"),
     "weak servos": ({WEAK: 0.2}, "torque", "_knee_y' was at its limit of 0.62 N m", WEAK),
     "latency": ({"servo.latency": 0.12}, "latency", "follow their commands 125 ms late", "servo.latency"),
-    "latency that is told": (TOLD, "latency", "servo.assumed_latency says 120", "servo.latency"),
+    "latency that is told": (TOLD, "latency", "servo.assumed_latency is 120 ms", "servo.latency"),
     "a path too fast": ({PATH: 0.5}, "pressure", "centre of pressure beyond the soles", PATH),
 }
 
@@ -98,7 +98,7 @@ def test_a_walk_that_stands_has_no_cause() -> None:
         assert causes(analyse(trace)) == []
 
 
-EXPECTED = "it fell because: the path of the CoM asks for a centre of pressure beyond the soles"
+EXPECTED = "it fell because: the path of the CoM requires a centre of pressure beyond the soles"
 
 
 def test_it_is_on_the_terminal_and_in_the_reports(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

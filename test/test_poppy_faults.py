@@ -78,7 +78,7 @@ def babble(servos: FaultyServos) -> None:
 
 BUS = {
     "the bus is silent": (fall_silent, "lower bus: every motor does not answer; is the power on"),
-    "one motor is silent": (one_motor, "l_knee_y (motor 14, lower bus) does not answer; look at its cable"),
+    "one motor is silent": (one_motor, "l_knee_y (motor 14, lower bus) does not answer; check its cable"),
     "the port is unplugged": (unplug, "lower bus: the port is gone: No such file or directory; plug it in"),
     "one bit of each reply is flipped": (flip, "lower bus: every motor"),
     "replies are random bytes": (babble, "lower bus: every motor"),
@@ -340,7 +340,7 @@ def test_a_torque_that_does_not_come_on_is_an_error(model: RobotModel, config: C
     servo = rig.memory.servo("l_knee_y")
     write = servo.write
     servo.write = lambda address, data: None if address == TORQUE_ENABLE else write(address, data)
-    with pytest.raises(PlantError, match="the torque of l_knee_y does not come on: all of it is off again"):
+    with pytest.raises(PlantError, match="the torque of l_knee_y did not switch on: all torque is off again"):
         rig.plant.activate()
     assert not rig.plant.active
     assert not any(rig.memory.torque(name) for name in MOTORS)
@@ -354,7 +354,7 @@ def test_a_motor_that_cannot_be_set_up_is_an_error(model: RobotModel, config: Co
     servo.write(30, (1000).to_bytes(2, "little"))
     servo.write(TORQUE_LIMIT, bytes(2))
     servo.write = lambda at, data: None if at == address else write(at, data)
-    with pytest.raises(PlantError, match="l_knee_y cannot be set up: nothing was switched"):
+    with pytest.raises(PlantError, match="l_knee_y cannot be set up: no torque was switched on"):
         rig.plant.activate()
     assert not any(rig.memory.torque(name) for name in MOTORS)
 
@@ -363,7 +363,7 @@ def test_a_motor_of_another_type_is_refused(model: RobotModel, config: Config) -
     rig = Rig(model, config)
     rig.plant.close()
     rig.memory.servo("l_knee_y").write(0, (310).to_bytes(2, "little"))
-    with pytest.raises(PlantError, match=r"l_knee_y \(14\) is of model 310, which is no MX-28"):
+    with pytest.raises(PlantError, match=r"l_knee_y \(14\) is model 310, not an MX-28"):
         rig.opened()
 
 

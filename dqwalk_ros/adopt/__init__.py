@@ -1,7 +1,8 @@
-"""Another robot's URDF -> a configuration that walks.
+"""Makes a configuration that walks from another robot's URDF.
 
-`adopt` reads a robot description, infers what is what, derives every number of the walk, writes the files, and tries
-the walk. What `anatomy`, `posture` and `parameters` found is told with its source and how sure it is.
+`adopt` reads a robot description, identifies legs, soles, arms and sensors, derives the parameters of the walk, and
+writes the files; `trial` walks with them. Each value from `anatomy`, `posture` and `parameters` is reported with its
+source and a confidence.
 """
 
 from __future__ import annotations
@@ -39,32 +40,38 @@ from dqwalk_ros.urdf import Origin, Urdf
 __all__ = ["Adoption", "Finding", "adopt", "changed", "check", "table", "write_yaml"]
 
 _CROUCH = 0.91
-"""Distance of hip and ankle as a part of the straight leg, for the whole-body controller: room for long steps."""
+"""Distance of hip and ankle as a fraction of the straight leg, for the longer steps of the whole-body controller."""
 _CLEARANCE = 0.02
-"""The soles stand at least this far apart, as a part of a leg."""
+"""Half of the least gap between the soles, as a fraction of the leg length."""
 
 
 @dataclass(frozen=True)
 class Adoption:
-    """An adopted robot: its files, and what was found.
+    """An adopted robot: its files, its parts and the parameters of its walk.
 
     Attributes
     ----------
     folder : Path
-        With ``robot.urdf``, ``robot.yaml``, ``paper.yaml``, ``whole_body.yaml`` (where the ankles roll and there are
-        arms) and ``adopt.json``.
+        Folder with ``robot.urdf``, ``robot.yaml``, ``paper.yaml``, ``whole_body.yaml`` (if the robot has ankle roll
+        joints and arms) and ``adopt.json``.
     config : Config
-        Of ``robot.yaml``.
+        The configuration of ``robot.yaml``.
     model : RobotModel
+        The model of the repaired robot.
     anatomy : Anatomy
+        Legs, soles, arms and sensors.
     standing : Standing
+        The initial posture of the walk.
     numbers : Numbers
+        Quantities from which the parameters were derived.
     entries : tuple of Entry
-        Everything in ``robot.yaml``.
+        All parameters in ``robot.yaml``.
     evidence : tuple of Evidence
+        Values found in the robot description, with their sources.
     repairs : tuple of str
+        Repairs of the robot description.
     findings : tuple of Finding
-        Of `check`.
+        Problems that `check` found.
     """
 
     folder: pathlib.Path
@@ -90,47 +97,51 @@ def adopt(
     changes: Mapping[str, Any] | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> Adoption:
-    """Read a robot, derive a walk for it and write the files; nothing walks yet.
+    """Read a robot description, derive the parameters of a walk and write the files, without walking.
 
     Parameters
     ----------
     path : path
         URDF or xacro; it is not changed.
     folder : path
-        Of the results; it is made.
+        Folder of the results; created if it does not exist.
     package_paths : sequence of path
-        Folders in which ROS packages are looked for, besides the installed ones and those around the file.
+        Further folders to search for ROS packages, besides the installed packages and the folders above the file.
     left, right : str
-        Links of the feet, where they must be named.
+        Links of the feet; empty to find them.
     forward : str
-        ``+x``, ``-x``, ``+y`` or ``-y`` of the root link, where it must be told.
+        Forward axis of the root link, ``+x``, ``-x``, ``+y`` or ``-y``; empty to find it.
     changes : dict of str to value, optional
-        Parameters that are given rather than derived.
+        Parameters that replace the derived ones.
     say : callable, optional
-        Called with a line of text where something takes its time.
+        Called with a line of text before each long operation.
+
+    Returns
+    -------
+    Adoption
 
     Raises
     ------
     ModelError
-        If this robot cannot walk with this package, in one sentence.
+        If the robot description cannot be read, or the robot cannot walk with this package.
     """
     path, folder = pathlib.Path(path), pathlib.Path(folder)
     say("reading")
     urdf = Urdf.load(path)
     shapes = Shapes(urdf, path, tuple(map(pathlib.Path, package_paths)))
-    say("looking for legs, soles and arms")
+    say("finding legs, soles and arms")
     anatomy = find_anatomy(urdf, shapes, left=left, right=right, forward=forward)
-    _turn_root(urdf, anatomy)
+    _align_root(urdf, anatomy)
     soles = _add_soles(urdf, anatomy)
-    _find_meshes(urdf, shapes)
+    _resolve_meshes(urdf, shapes)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "robot.urdf").write_text(urdf.text(), encoding="utf-8")
 
-    say("looking for a posture")
+    say("finding a posture")
     sole = anatomy.soles[Foot.LEFT]
     free = {joint for leg in anatomy.legs.values() for joint in leg}
     if "R" not in anatomy.kinds[-2:]:
-        free |= set(anatomy.waist)  # without ankles that roll the trunk must bring the CoM over a sole
+        free |= set(anatomy.waist)  # without ankle roll joints, the trunk moves the CoM over a sole
     locked = _locked(urdf, free)
     robot = RobotConfig(
         urdf=str(folder / "robot.urdf"),
@@ -143,28 +154,28 @@ def adopt(
         sole_width=float(f"{sole.width:.4g}"),
     )
     model = load_model(robot)
-    width = _apart(urdf, anatomy)
+    width = _sole_distance(urdf, anatomy)
     standing = stand(model, anatomy, width)
     single = [over_one_foot(model, anatomy, standing, foot) for foot in Foot]
-    off = max(error for _, error in single)
-    if off > 0.25 * sole.width + 0.005:
+    deviation = max(error for _, error in single)
+    if deviation > 0.25 * sole.width + 0.005:
         raise ModelError(
-            f"the CoM of this robot cannot be brought over one sole with both feet flat: it stays "
-            f"{1e3 * off:.0f} mm away from the middle"
+            f"the CoM of this robot cannot be placed over one sole with both feet flat: the least distance from its "
+            f"middle is {1e3 * deviation:.0f} mm"
         )
     step = math.floor(0.09 * anatomy.leg * 1e3 + 1e-6) / 1e3
     numbers = measure(model, anatomy, standing, [q for q, _ in single], step)
-    about = robot_entries(model, anatomy, locked, soles, "what walks")
+    about = robot_entries(model, anatomy, locked, soles, "the joints that walk")
     entries = [*about, *parameters(model, anatomy, numbers, standing)]
     entries = changed(entries, changes or {}, "given by --set")
-    write_yaml(folder / "robot.yaml", entries, f"{urdf.name}, adopted from {path.name}: the walk that stands.")
+    write_yaml(folder / "robot.yaml", entries, f"{urdf.name}, adopted from {path.name}: the standing walk.")
     paper = [*about, *paper_parameters(numbers, standing, anatomy)]
     write_yaml(folder / "paper.yaml", paper, f"{urdf.name}, adopted from {path.name}: the walk of Urban & Adorno.")
     if "R" in anatomy.kinds[-2:] and len(anatomy.hands) == len(Foot):
         _write_whole_body(folder, urdf, anatomy, robot, numbers, path.name)
     config = load(folder / "robot.yaml")
     model = load_model(config.robot)
-    evidence = (*anatomy.evidence, *_measured(numbers, standing))
+    evidence = (*anatomy.evidence, *_mass_evidence(numbers, standing))
     found = Adoption(
         folder, config, model, anatomy, standing, numbers, tuple(entries), evidence,
         tuple(dict.fromkeys((*urdf.repairs, *model.repairs))), tuple(check(config, model)),
@@ -174,16 +185,16 @@ def adopt(
 
 
 def table(found: Adoption) -> str:
-    """Return what was found as text: quantity, value, how sure, and where it is from."""
-    rows = [("quantity", "value", "sure?", "from")]
+    """Return the results as a text table: quantity, value, confidence and source."""
+    rows = [("quantity", "value", "confidence", "source")]
     rows += [(e.what, e.value, e.confidence, e.source) for e in found.evidence]
     rows += [
-        (e.key, _plain(e.value), e.confidence, e.reason)
+        (e.key, _yaml_value(e.value), e.confidence, e.reason)
         for e in found.entries
         if not e.key.startswith("robot.") or e.confidence != "sure"
     ]
     cut = [48, 64]
-    widths = [min(max(len(row[k]) for row in rows), (cut[0], cut[1], 7)[k]) for k in range(3)]
+    widths = [min(max(len(row[k]) for row in rows), (cut[0], cut[1], 10)[k]) for k in range(3)]
     lines = []
     for row in rows:
         cells = [text if len(text) <= widths[k] else text[: widths[k] - 3] + "..." for k, text in enumerate(row[:3])]
@@ -192,7 +203,7 @@ def table(found: Adoption) -> str:
 
 
 def write_yaml(path: pathlib.Path, entries: Sequence[Entry], title: str) -> None:
-    """Write parameters as a ROS parameter file, the reason of each in a comment beside it."""
+    """Write parameters as a ROS parameter file, with the reason for each value in a comment beside it."""
     lines = [f"# {title} `dqwalk config` explains each key.", "/**:", "  ros__parameters:"]
     sections: dict[str, list[Entry]] = {}
     for entry in entries:
@@ -203,13 +214,13 @@ def write_yaml(path: pathlib.Path, entries: Sequence[Entry], title: str) -> None
             lines.append(f"    {section}:")
             indent = "      "
         for entry in members:
-            text = f"{indent}{entry.key.rpartition('.')[2]}: {_plain(entry.value)}"
+            text = f"{indent}{entry.key.rpartition('.')[2]}: {_yaml_value(entry.value)}"
             note = entry.reason + ("" if entry.confidence == "sure" else f" ({entry.confidence})")
             lines.append(f"{text:<44}  # {note}")
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _plain(value: Any) -> str:
+def _yaml_value(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, list | tuple):
@@ -220,14 +231,14 @@ def _plain(value: Any) -> str:
 
 
 def changed(entries: Sequence[Entry], changes: Mapping[str, Any], reason: str) -> list[Entry]:
-    """Return entries of which some have other values, for a reason."""
+    """Return the entries with the values of `changes`, which may add keys, and with `reason` for these."""
     known = {entry.key for entry in entries}
     kept = [Entry(e.key, changes[e.key], reason) if e.key in changes else e for e in entries]
     return kept + [Entry(key, value, reason) for key, value in changes.items() if key not in known]
 
 
-def _turn_root(urdf: Urdf, anatomy: Anatomy) -> None:
-    """Put a link before the root whose x is ahead and whose z is up, unless the root is such a link."""
+def _align_root(urdf: Urdf, anatomy: Anatomy) -> None:
+    """Add a new root link with x forward and z up, unless the root link has these axes."""
     if np.allclose(anatomy.turn, np.eye(3), atol=1e-9):
         return
     old = urdf.root
@@ -250,8 +261,8 @@ def _add_soles(urdf: Urdf, anatomy: Anatomy) -> dict[Foot, str]:
     return names
 
 
-def _find_meshes(urdf: Urdf, shapes: Shapes) -> None:
-    """Name meshes by their files, unless their package is installed, so that they are found from anywhere."""
+def _resolve_meshes(urdf: Urdf, shapes: Shapes) -> None:
+    """Replace mesh names by paths of their files, unless their package is installed."""
     for link in list(urdf.links.values()):
         urdf.links[link.name] = shapes.named(link)
 
@@ -259,7 +270,7 @@ def _find_meshes(urdf: Urdf, shapes: Shapes) -> None:
 def _write_whole_body(
     folder: pathlib.Path, urdf: Urdf, anatomy: Anatomy, robot: RobotConfig, numbers: Numbers, source: str
 ) -> None:
-    """Write the configuration of the whole-body controller, in which waist and arms move, too."""
+    """Write the configuration of the whole-body controller, which also moves the waist and the arms."""
     chain = Skeleton(urdf).chain
     arms = {foot: tuple(j for j in chain[hand] if j not in anatomy.waist) for foot, hand in anatomy.hands.items()}
     legs = {joint for leg in anatomy.legs.values() for joint in leg}
@@ -277,7 +288,7 @@ def _lock_entries(locked: Mapping[str, float]) -> tuple[str, ...]:
 
 
 def _locked(urdf: Urdf, free: set[str]) -> dict[str, float]:
-    """Return every joint that is not free, and where it is held."""
+    """Return the angles [rad] at which the joints that are not free are locked."""
     out = {}
     for joint in urdf.joints.values():
         if joint.moves and joint.name not in free and not joint.mimic:
@@ -285,8 +296,8 @@ def _locked(urdf: Urdf, free: set[str]) -> dict[str, float]:
     return out
 
 
-def _apart(urdf: Urdf, anatomy: Anatomy) -> float:
-    """Return the lateral distance of the soles: that of the zero posture, or what keeps them clear of each other."""
+def _sole_distance(urdf: Urdf, anatomy: Anatomy) -> float:
+    """Return the lateral distance of the soles [m]: that of the zero posture, limited to a range without collisions."""
     skeleton = Skeleton(urdf)
     y = [float((skeleton.pose(sole.link) @ sole.pose)[1, 3]) for sole in anatomy.soles.values()]
     hips = [float(skeleton.place(leg[0])[1]) for leg in anatomy.legs.values()]
@@ -295,13 +306,13 @@ def _apart(urdf: Urdf, anatomy: Anatomy) -> float:
     return float(f"{max(least, min(apart, max(1.5 * hip, least))):.4g}")
 
 
-def _measured(numbers: Numbers, standing: Standing) -> list[Evidence]:
+def _mass_evidence(numbers: Numbers, standing: Standing) -> list[Evidence]:
     n = numbers
     return [
         Evidence("mass", f"{n.mass:.4g} kg", "sum of the links"),
-        Evidence("CoM in the posture", f"{1e3 * standing.com[0]:.1f} mm ahead, {n.height:.3f} m up", "posture"),
+        Evidence("CoM in the posture", f"{1e3 * standing.com[0]:.1f} mm forward, {n.height:.3f} m up", "posture"),
         Evidence("m g h", f"{n.mgh:.4g} N m/rad", "mass and height of the CoM"),
-        Evidence("inertia of a leg", f"{n.inertia:.3g} kg m^2", "its bodies taken for points, about the hip"),
+        Evidence("inertia of a leg", f"{n.inertia:.3g} kg m^2", "its bodies as point masses, about the hip"),
         Evidence("torque on one foot", f"{n.torque:.2f} of the effort limit", f"{n.joint}, statics", "likely"),
     ]
 

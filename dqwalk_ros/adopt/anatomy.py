@@ -1,8 +1,9 @@
-"""What is what in a robot description: legs, forward, soles, pelvis, torso, hands, inertial sensor.
+"""Identifies legs, forward direction, soles, pelvis, torso, hands and inertial sensor in a robot description.
 
-Everything is read off the zero posture (joints whose range excludes zero stand at the nearest limit): the legs are the
-two chains that mirror each other and reach the ground; ahead is where the knees bend to and the feet are longer, unless
-the names of left and right say otherwise; a sole is the largest rectangle in the plane on which a foot stands.
+The posture is the zero posture, with joints whose range excludes zero at their nearest limit. The legs are the two
+chains that mirror each other and reach the ground. The forward direction follows from the names of left and right, the
+direction in which the knees bend, the longer part of the feet, and the axes of the root link. A sole is the largest
+rectangle in the plane on which a foot stands.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ __all__ = ["Anatomy", "find_anatomy"]
 Array = NDArray[np.float64]
 
 _NEAR_FLOOR = 0.03
-"""A foot is no higher above the lowest point than this part of the robot's height."""
+"""Largest height of a foot above the lowest point, as a fraction of the robot's height."""
 _TOUCHES = 0.006
-"""Two bodies touch the ground together if their lowest points differ by less than this part of the height."""
+"""Largest difference of the lowest points of two bodies that both touch the ground, as a fraction of the height."""
 _ASYMMETRY = 0.02
-"""Left and right joints mirror each other to this part of the length of a leg."""
+"""Tolerance of the symmetry of left and right joints, as a fraction of the length of a leg."""
 
 
 @dataclass(frozen=True)
@@ -42,16 +43,17 @@ class Anatomy:
     Attributes
     ----------
     turn : ndarray, shape (3, 3)
-        Axes of the robot (x ahead, y left, z up) in the axes of the root link, as rows.
+        Axes of the robot (x forward, y left, z up) in the axes of the root link, as rows.
     legs : dict of Foot to tuple of str
         Joints from the hip to the ankle.
     kinds : str
-        What they turn: R, P and Y for roll, pitch and yaw, such as ``YRPPPR``.
+        Axes of the joints of a leg: R, P and Y for roll, pitch and yaw, such as ``YRPPPR``.
     soles : dict of Foot to FoundSole
+        The soles of both feet.
     pelvis, torso, imu : str
-        Links.
+        Links; `imu` is empty if no link is named like an inertial sensor.
     hands : dict of Foot to str
-        Links at the ends of the arms; empty without arms.
+        Links at the ends of the arms; empty for a robot without arms.
     waist : tuple of str
         Joints between the pelvis and the torso.
     toes : tuple of str
@@ -59,6 +61,7 @@ class Anatomy:
     leg : float
         Height of the hips above the soles [m].
     evidence : tuple of Evidence
+        The values above, with their sources.
     """
 
     turn: Array
@@ -90,29 +93,33 @@ def find_anatomy(
     urdf : Urdf
     shapes : Shapes
     left, right : str
-        Links of the feet, where they are known.
+        Links of the feet; empty to find them.
     forward : str
-        ``+x``, ``-x``, ``+y`` or ``-y`` of the root link, where it is known.
+        Forward axis of the root link, ``+x``, ``-x``, ``+y`` or ``-y``; empty to find it.
+
+    Returns
+    -------
+    Anatomy
 
     Raises
     ------
     ModelError
-        If it is no biped that stands on flat soles, in one sentence.
+        If the robot is not a biped that stands on flat soles.
     """
     points = Points(shapes)
     plain = Skeleton(urdf)
     if len(plain.joints) < 6:
-        raise ModelError(f"this is no biped: it has {len(plain.joints)} joints that turn")
+        raise ModelError(f"the robot is not a biped: it has only {len(plain.joints)} revolute joints")
     for name in (left, right):
         if name and name not in urdf.links:
-            raise ModelError(f"there is no link '{name}'; it has {', '.join(urdf.links)}")
+            raise ModelError(f"there is no link '{name}'; the links are {', '.join(urdf.links)}")
     problem: ModelError | None = None
     for up in _UPS:
         skeleton = Skeleton(urdf, up)
         try:
             pair = _find_legs(skeleton, points, (left, right))
         except ModelError as error:
-            problem = problem or error  # what the usual axes say
+            problem = problem or error  # report the error for z up
             continue
         if problem is not None and not _stands(skeleton, points, pair):
             continue
@@ -122,7 +129,7 @@ def find_anatomy(
 
 
 def _ups() -> Iterator[Array]:
-    """Yield rotations (3, 3) that turn one axis of the root link up: z as ROS has it, then the others."""
+    """Yield rotations (3, 3) that make an axis of the root link vertical: z first (REP-103), then the others."""
     yield np.eye(3)
     for axis, sign in ((1, 1.0), (0, 1.0), (1, -1.0), (0, -1.0)):
         up = np.zeros(3)
@@ -135,7 +142,7 @@ _UPS = tuple(_ups())
 
 
 def _stands(skeleton: Skeleton, points: Points, pair: tuple[str, str]) -> bool:
-    """Tell whether legs found with an unusual axis up carry the robot: level feet, and the CoM well above them."""
+    """Return whether legs found for another vertical axis than z carry the robot: level feet, the CoM above them."""
     for ankle in pair:
         found, _ = points.of(skeleton, foot_links(skeleton, ankle))
         if found is None or plane_below(found)[0][2] < 1.0:
@@ -154,7 +161,9 @@ def _find_legs(skeleton: Skeleton, points: Points, given: tuple[str, str]) -> tu
     if all(given):
         a, b = (skeleton.body(link) for link in given)
         if not a or not b or a == b:
-            raise ModelError(f"'{given[0]}' and '{given[1]}' are no feet: no two chains of joints end there")
+            raise ModelError(
+                f"'{given[0]}' and '{given[1]}' cannot be the feet: they are not the ends of two chains of joints"
+            )
         return a, b
     lowest: dict[str, float] = {}
     for body, links in skeleton.bodies.items():
@@ -163,7 +172,7 @@ def _find_legs(skeleton: Skeleton, points: Points, given: tuple[str, str]) -> tu
             lowest[body] = float(found[:, 2].min())
     if not any(lowest.get(body) is not None for body in skeleton.joints):
         raise ModelError(
-            "no moving part has a shape that can be read, so no sole can be found: give --left and --right"
+            "no moving part has a shape that can be read, so the soles are unknown: give --left and --right"
         )
     floor = min(lowest.values())
     top = max(pose[2, 3] for pose in map(skeleton.pose, skeleton.urdf.links))
@@ -175,19 +184,21 @@ def _find_legs(skeleton: Skeleton, points: Points, given: tuple[str, str]) -> tu
         if not (len(way) > 1 and _is_toe(skeleton, way[-2], body, lowest, floor, height)):
             feet.append(body)
     feet = [body for body in feet if not any(body in skeleton.way(other)[:-1] for other in feet)]
-    feet = _without_doubles(skeleton, feet, height)
+    feet = _without_duplicates(skeleton, feet, height)
     if len(feet) > 2 and all(len(skeleton.way(body)) < 3 for body in feet):
-        raise ModelError(f"this is no biped: {len(feet)} legs reach the ground, with fewer than 3 joints each")
+        raise ModelError(f"the robot is not a biped: {len(feet)} legs reach the ground, with fewer than 3 joints each")
     long_enough = [body for body in feet if len(skeleton.way(body)) >= 3]
-    pairs = [(a, b) for a, b in itertools.combinations(long_enough, 2) if _mirrored(skeleton, *_own(skeleton, a, b))]
-    if pairs and not any(_carries(skeleton, _own(skeleton, *pair)) for pair in pairs):
-        raise ModelError("this is no biped: what reaches lowest hangs from the top of the robot, as arms do")
+    pairs = [
+        pair for pair in itertools.combinations(long_enough, 2) if _mirrored(skeleton, *_branches(skeleton, *pair))
+    ]
+    if pairs and not any(_is_below_body(skeleton, _branches(skeleton, *pair)) for pair in pairs):
+        raise ModelError("the robot is not a biped: its lowest limbs are suspended below the CoM, like arms")
     if "" in near:
-        raise ModelError("this is no biped: it stands on its base, not on legs")
+        raise ModelError("the robot is not a biped: it stands on its base, not on legs")
     if len(long_enough) > 2:
         raise ModelError(
-            f"this is no biped: {len(long_enough)} legs reach the ground ({', '.join(long_enough)}); "
-            "if it is one, name its feet by --left and --right"
+            f"the robot is not a biped: {len(long_enough)} legs reach the ground ({', '.join(long_enough)}); "
+            "if it is a biped, name its feet with --left and --right"
         )
     if not pairs:
         what = (
@@ -196,22 +207,22 @@ def _find_legs(skeleton: Skeleton, points: Points, given: tuple[str, str]) -> tu
             else "no leg reaches the ground"
         )
         raise ModelError(
-            f"this is no biped: no two chains of joints that mirror each other stand on the ground in the zero posture "
-            f"({what}); name its feet by --left and --right"
+            f"the robot is not a biped: no two chains of joints that mirror each other reach the ground in the zero "
+            f"posture ({what}); name its feet with --left and --right"
         )
     return pairs[0]
 
 
 def _is_toe(skeleton: Skeleton, foot: str, body: str, lowest: dict[str, float], floor: float, height: float) -> bool:
-    """Tell whether a body is the toe of a foot: that stands as well, and the joint between both is low and ahead."""
+    """Return whether a body is the toe of a foot: both touch the ground, and the joint between them is low."""
     way = skeleton.place(body) - skeleton.place(foot)
     stands = lowest.get(foot, math.inf) < lowest[body] + _TOUCHES * height
     low = skeleton.place(body)[2] < floor + 2.0 * _NEAR_FLOOR * height
     return bool(stands and low and math.hypot(way[0], way[1]) > 0.02 * height)
 
 
-def _without_doubles(skeleton: Skeleton, feet: list[str], height: float) -> list[str]:
-    """Return one foot of those at the same place: legs of parallel bars are described as chains side by side."""
+def _without_duplicates(skeleton: Skeleton, feet: list[str], height: float) -> list[str]:
+    """Return one foot of those at the same position: a URDF describes a leg of parallel bars as several chains."""
     kept: list[str] = []
     for foot in sorted(feet, key=lambda body: (-skeleton.mass(body), -len(skeleton.way(body)), body)):
         if all(np.linalg.norm(skeleton.place(foot) - skeleton.place(other)) > 0.03 * height for other in kept):
@@ -219,8 +230,8 @@ def _without_doubles(skeleton: Skeleton, feet: list[str], height: float) -> list
     return kept
 
 
-def _own(skeleton: Skeleton, a: str, b: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the joints of two chains from where they part."""
+def _branches(skeleton: Skeleton, a: str, b: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the joints of two chains after their last common joint."""
     first, second = skeleton.way(a), skeleton.way(b)
     k = 0
     while k < min(len(first), len(second)) and first[k] == second[k]:
@@ -234,22 +245,23 @@ def _mirrored(skeleton: Skeleton, a: Sequence[str], b: Sequence[str]) -> bool:
     p, q = (np.array([skeleton.place(joint) for joint in leg]) for leg in (a, b))
     size = float(np.ptp(np.concatenate([p, q])[:, 2]))
     apart = p - q
-    across = np.median(apart, axis=0)
-    across[2] = 0.0
-    length = float(np.linalg.norm(across))
+    lateral = np.median(apart, axis=0)
+    lateral[2] = 0.0
+    length = float(np.linalg.norm(lateral))
     if length < 1e-3:
         return False
-    across /= length
-    off = apart - np.outer(apart @ across, across)
+    lateral /= length
+    deviation = apart - np.outer(apart @ lateral, lateral)
     axes = np.array([skeleton.axis(joint) for joint in a])
-    off -= np.sum(off * axes, axis=1)[:, None] * axes  # where a joint is along its own axis makes no difference
-    middle = (0.5 * (p + q)) @ across
+    # the position of a joint along its own axis is arbitrary
+    deviation -= np.sum(deviation * axes, axis=1)[:, None] * axes
+    middle = (0.5 * (p + q)) @ lateral
     tolerance = max(0.006, _ASYMMETRY * size)
-    return bool(np.abs(off).max() < tolerance and np.ptp(middle) < tolerance and size > 0.0)
+    return bool(np.abs(deviation).max() < tolerance and np.ptp(middle) < tolerance and size > 0.0)
 
 
-def _carries(skeleton: Skeleton, legs: tuple[tuple[str, ...], tuple[str, ...]]) -> bool:
-    """Tell whether the rest of the robot is above these legs rather than below their hips."""
+def _is_below_body(skeleton: Skeleton, legs: tuple[tuple[str, ...], tuple[str, ...]]) -> bool:
+    """Return whether the CoM of the rest of the robot is above the hips of these legs."""
     rest = [body for body in skeleton.bodies if not set(skeleton.way(body)) & {*legs[0], *legs[1]}]
     hip, ankle = (0.5 * (skeleton.place(legs[0][k]) + skeleton.place(legs[1][k]))[2] for k in (0, -1))
     if not sum(map(skeleton.mass, rest)) > 0.0:
@@ -261,16 +273,16 @@ def _carries(skeleton: Skeleton, legs: tuple[tuple[str, ...], tuple[str, ...]]) 
 
 
 def _anatomy(
-    urdf: Urdf, points: Points, skeleton: Skeleton, pair: tuple[str, str], forward: str, told: bool
+    urdf: Urdf, points: Points, skeleton: Skeleton, pair: tuple[str, str], forward: str, named: bool
 ) -> Anatomy:
-    one, two = _own(skeleton, *pair)
+    one, two = _branches(skeleton, *pair)
     if len(one) < 4:
         raise ModelError(
-            f"this biped has {len(one)} joints in a leg: too few to keep a sole flat on the ground while it walks"
+            f"this biped has only {len(one)} joints in a leg, too few to keep the soles flat on the ground in a walk"
         )
     evidence: list[Evidence] = []
-    up = skeleton.pose(urdf.root)[:3, :3]  # root's axes -> axes with z up
-    yaw, one, two = _ahead(skeleton, points, one, two, forward, evidence)
+    up = skeleton.pose(urdf.root)[:3, :3]  # from the root's axes to axes with z up
+    yaw, one, two = _find_forward(skeleton, points, one, two, forward, evidence)
     skeleton = Skeleton(urdf, yaw @ up)
     legs = {Foot.LEFT: one, Foot.RIGHT: two}
     evidence.insert(
@@ -278,7 +290,7 @@ def _anatomy(
         Evidence(
             "legs",
             f"{' '.join(one)} | {' '.join(two)}",
-            "named by --left and --right" if told else "the chains that mirror each other and reach the ground",
+            "given by --left and --right" if named else "the chains that mirror each other and reach the ground",
         ),
     )
     kinds = "".join(_kind(skeleton.axis(joint)) for joint in one)
@@ -291,7 +303,7 @@ def _anatomy(
     parents = {urdf.joints[leg[0]].parent for leg in legs.values()}
     pelvis = parents.pop() if len(parents) == 1 else skeleton.heaviest(pelvis_body)
     evidence.append(Evidence("pelvis", pelvis, "link that carries both legs"))
-    hands, torso_body = _hands(skeleton, {*one, *two}, pelvis_body)
+    hands, torso_body = _find_hands(skeleton, {*one, *two}, pelvis_body)
     torso = skeleton.heaviest(torso_body)
     evidence.append(
         Evidence("torso", torso, "body that carries both arms" if hands else "heaviest body above the legs")
@@ -299,12 +311,12 @@ def _anatomy(
     if hands:
         evidence.append(Evidence("hands", f"{hands[Foot.LEFT]}, {hands[Foot.RIGHT]}", "ends of the arms", "likely"))
     waist = tuple(joint for joint in skeleton.way(torso_body) if joint not in skeleton.way(pelvis_body))
-    imu = _imu(skeleton, pelvis_body, torso_body)
+    imu = _find_imu(skeleton, pelvis_body, torso_body)
     evidence.append(
         Evidence(
             "inertial sensor",
             imu or pelvis,
-            "link named so" if imu else "the pelvis: no link is named so",
+            "link name" if imu else "pelvis: no link is named like an inertial sensor",
             "sure" if imu else "guess",
         )
     )
@@ -315,8 +327,8 @@ def _kind(axis: Array) -> str:
     return "RPY"[int(np.argmax(np.abs(axis)))]
 
 
-def _side_of_names(skeleton: Skeleton, one: Sequence[str], two: Sequence[str]) -> int:
-    """Return 1 if the names say that `one` is the left leg, -1 if the right, 0 if they say nothing."""
+def _side_vote(skeleton: Skeleton, one: Sequence[str], two: Sequence[str]) -> int:
+    """Return 1 if by its names `one` is the left leg, -1 if it is the right leg, 0 if the names do not differ so."""
     votes = 0
     joints = skeleton.urdf.joints
     names = [(a, b) for a, b in zip(one, two, strict=True)]
@@ -333,7 +345,7 @@ def _side_of_names(skeleton: Skeleton, one: Sequence[str], two: Sequence[str]) -
 
 
 def _difference(a: str, b: str) -> tuple[str, str] | None:
-    """Return the words in which two names differ, from their first to their last difference, in small letters."""
+    """Return the lower-case parts in which two names differ, if these mean left and right; otherwise None."""
     start = 0
     while start < min(len(a), len(b)) and a[start] == b[start]:
         start += 1
@@ -345,7 +357,7 @@ def _difference(a: str, b: str) -> tuple[str, str] | None:
     return (first, second) if (first, second) in pairs or (second, first) in pairs else None
 
 
-def _ahead(
+def _find_forward(
     skeleton: Skeleton,
     points: Points,
     one: tuple[str, ...],
@@ -353,35 +365,35 @@ def _ahead(
     forward: str,
     evidence: list[Evidence],
 ) -> tuple[Array, tuple[str, ...], tuple[str, ...]]:
-    """Return the rotation (3, 3) that turns ahead to x, and the left and the right leg."""
-    across = np.median([skeleton.place(a) - skeleton.place(b) for a, b in zip(one, two, strict=True)], axis=0)
-    across[2] = 0.0
-    across /= np.linalg.norm(across)
-    ahead = np.array([across[1], -across[0], 0.0])  # if `one` is the left leg
+    """Return the rotation (3, 3) that turns the forward direction to x, the left leg and the right leg."""
+    lateral = np.median([skeleton.place(a) - skeleton.place(b) for a, b in zip(one, two, strict=True)], axis=0)
+    lateral[2] = 0.0
+    lateral /= np.linalg.norm(lateral)
+    ahead = np.array([lateral[1], -lateral[0], 0.0])  # if `one` is the left leg
     root = skeleton.pose(skeleton.urdf.root)[:3, :3]
     votes: list[tuple[float, str]] = []  # > 0: `one` is the left leg
-    names = _side_of_names(skeleton, one, two)
+    names = _side_vote(skeleton, one, two)
     if names:
         votes.append((3.0 * names, "the names of left and right"))
-    knee = _knee(skeleton, one, two, ahead)
+    knee = _knee_vote(skeleton, one, two, ahead)
     if knee:
-        votes.append((2.0 * knee, "the way the knees bend"))
-    longer = _longer(skeleton, points, one, two, ahead)
+        votes.append((2.0 * knee, "the direction in which the knees bend"))
+    longer = _length_vote(skeleton, points, one, two, ahead)
     if longer:
-        votes.append((longer, "the feet, which are longer ahead of the ankle"))
+        votes.append((longer, "the feet, which are longer in front of the ankle"))
     usual = float(ahead @ root[:, 0])
     if abs(usual) > 0.9:
-        votes.append((1.5 * np.sign(usual), "x of the root link, as REP-103 has it"))
+        votes.append((1.5 * np.sign(usual), "x of the root link (REP-103)"))
     if forward:
         sign, axis = (-1.0 if forward[0] == "-" else 1.0), "xyz".index(forward[-1])
-        told = float(sign * root[:, axis] @ ahead)
-        if abs(told) < 0.9:
-            raise ModelError(f"{forward} of the root link is across the legs, not ahead: give another --forward")
-        total, source, confidence = told, "given by --forward", "sure"
+        given = float(sign * root[:, axis] @ ahead)
+        if abs(given) < 0.9:
+            raise ModelError(f"{forward} of the root link is a lateral direction of the legs: give another --forward")
+        total, source, confidence = given, "given by --forward", "sure"
     else:
         total = sum(weight for weight, _ in votes)
         if total == 0.0:
-            raise ModelError("nothing says which way is ahead: give --forward, +x or -x of the root link")
+            raise ModelError("the forward direction cannot be found: give --forward, such as +x or -x of the root link")
         agree = [text for weight, text in votes if weight * total > 0.0]
         against = [text for weight, text in votes if weight * total < 0.0]
         source = ", ".join(agree) + (f"; against it: {', '.join(against)}" if against else "")
@@ -399,12 +411,12 @@ def _ahead(
     return np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, 1.0]]), one, two
 
 
-def _knee(skeleton: Skeleton, one: Sequence[str], two: Sequence[str], ahead: Array) -> float:
-    """Return 1 if the knees bend so that they point along `ahead`, -1 if the other way, 0 if they bend both ways."""
-    across = np.array([-ahead[1], ahead[0], 0.0])
+def _knee_vote(skeleton: Skeleton, one: Sequence[str], two: Sequence[str], ahead: Array) -> float:
+    """Return 1 if the bent knees point along `ahead`, -1 if they point against it, 0 if they bend both ways."""
+    lateral = np.array([-ahead[1], ahead[0], 0.0])
     out = 0.0
     for leg in (one, two):
-        pitch = [joint for joint in leg if abs(skeleton.axis(joint) @ across) > 0.8]
+        pitch = [joint for joint in leg if abs(skeleton.axis(joint) @ lateral) > 0.8]
         if len(pitch) < 3:
             return 0.0
         heights = [skeleton.place(joint)[2] for joint in pitch]
@@ -418,12 +430,12 @@ def _knee(skeleton: Skeleton, one: Sequence[str], two: Sequence[str], ahead: Arr
             return 0.0
         shank = skeleton.place(pitch[-1]) - skeleton.place(knee)
         moved = np.cross(math.copysign(1.0, lean) * skeleton.axis(knee), shank)
-        out += -math.copysign(0.5, float(moved @ ahead))  # the shank goes back where the knee points ahead
+        out += -math.copysign(0.5, float(moved @ ahead))  # the shank moves backward if the knee points forward
     return out if abs(out) == 1.0 else 0.0
 
 
-def _longer(skeleton: Skeleton, points: Points, one: Sequence[str], two: Sequence[str], ahead: Array) -> float:
-    """Return up to 1 if the feet are longer ahead of their ankles, down to -1 if behind, 0 if that says nothing."""
+def _length_vote(skeleton: Skeleton, points: Points, one: Sequence[str], two: Sequence[str], ahead: Array) -> float:
+    """Return a vote in [-1, 1]: positive if the feet are longer in front of the ankles, 0 if there is no difference."""
     reach = []
     for leg in (one, two):
         found, _ = points.of(skeleton, foot_links(skeleton, leg[-1]))
@@ -442,8 +454,8 @@ def _longer(skeleton: Skeleton, points: Points, one: Sequence[str], two: Sequenc
 # ---------------------------------------------------------------------- arms and sensors
 
 
-def _hands(skeleton: Skeleton, legs: set[str], pelvis: str) -> tuple[dict[Foot, str], str]:
-    """Return the ends of the arms, and the body that carries them."""
+def _find_hands(skeleton: Skeleton, legs: set[str], pelvis: str) -> tuple[dict[Foot, str], str]:
+    """Return the links at the ends of the arms, and the body that carries the arms."""
     carried: dict[str, list[str]] = {}
     for body in skeleton.joints:
         carried.setdefault(skeleton.way(body)[-2] if len(skeleton.way(body)) > 1 else "", []).append(body)
@@ -452,7 +464,7 @@ def _hands(skeleton: Skeleton, legs: set[str], pelvis: str) -> tuple[dict[Foot, 
     for siblings in carried.values():
         free = [body for body in siblings if body not in legs]
         for a, b in itertools.combinations(free, 2):
-            first, second = (_straight(carried, led, body) for body in (a, b))
+            first, second = (_unbranched(carried, led, body) for body in (a, b))
             if len(first) == len(second) and _mirrored_arms(skeleton, first, second):
                 reach = float(np.linalg.norm(skeleton.place(first[-1]) - skeleton.place(first[0])))
                 arms.append((reach, first, second))
@@ -467,8 +479,8 @@ def _hands(skeleton: Skeleton, legs: set[str], pelvis: str) -> tuple[dict[Foot, 
     return hands, way[-2] if len(way) > 1 else ""
 
 
-def _straight(carried: dict[str, list[str]], led: set[str], body: str) -> tuple[str, ...]:
-    """Return the chain from a body on, up to where it branches or ends, or fingers follow a joint."""
+def _unbranched(carried: dict[str, list[str]], led: set[str], body: str) -> tuple[str, ...]:
+    """Return the chain that starts at a body, up to its end, a branch, or a joint that fingers mimic."""
     chain = [body]
     while len(carried.get(chain[-1], ())) == 1 and carried[chain[-1]][0] not in led:
         chain += carried[chain[-1]]
@@ -486,8 +498,8 @@ def _mirrored_arms(skeleton: Skeleton, a: Sequence[str], b: Sequence[str]) -> bo
 _IMU = re.compile(r"(?<![a-z])(imu|gyro|accelerometer|ahrs|inertial)(?![a-z])", re.IGNORECASE)
 
 
-def _imu(skeleton: Skeleton, pelvis: str, torso: str) -> str:
-    """Return a link that is named like an inertial sensor: of the pelvis, else of the torso; or nothing."""
+def _find_imu(skeleton: Skeleton, pelvis: str, torso: str) -> str:
+    """Return a link of the pelvis, or else of the torso, that is named like an inertial sensor; empty if none is."""
     for body in (pelvis, torso):
         named = [link for link in skeleton.bodies[body] if _IMU.search(link)]
         if named:

@@ -1,4 +1,4 @@
-"""Whether a configuration fits its robot: what can be known of a standing walk before the first step."""
+"""Checks whether a configuration fits its robot before the first step."""
 
 from __future__ import annotations
 
@@ -22,20 +22,26 @@ __all__ = ["Finding", "check"]
 Array = NDArray[np.float64]
 
 _BELOW = 0.012
-"""No part of a foot is further below its sole [m]."""
+"""Largest distance of a foot below its sole [m]."""
 _LEVEL = math.radians(2.0)
-"""Soles that lean more against each other are not parallel [rad]."""
+"""Largest angle between two parallel soles [rad]."""
 _TORQUE = 1.3
-"""Least torque limit, in units of the torque that stands on one foot."""
+"""Least torque limit, as a multiple of the static torque on one foot."""
 
 
 def check(config: Config, model: RobotModel) -> list[Finding]:
-    """Return what does not fit.
+    """Return the parameters that do not fit the robot; an empty list if all fit.
 
     Parameters
     ----------
     config : Config
     model : RobotModel
+        The robot of `config`.
+
+    Returns
+    -------
+    list of Finding
+        Problems of posture and soles; for a standing walk without such problems, those of CoM, servos and torques.
     """
     q = model.posture(config.standing.posture)
     found = [*_posture(config, model, q), *_soles(config, model, q)]
@@ -48,8 +54,8 @@ def _posture(config: Config, model: RobotModel, q: Array) -> list[Finding]:
     outside = [k for k in range(model.n) if not model.q_min[k] - 1e-6 <= q[k] <= model.q_max[k] + 1e-6]
     return [
         Finding(
-            f"the walk begins with '{model.joint_names[k]}' at {q[k]:.3f} rad, and its limits are "
-            f"{model.q_min[k]:.3f} and {model.q_max[k]:.3f}",
+            f"the walk begins with '{model.joint_names[k]}' at {q[k]:.3f} rad, outside its limits of "
+            f"{model.q_min[k]:.3f} and {model.q_max[k]:.3f} rad",
             "standing.posture",
         )
         for k in outside
@@ -57,7 +63,7 @@ def _posture(config: Config, model: RobotModel, q: Array) -> list[Finding]:
 
 
 def _soles(config: Config, model: RobotModel, q: Array) -> list[Finding]:
-    """Return what is wrong with the soles: left is left, both look ahead, level, and are where the feet end."""
+    """Check that left and right are not exchanged, and that the soles point forward, are level and below the feet."""
     kin = Kinematics(model, q, Foot.LEFT)
     left, right = (model.soles[foot] for foot in Foot)
     other = DQ(kin.pose(right.frame))
@@ -66,15 +72,15 @@ def _soles(config: Config, model: RobotModel, q: Array) -> list[Finding]:
     if p[1] >= 0.0:
         out.append(
             Finding(
-                f"the right sole is {1e3 * p[1]:.0f} mm to the left of the left one: left and right are exchanged, or "
-                "the soles look back",
+                f"the right sole is {1e3 * p[1]:.0f} mm to the left of the left sole: left and right are exchanged, or "
+                "the soles point backward",
                 "robot.left_sole, robot.right_sole",
             )
         )
     R = other.rotation_matrix()
     tilt = math.acos(min(1.0, float(R[2, 2])))
     if tilt > _LEVEL:
-        text = f"the soles are not parallel in the posture: {math.degrees(tilt):.1f} degrees apart"
+        text = f"the soles are not parallel in the posture: the angle between them is {math.degrees(tilt):.1f} degrees"
         out.append(Finding(text, "robot.left_sole_rpy, robot.right_sole_rpy"))
     elif abs(p[2]) > 0.005:
         out.append(
@@ -85,15 +91,15 @@ def _soles(config: Config, model: RobotModel, q: Array) -> list[Finding]:
         )
     turn = math.atan2(R[1, 0], R[0, 0])
     if abs(turn) > math.radians(15.0):
-        text = f"the soles look {math.degrees(abs(turn)):.0f} degrees apart"
+        text = f"the forward directions of the soles differ by {math.degrees(abs(turn)):.0f} degrees"
         out.append(Finding(text, "robot.left_sole_rpy, robot.right_sole_rpy"))
     if kin.point(model.pelvis)[2] < 0.0:
-        out.append(Finding("the pelvis is below the soles: they look down", "robot.left_sole_rpy"))
+        out.append(Finding("the pelvis is below the soles: they are upside down", "robot.left_sole_rpy"))
     return out + _lowest(config, model)
 
 
 def _lowest(config: Config, model: RobotModel) -> list[Finding]:
-    """Return how far a foot reaches below its sole."""
+    """Check that no foot extends below its sole."""
     shapes = Shapes(Urdf(model.urdf, model.name), find_urdf(config.robot.urdf))
     out = []
     for foot, sole in model.soles.items():
@@ -123,18 +129,18 @@ def _lowest(config: Config, model: RobotModel) -> list[Finding]:
 
 
 def _com(config: Config, model: RobotModel, q: Array) -> list[Finding]:
-    """Return how far the CoM of the posture is from the middle of the soles."""
+    """Check that the CoM of the posture is over the soles."""
     kin = Kinematics(model, q, Foot.LEFT)
     left, right = (model.soles[foot] for foot in Foot)
     middle = 0.5 * (left.center + kin.point(right.frame, right.center))
-    off = float(kin.com[0] - middle[0])
+    deviation = float(kin.com[0] - middle[0])
     room = 0.5 * left.length - config.standing.margin
-    if abs(off) > room:
-        where = "ahead of" if off > 0.0 else "behind"
+    if abs(deviation) > room:
+        where = "ahead of" if deviation > 0.0 else "behind"
         return [
             Finding(
-                f"the CoM of the posture is {1e3 * abs(off):.0f} mm {where} the soles' middle, and they reach "
-                f"{1e3 * room:.0f} mm: knees that bend the wrong way, soles that look back, or another posture",
+                f"the CoM of the posture is {1e3 * abs(deviation):.0f} mm {where} the middle of the soles, more than "
+                f"{1e3 * room:.0f} mm: the knees bend the wrong way, the soles point backward, or the posture is wrong",
                 "standing.posture",
             )
         ]
@@ -142,7 +148,7 @@ def _com(config: Config, model: RobotModel, q: Array) -> list[Finding]:
 
 
 def _torque(config: Config, model: RobotModel, q: Array) -> list[Finding]:
-    """Return whether a joint is too weak to stand on one foot."""
+    """Check that all joints are strong enough to stand on one foot."""
     over = Kinematics(model, _over_left(model, q), Foot.LEFT)
     tau = np.abs(gravity_torques(over, both=False))
     limit = Servos.of(config, model).torque
@@ -150,21 +156,21 @@ def _torque(config: Config, model: RobotModel, q: Array) -> list[Finding]:
     if tau[worst] * _TORQUE <= limit[worst]:
         return []
     text = (
-        f"'{model.joint_names[worst]}' needs about {tau[worst]:.3g} N m to stand on one foot and has "
-        f"{limit[worst]:.3g}; {_TORQUE} times as much is the least"
+        f"'{model.joint_names[worst]}' needs about {tau[worst]:.3g} N m to stand on one foot; its limit is "
+        f"{limit[worst]:.3g} N m and should be at least {_TORQUE} times the needed torque"
     )
     return [Finding(text, "servo.torque_scale, the effort limits of the URDF", "torque")]
 
 
 def _over_left(model: RobotModel, q: Array) -> Array:
-    """Return a posture near `q` whose CoM is over the left sole, the right one where it is (Gauss and Newton)."""
+    """Return a posture (n,) near `q` with the CoM over the left sole and the right sole unmoved (Gauss-Newton)."""
     right, center = model.soles[Foot.RIGHT].frame, model.soles[Foot.LEFT].center[:2]
-    there = DQ(Kinematics(model, q, Foot.LEFT).pose(right))
+    fixed = DQ(Kinematics(model, q, Foot.LEFT).pose(right))
     for _ in range(30):
         kin = Kinematics(model, q, Foot.LEFT)
-        off = DQ(kin.pose(right)) * there.conj()
-        turned = 2.0 * off.vec8()[1:4] * np.copysign(1.0, off.vec8()[0])
-        e = np.concatenate([kin.point(right) - there.translation(), turned, kin.com[:2] - center])
+        error = DQ(kin.pose(right)) * fixed.conj()
+        rotation = 2.0 * error.vec8()[1:4] * np.copysign(1.0, error.vec8()[0])
+        e = np.concatenate([kin.point(right) - fixed.translation(), rotation, kin.com[:2] - center])
         J = np.concatenate([kin.point_jacobian(right), kin.angular_jacobian(right), kin.com_jacobian[:2]])
         q = np.clip(q - J.T @ np.linalg.solve(J @ J.T + 1e-6 * np.eye(8), e), model.q_min, model.q_max)
     return q

@@ -1,4 +1,4 @@
-"""The numbers of a walk, derived from the robot: each with its value, its reason, and how sure it is."""
+"""Derives the parameters of a walk from the robot, each with its value, the reason for it, and a confidence."""
 
 from __future__ import annotations
 
@@ -30,14 +30,25 @@ __all__ = [
 Array = NDArray[np.float64]
 
 STIFFNESS = 5.0
-"""Servo stiffness in units of m g h: below 3 most robots fall."""
+"""Servo stiffness as a multiple of m g h; below 3 most robots fall."""
 SHORTEST = 1.5
-"""No shift of the CoM from foot to foot is faster than this [s]."""
+"""Shortest duration of a weight transfer from foot to foot [s]."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One parameter: its name, value, and the reason that stands beside it in the file."""
+    """One parameter with the reason for its value.
+
+    Attributes
+    ----------
+    key : str
+        Name, such as ``gait.step_length``.
+    value : value
+    reason : str
+        Written as a comment beside the value.
+    confidence : str
+        ``sure``, ``likely`` or ``guess``.
+    """
 
     key: str
     value: Any
@@ -47,22 +58,30 @@ class Entry:
 
 @dataclass(frozen=True)
 class Numbers:
-    """What the parameters follow from.
+    """Quantities from which the parameters are derived.
 
     Attributes
     ----------
-    mass, height, mgh : float
-        [kg], of the CoM above the soles [m], and their product with gravity [N m/rad].
+    mass : float
+        Mass of the robot, m [kg].
+    height : float
+        Height of the CoM above the soles, h [m].
+    mgh : float
+        m g h [N m/rad].
     inertia : float
-        Of the stretched leg about its hip [kg m^2].
+        Inertia of a leg about its hip [kg m^2].
     torque : float
-        Largest static torque of single support as a part of the joint's effort limit, and `joint` the one.
-    leg, width, length : float
-        Height of the hips, and size of a sole [m].
+        Largest static torque in single support, as a fraction of the effort limit of the joint.
+    joint : str
+        The joint of `torque`.
+    leg : float
+        Height of the hips above the soles [m].
+    width, length : float
+        Size of a sole [m].
     apart : float
         Lateral distance of the soles' centres [m].
     step : float
-        [m]
+        Step length [m].
     """
 
     mass: float
@@ -79,24 +98,25 @@ class Numbers:
 
     @property
     def stiffness(self) -> float:
-        """Stiffness of the servos [N m/rad]."""
+        """Stiffness of the servos, 5 m g h [N m/rad]."""
         return rounded(STIFFNESS * self.mgh)
 
     def damping(self, stiffness: float, ratio: float = 0.5) -> float:
-        """Return the damping of servos as a part of their stiffness [s], for a damping ratio of a swinging leg."""
+        """Return the damping of servos divided by their `stiffness` [s] that gives a swinging leg a damping `ratio`."""
         return rounded(2.0 * ratio * math.sqrt(self.inertia / stiffness), 2)
 
     @property
     def margin(self) -> float:
-        """Distance that the CoM keeps from the edges of a sole [m]."""
+        """Least distance of the CoM from the edges of a sole [m]."""
         return rounded(min(0.008, 0.15 * self.width))
 
     @property
     def transfer(self) -> float:
-        """Time of the CoM's way from foot to foot [s].
+        """Duration of a weight transfer from foot to foot [s].
 
-        On a smooth path of a duration T over the distance d the CoM accelerates by 5.78 d/T^2 at most, and the CoP lies
-        h/g times that away from it: within 0.6 of the half width that the margin leaves.
+        On a minimum-jerk path of the duration T over the distance d, the largest acceleration of the CoM is
+        5.78 d/T^2, and the distance of the CoP from the CoM is h/g times the acceleration. T is chosen such that this
+        distance is 0.6 of the half width that the margin leaves.
         """
         half = max(0.5 * self.width - self.margin, 1e-3)
         needed = math.sqrt(5.78 * self.apart * self.height / (GRAVITY * 0.6 * half))
@@ -104,12 +124,12 @@ class Numbers:
 
 
 def rounded(value: float, digits: int = 3) -> float:
-    """Return a number with few significant digits."""
+    """Return a number rounded to `digits` significant digits."""
     return float(f"{value:.{digits}g}")
 
 
 def measure(model: RobotModel, anatomy: Anatomy, standing: Standing, single: Sequence[Array], step: float) -> Numbers:
-    """Return what the parameters follow from.
+    """Return the quantities from which the parameters are derived.
 
     Parameters
     ----------
@@ -117,9 +137,13 @@ def measure(model: RobotModel, anatomy: Anatomy, standing: Standing, single: Seq
     anatomy : Anatomy
     standing : Standing
     single : sequence of ndarray, shape (n,)
-        Postures with the CoM over the left and over the right sole.
+        Postures with the CoM over the left and over the right sole [rad].
     step : float
-        [m]
+        Step length [m].
+
+    Returns
+    -------
+    Numbers
     """
     sole = model.soles[Foot.LEFT]
     height = float(standing.com[2])
@@ -140,7 +164,7 @@ def measure(model: RobotModel, anatomy: Anatomy, standing: Standing, single: Seq
 
 
 def static_torque(model: RobotModel, anatomy: Anatomy, single: Sequence[Array]) -> tuple[float, str]:
-    """Return the largest static torque on one foot as a part of the effort limit, and its joint."""
+    """Return the largest static torque on one foot as a fraction of the effort limit, and the name of its joint."""
     parts = {
         name: float(part)
         for foot, q in zip(Foot, single, strict=True)
@@ -161,10 +185,10 @@ def static_torque(model: RobotModel, anatomy: Anatomy, single: Sequence[Array]) 
 def robot_entries(
     model: RobotModel, anatomy: Anatomy, locked: dict[str, float], soles: dict[Foot, str], free: str
 ) -> list[Entry]:
-    """Return the section that says which robot it is; `free` says in words which joints move."""
+    """Return the parameters of the section ``robot``; `free` describes the joints that move."""
     sole = model.soles[Foot.LEFT]
     return [
-        Entry("robot.urdf", "robot.urdf", "repaired and with soles, beside this file"),
+        Entry("robot.urdf", "robot.urdf", "repaired, with frames of the soles, in the folder of this file"),
         Entry("robot.pelvis", anatomy.pelvis, "link that carries both legs"),
         Entry(
             "robot.left_sole", soles[Foot.LEFT], anatomy.soles[Foot.LEFT].source, anatomy.soles[Foot.LEFT].confidence
@@ -178,12 +202,12 @@ def robot_entries(
         Entry(
             "robot.imu",
             anatomy.imu or anatomy.pelvis,
-            "inertial sensor" if anatomy.imu else "no link is named like one",
+            "inertial sensor" if anatomy.imu else "no link is named like an inertial sensor",
         ),
         Entry(
             "robot.lock",
             [name if not angle else f"{name}={angle:.6g}" for name, angle in locked.items()] or [""],
-            f"all but {free}; an angle where zero is beyond the limits",
+            f"all joints except {free}; with an angle if zero is outside the limits",
         ),
         Entry("robot.sole_length", rounded(sole.length, 4), "largest rectangle in the foot"),
         Entry("robot.sole_width", rounded(sole.width, 4), "largest rectangle in the foot"),
@@ -191,7 +215,7 @@ def robot_entries(
 
 
 def paper_parameters(numbers: Numbers, standing: Standing, anatomy: Anatomy) -> list[Entry]:
-    """Return the parameters of the paper's walk."""
+    """Return the parameters of the walk of Urban & Adorno."""
     return [
         Entry("gait.style", "paper", "Urban & Adorno"),
         Entry("gait.step_length", numbers.step, "0.09 of a leg"),
@@ -207,13 +231,14 @@ def paper_parameters(numbers: Numbers, standing: Standing, anatomy: Anatomy) -> 
 def whole_body_parameters(
     model: RobotModel, anatomy: Anatomy, numbers: Numbers, standing: Standing, arms: dict[Foot, tuple[str, ...]]
 ) -> list[Entry]:
-    """Return the parameters of the whole-body controller; lengths scale with the CoM's height, times with its root.
+    """Return the parameters of the whole-body controller [Sherikov et al.].
 
-    The numbers scaled are those of the second paper's robot, whose CoM is 0.73 m high.
+    Lengths are those of the paper's robot, whose CoM is 0.73 m high, scaled with the height of the CoM, and times with
+    the square root of that height.
     """
     size = float(standing.com[2]) / 0.73
     slow = math.sqrt(size)
-    interval = rounded(0.005 * max(4, round(20.0 * slow)))  # whole control periods
+    interval = rounded(0.005 * max(4, round(20.0 * slow)))  # a multiple of the control period
     posture = [
         f"{name}: {angle:.4f}" for name, angle in zip(model.joint_names, standing.q, strict=True) if abs(angle) > 5e-5
     ]
@@ -228,9 +253,9 @@ def whole_body_parameters(
         Entry(
             "whole_body.free",
             [*anatomy.legs[Foot.LEFT], *anatomy.legs[Foot.RIGHT], *arms[Foot.RIGHT]],
-            "legs and right arm, which have tasks of their own",
+            "legs and right arm, which have separate tasks",
         ),
-        Entry("whole_body.interval", interval, "as the paper's robot, scaled by the root of that height"),
+        Entry("whole_body.interval", interval, "as the paper's robot, scaled by the square root of the CoM's height"),
         Entry("whole_body.single_support", rounded(7.0 * interval), "seven intervals"),
         Entry("whole_body.double_support", interval, "one interval"),
         Entry("whole_body.first_double_support", rounded(3.0 * interval), "three intervals"),
@@ -241,13 +266,13 @@ def whole_body_parameters(
         Entry("whole_body.step_width_min", rounded(numbers.apart, 4), "distance of the soles in the posture"),
         Entry("whole_body.step_width_max", rounded(numbers.apart + 0.11 * size, 4), scaled),
         Entry("whole_body.step_height", rounded(0.07 * size), scaled),
-        Entry("whole_body.hand_weight", 2.0, "twice that of the paper's robot: other arms weigh more", "guess"),
+        Entry("whole_body.hand_weight", 2.0, "twice that of the paper's robot: other arms are heavier", "guess"),
         Entry("whole_body.effort", rounded(float(most.max()) if most.size else 150.0), "largest limit of the URDF"),
     ]
 
 
 def parameters(model: RobotModel, anatomy: Anatomy, numbers: Numbers, standing: Standing) -> list[Entry]:
-    """Return the parameters of the standing walk."""
+    """Return the parameters of the standing walk, whose stiffness, damping and duration follow from `numbers`."""
     n = numbers
     small = min(1.0, n.leg / 0.4)
     posture = [
@@ -262,10 +287,10 @@ def parameters(model: RobotModel, anatomy: Anatomy, numbers: Numbers, standing: 
         Entry("dt", 0.005, "200 Hz"),
         Entry("gait.style", "standing", "the CoM stays over the true soles"),
         Entry("gait.steps", steps, "more than half a metre"),
-        Entry("gait.step_length", n.step, "0.09 of a leg, within reach"),
+        Entry("gait.step_length", n.step, "0.09 of a leg, within the reach of the legs"),
         Entry("gait.step_width", rounded(n.apart, 4), "distance of the soles in the posture"),
         Entry("gait.step_height", rounded(min(max(0.04 * n.leg, 0.008), 0.03)), "0.04 of a leg"),
-        Entry("gait.most_length", rounded(1.2 * n.step), "longest step that cmd_vel asks for"),
+        Entry("gait.most_length", rounded(1.2 * n.step), "longest step commanded by cmd_vel"),
         Entry(
             "gait.most_side", rounded(0.04 * n.leg) if roll else 0.0, "the ankles roll" if roll else "no ankle rolls"
         ),
@@ -278,7 +303,7 @@ def parameters(model: RobotModel, anatomy: Anatomy, numbers: Numbers, standing: 
         Entry("standing.posture", posture, "soles level, knees bent by 4 % of the leg, CoM over the soles' middle"),
         Entry("standing.margin", n.margin, "8 mm, or 0.15 of the sole's width"),
         Entry("standing.pressure_margin", rounded(min(0.004, 0.07 * n.width)), "half of the margin"),
-        Entry("standing.transfer_duration", n.transfer, "the CoP stays in the sole while the CoM crosses"),
+        Entry("standing.transfer_duration", n.transfer, "the CoP stays within the soles during the transfer"),
         Entry("standing.swing_duration", swing, "as for every robot"),
         Entry("standing.com_threshold", rounded(0.005 * small), "5 mm, less for a short leg"),
         Entry("standing.swing_threshold", rounded(0.003 * small), "3 mm, less for a short leg"),
@@ -288,7 +313,7 @@ def parameters(model: RobotModel, anatomy: Anatomy, numbers: Numbers, standing: 
         Entry("joints.eta", 5.0, "as for every robot"),
         Entry("joints.velocity", rounded(speed), "3 rad/s, or the slowest joint"),
         Entry("servo.stiffness", n.stiffness, f"5 m g h, m g h = {n.mgh:.4g} N m/rad", "guess"),
-        Entry("servo.assumed_stiffness", n.stiffness, "the same: gravity is fed forward by it", "guess"),
+        Entry("servo.assumed_stiffness", n.stiffness, "equal to servo.stiffness, for gravity feedforward", "guess"),
         Entry(
             "servo.damping",
             n.damping(n.stiffness),
@@ -300,8 +325,8 @@ def parameters(model: RobotModel, anatomy: Anatomy, numbers: Numbers, standing: 
             scale,
             "the effort limits of the URDF"
             if scale == 1.0
-            else f"the effort limits of the URDF are {n.torque:.2g} of what {n.joint} needs to stand on one foot",
+            else f"{n.joint} needs {n.torque:.2g} times its effort limit of the URDF to stand on one foot",
             "likely" if scale == 1.0 else "guess",
         ),
-        Entry("monitor.tolerance", 0.0001, "what Euler's method may be off where the feet touch down"),
+        Entry("monitor.tolerance", 0.0001, "error of the Euler method at touchdown"),
     ]

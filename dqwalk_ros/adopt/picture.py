@@ -1,4 +1,4 @@
-"""A picture of an adopted robot: its shapes in the posture, both soles, the CoM, and which way is ahead."""
+"""Draws an adopted robot: its shapes in the initial posture, both soles, the CoM and the forward direction."""
 
 from __future__ import annotations
 
@@ -26,11 +26,20 @@ Array = NDArray[np.float64]
 _MOST_TRIANGLES = 60_000
 _LIGHT = np.array([0.5, -0.4, 0.77])
 _VIEWS = {"from the side": (0, 2, -1.0, 1), "from the front": (1, 2, 1.0, 0), "from above": (0, 1, 1.0, 2)}
-"""Axes to the right and up of each view, and the axis towards the eye with its sign."""
+"""Horizontal and vertical axis of each view, sign of the axis towards the viewer, and the axis itself."""
 
 
 def draw(config: Config, model: RobotModel, path: pathlib.Path) -> None:
-    """Draw the robot in the posture in which its walk begins, seen from three sides."""
+    """Draw the robot in the initial posture of its walk in three views.
+
+    Parameters
+    ----------
+    config : Config
+    model : RobotModel
+        The robot of `config`.
+    path : Path
+        File of the picture; its suffix is the format.
+    """
     from matplotlib.collections import PolyCollection
 
     kin = Kinematics(model, model.posture(config.standing.posture), Foot.LEFT)
@@ -45,8 +54,8 @@ def draw(config: Config, model: RobotModel, path: pathlib.Path) -> None:
                 normals = np.cross(shown[:, 1] - shown[:, 0], shown[:, 2] - shown[:, 0])
                 bright = np.abs(normals @ _LIGHT) / np.maximum(np.linalg.norm(normals, axis=1), 1e-12)
                 colors = np.repeat(0.55 + 0.4 * bright[:, None], 3, axis=1)
-                seen = [*shown[:, :, [right, up]]]
-                ax.add_collection(PolyCollection(seen, facecolors=colors, edgecolors="none"))
+                projected = [*shown[:, :, [right, up]]]
+                ax.add_collection(PolyCollection(projected, facecolors=colors, edgecolors="none"))
             for foot, corners in soles.items():
                 ring = corners[[0, 1, 2, 3, 0]]
                 color = BLUE if foot is Foot.LEFT else RED
@@ -62,7 +71,7 @@ def draw(config: Config, model: RobotModel, path: pathlib.Path) -> None:
 
 
 def _arrow(ax: Axes, kin: Kinematics, right: int, up: int) -> None:
-    """Draw the direction of walking from halfway between the soles."""
+    """Draw an arrow in the forward direction from halfway between the soles."""
     if right == 0:
         middle = 0.5 * kin.point(kin.swing)
         begin = float(middle[right]), float(middle[up])
@@ -73,7 +82,7 @@ def _arrow(ax: Axes, kin: Kinematics, right: int, up: int) -> None:
 
 
 def _triangles(model: RobotModel, kin: Kinematics, file: pathlib.Path) -> Array:
-    """Return the triangles of what is seen, or of what collides where nothing is, shape (k, 3, 3) [m]."""
+    """Return the triangles of the visual shapes, or else of the collision shapes, shape (k, 3, 3) [m]."""
     shapes = Shapes(Urdf(model.urdf, model.name), file)
     for which in ("visuals", "collisions"):
         found = [

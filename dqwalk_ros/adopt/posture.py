@@ -1,4 +1,4 @@
-"""The posture in which a biped stands ready to walk: soles level, knees bent, CoM over the middle."""
+"""Finds the initial posture of a walk: soles level, knees bent, CoM over the middle of the soles."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ __all__ = ["Standing", "over_one_foot", "stand"]
 Array = NDArray[np.float64]
 
 _BENT = 0.96
-"""Distance of hip and ankle as a part of the straight leg."""
+"""Distance of hip and ankle as a fraction of the straight leg."""
 _MARGIN = 0.05
-"""Joints keep this distance from their limits [rad], or a tenth of their range where that is less."""
+"""Least distance of joints from their limits [rad]; a tenth of their range if that is less."""
 _LEVER = 0.3
-"""What an angle counts beside a length, in legs per radian."""
+"""Lever by which angles are compared with lengths, as a fraction of the leg length [1/rad]."""
 _LEAST = 1e-3
-"""A posture is found when all that it must keep is off by no more than this [m, of a leg of 1 m]."""
+"""Largest error of the constraints of a posture, as a fraction of the leg length."""
 
 
 @dataclass(frozen=True)
@@ -36,17 +36,17 @@ class Standing:
     Attributes
     ----------
     q : ndarray, shape (n,)
-        [rad]
+        Joint angles [rad].
     width : float
         Lateral distance of the soles' centres [m].
     com : ndarray, shape (3,)
-        In the left sole's frame, shifted to halfway between both soles [m].
+        CoM in the axes of the left sole, relative to the point halfway between both soles [m].
     pelvis : float
         Height of the pelvis [m].
     error : float
-        What is off, largest length or angle times 0.3 legs [m].
+        Largest error of the constraints, with angles multiplied by 0.3 leg lengths [m].
     knee : float
-        How far the knees are ahead of the line from hip to ankle [m].
+        Mean distance of the knees in front of the line from hip to ankle [m].
     """
 
     q: Array
@@ -63,39 +63,45 @@ def stand(model: RobotModel, anatomy: Anatomy, width: float, bent: float = _BENT
     Parameters
     ----------
     model : RobotModel
-        Its soles are those of `anatomy`; its root link has x ahead and z up.
+        Model with the soles of `anatomy`, whose root link has x forward and z up.
     anatomy : Anatomy
     width : float
         Lateral distance of the soles' centres [m].
     bent : float
-        Distance of hip and ankle as a part of the straight leg.
+        Distance of hip and ankle as a fraction of the straight leg.
+
+    Returns
+    -------
+    Standing
+        With the knees in front of the legs if there is such a posture.
 
     Raises
     ------
     ModelError
-        If no posture has both soles level side by side and the CoM over their middle.
+        If no posture has both soles level side by side and the CoM over their middle, or a leg has fewer than three
+        pitch joints.
     """
     pitches = {foot: _pitch(model, joints, anatomy) for foot, joints in anatomy.legs.items()}
     found = []
-    turns = _turns(model)
+    signs = _axis_signs(model)
     for way in (1.0, -1.0):
         start = np.zeros(model.n)
         for pitch in pitches.values():
-            start[list(pitch)] = way * np.array([-0.3, 0.6, -0.3]) * turns[list(pitch)]
+            start[list(pitch)] = way * np.array([-0.3, 0.6, -0.3]) * signs[list(pitch)]
         found.append(_solve(model, anatomy, width, bent, pitches, start))
     good = [one for one in found if one.error < _LEAST * max(anatomy.leg, 0.2)]
     if not good:
         best = min(found, key=lambda one: one.error)
         raise ModelError(
             f"no posture was found with both soles level, {1e3 * width:.0f} mm apart, and the CoM over their middle: "
-            f"the best one is off by {1e3 * best.error:.1f} mm"
+            f"the error of the best posture is {1e3 * best.error:.1f} mm"
         )
-    # knees ahead where both ways serve alike; else the way they bend
+    # prefer knees in front of the legs, then the smaller angles
     return max(good, key=lambda one: (one.knee > 0.0, -float(np.abs(one.q).sum())))
 
 
 def over_one_foot(model: RobotModel, anatomy: Anatomy, standing: Standing, foot: Foot) -> tuple[Array, float]:
-    """Return a posture (n,) with the CoM over one sole, both soles level, and how far off it is at best [m]."""
+    """Return a posture (n,) [rad] with the CoM over one sole and both soles level, and its largest error [m]."""
     pitches = {side: _pitch(model, joints, anatomy) for side, joints in anatomy.legs.items()}
     y = 0.0 if foot is Foot.LEFT else -standing.width
     best = _solve(model, anatomy, standing.width, _BENT, pitches, standing.q, com=(0.0, y), free_pelvis=True)
@@ -103,13 +109,11 @@ def over_one_foot(model: RobotModel, anatomy: Anatomy, standing: Standing, foot:
 
 
 def _pitch(model: RobotModel, joints: Sequence[str], anatomy: Anatomy) -> tuple[int, int, int]:
-    """Return the indices of hip, knee and ankle: the first, the middle and the last joint that pitch."""
+    """Return the indices of hip, knee and ankle: the first, the middle and the last pitch joint."""
     index = {name: k for k, name in enumerate(model.joint_names)}
     pitch = [name for name, kind in zip(joints, anatomy.kinds, strict=True) if kind == "P"]
     if len(pitch) < 3:
-        raise ModelError(
-            f"the legs have {len(pitch)} joints that pitch ({', '.join(pitch)}); hip, knee and ankle are needed"
-        )
+        raise ModelError(f"a leg has {len(pitch)} pitch joints ({', '.join(pitch)}); hip, knee and ankle are required")
     return index[pitch[0]], index[pitch[len(pitch) // 2]], index[pitch[-1]]
 
 
@@ -139,12 +143,13 @@ def _solve(
     place = np.array([0.0, -width, 0.0])
     rest = start if free_pelvis else np.zeros(model.n)
 
-    def kept(q: Array) -> Array:
+    def constraints(q: Array) -> Array:
         kin = Kinematics(model, q, Foot.LEFT)
         other = DQ(kin.pose(right))
         root = DQ(kin.pose(model.root))
-        upright = np.zeros(0) if free_pelvis else lever * _turn(root)
-        return np.concatenate([other.translation() - place, lever * _turn(other), upright, kin.com[:2] - wanted])
+        upright = np.zeros(0) if free_pelvis else lever * _rotation_error(root)
+        tilt = lever * _rotation_error(other)
+        return np.concatenate([other.translation() - place, tilt, upright, kin.com[:2] - wanted])
 
     def residual(q: Array) -> Array:
         kin = Kinematics(model, q, Foot.LEFT)
@@ -152,14 +157,14 @@ def _solve(
             float(np.linalg.norm(kin.point(frames[hip]) - kin.point(frames[ankle]))) - bent * straight[foot]
             for foot, (hip, _, ankle) in bodies.items()
         ]
-        return np.concatenate([kept(q), 0.3 * np.array(legs), 1e-3 * anatomy.leg * (q - rest)])
+        return np.concatenate([constraints(q), 0.3 * np.array(legs), 1e-3 * anatomy.leg * (q - rest)])
 
     first = np.clip(start, low + 1e-3, high - 1e-3)
     q = least_squares(residual, first, bounds=(low, high), xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=200).x
-    # what must be kept is kept exactly; the rest gave its place
+    # satisfy the constraints exactly, near the solution of the weighted problem
     for _ in range(3):
         q = least_squares(
-            lambda x, q0=q: np.concatenate([kept(x), 1e-4 * (x - q0)]), q, bounds=(low, high), max_nfev=50
+            lambda x, q0=q: np.concatenate([constraints(x), 1e-4 * (x - q0)]), q, bounds=(low, high), max_nfev=50
         ).x
     kin = Kinematics(model, q, Foot.LEFT)
     middle = np.array([0.0, 0.5 * width, 0.0])
@@ -173,13 +178,13 @@ def _solve(
         width=width,
         com=kin.com + middle,
         pelvis=float(kin.point(model.pelvis)[2]),
-        error=float(np.abs(kept(q)).max()),
+        error=float(np.abs(constraints(q)).max()),
         knee=float(np.mean(knees)),
     )
 
 
-def _turns(model: RobotModel) -> Array:
-    """Return 1 for joints that turn about the left, -1 for those about the right, in the zero posture, shape (n,)."""
+def _axis_signs(model: RobotModel) -> Array:
+    """Return 1 for joints whose axis points to the left in the zero posture, else -1, shape (n,)."""
     kin = Kinematics(model, np.zeros(model.n), Foot.LEFT)
     frames = _joint_frames(model)
     axes = {body.joint: body.axis for body in model.bodies}
@@ -188,15 +193,15 @@ def _turns(model: RobotModel) -> Array:
 
 
 def _joint_frames(model: RobotModel) -> dict[str, str]:
-    """Return a frame at each joint: the link that it carries."""
+    """Return the name of a frame at each joint: its child link."""
     first: dict[int, str] = {}
     for name, frame in model.frames.items():
         first.setdefault(frame.body, name)
     return {model.joint_names[body.joint]: first[k] for k, body in enumerate(model.bodies) if body.joint >= 0}
 
 
-def _turn(x: DQ) -> Array:
-    """Return twice the vector part of a pose's rotation, with its sign chosen so that small turns are small, (3,)."""
+def _rotation_error(x: DQ) -> Array:
+    """Return twice the vector part of the rotation of a pose, with a non-negative real part, shape (3,)."""
     r = x.vec8()[:4]
     out: Array = 2.0 * np.copysign(1.0, r[0]) * r[1:]
     return out

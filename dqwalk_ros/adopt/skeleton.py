@@ -1,4 +1,4 @@
-"""Where the links, joints and surfaces of a robot are in the zero posture."""
+"""Poses of the links, joints and surfaces of a robot in the zero posture."""
 
 from __future__ import annotations
 
@@ -19,7 +19,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Evidence:
-    """A value with where it is from and how sure it is: ``sure``, ``likely`` or ``guess``."""
+    """A value found in a robot description.
+
+    Attributes
+    ----------
+    what : str
+        Name of the quantity.
+    value : str
+    source : str
+        How the value was found.
+    confidence : str
+        ``sure``, ``likely`` or ``guess``.
+    """
 
     what: str
     value: str
@@ -28,21 +39,27 @@ class Evidence:
 
 
 class Skeleton:
-    """Where everything is in the zero posture, in the axes of the root link or turned by `turn` (3, 3).
+    """Poses of the links and joints in the zero posture.
+
+    Parameters
+    ----------
+    urdf : Urdf
+    turn : ndarray, shape (3, 3), optional
+        Rotation from the axes of the root link to the axes of all poses.
 
     Attributes
     ----------
     joints : dict of str to Joint
-        Those that turn and follow no other.
+        Revolute joints that move independently of others.
     chain : dict of str to tuple of str
         The joints between the root and a link.
     bodies : dict of str to list of str
-        The links that a joint moves and the next one does not; those of the root are of ``""``.
+        Links that are rigidly connected, by the last joint that moves them; ``""`` for those of the root.
     """
 
     def __init__(self, urdf: Urdf, turn: Array | None = None) -> None:
         self.urdf = urdf
-        # a joint that another limb follows cannot turn alone
+        # a joint that a limb mimics cannot move independently
         coupled = {
             joint.mimic
             for joint in urdf.joints.values()
@@ -73,7 +90,7 @@ class Skeleton:
         return self._pose[link]
 
     def place(self, joint: str) -> Array:
-        """Return where a joint is, shape (3,) [m]."""
+        """Return the position of a joint, shape (3,) [m]."""
         place: Array = self._pose[self.joints[joint].child][:3, 3]
         return place
 
@@ -87,7 +104,7 @@ class Skeleton:
         return self.chain[link][-1] if self.chain[link] else ""
 
     def way(self, body: str) -> tuple[str, ...]:
-        """Return the joints from the root to a body, the body's own included."""
+        """Return the joints from the root to a body, including the joint of the body."""
         return self.chain[self.bodies[body][0]]
 
     def mass(self, body: str) -> float:
@@ -95,7 +112,7 @@ class Skeleton:
         return sum(self.urdf.links[link].mass for link in self.bodies[body])
 
     def heaviest(self, body: str) -> str:
-        """Return the link of a body that weighs most, the first one where none does."""
+        """Return the heaviest link of a body; the first one if all masses are equal."""
         return max(self.bodies[body], key=lambda link: self.urdf.links[link].mass)
 
     def com(self, bodies: Sequence[str]) -> Array:
@@ -109,7 +126,7 @@ class Skeleton:
 
 
 def _moved_by(urdf: Urdf, link: str, leader: str) -> int:
-    """Return how many joints hang on a link, 0 where the joint `leader` carries it."""
+    """Return the number of joints that a link carries; 0 if the joint `leader` carries the link."""
     above = urdf.joints[leader].child if leader in urdf.joints else ""
     count, waiting = 0, [link]
     for name in waiting:
@@ -126,7 +143,7 @@ def _moved_by(urdf: Urdf, link: str, leader: str) -> int:
 
 
 class Points:
-    """Points of the surface of bodies, in the axes of a skeleton."""
+    """Points on the surfaces of the links, in the axes of a skeleton."""
 
     def __init__(self, shapes: Shapes) -> None:
         self._shapes = shapes
@@ -134,12 +151,12 @@ class Points:
 
     @property
     def lacking(self) -> str:
-        """Which mesh was not read, for messages."""
+        """Text for messages that names a mesh that could not be read; empty if all were read."""
         missing = self._shapes.missing
         return f" (mesh '{next(iter(missing))}' {next(iter(missing.values()))})" if missing else ""
 
     def of_link(self, link: str, which: str) -> Array | None:
-        """Return points (N, 3) of a link in its frame, None where it has no shape."""
+        """Return points (N, 3) of a link in its frame [m]; None if it has no shape."""
         key = (link, which)
         if key not in self._known:
             found = [surface.vertices for surface in self._shapes.of(link, which)]
@@ -147,7 +164,7 @@ class Points:
         return self._known[key]
 
     def of(self, skeleton: Skeleton, links: Sequence[str]) -> tuple[Array | None, str]:
-        """Return points (N, 3) of some links: of what collides, else of what is seen."""
+        """Return points (N, 3) [m] of some links, and whether of their ``collisions`` or else of their ``visuals``."""
         for which in ("collisions", "visuals"):
             found = []
             for link in links:
@@ -161,7 +178,7 @@ class Points:
 
 
 def _hull(points: Array) -> Array:
-    """Return the corners of the convex hull of points (N, 3)."""
+    """Return the corners (M, 3) of the convex hull of points (N, 3), or the points themselves if they have none."""
     try:
         corners: Array = points[ConvexHull(points).vertices]
         return corners

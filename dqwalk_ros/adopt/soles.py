@@ -1,4 +1,4 @@
-"""The soles of a biped: the largest rectangle in the plane on which a foot stands."""
+"""Finds the soles of a biped: the largest rectangle in the plane on which a foot stands."""
 
 from __future__ import annotations
 
@@ -18,14 +18,29 @@ __all__ = ["FoundSole", "find_soles", "foot_links", "plane_below"]
 Array = NDArray[np.float64]
 
 _FLAT = 0.004
-"""Points this near to the plane of a sole belong to it [m]."""
+"""Largest distance from the plane of a sole of a point that belongs to it [m]."""
 _LEAST_SOLE = 0.04
-"""A foot shorter or narrower than this part of a leg is a point."""
+"""Least length and width of a sole, as a fraction of the leg length."""
 
 
 @dataclass(frozen=True)
 class FoundSole:
-    """A sole: its link, its pose (4, 4) there (x ahead, z up, centred), its size and the outline of the foot [m]."""
+    """A sole.
+
+    Attributes
+    ----------
+    link : str
+    pose : ndarray, shape (4, 4)
+        Centre of the sole in the frame of the link, with x forward and z up.
+    length, width : float
+        Size of the rectangle [m].
+    outline : ndarray, shape (k, 2)
+        Convex hull of the points of the foot in the plane of the sole [m].
+    source : str
+        How the sole was found.
+    confidence : str
+        ``sure``, ``likely`` or ``guess``.
+    """
 
     link: str
     pose: Array
@@ -37,14 +52,32 @@ class FoundSole:
 
 
 def foot_links(skeleton: Skeleton, ankle: str) -> list[str]:
-    """Return the links from the ankle on: the foot, and toes on it."""
+    """Return the links that the ankle carries: the foot and its toes."""
     return [link for link, chain in skeleton.chain.items() if ankle in chain]
 
 
 def find_soles(
     skeleton: Skeleton, points: Points, legs: dict[Foot, tuple[str, ...]], leg: float, evidence: list[Evidence]
 ) -> tuple[dict[Foot, FoundSole], tuple[str, ...]]:
-    """Return the soles, alike on both sides, and the joints within the feet."""
+    """Return the soles, of equal size on both sides, and the joints within the feet.
+
+    Parameters
+    ----------
+    skeleton : Skeleton
+        With x forward and z up.
+    points : Points
+    legs : dict of Foot to tuple of str
+        Joints from the hip to the ankle.
+    leg : float
+        Length of a leg [m].
+    evidence : list of Evidence
+        The soles and toes are appended to it.
+
+    Raises
+    ------
+    ModelError
+        If a foot has no shape, or is too small for a flat sole.
+    """
     found = {foot: _sole(skeleton, points, joints[-1], leg) for foot, joints in legs.items()}
     toes = tuple(
         joint
@@ -56,7 +89,7 @@ def find_soles(
         if min(sole.length, sole.width) < _LEAST_SOLE * leg:
             raise ModelError(
                 f"this biped stands on points or edges: its {foot.value} sole is {1e3 * sole.length:.0f} x "
-                f"{1e3 * sole.width:.0f} mm, and this walk needs flat soles{points.lacking}"
+                f"{1e3 * sole.width:.0f} mm, but the walk requires flat soles{points.lacking}"
             )
     length, width = (min(getattr(sole, key) for sole in found.values()) for key in ("length", "width"))
     out = {}
@@ -72,7 +105,7 @@ def find_soles(
             )
         )
     if toes:
-        evidence.append(Evidence("toes", " ".join(toes), "joints behind the ankles: locked", "likely"))
+        evidence.append(Evidence("toes", " ".join(toes), "joints carried by the ankles: locked", "likely"))
     return out, toes
 
 
@@ -81,12 +114,12 @@ def _sole(skeleton: Skeleton, points: Points, ankle: str, leg: float) -> FoundSo
     p, which = points.of(skeleton, links)
     foot = skeleton.joints[ankle].child
     if p is None:
-        raise ModelError(f"the foot '{foot}' has no shape that can be read, so its sole is not known{points.lacking}")
+        raise ModelError(f"the foot '{foot}' has no shape that can be read, so its sole is unknown{points.lacking}")
     normal, level = plane_below(p)
     near = p[(p - level) @ normal < min(_FLAT, 0.02 * leg)]
     x = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
     x /= np.linalg.norm(x)
-    axes = np.array([x, np.cross(normal, x), normal])  # rows: ahead, left, up of the sole
+    axes = np.array([x, np.cross(normal, x), normal])  # rows: forward, left and up axis of the sole
     flat = (near - level) @ axes.T
     x0, x1, y0, y1 = _rectangle(flat[:, :2])
     center = level + np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.0]) @ axes
@@ -95,7 +128,7 @@ def _sole(skeleton: Skeleton, points: Points, ankle: str, leg: float) -> FoundSo
     tilt = math.degrees(math.acos(min(1.0, normal[2])))
     hull = ConvexHull(flat[:, :2])
     share = (x1 - x0) * (y1 - y0) / hull.volume
-    source = f"largest rectangle within the lowest points of what {'collides' if which == 'collisions' else 'is seen'}"
+    source = f"largest rectangle within the lowest points of the {which.removesuffix('s')} shapes"
     if tilt > 0.0:
         source += f"; tilted by {tilt:.1f} degrees in the zero posture"
     return FoundSole(
@@ -110,7 +143,7 @@ def _sole(skeleton: Skeleton, points: Points, ankle: str, leg: float) -> FoundSo
 
 
 def plane_below(p: Array) -> tuple[Array, Array]:
-    """Return normal (3,), pointing up, and a point (3,) of the plane that a foot stands on: its largest side below."""
+    """Return the upward normal (3,) and a point (3,) of the largest lower side of the convex hull of points (N, 3)."""
     level = np.array([0.0, 0.0, 1.0])
     lowest = p[np.argmin(p[:, 2])]
     try:
@@ -137,7 +170,7 @@ def plane_below(p: Array) -> tuple[Array, Array]:
 
 
 def _rectangle(p: Array) -> tuple[float, float, float, float]:
-    """Return x0, x1, y0, y1 of the largest rectangle along the axes in the convex hull of points (N, 2)."""
+    """Return x0, x1, y0, y1 of the largest axis-aligned rectangle in the convex hull of points (N, 2)."""
     try:
         corners = p[ConvexHull(p).vertices]
     except QhullError:

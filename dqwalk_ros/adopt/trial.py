@@ -1,4 +1,4 @@
-"""The first walks of an adopted robot, and what is tried when it falls."""
+"""Walks with an adopted robot for the first time, and changes parameters if it falls."""
 
 from __future__ import annotations
 
@@ -22,23 +22,25 @@ from dqwalk_ros.stability import Finding
 __all__ = ["Trial", "cures", "first_walks", "walk"]
 
 _STEPS = 4
+"""Number of steps of a trial."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A walk that was tried.
+    """The result of a trial walk.
 
     Attributes
     ----------
     plant : str
+        ``kinematic`` or ``physics``.
     stood : bool
-        Whether it walked to its end.
+        Whether the walk was completed.
     distance : float
-        That the pelvis came on, along x [m].
+        Displacement of the pelvis along x [m].
     note : str
-        How it ended before its end.
+        Reason for which the walk ended early.
     causes : tuple of Finding
-        Why it fell, what acted first at the front.
+        Causes of a fall, the earliest first.
     """
 
     plant: str
@@ -55,22 +57,23 @@ class Trial:
 def first_walks(
     found: Adoption, given: Mapping[str, Any], progress: Callable[[float, str], None] = lambda *_: None
 ) -> Iterator[tuple[Trial, str]]:
-    """Walk in kinematics, then in physics; where it falls there, try the cures, and keep in ``robot.yaml`` what helped.
+    """Walk in kinematics, then in physics; after a fall in physics try `cures` and write those that help.
 
     Parameters
     ----------
     found : Adoption
+        The adopted robot; its ``robot.yaml`` is rewritten if a cure helps.
     given : dict of str to value
         Parameters that no cure changes.
     progress : callable, optional
-        Called with the fraction done of the walk under way, and a line of text.
+        Called with the completed fraction of the current walk, and a line of text.
 
     Yields
     ------
     Trial
-        The walk as derived, and the one after each cure that was tried.
+        The walk with the derived parameters, and the one after each cure.
     str
-        The cures it has; empty at first.
+        The cures applied; empty for the derived parameters.
     """
     config, model, file = found.config, found.model, found.folder / "robot.yaml"
     for plant in ("kinematic", "physics"):
@@ -82,20 +85,37 @@ def first_walks(
         for what, values in cures(config, found.numbers, first.causes) if plant == "physics" else ():
             names.append(what)
             kept = {key: value for key, value in values.items() if key not in given}
-            entries = changed(found.entries, kept, f"cured a fall: {', '.join(names)}")
-            write_yaml(file, entries, f"{model.name}: the walk that stands, cured.")
+            entries = changed(found.entries, kept, f"changed after a fall: {', '.join(names)}")
+            write_yaml(file, entries, f"{model.name}: the standing walk, changed after a fall.")
             cured = load(file)
             again = walk(cured, load_model(cured.robot), plant, _STEPS, progress)
             yield again, ", ".join(names)
             if again.stood:
                 break
         else:
-            write_yaml(file, found.entries, f"{model.name}: the walk that stands.")
+            write_yaml(file, found.entries, f"{model.name}: the standing walk.")
             return
 
 
 def walk(config: Config, model: RobotModel, plant: str, steps: int, progress: Callable[[float, str], None]) -> Trial:
-    """Walk some steps on a plant."""
+    """Walk some steps, or one cycle of a walk other than the standing walk, on a plant.
+
+    Parameters
+    ----------
+    config : Config
+    model : RobotModel
+    plant : str
+        ``kinematic`` or ``physics``.
+    steps : int
+        Number of steps.
+    progress : callable
+        Called with the completed fraction and a line of text.
+
+    Returns
+    -------
+    Trial
+        An error of the walk is its `note`.
+    """
     changed = config.updated({"gait.steps": steps} if config.gait.style == "standing" else {"gait.cycles": 1})
     if plant == "physics":
         changed = from_yaml(find_share("config/plants", "physics.yaml").read_text(encoding="utf-8"), onto=changed)
@@ -116,9 +136,23 @@ def _distance(trace: Trace) -> float:
 
 
 def cures(config: Config, numbers: Numbers, found: Sequence[Finding]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield what may keep a robot from falling, one thing more each time: what it is, and the parameters.
+    """Yield changes that may prevent a fall, each together with all previous ones.
 
-    What answers the causes of the fall comes first, in their order.
+    Changes for the causes of the fall are first, in the order of the causes.
+
+    Parameters
+    ----------
+    config : Config
+    numbers : Numbers
+    found : sequence of Finding
+        Causes of the fall.
+
+    Yields
+    ------
+    str
+        Description of the last change.
+    dict of str to value
+        The changed parameters.
     """
     servo, standing = config.servo, config.standing
     stiffness = rounded(8.0 * numbers.mgh)
@@ -133,15 +167,15 @@ def cures(config: Config, numbers: Numbers, found: Sequence[Finding]) -> Iterato
             },
         ),
         "pressure": (
-            "a transfer 1.3 times as long",
+            "1.3 times the transfer duration",
             {"standing.transfer_duration": rounded(1.3 * standing.transfer_duration)},
         ),
-        "step": ("steps of 0.7 times the length", {"gait.step_length": rounded(0.7 * config.gait.step_length)}),
+        "step": ("0.7 times the step length", {"gait.step_length": rounded(0.7 * config.gait.step_length)}),
     }
     order = [cause.what for cause in found if cause.what in known]
     changes: dict[str, Any] = {}
     for what in dict.fromkeys([*order, *known]):
         if what == "damping" and "servo.stiffness" in changes:
-            continue  # that of stiffer servos
+            continue  # already included in the change of the stiffness
         changes |= known[what][1]
         yield known[what][0], dict(changes)

@@ -1,4 +1,4 @@
-"""``dqwalk exercise``: moves every joint of a robot that hangs, and records the motion of the servos."""
+"""``dqwalk exercise``: moves every joint of a suspended robot, and records the motion of the servos."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["exercise"]
 
 
 @command("""
-The robot hangs by its pelvis, level, with all limbs free (docs/hardware.md). Each joint is moved slowly over 0.5 rad or
+The pelvis is fixed and level, with all limbs free (docs/hardware.md). Each joint is moved slowly over 0.5 rad or
 its range, back and forth, in small steps, and by oscillations up to 6 Hz, 20 s in total, while the other joints keep a
 posture in which gravity loads it; the limbs move at the same time. A Poppy takes 5 minutes.
 
@@ -31,7 +31,7 @@ writes to the folder of --out:
 
 examples:
   dqwalk exercise --out exercise                        Poppy as it is built, in MuJoCo
-  dqwalk exercise --plant poppy --out exercise          the real one, through ROS 2; hold it up first
+  dqwalk exercise --plant poppy --out exercise          the real Poppy, through ROS 2; suspend it first
   dqwalk exercise --ros --out exercise                  MuJoCo through ROS 2
   dqwalk exercise --config my_robot.yaml --plant physics --cycles 2
   dqwalk exercise --set 'robot.lock=["head_*", "*_arm_*"]'       without these joints
@@ -55,7 +55,7 @@ then:
 def exercise(
     config: str, plant: str, cycles: int, ros: bool, changes: tuple[str, ...], out: Path, force: bool, quiet: bool
 ) -> int:
-    """Move every joint of a robot that hangs, and record the motion of its servos."""
+    """Move every joint of a suspended robot, and record the motion of its servos."""
     from dqwalk_ros.cli.options import parse_overrides
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import prepare
@@ -64,7 +64,7 @@ def exercise(
 
     made = exercise_config(config_of(config, plant=plant), cycles)
     made = made.updated(parse_overrides(changes), source="command line")
-    if plant == "poppy" and not made.servo.types:  # what servos it has is in the table of the motors
+    if plant == "poppy" and not made.servo.types:  # take the types of the servos from the table of motors
         from dqwalk_ros.plants.poppy import load_motors
         from dqwalk_ros.servos import load_types
 
@@ -82,7 +82,7 @@ def exercise(
             from dqwalk_ros import simulation
             from dqwalk_ros.report import bag
 
-            bar(0.0, "postures that load the joints")
+            bar(0.0, "computing postures")
             model = load_model(made.robot)
             controller, body = simulation.make_controller(made, model), simulation.make_plant(plant, made, model)
             total = duration(model, made.gait.cycles)

@@ -21,8 +21,8 @@ prints of each servo, with standard deviations:
   delay [ms]           from a measurement to the effect of its command: bus, USB and servo
   stiffness [N m/rad], damping [ms] (torque per speed, divided by the stiffness), friction [N m]
   backlash [deg]       play between goal and joint within which there is no torque
-  off [deg]            rms error of the servo model
-and roll and pitch of the inertial sensor's mounting. Gravity gives the torques, so weigh the robot (--mass).
+  rms error [deg]      of the servo model
+and roll and pitch of the inertial sensor's mounting. Torques are in proportion to the mass: weigh the robot (--mass).
 
 examples:
   dqwalk identify exercise/bag
@@ -58,7 +58,7 @@ def identify(bag: Path, mass: float | None, out: Path | None, quiet: bool) -> in
     out.write_text(fit.parameters(found, trace.config.dt, scale), encoding="utf-8")
     if not quiet:
         print(table(found))
-        print(f"wrote {out}; dqwalk replay {bag} --params {out} compares, dqwalk simulate --params {out} walks with it")
+        print(f"wrote {out}; dqwalk replay {bag} --params {out} compares, dqwalk simulate --params {out} uses it")
     return 1 if found.missing else 0
 
 
@@ -75,7 +75,7 @@ def table(found: Identified) -> str:
         "damping\n[ms]",
         "backlash\n[deg]",
         "friction\n[N m]",
-        "off\n[deg]",
+        "rms error\n[deg]",
     ]
     rows = []
     for name, values, spread, rms in zip(found.joints, found.value, found.deviation, found.rms, strict=True):
@@ -88,7 +88,7 @@ def table(found: Identified) -> str:
     parts = [aligned(rows, head, right=range(1, len(head)))]
     if (m := found.mounting) is not None:
         roll, pitch = (math.degrees(angle) for angle in m.rpy[:2])
-        parts.append(f"inertial sensor: roll {roll:+.2f}, pitch {pitch:+.2f} degrees, its own error of the vertical "
-                     "included; its yaw does not show in a robot that is held level")  # fmt: skip
+        parts.append(f"inertial sensor: roll {roll:+.2f}, pitch {pitch:+.2f} degrees, including its own error of the "
+                     "vertical; yaw is not observable while the robot is level")  # fmt: skip
     parts += [f"NOT FOUND: {name}: {why}" for name, why in found.missing.items()]
     return "\n\n".join(parts)

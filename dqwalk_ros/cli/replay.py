@@ -46,9 +46,9 @@ def replay(bag: Path, params: tuple[Path, ...], quiet: bool) -> int:
     rms = np.degrees(np.sqrt(np.mean((q - trace.q) ** 2, axis=0)))
     if not quiet:
         print(f"servos: {', '.join(map(str, files)) or 'as the exercise was configured'}")
-        rows = [[name, f"{off:.3f}"] for name, off in zip(trace.model.joint_names, rms, strict=True)]
-        print(aligned(rows, ["joint", "off, rms\n[deg]"], right=(1,)))
+        rows = [[name, f"{error:.3f}"] for name, error in zip(trace.model.joint_names, rms, strict=True)]
+        print(aligned(rows, ["joint", "rms error\n[deg]"], right=(1,)))
     worst = int(np.argmax(rms))
     mean = math.sqrt(float(np.mean(rms**2)))
-    print(f"all joints: {mean:.3f} degrees rms; most: {trace.model.joint_names[worst]}, {rms[worst]:.3f} degrees")
+    print(f"rms error: {mean:.3f} degrees; largest: {trace.model.joint_names[worst]}, {rms[worst]:.3f} degrees")
     return 1 if rms[worst] > _MOST else 0

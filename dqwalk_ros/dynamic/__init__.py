@@ -1,1 +1,1 @@
-"""The walk that moves: the divergent component of motion planned over footprints; not in Urban and Adorno's paper."""
+"""The dynamic walk, which plans the divergent component of motion over footprints; not in Urban and Adorno's paper."""

@@ -1,9 +1,9 @@
-"""When and where to put the foot down, from the divergent component as it is measured.
+"""Adjusts time and position of the landing to the measured divergent component of motion xi.
 
-While xi is where the ankle can still bring it to its end in time, by a zero-moment point within the sole, the step is
-left alone: this is the dead zone, without which the reaction of the swinging leg alone, grown by exp(w T), would move
-the step about. What the ankle cannot do is left over at the landing; the time of the landing is chosen so that this is
-small to the side, where a foot without ankle roll cannot be moved, and the place so that it is zero ahead.
+The step is not changed while a zero-moment point within the sole can bring xi to its planned value at the landing. This
+dead zone is necessary because the reaction of the swinging leg, amplified by exp(w T), would otherwise change the step.
+Otherwise an error of xi remains at the landing. The time of the landing is chosen such that the lateral error, which a
+foot without ankle roll joint cannot compensate, is small, and the position such that the error along x is zero.
 """
 
 from __future__ import annotations
@@ -20,31 +20,33 @@ __all__ = ["Step", "adjusted", "left_over"]
 Array = NDArray[np.float64]
 
 _GRID = 0.01
-"""Times of landing that are tried are this far apart [s]."""
+"""Resolution of the search for the landing time [s]."""
 _AHEAD_PART, _TIME_PART = 0.05, 1e-3
-"""What counts beside the square of what is left over to the side: that ahead, and that of the change of time [m/s]."""
+"""Weights of the squared error along x and of the squared change of time [m^2/s^2], relative to the lateral error."""
 _SMOOTH = 0.5
-"""The landing place goes this part of its way in one tick."""
+"""Fraction by which the landing position approaches its new value in one control period."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """A single support as it was planned; all in the axes of the base sole [m, s].
+    """A single support as planned, in the axes of the base sole.
 
     Attributes
     ----------
     z : ndarray, shape (2,)
-        Zero-moment point.
+        Zero-moment point [m].
     landing : ndarray, shape (2,)
-        Zero-moment point of the step after it, on the foot that swings.
+        Zero-moment point of the next step, on the swing foot after its landing [m].
     offset : ndarray, shape (2,)
-        xi at the end less `landing`.
+        xi at the end, relative to `landing` [m].
     duration : float
+        Planned duration [s].
     omega : ndarray, shape (2,)
+        Frequencies of the pendulum along x and y [1/s].
     low, high : ndarray, shape (2,)
-        Corners of the part of the sole in which the ankle is trusted with the zero-moment point.
+        Corners of the rectangle within the sole to which the zero-moment point is limited [m].
     reach : ndarray, shape (2,)
-        The landing place is moved by this at most.
+        Largest displacement of the landing position [m].
     """
 
     z: Array
@@ -58,25 +60,35 @@ class Step:
 
 
 def left_over(step: Step, xi: Array, elapsed: float, left: Array) -> tuple[Array, Array]:
-    """Return what the ankle leaves over of xi at the landing, and how the end moves with the time, (k, 2) each [m].
+    """Return the error of xi that the ankle cannot compensate until the landing, for several landing times.
+
+    With a constant zero-moment point z, the solution of xi' = w (xi - z) determines the z that brings xi to its planned
+    end; the error is due to the part of z outside `step.low` and `step.high`.
 
     Parameters
     ----------
     step : Step
     xi : ndarray, shape (2,)
-        Measured now.
+        Measured divergent component [m].
     elapsed : float
-        Since the foot lifted off [s].
+        Time since the lift-off [s].
     left : ndarray, shape (k,)
-        Until it lands [s].
+        Times until the landing [s].
+
+    Returns
+    -------
+    error : ndarray, shape (k, 2)
+        Error of xi at the landing [m].
+    displacement : ndarray, shape (k, 2)
+        Displacement of the planned end by the change of the landing time [m].
     """
     grown = np.exp(np.multiply.outer(left, step.omega))
     end = np.tile(step.landing + step.offset, (len(left), 1))
     sooner = step.duration - elapsed - left
-    shorter = np.exp(-step.omega[0] * sooner)  # an earlier landing is a shorter step
+    shorter = np.exp(-step.omega[0] * sooner)  # an earlier landing shortens the step
     moved = (shorter - 1.0) * (end[:, 0] - step.z[0])
     end[:, 0] += moved
-    needed = (xi * grown - end) / (grown - 1.0)  # xi' = w (xi - z) with z at rest
+    needed = (xi * grown - end) / (grown - 1.0)  # xi' = w (xi - z) with constant z
     over = (needed - np.clip(needed, step.low, step.high)) * (grown - 1.0)
     return over, np.column_stack([moved, np.zeros_like(moved)])
 
@@ -84,18 +96,29 @@ def left_over(step: Step, xi: Array, elapsed: float, left: Array) -> tuple[Array
 def adjusted(
     step: Step, xi: Array, elapsed: float, duration: float, shift: Array, c: DynamicConfig
 ) -> tuple[float, Array, Array]:
-    """Return duration [s], shift of the landing place (2,) [m] and what is left over (2,) [m] by the state of now.
+    """Return the duration and landing position of a step for the measured divergent component.
 
     Parameters
     ----------
     step : Step
     xi : ndarray, shape (2,)
+        Measured divergent component [m].
     elapsed : float
+        Time since the lift-off [s].
     duration : float
-        As it was decided last [s].
+        Previous duration [s].
     shift : ndarray, shape (2,)
-        As it was decided last [m].
+        Previous displacement of the landing position [m].
     c : DynamicConfig
+
+    Returns
+    -------
+    duration : float
+        [s]
+    shift : ndarray, shape (2,)
+        Displacement of the landing position [m].
+    error : ndarray, shape (2,)
+        Error of xi at the landing that the ankle cannot compensate [m].
     """
     soonest = max(c.shortest_step - elapsed, c.settled)
     latest = max(c.longest_step * step.duration - elapsed, soonest)

@@ -1,9 +1,9 @@
-"""The pendulum that a robot is when it walks: its frequencies, and what the swinging leg does to it.
+"""Linear inverted pendulum model of a robot: its frequencies, and the effect of the swing leg.
 
-With the angular momentum L about the CoM, that the ground's moment about the zero-moment point z has no horizontal
-part reads c - z = (h/g) c'' + (ex x L') / (M g) along the ground. The motions by which the robot moves its CoM, and its
-swing foot, are those of its own quadratic program, and L is in proportion to them: a robot that tilts sideways instead
-of shifting its hips is a slower pendulum than its height tells.
+With the angular momentum L about the CoM, the condition that the ground exerts no horizontal moment about the
+zero-moment point z is c - z = (h/g) c'' + (ex x L') / (M g) along the ground. L is proportional to the velocities of
+the CoM and of the swing foot, by the joint velocities that the quadratic program of the controller gives for them. So a
+robot that tilts sideways instead of shifting its hips is a slower pendulum than a point mass at the same height.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 def angular_momentum(kin: Kinematics) -> Array:
-    """Return L_u with L = L_u u about the CoM at joint velocities u, shape (3, n) [kg m^2/s]; a sole stands."""
+    """Return L_u with the angular momentum L = L_u u about the CoM, shape (3, n) [kg m^2]; the base sole is at rest."""
     model, J_com = kin.model, kin.com_jacobian
     L = np.zeros(J_com.shape)
     for link in Urdf(model.urdf, model.name).links.values():
@@ -43,11 +43,11 @@ class Pendulum:
     Attributes
     ----------
     height : float
-        Of the CoM [m].
+        Height of the CoM, h [m].
     omega : ndarray, shape (2,)
-        Frequencies ahead and to the side [1/s].
+        Frequencies along x and y [1/s].
     swing : float
-        How far the zero-moment point goes ahead, for the acceleration of the swing foot [s^2].
+        Displacement of the zero-moment point along x per acceleration of the swing foot [s^2].
     """
 
     height: float
@@ -56,7 +56,15 @@ class Pendulum:
 
     @classmethod
     def of(cls, phase: Phase, kin: Kinematics) -> Self:
-        """Return the pendulum of a single support with the tasks ``com`` and ``swing``, in a posture."""
+        """Return the pendulum model of a single support in a posture.
+
+        Parameters
+        ----------
+        phase : Phase
+            A single support with the tasks ``com`` and ``swing``.
+        kin : Kinematics
+            Kinematics of the posture.
+        """
         now = phase.evaluate(kin)
         rows, at = {}, 0
         for task in phase.tasks:
@@ -68,7 +76,7 @@ class Pendulum:
         H, L_u = J.T @ J + phase.damping**2 * np.eye(J.shape[1]), angular_momentum(kin)
 
         def response(task: str, axis: int) -> Array:
-            """Return the angular momentum when the first rows of a task are asked for 1 m/s along an axis."""
+            """Return L (3,) [kg m^2/s] if the velocity of a task is 1 m/s along an axis and all others are zero."""
             rate = np.zeros(at)
             rate[rows[task].start + axis] = 1.0
             L: Array = L_u @ np.linalg.solve(H, J.T @ (root * rate))

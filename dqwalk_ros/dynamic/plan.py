@@ -1,9 +1,9 @@
 """The divergent component of motion over footprints, in closed form [Englsberger2015].
 
-A linear inverted pendulum c'' = w^2 (c - z), with the centre of mass c over the ground, the zero-moment point z and one
-frequency w for each axis, falls apart into xi' = w (xi - z), which diverges, and c' = w (xi - c), which follows xi by
-itself. So only the divergent component xi = c + c'/w needs a plan. It is solved backwards in time, where it is stable,
-from a step far ahead to the present one.
+A linear inverted pendulum c'' = w^2 (c - z), with the centre of mass c along the ground, the zero-moment point z and a
+frequency w for each axis, has an unstable part xi' = w (xi - z) and a stable part c' = w (xi - c), in which c converges
+to xi. So only the divergent component xi = c + c'/w must be planned. Its equation is solved backwards in time, where it
+is stable, from the last planned step to the current one.
 """
 
 from __future__ import annotations
@@ -20,15 +20,31 @@ __all__ = ["Course", "Pressed", "Rest", "before", "single_supports"]
 Array = NDArray[np.float64]
 
 _OFFSET = 0.4
-"""Where the last step that is planned begins: this part of the way from the middle of both feet to the new one."""
+"""xi at the start of the last planned step, as a fraction of the distance from the middle of the feet to its foot."""
 _LAST = 0.25
-"""Where the walk's last single support ends: this part of the way from the middle of both feet to the standing one."""
+"""xi at the end of the last single support, as a fraction of the distance from the middle of the feet to its foot."""
 
 
 def before(a: Array, b: Array, end: Array, time: float, omega: Array) -> Array:
-    """Return xi (2,) a `time` [s] before it is at `end` (2,), while z moves evenly from `a` to `b` (2,) [m].
+    """Return the divergent component a given time before it is at `end`, while z moves linearly from `a` to `b`.
 
     The solution of xi' = w (xi - z): with e = exp(-w T) and b = a it is z + e (xi(T) - z).
+
+    Parameters
+    ----------
+    a, b : ndarray, shape (2,)
+        Zero-moment point at the beginning and at the end [m].
+    end : ndarray, shape (2,)
+        xi at the end [m].
+    time : float
+        T [s].
+    omega : ndarray, shape (2,)
+        w [1/s].
+
+    Returns
+    -------
+    ndarray, shape (2,)
+        xi at the beginning [m].
     """
     if time < 1e-9:
         return end
@@ -38,7 +54,7 @@ def before(a: Array, b: Array, end: Array, time: float, omega: Array) -> Array:
 
 
 class Course(Protocol):
-    """xi and z of a phase."""
+    """Planned divergent component xi and zero-moment point z during a phase of `duration` [s]."""
 
     duration: float
 
@@ -48,9 +64,18 @@ class Course(Protocol):
 
 @dataclass
 class Pressed:
-    """z moves evenly from `a` to `b` (2,) in `duration` [s], at the end of which xi is at `end` (2,) [m].
+    """Course of a support: z moves linearly from `a` to `b`, and xi ends at `end`; a single support if a = b.
 
-    With a = b it is a single support.
+    Attributes
+    ----------
+    a, b : ndarray, shape (2,)
+        Zero-moment point at the beginning and at the end [m].
+    end : ndarray, shape (2,)
+        xi at the end [m].
+    duration : float
+        [s]
+    omega : ndarray, shape (2,)
+        Frequencies of the pendulum [1/s].
     """
 
     a: Array
@@ -68,7 +93,17 @@ class Pressed:
 
 @dataclass
 class Rest:
-    """xi moves from `start` to `goal` (2,) in `duration` [s], at rest at both ends."""
+    """Course of a stance: xi moves from `start` to `goal` on a minimum-jerk path, at rest at both ends.
+
+    Attributes
+    ----------
+    start, goal : ndarray, shape (2,)
+        xi at the beginning and at the end [m].
+    duration : float
+        [s]
+    omega : ndarray, shape (2,)
+        Frequencies of the pendulum [1/s].
+    """
 
     start: Array
     goal: Array
@@ -87,18 +122,23 @@ class Rest:
 def single_supports(
     aims: Sequence[Array], single: float, double: float, omega: Array, *, ends: bool
 ) -> list[tuple[Array, Array]]:
-    """Return xi at the beginning and at the end of the single support on each aim but the last.
+    """Return xi at the beginning and at the end of each single support.
 
     Parameters
     ----------
     aims : sequence of ndarray, shape (2,)
-        Where the zero-moment point is on the foot that stands now, and on those put down after it [m]; two or more.
+        Zero-moment points on the current support foot and on those of the following steps [m]; two or more.
     single, double : float
         Durations of single and double support [s].
     omega : ndarray, shape (2,)
-        [1/s]
+        Frequencies of the pendulum [1/s].
     ends : bool
-        Whether the walk ends on the last two; else it goes on alike.
+        Whether the walk ends on the last two feet; otherwise it continues with steps like the last one.
+
+    Returns
+    -------
+    list of tuple of ndarray, shape (2,)
+        xi at the beginning and at the end of the single support on each of `aims` but the last [m].
     """
     a, b = aims[-2], aims[-1]
     middle = 0.5 * (a + b)

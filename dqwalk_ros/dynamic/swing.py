@@ -1,4 +1,4 @@
-"""The path of a swing foot that may be led to another place, and sooner or later, while it is in the air."""
+"""Path of a swing foot, whose landing position and time may change during the swing."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ __all__ = ["Swing"]
 Array = NDArray[np.float64]
 
 _LIFT, _LAND = 0.02, 0.06
-"""It moves along the ground but for these parts of its time, at the beginning and at the end."""
+"""Fractions of the duration at the beginning and at the end without motion along the ground."""
 _TOP = 4.0 / 7.0
 _SCALE = 1.0 / (_TOP**2 * (1.0 - _TOP) ** 1.5)
 
 
 class Swing:
-    """A sole lifts off, moves along the ground at minimum jerk, and lands.
+    """Path of a sole: minimum jerk along the ground, and an arch in height.
 
     Parameters
     ----------
     start, goal : ndarray, shape (8,)
-        Poses in the base frame.
+        Poses in the base frame, as unit dual quaternions.
     height : float
-        Of the highest place of its path [m].
+        Largest height of the path [m].
 
     Attributes
     ----------
     goal : ndarray, shape (2,)
-        Where it lands; may be changed [m].
+        Landing position, which may be changed during the swing [m].
     """
 
     def __init__(self, start: Array, goal: Array, height: float) -> None:
@@ -47,20 +47,31 @@ class Swing:
         self._v = np.zeros(2)
 
     def step(self, elapsed: float, duration: float) -> tuple[Array, Array, Array]:
-        """Move on, and return pose (7,), velocity (6,) and horizontal acceleration (2,) at a time, to land at another.
+        """Advance to a time and return the motion there.
 
         Parameters
         ----------
-        elapsed, duration : float
-            Time since it lifted off, and of the whole path as it is planned now [s].
+        elapsed : float
+            Time since the lift-off; must not decrease [s].
+        duration : float
+            Current duration of the whole swing [s].
+
+        Returns
+        -------
+        pose : ndarray, shape (7,)
+            Position [m] and unit quaternion.
+        velocity : ndarray, shape (6,)
+            Linear [m/s] and angular [rad/s].
+        acceleration : ndarray, shape (2,)
+            Along the ground [m/s^2].
         """
-        # the fraction of the path that is done goes on evenly towards its end
+        # the completed fraction of the path increases linearly to 1 at the end
         since, left = elapsed - self._elapsed, max(duration - self._elapsed, 1e-3)
         rate = (1.0 - self._s) / left
         s = min(self._s + rate * since, 1.0)
         rate = (1.0 - s) / max(duration - elapsed, 1e-3) if s < 1.0 else 0.0
         before, (place, slope) = _along(self._s)[0], _along(s)
-        if before < 1.0:  # the same part of what is left to the goal as a path at rest would go
+        if before < 1.0:  # the same fraction of the remaining distance as for a fixed goal
             self._p = self._p + (place - before) / (1.0 - before) * (self.goal - self._p)
         v = slope * rate / (1.0 - place) * (self.goal - self._p) if place < 1.0 - 1e-9 else np.zeros(2)
         acceleration = (v - self._v) / since if since > 0.0 else np.zeros(2)
@@ -75,17 +86,17 @@ class Swing:
 
 
 def _along(s: float) -> tuple[float, float]:
-    """Return the place 0..1 along the ground at a fraction of the time, and its slope."""
+    """Return the completed fraction of the distance along the ground at the fraction `s` of the time, and its slope."""
     span = 1.0 - _LIFT - _LAND
     x = min(max((s - _LIFT) / span, 0.0), 1.0)
     return x**3 * (10.0 - 15.0 * x + 6.0 * x**2), 30.0 * (x * (1.0 - x)) ** 2 / span
 
 
 def _arch(s: float) -> tuple[float, float]:
-    """Return the height 0..1 at a fraction of the time, and its slope: s^2 (1 - s)^(3/2), scaled.
+    """Return the height 0..1 at the fraction `s` of the time, and its slope: s^2 (1 - s)^(3/2), scaled.
 
-    It leaves the ground softly and comes down late: a foot that is low for long touches before its time is up, as
-    what bears the robot yields by half a millimetre, and takes the pressure out of the sole that stands.
+    The lift-off is smooth and the descent late: a foot that stays near the ground touches it too early, because the
+    structure that carries the robot deflects by half a millimetre, and so unloads the supporting sole.
     """
     left = 1.0 - s
     return _SCALE * s**2 * left**1.5, _SCALE * s * left**0.5 * (2.0 - 3.5 * s)

@@ -1,4 +1,4 @@
-"""Tasks that follow what a walk sets anew at every state."""
+"""Tasks that track a target, which the walk updates for every state."""
 
 from __future__ import annotations
 
@@ -18,29 +18,36 @@ Array = NDArray[np.float64]
 
 @dataclass(slots=True, eq=False)
 class Target:
-    """Where a task is to be now, and how fast that moves, both (k,).
+    """Current target of a task.
 
-    For a pose the place is a position and an orientation (7,), the velocity linear and angular (6,).
+    Attributes
+    ----------
+    place : ndarray, shape (k,)
+        Desired value; for a pose (7,), position [m] and unit quaternion.
+    velocity : ndarray, shape (k,)
+        Its velocity; for a pose (6,), linear [m/s] and angular [rad/s].
     """
 
     place: Array
     velocity: Array
 
     def set(self, place: Array, velocity: Array) -> None:
-        """Set both."""
+        """Set `place` and `velocity`."""
         self.place, self.velocity = place, velocity
 
 
 @dataclass(frozen=True, kw_only=True)
 class Follow(Task):
-    """Coordinates of a feature, or the first or last of them, follow a target: e = A s - place.
+    """Task that coordinates of a feature s follow a target: e = A s - place, e' = velocity - convergence e.
 
     Attributes
     ----------
     feature : Feature
+        With m coordinates.
     A : ndarray, shape (k, m)
-        Which of its coordinates.
+        Selects the coordinates.
     target : Target
+        Of k coordinates.
     convergence : float
         [1/s]
     """
@@ -56,28 +63,28 @@ class Follow(Task):
         return (self.feature,)
 
     def value(self, s: Array, elapsed: float) -> tuple[Array, Array]:
-        """Offset from the target, shape (k,)."""
+        """Return e = A s - place, shape (k,), and its gradient A, shape (k, m)."""
         return self.A @ s - self.target.place, self.A
 
     def rate(self, s: Array, e: Array, elapsed: float, eta: float) -> Array:
-        """Return the e' asked for: the target's velocity and the way to it, shape (k,)."""
+        """Return the desired rate of A s: velocity of the target less convergence e, shape (k,)."""
         back: Array = self.target.velocity - self.convergence * e
         return back
 
 
 @dataclass(frozen=True, kw_only=True)
 class FollowPose(Task):
-    """A frame follows a pose: p - p_d [m], and the angle times `lever` [m].
+    """Task that a frame follows a pose: the error is p - p_d [m], and the rotation error times `lever` [m].
 
     Attributes
     ----------
     frame : str
     target : Target
-        Of a pose.
+        A pose.
     convergence : float
         [1/s]
     lever : float
-        What an angle of 1 rad counts [m/rad].
+        Length that an angle of 1 rad is equivalent to [m/rad].
     """
 
     frame: str
@@ -91,13 +98,13 @@ class FollowPose(Task):
         return (Point(self.frame), Rotation(self.frame))
 
     def value(self, s: Array, elapsed: float) -> tuple[Array, Array]:
-        """Difference from the target, shape (6,) [m]."""
+        """Return the pose error (6,) [m], and its gradient with respect to the features."""
         place = self.target.place
         e, gradient = pose_error(s, place[:3], place[3:], self.lever)
         return e, gradient
 
     def rate(self, s: Array, e: Array, elapsed: float, eta: float) -> Array:
-        """Return the e' asked for: the target's velocity and the way to it, shape (6,) [m/s]."""
+        """Return the desired rate: velocity of the target, rotation times lever, less convergence e, (6,) [m/s]."""
         back = self.target.velocity - self.convergence * e
         back[3:] += (self.lever - 1.0) * self.target.velocity[3:]
         return back

@@ -1,8 +1,8 @@
-"""The walk that moves: its phases, and what they follow from state to state.
+"""The dynamic walk: its phases, and the update of their targets for every state.
 
-Single supports of a fixed time, short double supports between them; the divergent component of motion is planned over
-the footprints ahead (`plan`) and fed back through the zero-moment point, which the ground's force goes through. A
-stance brings the CoM to rest between the feet, before the walk and after it.
+Single supports of a fixed duration alternate with short double supports. The divergent component of motion is planned
+over the next footprints (`plan`), and its error is fed back to the zero-moment point, through which the ground reaction
+force acts. Before and after the walk, a stance brings the CoM to rest between the feet.
 """
 
 from __future__ import annotations
@@ -42,23 +42,23 @@ Array = NDArray[np.float64]
 
 _UP = np.array([0.0, 0.0, 1.0])
 _AHEAD = 6
-"""So many footprints are planned ahead."""
+"""Number of planned footprints."""
 _LATE = 0.05
-"""A delay as long as this halves the gain of the feedback [s]."""
-_UNSURE = 0.02
-"""A delay as long as this doubles what the ankle may leave over before a step is adjusted [s]."""
-_BEYOND, _YIELD = 0.002, 0.1
-"""While more than this is left over [m], the CoM's path gives way to the CoM by this part at each state."""
-_SURE = 3
-"""After so many such states in a row a step is adjusted: the noise of one state is no push."""
+"""Delay at which the feedback gain is halved [s]."""
+_TOLERANT = 0.02
+"""Delay at which the error threshold of the step adjustment is doubled [s]."""
+_RESIDUAL, _YIELD = 0.002, 0.1
+"""Error [m] above which the path of the CoM approaches the measured CoM, and the fraction of this at each state."""
+_CONFIRMED = 3
+"""Number of consecutive states above the threshold after which a step is adjusted, to reject measurement noise."""
 _SMOOTH = 0.02
-"""Time constant with which xi, by which a step is adjusted, follows what is measured [s]."""
+"""Time constant of the filter of the measured xi for the step adjustment [s]."""
 _GAP = 0.1
-"""After a longer time without a state the reference begins anew where the robot is [s]."""
+"""Time without a state after which the reference is reset to the measured state [s]."""
 
 
 class Timed:
-    """A phase is over after a time, which may change while it lasts.
+    """Rule that ends a phase after a duration, which may change during the phase.
 
     Attributes
     ----------
@@ -76,10 +76,10 @@ class Timed:
 
 @dataclass(eq=False)
 class _Flight:
-    """What may change while a foot is in the air.
+    """A single support whose landing may be adjusted.
 
-    `goal` is where it was to land, `shift` how far that was moved; `lost` counts states in a row that the ankle alone
-    cannot bring back, `most` is the most that it left over [m].
+    `goal` is the planned landing position and `shift` its displacement [m]; `lost` is the number of consecutive states
+    whose error exceeds the threshold, and `most` the largest error that the ankle cannot compensate [m].
     """
 
     rule: Timed
@@ -93,17 +93,17 @@ class _Flight:
 
 
 class DynamicWalk(StandingWalk):
-    """Steps of a fixed rhythm; order, steering and the end are those of the standing walk, with a stance before it."""
+    """Walk with steps of a fixed duration; phase order, steering and end are as in `StandingWalk`, after a stance."""
 
-    is_tunable = False  # its plan reaches beyond the next phase
+    is_tunable = False  # the plan extends beyond the next phase
 
     def __init__(self, config: Config, model: RobotModel) -> None:
         super().__init__(config, model)
-        self._step_now = np.zeros(3)  # length, side and turn of the step under way
+        self._step_now = np.zeros(3)  # length, side and turn of the current step
         delay = Drive.of(config, model).delay
-        self._early = max(delay - config.dt, 0.0)
+        self._advance = max(delay - config.dt, 0.0)
         self._gain = config.standing.balance / (1.0 + delay / _LATE)
-        self._beyond = config.dynamic.catch_beyond * (1.0 + delay / _UNSURE)
+        self._threshold = config.dynamic.catch_beyond * (1.0 + delay / _TOLERANT)
         self._known: Phase | None = None
         self._time = -math.inf
         self._com = self._xi = self._smooth = np.zeros(2)
@@ -116,12 +116,12 @@ class DynamicWalk(StandingWalk):
 
     @staticmethod
     def phases(config: Config) -> int:
-        """Return two for each step and for the feet together, and a stance before and after; 0 where it is steered."""
+        """Return the number of phases, with both stances and the steps that place the feet together; 0 if steered."""
         return 2 * config.gait.steps + 4 if config.gait.steps else 0
 
     @cached_property
     def pendulum(self) -> Pendulum:
-        """The robot in its posture as a pendulum."""
+        """Pendulum model of the robot in its initial posture."""
         kin = Kinematics(self.model, self.posture, self._first)
         phase = self.one_foot(self._first, self.posture, kin.pose(kin.swing))
         found = Pendulum.of(phase, kin)
@@ -140,15 +140,15 @@ class DynamicWalk(StandingWalk):
         return s.transfer_duration + s.swing_duration
 
     def place(self, support: Foot, footprints: Sequence[Array]) -> None:
-        """Refuse commanded footprints: this walk plans its own ahead; none of them cancels nothing.
+        """Reject commanded footprints, because this walk plans its own; an empty sequence has no effect.
 
         Raises
         ------
         StateError
-            If there is one.
+            If `footprints` is not empty.
         """
         if footprints:
-            raise StateError("a dynamic walk takes no footsteps; gait.style must be standing")
+            raise StateError("a dynamic walk does not accept footsteps; gait.style must be standing")
 
     def following(self, phase: Phase | None) -> tuple[PhaseKind, Foot, Array | None] | None:
         """Return kind, support foot and swing target of the phase after `phase`; None after the last one."""
@@ -167,11 +167,11 @@ class DynamicWalk(StandingWalk):
         return kind, phase.support.other, None
 
     def restarts(self, phase: Phase) -> float | None:
-        """Return 0: what is followed has moved on without the robot."""
+        """Return 0: after an interruption a phase begins again immediately, because its reference has advanced."""
         return 0.0
 
     def _after(self, step: Array, done: int) -> tuple[Array, bool]:
-        """Return the step after `step`, when `done` are done, and whether it puts the feet together."""
+        """Return the step after `step` and `done` completed steps, and whether it places the feet side by side."""
         gait, ramp = self.config.gait, self.config.dynamic.ramp
         if gait.steps:
             ramp = min(ramp, (gait.steps - 1) // 2)
@@ -189,13 +189,13 @@ class DynamicWalk(StandingWalk):
     # ------------------------------------------------------------------ phases
 
     def both_feet(self, kind: PhaseKind, support: Foot, q_start: Array) -> Phase:
-        """Return the phase that brings the CoM to the sole of `support`, in a stance between both soles."""
+        """Return the phase that moves the CoM to the sole of `support`, or in a stance to the middle of both soles."""
         kin = Kinematics(self.model, q_start, support.other)
         goal = com_target(self.model, kind, kin.base, q_start)[:2]
         return self._phase(kind, support, kin, None, (self._com_task(goal),), (self._held(kin),), ())
 
     def one_foot(self, support: Foot, q_start: Array, swing_target: Array) -> Phase:
-        """Return the single support on the foot `support` that swings the other one to its target."""
+        """Return the single support on the foot `support` in which the other foot moves to `swing_target` (8,)."""
         s = self.config.standing
         kin = Kinematics(self.model, q_start, support)
         x = DQ(swing_target)
@@ -256,10 +256,10 @@ class DynamicWalk(StandingWalk):
             return d.stop_duration
         return s.swing_duration if kind is PhaseKind.SINGLE_SUPPORT else s.transfer_duration
 
-    # ------------------------------------------------------------------ from state to state
+    # ------------------------------------------------------------------ update for every state
 
     def observe(self, phase: Phase, kin: Kinematics, state: State) -> Phase:
-        """Move on what the phase follows, find the ground's force that draws the robot to it, and adjust the step."""
+        """Update the targets of the phase, adjust the step, and compute the desired ground reaction force."""
         omega, up = self.pendulum.omega, kin.up
         dt = state.time - self._time
         self._time = state.time
@@ -276,17 +276,17 @@ class DynamicWalk(StandingWalk):
         self._smooth = moved + dt / (_SMOOTH + dt) * (xi - moved)
         flight = self._flight
         if flight is not None:
-            phase = self._catch(flight, phase, c, self._smooth, t)
+            phase = self._adjust_step(flight, phase, c, self._smooth, t)
         self._xi, z = self._course.at(t)
-        if flight is None:  # what is asked for now is so a delay later
-            _, z = self._course.at(t + self._early)
+        if flight is None:  # a command takes effect after the delay
+            _, z = self._course.at(t + self._advance)
         z = z + (1.0 + self._gain) * (xi - self._xi)
-        if flight is not None:  # and the foot is to be down when the weight comes
-            place, velocity, acceleration = flight.swing.step(t, flight.rule.duration - self._early)
+        if flight is not None:  # the foot must be on the ground before the weight is transferred
+            place, velocity, acceleration = flight.swing.step(t, flight.rule.duration - self._advance)
             self._targets["swing"].set(place, velocity)
             z[0] += self.pendulum.swing * acceleration[0]
         self._pressure = z = self._inside(z)
-        a = omega**2 * (c - z)  # of the pendulum
+        a = omega**2 * (c - z)  # acceleration of the pendulum
         self._force = GRAVITY * up + np.array([a[0], a[1], -(a @ up[:2]) / up[2]])
         self._targets["com"].set(self._com, omega * (self._xi - self._com))
         self._targets["upright"].set(up[:2], np.zeros(2))
@@ -294,7 +294,7 @@ class DynamicWalk(StandingWalk):
         return phase
 
     def _com_velocity(self, kin: Kinematics, state: State) -> Array:
-        """Return the velocity of the CoM, shape (3,) [m/s]; zero where no joint velocities are known."""
+        """Return the velocity of the CoM, shape (3,) [m/s]; zero if the joint velocities are unknown."""
         if state.dq is None:
             return np.zeros(3)
         body, pose = kin.tree.frames[self.model.imu]
@@ -304,51 +304,51 @@ class DynamicWalk(StandingWalk):
         )
         return v
 
-    def _catch(self, flight: _Flight, phase: Phase, c: Array, xi: Array, t: float) -> Phase:
-        """Adjust time and place of the step under way to xi (2,) as it is measured, `t` [s] into it.
+    def _adjust_step(self, flight: _Flight, phase: Phase, c: Array, xi: Array, t: float) -> Phase:
+        """Adjust landing time and position of the current step to the measured xi (2,) [m] at `t` [s] after lift-off.
 
-        Return the phase: where nothing can be changed any more, with what was decided.
+        Return the phase, which includes the decision as soon as the landing can no longer be changed.
         """
         d, rule, step = self.config.dynamic, flight.rule, flight.step
         if not d.catch or t < d.untouched:
             return phase
         if t > rule.duration - d.settled:
-            return phase if phase.decision or flight.lost < _SURE else self._decided(flight, phase)
-        if flight.lost < _SURE:
+            return phase if phase.decision or flight.lost < _CONFIRMED else self._with_decision(flight, phase)
+        if flight.lost < _CONFIRMED:
             over, _ = left_over(step, xi, t, np.array([step.duration - t]))
-            flight.lost = flight.lost + 1 if np.abs(over).max() > self._beyond else 0
-            if flight.lost < _SURE:
+            flight.lost = flight.lost + 1 if np.abs(over).max() > self._threshold else 0
+            if flight.lost < _CONFIRMED:
                 return phase
         rule.duration, flight.shift, over = adjusted(step, xi, t, rule.duration, flight.shift, d)
         flight.course.duration = rule.duration
         flight.course.end = step.landing + step.offset + flight.shift
         flight.swing.goal = flight.goal + flight.shift
         flight.most = max(flight.most, float(np.abs(over).max()))
-        if np.abs(over).max() > _BEYOND:
+        if np.abs(over).max() > _RESIDUAL:
             self._com = self._com + _YIELD * (c - self._com)
         return phase
 
-    def _decided(self, flight: _Flight, phase: Phase) -> Phase:
-        """Return the phase with the landing place that was decided, and why."""
+    def _with_decision(self, flight: _Flight, phase: Phase) -> Phase:
+        """Return the phase with the final landing position and a text that explains the change."""
         late, ahead = flight.rule.duration - flight.step.duration, float(flight.shift[0])
-        when, where = "later" if late > 0.0 else "sooner", "ahead" if ahead > 0.0 else "back"
+        when, where = "later" if late > 0.0 else "earlier", "forward" if ahead > 0.0 else "back"
         text = (
             f"the step lands {1e3 * abs(late):.0f} ms {when} and {1e3 * abs(ahead):.0f} mm further {where}: "
-            f"the ankle left over {1e3 * flight.most:.0f} mm"
+            f"an error of {1e3 * flight.most:.0f} mm that the ankle cannot compensate"
         )
         assert phase.swing_target is not None
         moved = DQ.from_pose([*flight.shift, 0.0]) * DQ(phase.swing_target)
         return replace(phase, swing_target=moved.vec8(), decision=text)
 
     def _begin(self, phase: Phase, kin: Kinematics) -> None:
-        """Plan a phase as its feet stand; the plan is in the axes of its base sole."""
+        """Plan a phase for the current poses of the feet, in the axes of the base sole of the phase."""
         before, self._known = self._known, phase
         other = Footprint.of(kin.pose(kin.swing))
-        if before is not None and before.base is not phase.base:  # the base sole was the other one
+        if before is not None and before.base is not phase.base:  # transform from the previous base sole
             self._com, self._xi = other.points(self._com), other.points(self._xi)
             self._smooth, self._pressure = other.points(self._smooth), other.points(self._pressure)
         self._targets = {task.name: task.target for task in phase.tasks if isinstance(task, Follow | FollowPose)}
-        self._pushed = self._flight.most > self._beyond if self._flight else self._pushed
+        self._pushed = self._flight.most > self._threshold if self._flight else self._pushed
         self._flight = None
         base, end = self._aim(phase.base, Footprint()), self._aim(phase.base.other, other)
         corners, omega, rule = self.model.soles[phase.base].corners[:, :2], self.pendulum.omega, phase.rule
@@ -371,7 +371,7 @@ class DynamicWalk(StandingWalk):
         self._legs = np.flatnonzero(tree.moves[tree.frames[self.model.pelvis][0]])
 
     def _flight_course(self, phase: Phase, kin: Kinematics, rule: Timed, base: Array) -> Pressed:
-        """Begin a single support, and return its course."""
+        """Initialize a single support and return its course."""
         d, omega, target = self.config.dynamic, self.pendulum.omega, phase.swing_target
         assert target is not None
         _, end = self._plan(phase.support, Footprint(), self._step_now, self._done, target)
@@ -383,14 +383,14 @@ class DynamicWalk(StandingWalk):
             low=sole.center[:2] - half, high=sole.center[:2] + half, reach=np.array([d.catch_length, d.catch_side]),
         )  # fmt: skip
         swing = Swing(kin.pose(kin.swing), target, self.config.gait.step_height)
-        # the step after one that was pushed is adjusted from the beginning
-        self._flight = _Flight(rule, course, step, swing, swing.goal, lost=_SURE if self._pushed else 0)
+        # after an adjusted step, the next step is adjusted from its beginning
+        self._flight = _Flight(rule, course, step, swing, swing.goal, lost=_CONFIRMED if self._pushed else 0)
         return course
 
     def _plan(
         self, foot: Foot, stands: Footprint, step: Array, done: int, target: Array | None = None
     ) -> tuple[Array, Array]:
-        """Return xi (2,) at the beginning and the end of the single support on a foot that stands there."""
+        """Return xi (2,) [m] at the beginning and at the end of the single support on `foot` at the pose `stands`."""
         together = self._together and target is not None
         landing = None if target is None else Footprint.of(target)
         aims = [self._aim(foot, stands)]
@@ -408,12 +408,12 @@ class DynamicWalk(StandingWalk):
         return plan[0]
 
     def _aim(self, foot: Foot, stands: Footprint) -> Array:
-        """Return where the zero-moment point is to be on a sole, shape (2,) [m]."""
+        """Return the desired zero-moment point on the sole of `foot` at the pose `stands`, shape (2,) [m]."""
         d, side = self.config.dynamic, 1.0 if foot is Foot.LEFT else -1.0
         return stands.points(self.model.soles[foot].center[:2] + np.array([d.aim_ahead, -side * d.aim_inside]))
 
     def _inside(self, z: Array) -> Array:
-        """Return the point nearest to `z` (2,) that keeps its distance from all edges of the support polygon [m]."""
+        """Return `z` (2,) [m] moved into the support polygon, shrunk by ``standing.pressure_margin``."""
         n, edge = self._support
         for _ in range(6):
             short = np.maximum(edge + self.config.standing.pressure_margin - n @ z, 0.0)
@@ -424,10 +424,10 @@ class DynamicWalk(StandingWalk):
         return z
 
     def effort(self, phase: Phase, kin: Kinematics, state: State) -> Array:
-        """Return the torques by which the ground bears the robot through the zero-moment point, shape (n,) [N m].
+        """Return the feedforward torques for a ground reaction force through the zero-moment point, shape (n,) [N m].
 
-        The joints between the base sole and the pelvis bear the ground's force less the weight of what is below them:
-        the leg that stands hardly moves, so all inertia is above it.
+        The joints between the base sole and the pelvis carry the ground reaction force less the weight of the links
+        below them: the support leg hardly moves, so the inertial forces act above it.
         """
         m, f, up = self.model.mass, self._force, kin.up
         both = phase.kind is not PhaseKind.SINGLE_SUPPORT
@@ -441,12 +441,12 @@ class DynamicWalk(StandingWalk):
 
 
 def _along_ground(v: Array, up: Array) -> Array:
-    """Return a vector (3,) without its part along `up` (3,) that takes it to the ground, shape (2,)."""
+    """Return the projection of a vector (3,) on the ground along the vertical `up` (3,), shape (2,)."""
     along: Array = v[:2] - v[2] / up[2] * up[:2]
     return along
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Return a x b of vectors (3,); numpy's own takes ten times as long."""
+    """Return a x b of vectors (3,), in a tenth of the time of ``numpy.cross``."""
     (x, y, z), (u, v, w) = a.tolist(), b.tolist()
     return np.array([y * w - z * v, z * u - x * w, x * v - y * u])

@@ -1,1 +1,1 @@
-"""What the servos of a robot do: an exercise that shows it, the fit that finds it, the replay that checks it."""
+"""Identification of servo parameters: an exercise, the fit of a servo model, and a replay that validates the model."""

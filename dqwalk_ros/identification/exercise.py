@@ -1,10 +1,10 @@
-"""An exercise in the air that shows what each servo does: slow sweeps, reversals, small steps and a chirp.
+"""Exercise for the identification of servos without ground contact: slow sweeps, reversals, small steps and a chirp.
 
-The robot is held by its root, level, as in a stand. Joints of a limb move one after the other, the limbs at the same
-time. While a joint moves, the others of its limb keep a posture in which gravity loads it to either side, where there
-is one: backlash shows where a load changes its sign, stiffness where it changes.
+The root of the robot is fixed and level. The joints of a limb move one after the other, and the limbs at the same time.
+While a joint moves, the other joints of its limb keep a posture in which gravity loads it in both directions, if there
+is one, because backlash is observable where the load changes its sign, and stiffness where the load varies.
 
-As a `Walk` it runs wherever a walk runs: in one process, through ROS 2, on a robot, and into the same bag.
+The exercise is a `Walk`, so it runs in one process, through ROS 2 and on a robot, and is recorded to the same bag.
 """
 
 from __future__ import annotations
@@ -31,43 +31,43 @@ Array = NDArray[np.float64]
 
 _Z = np.array([0.0, 0.0, 1.0])
 NAME = f"{__name__}:Exercise"
-"""What ``gait.walk`` is in an exercise."""
+"""Value of ``gait.walk`` for an exercise."""
 
 SLOT = 20.0
-"""Time for which one joint is exercised, the way to its posture included [s]."""
+"""Duration of the exercise of one joint, including the motion to its posture [s]."""
 _WAY, _REST = 2.5, 0.5
-"""Time of the way to a posture, and of rest there [s]."""
+"""Duration of the motion to a posture, and of the rest there [s]."""
 _GRID = 0.005
-"""Time between two points of the path [s]."""
+"""Sampling time of the path [s]."""
 _SWEEP, _REVERSAL, _STEPS = 0.25, 0.04, (0.03, 0.015, 0.04, 0.02)
-"""Largest amplitudes of the slow sweep, of the short one, and heights of the steps [rad]."""
+"""Largest amplitudes of the slow and of the short sweep, and heights of the steps [rad]."""
 _STEP_TIME = 0.02
-"""A step takes this long [s]: no joint is asked for more than its speed."""
+"""Rise time of a step [s], so that the commanded velocity is below the limit of the joint."""
 _CHIRP = (0.5, 7.0)
 """First and last frequency of the chirp [Hz]."""
 _CHIRP_SPEED = 1.3
-"""Its largest speed [rad/s]; with a delay of 0.1 s a goal stays within ``servo.window`` of its joint."""
+"""Largest velocity of the chirp [rad/s]; with a delay of 0.1 s a goal is within ``servo.window`` of its joint."""
 _MARGIN = 0.1
-"""Distance kept from a joint's limits [rad]."""
+"""Least distance from the limits of a joint [rad]."""
 _REACH = 0.9
-"""A posture bends other joints by no more than this [rad]."""
+"""Largest angle of the other joints in a posture [rad]."""
 _TRIES = 80
-"""Postures that are looked at for each joint."""
+"""Number of candidate postures for each joint."""
 _CLEAR, _NEAR = 0.85, 0.12
-"""Parts of the robot that are no neighbours come no closer than this part of their distance in the zero posture, or of
-so many metres where that is less."""
+"""Least distance of parts of the robot that are not neighbours: the first number times their distance in the zero
+posture, limited to the second number [m]."""
 _LEAN = 1.2
-"""Largest angle of a sole against the floor [rad]; a controller takes more for a fall."""
+"""Largest angle between a sole and the floor [rad]; a controller interprets a larger one as a fall."""
 
 
 def exercise_config(config: Config, cycles: int = 1) -> Config:
-    """Return the configuration of an exercise of all joints of the robot that `config` walks.
+    """Return the configuration of an exercise of all joints of the robot of `config`.
 
     Parameters
     ----------
     config : Config
     cycles : int
-        Each joint is exercised so many times.
+        Number of exercises of each joint.
     """
     return config.updated(
         {
@@ -76,16 +76,16 @@ def exercise_config(config: Config, cycles: int = 1) -> Config:
             "robot.lock": (),
             "standing.posture": (),
             "physics.held": True,
-            "servo.assumed": ("*=damping 0",),  # no torque is fed forward: it would be taken for the servo's own
+            "servo.assumed": ("*=damping 0",),  # no feedforward, which the fit would attribute to the servo
             "servo.assumed_lead": 0.0,
-            "safety.sole_tilt": 1.5,  # the soles are in the air
+            "safety.sole_tilt": 1.5,  # the soles are not on the ground
             "safety.contradiction": 3.0,
         }
     )
 
 
 def limbs(model: RobotModel) -> list[list[int]]:
-    """Return the joints of each limb that the root carries, parents first."""
+    """Return the indices of the joints of each limb that the root carries, parents first."""
     found: dict[int, list[int]] = {}
     first = [0] * len(model.bodies)
     for b, body in enumerate(model.bodies):
@@ -102,10 +102,11 @@ class Slot:
     Attributes
     ----------
     joint : int
+        Index of the joint.
     limb : tuple of int
-        The joints that are in its posture, itself among them.
+        Indices of all joints of its limb.
     posture : ndarray, shape (n,)
-        In the middle of the motion; what counts of it is the limb [rad].
+        Angles in the middle of the motion, of which only those of the limb are used [rad].
     sweep : float
         Amplitude of the slow sweep [rad].
     """
@@ -118,14 +119,25 @@ class Slot:
 
 @functools.lru_cache(maxsize=4)
 def slots(model: RobotModel, cycles: int) -> tuple[tuple[Slot, ...], ...]:
-    """Return the slots of each limb in their order, in the postures in which they show most.
+    """Return the slots of each limb in order, in the postures with the largest variation of the gravity torque.
 
-    Limbs with fewer joints than the longest come round more often than `cycles`, each time in other postures.
+    Limbs with fewer joints than the longest limb are exercised more than `cycles` times, each time in other postures.
+
+    Parameters
+    ----------
+    model : RobotModel
+    cycles : int
+        Number of exercises of each joint of the longest limb.
+
+    Returns
+    -------
+    tuple of tuple of Slot
+        For each limb, its slots.
 
     Raises
     ------
     ConfigError
-        If a joint has no room to move.
+        If the range of a joint is too small.
     """
     random, near, found = np.random.default_rng(0), _Clearance(model), limbs(model)
     most = max(map(len, found)) * cycles
@@ -138,8 +150,8 @@ def _slot(model: RobotModel, joint: int, limb: list[int], random: np.random.Gene
     low, high = model.q_min + _MARGIN, model.q_max - _MARGIN
     if high[joint] - low[joint] < 2.0 * _REVERSAL:
         raise ConfigError(
-            f"joint '{model.joint_names[joint]}' moves within {model.q_max[joint] - model.q_min[joint]:.2f} rad only: "
-            "too little for an exercise; lock it (robot.lock)"
+            f"the range of joint '{model.joint_names[joint]}' is {model.q_max[joint] - model.q_min[joint]:.2f} rad, "
+            "too small for an exercise; lock it (robot.lock)"
         )
     sweep = min(_SWEEP, 0.5 * (high[joint] - low[joint]))
     low[joint], high[joint] = low[joint] + sweep, high[joint] - sweep
@@ -156,19 +168,19 @@ def _slot(model: RobotModel, joint: int, limb: list[int], random: np.random.Gene
 
 
 def _loaded(model: RobotModel, q: Array, joint: int, sweep: float) -> float:
-    """Return what a sweep of a joint shows by gravity: a great torque, a wide range, and a change of its sign."""
+    """Return a score of the gravity torque during a sweep: large value, wide range and change of sign."""
     height, there = [], q.copy()
     angles = q[joint] + sweep * np.linspace(-1.0, 1.0, 4)
     for angle in angles:
         there[joint] = angle
         kin = Kinematics(model, there, Foot.LEFT)
         height.append(kin.direction(model.root, _Z) @ (kin.com - kin.point(model.root)))
-    slope = np.diff(height) / np.diff(angles)  # times the weight it is the torque
+    slope = np.diff(height) / np.diff(angles)  # gravity torque divided by the weight
     return float(0.3 * np.abs(slope).max() + 0.3 * np.ptp(slope) + max(0.0, min(slope.max(), -slope.min())))
 
 
 class _Clearance:
-    """Tells whether a robot keeps away from itself, and its soles from standing on end."""
+    """Checks postures for self-collision and for soles that are inclined too much."""
 
     def __init__(self, model: RobotModel) -> None:
         self._model = model
@@ -178,7 +190,7 @@ class _Clearance:
         self._least = _CLEAR * np.minimum(self._distances(np.zeros(model.n)), _NEAR)
 
     def __call__(self, q: Array, joint: int, sweep: float) -> bool:
-        """Tell whether the sweep of a joint about the posture `q` is clear."""
+        """Return whether the sweep of a joint about the posture `q` (n,) [rad] is free of collisions."""
         there = q.copy()
         for angle in (q[joint] - sweep, q[joint], q[joint] + sweep):
             there[joint] = angle
@@ -191,7 +203,7 @@ class _Clearance:
         return True
 
     def above(self, i: int, j: int) -> bool:
-        """Tell whether joint `i` carries joint `j`, or is it."""
+        """Return whether joint `i` carries joint `j`, or is the same joint."""
         (body,) = (b for b, body in enumerate(self._model.bodies) if body.joint == j)
         while body >= 0 and self._model.bodies[body].joint != i:
             body = self._model.bodies[body].parent
@@ -204,7 +216,7 @@ class _Clearance:
         return out
 
     def _links(self, a: int, b: int) -> int:
-        """Return how many joints are between two bodies."""
+        """Return the number of joints between two bodies."""
         ways = []
         for body in (a, b):
             ways.append([body])
@@ -214,7 +226,7 @@ class _Clearance:
 
 
 def _motion(sweep: float) -> Array:
-    """Return the motion of a joint about the middle of its posture, on the grid of the path, shape (m,) [rad]."""
+    """Return the motion of a joint relative to its posture, sampled as the path, shape (m,) [rad]."""
     left = SLOT - _WAY - _REST
     slow = _triangle(sweep, 0.36 * left)
     short = np.concatenate([_triangle(min(_REVERSAL, sweep), 0.05 * left)] * 2)
@@ -240,13 +252,13 @@ def _triangle(amplitude: float, duration: float) -> Array:
 
 
 def duration(model: RobotModel, cycles: int) -> float:
-    """Return how long an exercise takes [s]."""
+    """Return the duration of an exercise [s]."""
     return len(path_of(model, cycles)) * _GRID
 
 
 @functools.lru_cache(maxsize=4)
 def path_of(model: RobotModel, cycles: int) -> Array:
-    """Return the angles (m, n) of all joints on the grid, all zero at the beginning [rad]."""
+    """Return the angles (m, n) of all joints, sampled every 5 ms, all zero at the beginning [rad]."""
     each = slots(model, cycles)
     size = round(SLOT / _GRID)
     way = np.linspace(0.0, 1.0, round(_WAY / _GRID))
@@ -262,7 +274,7 @@ def path_of(model: RobotModel, cycles: int) -> Array:
             begin = at + size - len(motion)
             out[begin : at + size, slot.joint] += motion
             here, at = slot.posture, at + size
-        for i in limb[0].limb:  # back to where it began
+        for i in limb[0].limb:  # back to the initial posture
             out[at : at + len(way), i] = (1.0 - way) * here[i]
             out[at + len(way) :, i] = 0.0
     return out
@@ -270,14 +282,14 @@ def path_of(model: RobotModel, cycles: int) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointPath(Task):
-    """All joints on a path [rad], with nothing fed back: that would be taken for what the servos do.
+    """Task that all joints follow a path without feedback, which the fit would attribute to the servos.
 
     Attributes
     ----------
     path : ndarray, shape (m, n)
-        Every `_GRID` [rad].
+        Joint angles, sampled every 5 ms [rad].
     dt : float
-        Control period: the velocity is that of the path over the next one [s].
+        Control period, over which the velocity of the path is averaged [s].
     """
 
     path: Array
@@ -299,7 +311,7 @@ class JointPath(Task):
         return out
 
     def value(self, s: Array, elapsed: float) -> tuple[Array, Array]:
-        """Offset of every joint from the path, shape (n,) [rad]."""
+        """Return the deviation of each joint from the path, shape (n,) [rad], and its gradient, shape (n, n)."""
         return s - self._at(elapsed), self._gradient
 
     def rate(self, s: Array, e: Array, elapsed: float, eta: float) -> Array:
@@ -310,43 +322,43 @@ class JointPath(Task):
 
 @dataclass(frozen=True)
 class _Duration:
-    """A phase that ends with its path."""
+    """Rule that ends a phase at the end of its path."""
 
     duration: float
 
     def is_over(self, error: float, elapsed: float) -> bool:
-        """Return whether the path is done; see `walk.Rule.is_over`."""
+        """Return whether the path has ended; see `walk.Rule.is_over`."""
         return elapsed >= self.duration - 1e-9
 
 
 class Exercise(Walk):
-    """All joints, ``gait.cycles`` times, in one phase."""
+    """Exercise of all joints, ``gait.cycles`` times, in one phase."""
 
     def __init__(self, config: Config, model: RobotModel) -> None:
         super().__init__(config, model)
-        self._path = path_of(model, config.gait.cycles)  # takes seconds: before the first state waits for its answer
+        self._path = path_of(model, config.gait.cycles)  # takes seconds, so it is computed before the first state
 
     @staticmethod
     def phases(config: Config) -> int:
-        """Return one."""
+        """Return 1, the number of phases."""
         return 1
 
     @staticmethod
     def describe(config: Config) -> str:
-        """Return such as ``an exercise of all joints``."""
+        """Return a description such as ``an exercise of all joints``."""
         return "an exercise of all joints" + (f", {config.gait.cycles} times" if config.gait.cycles > 1 else "")
 
     @property
     def posture(self) -> Array:
-        """Zero, or as near as the joints' limits are, shape (n,) [rad]."""
+        """Initial joint angles: zero, clipped to the limits, shape (n,) [rad]."""
         return np.clip(np.zeros(self.model.n), self.model.q_min, self.model.q_max)
 
     def following(self, phase: Phase | None) -> tuple[PhaseKind, Foot, Array | None] | None:
-        """Return the only phase; None after it."""
+        """Return kind, support foot and swing target of the only phase; None after it."""
         return (PhaseKind.STANCE, Foot.LEFT, None) if phase is None else None
 
     def both_feet(self, kind: PhaseKind, support: Foot, q_start: Array) -> Phase:
-        """Return the exercise."""
+        """Return the phase of the exercise."""
         return Phase(
             model=self.model,
             kind=kind,
@@ -364,9 +376,9 @@ class Exercise(Walk):
         )
 
     def one_foot(self, support: Foot, q_start: Array, swing_target: Array) -> Phase:
-        """Never called: the robot hangs in the air."""
+        """Raise ConfigError: an exercise has no single support."""
         raise ConfigError("an exercise has no single support")
 
     def effort(self, phase: Phase, kin: Kinematics, state: State) -> Array:
-        """Return no torques, shape (n,)."""
+        """Return zero feedforward torques, shape (n,) [N m]."""
         return np.zeros(self.model.n)

@@ -1,12 +1,12 @@
-"""The fit: from what the joints were told and what they did to delay, stiffness, damping, backlash, friction, mounting.
+"""Fits delay, stiffness, damping, backlash, friction and sensor mounting to the commands and angles of an exercise.
 
-Each servo is a model of its own, as `servos` has it, behind a delay T:
+The model of each servo is that of `servos` after a delay T:
 
     M q'' = K dead(goal(t - T) - q, b) - D q' - f sign(q') - tau(t)
 
-with M what turns about the joint, its rotor included, dead(e, b) the error beyond the play b of the gears, and tau what
-gravity and the motion of all other joints do, by inverse dynamics at the angles that were measured. The parameters are
-those with which the model (`servo_model`), run from state to state, is nearest to the recording.
+with the inertia M about the joint including its rotor, the error dead(e, b) beyond the backlash b of the gears, and the
+torque tau of gravity and of the motion of all other joints, by inverse dynamics at the measured angles. The parameters
+minimize the error of the simulated model (`servo_model`) with respect to the recording (maximum likelihood).
 """
 
 from __future__ import annotations
@@ -41,46 +41,48 @@ __all__ = ["NAMES", "Identified", "Mounting", "goals_of", "identify", "parameter
 Array = NDArray[np.float64]
 
 NAMES = ("delay", "stiffness", "damping", "backlash", "friction")
-"""What is found of each servo [s, N m/rad, s, rad, N m]; the damping is divided by the stiffness."""
+"""Identified parameters of each servo [s, N m/rad, s, rad, N m]; the damping is divided by the stiffness."""
 
 _STEP = 0.001
-"""Of the model [s]."""
+"""Integration step of the model [s]."""
 _MOVES = 1e-3
-"""A command beyond this is one to move [rad/s]."""
+"""Commanded velocity above which a joint is being exercised [rad/s]."""
 _LEAST = 0.02
-"""A joint that turned by less than this did not move [rad]."""
+"""Least range of motion of a joint that is identified [rad]."""
 _SLACK = 0.4
-"""Around its commands a joint counts as exercised for this long [s]."""
+"""Time before and after its commands that belongs to the exercise of a joint [s]."""
 _BLOCK = 1.0
-"""Errors of the model further apart than this are independent [s]."""
+"""Time after which errors of the model are regarded as independent [s]."""
 _OFFSET = 0.0005
-"""How well the goals' own zero is known [rad]."""
+"""Prior standard deviation of the zero of the goals [rad]."""
 _ROTOR, _EMF, _FRICTION = 0.05, 0.15, 0.5
-"""How well inertia of the rotor, back EMF and friction are known from the type of a servo, as parts of them."""
+"""Relative prior standard deviations of rotor inertia, back EMF and friction of a servo of known type."""
 _DELAY = 0.0002
-"""How alike the delays of all servos are: they hang on the same bus [s]."""
+"""Prior standard deviation of the delay of a servo from the median delay, as all are on the same bus [s]."""
 _SOFT = 3.0
-"""Errors beyond this many standard deviations count less."""
+"""Scale of the robust loss, in standard deviations."""
 _FINE = 2e-4
-"""Finer readings than this are no better: the model is not [rad]."""
+"""Least resolution of the angles used in the fit, because of the errors of the model [rad]."""
 _SHARE = 0.5
-"""What the model is off, as a part of a step of the encoder."""
+"""Standard deviation of the error of the model, as a fraction of the resolution of the encoder."""
 _PARTS = (0.2, 0.5, 0.8)
-"""Backlash as a part of all play, in the beginnings that are tried: the fit has more than one minimum."""
+"""Backlash as a fraction of the whole hysteresis in the initial guesses, as the fit has several local minima."""
 _LONGEST = 0.2
-"""Delays are looked for up to this [s]."""
+"""Largest delay of the search [s]."""
 
 
 @dataclass(frozen=True)
 class Mounting:
-    """How the inertial sensor is mounted, with its own error of the vertical: roll and pitch [rad].
+    """Orientation of the inertial sensor on its link, including the sensor's own error of the vertical.
 
-    Its yaw does not show in a robot that is held level.
+    Only roll and pitch are identified; yaw is not observable while the robot is held level.
 
     Attributes
     ----------
-    rpy, deviation : ndarray, shape (3,)
-        Roll, pitch and yaw, and their standard deviations [rad].
+    rpy : ndarray, shape (3,)
+        Roll, pitch and yaw [rad].
+    deviation : ndarray, shape (3,)
+        Standard deviations [rad]; nan for yaw.
     """
 
     rpy: Array
@@ -89,17 +91,18 @@ class Mounting:
 
 @dataclass(frozen=True)
 class Identified:
-    """What was found.
+    """Identified parameters of all servos and of the inertial sensor.
 
     Attributes
     ----------
     joints : tuple of str
+        Names of the n joints.
     value, deviation : ndarray, shape (n, 5)
-        Of `NAMES`, and the standard deviations.
+        Values of `NAMES`, and their standard deviations.
     rms : ndarray, shape (n,)
-        What the model of each joint is off the recording [rad].
+        Rms error of the model of each joint [rad].
     missing : dict of str to str
-        Joints of which nothing is known, and why; their rows are nan.
+        Joints that could not be identified, with the reason; their rows are nan.
     mounting : Mounting or None
         None without an inertial sensor.
     """
@@ -113,13 +116,18 @@ class Identified:
 
 
 def goals_of(trace: Trace) -> Array:
-    """Return the goals (N, n) that the servos were sent in answer to each state [rad].
+    """Return the goals sent to the servos in response to each state, shape (N, n) [rad].
 
-    Commands were integrated as `plants.bus` does it.
+    The commands are integrated as in `plants.bus`.
+
+    Parameters
+    ----------
+    trace : Trace
+        An exercise of N states.
     """
     config = trace.config.updated({"servo.rate": 0.0, "servo.latency": 0.0})
     model, servos, drive = trace.model, Servos.of(config, trace.model), Drive.of(config, trace.model)
-    begin = np.clip(np.zeros(model.n), model.q_min, model.q_max)  # of an exercise
+    begin = np.clip(np.zeros(model.n), model.q_min, model.q_max)  # initial posture of an exercise
     bus = Bus(config.servo, servos, drive, begin, model.q_min, model.q_max)
     out, u = np.empty_like(trace.q), np.nan_to_num(trace.u)
     for k, time in enumerate(trace.time):
@@ -136,86 +144,98 @@ def identify(
     mass_scale: float = 1.0,
     progress: Callable[[float, str], None] | None = None,
 ) -> Identified:
-    """Return what an exercise shows of the servos and of the inertial sensor.
+    """Identify the parameters of the servos and the mounting of the inertial sensor from an exercise.
 
-    Of the recorded configuration only what the servos are said to be is used, as a beginning: the resolution of goals
-    and the rotors of their types.
+    The servos of the recorded configuration are the initial guess; their torque limits, the resolution of the goals and
+    the rotor inertias of their types are used as well.
 
     Parameters
     ----------
     trace : Trace
         An exercise.
     orientations : ndarray, shape (m, 4), optional
-        Of the inertial sensor, unit quaternions, real part first.
+        Measured by the inertial sensor: unit quaternions, real part first.
     mass_scale : float
-        What the robot weighs, as a part of what its URDF says.
+        Mass of the robot, as a multiple of the mass in its URDF.
     progress : callable, optional
-        Called with the fraction done and the joint.
+        Called with the completed fraction and the name of the joint.
+
+    Returns
+    -------
+    Identified
 
     Raises
     ------
     BagError
-        If it is no exercise, or no joint moved.
+        If the recording is not an exercise, or no joint moved.
     """
     require_exercise(trace)
     model, dt = trace.model, float(np.median(np.diff(trace.time)))
-    told, goals, nominal = np.nan_to_num(trace.u), goals_of(trace), Servos.of(trace.config, model)
+    commanded, goals, nominal = np.nan_to_num(trace.u), goals_of(trace), Servos.of(trace.config, model)
     window = max(7, round(0.14 / dt) | 1)
-    # a spline's own acceleration, in straight pieces from state to state: so the model takes the torques, too
+    # the acceleration of the spline is piecewise linear between states, as the model interpolates the torques
     q = CubicSpline(trace.time, savgol_filter(trace.q, window, 4, axis=0))
     ddq = q(trace.time, 2)
     tau, inertia = held_torques(model, mass_scale, q(trace.time), q(trace.time, 1), ddq)
-    tau -= inertia * ddq  # what the joint's own motion takes is in the model
+    tau -= inertia * ddq  # the model includes the inertia of the joint itself
     missing: dict[str, str] = {}
     servos: dict[int, _Servo] = {}
     for limb in limbs(model):
         near = np.ones(2 * round(_SLACK / dt) + 1)
-        around = np.array([np.convolve(np.abs(told[:, i]) > _MOVES, near, "same") > 0 for i in limb]).T
+        around = np.array([np.convolve(np.abs(commanded[:, i]) > _MOVES, near, "same") > 0 for i in limb]).T
         for i, joint in enumerate(limb):
             name = model.joint_names[joint]
             alone = around[:, i] & ~np.delete(around, i, axis=1).any(axis=1)
             turned = np.ptp(trace.q[alone, joint]) if alone.any() else 0.0
             if not alone.any():
-                missing[name] = "it was not exercised"
+                missing[name] = "the joint was not exercised"
             elif turned < _LEAST:
                 missing[name] = (
-                    f"it turned by {math.degrees(turned):.1f} degrees only: is its torque on, is it blocked?"
+                    f"the joint moved by only {math.degrees(turned):.1f} degrees: is its torque on, is it blocked?"
                 )
             else:
                 servos[joint] = _Servo(_pieces(trace, goals, tau, inertia, joint, alone), nominal, joint)
     if len(missing) == model.n:
         raise BagError(f"no joint moved: {model.joint_names[0]}: {missing[model.joint_names[0]]}")
     value, deviation = np.full((model.n, len(NAMES)), np.nan), np.full((model.n, len(NAMES)), np.nan)
-    rms, said = np.full(model.n, np.nan), progress or (lambda fraction, text: None)
+    rms, show = np.full(model.n, np.nan), progress or (lambda fraction, text: None)
     for k, (joint, servo) in enumerate(servos.items()):
-        said(0.7 * k / len(servos), model.joint_names[joint])
+        show(0.7 * k / len(servos), model.joint_names[joint])
         servo.begin()
     delay = float(np.median([servo.x[0] for servo in servos.values()]))
     for k, (joint, servo) in enumerate(servos.items()):
-        said(0.7 + 0.3 * k / len(servos), model.joint_names[joint])
+        show(0.7 + 0.3 * k / len(servos), model.joint_names[joint])
         value[joint], deviation[joint], rms[joint] = servo.finish(delay)
     return Identified(model.joint_names, value, deviation, rms, missing, _mounting(trace, orientations))
 
 
 def parameters(found: Identified, dt: float, mass_scale: float) -> str:
-    """Return what the controller is told of all this, as the text of a ROS parameter file.
+    """Return the parameters ``servo.assumed`` and others of the controller, as the text of a ROS parameter file.
 
-    A goal is where the integral of the commands is at the end of its period, but it is sent at the beginning, so the
-    controller is told a delay that is shorter by half a period.
+    A goal is the integral of the commands at the end of the control period, but is sent at its beginning. So the
+    assumed delay is shorter than the identified delay by half a period.
+
+    Parameters
+    ----------
+    found : Identified
+    dt : float
+        Control period [s].
+    mass_scale : float
+        Mass of the robot, as a multiple of the mass in its URDF.
     """
     known = [k for k, name in enumerate(found.joints) if name not in found.missing]
     weight = 1.0 / np.maximum(found.deviation[known, 0], 1e-4)
     delay = float(np.average(found.value[known, 0], weights=weight))
-    told = ["servo:", f"  assumed_latency: {max(delay - 0.5 * dt, 0.0):.4f}", "  assumed_rate: 0.0", "  assumed:"]
+    assumed = ["servo:", f"  assumed_latency: {max(delay - 0.5 * dt, 0.0):.4f}", "  assumed_rate: 0.0", "  assumed:"]
     for k in known:
         values = ", ".join(f"{name} {x:.4g}" for name, x in zip(NAMES[1:], found.value[k, 1:], strict=True))
-        told.append(f'    - "{found.joints[k]}={values}"')
-    told += ["physics:", f"  mass_scale: {mass_scale:.4f}"]
+        assumed.append(f'    - "{found.joints[k]}={values}"')
+    assumed += ["physics:", f"  mass_scale: {mass_scale:.4f}"]
     if found.mounting is not None:
         rpy = ", ".join(f"{angle:.5f}" for angle in found.mounting.rpy)
-        told += ["robot:", f"  imu_rpy: [{rpy}]"]
-    lines = ["# What `dqwalk identify` found; a ROS parameter file to be put on top of another one.", "/**:"]
-    return "\n".join([*lines, "  ros__parameters:", *(f"    {line}" for line in told)]) + "\n"
+        assumed += ["robot:", f"  imu_rpy: [{rpy}]"]
+    lines = ["# Results of `dqwalk identify`; a ROS parameter file to be loaded after that of the robot.", "/**:"]
+    return "\n".join([*lines, "  ros__parameters:", *(f"    {line}" for line in assumed)]) + "\n"
 
 
 # ---------------------------------------------------------------------- one servo
@@ -223,7 +243,7 @@ def parameters(found: Identified, dt: float, mass_scale: float) -> str:
 
 @dataclass(frozen=True)
 class _Piece:
-    """A time in which one joint was exercised: times (m,), angles, goals, torques and inertias at them."""
+    """A period in which one joint was exercised: times [s], angles, goals, torques and inertias, all (m,)."""
 
     time: Array
     q: Array
@@ -231,7 +251,7 @@ class _Piece:
     tau: Array
     inertia: Array
     before: Array
-    """Goals and times (2, k) of the time just before, which are still under way."""
+    """Times and goals (2, k) just before the period, which act after the delay."""
 
 
 def _pieces(
@@ -257,33 +277,33 @@ def _pieces(
 
 
 class _Servo:
-    """The model of one servo, and the recording that it is fitted to."""
+    """Fit of the model of one servo to its recording."""
 
-    def __init__(self, pieces: list[_Piece], told: Servos, joint: int) -> None:
-        self._pieces, self._step, self._limit = pieces, _encoder(pieces), float(told.torque[joint])
-        K, D = float(told.stiffness[joint]), float((told.back_emf + told.damping)[joint])
-        rotor = max(float(told.armature[joint]), 1e-5)
-        play, friction = max(float(told.backlash[joint]), 0.002), max(float(told.friction[joint]), 0.01)
-        # T, K, D, b, f, the rotor, the zero of the goals, and how soft friction is: see `servo_model.simulate`
+    def __init__(self, pieces: list[_Piece], nominal: Servos, joint: int) -> None:
+        self._pieces, self._step, self._limit = pieces, _encoder(pieces), float(nominal.torque[joint])
+        K, D = float(nominal.stiffness[joint]), float((nominal.back_emf + nominal.damping)[joint])
+        rotor = max(float(nominal.armature[joint]), 1e-5)
+        play, friction = max(float(nominal.backlash[joint]), 0.002), max(float(nominal.friction[joint]), 0.01)
+        # T, K, D, b, f, rotor inertia, zero of the goals, creep and lead of friction: see `servo_model.simulate`
         self.x = np.array([0.05, K, D, play, friction, rotor, 0.0, 0.005, 0.003])
         self._scale = np.array([0.02, K, 0.02 * K, 0.005, 0.1, rotor, 1e-3, 0.01, 0.01])
         self._low = np.array([0.0, 0.05 * K, 0.0, 0.0, 0.0, 0.1 * rotor, -0.05, 1e-4, 0.0])
         self._high = np.array([_LONGEST, 20.0 * K, K, 0.2, 10.0, 10.0 * rotor, 0.05, 0.03, 0.02])
-        # what is known before: of a type the motor, and the zero of the goals
-        typed = told.back_emf[joint] > 0.0
-        self._mean = self.x.copy()
-        self._sure = np.full(9, np.inf)
-        self._sure[5], self._sure[6] = (_ROTOR if typed else 1.0) * rotor, _OFFSET
+        # prior: motor parameters of a known type, and zero of the goals
+        typed = nominal.back_emf[joint] > 0.0
+        self._prior_mean = self.x.copy()
+        self._prior_deviation = np.full(9, np.inf)
+        self._prior_deviation[5], self._prior_deviation[6] = (_ROTOR if typed else 1.0) * rotor, _OFFSET
         if typed:
-            self._sure[2], self._sure[4] = _EMF * D, _FRICTION * friction
+            self._prior_deviation[2], self._prior_deviation[4] = _EMF * D, _FRICTION * friction
         self._block = np.concatenate([np.floor(piece.time / _BLOCK) for piece in pieces])
 
     def begin(self) -> None:
-        """Find the parameters from nothing, roughly: the fit has more than one minimum."""
+        """Find initial parameters from several initial guesses, because the fit has several local minima."""
         begins = np.tile(self.x, (round(_LONGEST / 0.01), 1))
         begins[:, 0] = 0.005 + 0.01 * np.arange(len(begins))
         begin = min(begins, key=lambda x: float(np.abs(self._errors(x)).sum()))
-        play = begin[3] + 2.0 * begin[4] / begin[1]  # what a slow motion is late, of backlash and friction together
+        play = begin[3] + 2.0 * begin[4] / begin[1]  # hysteresis of a slow motion, by backlash and friction
         found = []
         for part in _PARTS:
             begin[3], begin[4] = part * play, 0.5 * (1.0 - part) * play * begin[1]
@@ -291,11 +311,11 @@ class _Servo:
         self.x = self._solve(min(found, key=lambda one: float(one.cost)).x * self._scale, 15).x * self._scale
 
     def finish(self, delay: float) -> tuple[Array, Array, float]:
-        """Return values and deviations (5,) of `NAMES`, and the rms of the errors; the others have this delay."""
-        self._mean[0], self._sure[0] = delay, _DELAY
+        """Return values and standard deviations (5,) of `NAMES`, and the rms error [rad]; `delay` is the prior mean."""
+        self._prior_mean[0], self._prior_deviation[0] = delay, _DELAY
         found, many = self._solve(self.x, 25), len(self._block)
         x, J = found.x * self._scale, found.jac
-        # errors that follow each other are no independent ones: they are summed over blocks of time
+        # consecutive errors are correlated, so the covariance is computed from sums over blocks (sandwich estimator)
         score = J * found.fun[:, None]
         blocks = np.add.reduceat(score[:many], np.flatnonzero(np.diff(self._block, prepend=-1.0)), axis=0)
         bread, known = np.linalg.pinv(J.T @ J), J[many:]
@@ -303,7 +323,7 @@ class _Servo:
         deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         value, spread = x[:5].copy(), deviation[:5].copy()
         value[2], spread[2] = x[2] / x[1], math.hypot(deviation[2], x[2] / x[1] * deviation[1]) / x[1]
-        return value, spread, float(np.sqrt(np.mean(self._off(x) ** 2)))
+        return value, spread, float(np.sqrt(np.mean(self._deviations(x) ** 2)))
 
     def _solve(self, x: Array, most: int) -> Any:
         low, high = self._low / self._scale, self._high / self._scale
@@ -317,51 +337,52 @@ class _Servo:
         )
 
     def _errors(self, x: Array) -> Array:
-        """Return by how many standard deviations readings and what is known before are off."""
-        return np.concatenate([_unlikely(self._off(x), self._step), (x - self._mean) / self._sure])
+        """Return the residuals of the measured angles and of the prior, in standard deviations."""
+        prior = (x - self._prior_mean) / self._prior_deviation
+        return np.concatenate([_angle_residuals(self._deviations(x), self._step), prior])
 
-    def _off(self, x: Array) -> Array:
+    def _deviations(self, x: Array) -> Array:
         return np.concatenate([_run(piece, x, self._limit) for piece in self._pieces])
 
 
 def _encoder(pieces: list[_Piece]) -> float:
-    """Return the step in which angles were read [rad]: the least change of them."""
+    """Return the resolution of the measured angles [rad]: their least change."""
     steps = np.abs(np.concatenate([np.diff(piece.q) for piece in pieces]))
     return max(float(steps[steps > 1e-9].min(initial=0.1)), _FINE)
 
 
-def _unlikely(error: Array, step: float) -> Array:
-    """Return by how many standard deviations readings in steps are off the model.
+def _angle_residuals(error: Array, step: float) -> Array:
+    """Return robust residuals of angles measured with a resolution of `step` [rad], in standard deviations.
 
-    Goals have the same steps, so that in slow motion all readings are rounded the same way: that is no noise that
-    averages out. A reading says that the angle was within half a step, no more.
+    Goals have the same resolution, so in slow motion all measurements are rounded in the same direction, and the
+    quantization error does not average out. The likelihood of a measurement is that of an angle within half a step.
     """
     sigma, far = _SHARE * step, np.abs(error)
     inside, beyond = log_ndtr((0.5 * step - far) / sigma), log_ndtr((-0.5 * step - far) / sigma)
     cost = -(inside + np.log1p(-np.exp(beyond - inside)))
     least = -math.log(math.erf(0.5 * step / sigma / math.sqrt(2.0)))
     z = 2.0 * np.maximum(cost - least, 0.0) / _SOFT**2
-    out: Array = np.sign(error) * _SOFT * np.sqrt(2.0 * (np.sqrt(1.0 + z) - 1.0))  # far ones count less
+    out: Array = np.sign(error) * _SOFT * np.sqrt(2.0 * (np.sqrt(1.0 + z) - 1.0))  # robust loss
     return out
 
 
 def _run(piece: _Piece, x: Array, limit: float) -> Array:
-    """Return what the model is off the recording at each time of a piece, shape (m,) [rad]."""
+    """Return the error of the model with respect to the recording of a piece, shape (m,) [rad]."""
     times = np.concatenate([piece.before[0], piece.time])
     goals = np.concatenate([piece.before[1], piece.goal])
     out: Array = simulate(piece.time, piece.q, piece.tau, piece.inertia, times, goals, x, limit, _STEP) - piece.q
-    out[: np.searchsorted(piece.time, piece.time[0] + _SLACK)] = 0.0  # where it began is not known exactly
+    out[: np.searchsorted(piece.time, piece.time[0] + _SLACK)] = 0.0  # the initial state is not known exactly
     return out
 
 
 # ---------------------------------------------------------------------- the inertial sensor
 
 
-def _mounting(trace: Trace, seen: Array | None) -> Mounting | None:
-    """Return the roll and pitch at which the sensor sees the vertical of a root link that is held level."""
-    if seen is None or not len(seen):
+def _mounting(trace: Trace, orientations: Array | None) -> Mounting | None:
+    """Return the roll and pitch of the sensor's mounting from the vertical that it measures while the root is level."""
+    if orientations is None or not len(orientations):
         return None
-    up = np.array([upward(*row.tolist()) for row in seen])  # = R_mounted^T R_link^T z
+    up = np.array([upward(*row.tolist()) for row in orientations])  # = R_mounted^T R_link^T z
     link = DQ(trace.model.frames[trace.model.imu_link].pose).rotation_matrix().T @ [0.0, 0.0, 1.0]
     mean = up.mean(axis=0) / np.linalg.norm(up.mean(axis=0))
     axis = np.cross(mean, link)

@@ -1,4 +1,4 @@
-"""The replay: the commands of a recorded exercise on a simulated robot, which then moves like it, or does not."""
+"""Replay of the commands of a recorded exercise on a simulated robot, to validate identified servo parameters."""
 
 from __future__ import annotations
 
@@ -20,38 +20,43 @@ __all__ = ["replay", "require_exercise"]
 Array = NDArray[np.float64]
 
 _SHOWN = 100
-"""Times that progress is shown."""
+"""Number of progress reports."""
 
 
 def require_exercise(trace: Trace) -> None:
-    """Raise BagError if a recording is no exercise."""
+    """Raise BagError if a recording is not an exercise."""
     if trace.config.gait.walk != NAME:
         raise BagError(
-            "this bag is no exercise but a walk, in which the ground hides what the servos do; `dqwalk exercise` "
-            "records one"
+            "this bag is not an exercise but a walk, in which ground reaction forces prevent the identification of "
+            "servos; record an exercise with `dqwalk exercise`"
         )
 
 
 def replay(trace: Trace, config: Config, progress: Callable[[float, str], None] | None = None) -> Array:
-    """Return the angles (N, n) of a robot with the servos that `config` tells the controller of [rad].
+    """Simulate the commands of an exercise on a robot whose servos are those assumed in `config`.
 
     Parameters
     ----------
     trace : Trace
-        An exercise.
+        An exercise of N states.
     config : Config
-        What is recorded of the exercise, with ``servo.assumed`` and the mass of the robot to be replayed.
+        Configuration of the exercise, with ``servo.assumed`` and the mass of the simulated robot.
     progress : callable, optional
-        Called with the fraction done and some text.
+        Called with the completed fraction and a line of text.
+
+    Returns
+    -------
+    ndarray, shape (N, n)
+        Joint angles of the simulated robot [rad].
 
     Raises
     ------
     BagError
-        If it is no exercise.
+        If the recording is not an exercise.
     """
     require_exercise(trace)
     model, u = trace.model, np.nan_to_num(trace.u)
-    # the delay is all on the command side here, and a goal is sent at the beginning of its period
+    # here the whole delay acts on the commands, and a goal is written at the beginning of its period
     late = {"servo.latency": config.servo.assumed_latency + 0.5 * config.dt, "servo.rate": 0.0}
     made = config.updated(late | {f"sensors.{name}": value for name, value in vars(SensorsConfig()).items()})
     plant = PhysicsPlant(made, model, make_walk(made, model).posture, Servos.identified(made, model))

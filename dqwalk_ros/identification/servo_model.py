@@ -1,4 +1,4 @@
-"""One servo as the fit has it: a spring behind a delay and the play of gears, with damping and friction."""
+"""Simulation of one servo for the fit: a spring with damping and friction, after a delay and the backlash of gears."""
 
 from __future__ import annotations
 
@@ -11,11 +11,35 @@ __all__ = ["simulate"]
 
 @jit
 def simulate(time, measured, tau, inertia, sent, goals, x, limit, step):  # type: ignore[no-untyped-def]
-    """Return the angles (m,) of the model at `time`, from rest at the first one that was measured.
+    """Return the angles of the model, starting at rest at the first measured angle.
 
-    `sent` and `goals` (k,) are when which goal was sent; `x` is T, K, D, b, f, the rotor, the zero of the goals, and
-    how soft friction is: it is all there where v + lead v' is beyond creep, and less in proportion below. Dry friction
-    has neither; that of a physics engine has both.
+    Friction has its full value if abs(v + lead v') > creep, and is proportional to v + lead v' below. For ideal dry
+    friction creep and lead are zero; in a physics engine both are positive.
+
+    Parameters
+    ----------
+    time : ndarray, shape (m,)
+        [s]
+    measured : ndarray, shape (m,)
+        Measured angles, of which only the first is used [rad].
+    tau : ndarray, shape (m,)
+        Load torque [N m].
+    inertia : ndarray, shape (m,)
+        Inertia about the joint without the rotor [kg m^2].
+    sent, goals : ndarray, shape (k,)
+        Times at which the goals were sent [s], and goals [rad].
+    x : ndarray, shape (9,)
+        T [s], K [N m/rad], D [N m s/rad], b [rad], f [N m] (see `fit`), inertia of the rotor [kg m^2], zero of the
+        goals [rad], creep [rad/s] and lead [s].
+    limit : float
+        Largest torque [N m].
+    step : float
+        Largest integration step [s].
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        Angles [rad].
     """
     delay, K, D, b, f, rotor, zero, creep, lead = x
     out = np.empty(time.shape[0])
@@ -32,7 +56,7 @@ def simulate(time, measured, tau, inertia, sent, goals, x, limit, step):  # type
         for i in range(count):
             now = time[k] + i * h
             goal = goals[at]
-            while at < last and sent[at + 1] + delay < now + h:  # it changes within this step
+            while at < last and sent[at + 1] + delay < now + h:  # the goal changes within this step
                 part = min(max((sent[at + 1] + delay - now) / h, 0.0), 1.0)
                 goal = part * goal + (1.0 - part) * goals[at + 1]
                 at += 1

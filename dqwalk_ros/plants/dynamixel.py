@@ -1,8 +1,8 @@
-"""One bus of Dynamixel servos (protocol 1): what each servo measures and since when, and what it is told.
+"""Communication with one bus of Dynamixel servos (protocol 1).
 
-ROBOTIS' own dynamixel_sdk makes and checks the packets. What a robot needs beside it is here: every angle has
-its own age, a reply that is missing or damaged concerns its own servo alone and is remembered as the cause, no call
-waits long, and no failure of the port is raised: a port that is gone is opened again as soon as it is back.
+The packets are made and checked by dynamixel_sdk of ROBOTIS. In addition, every angle has a time stamp, a missing or
+damaged reply affects only its own servo and is stored as a cause, the duration of each call is bounded, and failures of
+the port do not raise exceptions: a port that is lost is opened again as soon as it is available.
 
 Registers and units: emanual.robotis.com, MX-28, MX-64 and AX-12 (protocol 1).
 """
@@ -29,22 +29,22 @@ Clock = Callable[[], float]
 
 @dataclass(frozen=True)
 class ServoType:
-    """What the data sheet says of a type of servo.
+    """Data sheet of a type of servo.
 
     Attributes
     ----------
     model : int
-        Its model number, register 0.
+        Model number, register 0.
     positions : int
-        Number of values of its position register.
+        Number of values of the position register.
     range : float
-        Angle that they cover [deg].
+        Angle that these values cover [deg].
     speed_unit : float
-        Of the speed registers [deg/s].
+        Unit of the speed registers [deg/s].
     stall_torque : float
-        At 12 V [N m].
+        Stall torque at 12 V [N m].
     free_speed : float
-        Without load at 12 V [deg/s].
+        Speed without load at 12 V [deg/s].
     """
 
     model: int
@@ -55,11 +55,11 @@ class ServoType:
     free_speed: float
 
     def degrees(self, value: NDArray[Any] | float) -> Any:
-        """Return the angle of a position register [deg], 0 in the middle."""
+        """Return the angle for a value of the position register [deg]; 0 is the middle of the range."""
         return self.range * value / (self.positions - 1) - 0.5 * self.range
 
     def position(self, degrees: float) -> int:
-        """Return the position register of an angle [deg]."""
+        """Return the value of the position register for an angle [deg], clipped to the range."""
         value = round((self.positions - 1) * (degrees / self.range + 0.5))
         return min(max(value, 0), self.positions - 1)
 
@@ -69,10 +69,10 @@ class ServoType:
         return self.model not in (12, 18)
 
     def stiffness(self, gain: int) -> float:
-        """Return the torque per angle of error at 12 V [N m/rad].
+        """Return the torque per position error at 12 V [N m/rad].
 
-        `gain` is register 28: the P gain of an MX, the compliance slope of an AX. An MX turns its voltage up by P/8 of
-        1/1023 per step of its encoder; an AX reaches its largest torque `gain` steps beside its goal.
+        `gain` is register 28: the P gain of an MX, the compliance slope of an AX. The voltage of an MX increases by P/8
+        of 1/1023 per encoder step of error; an AX has its largest torque at an error of `gain` steps.
         """
         steps = math.radians(self.range / (self.positions - 1))  # [rad]
         if not self.has_gain:
@@ -97,7 +97,7 @@ ERROR_BITS: Final = {
     32: "overload",
     64: "instruction",
 }
-"""What a servo says of itself in every reply."""
+"""Error bits in every reply of a servo."""
 
 TORQUE_ENABLE: Final = 24
 GAIN: Final = 28
@@ -107,36 +107,37 @@ TORQUE_LIMIT: Final = 34
 PRESENT: Final = 36
 """Position, speed and load, two bytes each."""
 FULL_TORQUE: Final = 1023
-"""Of the register of the torque limit."""
+"""Largest value of the register of the torque limit."""
 _INSPECTED: Final = 20
-"""Bytes from `TORQUE_ENABLE` up to the temperature."""
+"""Number of bytes from `TORQUE_ENABLE` up to the temperature."""
 _SYNC_READ: Final = 0x84
-"""Instruction of the USB2AX adapter: it asks the servos one after the other and answers for all of them."""
+"""Instruction of the USB2AX adapter, which reads the servos one after the other and replies for all of them."""
 _GIVE_UP: Final = 3
-"""Servos in a row that do not answer after which a cycle asks no further ones."""
+"""Number of consecutive servos without an answer after which a cycle is aborted."""
 _REOPEN: Final = 1.0
 """Time between two attempts to open a port again [s]."""
 
 
 @dataclass(frozen=True)
 class Registers:
-    """What one servo said of itself when it was looked at last.
+    """Registers of one servo at the last inspection.
 
     Attributes
     ----------
     torque : bool
+        Whether the torque is on.
     gain : int
         Register 28: P gain of an MX, compliance slope of an AX.
     goal : int
-        Position register of the goal.
+        Value of the goal position register.
     torque_limit : int
-        Of 1023; a servo that switched itself off has 0.
+        Up to 1023; 0 after the servo has switched its torque off.
     voltage : float
         [V]
     temperature : float
         [degC]
     at : float
-        When it was asked, by the bus's clock [s].
+        Time of the request, by the clock of the bus [s].
     """
 
     torque: bool
@@ -149,21 +150,26 @@ class Registers:
 
 
 def open_port(name: str, timeout: float = 0.01) -> Any:
-    """Open a serial port at 1 Mbaud for one owner.
+    """Open a serial port at 1 Mbaud for exclusive use.
 
     Parameters
     ----------
     name : str
-        Such as ``/dev/ttyACM0``.
+        Name of the port, such as ``/dev/ttyACM0``.
     timeout : float
-        Longest wait for a reply, without the time of its bytes [s].
+        Timeout of a reply, in addition to the transmission time of its bytes [s].
+
+    Returns
+    -------
+    PortHandler
+        Port of dynamixel_sdk.
 
     Raises
     ------
     PlantError
         If dynamixel_sdk is missing.
     OSError
-        If there is no such port, or somebody else has it.
+        If there is no such port, or another program uses it.
     """
     try:
         import serial
@@ -174,7 +180,7 @@ def open_port(name: str, timeout: float = 0.01) -> Any:
         ) from error
 
     class Port(PortHandler):  # type: ignore[misc]
-        """The SDK's port; it waits instead of spinning, on the steady clock, and a babbling bus cannot hold it."""
+        """Port of the SDK with blocking reads, a monotonic clock, and a timeout even if bytes arrive continuously."""
 
         def setupPort(self, cflag_baud: int) -> bool:
             self.ser = serial.Serial(self.port_name, self.baudrate, timeout=0.002, write_timeout=0.05, exclusive=True)
@@ -198,12 +204,12 @@ def open_port(name: str, timeout: float = 0.01) -> Any:
 
 
 def find_port(ids: Sequence[int]) -> str:
-    """Return the name of the serial port at which most of these servos answer.
+    """Return the name of the serial port on which the largest number of these servos answers.
 
     Raises
     ------
     PlantError
-        If there is none.
+        If no servo answers on any port.
     """
     from dynamixel_sdk import COMM_SUCCESS, Protocol1PacketHandler
     from serial.tools.list_ports import comports
@@ -218,8 +224,8 @@ def find_port(ids: Sequence[int]) -> str:
             continue
     best = max(found, key=lambda name: found[name], default="")
     if not best or not found[best]:
-        looked = ", ".join(found) or "no serial port at all"
-        raise PlantError(f"no port with the motors {', '.join(map(str, ids))} (looked at {looked})")
+        searched = ", ".join(found) or "no serial port"
+        raise PlantError(f"no port with the motors {', '.join(map(str, ids))} (searched: {searched})")
     return best
 
 
@@ -229,32 +235,34 @@ class Bus:
     Parameters
     ----------
     name : str
-        Of the bus, in messages.
+        Name of the bus in messages.
     opener : callable
-        Returns a port as `open_port` does; called again when a port is gone.
+        Returns a port like `open_port`; called again after the port is lost.
     ids : sequence of int
+        Ids of the n servos.
     types : sequence of ServoType
+        Types of the servos.
     sync_read : bool
-        Whether the adapter reads all servos at once (USB2AX).
+        Whether the adapter reads all servos with one instruction (USB2AX).
     clock : callable
-        Steady time [s].
+        Monotonic time [s].
 
     Attributes
     ----------
     position : ndarray, shape (n,)
-        Angles of the servos [deg]; nan before the first.
+        Angles of the servos [deg]; nan before the first reading.
     load : ndarray, shape (n,)
         Percent of the largest torque, positive towards positive angles.
     at : ndarray, shape (n,)
-        When the angles were asked for [s]; -inf before the first.
+        Times at which the angles were requested [s]; -inf before the first reading.
     cause : list of str
-        Why the last reading of a servo failed; empty if it did not.
+        Reason for which the last reading of a servo failed; empty if it succeeded.
     error : ndarray of int, shape (n,)
         Error bits of the last reply.
     registers : list of Registers or None
-        What was seen when the servos were looked at last, which is done in turn.
+        Registers of each servo at its last inspection.
     lost : str
-        Why there is no port; empty if there is one.
+        Reason for which the port is not open; empty if it is open.
 
     Raises
     ------
@@ -284,14 +292,14 @@ class Bus:
         self.error = np.zeros(n, np.intp)
         self.registers: list[Registers | None] = [None] * n
         self.lost = ""
-        self._first = 0  # servo that is asked first in the next cycle
+        self._first = 0  # first servo of the next cycle
         self._retry = -math.inf
         self._port: Any = opener()
 
     # ------------------------------------------------------------------ packets
 
     def _guarded(self, exchange: Callable[[Any], Any]) -> Any:
-        """Return what an exchange over the port gives, None where the port is gone."""
+        """Return the result of an exchange over the port; None if the port is lost."""
         if self._port is None:
             if self._clock() < self._retry:
                 return None
@@ -299,23 +307,23 @@ class Bus:
             try:
                 self._port = self._open()
                 self.lost = ""
-            except Exception as error:  # pyserial, termios and the system each have their own
-                self._lose(error)
+            except Exception as error:  # pyserial, termios and the system raise different exceptions
+                self._mark_lost(error)
                 return None
         try:
             return exchange(self._port)
         except Exception as error:
-            self._lose(error)
+            self._mark_lost(error)
             return None
 
-    def _lose(self, error: Exception) -> None:
+    def _mark_lost(self, error: Exception) -> None:
         self.lost = f"the port is gone: {' '.join(str(error).split())[:200] or type(error).__name__}"
         self.cause = [self.lost] * len(self.ids)
         self.close()
         self._retry = self._clock() + _REOPEN
 
     def _read(self, i: int, address: int, length: int) -> bytes | None:
-        """Ask one servo; None where it does not answer or its reply is damaged."""
+        """Return registers of one servo; None if it does not answer or its reply is damaged."""
         reply = self._guarded(lambda port: self._handler.readTxRx(port, self.ids[i], address, length))
         if reply is None:
             return None
@@ -327,7 +335,7 @@ class Bus:
         return bytes(data)
 
     def _read_all(self, address: int, length: int) -> list[bytes | None]:
-        """Ask all servos at once through the adapter."""
+        """Return registers of all servos, read by the adapter in one exchange; None for those without an answer."""
         n = len(self.ids)
 
         def exchange(port: Any) -> tuple[bytes, int]:
@@ -349,56 +357,56 @@ class Bus:
         out: list[bytes | None] = []
         for i in range(n):
             one = data[i * length : (i + 1) * length]
-            there = one != b"\xff" * length  # what the adapter says of a servo that does not answer
+            there = one != b"\xff" * length  # reply of the adapter for a servo that does not answer
             self.cause[i] = "" if there else "does not answer"
             out.append(one if there else None)
         return out
 
     def _write(self, address: int, data: dict[int, bytes]) -> None:
-        """Write registers of servos, by their place; there is no reply."""
+        """Write registers of servos, by their index on the bus; there is no reply."""
         if not data:
             return
         size = len(next(iter(data.values())))
         words = [byte for i, some in data.items() for byte in (self.ids[i], *some)]
         self._guarded(lambda port: self._handler.syncWriteTxOnly(port, address, size, words, len(words)))
 
-    # ------------------------------------------------------------------ what is measured
+    # ------------------------------------------------------------------ measurements
 
     def read(self) -> None:
         """Read the angles and loads of all servos."""
         now = self._clock()
         if self._sync_read and len(self.ids) > 1:
             for i, data in enumerate(self._read_all(PRESENT, 6)):
-                self._take(i, data, now)
+                self._store(i, data, now)
             return
         n, failed = len(self.ids), 0
         for k in range(n):
             i = (self._first + k) % n
             asked = self._clock()
             data = self._read(i, PRESENT, 6)
-            self._take(i, data, asked)
+            self._store(i, data, asked)
             failed = failed + 1 if data is None else 0
             if failed >= min(_GIVE_UP, n) or self.lost:
                 self._first = (i + 1) % n
                 return
 
-    def _take(self, i: int, data: bytes | None, asked: float) -> None:
+    def _store(self, i: int, data: bytes | None, asked: float) -> None:
         if data is None:
             return
         position, _, load = (int.from_bytes(data[k : k + 2], "little") for k in (0, 2, 4))
         if position >= self.types[i].positions:
-            self.cause[i] = f"says position {position}, which it cannot have"
+            self.cause[i] = f"sends the invalid position {position}"
             return
         self.position[i], self.at[i] = self.types[i].degrees(position), asked
         self.load[i] = (-1.0 if load & 1024 else 1.0) * (load & 1023) / 10.23
 
     def inspect(self, i: int) -> Registers | None:
-        """Look at torque, gain, limit, voltage, temperature and error bits of one servo; None if it does not answer."""
+        """Read and return the `Registers` of servo `i`; None if it does not answer."""
         asked = self._clock()
         data = self._read(i, TORQUE_ENABLE, _INSPECTED)
         if data is None:
             return None
-        self._take(i, data[PRESENT - TORQUE_ENABLE :], asked)
+        self._store(i, data[PRESENT - TORQUE_ENABLE :], asked)
         goal, limit = (int.from_bytes(data[k - TORQUE_ENABLE :][:2], "little") for k in (GOAL, TORQUE_LIMIT))
         gain, voltage, temperature = data[GAIN - TORQUE_ENABLE], data[-2] / 10.0, float(data[-1])
         found = Registers(bool(data[0]), gain, goal, limit, voltage, temperature, asked)
@@ -410,10 +418,10 @@ class Bus:
         data = self._read(i, 0, 2)
         return None if data is None else int.from_bytes(data, "little")
 
-    # ------------------------------------------------------------------ what they are told
+    # ------------------------------------------------------------------ commands
 
     def write_goals(self, goals: Mapping[int, tuple[float, float]]) -> None:
-        """Send goals [deg] and speeds [deg/s] to servos, by their place."""
+        """Send goals [deg] and speeds [deg/s] to servos, by their index on the bus."""
         words = {}
         for i, (angle, speed) in goals.items():
             goal, turns = self.types[i].position(angle), round(speed / self.types[i].speed_unit)
@@ -429,13 +437,13 @@ class Bus:
         self._write(GAIN, {i: bytes([gain]) for i in places})
 
     def write_torque_limit(self, limit: int, places: Iterable[int]) -> None:
-        """Set the largest torque of servos, of 1023."""
+        """Set the torque limit of servos, up to 1023."""
         self._write(TORQUE_LIMIT, {i: limit.to_bytes(2, "little") for i in places})
 
     def close(self) -> None:
-        """Let go of the port, whatever it says."""
+        """Close the port and ignore its errors."""
         port, self._port = self._port, None
         if port is None:
             return
-        with contextlib.suppress(Exception):  # it is gone
+        with contextlib.suppress(Exception):  # the port may be lost
             port.closePort()

@@ -1,4 +1,4 @@
-"""What is wrong with the motors of a robot, which one it is, and what to do about it."""
+"""Detects faults of the motors of a robot; each message names the motor, the cause and the remedy."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ __all__ = ["JUMPS", "Measured", "MotorWatch", "Part"]
 Array = NDArray[np.float64]
 
 JUMPS = 3
-"""Angles in a row, far from the last good one, that are no glitch any more."""
+"""Number of consecutive implausible angles after which the joint is reported to have jumped."""
 _BRIEF = 1.0
-"""A silence that is shorter ends by itself; after a longer one somebody must look at the robot [s]."""
+"""Longest timeout after which the motion continues; after a longer one an operator must activate the robot [s]."""
 _TWICE = 2
-"""Looks in a row that must find a motor too hot or its voltage too low."""
+"""Number of consecutive readings of a high temperature or a low voltage that are a fault."""
 _COOLER, _FULLER = 5.0, 0.5
-"""Heat and voltage must be this much better before a motor is well again [K], [V]."""
+"""Hysteresis of temperature [K] and voltage [V] for the end of a fault."""
 _SWITCHED_OFF = 4 | 32
-"""Error bits with which a servo switches its torque off: overheating and overload."""
+"""Error bits of faults at which a servo switches its torque off: overheating and overload."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """A bus, and the places of its servos among all motors."""
+    """A bus, and the indices of its servos among all motors."""
 
     bus: Bus
     places: NDArray[np.intp]
@@ -37,16 +37,16 @@ class Part:
 
 @dataclass
 class Measured:
-    """What is known of N motors.
+    """Measurements of N motors.
 
     Attributes
     ----------
     q, dq : ndarray, shape (N,)
-        Angles that are believed, and velocities [rad], [rad/s]; nan before the first.
+        Accepted angles [rad], nan before the first, and velocities [rad/s].
     at : ndarray, shape (N,)
-        When the servos were asked for these angles [s].
-    jumps : ndarray, shape (N,)
-        Angles in a row that were not believed since.
+        Times at which these angles were requested [s].
+    jumps : ndarray of int, shape (N,)
+        Number of implausible angles since.
     load : ndarray, shape (N,)
         Percent of the largest torque.
     """
@@ -59,24 +59,25 @@ class Measured:
 
 
 class MotorWatch:
-    """Judges the motors after each reading.
+    """Detects faults of the motors after each reading.
 
     Parameters
     ----------
     names : sequence of str
+        The N joints.
     parts : list of Part
     config : PoppyConfig
     max_age : float
-        Angles older than this count for nothing [s].
+        Age above which angles are not used [s].
 
     Attributes
     ----------
     passing : dict of str to str
-        What is wrong now: the motor, the cause, and what to do, by kind and joint.
+        Messages of the current faults, by kind and joint.
     lasting : dict of str to str
-        What stays wrong until somebody switches the torque anew.
+        Messages of the faults that remain until an operator switches the torque on again.
     unsure : ndarray of bool, shape (N,)
-        Motors that were silent and have not been looked at since.
+        Motors that did not answer in time and whose registers have not been read since.
     """
 
     def __init__(self, names: tuple[str, ...], parts: list[Part], config: PoppyConfig, max_age: float) -> None:
@@ -92,41 +93,41 @@ class MotorWatch:
 
     @property
     def faults(self) -> dict[str, str]:
-        """All that is wrong."""
+        """Messages of all faults."""
         return self.passing | self.lasting
 
     def forget(self) -> None:
-        """Begin anew: somebody has seen to the motors."""
+        """Clear the lasting faults, when the torque is switched on or off."""
         self.lasting.clear()
         self._pushing_since[:] = np.inf
 
     def look(self, now: float, measured: Measured, goal: Array | None, gain: NDArray[np.intp]) -> None:
-        """Judge what was measured.
+        """Update the faults from the measurements.
 
         Parameters
         ----------
         now : float
-            [s]
+            Time of the buses' clock [s].
         measured : Measured
         goal : ndarray, shape (N,), optional
-            What the servos were told [rad]; None where their torque is off.
+            Goals of the servos [rad]; None if the torque is off.
         gain : ndarray of int, shape (N,)
-            Gains that they were told; negative for any.
+            Commanded gains; negative if any gain is allowed.
         """
         on = goal is not None
         found: dict[str, str] = {}
-        self._silence(now, measured, on, found)
+        self._timeouts(now, measured, on, found)
         for part in self._parts:
             for i, place in enumerate(part.places):
                 self._registers(part.bus, i, int(place), int(gain[place]) if on else None, found)
         if goal is not None:
-            self._obedience(now, measured, goal)
+            self._blocked_joints(now, measured, goal)
         if on and not found and self.unsure.any():
             some = ", ".join(self._names[i] for i in np.flatnonzero(self.unsure))
-            found["silent"] = f"{some}: looked at after a silence"
+            found["silent"] = f"{some}: being checked after a timeout"
         self.passing = found
 
-    def _silence(self, now: float, measured: Measured, on: bool, found: dict[str, str]) -> None:
+    def _timeouts(self, now: float, measured: Measured, on: bool, found: dict[str, str]) -> None:
         old = now - measured.at > self._max_age
         self.unsure |= old
         for part in self._parts:
@@ -135,14 +136,14 @@ class MotorWatch:
                 found[f"silent/{bus.name}"] = f"{bus.name} bus: {bus.lost}; plug it in"
             elif len(silent) == len(part.places) and len(set(bus.cause)) == 1:
                 found[f"silent/{bus.name}"] = (
-                    f"{bus.name} bus: every motor {bus.cause[0]}; is the power on, and the cable in?"
+                    f"{bus.name} bus: every motor {bus.cause[0]}; is the power on, and the cable plugged in?"
                 )
             else:
                 for i in silent:
                     name = self._names[part.places[i]]
-                    why = bus.cause[i] or "says angles that it cannot have"
+                    why = bus.cause[i] or "sends implausible angles"
                     found[f"silent/{name}"] = (
-                        f"{name} (motor {bus.ids[i]}, {bus.name} bus) {why}; look at its cable and its lamp"
+                        f"{name} (motor {bus.ids[i]}, {bus.name} bus) {why}; check its cable and its LED"
                     )
         self._silent_since = {key: self._silent_since.get(key, now) for key in found}
         if on:
@@ -151,53 +152,53 @@ class MotorWatch:
                     self.lasting[key] = f"{found[key]}; then ~/activate"
             for k in np.flatnonzero(measured.jumps >= JUMPS):
                 self.lasting[f"jump/{self._names[k]}"] = (
-                    f"{self._names[k]} has jumped to another angle and stays there; look at its horn and its "
+                    f"{self._names[k]} has jumped to another angle and stays there; check its horn and its "
                     "calibration, then ~/activate"
                 )
 
     def _registers(self, bus: Bus, i: int, place: int, gain: int | None, found: dict[str, str]) -> None:
-        name, seen = self._names[place], bus.registers[i]
+        name, registers = self._names[place], bus.registers[i]
         if bus.error[i] & _SWITCHED_OFF and gain is not None:
             bits = " and ".join(text for bit, text in ERROR_BITS.items() if bit & bus.error[i] & _SWITCHED_OFF)
             self.lasting[f"error/{name}"] = (
                 f"{name} reports {bits} and has switched its torque off; support the robot, let the motor cool, "
                 "then ~/activate"
             )
-        if seen is None:
+        if registers is None:
             return
-        new = seen.at > self._looked[place]
-        self._looked[place] = seen.at
+        new = registers.at > self._looked[place]
+        self._looked[place] = registers.at
         if new:
             self.unsure[place] = False
-            if gain is not None and not (seen.torque and seen.torque_limit and gain in (seen.gain, -1)):
+            if gain is not None and not (registers.torque and registers.torque_limit and gain in (registers.gain, -1)):
                 self.lasting[f"torque/{name}"] = (
                     f"{name} has lost its torque or its gain: was its power cut? support the robot, then ~/activate"
                 )
         c = self._config
-        self._doubt(
+        self._report_repeated(
             f"hot/{name}",
-            seen.temperature > c.hot - _COOLER * (f"hot/{name}" in self.passing),
+            registers.temperature > c.hot - _COOLER * (f"hot/{name}" in self.passing),
             new,
-            f"{name} is at {seen.temperature:.0f} degC, too hot; let it cool (poppy.hot)",
+            f"{name} is at {registers.temperature:.0f} degC, too hot; let it cool (poppy.hot)",
             found,
         )
-        self._doubt(
+        self._report_repeated(
             f"voltage/{name}",
-            seen.voltage < c.low_voltage + _FULLER * (f"voltage/{name}" in self.passing) or bool(bus.error[i] & 1),
+            registers.voltage < c.low_voltage + _FULLER * (f"voltage/{name}" in self.passing) or bool(bus.error[i] & 1),
             new,
-            f"{name} has {seen.voltage:.1f} V, too little; charge the battery (poppy.low_voltage)",
+            f"{name} has {registers.voltage:.1f} V, too little; charge the battery (poppy.low_voltage)",
             found,
         )
 
-    def _doubt(self, key: str, bad: bool, new: bool, text: str, found: dict[str, str]) -> None:
-        """Believe what is bad at the second look."""
+    def _report_repeated(self, key: str, bad: bool, new: bool, text: str, found: dict[str, str]) -> None:
+        """Report a fault at its second consecutive reading."""
         if new:
             self._counts[key] = self._counts.get(key, 0) + 1 if bad else 0
         if self._counts.get(key, 0) >= _TWICE:
             found[key] = text
 
-    def _obedience(self, now: float, measured: Measured, goal: Array) -> None:
-        """Find joints that have pushed in vain for too long."""
+    def _blocked_joints(self, now: float, measured: Measured, goal: Array) -> None:
+        """Report joints that have been at full load or far from their goals for too long."""
         c = self._config
         behind = np.abs(goal - measured.q)
         pushing = (behind > 0.95 * c.max_lead) | (np.abs(measured.load) >= c.max_load)

@@ -1,9 +1,9 @@
-"""Poppy Humanoid's servos as a plant: joint velocities in, measured angles out.
+"""The servos of Poppy Humanoid as a plant, which is commanded by joint velocities and measures joint angles.
 
-A servo takes a goal position and a speed, so velocities are integrated into goals here, and torques that are fed
-forward are turned into angles by the servo's stiffness. A goal never runs far ahead of its joint, no speed is ever
-zero (which the servo reads as: as fast as you can), and the robot's first movement is slow. A motor, a cable or a
-supply that fails stops the motion (`motor_watch.py`).
+A servo accepts a goal position and a speed. So velocities are integrated to goals, and feedforward torques are
+converted to offsets of the goals by the stiffness of the servo. The distance of a goal from the measured angle is
+limited, the speed is never zero (which means unlimited speed to the servo), and the motion to the first pose is slow.
+A fault of a motor, a cable or the power supply stops the motion (`motor_watch.py`).
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ __all__ = ["Motor", "PoppyPlant", "load_motors", "open_buses", "register_speed"]
 Array = NDArray[np.float64]
 
 MIN_SPEED = 1.4
-"""Two units of the servo's speed register [deg/s]. One unit is 0.684; below half of it the register reads 0, which
-means no limit at all."""
+"""Least speed: two units of 0.684 deg/s of the servo's speed register [deg/s]. A speed of less than half a unit is
+rounded to 0, which means unlimited speed."""
 _SLACK = 0.02
-"""An angle may be this far from what the speed of its servo explains [rad]: 13 steps of an MX's encoder."""
+"""Tolerance of the largest possible motion between two measurements [rad]: 13 encoder steps of an MX."""
 _REACH = 0.04
-"""Longest time for which a servo is believed to have turned at full speed [s]: two periods of the bus."""
+"""Longest time of motion at full speed that is accepted as plausible [s]: two periods of the bus."""
 _TRIES = 5
-"""Times that a motor is told or asked before it counts as one that does not obey."""
+"""Number of attempts to write or read registers of a motor before an error is reported."""
 _ARRIVAL = 3.0
-"""Once the goals are in the first pose, the joints must be there within this time [s]."""
+"""Time in which the joints must reach the first pose after their goals [s]."""
 
 
 @dataclass(frozen=True)
@@ -54,16 +54,19 @@ class Motor:
     Attributes
     ----------
     name : str
-        Of its joint.
+        Name of its joint.
     id : int
+        Id on the bus.
     type : str
+        Key of `TYPES`, such as ``MX-28``.
     bus : str
+        Name of the bus.
     direct : bool
-        Whether the servo turns the way the joint does.
+        Whether positive angles of the servo are positive angles of the joint.
     offset : float
-        [deg]
+        Offset of the joint angle, see `user` [deg].
     raw : tuple of float
-        Limits in the servo's own angle [deg].
+        Lower and upper limit of the servo angle [deg].
     """
 
     name: str
@@ -75,11 +78,11 @@ class Motor:
     raw: tuple[float, float]
 
     def user(self, raw: float) -> float:
-        """Return the joint's angle at an angle of the servo [deg]."""
+        """Return the joint angle for a servo angle [deg]."""
         return (raw if self.direct else -raw) - self.offset
 
     def servo(self, user: float) -> float:
-        """Return the servo's angle at an angle of the joint [deg]."""
+        """Return the servo angle for a joint angle [deg]."""
         return user + self.offset if self.direct else -(user + self.offset)
 
     @property
@@ -90,12 +93,17 @@ class Motor:
 
 
 def load_motors(source: str) -> dict[str, Motor]:
-    """Read a table of motors: a path, or the name of one in config/motors/.
+    """Read a table of motors from a path, or from the file of this name in config/motors/.
+
+    Returns
+    -------
+    dict of str to Motor
+        By the name of the joint.
 
     Raises
     ------
     ConfigError
-        If the table is missing or cannot be used; the message names the motor.
+        If the file is missing or not a valid table; the message names the motor.
     """
     path = Path(source)
     if not path.is_file():
@@ -116,7 +124,7 @@ def load_motors(source: str) -> dict[str, Motor]:
 
 
 def _motor(name: str, entry: Any, taken: set[int]) -> Motor:
-    """Return the motor of an entry of the table; a ValueError says what it must have."""
+    """Return the motor of an entry of the table; raise ValueError with the requirement that the entry violates."""
     try:
         numbers = {"raw": tuple(map(float, entry["raw"])), "offset": float(entry["offset"])}
         motor = Motor(name=name, **{**entry, **numbers})
@@ -128,55 +136,57 @@ def _motor(name: str, entry: Any, taken: set[int]) -> Motor:
     if motor.type not in TYPES or not isinstance(motor.direct, bool):
         raise ValueError(f"must have direct: true or false and a type of {', '.join(TYPES)}")
     if not isinstance(motor.id, int) or not 0 <= motor.id <= 252 or motor.id in taken:
-        raise ValueError(f"must have an id of its own between 0 and 252, got {motor.id!r}")
+        raise ValueError(f"must have a unique id between 0 and 252, got {motor.id!r}")
     return motor
 
 
 def register_speed(speed: float, highest: float) -> float:
-    """Return the speed to write into a servo [deg/s]: never 0, always finite, never above `highest`."""
+    """Return abs(speed) [deg/s] limited to `MIN_SPEED` and `highest`; `MIN_SPEED` if `speed` is not finite."""
     return min(max(abs(speed), MIN_SPEED), highest) if math.isfinite(speed) else MIN_SPEED
 
 
 class PoppyPlant(Plant):
-    """A Poppy, or emulated servos in its place.
+    """The servos of a Poppy, or emulated servos.
 
-    Nothing moves and no torque is switched before `activate`.
+    No joint moves and no torque is switched on before `activate`.
 
     Parameters
     ----------
     model : RobotModel
-        Its joints are the ones that walk; the others go to their first pose and stay.
+        Model whose joints are commanded; the other joints move to their first pose and hold it.
     config : PoppyConfig
     max_age : float
-        Angles older than this count for nothing [s].
+        Age above which angles are not used [s].
     buses : mapping of str to Bus, optional
         By the name of the bus in the table of motors; `open_buses` by default.
     clock : callable
-        Steady time of the buses [s].
-    each : callable
-        As `map`, over the buses; by default it talks to all of them at the same time.
+        Monotonic time of the buses [s].
+    each : callable, optional
+        Applies a function to all buses, like `map`; by default in parallel threads.
 
     Attributes
     ----------
     motors : dict of str to Motor
+        By the name of the joint.
     names : tuple of str
         All N joints, those of the model first.
     active : bool
-        Whether the torque is on, as it was read back.
+        Whether the torque is on and has been confirmed by the motors.
     ready : bool
-        Whether the robot has reached its first pose since; only then do commands count.
+        Whether the robot has reached its first pose since; commands have no effect before.
     measured : Measured
+        Angles, velocities and loads.
     watch : MotorWatch
-        What is wrong with the motors; nothing moves while anything is.
+        Faults of the motors, during which no joint moves.
     goal : ndarray, shape (N,)
-        Goals of the servos, with what is fed forward [rad].
+        Goals of the servos, including feedforward [rad].
 
     Raises
     ------
     PlantError
         If dynamixel_sdk is missing, or motors do not answer or are not those of the table.
     ConfigError
-        If the model has a joint without a motor, or the table of motors or the calibration cannot be used.
+        If the model has a joint without a motor, or the table of motors or the calibration is invalid.
     """
 
     def __init__(
@@ -220,44 +230,46 @@ class PoppyPlant(Plant):
         )
         self.watch = MotorWatch(self.names, self.parts, config, max_age)
         self.active = self.ready = False
-        self.goal, self._wanted = np.full(every, np.nan), np.full(every, np.nan)
-        self._speed, self._sag = np.zeros(every), np.zeros(every)
+        self.goal, self._commanded = np.full(every, np.nan), np.full(every, np.nan)
+        self._speed, self._feedforward = np.zeros(every), np.zeros(every)
         self._time, self._arrived_at = 0.0, np.inf
         self._resend = 0
         try:
-            self._meet()
+            self._identify_motors()
         except BaseException:
-            self._let_go()
+            self._close_buses()
             raise
 
-    # ------------------------------------------------------------------ the two verbs of a plant
+    # ------------------------------------------------------------------ commands and states
 
     def step(self, command: Command, dt: float) -> State:
-        """Do as `tell` and `read`."""
+        """Call `tell` and return the state of `read`."""
         self.tell(command, dt)
         return self.read()
 
     def tell(self, command: Command, dt: float) -> None:
         """Send goals that move the joints as commanded for `dt` [s], or towards the first pose until it is reached.
 
+        No goals are sent while the torque is off, a fault is present or the angles are too old.
+
         Raises
         ------
         PlantError
-            If the command is not finite or does not fit.
+            If the command is not finite or does not have one velocity per joint of the model.
         """
         u = np.asarray(command.velocity, dtype=np.float64)
         if u.shape != (self._model.n,) or not np.isfinite(u).all():
             raise PlantError(f"the command must have {self._model.n} finite velocities, got {u}")
         moves = self.active and dt > 0.0 and not self.watch.faults and self.fresh
         if moves:
-            self._aim(u, command.effort, dt)
+            self._set_goals(u, command.effort, dt)
         if moves or self._resend:
             self._resend = max(self._resend - 1, 0)
             list(self._each(lambda part: self._send(part, list(range(len(part.places)))), self.parts))
         self._time += dt
 
     def read(self) -> State:
-        """Read the angles, look at one motor of each bus, and judge what was found."""
+        """Read the angles and further registers of one motor of each bus, update the faults, and return the state."""
         turn, self._turn = self._turn, self._turn + 1
 
         def cycle(part: Part) -> None:
@@ -267,31 +279,31 @@ class PoppyPlant(Plant):
             part.bus.inspect(int(unsure[turn // 2 % len(unsure)]) if first else turn % len(part.places))
 
         list(self._each(cycle, self.parts))
-        self._believe()
+        self._accept_angles()
         before = set(self.watch.lasting)
         self.watch.look(self._clock(), self.measured, self.goal if self.active else None, self._gain)
-        for k, name in enumerate(self.names):  # a joint that is stuck is not pushed any longer
+        for k, name in enumerate(self.names):  # relieve a blocked joint
             if (key := f"blocked/{name}") in self.watch.lasting and key not in before:
-                self.goal[k] = self._wanted[k] = self.measured.q[k]
+                self.goal[k] = self._commanded[k] = self.measured.q[k]
                 self._resend = _TRIES
         if self.active and not self.ready:
-            self._arrive()
+            self._check_arrival()
         return self.state
 
     @property
     def state(self) -> State:
-        """The joints of the model as they were measured last."""
+        """Last measured angles and velocities of the joints of the model."""
         n = self._model.n
         return State(self._time, self.measured.q[:n], self.measured.dq[:n])
 
     @property
     def age(self) -> float:
-        """Age of the oldest angle [s]."""
+        """Age of the oldest of the angles [s]."""
         return float(self._clock() - self.measured.at.min())
 
     @property
     def fresh(self) -> bool:
-        """Whether every angle is young enough to count."""
+        """Whether no angle is older than `max_age`."""
         return self.age <= self._max_age
 
     @property
@@ -301,37 +313,37 @@ class PoppyPlant(Plant):
 
     @property
     def stiffness(self) -> Array:
-        """Torque per angle of error of each servo, by the gain that was read, shape (N,) [N m/rad]."""
+        """Stiffness of each servo by its measured gain, shape (N,) [N m/rad]; infinite if unknown or emulated."""
         out = np.full(len(self.names), np.inf)
-        if not self._config.dummy:  # emulated servos have no weight
+        if not self._config.dummy:  # emulated servos carry no load
             for part in self.parts:
-                for kind, place, seen in zip(part.bus.types, part.places, part.bus.registers, strict=True):
-                    if seen is not None:
-                        out[place] = kind.stiffness(seen.gain)
+                for kind, place, registers in zip(part.bus.types, part.places, part.bus.registers, strict=True):
+                    if registers is not None:
+                        out[place] = kind.stiffness(registers.gain)
         return out
 
-    def _aim(self, u: Array, effort: Array | None, dt: float) -> None:
+    def _set_goals(self, u: Array, effort: Array | None, dt: float) -> None:
         """Set goals and speeds for the next `dt` [s]."""
         q, lead, n = self.measured.q, self._config.max_lead, self._model.n
         turns = np.zeros(len(q))
         if self.ready:
             turns[:n] = np.clip(u, -self._model.velocity_max, self._model.velocity_max)
             if effort is not None:
-                self._sag[:n] = effort / np.maximum(self.stiffness[:n], 1e-3)
+                self._feedforward[:n] = effort / np.maximum(self.stiffness[:n], 1e-3)
         else:
             speed = self._config.start_speed
-            turns = np.clip((self._first - self._wanted) / dt, -speed, speed)
-        # a joint that is outside its limits moves in, or stays
-        low, high = np.minimum(self._low, self._wanted), np.maximum(self._high, self._wanted)
-        self._wanted = np.clip(np.clip(self._wanted + dt * turns, low, high), q - lead, q + lead)
-        self.goal = np.clip(np.clip(self._wanted + self._sag, low, high), q - lead, q + lead)
-        # fast enough to be there within a period, and to catch up with what is left
+            turns = np.clip((self._first - self._commanded) / dt, -speed, speed)
+        # a joint outside its limits may only move towards them
+        low, high = np.minimum(self._low, self._commanded), np.maximum(self._high, self._commanded)
+        self._commanded = np.clip(np.clip(self._commanded + dt * turns, low, high), q - lead, q + lead)
+        self.goal = np.clip(np.clip(self._commanded + self._feedforward, low, high), q - lead, q + lead)
+        # fast enough to reach the goal within a period and to reduce the remaining error
         self._speed = 1.5 * np.abs(turns) + np.abs(self.goal - q) / max(dt, 1e-3)
 
-    def _arrive(self) -> None:
-        """Notice that the first pose is reached, or that it cannot be."""
+    def _check_arrival(self) -> None:
+        """Set `ready` once the first pose is reached; report a fault if it is not reached in time."""
         faults, now = self.watch.faults, self._clock()
-        if faults or np.abs(self._first - self._wanted).max() > 1e-9:
+        if faults or np.abs(self._first - self._commanded).max() > 1e-9:
             self._arrived_at = np.inf
             return
         self._arrived_at = min(self._arrived_at, now)
@@ -340,30 +352,30 @@ class PoppyPlant(Plant):
         if not self.ready and now - self._arrived_at > _ARRIVAL:
             k = int(behind.argmax())
             self.watch.lasting["first pose"] = (
-                f"{self.names[k]} does not reach the first pose: {math.degrees(behind[k]):.0f} deg are left; free it, "
+                f"{self.names[k]} does not reach the first pose: {math.degrees(behind[k]):.0f} deg remain; free it, "
                 "raise poppy.p_gain or poppy.start_tolerance, then ~/activate"
             )
 
     # ------------------------------------------------------------------ torque
 
     def activate(self) -> None:
-        """Switch the torque on where the robot stands, and read it back; then `step` goes to the first pose.
+        """Switch the torque on in the current pose and confirm it; afterwards `step` moves to the first pose.
 
         Raises
         ------
         PlantError
-            If something is wrong with the motors, or one does not do as it is told: then the torque is off.
+            If a fault is present, or a motor does not confirm its registers; the torque is then off.
         """
         self.active = self.ready = False
         self.watch.forget()
-        for _ in range(_TRIES):  # what was wrong may be over
+        for _ in range(_TRIES):  # earlier faults may have ended
             self.read()
             if not (faults := self.watch.faults):
                 break
         else:
             raise PlantError("; ".join(faults.values()))
-        self.goal, self._wanted = self.measured.q.copy(), self.measured.q.copy()
-        self._speed[:] = self._sag[:] = 0.0
+        self.goal, self._commanded = self.measured.q.copy(), self.measured.q.copy()
+        self._speed[:] = self._feedforward[:] = 0.0
         self._arrived_at = np.inf
         degrees = np.degrees(self.goal) + self._zero
 
@@ -373,65 +385,66 @@ class PoppyPlant(Plant):
                 part.bus.write_gain(int(gain), [i for i in left if self._gain[part.places[i]] == gain])
             self._send(part, left)
 
-        def prepared(part: Part, i: int, seen: Registers) -> bool:
+        def prepared(part: Part, i: int, registers: Registers) -> bool:
             k = part.places[i]
             goal = part.bus.types[i].position(self._table[k].servo(degrees[k]))
-            return seen.torque_limit == FULL_TORQUE and self._gain[k] in (seen.gain, -1) and seen.goal == goal
+            right_gain = self._gain[k] in (registers.gain, -1)
+            return registers.torque_limit == FULL_TORQUE and right_gain and registers.goal == goal
 
-        if bad := self._insist(prepare, prepared):
-            raise PlantError(f"{', '.join(bad)} cannot be set up: nothing was switched")
-        if bad := self._insist(lambda part, left: part.bus.write_torque(True, left), lambda _, __, seen: seen.torque):
+        if bad := self._confirm(prepare, prepared):
+            raise PlantError(f"{', '.join(bad)} cannot be set up: no torque was switched on")
+        if bad := self._confirm(lambda part, left: part.bus.write_torque(True, left), lambda _, __, r: r.torque):
             self.release()
-            raise PlantError(f"the torque of {', '.join(bad)} does not come on: all of it is off again")
+            raise PlantError(f"the torque of {', '.join(bad)} did not switch on: all torque is off again")
         self.active = True
 
     def release(self) -> None:
-        """Switch the torque off, and read it back.
+        """Switch the torque off and confirm it.
 
         Raises
         ------
         PlantError
-            If it stays on somewhere; the message names the motors.
+            If motors do not confirm that their torque is off; the message names them.
         """
         self.active = self.ready = False
         self.watch.forget()
-        off = self._insist(lambda part, left: part.bus.write_torque(False, left), lambda _, __, seen: not seen.torque)
+        off = self._confirm(lambda part, left: part.bus.write_torque(False, left), lambda _, __, r: not r.torque)
         if off:
             raise PlantError(f"{', '.join(off)} did not confirm that the torque is off: switch the power off")
 
     def close(self) -> None:
-        """Hold, or go limp if `torque_off_at_end`; let go of the buses, whatever they say.
+        """Hold the goals, or switch the torque off if `torque_off_at_end` is set; then close the buses in any case.
 
         Raises
         ------
         PlantError
-            If the torque could not be switched off.
+            If motors do not confirm that their torque is off.
         """
         try:
             if self._config.torque_off_at_end:
                 self.release()
-            elif self.active:  # the goals stay; whoever is on the way there slows down
+            elif self.active:  # keep the goals, and move to them at the least speed
                 self._speed[:] = 0.0
                 for part in self.parts:
                     self._send(part, list(range(len(part.places))))
         finally:
-            self._let_go()
+            self._close_buses()
 
-    def _let_go(self) -> None:
+    def _close_buses(self) -> None:
         self._pool.shutdown()
         for part in self.parts:
             part.bus.close()
 
-    def _insist(
-        self, tell: Callable[[Part, list[int]], None], obeys: Callable[[Part, int, Registers], bool]
+    def _confirm(
+        self, write: Callable[[Part, list[int]], None], confirms: Callable[[Part, int, Registers], bool]
     ) -> list[str]:
-        """Tell the motors something until they say that they did it; return those that do not."""
+        """Repeat a write until all motors confirm it; return the joints of those that do not."""
 
         def one_bus(part: Part) -> list[str]:
             left = list(range(len(part.places)))
             for _ in range(_TRIES):
-                tell(part, left)
-                left = [i for i in left if (seen := part.bus.inspect(i)) is None or not obeys(part, i, seen)]
+                write(part, left)
+                left = [i for i in left if (found := part.bus.inspect(i)) is None or not confirms(part, i, found)]
                 if not left:
                     break
             return [self.names[part.places[i]] for i in left]
@@ -440,8 +453,8 @@ class PoppyPlant(Plant):
 
     # ------------------------------------------------------------------ the buses
 
-    def _meet(self) -> None:
-        """Ask each motor who it is, and read everything once."""
+    def _identify_motors(self) -> None:
+        """Check the model number of each motor, and read all registers and angles once."""
         wrong, silent = [], []
         for part in self.parts:
             for i, motor in enumerate(self._table[k] for k in part.places):
@@ -449,10 +462,10 @@ class PoppyPlant(Plant):
                 model = next((number for number in numbers if number is not None), None)
                 if model is None:
                     silent.append(f"{motor.name} ({motor.id}, {part.bus.name} bus) {part.bus.cause[i]}")
-                    if len(silent) >= _TRIES:  # that is enough to look for
+                    if len(silent) >= _TRIES:  # enough for the message
                         break
                 elif model != TYPES[motor.type].model:
-                    wrong.append(f"{motor.name} ({motor.id}) is of model {model}, which is no {motor.type}")
+                    wrong.append(f"{motor.name} ({motor.id}) is model {model}, not an {motor.type}")
         if silent:
             raise PlantError(
                 f"the motors do not answer: {', '.join(silent)}; is the robot on, and are both buses plugged in? "
@@ -460,16 +473,16 @@ class PoppyPlant(Plant):
             )
         if wrong:
             raise PlantError(f"the motors are not those of the table '{self._config.motors}': {', '.join(wrong)}")
-        self._insist(lambda part, left: None, lambda part, i, seen: True)
+        self._confirm(lambda part, left: None, lambda part, i, found: True)
         for _ in range(_TRIES):
             self.read()
             if np.isfinite(self.measured.q).all():
                 return
         bad = [name for name, q in zip(self.names, self.measured.q, strict=True) if not math.isfinite(q)]
-        raise PlantError(f"no angle from {', '.join(bad)}")
+        raise PlantError(f"no valid angle from {', '.join(bad)}")
 
     def _send(self, part: Part, places: list[int]) -> None:
-        """Send goals and speeds to motors of a bus."""
+        """Send goals and speeds to the motors of a bus at `places`."""
         words = {}
         for i in places:
             k = part.places[i]
@@ -478,8 +491,8 @@ class PoppyPlant(Plant):
             words[i] = (self._table[k].servo(angle), speed)
         part.bus.write_goals(words)
 
-    def _believe(self) -> None:
-        """Take over the angles that a joint can have turned to since the last one that was believed."""
+    def _accept_angles(self) -> None:
+        """Accept the new angles that a joint can have reached since its last accepted angle."""
         m = self.measured
         at, degrees = np.empty(len(self.names)), np.empty(len(self.names))
         for part in self.parts:
@@ -488,9 +501,9 @@ class PoppyPlant(Plant):
         q = np.radians(degrees - self._zero)
         new, passed = at > self._received, at - m.at
         self._received = at
-        far = np.abs(q - m.q) > self._fastest * np.minimum(passed, _REACH) + _SLACK  # false for the first, from nan
+        far = np.abs(q - m.q) > self._fastest * np.minimum(passed, _REACH) + _SLACK  # false while m.q is nan
         m.jumps = np.where(new, np.where(far, m.jumps + 1, 0), m.jumps)
-        # a robot without torque may have been turned by hand while nobody looked
+        # a joint without torque may have been turned by hand
         take = new & (~far | (m.jumps >= JUMPS if not self.active else False))
         m.jumps[take] = 0
         m.dq[take] = np.nan_to_num((q - m.q) / np.maximum(passed, 1e-3))[take]
@@ -498,7 +511,7 @@ class PoppyPlant(Plant):
 
 
 def _calibration(entries: tuple[str, ...], motors: Mapping[str, Motor]) -> dict[str, float]:
-    """Return the zero of joints [deg] from texts such as ``l_hip_y=-3``."""
+    """Return the zero offsets of joints [deg] from texts such as ``l_hip_y=-3``."""
     out = {}
     for entry in entries:
         name, _, value = entry.partition("=")
@@ -512,7 +525,12 @@ def _calibration(entries: tuple[str, ...], motors: Mapping[str, Motor]) -> dict[
 
 
 def open_buses(motors: Mapping[str, Motor], config: PoppyConfig) -> dict[str, Bus]:
-    """Open the buses of a table of motors, or emulated ones.
+    """Open the buses of a table of motors, or emulated buses if `config.dummy` is set.
+
+    Returns
+    -------
+    dict of str to Bus
+        By the name of the bus.
 
     Raises
     ------
@@ -536,7 +554,7 @@ def open_buses(motors: Mapping[str, Motor], config: PoppyConfig) -> dict[str, Bu
             for bus in buses.values():
                 bus.close()
             raise PlantError(
-                f"the {name} bus cannot be opened: {error}; is it plugged in, and free? "
+                f"the {name} bus cannot be opened: {error}; is it plugged in, and not used by another program? "
                 "(poppy.dummy:=true tries the driver without a robot)"
             ) from error
     return buses

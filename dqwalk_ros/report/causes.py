@@ -1,4 +1,4 @@
-"""Finds the causes of a fall, the earliest first, each with its number and the parameter to change.
+"""Finds the causes of a fall, the earliest first, each with its measured value and the parameter to change.
 
 A fall is unavoidable when the divergent component of the CoM, xi = c + v/w, leaves the support polygon and does not
 return; motions of the joints after that time are consequences. Servos and delay act from the beginning. At some time a
@@ -30,7 +30,7 @@ _BEYOND = 1e-3
 _AT_LIMIT, _BRIEFLY = 0.98, 0.02
 """Fraction of its limit above which a torque counts as limited, and the shortest time of it that is a cause [s]."""
 _DELAYS, _SPAN, _ALIKE = 0.3, 0.1, 0.8
-"""Longest delay that is considered [s], time over which motions of joints are compared [s], and least correlation."""
+"""Longest delay considered [s], duration of the compared joint motions [s], and least correlation."""
 _DELAY_PART = 0.5
 """Fraction of `stability.longest_delay` that a robot with legs and servos tolerates."""
 
@@ -85,14 +85,14 @@ def _divergent(series: Series) -> Array:
 def _delay(series: Series, tick: int) -> Iterator[Finding]:
     """Yield a delay between commands and joint motion that the balance control does not tolerate."""
     config, height = series.trace.config, float(series.com[0, 2])
-    borne = _DELAY_PART * longest_delay(config.standing.balance, height)
-    weak = _at_limit(series, slice(0, tick)).any(axis=1)  # a joint that is too weak lags, too
+    tolerated = _DELAY_PART * longest_delay(config.standing.balance, height)
+    weak = _at_limit(series, slice(0, tick)).any(axis=1)  # a joint that is too weak lags as well
     delay = _measured_delay(series, int(np.argmax(weak)) if weak.any() else tick)
-    if delay is not None and delay > borne:
-        late, told = 1e3 * delay, 1e3 * config.servo.assumed_latency
+    if delay is not None and delay > tolerated:
+        late, assumed = 1e3 * delay, 1e3 * config.servo.assumed_latency
         yield Finding(
-            f"the joints follow their commands {late:.0f} ms late (servo.assumed_latency says {told:.0f}), and at this "
-            f"height standing.balance = {config.standing.balance:g} bears about {1e3 * borne:.0f} ms",
+            f"the joints follow their commands {late:.0f} ms late (servo.assumed_latency is {assumed:.0f} ms); at this "
+            f"height standing.balance = {config.standing.balance:g} tolerates about {1e3 * tolerated:.0f} ms",
             "servo.latency, sensors.age, standing.balance",
             "latency",
             float(series.time[0]),
@@ -120,12 +120,12 @@ def _pressure(series: Series, tick: int) -> Iterator[Finding]:
     """Yield the first time at which the path of the CoM requires a centre of pressure beyond the soles."""
     if series.trace.config.gait.style == "paper":
         short = series.true_margin
-        text, parameter = "the paper's walk leads the CoM beyond the true soles", "gait.style"
+        text, parameter = "the paper's walk moves the CoM beyond the true soles", "gait.style"
     else:
         short = _planned_margin(series)
-        text, parameter = "the path of the CoM asks for a centre of pressure beyond the soles", "standing."
+        text, parameter = "the path of the CoM requires a centre of pressure beyond the soles", "standing."
     first = _recent(series, tick).start
-    end = series.spans[int(series.span_of[tick])].end  # a path that begins in the fall begins beyond the soles
+    end = series.spans[int(series.span_of[tick])].end  # a path that begins during the fall begins beyond the soles
     beyond = np.flatnonzero(short[first:end] < -_BEYOND)
     if not beyond.size:
         return
@@ -205,7 +205,8 @@ def _unknown(series: Series, tick: int) -> Finding:
     into = time - span.record.time
     return Finding(
         f"the divergent component left the soles at {time:.2f} s, {into:.2f} s into {span.phase.name}, and neither "
-        "servos, delay, torques nor the path of the CoM explain it: a push, the ground, or a step too fast or too long",
+        "servos, delay, torques nor the path of the CoM explain it; possible causes are a push, the ground, or a step "
+        "that is too fast or too long",
         "standing.swing_duration, gait.step_length",
         "unknown",
         time,
