@@ -123,8 +123,8 @@ class Recorder(WalkNode):
         self._handled = self._handled_before = 0  # number of messages, now and at the last check of `is_drained`
         self._stop_at = float("inf")
         self._others: dict[str, Topic] = {}  # topics of `OTHERS`, as discovered
-        for name, topic in _ALL.items():
-            self._subscribe(PHASE_LOG.name if name == "phase" else topic.name, name, topic)
+        for name, topic in (_ALL | {"phase": PHASE_LOG}).items():
+            self._subscribe(topic.name, name, topic)
         self._discover_others()
         self.create_timer(_FLUSH, self._flush, clock=STEADY)
         self.create_timer(_DISCOVERY, self._discover_others, clock=STEADY)
