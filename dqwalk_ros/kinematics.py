@@ -268,12 +268,10 @@ class SupportTree:
             axis.append(a)
 
         # the reversed leg, from the sole up to the model's root
-        child = sole.body
-        while model.bodies[child].parent >= 0:
+        for child in model.chain(sole.body)[:0:-1]:
             body = model.bodies[child]
             visit(body.parent, len(order) - 1, body.joint, x_old[child], -body.axis)
             x_old[body.parent] = DQ(body.origin).conj()
-            child = body.parent
         # all other bodies keep the parent that they have in the model
         for b, body in enumerate(model.bodies):
             if b not in x_old:

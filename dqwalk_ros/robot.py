@@ -171,6 +171,13 @@ class RobotModel:
         """Name of the URDF's root link, the floating base."""
         return next(iter(self.frames))
 
+    def chain(self, body: int) -> list[int]:
+        """Return the indices of the bodies from the root to `body`, both included."""
+        chain = [body]
+        while (body := self.bodies[body].parent) >= 0:
+            chain.append(body)
+        return chain[::-1]
+
     def posture(self, entries: Sequence[str], key: str = "standing.posture") -> Array:
         """Return the joint angles given by entries JOINT=RADIANS, shape (n,) [rad]; other joints are at zero.
 

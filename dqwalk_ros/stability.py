@@ -70,7 +70,7 @@ def pendulum_stiffness(config: Config, model: RobotModel, kin: Kinematics) -> fl
 
 def leg_inertia(model: RobotModel, kin: Kinematics) -> float:
     """Return the inertia of the right leg about its first joint, with its bodies as point masses [kg m^2]."""
-    left, right = (_chain(model, model.frames[model.soles[foot].frame].body) for foot in Foot)
+    left, right = (model.chain(model.frames[model.soles[foot].frame].body) for foot in Foot)
     leg = [body for body in right if body not in left]
     first: dict[int, str] = {}
     for name, frame in model.frames.items():
@@ -83,15 +83,6 @@ def leg_inertia(model: RobotModel, kin: Kinematics) -> float:
     levers = [place(body).transform_point(model.bodies[body].com) - hip for body in leg]
     total = sum(model.bodies[body].mass * float(x**2 + z**2) for body, (x, _, z) in zip(leg, levers, strict=True))
     return max(total, 1e-6)
-
-
-def _chain(model: RobotModel, body: int) -> list[int]:
-    """Return the bodies from the root to `body`."""
-    out = []
-    while body > 0:
-        out.append(body)
-        body = model.bodies[body].parent
-    return out[::-1]
 
 
 def divergent_component(c: Array, v: Array, height: Array) -> Array:

@@ -158,7 +158,8 @@ def _slot(model: RobotModel, joint: int, limb: list[int], random: np.random.Gene
     low, high = np.minimum(np.maximum(low, -_REACH), high), np.maximum(np.minimum(high, _REACH), low)
     rest = np.zeros(model.n)
     rest[limb] = np.clip(0.0, low, high)[limb]
-    line = [i for i in limb if near.above(i, joint) or near.above(joint, i)]
+    chain = {i: model.chain(next(b for b, body in enumerate(model.bodies) if body.joint == i)) for i in limb}
+    line = [i for i in limb if chain[i][-1] in chain[joint] or chain[joint][-1] in chain[i]]
     tries = np.tile(rest, (_TRIES, 1))
     tries[1:, line] = random.uniform(low[line], high[line], (_TRIES - 1, len(line)))
     for q in sorted(tries, key=lambda q: -_loaded(model, q, joint, sweep)):
@@ -184,8 +185,8 @@ class _Clearance:
 
     def __init__(self, model: RobotModel) -> None:
         self._model = model
-        bodies = [frame.body for frame in model.frames.values()]
-        far = [[self._links(a, b) > 2 for b in bodies] for a in bodies]
+        chains = [set(model.chain(frame.body)) for frame in model.frames.values()]
+        far = [[len(a ^ b) > 2 for b in chains] for a in chains]  # more than two joints between them
         self._pairs = np.triu(np.array(far))
         self._least = _CLEAR * np.minimum(self._distances(np.zeros(model.n)), _NEAR)
 
@@ -202,27 +203,11 @@ class _Clearance:
                 return False
         return True
 
-    def above(self, i: int, j: int) -> bool:
-        """Return whether joint `i` carries joint `j`, or is the same joint."""
-        (body,) = (b for b, body in enumerate(self._model.bodies) if body.joint == j)
-        while body >= 0 and self._model.bodies[body].joint != i:
-            body = self._model.bodies[body].parent
-        return body >= 0
-
     def _distances(self, q: Array) -> Array:
         kin = Kinematics(self._model, q, Foot.LEFT)
         p = np.array([kin.point(name) for name in self._model.frames])
         out: Array = np.linalg.norm(p[:, None] - p[None], axis=2)[self._pairs]
         return out
-
-    def _links(self, a: int, b: int) -> int:
-        """Return the number of joints between two bodies."""
-        ways = []
-        for body in (a, b):
-            ways.append([body])
-            while (body := self._model.bodies[body].parent) >= 0:
-                ways[-1].append(body)
-        return len(set(ways[0]) ^ set(ways[1]))
 
 
 def _motion(sweep: float) -> Array:
