@@ -110,7 +110,7 @@ def test_mirrored_limits_agree() -> None:
         ("motors:\n  a: {id: 1, type: MX-28, bus: lower, direct: true, offset: .nan, raw: [0, 1]}", "in degrees"),
         ("motors:\n  a: {id: 1, type: X, bus: lower, direct: true, offset: 0, raw: [0, 1]}", "a type of MX-28"),
         ("motors:\n  a: {id: 1, type: MX-28, bus: lower, direct: 3, offset: 0, raw: [0, 1]}", "true or false"),
-        ("motors:\n  a: {id: 999, type: MX-28, bus: lower, direct: true, offset: 0, raw: [0, 1]}", "an id of its own"),
+        ("motors:\n  a: {id: 999, type: MX-28, bus: lower, direct: true, offset: 0, raw: [0, 1]}", "a unique id"),
     ],
 )
 def test_a_table_that_is_none_is_refused(tmp_path: Path, text: str, expected: str) -> None:
