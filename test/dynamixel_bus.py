@@ -39,7 +39,7 @@ class FaultyServos(EmulatedServos):
         Share of the replies of which one bit is flipped.
     garbage : float
         Share of the replies that are random bytes.
-    swallow : callable
+    drop_reply : callable
         Given an instruction packet, tells whether its reply is lost.
     slip : dict of int to float
         Angle by which the position of a servo is wrong [deg].
@@ -51,15 +51,15 @@ class FaultyServos(EmulatedServos):
         super().__init__(servos, clock)
         self.dice = random.Random(seed)
         self.requests: list[bytes] = []
-        self.heal()
+        self.clear_faults()
 
-    def heal(self) -> None:
+    def clear_faults(self) -> None:
         """Take all faults away but those that servos remember."""
         self.dead = self.unplugged = False
         self.silent: set[int] = set()
         self.damaged = self.garbage = 0.0
         self.slip: dict[int, float] = {}
-        self.swallow: Callable[[bytes], bool] = lambda packet: False
+        self.drop_reply: Callable[[bytes], bool] = lambda packet: False
         for servo in self.servos.values():
             servo.blocked = False
 
@@ -78,7 +78,7 @@ class FaultyServos(EmulatedServos):
             out = super().reply(packet)
         finally:
             self.servos |= hidden
-        if not out or self.swallow(packet):
+        if not out or self.drop_reply(packet):
             return b""
         if self.dice.random() < self.damaged:
             words = bytearray(out)

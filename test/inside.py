@@ -80,7 +80,7 @@ class Inside:
                 return log
 
         self._domain = domain
-        self._strangers: list[tuple[Context, Node]] = []
+        self._foreign: list[tuple[Context, Node]] = []
         self.context = Context()
         rclpy.init(context=self.context, domain_id=domain)
         arguments = ["--ros-args", "--params-file", str(params), *ros]
@@ -92,8 +92,8 @@ class Inside:
             self.context.try_shutdown()
             raise
 
-    def hand(self, topic: str, msg: Any) -> None:
-        """Give a message to the subscription of a topic."""
+    def send(self, topic: str, msg: Any) -> None:
+        """Pass a message to the callback of a subscription."""
         name = self.node.resolve_topic_name(topic)
         (subscription,) = (s for s in self.node.subscriptions if s.topic_name == name)
         subscription.callback(msg)
@@ -108,17 +108,17 @@ class Inside:
         (found,) = (s for s in self.node.services if s.srv_name.endswith(service))
         return found.callback(request, found.srv_type.Response())
 
-    def stranger(self, name: str) -> Node:
-        """Return a node of somebody else's process; it ends with this one."""
+    def foreign_node(self, name: str) -> Node:
+        """Return a node in another ROS context of the same domain; `close` ends it."""
         context = Context()
         rclpy.init(context=context, domain_id=self._domain)
-        self._strangers.append((context, Node(name, context=context)))
-        return self._strangers[-1][1]
+        self._foreign.append((context, Node(name, context=context)))
+        return self._foreign[-1][1]
 
     def close(self) -> None:
         """End the node."""
         self.node.destroy_node()
-        for context in (*(context for context, _ in self._strangers), self.context):
+        for context in (*(context for context, _ in self._foreign), self.context):
             context.try_shutdown()
 
 

@@ -75,7 +75,7 @@ class Live:
         """Start a node with the configuration."""
         self.processes.start(name, [*arguments, "--ros-args", "--params-file", str(self.params)])
 
-    def until_up(self, name: str) -> None:
+    def until_started(self, name: str) -> None:
         """Wait until a node has said its first word."""
         self.until(lambda: "[INFO]" in self.processes.log(name), 60.0, f"the start of {name}")
 

@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 @cache
-def printed(script: str, package: Path = ROOT) -> str:
+def output_of(script: str, package: Path = ROOT) -> str:
     """Return what a script prints with a copy of the package, or its error."""
     here = os.environ | {"PYTHONPATH": str(package), "NUMBA_DISABLE_JIT": "1", "PYTHONDONTWRITEBYTECODE": "1"}
     here |= {"OPENBLAS_NUM_THREADS": "1"}
@@ -21,18 +21,18 @@ def printed(script: str, package: Path = ROOT) -> str:
     return done.stdout if done.returncode == 0 else done.stderr
 
 
-def copied(folder: Path) -> Path:
+def copy_package(folder: Path) -> Path:
     """Copy the package, its configurations and its robots to a folder."""
     for part in ("dqwalk_ros", "config", "urdf"):
         shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__"))
     return folder
 
 
-def changes(folder: Path, script: str, tag: str, name: str, line: str, broken: str) -> bool:
+def changes_output(folder: Path, script: str, tag: str, name: str, line: str, broken: str) -> bool:
     """Break a line that stands at a tag, in a copy, and tell whether the script prints something else with it."""
     text = (ROOT / name).read_text(encoding="utf-8")
     assert text.count(line) == 1, line
     at = text[: text.index(line)].count("\n")
     assert tag in " ".join(" ".join(text.splitlines()[max(0, at - 14) : at + 2]).split())
-    (copied(folder) / name).write_text(text.replace(line, broken), encoding="utf-8")
-    return printed(script, folder) != printed(script)
+    (copy_package(folder) / name).write_text(text.replace(line, broken), encoding="utf-8")
+    return output_of(script, folder) != output_of(script)

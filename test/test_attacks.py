@@ -57,12 +57,12 @@ def recorded(path: Path) -> int:
 def test_a_recorder_records_what_can_be_recorded(make: Any, tmp_path: Path) -> None:
     one = make("recorder", PAPER, "--bag", str(tmp_path / "bag"))
     for k in range(100):
-        one.hand("joint_states", measured(1.0 + 0.02 * k))
+        one.send("joint_states", measured(1.0 + 0.02 * k))
         if k == 50:
             for raw in (*GARBAGE[:-1], measured(-5.0)):
-                one.hand("joint_states", raw)
-                one.hand("center_of_pressure", raw)
-            one.hand("joint_states", measured(2_145_916_800.0))
+                one.send("joint_states", raw)
+                one.send("center_of_pressure", raw)
+            one.send("joint_states", measured(2_145_916_800.0))
     assert "joint_states not recorded: a message of 4 bytes has no header" in one.log
     assert "joint_states not recorded: its stamp is -5 s, before 1970" in one.log
     one.node.close()
@@ -72,16 +72,16 @@ def test_a_recorder_records_what_can_be_recorded(make: Any, tmp_path: Path) -> N
 def test_a_robot_in_the_air_has_no_centre_of_pressure(make: Any, tmp_path: Path) -> None:
     one = make("recorder", PAPER, "--bag", str(tmp_path / "bag"))
     for k in (0, 1, 40):
-        one.hand("joint_states", measured(1.0 + 0.02 * k))
+        one.send("joint_states", measured(1.0 + 0.02 * k))
         at = ros.point(round(1e9 * (1.0 + 0.02 * k)), "world", np.zeros(3))
-        one.hand("center_of_pressure", bytes(serialize_message(at)))
+        one.send("center_of_pressure", bytes(serialize_message(at)))
     assert one.node._missing["joint_states"] == 38
     assert one.node._missing["center_of_pressure"] == 0
 
 
 def test_a_recorder_whose_folder_is_removed_says_so(make: Any, tmp_path: Path) -> None:
     one = make("recorder", PAPER, "--bag", str(tmp_path / "bag"))
-    one.hand("joint_states", measured(1.0))
+    one.send("joint_states", measured(1.0))
     one.node._flush()
     shutil.rmtree(tmp_path / "bag")
     one.node._flush()
@@ -108,7 +108,7 @@ def test_a_recorder_on_a_full_disk_says_so_and_keeps_what_it_has(make: Any, tmp_
     with full(300_000):
         for k in range(10_000):
             q = dice.uniform(-1.0, 1.0, MODEL.n)  # so that it does not compress
-            one.hand("joint_states", bytes(serialize_message(state(MODEL.joint_names, q, 1.0 + 0.02 * k))))
+            one.send("joint_states", bytes(serialize_message(state(MODEL.joint_names, q, 1.0 + 0.02 * k))))
             if not k % 100:
                 one.node._flush()
             if one.node.done.done():
@@ -125,22 +125,22 @@ def test_a_monitor_and_a_viewer_read_what_can_be_read(make: Any) -> None:
         make("phase_monitor", PAPER),
         make("viewer", PAPER, "--port", "0"),
     )
-    walk.hand("joint_states", state(MODEL.joint_names, np.zeros(MODEL.n), 1.0))
+    walk.send("joint_states", state(MODEL.joint_names, np.zeros(MODEL.n), 1.0))
     for topic in ("walk_config", "robot_description", "phase", "phase_start", "com_target"):
         for node in (monitor, viewer):
-            node.hand(topic, walk.got[topic][-1])
+            node.send(topic, walk.got[topic][-1])
     for raw in GARBAGE:
-        monitor.hand("joint_states", raw)
+        monitor.send("joint_states", raw)
     assert "joint_states rejected: a message of 1 bytes has no header" in monitor.log
     assert "a message that cannot be read" in monitor.log
     monitor.node._next = -1
-    monitor.hand("joint_states", measured(1.0))
+    monitor.send("joint_states", measured(1.0))
     assert "double_support" in monitor.got["diagnostics"][-1].status[0].message
     for text in ("0.5 ms", "-1", "nan", "1e999", "\x1b[31m"):
         said = [KeyValue(key="iterations", value=text), KeyValue(key="solve time", value=text)]
         status = DiagnosticStatus(name="controller: walk", level=b"\x00", message=text, values=said)
-        viewer.hand("/diagnostics", DiagnosticArray(status=[status]))
-    viewer.hand("joint_states", state(MODEL.joint_names, np.zeros(MODEL.n), 1.0))
+        viewer.send("/diagnostics", DiagnosticArray(status=[status]))
+    viewer.send("joint_states", state(MODEL.joint_names, np.zeros(MODEL.n), 1.0))
     viewer.node._show()
     viewer.node.close()
 
@@ -151,7 +151,7 @@ def test_a_monitor_and_a_viewer_read_what_can_be_read(make: Any) -> None:
 def test_states_from_before_1970_are_refused(make: Any) -> None:
     one = make("controller", PAPER)
     for k in range(5):
-        one.hand("joint_states", state(MODEL.joint_names, np.zeros(MODEL.n), -100.0 + 0.02 * k))
+        one.send("joint_states", state(MODEL.joint_names, np.zeros(MODEL.n), -100.0 + 0.02 * k))
     assert "joint_states rejected (1 so far): its stamp is -100 s, before 1970" in one.log
     assert not one.got["joint_velocity_commands"]
 
@@ -159,14 +159,14 @@ def test_states_from_before_1970_are_refused(make: Any) -> None:
 def test_names_without_end_fit_on_a_line(make: Any) -> None:
     one = make("controller", PAPER)
     names = [*MODEL.joint_names[1:], *(f"\x1b[31mjoint\n{k}" for k in range(20_000))]
-    one.hand("joint_states", state(names, np.zeros(len(names)), 1.0))
+    one.send("joint_states", state(names, np.zeros(len(names)), 1.0))
     said = json.dumps([status.message for msg in one.got["diagnostics"] for status in msg.status])
     for text in (said, *(line for _, line in one.log.lines)):
         assert text.isprintable()
         assert len(text) < 2000
     assert "and 19988 more" in one.log
     doubled = [*MODEL.joint_names, "\x1b[31m", "\x1b[31m"]
-    one.hand("joint_states", state(doubled, np.zeros(len(doubled)), 1.02))
+    one.send("joint_states", state(doubled, np.zeros(len(doubled)), 1.02))
     assert "joints named twice: \\x1b[31m" in one.log
 
 
@@ -179,8 +179,8 @@ def test_a_robot_put_back_on_its_feet_ends_the_walk(make: Any) -> None:
         if k == 500:
             assert node.got["phase"][-1].data.startswith("single_support")
             plant = make_plant("physics", config, model)
-        node.hand("imu", ros.imu(round((1.0 + k * config.dt) * 1e9), model.imu, plant.inertial))
-        node.hand("joint_states", state(model.joint_names, plant.state.q, 1.0 + k * config.dt))
+        node.send("imu", ros.imu(round((1.0 + k * config.dt) * 1e9), model.imu, plant.inertial))
+        node.send("joint_states", state(model.joint_names, plant.state.q, 1.0 + k * config.dt))
         u = np.array(node.got["joint_velocity_commands"][-1].velocity)
         plant.step(Command(k * config.dt, u), config.dt)
     assert node.got["phase"][-1].data == "failed"

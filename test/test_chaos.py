@@ -347,7 +347,7 @@ def test_the_monitor_dies_and_comes_back(walk: Chaos) -> None:
 def test_the_recorder_dies(walk: Chaos, tmp_path: Path) -> None:
     """The walk goes on, and what was recorded can be read."""
     walk.processes.start("recorder", ["--bag", str(tmp_path / "bag"), "--ros-args", "--params-file", str(walk.params)])
-    walk.until_up("recorder")
+    walk.until_started("recorder")
     began = walk.stamp()
     walk.spin(5.0)
     lasted = walk.stamp() - began
@@ -582,7 +582,7 @@ def test_the_walk_goes_through_a_whole_cycle_after_all_that(walk: Chaos) -> None
 def test_signals(walk: Chaos, name: str, number: signal.Signals) -> None:
     for dead in [node for node in NODES if walk.processes.exit_code(node) is not None]:
         walk.begin(dead)
-        walk.until_up(dead)
+        walk.until_started(dead)
     walk.walks(90.0)
     began = time.monotonic()
     walk.processes.signal(name, number)

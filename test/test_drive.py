@@ -53,19 +53,19 @@ class Behind:
         self.robot = ControllerManager(make_plant("physics", self.config, MODEL), interface, joints, MODEL.imu, rate)
         self.controller, self.drive = make("controller", self.config), make("drive", self.config)
         self.drive.node._commands.gate.watchdog._clock = lambda: self.robot.updates * self.dt
-        self.controller.hand("plant_ready", Bool(data=True))
+        self.controller.send("plant_ready", Bool(data=True))
         self.told, self._answers = self.drive.got[TOPIC[interface]], self.controller.got["joint_velocity_commands"]
         self._heard = 0
 
     def update(self, *, killed: bool = False) -> None:
         """Let a period pass, with the controller of the walk or without it."""
         measured, imu = self.robot.update()
-        self.drive.hand("joint_states", measured)
+        self.drive.send("joint_states", measured)
         if not killed:
-            self.controller.hand("imu", imu)
-            self.controller.hand("joint_states", measured)
+            self.controller.send("imu", imu)
+            self.controller.send("joint_states", measured)
             for answer in self._answers:
-                self.drive.hand("joint_velocity_commands", answer)
+                self.drive.send("joint_velocity_commands", answer)
             self._answers.clear()
         self.drive.node._check()
         for message in self.told[self._heard :]:
@@ -113,13 +113,13 @@ def command(stamp: float = 1.0, speed: float = 0.0) -> Any:
 def test_nothing_is_told_before_the_first_command(make: Any) -> None:
     """The walk waits until the output topic has a subscriber."""
     one = make("drive", POPPY)
-    one.hand("joint_velocity_commands", command())
-    one.hand("joint_states", measured(POSTURE))
+    one.send("joint_velocity_commands", command())
+    one.send("joint_states", measured(POSTURE))
     one.tick()
     assert not one.got[TOPIC["position"]]
     assert [msg.data for msg in one.got["plant_ready"]] == [False]
     assert "no node subscribes to /forward_position_controller/commands" in one.got["diagnostics"][-1].status[0].message
-    robot = one.stranger("controller_manager")
+    robot = one.foreign_node("controller_manager")
     robot.create_subscription(Float64MultiArray, TOPIC["position"], lambda _: None, 1)
     deadline = time.monotonic() + 20.0
     while len(one.got["plant_ready"]) < 2 and time.monotonic() < deadline:
@@ -133,8 +133,8 @@ def test_positions_are_integrated_in_the_order_of_the_controller(make: Any, kind
     joints = (EXTRA[1], *reversed(NAMES))
     one = make("drive", POPPY.updated({"output.type": kind, "output.joints": joints, "output.topic": "told"}))
     for k in range(3):
-        one.hand("joint_states", measured(POSTURE, 1.0 + k * DT))
-        one.hand("joint_velocity_commands", command(1.0 + k * DT, 0.1))
+        one.send("joint_states", measured(POSTURE, 1.0 + k * DT))
+        one.send("joint_velocity_commands", command(1.0 + k * DT, 0.1))
     last = one.got["told"][-1]
     told = {
         "float64_multi_array": lambda: last.data,
@@ -151,8 +151,8 @@ def test_positions_are_integrated_in_the_order_of_the_controller(make: Any, kind
 def test_a_position_stays_close_to_what_is_measured(make: Any) -> None:
     one = make("drive", POPPY)
     for k in range(200):
-        one.hand("joint_states", measured(POSTURE, 1.0 + k * DT))  # it does not move
-        one.hand("joint_velocity_commands", command(1.0 + k * DT, 0.5))
+        one.send("joint_states", measured(POSTURE, 1.0 + k * DT))  # it does not move
+        one.send("joint_velocity_commands", command(1.0 + k * DT, 0.5))
     told = np.array(one.got[TOPIC["position"]][-1].data)
     np.testing.assert_allclose(told - POSTURE, POPPY.servo.window, atol=1e-12)
 
@@ -164,10 +164,10 @@ def test_velocities_reach_the_same_places_and_no_joint_is_told_more_than_it_can(
     for interface in TOPIC:
         one = make("drive", POPPY.updated({"output.interface": interface}))
         for k in range(30):
-            one.hand("joint_states", measured(POSTURE, 1.0 + k * DT))
+            one.send("joint_states", measured(POSTURE, 1.0 + k * DT))
             msg = command(1.0 + k * DT, 0.1)
             msg.effort = torques.tolist()
-            one.hand("joint_velocity_commands", msg)
+            one.send("joint_velocity_commands", msg)
         told[interface] = np.array([msg.data for msg in one.got[TOPIC[interface]]])
     assert (np.abs(told["velocity"]) <= MODEL.velocity_max + 1e-12).all()
     np.testing.assert_allclose(POSTURE + DT * told["velocity"].sum(axis=0), told["position"][-1], atol=1e-9)
@@ -201,8 +201,8 @@ def test_a_robot_whose_controller_is_killed_moves_no_further(make: Any, interfac
 
 def test_its_end_stops_the_robot(make: Any) -> None:
     one = make("drive", POPPY.updated({"output.interface": "velocity"}))
-    one.hand("joint_states", measured(POSTURE))
-    one.hand("joint_velocity_commands", command(speed=0.2))
+    one.send("joint_states", measured(POSTURE))
+    one.send("joint_velocity_commands", command(speed=0.2))
     assert any(one.got[TOPIC["velocity"]][-1].data)
     one.node.close()
     assert not any(one.got[TOPIC["velocity"]][-1].data)
@@ -255,8 +255,8 @@ def test_the_controller_is_killed_as_a_process(tmp_path: Path, monkeypatch: pyte
 def test_an_angle_that_is_not_known_moves_nothing(make: Any) -> None:
     """Neither a joint of the walk, nor one that must be told where to stay."""
     one = make("drive", POPPY.updated({"output.joints": (*NAMES, "gripper")}))
-    one.hand("joint_states", measured(POSTURE))
-    one.hand("joint_velocity_commands", command(speed=0.2))
+    one.send("joint_states", measured(POSTURE))
+    one.send("joint_velocity_commands", command(speed=0.2))
     assert not one.got[TOPIC["position"]]
     assert "joints missing: gripper" in one.log
 

@@ -103,10 +103,10 @@ class Robot(Live):
         self.until(future.done, 20.0, "an answer")
         return future.result()
 
-    def heal(self) -> None:
+    def clear_faults(self) -> None:
         """Take all faults away."""
         for name, servos in self.buses.servos.items():
-            servos.heal()
+            servos.clear_faults()
             for servo in servos.servos.values():
                 servo.error = 0
                 servo.memory[TEMPERATURE], servo.memory[VOLTAGE] = 38, 120
@@ -135,7 +135,7 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
 @pytest.fixture
 def walking(robot: Robot) -> Iterator[Robot]:
     """The robot, moving; it is well again afterwards."""
-    robot.heal()
+    robot.clear_faults()
     robot.until(lambda: robot.got["joint_states"], 30.0, "a state")
     if not (robot.ready and robot.ready[-1]):
         robot.until(lambda: robot.call("poppy_driver/activate").success, 10.0, "the torque")
@@ -226,7 +226,7 @@ def test_no_old_angle_is_published_as_new(walking: Robot, fault: str) -> None:
     walking.stands(1.5)
     assert max(map(stamp, walking.got["joint_states"]), default=0.0) <= began + 0.02
     walking.until(lambda: not walking.ready[-1], 5.0, "plant_ready: false")
-    walking.heal()
+    walking.clear_faults()
     walking.until(lambda: walking.call("poppy_driver/activate").success, 10.0, "the torque")
     walking.until(lambda: walking.ready[-1], 30.0, "the first pose")
     walking.moves()

@@ -42,8 +42,8 @@ def leaning(angle: float, axis: str) -> Inertial:
 
 
 def tell(node: Any, q: Any, stamp: float, said: Inertial) -> None:
-    node.hand("imu", ros.imu(round(stamp * 1e9), MODEL.imu, said))
-    node.hand("joint_states", state(MODEL.joint_names, q, stamp, velocity=np.zeros(MODEL.n)))
+    node.send("imu", ros.imu(round(stamp * 1e9), MODEL.imu, said))
+    node.send("joint_states", state(MODEL.joint_names, q, stamp, velocity=np.zeros(MODEL.n)))
 
 
 @pytest.mark.parametrize("axis", ["x", "y"])

@@ -68,7 +68,7 @@ class Walked:
         said = self.node.got["footstep_status"]
         while not (said and said[-1].data.startswith(wanted)):
             assert self.ticks < most, [msg.data for msg in said]
-            self.node.hand("joint_states", state(MODEL.joint_names, self.plant.state.q, 1.0 + self.ticks * CONFIG.dt))
+            self.node.send("joint_states", state(MODEL.joint_names, self.plant.state.q, 1.0 + self.ticks * CONFIG.dt))
             sent = self.node.got["joint_velocity_commands"][-1]
             self.plant.step(Command(0.0, np.array(sent.velocity)), CONFIG.dt)
             self.ticks += 1
@@ -87,7 +87,7 @@ class Walked:
         path = PathMessage()
         path.header.frame_id = frame
         path.poses = [PoseStamped(pose=ros.pose_fields(x.vec8())) for x in footprints]
-        self.node.hand("footsteps", path)
+        self.node.send("footsteps", path)
         return str(self.node.got["footstep_status"][-1].data)
 
 

@@ -59,7 +59,7 @@ file are here:
     test_launch::test_in_lockstep_the_end_of_the_walk_ends_its_own_nodes_and_is_an_error_where_it_failed
     test_package::test_the_native_lines_of_the_readme_do_what_they_say
     test_what_param_dump_writes_is_a_configuration
-    test_strangers::test_a_second_one_says_so_and_does_not_start
+    test_foreign::test_a_second_one_says_so_and_does_not_start
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def test_velocities_that_nobody_measures_are_missing(make: Any, bad: np.ndarray)
     """Jazzy's joint_state_broadcaster fills in NaN for what a position servo does not measure."""
     one = make("controller", PAPER)
     for k in range(5):
-        one.hand("joint_states", state(NAMES, ZERO, 1.0 + k * DT, velocity=bad))
+        one.send("joint_states", state(NAMES, ZERO, 1.0 + k * DT, velocity=bad))
     assert len(one.got["joint_velocity_commands"]) == 5
     assert "rejected" not in one.log
 
@@ -123,7 +123,7 @@ def test_velocities_that_nobody_measures_are_missing(make: Any, bad: np.ndarray)
 def test_diagnostics_of_rejected_states_come_at_the_rate_of_diagnostics(make: Any) -> None:
     one = make("controller", PAPER)
     for k in range(100):
-        one.hand("joint_states", state(NAMES, np.full(MODEL.n, np.nan), 1.0 + k * DT))
+        one.send("joint_states", state(NAMES, np.full(MODEL.n, np.nan), 1.0 + k * DT))
     assert 1 <= len(one.got["diagnostics"]) <= 5
 
 
@@ -138,8 +138,8 @@ def test_a_gripper_on_joint_states_is_somebody_else(make: Any) -> None:
         for look in range(4):
             for k in range(50):
                 at = 1.0 + (50 * look + k) * DT
-                one.hand("joint_states", state(NAMES, ZERO, at))
-                one.hand("joint_states", state(["finger"], [0.1], at))
+                one.send("joint_states", state(NAMES, ZERO, at))
+                one.send("joint_states", state(["finger"], [0.1], at))
             one.tick()
             one.tick()
     finally:
@@ -184,7 +184,7 @@ def moved(make: Any, stamp_of: Any) -> tuple[Any, float]:
     for _ in range(20):
         period.callback()
         published = ros.nanoseconds(one.got["joint_states"][-1].header.stamp)
-        one.hand(
+        one.send(
             "joint_velocity_commands",
             state(NAMES, [], 1e-9 * stamp_of(published, one.node.get_clock().now().nanoseconds), velocity=ZERO + 0.1),
         )
@@ -219,7 +219,7 @@ def test_phase_shows_what_is_now(make: Any) -> None:
     offered = {p.topic_name: p for p in one.node.publishers}
     assert offered["/phase"].qos_profile.depth == offered["/support_foot"].qos_profile.depth == 1
     assert offered["/phase_log"].qos_profile.depth == 100
-    one.hand("joint_states", state(NAMES, ZERO, 1.0))
+    one.send("joint_states", state(NAMES, ZERO, 1.0))
     assert [m.data for m in one.got["phase"]] == [m.data for m in one.got["phase_log"]] == ["double_support/left"]
 
 
@@ -315,7 +315,7 @@ def test_frames_are_those_of_rep_105_and_120(make: Any, tf: dict[str, list[Any]]
     """odom -> base_link -> base_footprint, joined to the root of the URDF; from the first state on, walking or not."""
     one = make("controller", PAPER.updated({"node.autostart": False}))
     q = np.clip(0.1 * np.random.default_rng(2).normal(size=MODEL.n), MODEL.q_min, MODEL.q_max)
-    one.hand("joint_states", state(NAMES, q, 1.0))
+    one.send("joint_states", state(NAMES, q, 1.0))
     (static,) = tf["/tf_static"][0].transforms
     assert (static.header.frame_id, static.child_frame_id) == ("base_link", MODEL.root)
     base, footprint = tf["/tf"][-1].transforms
@@ -336,7 +336,7 @@ def test_odometry_has_pose_velocity_and_how_far_they_may_be_off(make: Any) -> No
     plant = make_plant("kinematic", one.node.config, model)
     try:
         for k in range(700):  # through the first step
-            one.hand("joint_states", state(model.joint_names, plant.state.q, 1.0 + k * one.node.config.dt))
+            one.send("joint_states", state(model.joint_names, plant.state.q, 1.0 + k * one.node.config.dt))
             sent = np.array(one.got["joint_velocity_commands"][-1].velocity)
             plant.step(Command(0.0, sent), one.node.config.dt)
     finally:
@@ -362,7 +362,7 @@ def test_odometry_does_not_jump_where_a_walk_begins_anew(make: Any) -> None:
         for k in range(900):
             if k == 700:
                 one.call("~/reset".removeprefix("~"), Trigger.Request())
-            one.hand("joint_states", state(model.joint_names, plant.state.q, 1.0 + k * dt))
+            one.send("joint_states", state(model.joint_names, plant.state.q, 1.0 + k * dt))
             plant.step(Command(0.0, np.array(one.got["joint_velocity_commands"][-1].velocity)), dt)
     finally:
         listener.destroy_node()
@@ -391,7 +391,7 @@ def test_a_simulated_plant_is_the_clock_of_the_others(make: Any) -> None:
     one = make("integrator", PAPER.updated({"plant.lockstep": True, "plant.clock": True}))
     one.node._published_at = -1.0
     one.tick()
-    one.hand("joint_velocity_commands", state(NAMES, [], 0.0, velocity=ZERO))
+    one.send("joint_velocity_commands", state(NAMES, [], 0.0, velocity=ZERO))
     assert [ros.nanoseconds(m.clock) for m in one.got["clock"]] == [0, round(DT * 1e9)]
 
 
@@ -404,7 +404,7 @@ def test_the_integrator_moves_by_the_clock_it_is_given(make: Any) -> None:
     (period, *_) = [t for t in one.node.timers if t.timer_period_ns == round(DT * 1e9)]
     period.callback()
     for _ in range(50):
-        one.hand("joint_velocity_commands", state(NAMES, [], 0.0, velocity=ZERO + 0.1))
+        one.send("joint_velocity_commands", state(NAMES, [], 0.0, velocity=ZERO + 0.1))
         period.callback()
     assert one.node.plant.state.q == pytest.approx(ZERO + 0.1 * 50 * 0.5 * DT)
 
@@ -412,7 +412,7 @@ def test_the_integrator_moves_by_the_clock_it_is_given(make: Any) -> None:
 def test_states_at_another_rate_are_told(make: Any) -> None:
     one = make("controller", PAPER)
     for k in range(60):
-        one.hand("joint_states", state(NAMES, ZERO, 1.0 + 2 * k * DT))
+        one.send("joint_states", state(NAMES, ZERO, 1.0 + 2 * k * DT))
     for _ in range(2):
         one.tick()
     assert "joint_states arrive every 0.0100 s, but dt is 0.005 s" in one.log
@@ -442,9 +442,9 @@ def test_cmd_vel_comes_as_nav2_sends_it(make: Any, stamped: bool) -> None:
     one = make("controller", load("poppy").updated({"gait.steps": 0, "node.stamped_cmd_vel": stamped}))
     msg = Twist()
     msg.linear.x = 0.01
-    one.hand("cmd_vel", TwistStamped(twist=msg) if stamped else msg)
+    one.send("cmd_vel", TwistStamped(twist=msg) if stamped else msg)
     assert one.node._steering._asked == (0.01, 0.0, 0.0)
-    one.stranger("teleop").create_publisher(Twist if stamped else TwistStamped, "cmd_vel", 1)
+    one.foreign_node("teleop").create_publisher(Twist if stamped else TwistStamped, "cmd_vel", 1)
     deadline = time.monotonic() + 20.0
     while "set node.stamped_cmd_vel" not in one.log and time.monotonic() < deadline:
         one.node._steering._check_types()

@@ -103,8 +103,8 @@ def test_a_lie_is_named_and_ends_the_walk(make: Any, lie: Lie, named: str) -> No
         if t >= BEGIN:
             at = plant.state.q.copy() if at is None else at
             q, said = lie(t, q, said)
-        node.hand("imu", ros.imu(round((1.0 + t) * 1e9), MODEL.imu, said))
-        node.hand("joint_states", state(MODEL.joint_names, q, 1.0 + t, velocity=plant.state.dq))
+        node.send("imu", ros.imu(round((1.0 + t) * 1e9), MODEL.imu, said))
+        node.send("joint_states", state(MODEL.joint_names, q, 1.0 + t, velocity=plant.state.dq))
         if node.got["phase"][-1].data in ("failed", "fallen"):
             break
         answer = node.got["joint_velocity_commands"][-1]
@@ -125,17 +125,17 @@ def test_a_plant_that_no_command_reaches_is_no_lie(make: Any, holds: bool) -> No
     def stand(ticks: int) -> bool:
         """Tell the controller that the robot does not move; return whether it is told to."""
         for stamp in itertools.islice(stamps, ticks):
-            node.hand("joint_states", state(MODEL.joint_names, np.zeros(MODEL.n), 0.02 * stamp))
+            node.send("joint_states", state(MODEL.joint_names, np.zeros(MODEL.n), 0.02 * stamp))
         return any(node.got["joint_velocity_commands"][-1].velocity)
 
     assert 50 < next(k for k in range(200) if not stand(1)) < 150
     assert node.got["phase"][-1].data == "double_support/left"
     if holds:
-        node.hand("plant_ready", Bool(data=False))
+        node.send("plant_ready", Bool(data=False))
     assert not stand(30)
     assert node.got["phase"][-1].data == ("double_support/left" if holds else "failed")
     if holds:
-        node.hand("plant_ready", Bool(data=True))
+        node.send("plant_ready", Bool(data=True))
         assert stand(2)
 
 
@@ -165,7 +165,7 @@ def test_a_plant_of_another_dt_ends_the_walk(make: Any, lockstep: bool, period: 
     config = load("paper").updated({"dt": 0.02, "plant.lockstep": lockstep})
     node, model = make("controller", config), load_model(config.robot)
     for k in range(60):
-        node.hand("joint_states", state(model.joint_names, np.zeros(model.n), 1.0 + k * period))
+        node.send("joint_states", state(model.joint_names, np.zeros(model.n), 1.0 + k * period))
     if not lockstep:
         node.node._check_plants()
     said = f"joint_states arrive every {period:.4f} s, but dt is 0.02 s"

@@ -88,7 +88,7 @@ def test_ros2_param_set_is_logged_published_and_judged_from_the_next_phase_on(ma
         return one.node.set_parameters([Parameter(name, value=value)])[0]
 
     for k in range(400):
-        one.hand("joint_states", state(MODEL.joint_names, plant.state.q, 1.0 + k * CONFIG.dt))
+        one.send("joint_states", state(MODEL.joint_names, plant.state.q, 1.0 + k * CONFIG.dt))
         plant.step(Command(0.0, np.array(one.got["joint_velocity_commands"][-1].velocity)), CONFIG.dt)
         if k == 10:
             assert put("gait.step_height", 0.03).successful
@@ -106,7 +106,7 @@ def test_ros2_param_set_is_logged_published_and_judged_from_the_next_phase_on(ma
     assert from_yaml(tuned).gait.step_height == 0.03
     for topic in ("walk_config", "robot_description", "phase_start", "com_target", "swing_target"):
         for msg in one.got[topic]:
-            monitor.hand(topic, msg if topic != "walk_config" else String(data=msg.data))
+            monitor.send(topic, msg if topic != "walk_config" else String(data=msg.data))
     began = [ros.nanoseconds(msg.header.stamp) for msg in one.got["phase_start"]]
     phases = [monitor.node._phases.at(stamp)[1].phase for stamp in began]
     assert phases[1].tasks[0].height == 0.03

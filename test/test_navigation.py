@@ -60,8 +60,8 @@ def drive(make: Any, goals: list[tuple[float, float]]) -> list[tuple[float, floa
     try:
         while left:
             stamp = 1.0 + tick * CONFIG.dt
-            controller.hand("imu", ros.imu(round(stamp * 1e9), MODEL.imu, plant.inertial))
-            controller.hand("joint_states", state(MODEL.joint_names, plant.state.q, stamp, velocity=plant.state.dq))
+            controller.send("imu", ros.imu(round(stamp * 1e9), MODEL.imu, plant.inertial))
+            controller.send("joint_states", state(MODEL.joint_names, plant.state.q, stamp, velocity=plant.state.dq))
             sent = controller.got["joint_velocity_commands"].pop()
             plant.step(Command(0.0, np.array(sent.velocity), np.array(sent.effort)), CONFIG.dt)
             assert not plant.fallen, (tick * CONFIG.dt, out)
@@ -73,7 +73,7 @@ def drive(make: Any, goals: list[tuple[float, float]]) -> list[tuple[float, floa
             first = place if first is None else first
             goal = first + left[0]
             if tick % 20 == 0:
-                controller.hand("cmd_vel", velocity(odom, goal))
+                controller.send("cmd_vel", velocity(odom, goal))
             if np.linalg.norm(goal - place) < NEAR:
                 true = (begin.conj() * DQ(plant.truth.pelvis)).translation()[:2]
                 out.append((float(np.linalg.norm(goal - place)), float(np.linalg.norm(true - left.pop(0)))))

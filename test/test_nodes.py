@@ -117,7 +117,7 @@ def test_a_recorder_that_comes_late_still_makes_a_walk(live: Make, tmp_path: Pat
     before_the_pause = [name for name in one.phases() if name in walk][-1]  # waited for above
     ahead = walk[walk.index(before_the_pause) :]
     one.start("recorder", "--bag", str(tmp_path / "bag"))
-    one.until_up("recorder")
+    one.until_started("recorder")
     one.until(lambda: one.node.count_subscribers("joint_states") > 2, 60.0, "the recorder listening")
     one.spin(2.0)
     assert one.call("controller/start").success
@@ -301,7 +301,7 @@ def test_a_signal_ends_a_node_in_order(live: Make, name: str, number: signal.Sig
     no_motors = {"dt": 0.02, "poppy.dummy": True} if name == "poppy_driver" else {}
     one = live(**no_motors)
     one.start(name, *(["--bag", str(one.params.parent / "bag")] if name == "recorder" else []))
-    one.until_up(name)
+    one.until_started(name)
     one.processes.signal(name, number)
     assert one.processes.wait(name, 20.0) == 0, one.logs()
     assert "Traceback" not in one.processes.log(name)

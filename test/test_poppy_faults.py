@@ -103,7 +103,7 @@ def test_old_angles_are_not_fresh_and_nothing_moves(rig: Rig, fault: str) -> Non
 def test_a_short_silence_is_over_when_the_motors_have_been_looked_at(rig: Rig, fault: str) -> None:
     BUS[fault][0](rig.memory.servos["lower"])
     rig.run(0.5, u=0.3)
-    rig.memory.servos["lower"].heal()
+    rig.memory.servos["lower"].clear_faults()
     rig.until(lambda: rig.plant.fresh, 0.3)
     rig.until(lambda: not rig.plant.watch.faults, 2.0)
     walks(rig)
@@ -112,7 +112,7 @@ def test_a_short_silence_is_over_when_the_motors_have_been_looked_at(rig: Rig, f
 def test_a_port_that_is_plugged_in_again_is_opened_again(rig: Rig) -> None:
     unplug(rig.memory.servos["lower"])
     rig.run(0.5)
-    rig.memory.servos["lower"].heal()
+    rig.memory.servos["lower"].clear_faults()
     rig.until(lambda: rig.plant.fresh, 2.0)
     stands(rig)
     rig.settle()
@@ -126,7 +126,7 @@ def test_after_a_long_silence_somebody_has_to_look(rig: Rig, fault: str) -> None
     assert "then ~/activate" in rig.faults
     with pytest.raises(PlantError, match="lower bus"):
         rig.plant.activate()
-    rig.memory.servos["lower"].heal()
+    rig.memory.servos["lower"].clear_faults()
     rig.until(lambda: rig.plant.fresh, 2.0)
     stands(rig)
     rig.settle()
@@ -139,7 +139,7 @@ def test_motors_that_had_no_power_are_not_taken_for_holding(rig: Rig) -> None:
     servos.dead = True
     rig.run(0.5)
     servos.cut_power()
-    servos.heal()
+    servos.clear_faults()
     rig.run(1.5, u=0.3)
     assert "l_knee_y has lost its torque or its gain" in rig.faults
     assert rig.plant.fresh
@@ -322,7 +322,7 @@ def test_one_lost_reply_at_start_leaves_no_leg_limp(model: RobotModel, config: C
     def started(lost: int) -> int:
         memory, count = Memory(sync_read=sync_read), iter(range(10**9))
         for servos in memory.servos.values():
-            servos.swallow = lambda packet: next(count) == lost
+            servos.drop_reply = lambda packet: next(count) == lost
         rig = Rig.__new__(Rig)
         rig.model, rig.config, rig.memory = model, config, memory
         rig.plant = rig.opened()
@@ -442,7 +442,7 @@ class Attack:
         kind, servo = self.dice.choice(self.FAULTS), self.dice.choice(list(servos.servos.values()))
         if kind in ("none", "late") or self.dice.random() < 0.5:
             for healed in self.rig.memory.servos.values():
-                healed.heal()
+                healed.clear_faults()
                 for one in healed.servos.values():
                     one.error = 0
                     one.memory[TEMPERATURE], one.memory[VOLTAGE] = 40, 120
@@ -459,7 +459,7 @@ class Attack:
         elif kind == "garbage":
             servos.garbage = share
         elif kind == "lossy":
-            servos.swallow = lambda packet: self.dice.random() < share
+            servos.drop_reply = lambda packet: self.dice.random() < share
         elif kind == "slip":
             servos.slip[servo.number] = self.dice.uniform(-180.0, 180.0)
         elif kind == "blocked":
@@ -530,7 +530,7 @@ def test_whatever_happens_no_old_angle_is_fresh_and_no_goal_runs_away(
     assert attack.published > 20, strikes
     assert attack.moved > 5, strikes
     for servos in rig.memory.servos.values():
-        servos.heal()
+        servos.clear_faults()
     rig.run(2.0)
     assert rig.plant.fresh
     # what is still wrong is one of those that wait for somebody, and he can mend it

@@ -54,17 +54,17 @@ def test_the_first_message_of_a_stranger_is_refused(make: Any) -> None:
     """Nothing that the plant hears from then on moves it; no timer of the plant has to come by."""
     plant = make("integrator", CONFIG)
     node = plant.node
-    plant.stranger("controller").create_publisher(JointState, "joint_velocity_commands", QoSProfile(depth=1))
+    plant.foreign_node("controller").create_publisher(JointState, "joint_velocity_commands", QoSProfile(depth=1))
     until(lambda: node.count_publishers("/joint_velocity_commands") == 1)
     node._on_period()
-    plant.hand("joint_velocity_commands", command(node._stamp, 0.1))
+    plant.send("joint_velocity_commands", command(node._stamp, 0.1))
     node._on_period()
     moved = node.plant.state.q.copy()
     assert moved.any()
-    plant.stranger("stranger").create_publisher(JointState, "joint_velocity_commands", QoSProfile(depth=1))
+    plant.foreign_node("stranger").create_publisher(JointState, "joint_velocity_commands", QoSProfile(depth=1))
     until(lambda: node.count_publishers("/joint_velocity_commands") == 2)
     for _ in range(3):
-        plant.hand("joint_velocity_commands", command(node._stamp - 1, 8.0))
+        plant.send("joint_velocity_commands", command(node._stamp - 1, 8.0))
         node._on_period()
     assert node.plant.state.q == pytest.approx(moved, abs=0.0)
     assert "holding still: two controllers: " in plant.log
@@ -83,7 +83,7 @@ def test_the_watchdog_can_only_be_lowered_while_the_robot_moves(make: Any) -> No
 
     assert asked(0.3)
     node._on_period()
-    plant.hand("joint_velocity_commands", command(node._stamp, 0.1))
+    plant.send("joint_velocity_commands", command(node._stamp, 0.1))
     assert not asked(10.0)
     assert not asked(0.31)
     assert node.config.plant.command_timeout == 0.3
@@ -101,7 +101,7 @@ def test_a_push_beyond_all_bounds_is_refused(make: Any, impulse: float) -> None:
     plant = make("physics", overlaid(load("poppy"), "physics"))
     msg = WrenchStamped()
     msg.wrench.force.y = impulse
-    plant.hand("push", msg)
+    plant.send("push", msg)
     assert f"push rejected: 0, {impulse:g}, 0 N s are beyond" in plant.log
     assert not plant.node.plant.data.xfrc_applied.any()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from robots import biped12, biped12_config, legs, mirrored
-from walks import Stretch, paper_stretches, paper_walk, stretches, walk
+from walks import Segment, paper_segments, paper_walk, segments, walk
 
 from dqwalk_ros.config import load
 from dqwalk_ros.dual_quaternions import DQ
@@ -40,7 +40,7 @@ def test_every_phase_ends_by_its_rule(first, flat, cycles):
     cycle = [f"{kind}_support/{foot}" for foot in (first, other) for kind in ("double", "single")]
     assert [record.name for record in trace.phases] == cycle * cycles
     config = trace.config
-    for part in paper_stretches(first, flat, cycles):
+    for part in paper_segments(first, flat, cycles):
         assert part.time[-1] < config.gait.phase_timeout
         window = round(config.dsp.stall_window / config.dt)
         if part.phase.kind is PhaseKind.SINGLE_SUPPORT:
@@ -57,7 +57,7 @@ def test_every_phase_ends_by_its_rule(first, flat, cycles):
 @each_walk
 def test_each_swing_lands_five_centimetres_ahead(first, flat, cycles):
     nominal = abs(Kinematics(legs(), np.zeros(10), Foot.LEFT).point("r_sole")[1])
-    for part in paper_stretches(first, flat, cycles):
+    for part in paper_segments(first, flat, cycles):
         if part.phase.kind is PhaseKind.SINGLE_SUPPORT:
             aside = -nominal if part.phase.base is Foot.LEFT else nominal
             landed = part.last.point(part.last.swing)
@@ -68,12 +68,12 @@ def test_each_swing_lands_five_centimetres_ahead(first, flat, cycles):
 
 @each_walk
 def test_no_distance_falls_below_its_bound(first, flat, cycles):
-    for part in paper_stretches(first, flat, cycles):
+    for part in paper_segments(first, flat, cycles):
         for name, d in part.distances.items():
             assert d.min() >= -TOLERANCE, f"{part.phase.name}: {name} {d.min():.3g}"
 
 
-def groenwall(part: Stretch, name: str, dt: float) -> np.ndarray:
+def groenwall(part: Segment, name: str, dt: float) -> np.ndarray:
     """(1 - eta dt)^k d_0 for every tick and row."""
     d = {**part.distances, **part.equalities}[name]
     return (1.0 - part.rates[name] * dt) ** np.arange(len(d))[:, None] * d[0]
@@ -82,7 +82,7 @@ def groenwall(part: Stretch, name: str, dt: float) -> np.ndarray:
 @each_walk
 def test_groenwall(first, flat, cycles):
     """No distance falls faster than its rate allows, and what is held returns at its rate."""
-    for part in paper_stretches(first, flat, cycles):
+    for part in paper_segments(first, flat, cycles):
         for name, d in part.distances.items():
             excess = (d - groenwall(part, name, 0.005)).min()
             assert excess >= -TOLERANCE, f"{part.phase.name}: {name} {excess:.3g}"
@@ -94,7 +94,7 @@ def test_groenwall(first, flat, cycles):
 @each_walk
 def test_the_end_tip_is_on_the_ground(first, flat, cycles):
     """Within 2e-5 m from two seconds into each double support."""
-    for part in paper_stretches(first, flat, cycles):
+    for part in paper_segments(first, flat, cycles):
         if part.phase.kind is PhaseKind.DOUBLE_SUPPORT:
             assert np.abs(part.equalities["ground"][part.time >= 2.0]).max() < 2e-5
 
@@ -102,7 +102,7 @@ def test_the_end_tip_is_on_the_ground(first, flat, cycles):
 @each_walk
 def test_double_support_ends_inside_the_cylinder_of_the_foot_as_it_then_stands(first, flat, cycles):
     trace = paper_walk(first, flat, cycles)
-    for part in paper_stretches(first, flat, cycles):
+    for part in paper_segments(first, flat, cycles):
         if part.phase.kind is PhaseKind.DOUBLE_SUPPORT:
             kin = Kinematics(trace.model, trace.q[part.ticks[-1]], part.phase.support)
             center = trace.model.soles[part.phase.support].center
@@ -120,7 +120,7 @@ def test_joint_limits_are_never_crossed(first, flat, cycles):
 @each_walk
 def test_poses_keep_unit_norm(first, flat, cycles):
     trace = paper_walk(first, flat, cycles)
-    for part in paper_stretches(first, flat, cycles):
+    for part in paper_segments(first, flat, cycles):
         for tick in part.ticks[::100]:
             kin = Kinematics(trace.model, trace.q[tick], part.phase.base)
             for frame in (kin.swing, trace.model.pelvis):
@@ -172,7 +172,7 @@ def test_another_biped_walks_with_its_own_configuration(foot):
     trace = walk(config, biped12())
     assert trace.finished, trace.notes
     assert len(trace.phases) == 4
-    for part in stretches(trace):
+    for part in segments(trace):
         for name, d in part.distances.items():
             assert d.min() >= -TOLERANCE, f"{part.phase.name}: {name} {d.min():.3g}"
         if part.phase.kind is PhaseKind.SINGLE_SUPPORT:

@@ -7,7 +7,7 @@ fast as the paper's. If a second copy of the formula were executed instead, both
 from __future__ import annotations
 
 import pytest
-from mutated import changes, copied, printed
+from mutated import changes_output, copy_package, output_of
 
 PLACES = {
     "(U1)": ("dqwalk_ros/kinematics.py", "2.0 * t[1], 2.0 * t[2]", "2.1 * t[1], 2.0 * t[2]"),
@@ -62,17 +62,17 @@ print([(phase.name, round(phase.time, 6)) for phase in trace.phases], trace.note
 @pytest.mark.long
 @pytest.mark.parametrize("tag", PLACES)
 def test_an_equation_stands_at_its_tag_and_is_executed_there(tag, tmp_path):
-    assert "double_support/left" in printed(LOOK)
-    assert changes(tmp_path, LOOK, tag, *PLACES[tag])
+    assert "double_support/left" in output_of(LOOK)
+    assert changes_output(tmp_path, LOOK, tag, *PLACES[tag])
 
 
 @pytest.mark.long
 def test_the_numbers_of_section_5_are_those_of_the_configuration(tmp_path):
-    copied(tmp_path)
-    assert printed(LOOK, tmp_path) == printed(LOOK)
-    printed.cache_clear()
+    copy_package(tmp_path)
+    assert output_of(LOOK, tmp_path) == output_of(LOOK)
+    output_of.cache_clear()
     config = tmp_path / "config" / "paper.yaml"
     text = config.read_text(encoding="utf-8")
     assert text.count("eta_tip: 10.0") == 1
     config.write_text(text.replace("eta_tip: 10.0", "eta_tip: 11"), encoding="utf-8")
-    assert printed(LOOK, tmp_path) != printed(LOOK)
+    assert output_of(LOOK, tmp_path) != output_of(LOOK)

@@ -142,16 +142,16 @@ def make(tmp_path: Path) -> Iterator[Any]:
 def tell(node: Any, stamp: float, body: BodyState, **changed: Any) -> None:
     """Hand a node the three messages of a state; `changed` are other joint names, angles, velocities, pose or twist."""
     said = {"names": MODEL.joint_names, "q": body.q, "dq": body.dq, "x": body.x_base, "twist": body.v_base} | changed
-    node.hand("joint_states", state(said["names"], said["q"], stamp, velocity=said["dq"]))
+    node.send("joint_states", state(said["names"], said["q"], stamp, velocity=said["dq"]))
     ns = round(stamp * 1e9)
     pose = ros.pose(ns, "odom", said["x"])
     if "turned" in said:
         pose.pose.orientation.w *= said["turned"]
-    node.hand("base_pose", pose)
+    node.send("base_pose", pose)
     twist = TwistStamped(header=pose.header)
     for vector, numbers in ((twist.twist.linear, said["twist"][:3]), (twist.twist.angular, said["twist"][3:])):
         vector.x, vector.y, vector.z = map(float, numbers)
-    node.hand("base_twist", twist)
+    node.send("base_twist", twist)
 
 
 def answers(node: Any) -> list[JointState]:
@@ -331,8 +331,8 @@ def test_the_plant_holds_without_a_command_and_takes_the_first_answer_to_a_state
         period()
     assert len(node.got["joint_states"]) == 1  # it waits: time stands still
     first = np.array(WholeBodyController(REAL, MODEL).step(START, REAL.dt).effort)
-    node.hand("joint_effort_commands", effort_message(0.0, first))
-    node.hand("joint_effort_commands", effort_message(0.0, 0.0 * first))
+    node.send("joint_effort_commands", effort_message(0.0, first))
+    node.send("joint_effort_commands", effort_message(0.0, 0.0 * first))
     period()
     np.testing.assert_allclose(node.node._plant.effort, first)
     time.sleep(1.5 * REAL.plant.command_timeout)
@@ -345,11 +345,11 @@ def test_the_plant_holds_without_a_command_and_takes_the_first_answer_to_a_state
 def test_torques_beyond_the_limits_are_cut_off_and_pushes_out_of_range_refused(make: Any) -> None:
     node = make("rigid", REAL)
     node.node._on_period()
-    node.hand("joint_effort_commands", effort_message(0.0, np.full(MODEL.n, 6e4)))
+    node.send("joint_effort_commands", effort_message(0.0, np.full(MODEL.n, 6e4)))
     for newtons in (1e300, 1e5, math.nan):
         push = WrenchStamped()
         push.wrench.force.y = newtons
-        node.hand("push", push)
+        node.send("push", push)
     node.node._on_period()
     np.testing.assert_allclose(node.node._plant.effort, MODEL.effort_max)
     assert sum("push rejected" in text for _, text in node.log.lines) == 3

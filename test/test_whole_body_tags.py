@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mutated import changes, printed
+from mutated import changes_output, output_of
 
 from dqwalk_ros import whole_body
 from dqwalk_ros.config import load
@@ -123,5 +123,5 @@ for part in (walked.q[-1], h.H, h.c, h.A, h.lower, h.upper):
 @pytest.mark.long
 @pytest.mark.parametrize("number", PLACES)
 def test_an_equation_that_is_broken_at_its_tag_changes_the_walk(number: int, tmp_path: Path) -> None:
-    assert printed(LOOK).count("\n") == 6, printed(LOOK)
-    assert changes(tmp_path, LOOK, f"(S{number})", *PLACES[number])
+    assert output_of(LOOK).count("\n") == 6, output_of(LOOK)
+    assert changes_output(tmp_path, LOOK, f"(S{number})", *PLACES[number])

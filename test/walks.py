@@ -42,7 +42,7 @@ def _paper_walk(first: str, flat: bool, cycles: int) -> Trace:
 
 
 @dataclass(frozen=True)
-class Stretch:
+class Segment:
     """One phase of a walk: its states from the first to the one that ended it, and what there is to say of each.
 
     `distances` has one array (ticks, k) for each constraint, less its bound, `equalities` the same for what is held at
@@ -59,7 +59,7 @@ class Stretch:
     last: Kinematics
 
 
-def stretches(trace: Trace) -> Iterator[Stretch]:
+def segments(trace: Trace) -> Iterator[Segment]:
     """Recompute a walk's phases from its joint angles alone."""
     config, model = trace.config, trace.model
     starts = [record.start for record in trace.phases]
@@ -73,7 +73,7 @@ def stretches(trace: Trace) -> Iterator[Stretch]:
             for row in (*phase.equalities, *phase.constraints):
                 rows[row.name].append(row.distance(kin) - row.bound)
         arrays = {name: np.array(values) for name, values in rows.items()}
-        yield Stretch(
+        yield Segment(
             phase=phase,
             ticks=ticks,
             time=trace.time[ticks.start : ticks.stop] - trace.time[ticks.start],
@@ -86,5 +86,5 @@ def stretches(trace: Trace) -> Iterator[Stretch]:
 
 
 @cache
-def paper_stretches(first: str, flat: bool, cycles: int) -> tuple[Stretch, ...]:
-    return tuple(stretches(paper_walk(first, flat, cycles)))
+def paper_segments(first: str, flat: bool, cycles: int) -> tuple[Segment, ...]:
+    return tuple(segments(paper_walk(first, flat, cycles)))
