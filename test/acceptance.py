@@ -1,7 +1,7 @@
-"""Acceptance test of the whole-body controller, ``make reach``: prints each requirement beside the result.
+"""Acceptance test of the whole-body controller, ``make reach``: prints each requirement and its result.
 
-14 walks, including Tests 1 and 2, and equations and solutions compared with independent computations. An aim is a goal
-beyond the requirements: the authors' figures on another robot, or a time that depends on the machine.
+14 walks, including Tests 1 and 2, and equations and solutions compared with independent computations. An aim is an
+optional goal: the authors' figures on another robot, or a time that depends on the machine.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from exactness import Answers, condensed_difference, infeasible, model_difference, watched_walk
+from exactness import Answers, checked_walk, condensed_difference, infeasible, model_difference
 from joblib import Parallel, delayed, parallel_config
 
 from dqwalk_ros.cli.body import write_results
@@ -36,7 +36,7 @@ _HARD: dict[str, tuple[float, float, dict[str, float]]] = {
     "15 N s, friction 0.4": (2.5, 15.0, {"whole_body.friction": 0.4}),
     "15 N s, N = 8": (2.5, 15.0, {"whole_body.intervals": 8}),
 }
-"""When, how hard, and what else is different."""
+"""Time [s] and impulse [N s] of a push to the left, and changed parameters."""
 
 
 def _at_most(name: str, value: float, most: float, unit: str = "", **more: Any) -> Demand:
@@ -62,7 +62,7 @@ def walks() -> dict[str, Walk]:
 
 
 def unit_demands(config: Config) -> list[Demand]:
-    """Judge the equations by themselves."""
+    """Check the equations without a walk."""
     model = load_model(config.robot)
     mass = WholeBodyController(config, model).point_mass
     forces, places = model_difference(model)
@@ -87,7 +87,7 @@ def unit_demands(config: Config) -> list[Demand]:
 
 
 def judge(walked: Mapping[str, WholeBodyTrace], answers: Answers) -> list[Demand]:
-    """Judge the walks of `walks`, and the answers of Tests 1 and 2."""
+    """Check the walks of `walks`, and the solutions of Tests 1 and 2."""
     one, two = walked["1"], walked["2"]
     found = {"1": checks(one), "2": checks(two, [walked["2 without 0"], walked["2 without 1"]])}
     found["paper"] = checks(walked["paper"])
@@ -125,7 +125,7 @@ def _answers(seen: Answers) -> list[Demand]:
 
 
 def _aim(name: str, value: float, aimed: float, unit: str, topic: str, *, at_least: bool = False) -> Demand:
-    """Return a goal beyond what must be, and what it lacks."""
+    """Return an optional goal, and by how much it is missed."""
     lacks = aimed - value if at_least else value - aimed
     got = f"{value:.4g} {unit}" + (f", lacks {lacks:.2g}" if lacks > 0.0 else "")
     return Demand(
@@ -134,7 +134,7 @@ def _aim(name: str, value: float, aimed: float, unit: str, topic: str, *, at_lea
 
 
 def _aims(topic: str, found: Sequence[Demand]) -> list[Demand]:
-    """Return the authors' figures as goals, and 0.10 m where they have that and more."""
+    """Return the authors' figures as optional goals; 0.10 m where theirs is at least that."""
     rows = []
     for check in found:
         value = float(check.value)
@@ -187,7 +187,7 @@ def _times(walked: Sequence[WholeBodyTrace]) -> list[Demand]:
 
 
 def _stands(topic: str, name: str, w: WholeBodyTrace, *, kept: bool = False) -> Demand:
-    """Judge whether a robot stands, and with `kept` whether it keeps every limit as well."""
+    """Check whether the robot stands, and with `kept` whether it also keeps every limit."""
     end = f"stood {w.time[-1] + w.config.dt:.1f} s" if w.stood else w.note
     broken = [name for name, values in w.margins.items() if kept and values.min() < KEPT[name]]
     asked = "stands, limits kept" if kept else "stands"
@@ -195,7 +195,7 @@ def _stands(topic: str, name: str, w: WholeBodyTrace, *, kept: bool = False) -> 
 
 
 def render(demands: Sequence[Demand]) -> str:
-    """Return the table of all demands, and below it how many are met."""
+    """Return the table of all demands, and the number of those that are met."""
     rows = [("", "", "asked", "got", "")]
     topic = ""
     for demand in demands:
@@ -210,7 +210,7 @@ def render(demands: Sequence[Demand]) -> str:
 
 
 def main() -> int:
-    """Make the walks, print what was asked and got, and write report, figures and bags; return the exit code."""
+    """Run the walks, print requirements and results, write report, figures and bags; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--config", default="whole_body", help="name or path")
     parser.add_argument("--jobs", type=int, default=2, help="processes at a time")
@@ -240,7 +240,7 @@ def main() -> int:
 
 
 def _named(key: str, config: Config, wanted: Walk) -> tuple[str, tuple[WholeBodyTrace, Answers]]:
-    return key, watched_walk(config, wanted)
+    return key, checked_walk(config, wanted)
 
 
 if __name__ == "__main__":

@@ -23,12 +23,12 @@ FLAGS = (
     "--no-first-run",
 )
 PICTURES = Path(os.environ.get("DQWALK_PICTURES", "results/pictures"))
-"""Where the tests leave their pictures, for people to look at."""
+"""Folder for the pictures of the tests."""
 
 
 @contextmanager
 def chromium(folder: Path, *, width: int = 1440, height: int = 860, offline: bool = False) -> Iterator[Any]:
-    """Yield a page; its attribute ``errors`` collects what the console and the scripts complain of."""
+    """Yield a page; its attribute ``errors`` collects the errors of the console and of the scripts."""
     program = shutil.which("chromium") or shutil.which("google-chrome")
     assert program, "these tests need chromium: make browser installs it"
     with sync_playwright() as play:
@@ -51,7 +51,7 @@ def chromium(folder: Path, *, width: int = 1440, height: int = 860, offline: boo
 
 
 def picture(page: Any, name: str) -> np.ndarray:
-    """Take a picture, leave it in `PICTURES`, and return it, shape (height, width, 3), 0 to 1."""
+    """Take a picture, save it in `PICTURES`, and return it, shape (height, width, 3), 0 to 1."""
     PICTURES.mkdir(parents=True, exist_ok=True)
     path = PICTURES / f"{name}.png"
     page.screenshot(path=str(path))
@@ -59,5 +59,5 @@ def picture(page: Any, name: str) -> np.ndarray:
 
 
 def dark_share(image: np.ndarray, columns: slice) -> float:
-    """Return the share of the pixels of some columns that are darker than the ground and its grid."""
+    """Return the fraction of the pixels of some columns that are darker than the ground and its grid."""
     return float((image[:, columns].mean(axis=2) < 0.55).mean())

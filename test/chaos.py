@@ -1,6 +1,6 @@
-"""A walk in real time whose states and commands all pass through the test, which can change, delay or drop them.
+"""A walk in real time whose states and commands pass through the test, which can change, delay or drop them.
 
-Also a plugin of pytest: `-p chaos` prints the table of all faults at the end.
+Also a pytest plugin: `-p chaos` prints the table of all faults at the end.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from sensor_msgs.msg import JointState
 from dqwalk_ros.config import Config
 
 Policy = Callable[[JointState], Iterator[tuple[float, JointState]]]
-"""A message -> messages and by how much each is delayed [s]."""
+"""A message -> pairs of delay [s] and message."""
 
 ROWS: list[tuple[str, str, str, str]] = []
 """fault, reaction, time to reaction, outcome"""
@@ -47,20 +47,20 @@ def blocking(msg: JointState) -> Iterator[tuple[float, JointState]]:
 
 
 def dropping(share: float) -> Policy:
-    dice = random.Random(1)
-    return lambda msg: iter([] if dice.random() < share else [(0.0, msg)])
+    rng = random.Random(1)
+    return lambda msg: iter([] if rng.random() < share else [(0.0, msg)])
 
 
 def delaying(delay: float) -> Policy:
     return lambda msg: iter([(delay, msg)])
 
 
-def doubling(msg: JointState) -> Iterator[tuple[float, JointState]]:
+def duplicating(msg: JointState) -> Iterator[tuple[float, JointState]]:
     yield 0.0, msg
     yield 0.0, msg
 
 
-def swapping() -> Policy:
+def reordering() -> Policy:
     kept: list[JointState] = []
 
     def policy(msg: JointState) -> Iterator[tuple[float, JointState]]:
@@ -87,10 +87,10 @@ class Chaos(Live):
 
     Attributes
     ----------
-    states, commands : Policy
-        What becomes of a message on its way; `passing` without a fault.
+    on_states, on_commands : Policy
+        How messages are relayed; `passing` without a fault.
     moved : list of (float, ndarray)
-        When a state of the plant came, and its angles.
+        Time of receipt of each state of the plant [s], and its angles [rad].
     """
 
     def __init__(self, folder: Path, domain: int, config: Config, environment: Mapping[str, str] | None = None) -> None:
@@ -98,42 +98,42 @@ class Chaos(Live):
         self.on_states: Policy = passing
         self.on_commands: Policy = passing
         self.moved: list[tuple[float, np.ndarray]] = []
-        self._late: list[tuple[float, Any, JointState]] = []
+        self._delayed: list[tuple[float, Any, JointState]] = []
         deep = QoSProfile(depth=50)
         self.to_controller = self.node.create_publisher(JointState, "states_in", deep)
         self.to_plant = self.node.create_publisher(JointState, "joint_velocity_commands", deep)
         self.node.create_subscription(JointState, "joint_states", self._state, deep)
         self.node.create_subscription(JointState, "commands_out", self._command, deep)
-        self.node.create_timer(0.005, self._send_late)
+        self.node.create_timer(0.005, self._send_delayed)
 
     def _state(self, msg: JointState) -> None:
-        assert np.isfinite(msg.position).all(), "a state that is not finite left the plant"
+        assert np.isfinite(msg.position).all(), "the plant published a state that is not finite"
         self.moved.append((time.monotonic(), np.array(msg.position)))
         self._relay(self.on_states, self.to_controller, msg)
 
     def _command(self, msg: JointState) -> None:
-        assert np.isfinite(msg.velocity).all(), "a command that is not finite left the controller"
+        assert np.isfinite(msg.velocity).all(), "the controller published a command that is not finite"
         self._relay(self.on_commands, self.to_plant, msg)
 
     def _relay(self, policy: Policy, publisher: Any, msg: JointState) -> None:
         for delay, out in policy(msg):
             if delay:
-                self.publish_late(delay, publisher, out)
+                self.publish_delayed(delay, publisher, out)
             else:
                 publisher.publish(out)
 
-    def publish_late(self, delay: float, publisher: Any, msg: JointState) -> None:
+    def publish_delayed(self, delay: float, publisher: Any, msg: JointState) -> None:
         """Publish a message after a delay [s]."""
-        self._late.append((time.monotonic() + delay, publisher, msg))
+        self._delayed.append((time.monotonic() + delay, publisher, msg))
 
-    def _send_late(self) -> None:
+    def _send_delayed(self) -> None:
         now = time.monotonic()
-        due, self._late = [e for e in self._late if e[0] <= now], [e for e in self._late if e[0] > now]
+        due, self._delayed = [e for e in self._delayed if e[0] <= now], [e for e in self._delayed if e[0] > now]
         for _, publisher, msg in due:
             publisher.publish(msg)
 
-    def begin(self, name: str, *parameters: str) -> None:
-        """Start a node with the relays in its way."""
+    def start_relayed(self, name: str, *parameters: str) -> None:
+        """Start a node whose topics pass through the relays."""
         remap = ["-r", "joint_states:=states_in", "-r", "joint_velocity_commands:=commands_out"]
         extra = [word for parameter in parameters for word in ("-p", parameter)]
         self.processes.start(
@@ -141,28 +141,28 @@ class Chaos(Live):
             ["--ros-args", "--params-file", str(self.params), *extra, *(remap if name == "controller" else [])],
         )
 
-    # ------------------------------------------------------------------ what happens
+    # ------------------------------------------------------------------ observations
 
     def speed(self, span: float = 0.3) -> float:
-        """Largest motion of a joint within the last `span` [s] of states, [rad]; infinite without states."""
+        """Return the largest motion of a joint within the last `span` [s], [rad]; NaN without states."""
         since = time.monotonic() - span
         recent = [q for at, q in self.moved if at >= since]
         return float(np.ptp(recent, axis=0).max()) if len(recent) > 1 else float("nan")
 
     def angles(self) -> np.ndarray:
-        """Return the angles of the plant's last state [rad]."""
+        """Return the angles of the last state of the plant [rad]; wait for the first one."""
         self.until(lambda: self.moved, 60.0, "a state of the plant")
         return self.moved[-1][1]
 
     def walking(self) -> bool:
-        """Whether the robot moves now."""
+        """Return whether the robot moves now."""
         return self.speed() > 1e-5
 
     def standing(self) -> bool:
-        """Whether states come and the robot does not move."""
+        """Return whether states arrive and the robot does not move."""
         return self.speed(0.25) == 0.0
 
-    def walks(self, timeout: float = 30.0) -> None:
+    def until_walking(self, timeout: float = 30.0) -> None:
         start = len(self.moved)
 
         def moving() -> bool:
@@ -171,16 +171,16 @@ class Chaos(Live):
 
         self.until(moving, timeout, "walking")
 
-    def stands(self, timeout: float = 10.0) -> float:
-        """Wait until the robot stands; return how long ago it moved last, from now on counted [s]."""
+    def until_standing(self, timeout: float = 10.0) -> float:
+        """Wait until the robot until_standing; return the time from the call to its last motion [s]."""
         began = time.monotonic()
         self.until(self.standing, timeout, "standing still")
         q = self.angles()
         stopped = next((at for at, before in reversed(self.moved) if (before != q).any()), began)
         return max(stopped - began, 0.0)
 
-    def said(self, node: str, text: str, timeout: float = 20.0) -> float:
-        """Wait until a node says something on /diagnostics; return the time it took [s]."""
+    def until_status(self, node: str, text: str, timeout: float = 20.0) -> float:
+        """Wait until a node publishes a text on /diagnostics; return the time it took [s]."""
         start, began = len(self.got["diagnostics"]), time.monotonic()
 
         def found() -> bool:
@@ -190,7 +190,7 @@ class Chaos(Live):
                 for s in array.status
             )
 
-        self.until(found, timeout, f"{node} saying {text!r}")
+        self.until(found, timeout, f"a status of {node} with {text!r}")
         return time.monotonic() - began
 
 

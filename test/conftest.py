@@ -13,7 +13,7 @@ import robots
 from dqwalk_ros.config import Config, load
 from dqwalk_ros.robot import Foot, RobotModel
 
-# a script's background job ignores Ctrl-C, and one of nohup SIGHUP: so would every process that a test starts
+# a background job of a script ignores SIGINT, and one of nohup SIGHUP, and a started process inherits this
 for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
     if signal.getsignal(number) is signal.SIG_IGN:
         signal.signal(number, handler)
@@ -41,7 +41,7 @@ def paper() -> Config:
 
 @pytest.fixture(scope="session")
 def legs() -> RobotModel:
-    """The paper's mechanism."""
+    """The robot of the paper: pelvis and legs of Poppy."""
     return robots.legs()
 
 

@@ -1,7 +1,7 @@
-"""Packages without a rosdep key, which package.xml cannot declare and `colcon test` may lack.
+"""Packages without a rosdep key, which package.xml cannot declare and which may be missing in `colcon test`.
 
-A test that needs one of them is skipped if it is not installed. As a plugin (``-p declared``) this file hides all of
-them, so that the tests run as on such a machine.
+A test that needs one of them is skipped if it is not installed. As a pytest plugin (``-p declared``) this file makes
+all of them unimportable, so that the tests run as on such a machine.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ OPTIONAL = frozenset(
 
 
 def missing(error: BaseException | None) -> str:
-    """Return the optional package for want of which something failed; empty if it is another failure."""
+    """Return the missing optional package that caused an error; empty if it has another cause."""
     while error is not None:
         name = (getattr(error, "name", None) or "").partition(".")[0]
         if isinstance(error, ModuleNotFoundError) and name in OPTIONAL:
@@ -32,7 +32,7 @@ def missing(error: BaseException | None) -> str:
 
 
 class Module(pytest.Module):
-    """A file of tests, skipped where it imports an optional package that is not installed."""
+    """A test module, skipped if it imports an optional package that is not installed."""
 
     def _getobj(self) -> Any:
         try:
@@ -44,7 +44,7 @@ class Module(pytest.Module):
 
 
 def skip_where_missing() -> Iterator[None]:
-    """Run a test or a fixture within; skip it where an optional package is missing."""
+    """Run a test or a fixture; skip it if an optional package is missing."""
     try:
         return (yield)
     except Exception as error:
@@ -60,5 +60,5 @@ class _Hidden(importlib.abc.MetaPathFinder):
 
 
 def pytest_load_initial_conftests() -> None:
-    """Hide them, as ``-p declared`` asks."""
+    """Make the optional packages unimportable."""
     sys.meta_path.insert(0, _Hidden())

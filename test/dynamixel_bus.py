@@ -1,4 +1,4 @@
-"""Emulation of Poppy's two motor buses with faults: in memory on a test clock, or over pseudo-terminals."""
+"""Emulation of Poppy's two motor buses with faults: in memory with a test clock, or over pseudo-terminals."""
 
 from __future__ import annotations
 
@@ -25,36 +25,36 @@ TEMPERATURE, VOLTAGE, LOAD = 43, 42, 40
 
 
 class FaultyServos(EmulatedServos):
-    """The servos of one bus, and what can go wrong with them.
+    """The servos of one bus, with faults.
 
     Attributes
     ----------
     dead : bool
-        The power of the bus is off, or its cable is out.
+        The bus has no power, or its cable is unplugged.
     silent : set of int
-        Servos that do not answer and do not listen.
+        Servos that neither receive nor reply.
     unplugged : bool
-        The port is gone.
+        The port does not exist.
     damaged : float
-        Share of the replies of which one bit is flipped.
+        Fraction of the replies with one flipped bit.
     garbage : float
-        Share of the replies that are random bytes.
+        Fraction of the replies replaced by random bytes.
     drop_reply : callable
-        Given an instruction packet, tells whether its reply is lost.
+        Given an instruction packet, returns whether its reply is lost.
     slip : dict of int to float
-        Angle by which the position of a servo is wrong [deg].
+        Error of the position of a servo [deg].
     """
 
     def __init__(
         self, servos: Sequence[EmulatedServo], clock: Callable[[], float] = time.monotonic, seed: int = 1
     ) -> None:
         super().__init__(servos, clock)
-        self.dice = random.Random(seed)
+        self.rng = random.Random(seed)
         self.requests: list[bytes] = []
         self.clear_faults()
 
     def clear_faults(self) -> None:
-        """Take all faults away but those that servos remember."""
+        """Remove all faults except those stored in the servos."""
         self.dead = self.unplugged = False
         self.silent: set[int] = set()
         self.damaged = self.garbage = 0.0
@@ -80,11 +80,11 @@ class FaultyServos(EmulatedServos):
             self.servos |= hidden
         if not out or self.drop_reply(packet):
             return b""
-        if self.dice.random() < self.damaged:
+        if self.rng.random() < self.damaged:
             words = bytearray(out)
-            words[self.dice.randrange(len(words))] ^= 1 << self.dice.randrange(8)
+            words[self.rng.randrange(len(words))] ^= 1 << self.rng.randrange(8)
             return bytes(words)
-        return self.dice.randbytes(len(out)) if self.dice.random() < self.garbage else out
+        return self.rng.randbytes(len(out)) if self.rng.random() < self.garbage else out
 
     def read(self, number: int, address: int, length: int) -> bytes | None:
         out = super().read(number, address, length)
@@ -110,7 +110,7 @@ def servos_of(bus: str, angles: dict[str, float]) -> list[EmulatedServo]:
 
 
 class SteppedTime:
-    """A clock that goes on when it is told to."""
+    """A clock that the test advances."""
 
     def __init__(self) -> None:
         self.now = 0.0
@@ -120,7 +120,7 @@ class SteppedTime:
 
 
 class TimedPort(EmulatedPort):
-    """A port on which packets take their time, and a reply that does not come takes longest."""
+    """A port with the transmission times of packets and of reply timeouts."""
 
     timeout, per_byte, usb = 0.01, 1e-5, 2e-4  # [s]
 
@@ -210,12 +210,12 @@ def angle_of(servo: EmulatedServo, motor: Motor) -> float:
 
 
 class Terminal(threading.Thread):
-    """A pseudo-terminal at whose other end servos answer.
+    """A pseudo-terminal with emulated servos at its other end.
 
     Attributes
     ----------
     port : str
-        Name of the serial port; a link that stays where the terminal is unplugged and plugged in again.
+        Name of the serial port: a link whose path is the same after the terminal is unplugged and plugged in again.
     """
 
     def __init__(self, servos: FaultyServos, port: Path) -> None:
@@ -228,11 +228,11 @@ class Terminal(threading.Thread):
 
     @property
     def gone(self) -> bool:
-        """Whether it is unplugged."""
+        """Whether the port is unplugged."""
         return self._near < 0
 
     def plug_in(self) -> None:
-        """Make the port."""
+        """Create the port."""
         near, self._far = os.openpty()
         tty.setraw(self._far)
         tty.setraw(near)
@@ -241,7 +241,7 @@ class Terminal(threading.Thread):
         self._near = near
 
     def unplug(self) -> None:
-        """Take the port away."""
+        """Remove the port."""
         near, self._near = self._near, -1
         self.port.unlink(missing_ok=True)
         os.close(near)
@@ -263,7 +263,7 @@ class Terminal(threading.Thread):
                         os.write(near, answer)
 
     def close(self) -> None:
-        """End."""
+        """Stop the thread and remove the port."""
         self._over = True
         self.join(2.0)
         if self._near >= 0:
@@ -271,7 +271,7 @@ class Terminal(threading.Thread):
 
 
 def packets(waiting: bytearray) -> list[bytes]:
-    """Take whole instruction packets from what has come in."""
+    """Remove the complete instruction packets from the received bytes, and return them."""
     found = []
     while (at := waiting.find(b"\xff\xff")) >= 0 and len(waiting) >= at + 4:
         end = at + 4 + waiting[at + 3]
@@ -283,7 +283,7 @@ def packets(waiting: bytearray) -> list[bytes]:
 
 
 class Terminals:
-    """Both buses over pseudo-terminals, by the machine's clock."""
+    """Both buses over pseudo-terminals, in real time."""
 
     def __init__(self, folder: Path, **angles: float) -> None:
         self.servos = {name: FaultyServos(servos_of(name, angles)) for name in BUSES}
@@ -291,7 +291,7 @@ class Terminals:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What the driver is told of them."""
+        """Parameters of the driver for these ports."""
         return {f"poppy.{name}_port": str(terminal.port) for name, terminal in self.terminals.items()}
 
     def of(self, joint: str) -> FaultyServos:

@@ -29,13 +29,13 @@ from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 __all__ = [
     "Answers",
     "Infeasible",
+    "checked_walk",
     "clarabel_solution",
     "condensed_difference",
     "discretized",
     "infeasible",
     "inverse_dynamics",
     "model_difference",
-    "watched_walk",
 ]
 
 Array = NDArray[np.float64]
@@ -76,14 +76,14 @@ def condensed_difference(mass: PointMass) -> float:
 
 
 def model_difference(model: RobotModel, motions: int = 8, seed: int = 0) -> tuple[float, float]:
-    """Compare `dynamics` with computations that do not use pinocchio, over random motions.
+    """Compare `dynamics` with computations that do not use Pinocchio, over random motions.
 
     Returns
     -------
     forces : float
         H v' + h against Newton's and Euler's laws, link by link [N, N m].
     places : float
-        Soles' places, axes and the CoM against the dual quaternions [m].
+        Positions and axes of the soles, and the CoM, against the dual quaternions [m].
     """
     rng = np.random.default_rng(seed)
     soles = {foot: model.soles[foot].frame for foot in Foot}
@@ -110,7 +110,7 @@ def inverse_dynamics(
 ) -> Array:
     """Return the generalized forces H a + h of a motion, shape (6 + n,), by Newton's and Euler's laws link by link.
 
-    It uses neither pinocchio nor the package's kinematics, to hold both to it.
+    It uses neither Pinocchio nor the package's kinematics, and serves as reference for both.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def inverse_dynamics(
         [m/s^2]
     """
     robot = Urdf(model.urdf, model.name)
-    # v is in axes that turn: its derivative in the world has w x v besides R v'
+    # v is expressed in rotating axes: its derivative in the world contains w x v in addition to R v'
     linear = rotation @ (a[:3] + np.cross(v[3:6], v[:3])) + [0.0, 0.0, gravity]
     root = _Link(model.root, position, rotation, rotation @ v[3:6], linear, rotation @ a[3:6], ())
     force = np.zeros(6 + model.n)
@@ -144,7 +144,7 @@ def inverse_dynamics(
 
 @dataclass(frozen=True)
 class _Link:
-    """A link in motion, in the world: place, axes, angular velocity, linear and angular acceleration."""
+    """A moving link in the world frame: position, axes, angular velocity, linear and angular acceleration."""
 
     name: str
     p: Array
@@ -152,7 +152,7 @@ class _Link:
     w: Array
     linear: Array
     angular: Array
-    joints: tuple[tuple[int, Array, Array], ...]  # index, axis and place of each joint on the way to the root
+    joints: tuple[tuple[int, Array, Array], ...]  # index, axis and position of each joint between root and link
 
 
 def _links(robot: Urdf, model: RobotModel, root: _Link, q: Array, dq: Array, ddq: Array) -> Iterator[_Link]:
@@ -176,25 +176,25 @@ def _links(robot: Urdf, model: RobotModel, root: _Link, q: Array, dq: Array, ddq
             waiting.append(_Link(joint.child, p, R, w, linear, angular, joints))
 
 
-# ---------------------------------------------------------------------- the answers
+# ---------------------------------------------------------------------- the solutions
 
 
-class Watched(WholeBodyController):
-    """A controller whose answers are looked at, outside the times that it measures."""
+class CheckedController(WholeBodyController):
+    """A controller whose solutions are checked, outside the measured computing times."""
 
     answers: Answers
 
     def step(self, state: BodyState, dt: float) -> BodyCommand:
         command = super().step(state, dt)
-        self.answers.look(self)
+        self.answers.check(self)
         return command
 
 
-def watched_walk(config: Config, wanted: Walk) -> tuple[WholeBodyTrace, Answers]:
-    """Make a walk and watch how exact its answers are; its times are CPU time of this process."""
+def checked_walk(config: Config, wanted: Walk) -> tuple[WholeBodyTrace, Answers]:
+    """Simulate a walk and check the accuracy of its solutions; its times are CPU time of this process."""
     config = config.updated(dict(wanted.changes))
     model = load_model(config.robot)
-    controller = Watched(config, model, clock=time.process_time)
+    controller = CheckedController(config, model, clock=time.process_time)
     controller.answers = Answers()
     plant = make_body_plant(wanted.plant, config, model, controller.start)
     return follow(controller, plant, wanted.scenario), controller.answers
@@ -202,18 +202,18 @@ def watched_walk(config: Config, wanted: Walk) -> tuple[WholeBodyTrace, Answers]
 
 @dataclass
 class Answers:
-    """How exact the answers of a walk were.
+    """Accuracy of the solutions of a walk.
 
     Attributes
     ----------
     every : int
-        Clarabel is asked in every so many ticks.
+        Every how many ticks the solution is compared with Clarabel's.
     ticks, sampled : int
-        How many were looked at, and how many of them compared with Clarabel.
+        Number of ticks checked, and of those compared with Clarabel.
     equality, inequality : float
         Largest residual of an equality and largest violation of an inequality of levels 1 and 2.
     acceleration : float
-        Largest difference to the accelerations of Clarabel at 1e-9 [rad/s^2].
+        Largest difference from Clarabel's accelerations at tolerance 1e-9 [rad/s^2].
     """
 
     every: int = 20
@@ -223,8 +223,8 @@ class Answers:
     inequality: float = 0.0
     acceleration: float = 0.0
 
-    def look(self, controller: WholeBodyController) -> None:
-        """Look at the last tick; one whose levels 1 and 2 could not both hold is not judged here."""
+    def check(self, controller: WholeBodyController) -> None:
+        """Check the last tick; a tick with relaxed constraints is left out."""
         tick = controller.last
         h, answer, nv = tick.problem, tick.answer, tick.scene.layout.nv
         if "relaxed" in answer.method:
@@ -239,7 +239,7 @@ class Answers:
             self.acceleration = max(self.acceleration, off)
 
     def joined(self, other: Answers) -> Answers:
-        """Return what both saw."""
+        """Return the accuracy over both walks."""
         return Answers(
             self.every,
             self.ticks + other.ticks,
@@ -256,7 +256,7 @@ def clarabel_solution(h: Hierarchy, tolerance: float = 1e-9) -> Array:
     Raises
     ------
     QPError
-        If they cannot both hold.
+        If levels 1 and 2 conflict, or Clarabel fails.
     """
     rows = sparse.vstack([sparse.identity(len(h.c)), sparse.csr_matrix(h.A)], format="csr")
     equal = h.lower == h.upper
@@ -277,7 +277,7 @@ def clarabel_solution(h: Hierarchy, tolerance: float = 1e-9) -> Array:
 
 @dataclass(frozen=True)
 class Infeasible:
-    """What became of a tick whose (S14) is out of reach.
+    """Result of a tick whose (S14) is infeasible.
 
     Attributes
     ----------
@@ -286,7 +286,7 @@ class Infeasible:
     level1 : float
         Largest violation of level 1.
     residual, least : float
-        What the answer misses of level 2, and the least there is under level 1, found another way [m].
+        Residual of level 2, and the least residual possible under level 1, computed independently [m].
     """
 
     method: str
@@ -296,14 +296,14 @@ class Infeasible:
 
 
 def infeasible(config: Config, model: RobotModel, away: float = 0.6, when: float = 0.55) -> Infeasible:
-    """Solve a tick whose capture point is moved away from the robot.
+    """Solve a tick whose desired capture point is shifted ahead, out of reach.
 
     Parameters
     ----------
     config : Config
     model : RobotModel
     away : float
-        By how much, ahead [m].
+        Shift [m].
     when : float
         Time of the tick [s].
     """

@@ -1,6 +1,6 @@
-"""Runs a node inside the process of the test: the test passes it messages, and records what it publishes and logs.
+"""Runs a node in the process of the test, which passes it messages and records its publications and its log.
 
-The node is not spun: the test calls the callbacks that the executor would call, so no result depends on timing.
+There is no executor: the test calls the callbacks itself, so that no result depends on timing.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from dqwalk_ros.runner import private_domain
 
 
 class Log:
-    """Stands in for rclpy's logger; throttles are ignored."""
+    """Replaces rclpy's logger; throttling is ignored."""
 
     def __init__(self) -> None:
         self.lines: list[tuple[str, str]] = []
@@ -35,8 +35,8 @@ class Log:
         return any(text in line for _, line in self.lines)
 
 
-class Kept:
-    """A publisher that keeps what it publishes."""
+class RecordingPublisher:
+    """A publisher that also records its messages."""
 
     def __init__(self, real: Any, box: list[Any]) -> None:
         self._real, self._box = real, box
@@ -50,13 +50,13 @@ class Kept:
 
 
 class Inside:
-    """One node and its surroundings.
+    """One node, its published messages and its log.
 
     Attributes
     ----------
     node : WalkNode
     got : dict of str to list
-        What was published, by topic.
+        Published messages, by topic.
     log : Log
     """
 
@@ -71,10 +71,10 @@ class Inside:
         base = getattr(importlib.import_module(f"dqwalk_ros.nodes.{module}"), kind)
         box, log = self.got, self.log
 
-        class Made(base):  # type: ignore[misc, valid-type]
+        class RecordingNode(base):  # type: ignore[misc, valid-type]
             def create_publisher(self, kind: Any, topic: str, *args: Any, **keywords: Any) -> Any:
                 real = Node.create_publisher(self, kind, topic, *args, **keywords)
-                return Kept(real, box.setdefault(topic.lstrip("/"), []))
+                return RecordingPublisher(real, box.setdefault(topic.lstrip("/"), []))
 
             def get_logger(self) -> Any:
                 return log
@@ -85,7 +85,7 @@ class Inside:
         rclpy.init(context=self.context, domain_id=domain)
         arguments = ["--ros-args", "--params-file", str(params), *ros]
         try:
-            self.node = Made(
+            self.node = RecordingNode(
                 parse(name, [*own, *arguments]), context=self.context, cli_args=arguments, use_global_arguments=False
             )
         except BaseException:
@@ -99,7 +99,7 @@ class Inside:
         subscription.callback(msg)
 
     def tick(self) -> None:
-        """Call every timer once."""
+        """Call the callback of every timer once."""
         for timer in list(self.node.timers):
             timer.callback()
 
@@ -116,7 +116,7 @@ class Inside:
         return self._foreign[-1][1]
 
     def close(self) -> None:
-        """End the node."""
+        """Destroy the node and shut its contexts down."""
         self.node.destroy_node()
         for context in (*(context for context, _ in self._foreign), self.context):
             context.try_shutdown()
@@ -124,7 +124,7 @@ class Inside:
 
 @contextmanager
 def inside(folder: Path) -> Iterator[Any]:
-    """Give a function that makes nodes, in a ROS domain of their own, and end them all."""
+    """Yield a function that makes nodes in a separate ROS domain; close all of them at the end."""
     made: list[Inside] = []
     with private_domain() as domain:
 

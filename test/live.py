@@ -1,4 +1,4 @@
-"""Runs real nodes for tests, as processes in their own ROS domain, and a node of the test that talks to them."""
+"""Runs real nodes as processes in a separate ROS domain, and a node of the test that communicates with them."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ SHORT = {
     "dsp.eta_ground": 100.0,
     "ssp.threshold": 0.02,
 }
-"""A cycle of 1267 ticks: small steps, a fast task, phases that end early, every promise kept."""
+"""A cycle of 1267 ticks: small steps, a fast task, phases that end early, every constraint kept."""
 
 LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class Live:
-    """Starts nodes and listens to what they say.
+    """Starts nodes and records their messages.
 
     Attributes
     ----------
     got : dict of str to list
-        Messages by topic: phase_log, joint_states, joint_velocity_commands, diagnostics.
+        Received messages by topic: phase_log, joint_states, joint_velocity_commands, diagnostics.
     """
 
     def __init__(
@@ -76,17 +76,17 @@ class Live:
         self.processes.start(name, [*arguments, "--ros-args", "--params-file", str(self.params)])
 
     def until_started(self, name: str) -> None:
-        """Wait until a node has said its first word."""
+        """Wait until a node has logged its first message."""
         self.until(lambda: "[INFO]" in self.processes.log(name), 60.0, f"the start of {name}")
 
     def spin(self, seconds: float) -> None:
-        """Listen for a while."""
+        """Receive messages for a time [s]."""
         self.until(lambda: False, seconds, "")
 
-    def until(self, happened: Callable[[], Any], timeout: float, what: str) -> Any:
-        """Listen until something has happened, and return it; an empty `what` may end without."""
+    def until(self, condition: Callable[[], Any], timeout: float, what: str) -> Any:
+        """Receive messages until a condition holds, and return it; a timeout is an error unless `what` is empty."""
         deadline = time.monotonic() + timeout
-        while not (result := happened()):
+        while not (result := condition()):
             if time.monotonic() > deadline:
                 assert not what, f"{what} did not happen within {timeout} s; {self.logs()}"
                 return None
@@ -94,16 +94,16 @@ class Live:
         return result
 
     def logs(self) -> str:
-        """Return all that the nodes logged."""
+        """Return the logs of all nodes."""
         return "\n".join(f"--- {name}\n{self.processes.log(name)}" for name in self.processes.names)
 
     @cached_property
     def states(self) -> Any:
-        """A publisher of joint_states: two of them are a fault, so it is there only for who asks."""
+        """A publisher of joint_states, created on first use because two plants are a fault."""
         return self.node.create_publisher(JointState, "joint_states", QoSProfile(depth=10))
 
     def publish_state(self, names: list[str], q: Any, stamp: float, dq: Any = ()) -> None:
-        """Play the plant."""
+        """Publish a state in place of the plant; `stamp` [s]."""
         msg = JointState(name=list(names), position=[float(x) for x in q], velocity=[float(x) for x in dq])
         msg.header.stamp.sec, msg.header.stamp.nanosec = divmod(round(stamp * 1e9), 1_000_000_000)
         self.states.publish(msg)
@@ -122,22 +122,22 @@ class Live:
         self.until(self._clients[service].service_is_ready, 20.0, f"service {service}")
 
     def statuses(self, name: str) -> list[Any]:
-        """Return what a node said on /diagnostics."""
+        """Return the statuses of a node on /diagnostics."""
         return [s for array in self.got["diagnostics"] for s in array.status if s.name.startswith(f"{name}:")]
 
     def phases(self) -> list[str]:
-        """Return what `phase` said."""
+        """Return the published phases."""
         return [msg.data for msg in self.got["phase_log"]]
 
     def speeds(self) -> Any:
         """Return the largest joint speed of each command, shape (N,) [rad/s]."""
         return np.array([max(map(abs, msg.velocity)) for msg in self.got["joint_velocity_commands"]])
 
-    # What came last. Nothing may have come yet: then it is a value that no test waits for.
+    # The last message of a topic; before the first one a value that no test waits for.
 
     @property
     def phase(self) -> str:
-        """What `phase` said last, or an empty text."""
+        """The last published phase, or an empty text."""
         msg = self.last("phase_log")
         return "" if msg is None else str(msg.data)
 
@@ -146,17 +146,17 @@ class Live:
         return (self.got[topic] or [None])[-1]
 
     def stamp(self) -> float:
-        """Return the stamp of the last state [s]; negative if none came."""
+        """Return the stamp of the last state [s]; negative before the first."""
         msg = self.last("joint_states")
         return -1.0 if msg is None else msg.header.stamp.sec + 1e-9 * msg.header.stamp.nanosec
 
     def speed_of(self, commands: int = 1) -> float:
-        """Return the largest joint speed of the last commands [rad/s]; not a number before there are so many."""
+        """Return the largest joint speed of the last `commands` commands [rad/s]; NaN if there are fewer."""
         last = self.got["joint_velocity_commands"][-commands:]
         return max(abs(v) for msg in last for v in msg.velocity) if len(last) == commands else float("nan")
 
     def status(self, name: str) -> Any:
-        """Return what a node said last on /diagnostics, or None."""
+        """Return the last status of a node on /diagnostics, or None."""
         for array in reversed(self.got["diagnostics"]):
             for status in array.status:
                 if status.name.startswith(f"{name}:"):
@@ -164,7 +164,7 @@ class Live:
         return None
 
     def close(self) -> None:
-        """End everything."""
+        """Stop all nodes."""
         self.processes.stop()
         self.node.destroy_node()
         self._executor.shutdown()

@@ -1,4 +1,4 @@
-"""Runs a script with a copy of the package in which one line is changed, and returns its output."""
+"""Runs a script with a copy of the package in which one line is changed, and compares its output."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 @cache
 def output_of(script: str, package: Path = ROOT) -> str:
-    """Return what a script prints with a copy of the package, or its error."""
+    """Return the output of a script run with a copy of the package, or its error output."""
     here = os.environ | {"PYTHONPATH": str(package), "NUMBA_DISABLE_JIT": "1", "PYTHONDONTWRITEBYTECODE": "1"}
     here |= {"OPENBLAS_NUM_THREADS": "1"}
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=package, env=here)
@@ -29,7 +29,7 @@ def copy_package(folder: Path) -> Path:
 
 
 def changes_output(folder: Path, script: str, tag: str, name: str, line: str, broken: str) -> bool:
-    """Break a line that stands at a tag, in a copy, and tell whether the script prints something else with it."""
+    """Change a line below an equation tag in a copy; return whether the output of the script changes."""
     text = (ROOT / name).read_text(encoding="utf-8")
     assert text.count(line) == 1, line
     at = text[: text.index(line)].count("\n")

@@ -1,7 +1,7 @@
 """Changes each safety-relevant line, one at a time, and checks whether a test fails (`make mutation`).
 
 A mutant is one changed operator, number or function of a file. Its tests run in a child process that uses the changed
-file instead of the original. Survivors are listed; each is explained in docs/faults.md, or a test is missing.
+file instead of the original. Surviving mutants are listed; docs/faults.md explains them, or a test is missing.
 
 Usage: python test/mutations.py [--every N] [--only TEXT] [FILE ...]
 """
@@ -28,10 +28,10 @@ TARGETS = {
     "dqwalk_ros/plants/motor_watch.py": ("test_poppy_faults.py", "test_poppy.py"),
     "dqwalk_ros/plants/poppy.py": ("test_poppy_faults.py", "test_poppy.py"),
 }
-"""Files, and the tests that must notice."""
+"""Files, and the tests that must detect their mutants."""
 SLOW = "whatever_happens or leaving"
 STAGES = f"not (ends_the_walk or {SLOW})", SLOW
-"""Which of them: the slow ones where all others pass. Those that start a node take too long."""
+"""Selections of tests, in order: the slow ones run if all others pass; those that start a node take too long."""
 WARM = (
     "hypothesis",
     "rclpy.node",
@@ -40,9 +40,9 @@ WARM = (
     "dqwalk_ros.cli.options",
     "dqwalk_ros.studies.robustness",
 )
-"""Imported once, before any child; nothing of it imports a target."""
+"""Imported once, before the first fork; none of these imports a target."""
 LONGEST = 120.0
-"""A mutant that takes longer hangs, and that is noticed [s]."""
+"""A mutant that takes longer counts as detected [s]."""
 SWAPPED: dict[type[ast.AST], tuple[type[ast.AST], ...]] = {
     ast.Lt: (ast.LtE, ast.GtE),
     ast.LtE: (ast.Lt, ast.Gt),
@@ -63,14 +63,14 @@ NAMES = {"min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum",
 
 
 def mutants(source: str) -> Iterator[tuple[int, str, ast.Module]]:
-    """Yield line, what was changed, and the changed module."""
+    """Yield line, description of the change, and the changed module."""
     tree = ast.parse(source)
     texts = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in ast.walk(node)}
     count = len(list(ast.walk(tree)))
     for k in range(count):
         before = list(ast.walk(tree))[k]
         if id(before) in texts:
-            continue  # what is said is checked by eye
+            continue  # texts of messages are not mutated
         for change in changes(before):
             changed = copy.deepcopy(tree)
             node = list(ast.walk(changed))[k]
@@ -102,12 +102,12 @@ def changes(node: ast.AST) -> Iterator[object]:
 
 
 def survives(file: str, changed: ast.Module) -> bool:
-    """Return whether all tests of a file pass although it was changed."""
+    """Return whether all tests of a changed file pass."""
     return all(passes(file, changed, stage) for stage in STAGES)
 
 
 def passes(file: str, changed: ast.Module, stage: str) -> bool:
-    """Run the tests of a stage in a child against a changed file; return whether all of them pass."""
+    """Run the tests of a stage against a changed file in a child process; return whether all of them pass."""
     if (child := os.fork()) == 0:
         null = os.open(os.devnull, os.O_WRONLY)
         os.dup2(null, 1)
@@ -141,7 +141,7 @@ def main() -> int:
     """Print the survivors; return 1 if there are any."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("files", nargs="*", default=list(TARGETS))
-    parser.add_argument("--every", type=int, default=1, help="only each N-th mutant")
+    parser.add_argument("--every", type=int, default=1, help="test every N-th mutant only")
     parser.add_argument("--only", default="", help="only changes that contain this text")
     options = parser.parse_args()
     sys.path.insert(0, str(ROOT / "test"))
@@ -151,7 +151,7 @@ def main() -> int:
     for file in options.files:
         source = (ROOT / file).read_text(encoding="utf-8")
         if not survives(file, ast.parse(source)):
-            sys.exit(f"{file}: its tests fail as it is")
+            sys.exit(f"{file}: its tests fail without a change")
         every = [one for one in mutants(source) if options.only in one[1]][:: options.every]
         for k, (line, what, changed) in enumerate(every):
             print(f"\r{file} {k + 1}/{len(every)}, {left} survive ", end="", file=sys.stderr, flush=True)
@@ -159,7 +159,7 @@ def main() -> int:
             if survives(file, changed):
                 left += 1
                 print(f"\r{file}:{line}: {what}", flush=True)
-    print(f"\n{total - left} of {total} mutants are noticed, {left} survive")
+    print(f"\n{total - left} of {total} mutants are detected, {left} survive")
     return 1 if left else 0
 
 

@@ -1,4 +1,4 @@
-"""A Poppy plant with emulated servos in memory, on a test clock."""
+"""A Poppy plant with emulated servos in memory and a test clock."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class Rig:
     config : Config
     sync_read : bool
     angles : dict of str to float
-        Where joints are [deg].
+        Initial angles of joints [deg].
     settings : dict
-        Of the configuration.
+        Changes of the configuration.
     """
 
     def __init__(
@@ -49,10 +49,10 @@ class Rig:
         return PoppyPlant(self.model, self.config.poppy, MAX_AGE, buses=memory.buses, clock=memory.clock, each=map)
 
     def tick(self, u: float = 0.0, effort: float | None = None) -> float:
-        """Do one period; return how long the plant took for it [s]."""
+        """Execute one period; return the time that the plant took [s]."""
         n, began = self.model.n, self.memory.clock.now
-        told = None if effort is None else np.full(n, effort)
-        self.plant.step(Command(0.0, np.full(n, u), told), DT)
+        torque = None if effort is None else np.full(n, effort)
+        self.plant.step(Command(0.0, np.full(n, u), torque), DT)
         took = self.memory.clock.now - began
         self.memory.clock.now = max(self.memory.clock.now, began + DT)
         return took
@@ -62,10 +62,10 @@ class Rig:
         while self.memory.clock.now < end:
             self.tick(u)
 
-    def until(self, happened: Callable[[], object], seconds: float) -> float:
-        """Go on until something happens; return how long it took [s]."""
+    def until(self, condition: Callable[[], object], seconds: float) -> float:
+        """Execute periods until a condition holds; return the time it took [s]."""
         began = self.memory.clock.now
-        while not happened():
+        while not condition():
             assert self.memory.clock.now - began < seconds, self.plant.watch.faults
             self.tick()
         return self.memory.clock.now - began

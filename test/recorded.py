@@ -16,7 +16,7 @@ from dqwalk_ros.report.bag.storage import typestore
 from dqwalk_ros.simulation import Trace
 
 SHORT = {"dt": 0.025, "task.eta": 0.4, "dsp.eta_ground": 20.0, "ssp.threshold": 4e-3, "dsp.stall_rate": 1e-3}
-"""Eight times the pace of the paper; Euler's method needs the higher rate on the ground for it."""
+"""Eight times as fast as the paper; Euler integration at this speed needs the higher `dsp.eta_ground`."""
 
 
 def short_config(**changes: Any) -> Config:

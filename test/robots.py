@@ -18,18 +18,18 @@ DATA = Path(__file__).parent / "data"
 
 @cache
 def legs() -> RobotModel:
-    """The paper's mechanism: Poppy's two legs and its pelvis, ten joints."""
+    """The robot of the paper: Poppy's two legs and its pelvis, ten joints."""
     return load_model(load("paper").robot)
 
 
 @cache
 def poppy() -> RobotModel:
-    """All of Poppy."""
+    """The complete Poppy."""
     return load_model(RobotConfig())
 
 
 def biped12_config(**changes: Any) -> Config:
-    """A configuration of the made-up biped: other names, six joints a leg, three times as heavy."""
+    """Configuration of a fictitious biped: other names, six joints per leg, three times the mass."""
     robot = {
         "robot.urdf": str(DATA / "biped12.urdf"),
         "robot.pelvis": "base",

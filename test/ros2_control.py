@@ -1,9 +1,9 @@
-"""Emulation of a robot with ros2_control: Jazzy's broadcasters and forward controllers, written from their manuals.
+"""Emulation of a robot with ros2_control: broadcasters and forward controllers of Jazzy, after their manuals.
 
 The controller manager reads the hardware, lets the broadcasters publish and the forward_command_controller copy its
 last command, and writes it, so the answer to a state reaches the joints one period later. joint_state_broadcaster
 lists the joints alphabetically and publishes NaN for values that are not measured; every stamp is the current time;
-the forward controller repeats its last command for ever.
+the forward controller repeats its last command without a timeout.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.state import Command
 
 EPOCH = 1_700_000_000_000_000_000
-"""Time of day at which it is switched on [ns]."""
+"""Stamp at which the robot is switched on [ns]."""
 EXTRA = ("a_gripper", "z_camera")
-"""Joints of the robot that the walk knows nothing of."""
+"""Joints of the robot that are not in the model of the walk."""
 
 
 class ControllerManager:
@@ -31,7 +31,7 @@ class ControllerManager:
         The robot.
     interface : {"velocity", "position"}
     joints : sequence of str
-        Of the forward controller, in its order.
+        Joints of the forward controller, in its order.
     imu_frame : str
     rate : float
         update_rate of the manager [Hz].
@@ -46,15 +46,15 @@ class ControllerManager:
 
     @property
     def stamp(self) -> int:
-        """Time now [ns]."""
+        """The current time [ns]."""
         return EPOCH + round(self.updates * self._dt * 1e9)
 
     def on_commands(self, msg: Any) -> None:
-        """Take a Float64MultiArray, as the subscriber of the forward controller does."""
+        """Receive a command of the forward controller (Float64MultiArray)."""
         self._command = np.array(msg.data)
 
     def update(self) -> tuple[JointState, Imu]:
-        """Return what the broadcasters publish; then write the command, and let a period pass."""
+        """Return the messages of the broadcasters; then write the command and simulate one period."""
         measured = dict(zip(self._names, self.plant.state.q, strict=True)) | dict.fromkeys(EXTRA, 0.0)
         state = JointState(name=sorted(measured), position=[float(measured[name]) for name in sorted(measured)])
         state.velocity = state.effort = [float("nan")] * len(measured)
@@ -62,8 +62,8 @@ class ControllerManager:
         imu = ros.imu(self.stamp, self._frame, self.plant.inertial)
         u = np.zeros(len(self._names))
         if self._command is not None:
-            told = self._command[self._order]
-            u = told if self._interface == "velocity" else (told - self.plant.commanded) / self._dt
+            command = self._command[self._order]
+            u = command if self._interface == "velocity" else (command - self.plant.commanded) / self._dt
         self.plant.step(Command(1e-9 * self.stamp, u), self._dt)
         self.updates += 1
         return state, imu

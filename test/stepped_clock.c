@@ -1,7 +1,7 @@
-/* A system clock that a test can set, for the processes that are started with this library preloaded.
+/* A system clock that a test can set, for processes that are started with this library preloaded.
  *
- * The offset [ns] is the eight bytes of the file STEPPED_CLOCK. It moves CLOCK_REALTIME and every wait until a moment
- * of it, also the waits under way, as the kernel does when the clock is set; the steady clocks go on.
+ * The offset [ns] is the first eight bytes of the file STEPPED_CLOCK. It is added to CLOCK_REALTIME and shifts
+ * every wait until a time of it, also those in progress, as in the kernel; steady clocks are not changed.
  */
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -16,9 +16,9 @@
 #include <time.h>
 
 #define SECOND 1000000000LL
-#define SLICE 5000000LL /* how soon a wait under way sees the step [ns] */
+#define SLICE 5000000LL /* latency until a wait in progress observes the step [ns] */
 
-#define AGES 1000000000LL /* [s]: 2001 by the system's clock, longer than any machine is up by the steady one */
+#define AGES 1000000000LL /* [s]: 2001 on the system clock, more than the uptime of any machine on the steady clock */
 
 static const int64_t nothing = 0;
 static volatile const int64_t *offset = &nothing;
@@ -81,7 +81,7 @@ time_t time(time_t *t)
     return now.tv_sec;
 }
 
-/* The end of the next slice of a wait until `end` of our clock, in the kernel's; whether it is the last one. */
+/* Set `until` to the end of the next slice of a wait until `end`, on the kernel clock; return whether it is the last. */
 static int slice(const struct timespec *end, struct timespec *until)
 {
     struct timespec now;
@@ -95,7 +95,7 @@ int pthread_cond_timedwait(pthread_cond_t *cond, pthread_mutex_t *mutex, const s
 {
     struct timespec until;
     int last, result;
-    if (end->tv_sec < AGES) /* a condition on the steady clock */
+    if (end->tv_sec < AGES) /* a wait on the steady clock */
         return real_cond(cond, mutex, end);
     do {
         last = slice(end, &until);

@@ -85,25 +85,25 @@ def _nobody_died(walk: Chaos, request: pytest.FixtureRequest) -> Iterator[None]:
 def test_drop(walk: Chaos, way: str) -> None:
     setattr(walk, f"on_{way}", chaos.dropping(0.3))
     walk.spin(1.5)
-    walk.walks(BUSY)
+    walk.until_walking(BUSY)
     setattr(walk, f"on_{way}", chaos.passing)
     row(f"30 % of the {way} are lost", "none needed", None, UNDISTURBED)
 
 
 @pytest.mark.parametrize("way", ["states", "commands"])
 def test_reorder(walk: Chaos, way: str) -> None:
-    setattr(walk, f"on_{way}", chaos.swapping())
+    setattr(walk, f"on_{way}", chaos.reordering())
     walk.spin(1.5)
-    walk.walks(BUSY)
+    walk.until_walking(BUSY)
     setattr(walk, f"on_{way}", chaos.passing)
     row(f"{way} come in pairs, swapped", "overtaken ones are ignored", None, UNDISTURBED)
 
 
 @pytest.mark.parametrize("way", ["states", "commands"])
 def test_double(walk: Chaos, way: str) -> None:
-    setattr(walk, f"on_{way}", chaos.doubling)
+    setattr(walk, f"on_{way}", chaos.duplicating)
     walk.spin(1.0)
-    walk.walks(BUSY)
+    walk.until_walking(BUSY)
     setattr(walk, f"on_{way}", chaos.passing)
     row(f"{way} come twice", "the second is ignored", None, UNDISTURBED)
 
@@ -112,24 +112,24 @@ def test_double(walk: Chaos, way: str) -> None:
 def test_delay(walk: Chaos, way: str) -> None:
     """A command 200 ms late answers a state that is no more."""
     setattr(walk, f"on_{way}", chaos.delaying(0.2))
-    took = walk.stands(10.0)
+    took = walk.until_standing(10.0)
     assert took < BUSY
     setattr(walk, f"on_{way}", chaos.passing)
-    walk.walks()
+    walk.until_walking()
     row(f"{way} are 200 ms late", "the plant ignores the answers and holds", took, RESUMED)
 
 
 @pytest.mark.parametrize("way", ["states", "commands"])
 def test_silence(walk: Chaos, way: str) -> None:
     setattr(walk, f"on_{way}", chaos.blocking)
-    took = walk.stands()
+    took = walk.until_standing()
     assert took < BUSY
     if way == "states":
-        walk.said("controller", "timed out") if not any(
+        walk.until_status("controller", "timed out") if not any(
             "timed out" in s.message for s in walk.statuses("controller")[-20:]
         ) else None
     setattr(walk, f"on_{way}", chaos.passing)
-    walk.walks()
+    walk.until_walking()
     row(f"no {way} at all", "the plant holds", took, RESUMED)
 
 
@@ -178,10 +178,10 @@ STATES = {
 def test_corrupted_states(walk: Chaos, fault: str) -> None:
     change, text = STATES[fault]
     walk.on_states = chaos.changing(change)
-    took = walk.said("controller", text)
-    walk.stands()
+    took = walk.until_status("controller", text)
+    walk.until_standing()
     walk.on_states = chaos.passing
-    walk.walks()
+    walk.until_walking()
     row(f"state: {fault}", "rejected, named, plant holds", took, RESUMED)
 
 
@@ -198,11 +198,11 @@ COMMANDS = {
 @pytest.mark.parametrize("fault", COMMANDS)
 def test_corrupted_commands(walk: Chaos, fault: str) -> None:
     walk.on_commands = chaos.changing(COMMANDS[fault])
-    took = walk.stands()
+    took = walk.until_standing()
     assert took < BUSY
     assert all(np.isfinite(q).all() for _, q in walk.moved[-50:])
     walk.on_commands = chaos.passing
-    walk.walks()
+    walk.until_walking()
     row(f"command: {fault}", "rejected, plant holds", took, RESUMED)
 
 
@@ -211,7 +211,7 @@ def test_one_corrupted_state_in_ten(walk: Chaos) -> None:
     bad = chaos.changing(put("position", 0, np.nan))
     walk.on_states = lambda msg: bad(msg) if next(count) % 10 == 0 else chaos.passing(msg)
     walk.spin(1.5)
-    walk.walks(BUSY)
+    walk.until_walking(BUSY)
     walk.on_states = chaos.passing
     row("one state in ten has a NaN", "rejected; no watchdog barks", None, UNDISTURBED)
 
@@ -225,9 +225,9 @@ def test_a_spike(walk: Chaos) -> None:
         yield 0.0, msg
 
     walk.on_states = spike
-    took = walk.said("controller", "a jump")
+    took = walk.until_status("controller", "a jump")
     walk.on_states = chaos.passing
-    walk.walks()
+    walk.until_walking()
     row("a spike of 0.5 rad in one angle, now and then", "rejected as a jump", took, RESUMED)
 
 
@@ -239,7 +239,7 @@ def test_joints_in_another_order_and_more_of_them(walk: Chaos) -> None:
 
     walk.on_states = chaos.changing(change)
     walk.spin(1.0)
-    walk.walks(BUSY)
+    walk.until_walking(BUSY)
     walk.on_states = chaos.passing
     row("joints in another order, and one too many", "taken by name", None, UNDISTURBED)
 
@@ -252,7 +252,7 @@ def clear_velocities(msg: JointState) -> None:
 def test_no_velocities(walk: Chaos, change: Callable[[JointState], None]) -> None:
     walk.on_states = chaos.changing(change)
     walk.spin(1.0)
-    walk.walks(BUSY)
+    walk.until_walking(BUSY)
     walk.on_states = chaos.passing
     row("states without velocities, or with NaN", "none needed", None, UNDISTURBED)
 
@@ -272,10 +272,10 @@ def test_the_stamps_step(walk: Chaos, seconds: int) -> None:
 
     walk.on_states, walk.on_commands = chaos.changing(shift(seconds)), chaos.changing(shift(-seconds))
     walk.spin(1.0)
-    walk.walks()
+    walk.until_walking()
     walk.on_states, walk.on_commands = chaos.passing, chaos.passing
     walk.spin(0.5)
-    walk.walks()
+    walk.until_walking()
     row(f"the stamps step by {seconds:+d} s and back", "at most one silence", None, RESUMED)
 
 
@@ -284,9 +284,9 @@ def test_commands_from_the_future(walk: Chaos) -> None:
         msg.header.stamp.sec += 100
 
     walk.on_commands = chaos.changing(change)
-    took = walk.stands()
+    took = walk.until_standing()
     walk.on_commands = chaos.passing
-    walk.walks()
+    walk.until_walking()
     row("commands answer states of the future", "a clock fault: ignored, plant holds", took, RESUMED)
 
 
@@ -304,10 +304,10 @@ def test_the_controller_is_killed_and_restarted(walk: Chaos, phase: str) -> None
             break
     assert walk.phase.startswith(phase)
     walk.processes.signal("controller", signal.SIGKILL)
-    took = walk.stands()
+    took = walk.until_standing()
     assert took < BUSY
     q = walk.angles().copy()
-    walk.begin("controller")
+    walk.start_relayed("controller")
     walk.until(lambda: walk.walking(), 90.0, "the new controller walking")
     steps = [np.abs(b - a).max() for (_, a), (_, b) in zip(walk.moved[-2000:], walk.moved[-1999:], strict=False)]
     assert max(steps) < 8.2 * 0.04 + 1e-9
@@ -317,29 +317,29 @@ def test_the_controller_is_killed_and_restarted(walk: Chaos, phase: str) -> None
 
 def test_the_controller_is_frozen(walk: Chaos) -> None:
     walk.processes.signal("controller", signal.SIGSTOP)
-    took = walk.stands()
+    took = walk.until_standing()
     assert took < BUSY
     walk.spin(0.5)
     assert walk.standing()
     walk.processes.signal("controller", signal.SIGCONT)
-    walk.walks()
+    walk.until_walking()
     row("controller: SIGSTOP, SIGCONT", "the plant holds", took, RESUMED)
 
 
 def test_the_plant_is_frozen(walk: Chaos) -> None:
     walk.processes.signal("integrator", signal.SIGSTOP)
-    took = walk.said("controller", "timed out")
+    took = walk.until_status("controller", "timed out")
     walk.until(lambda: walk.speed_of() == 0.0, 5.0, "a command of zeros")
     walk.processes.signal("integrator", signal.SIGCONT)
-    walk.walks()
+    walk.until_walking()
     row("plant: SIGSTOP, SIGCONT", "STALE, zeros, then silence", took, RESUMED)
 
 
 def test_the_monitor_dies_and_comes_back(walk: Chaos) -> None:
     walk.processes.signal("phase_monitor", signal.SIGKILL)
     walk.spin(1.0)
-    walk.walks(BUSY)
-    walk.begin("phase_monitor")
+    walk.until_walking(BUSY)
+    walk.start_relayed("phase_monitor")
     walk.until(lambda: walk.status("phase_monitor"), 60.0, "the monitor")
     row("monitor: SIGKILL, restarted", "it is not in the loop", None, UNDISTURBED)
 
@@ -354,7 +354,7 @@ def test_the_recorder_dies(walk: Chaos, tmp_path: Path) -> None:
     walk.processes.signal("recorder", signal.SIGKILL)
     walk.processes.wait("recorder", 10.0)
     walk.spin(1.0)
-    walk.walks(BUSY)
+    walk.until_walking(BUSY)
     recorded = bag.read(tmp_path / "bag")
     assert recorded.time[-1] > lasted - 1.0 - BUSY  # from its first state on
     assert any("metadata.yaml is missing" in note for note in recorded.notes)
@@ -367,7 +367,7 @@ def test_the_viewer_dies(walk: Chaos) -> None:
     walk.spin(1.0)
     walk.processes.signal("viewer", signal.SIGKILL)
     walk.spin(1.0)
-    walk.walks(BUSY)
+    walk.until_walking(BUSY)
     row("viewer: SIGKILL", "it is not in the loop", None, UNDISTURBED)
 
 
@@ -385,19 +385,19 @@ def test_two_of_them(walk: Chaos, what: str, topic: str, node: str) -> None:
         theirs = copy.deepcopy(msg)  # a plant of its own: the same joints once more, by another clock
         theirs.header.stamp.nanosec = max(theirs.header.stamp.nanosec - 50_000_000, 0)
         # between two states: of two messages at once a controller sees the newest only
-        walk.publish_late(0.4 * walk.config.dt, stranger, theirs)
+        walk.publish_delayed(0.4 * walk.config.dt, stranger, theirs)
         yield 0.0, msg
 
     walk.on_states = claim if what == "plant" else chaos.passing
     try:
-        took = walk.said(node, f"two {what}s: /other_{what}, /test", 30.0)
-        walk.stands()
+        took = walk.until_status(node, f"two {what}s: /other_{what}, /test", 30.0)
+        walk.until_standing()
     finally:
         walk.on_states = chaos.passing
         walk.spin(0.2)  # what is late has been sent
         other.destroy_publisher(stranger)
         other.destroy_node()
-    walk.walks(40.0)
+    walk.until_walking(40.0)
     row(f"a second {what}", f"the {node} holds and names both", took, RESUMED)
 
 
@@ -430,13 +430,13 @@ ABUSE = {
 def test_parameter_abuse(walk: Chaos, node: str, value: str) -> None:
     assert not set_parameter(walk, node, "plant.command_timeout", **ABUSE[value]).successful
     assert walk.processes.exit_code(node) is None
-    walk.walks()
+    walk.until_walking()
     row(f"{node}: plant.command_timeout = {value}", "refused", None, UNDISTURBED)
 
 
 def test_a_structural_parameter(walk: Chaos) -> None:
     assert not set_parameter(walk, "controller", "gait.step_length", double_value=0.3).successful
-    walk.walks()
+    walk.until_walking()
     row("gait.step_length set during the walk", "read only", None, UNDISTURBED)
 
 
@@ -455,7 +455,7 @@ def test_a_thousand_parameter_writes(walk: Chaos) -> None:
         assert all(f.result().results[0].successful is not bad for bad, f in futures)
     took = time.monotonic() - began
     walk.node.destroy_client(client)
-    walk.walks()
+    walk.until_walking()
     assert set_parameter(walk, "controller", "plant.command_timeout", double_value=0.1).successful
     row("1000 parameter writes", "applied between ticks, a third refused", took, UNDISTURBED)
 
@@ -471,7 +471,7 @@ def test_commands_with_the_wrong_quality_of_service(walk: Chaos) -> None:
     finally:
         other.destroy_publisher(publisher)
         other.destroy_node()
-    walk.walks(40.0)
+    walk.until_walking(40.0)
     row("best-effort commands", "incompatible QoS is logged; a second controller", None, RESUMED)
 
 
@@ -483,7 +483,7 @@ def test_overload(walk: Chaos, busy: float) -> None:
     time.sleep(busy)
     walk.processes.signal("integrator", signal.SIGCONT)
     walk.spin(1.0)
-    walk.walks()
+    walk.until_walking()
     q = np.array([q for _, q in walk.moved[before:]])
     assert np.abs(np.diff(q, axis=0)).max() < 8.2 * 2.0 * walk.config.dt + 1e-9
     row(f"the plant gets no processor for {busy:g} s", "one late tick of two periods at most", None, RESUMED)
@@ -494,9 +494,9 @@ def test_overload(walk: Chaos, busy: float) -> None:
 
 def test_pause_and_start(walk: Chaos) -> None:
     assert walk.call("controller/pause").success
-    took = walk.stands()
+    took = walk.until_standing()
     assert walk.call("controller/start").success
-    walk.walks()
+    walk.until_walking()
     row("~/pause, ~/start", "stands", took, RESUMED)
 
 
@@ -509,7 +509,7 @@ def test_jumps_that_stay_are_latched_until_reset(walk: Chaos) -> None:
         walk.until(lambda: walk.phase == "failed", 10.0, "the latch")
     finally:
         walk.on_states = chaos.passing
-    took = walk.stands()
+    took = walk.until_standing()
     walk.spin(0.5)
     assert walk.standing()
     try:
@@ -517,7 +517,7 @@ def test_jumps_that_stay_are_latched_until_reset(walk: Chaos) -> None:
     finally:
         assert walk.call("controller/reset").success
         assert walk.call("controller/start").success
-    walk.walks()
+    walk.until_walking()
     row("a knee jumps to 2.3 rad and stays there", "latched: failed until ~/reset", took, "walks after ~/reset")
 
 
@@ -542,14 +542,14 @@ def test_a_program_without_an_answer(walk: Chaos) -> None:
         yield 0.0, still
 
     assert walk.call("controller/pause").success
-    walk.stands()
+    walk.until_standing()
     walk.on_states, walk.on_commands = told, does
     walk.spin(0.3)
     assert walk.call("controller/reset").success
     assert walk.call("controller/start").success
     began = len(answers)
     try:
-        took = walk.said("controller", "is short by", 60.0)
+        took = walk.until_status("controller", "is short by", 60.0)
         walk.until(lambda: walk.phase == "failed", 20.0, "the latch")
         assert walk.standing()
         assert walk.config.safety.failures < len(answers) - began
@@ -561,7 +561,7 @@ def test_a_program_without_an_answer(walk: Chaos) -> None:
         walk.on_states, walk.on_commands = chaos.passing, chaos.passing
         assert walk.call("controller/reset").success
         assert walk.call("controller/start").success
-    walk.walks()
+    walk.until_walking()
     row(
         "a program without an answer", "zeros; says which rows fight; failed until ~/reset", took, "walks after ~/reset"
     )
@@ -581,16 +581,16 @@ def test_the_walk_goes_through_a_whole_cycle_after_all_that(walk: Chaos) -> None
 @pytest.mark.parametrize("name", ["controller", "phase_monitor", "integrator"])
 def test_signals(walk: Chaos, name: str, number: signal.Signals) -> None:
     for dead in [node for node in NODES if walk.processes.exit_code(node) is not None]:
-        walk.begin(dead)
+        walk.start_relayed(dead)
         walk.until_started(dead)
-    walk.walks(90.0)
+    walk.until_walking(90.0)
     began = time.monotonic()
     walk.processes.signal(name, number)
     assert walk.processes.wait(name, 15.0) == 0
     took = time.monotonic() - began
     assert took < 2.0 + BUSY
     if name == "controller":
-        walk.stands()
+        walk.until_standing()
         walk.until(lambda: walk.speed_of() == 0.0, 5.0, "a last word of zeros")
     said = "zeros as last word, exit code 0" if name == "controller" else "exit code 0"
     row(f"{name}: {number.name}", said, took, UNDISTURBED if name == "phase_monitor" else HELD)

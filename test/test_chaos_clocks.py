@@ -53,8 +53,8 @@ def walking(folder: Path, environment: dict[str, str], *plant: str) -> Iterator[
     with private_domain() as domain:
         one = Chaos(folder, domain, load("paper").updated(CONFIG), environment)
         try:
-            one.begin("integrator", *plant)
-            one.begin("controller")
+            one.start_relayed("integrator", *plant)
+            one.start_relayed("controller")
             yield one
         finally:
             one.close()
@@ -81,7 +81,7 @@ def set_clock(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Chaos,
 
         environment = {"LD_PRELOAD": str(stepped_clock(folder)), "STEPPED_CLOCK": str(offset)}
         with walking(folder, environment) as one:
-            one.walks(120.0)
+            one.until_walking(120.0)
             yield one, set_to
 
 
@@ -89,13 +89,13 @@ def set_clock(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Chaos,
 def test_the_systems_clock_is_set(set_clock: tuple[Chaos, Callable[[int], None]], seconds: int) -> None:
     """One after the other, from 0: back, ahead, far back, and right again."""
     one, set_to = set_clock
-    one.walks()
+    one.until_walking()
     one.spin(0.5)
     before, began = one.stamp(), time.monotonic()
     set_to(seconds)
     one.until(lambda: abs(one.stamp() - before) > 50.0, 20.0, "the step of the clock")
     one.spin(1.0)
-    one.walks()
+    one.until_walking()
     one.spin(0.5)
     took = disturbance(one, began)
     assert took < BUSY + 1.0
@@ -120,23 +120,23 @@ def test_simulated_time_steps_and_stops(tmp_path: Path) -> None:
             clock.publish(Clock(clock=Time(sec=int(now), nanosec=int(1e9 * (now % 1.0)))))
 
         one.node.create_timer(0.01, tick)
-        one.walks(120.0)
+        one.until_walking(120.0)
         one.spin(1.0)
         began = time.monotonic()
         offset[0] -= 100.0
         one.until(lambda: one.stamp() < time.monotonic() + offset[0] + 50.0, 20.0, "the step")
         one.spin(1.0)
-        one.walks()
+        one.until_walking()
         took = disturbance(one, began)
         assert took < BUSY + 1.0
         row("/clock steps back by 100 s", "one silence at most", took, "walk resumed")
 
         stopped[0] = time.monotonic() + offset[0]
-        took = one.stands()
+        took = one.until_standing()
         assert took < BUSY
         one.spin(0.5)
         assert one.standing()
         offset[0] = stopped[0] - time.monotonic()
         stopped[0] = 0.0
-        one.walks()
+        one.until_walking()
         row("/clock stops", "states of one stamp are no news: zeros, the plant holds", took, "walk resumed")

@@ -1,4 +1,4 @@
-"""Whole walks, computed once per process, and every distance along them."""
+"""Complete walks, computed once per process, and the distances of all constraints along them."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ def walk(config: Config, model: RobotModel, max_time: float | None = None) -> Tr
 
 
 def paper_walk(first: str, flat: bool = True, cycles: int = 1) -> Trace:
-    """The paper's walk at the paper's gains."""
+    """The paper's walk with the paper's gains."""
     return _paper_walk(first, flat, cycles)
 
 
-@cache  # of a signature without defaults: for the cache, a default and the same value written out are two walks
+@cache  # without default values: for the cache, an omitted and an explicit default are different calls
 def _paper_walk(first: str, flat: bool, cycles: int) -> Trace:
     changes = {"gait.first_support": first, "dsp.flat_feet": flat, "gait.cycles": cycles}
     return walk(load("paper").updated(changes), robots.legs())
@@ -43,10 +43,10 @@ def _paper_walk(first: str, flat: bool, cycles: int) -> Trace:
 
 @dataclass(frozen=True)
 class Segment:
-    """One phase of a walk: its states from the first to the one that ended it, and what there is to say of each.
+    """One phase of a walk: its states from the first to the one that ended it, with the values of its constraints.
 
-    `distances` has one array (ticks, k) for each constraint, less its bound, `equalities` the same for what is held at
-    zero; `rates` are the gains that are used.
+    `distances` has one array (ticks, k) per inequality constraint, minus its bound, `equalities` the same per equality
+    constraint; `rates` are the gains eta that are used [1/s].
     """
 
     phase: Phase
@@ -60,7 +60,7 @@ class Segment:
 
 
 def segments(trace: Trace) -> Iterator[Segment]:
-    """Recompute a walk's phases from its joint angles alone."""
+    """Recompute the phases of a walk from its joint angles."""
     config, model = trace.config, trace.model
     starts = [record.start for record in trace.phases]
     for record, end in zip(trace.phases, [*starts[1:], len(trace) - 1], strict=True):
