@@ -172,7 +172,7 @@ class Chaos(Live):
         self.until(moving, timeout, "walking")
 
     def until_standing(self, timeout: float = 10.0) -> float:
-        """Wait until the robot until_standing; return the time from the call to its last motion [s]."""
+        """Wait until the robot stands; return the time from the call to its last motion [s]."""
         began = time.monotonic()
         self.until(self.standing, timeout, "standing still")
         q = self.angles()

@@ -1,8 +1,8 @@
-"""The system clock is set and simulated time jumps, with the real clocks of real nodes (part of `make chaos`).
+"""Steps of the system clock and of simulated time during a walk, with live nodes (part of `make chaos`).
 
-stepped_clock.c changes the system clock of the nodes' processes during a walk, and every wait that depends on it; their
-steady clock is not changed. libfaketime is not used, because it leaves some waits unchanged, which blocks nodes that a
-real change of the clock does not disturb.
+stepped_clock.c changes the system clock of the nodes' processes, and every wait that depends on it; their steady clock
+is not changed. libfaketime is not used, because it leaves some waits unchanged, which blocks nodes that a real step of
+the clock does not disturb.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ pytestmark = [pytest.mark.long, pytest.mark.timeout(300), pytest.mark.xdist_grou
 
 CONFIG = {**SHORT, "dt": 0.02, "dsp.eta_ground": 25.0, "gait.cycles": 1000, "monitor.tolerance": 1e-3}
 BUSY = 2.0
-"""A reaction that must take 0.1 s may take this long where seven people share two processors [s]."""
+"""Allowed time for a reaction that takes 0.1 s on an idle machine [s]: this one may be heavily loaded."""
 
 
 def stepped_clock(folder: Path) -> Path:
-    """Return the library that gives a process a clock which can be set."""
+    """Compile the library that makes the system clock of a process adjustable; return its path."""
     compiler, library = shutil.which("cc") or shutil.which("gcc"), folder / "stepped_clock.so"
     assert compiler, "these tests need a C compiler: make chaos installs one (apt install gcc libc6-dev)"
     source = Path(__file__).with_name("stepped_clock.c")
@@ -62,7 +62,7 @@ def walking(folder: Path, environment: dict[str, str], *plant: str) -> Iterator[
 
 
 def disturbance(one: Chaos, since: float) -> float:
-    """Return for how long the robot did not move, at most, from a time on [s]."""
+    """Return the longest time without motion since `since` [s]."""
     moved = [(at, q) for at, q in one.moved if at >= since]
     going = [a for (a, p), (_, q) in itertools.pairwise(moved) if (p != q).any()]
     return float(np.diff([since, *going, moved[-1][0]]).max())
@@ -86,8 +86,8 @@ def set_clock(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Chaos,
 
 
 @pytest.mark.parametrize("seconds", [-100, 100, -3600, 0])
-def test_the_systems_clock_is_set(set_clock: tuple[Chaos, Callable[[int], None]], seconds: int) -> None:
-    """One after the other, from 0: back, ahead, far back, and right again."""
+def test_step_of_the_system_clock(set_clock: tuple[Chaos, Callable[[int], None]], seconds: int) -> None:
+    """Offsets one after the other [s]: back, ahead, far back, and 0 again."""
     one, set_to = set_clock
     one.until_walking()
     one.spin(0.5)
@@ -102,15 +102,15 @@ def test_the_systems_clock_is_set(set_clock: tuple[Chaos, Callable[[int], None]]
     assert all(one.processes.exit_code(name) is None for name in ("integrator", "controller"))
     step = one.stamp() - before - (time.monotonic() - began)
     row(
-        f"the system's clock is set by {step:+.0f} s",
-        "one silence at most: timers are on the steady clock",
+        f"step of the system clock by {step:+.0f} s",
+        "one timeout at most: timers use the steady clock",
         took,
         "walk resumed",
     )
 
 
-def test_simulated_time_steps_and_stops(tmp_path: Path) -> None:
-    """The plant's stamps are /clock's: it goes back by 100 s, and then it stops and goes on."""
+def test_simulated_time_steps_back_and_stops(tmp_path: Path) -> None:
+    """The plant takes its stamps from /clock, which steps back by 100 s; later it stops and continues."""
     with walking(tmp_path, {}, "use_sim_time:=true") as one:
         clock = one.node.create_publisher(Clock, "/clock", 10)
         offset, stopped = [1000.0 - time.monotonic()], [0.0]
@@ -129,7 +129,7 @@ def test_simulated_time_steps_and_stops(tmp_path: Path) -> None:
         one.until_walking()
         took = disturbance(one, began)
         assert took < BUSY + 1.0
-        row("/clock steps back by 100 s", "one silence at most", took, "walk resumed")
+        row("/clock steps back by 100 s", "one timeout at most", took, "walk resumed")
 
         stopped[0] = time.monotonic() + offset[0]
         took = one.until_standing()
@@ -139,4 +139,4 @@ def test_simulated_time_steps_and_stops(tmp_path: Path) -> None:
         offset[0] = stopped[0] - time.monotonic()
         stopped[0] = 0.0
         one.until_walking()
-        row("/clock stops", "states of one stamp are no news: zeros, the plant holds", took, "walk resumed")
+        row("/clock stops", "states with equal stamps are ignored: zeros, the plant holds", took, "walk resumed")

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.long
 
 
 class Body(Live):
-    """Controller and rigid plant; the pelvis, the torques and the stamps of the states are listened to."""
+    """Controller and rigid plant; records pelvis poses and torques."""
 
     def __init__(self, folder: Path, domain: int) -> None:
         super().__init__(folder, domain, load("whole_body").updated({"monitor.rate": 10.0}))
@@ -34,23 +34,23 @@ class Body(Live):
         for name in ("whole_body_controller", "rigid"):
             self.start(name)
 
-    def walks(self, seconds: float = 1.0) -> None:
-        """Wait until the robot has walked for so long [s], by its own time, and is still up."""
+    def until_walked(self, seconds: float = 1.0) -> None:
+        """Wait for `seconds` of simulated walking, and check that the robot is upright and its torques are valid."""
         self.until(lambda: self.pelvis, 60.0, "a state")
-        until = self.now + seconds
-        # a controller that was killed is remembered for 20 s: until then a third one of its name is one too many
-        self.until(lambda: self.now >= until, 120.0, f"{seconds} s of walking")
+        end = self.now + seconds
+        # a killed controller is counted for 20 s more: until then a third one of the same name is rejected
+        self.until(lambda: self.now >= end, 120.0, f"{seconds} s of walking")
         assert abs(self.pelvis[-1].pose.position.z - self.pelvis[0].pose.position.z) < 0.05
         assert all(np.isfinite(msg.effort).all() and np.abs(msg.effort).max() <= 150.0 for msg in self.torques)
 
     @property
     def now(self) -> float:
-        """Time of the simulation [s]."""
+        """The simulated time [s]."""
         stamp = self.pelvis[-1].header.stamp
         return float(stamp.sec + 1e-9 * stamp.nanosec)
 
-    def holds(self) -> None:
-        """Wait until time stands still."""
+    def until_holding(self) -> None:
+        """Wait until the plant holds, and check that simulated time does not advance."""
         self.until(lambda: "holding" in (getattr(self.status("rigid"), "message", "")), 20.0, "the plant holding")
         then = self.now
         self.spin(0.7)
@@ -61,44 +61,44 @@ class Body(Live):
 def walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     with private_domain() as domain:
-        made = Body(tmp_path, domain)
-        made.walks()
-        yield made
-        made.close()
+        body = Body(tmp_path, domain)
+        body.until_walked()
+        yield body
+        body.close()
 
 
-def test_the_nodes_are_frozen_killed_and_pushed_too_hard(walk: Body) -> None:
+def test_frozen_and_killed_nodes_and_excessive_pushes(walk: Body) -> None:
     walk.processes.signal("whole_body_controller", signal.SIGSTOP)
-    walk.holds()
+    walk.until_holding()
     walk.processes.signal("whole_body_controller", signal.SIGCONT)
-    walk.walks()
-    row("body: controller SIGSTOP, SIGCONT", "the plant holds", None, "walks on")
+    walk.until_walked()
+    row("body: controller SIGSTOP, SIGCONT", "the plant holds", None, "continues")
 
     walk.processes.signal("rigid", signal.SIGSTOP)
     walk.until(lambda: walk.status("whole_body_controller").level == b"\x03", 20.0, "STALE")
     walk.until(lambda: not any(walk.torques[-1].effort), 5.0, "zero torque")
     walk.processes.signal("rigid", signal.SIGCONT)
-    walk.walks()
-    row("body: plant SIGSTOP, SIGCONT", "STALE, zero torque once", None, "walks on")
+    walk.until_walked()
+    row("body: plant SIGSTOP, SIGCONT", "STALE, zero torque once", None, "continues")
 
-    for share in (0.35, 0.92):  # of a step: in a swing, and while the weight goes over
-        walk.until(lambda at=share: 0.0 <= (walk.now - 0.4) / 0.8 % 1.0 - at < 0.05, 60.0, f"{share} of a step")
+    for fraction in (0.35, 0.92):  # fraction of a step: during the swing, and during the weight transfer
+        walk.until(lambda at=fraction: 0.0 <= (walk.now - 0.4) / 0.8 % 1.0 - at < 0.05, 60.0, f"{fraction} of a step")
         walk.processes.signal("whole_body_controller", signal.SIGKILL)
-        walk.holds()
+        walk.until_holding()
         walk.start("whole_body_controller")
-        walk.walks()
-        row(f"body: controller SIGKILL at {share:.0%} of a step", "the plant holds", None, "takes up the walk")
+        walk.until_walked()
+        row(f"body: controller SIGKILL at {fraction:.0%} of a step", "the plant holds", None, "resumes the walk")
 
     push = walk.node.create_publisher(WrenchStamped, "push", 10)
     walk.until(push.get_subscription_count, 20.0, "the plant's subscription")
-    for newtons in (1e300, float("nan"), 1e4):
-        hit = WrenchStamped()
-        hit.wrench.force.y = newtons
-        push.publish(hit)
-    walk.until(lambda: walk.processes.log("rigid").count("push rejected") == 3, 20.0, "three refusals")
-    walk.walks()
-    row("body: pushes of 1e300 N s, NaN, 10 000 N s", "refused", None, "undisturbed")
+    for force in (1e300, float("nan"), 1e4):
+        msg = WrenchStamped()
+        msg.wrench.force.y = force
+        push.publish(msg)
+    walk.until(lambda: walk.processes.log("rigid").count("push rejected") == 3, 20.0, "three rejections")
+    walk.until_walked()
+    row("body: pushes of 1e300 N s, NaN, 10 000 N s", "rejected", None, "undisturbed")
 
     assert walk.call("/whole_body_controller/reset").success
-    walk.walks()
-    row("body: ~/reset in mid-step", "takes up the walk", None, "walks on")
+    walk.until_walked()
+    row("body: ~/reset in mid-step", "resumes the walk", None, "continues")
