@@ -1,4 +1,4 @@
-"""Adoption of unknown robots: what is detected, what is rejected, and that they walk."""
+"""Adoption of unknown robots: detected anatomy, rejected robots, and walks of the generated configurations."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def edited(tmp_path: Path, source: Path, *changes: tuple[str, str]) -> Path:
     return path
 
 
-def test_the_parts_are_found(small: Adoption) -> None:
+def test_anatomy_is_detected(small: Adoption) -> None:
     anatomy = small.anatomy
     assert anatomy.legs[Foot.LEFT] == tuple(
         f"l_{name}" for name in ("hip_yaw", "hip_roll", "hip_pitch", "knee", "ankle_pitch", "ankle_roll")
@@ -52,8 +52,8 @@ def test_the_parts_are_found(small: Adoption) -> None:
         np.testing.assert_allclose(sole.pose[:3, 3], 1.1 * np.array([0.012, side * 0.008, -0.042]), atol=1e-4)
 
 
-def test_the_posture_stands(small: Adoption) -> None:
-    """Soles level side by side, CoM over their middle, knees ahead: these bend both ways."""
+def test_the_initial_posture_is_statically_stable(small: Adoption) -> None:
+    """Soles level and side by side, CoM above their midpoint, knees forward although these joints bend both ways."""
     model, q = small.model, small.model.posture(small.config.standing.posture)
     kin = Kinematics(model, q, Foot.LEFT)
     np.testing.assert_allclose(kin.pose(model.soles[Foot.RIGHT].frame)[:4], [1.0, 0.0, 0.0, 0.0], atol=1e-3)
@@ -64,21 +64,23 @@ def test_the_posture_stands(small: Adoption) -> None:
     assert not check(small.config, model)
 
 
-def test_arms_that_cannot_be_straight_are_held_at_their_limit(small: Adoption) -> None:
+def test_arms_that_cannot_be_straight_are_locked_at_their_limit(small: Adoption) -> None:
     assert "l_elbow=-0.1" in small.config.robot.lock
 
 
-def test_files_are_found_from_anywhere(small: Adoption, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_files_are_found_from_any_working_directory(
+    small: Adoption, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.chdir(tmp_path)
     for name in ("robot.yaml", "paper.yaml"):
         assert load_model(load(small.folder / name).robot).joint_names == small.model.joint_names
     text = (small.folder / "robot.yaml").read_text()
     values = [line for line in text.splitlines() if re.match(r"\s+\w+: \S", line)]
-    assert all("  # " in line for line in values), "every number has its reason beside it"
+    assert all("  # " in line for line in values), "every value has its reason in a comment"
 
 
-def test_a_robot_that_looks_back_is_turned(tmp_path: Path) -> None:
-    """The same robot under a root that is turned by half a turn."""
+def test_a_backward_facing_root_link_is_detected(tmp_path: Path) -> None:
+    """The same robot below a root link rotated by 180 degrees."""
     root = '<link name="base"/><joint name="base_joint" type="fixed"><parent link="base"/><child link="trunk"/>'
     root += '<origin rpy="0 0 3.14159265358979"/></joint>'
     path = edited(tmp_path, SMALL, (r'(<robot name="small_humanoid">)', r"\1" + root))
@@ -99,7 +101,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_cannot_walk_is_refused_in_one_sentence(
+def test_unsuitable_robots_are_rejected_with_one_line(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     change, expected = REFUSED[name]
@@ -131,14 +133,14 @@ MUTATIONS: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("name", MUTATIONS)
-def test_check_sees_a_mistake_before_a_fall(name: str, small: Adoption) -> None:
+def test_check_reports_wrong_parameters(name: str, small: Adoption) -> None:
     changes, expected = MUTATIONS[name]
     config = small.config.updated(changes)
     found = check(config, load_model(config.robot))
     assert any(re.search(expected, str(finding)) for finding in found), found
 
 
-def test_config_check_opens_the_robot(small: Adoption, capsys: pytest.CaptureFixture[str]) -> None:
+def test_config_check_loads_the_robot(small: Adoption, capsys: pytest.CaptureFixture[str]) -> None:
     path = str(small.folder / "robot.yaml")
     assert cli.main(["config", path, "--check"]) == 0
     assert cli.main(["config", path, "--check", "--set", "servo.stiffness=10"]) == 1
@@ -153,8 +155,8 @@ def test_a_small_robot_walks(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert re.search(r"physics: walked 0\.\d", out)
 
 
-def test_meshes_are_found_below_any_folder(tmp_path: Path) -> None:
-    """The adopted file names meshes by URI, in which a space and a plus sign are written otherwise."""
+def test_meshes_in_folders_with_special_characters_are_found(tmp_path: Path) -> None:
+    """The adopted file refers to meshes by URI, in which a space and a plus sign are percent-encoded."""
     folder = tmp_path / "my robots+more"
     folder.mkdir()
     trimesh.creation.box((0.1265, 0.0825, 0.0132)).export(folder / "foot.stl")
@@ -167,12 +169,12 @@ def test_meshes_are_found_below_any_folder(tmp_path: Path) -> None:
     assert "no shape of the left foot can be read" in str(check(found.config, found.model)[0])
 
 
-def test_no_robot_has_a_place_in_the_code() -> None:
+def test_no_robot_is_named_in_the_code() -> None:
     code = "".join(path.read_text().lower() for path in (Path(adopt.__code__.co_filename).parent).glob("*.py"))
     for name in ("talos", "g1_", "jvrc", "icub", "romeo", "darwin", "op3", "atlas", "valkyrie", "unitree"):
         assert name not in code
 
 
-def test_a_robot_without_a_file_is_one_sentence(tmp_path: Path) -> None:
+def test_a_missing_robot_file_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="cannot read"):
         adopt(tmp_path / "nowhere.urdf", tmp_path)

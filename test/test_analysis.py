@@ -1,4 +1,4 @@
-"""The report compared with numbers computed by hand, its violations for spoilt walks, and the figures."""
+"""The report compared with independent computations, its violations for modified walks, and the figures."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def report(series):
     return reporting.report(series)
 
 
-def spoilt(trace, **changes):
+def modified_report(trace, **changes):
     return reporting.report(reporting.analyse(dataclasses.replace(trace, **changes)))
 
 
@@ -52,14 +52,14 @@ def names(report):
 # ---------------------------------------------------------------------- series
 
 
-def test_spans_are_the_phases(trace, series):
+def test_spans_match_the_recorded_phases(trace, series):
     assert [span.phase.name for span in series.spans] == [record.name for record in trace.phases]
     assert [span.start for span in series.spans] == [record.start for record in trace.phases]
     assert series.spans[-1].end == len(trace.time)
     np.testing.assert_array_equal(np.unique(series.span_of), range(len(trace.phases)))
 
 
-def test_series_are_what_the_core_says_tick_by_tick(trace, series):
+def test_series_match_the_phase_at_each_tick(trace, series):
     """The series against `Phase.distances` and `Phase.error`."""
     rng = np.random.default_rng(5)
     for span in series.spans:
@@ -71,15 +71,15 @@ def test_series_are_what_the_core_says_tick_by_tick(trace, series):
                 assert (series.distances | series.residuals)[name][tick] == pytest.approx(value, abs=1e-14), name
 
 
-def test_distances_have_no_value_outside_their_phase(series):
+def test_distances_are_nan_outside_their_phase(series):
     sliding, cylinder = series.distances["tip_plane"], series.distances["com_cylinder"]
     for span in series.spans:
         assert np.isfinite(sliding[span.ticks]).all() == span.double
         assert np.isfinite(cylinder[span.ticks]).all() == (not span.double)
 
 
-def test_heights_and_distances_by_hand(trace, series):
-    """Each from the poses of links alone, in another way than the series are computed."""
+def test_heights_and_distances_match_independent_computation(trace, series):
+    """Each recomputed from the poses of links, independently of the series."""
     rng = np.random.default_rng(0)
     model = trace.model
     for tick in rng.integers(0, len(trace.time), 20):
@@ -111,7 +111,7 @@ def test_heights_and_distances_by_hand(trace, series):
                 assert series.true_margin[tick] < 0.0
 
 
-def test_paper_margin_is_that_of_the_tightest_primitive(trace, series):
+def test_paper_margin_is_the_smallest_distance(trace, series):
     for span in series.spans:
         if span.double:
             planes = np.minimum(series.distances["tip_plane"], series.distances["back_plane"])
@@ -129,8 +129,8 @@ def test_the_com_is_continuous_in_odom(series):
     assert step[[span.start - 1 for span in series.spans[1:]]].max() < 1e-3
 
 
-def test_true_margin_in_double_support_is_that_of_the_hull(series):
-    """Never less than that of either sole alone, and that of one sole where the CoM is well inside it."""
+def test_true_margin_in_double_support_uses_the_convex_hull(series):
+    """It is never less than the margin of either sole alone."""
     trace = series.trace
     for span in (span for span in series.spans if span.double):
         for tick in (span.start, span.end - 1):
@@ -138,11 +138,11 @@ def test_true_margin_in_double_support_is_that_of_the_hull(series):
             alone = [ConvexPolygon.hull(corners).distance(series.com[tick]) for corners in (base, other)]
             assert series.true_margin[tick] >= max(alone) - 1e-12
     assert trace.model.soles[Foot.LEFT].length == pytest.approx(0.0934)
-    assert series.urdf_margin is not None  # paper.yaml states another sole than the URDF has
+    assert series.urdf_margin is not None  # the sole of paper.yaml differs from the one of the URDF
 
 
 @pytest.mark.parametrize("count", [4, 8])
-def test_many_hulls_at_once_like_one_by_one(count):
+def test_vectorized_hull_margins_match_single_ones(count):
     rng = np.random.default_rng(3)
     points, p = rng.normal(size=(5000, count, 2)), rng.normal(scale=1.2, size=(5000, 2))
     one_by_one = [ConvexPolygon.hull(k).distance(q) for k, q in zip(points, p, strict=True)]
@@ -150,8 +150,8 @@ def test_many_hulls_at_once_like_one_by_one(count):
     assert min(one_by_one) < 0.0 < max(one_by_one)
 
 
-def test_hulls_of_soles_that_touch():
-    """Corners that fall together and edges in one line, as two soles side by side have them."""
+def test_hulls_of_touching_soles():
+    """Coinciding corners and collinear edges, as of two soles side by side."""
     square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     points = np.concatenate([square, square + np.array([1.0, 0.0])])[None]
     for p, expected in (([1.0, 0.4], 0.4), ([0.25, 0.5], 0.25), ([3.0, 0.5], -1.0), ([3.0, 2.0], -np.sqrt(2.0))):
@@ -159,7 +159,7 @@ def test_hulls_of_soles_that_touch():
 
 
 def test_power_is_torque_times_velocity(trace):
-    """A constant torque on one joint does the work tau (q_end - q_start); its modulus goes into the power."""
+    """A constant torque on one joint does the work tau (q_end - q_start); the power is its absolute value."""
     count, joint, torque = len(trace), 3, 2.0
     effort = np.zeros((count, trace.model.n))
     effort[:, joint] = torque
@@ -186,16 +186,16 @@ def test_power_is_torque_times_velocity(trace):
 # ---------------------------------------------------------------------- report
 
 
-def test_a_good_walk_is_ok(report):
+def test_a_walk_without_violations_is_ok(report):
     assert report["violations"] == []
     assert report["ok"] is True
 
 
-def test_report_is_plain_json(report):
+def test_the_report_is_valid_json(report):
     assert json.loads(json.dumps(report, allow_nan=False)) == report
 
 
-def test_phases_in_numbers(trace, series, report):
+def test_report_values_of_the_phases(trace, series, report):
     assert len(report["phases"]) == len(trace.phases) == 4
     ends = [record.time for record in trace.phases[1:]] + [trace.time[-1]]
     for phase, record, span, end in zip(report["phases"], trace.phases, series.spans, ends, strict=True):
@@ -214,8 +214,8 @@ def test_phases_in_numbers(trace, series, report):
     assert report["phases"][1]["error"]["last"] < trace.config.ssp.threshold
 
 
-def test_landing_by_hand(trace, report):
-    """The first state of the next phase is where the foot landed."""
+def test_landing_error_matches_independent_computation(trace, report):
+    """Computed from the first state of the next phase."""
     record, following = trace.phases[1], trace.phases[2]
     frame = trace.model.soles[record.base.other].frame
     x = DQ(Kinematics(trace.model, following.q_start, record.base).pose(frame)).translation()
@@ -226,7 +226,7 @@ def test_landing_by_hand(trace, report):
     assert abs(landing["x"] - trace.config.gait.step_length) < 2.1 * trace.config.ssp.threshold
 
 
-def test_walk_in_numbers(trace, series, report):
+def test_report_values_of_the_walk(trace, series, report):
     walk = report["walk"]
     assert walk["steps"] == 2
     assert walk["ticks"] == len(trace.time)
@@ -242,8 +242,8 @@ def test_walk_in_numbers(trace, series, report):
     assert walk["margin"]["true_urdf_sole"]["value"] == series.urdf_margin.min()
 
 
-def test_distance_walked_by_hand(trace, report):
-    """From the middle between the feet to the middle between the feet, through the pelvis and back."""
+def test_walked_distance_matches_independent_computation(trace, report):
+    """Distance between the midpoints of the feet at the start and at the end."""
     model, ends = trace.model, []
     for record, q in ((trace.phases[0], trace.q[0]), (trace.phases[-1], trace.q[-1])):
         feet = []
@@ -258,14 +258,14 @@ def test_distance_walked_by_hand(trace, report):
 
 def test_solve_times(trace):
     known = np.linspace(1e-5, 1e-4, len(trace.time))
-    assert spoilt(trace, solve_time=known)["solve_time"]["max"] == 1e-4
-    assert spoilt(trace, solve_time=np.full(len(trace.time), np.nan))["solve_time"] is None
+    assert modified_report(trace, solve_time=known)["solve_time"]["max"] == 1e-4
+    assert modified_report(trace, solve_time=np.full(len(trace.time), np.nan))["solve_time"] is None
 
 
-def test_a_walk_that_stopped_early(trace, report):
-    """What is there is judged; it is not OK because it did not finish, and for nothing else."""
+def test_report_of_an_unfinished_walk(trace, report):
+    """The recorded part is evaluated; the only violation is that the walk did not finish."""
     n = trace.phases[2].start - 50
-    part = spoilt(
+    part = modified_report(
         trace,
         time=trace.time[:n],
         q=trace.q[:n],
@@ -290,11 +290,11 @@ def test_a_walk_that_stopped_early(trace, report):
 def test_states_without_a_command(trace):
     u = trace.u.copy()
     u[100:110] = np.nan
-    assert spoilt(trace, u=u)["walk"]["unanswered"] == 10
-    assert spoilt(trace, u=np.full_like(u, np.nan))["walk"]["joint_speed"]["largest"] == 0.0
+    assert modified_report(trace, u=u)["walk"]["unanswered"] == 10
+    assert modified_report(trace, u=np.full_like(u, np.nan))["walk"]["joint_speed"]["largest"] == 0.0
 
 
-def test_the_table_says_it_all(report):
+def test_the_table_contains_phases_and_margins(report):
     text = reporting.render(report)
     for phase in report["phases"]:
         assert phase["name"] in text
@@ -314,11 +314,11 @@ def test_the_table_says_it_all(report):
 # ---------------------------------------------------------------------- violations
 
 
-def test_a_joint_beyond_its_limit(trace):
+def test_a_joint_beyond_its_limit_is_a_violation(trace):
     q = trace.q.copy()
     tick, joint = 500, trace.model.joint_names.index("l_knee_y")
     q[tick, joint] = trace.model.q_min[joint] - 1e-3
-    report = spoilt(trace, q=q)
+    report = modified_report(trace, q=q)
     assert report["ok"] is False
     assert {"joint/l_knee_y", "joint_min"} <= names(report)
     (found,) = [v for v in report["violations"] if v["what"] == "joint/l_knee_y"]
@@ -328,50 +328,50 @@ def test_a_joint_beyond_its_limit(trace):
     assert "NOT OK" in reporting.render(report)
 
 
-def test_within_the_tolerance_is_no_violation(trace):
+def test_values_within_the_tolerance_are_no_violation(trace):
     q = trace.q.copy()
     joint = trace.model.joint_names.index("l_knee_y")
     q[-1, joint] = trace.model.q_min[joint] - 0.9e-5
-    assert not {"joint/l_knee_y", "joint_min"} & names(spoilt(trace, q=q))
+    assert not {"joint/l_knee_y", "joint_min"} & names(modified_report(trace, q=q))
 
 
-def test_a_foot_off_the_ground(trace):
-    """Half a millimetre, late in double support."""
+def test_a_foot_off_the_ground_is_a_violation(trace):
+    """About 0.5 mm, late in double support."""
     first, second = trace.phases[0], trace.phases[1]
     q = trace.q.copy()
     ankle = trace.model.joint_names.index(f"{first.base.other.value[0]}_ankle_y")
     q[second.start - 20 : second.start - 10, ankle] -= 0.01
-    assert "ground" in names(spoilt(trace, q=q))
+    assert "ground" in names(modified_report(trace, q=q))
 
 
-def test_a_distance_that_falls_too_fast(trace):
-    """A jump of the CoM that stays inside every bound is still more than eta allows."""
+def test_a_distance_that_decreases_too_fast_is_a_violation(trace):
+    """A jump of the CoM inside all bounds violates the rate that eta allows."""
     q = trace.q.copy()
     tick = trace.phases[0].start + 40
     q[tick, [trace.model.joint_names.index(f"{side}_hip_x") for side in "lr"]] += [0.05, 0.05]
-    what = names(spoilt(trace, q=q))
+    what = names(modified_report(trace, q=q))
     assert any(name.startswith("groenwall/") for name in what)
     assert not what & {"tip_plane", "back_plane", "pelvis", "joint_min", "joint_max"}
 
 
-def test_a_step_that_lands_elsewhere(trace):
+def test_a_wrong_landing_position_is_a_violation(trace):
     records = list(trace.phases)
     target = DQ(records[1].swing_target) * DQ.from_pose([0.0, 0.02, 0.0])
     records[1] = dataclasses.replace(records[1], swing_target=target.vec8())
-    assert {"landing", "end/error"} <= names(spoilt(trace, phases=tuple(records)))
+    assert {"landing", "end/error"} <= names(modified_report(trace, phases=tuple(records)))
 
 
-def test_the_com_outside_its_cylinder(trace):
-    """The same walk judged by a smaller cylinder."""
+def test_the_com_outside_its_cylinder_is_a_violation(trace):
+    """The same walk evaluated with a smaller cylinder."""
     config = trace.config.updated({"ssp.com_radius": 0.02})
-    what = names(spoilt(trace, config=config))
+    what = names(modified_report(trace, config=config))
     assert {"com_cylinder", "end/cylinder"} <= what
 
 
-def test_a_pose_off_unit_norm(trace):
+def test_a_pose_without_unit_norm_is_a_violation(trace):
     records = list(trace.phases)
     records[2] = dataclasses.replace(records[2], x_odom_base=records[2].x_odom_base * (1.0 + 1e-9))
-    assert "unit_norm" in names(spoilt(trace, phases=tuple(records)))
+    assert "unit_norm" in names(modified_report(trace, phases=tuple(records)))
 
 
 # ---------------------------------------------------------------------- figures
@@ -396,8 +396,8 @@ def test_figure7_has_the_papers_panels(trace, series):
             assert line.get_linestyle() == "--"
 
 
-def test_figure7_shows_the_numbers(series):
-    """The first curve on top, blue, then green; the least and the greatest value are drawn."""
+def test_figure7_shows_the_series(series):
+    """The first curve is on top, blue, the second green; the minimum and the maximum are drawn."""
     from matplotlib.colors import to_hex
 
     ax = figure7(series).get_axes()[3]
@@ -419,7 +419,7 @@ def test_figure8_has_the_papers_panels(trace, series):
     assert bounds == [trace.config.ssp.threshold, 50.0, 0.0]
 
 
-def test_figure9_has_every_joint_its_limits_and_the_phase_changes(trace, series):
+def test_figure9_shows_joints_limits_and_phase_changes(trace, series):
     model = trace.model
     axes = figure9(series).get_axes()
     assert len(axes) == model.n
@@ -432,7 +432,7 @@ def test_figure9_has_every_joint_its_limits_and_the_phase_changes(trace, series)
         assert upright == pytest.approx(changes)
 
 
-def test_top_view_has_soles_cylinders_and_margins(trace, series):
+def test_top_view_shows_soles_cylinders_and_margins(trace, series):
     from matplotlib.patches import Circle
 
     ground, margins = top_view(series).get_axes()
@@ -442,8 +442,8 @@ def test_top_view_has_soles_cylinders_and_margins(trace, series):
     assert len(margins.get_legend().get_texts()) == 3
 
 
-def test_later_cycles_fade(trace):
-    """Two cycles: four curves, each later one lighter."""
+def test_later_cycles_are_drawn_lighter(trace):
+    """Two cycles: four curves, with lighter colours in the second cycle."""
     from matplotlib.colors import rgb_to_hsv, to_rgb
 
     long = two_cycles(trace)
@@ -456,7 +456,7 @@ def test_later_cycles_fade(trace):
 
 
 def two_cycles(trace):
-    """The walk with itself behind it, for drawing only."""
+    """Return the walk repeated once, for drawing only."""
     n, shift = len(trace.time), trace.time[-1] + trace.config.dt
     later = [dataclasses.replace(copy.copy(r), start=r.start + n, time=r.time + shift) for r in trace.phases]
     return dataclasses.replace(
@@ -478,14 +478,14 @@ def test_figures_are_saved_in_every_format(series, tmp_path, monkeypatch):
     assert files[0].read_bytes()[:4] == b"\x89PNG"
     assert files[1].read_bytes()[:4] == b"%PDF"
     assert "<svg" in files[2].read_text()
-    assert "Pose error of the swing foot" in files[2].read_text()  # text stays text
+    assert "Pose error of the swing foot" in files[2].read_text()  # text is not converted to paths
     picture = imread(files[0])
     assert picture.shape[1] > 1600
     assert 0.02 < (picture[..., :3].min(axis=2) < 0.9).mean() < 0.5  # neither blank nor black
 
 
 @pytest.mark.parametrize("n", [1, 40])
-def test_a_walk_cut_off_in_its_first_phase_can_be_drawn(trace, n):
+def test_figures_of_a_walk_that_ends_in_its_first_phase(trace, n):
     part = dataclasses.replace(
         trace,
         time=trace.time[:n],
@@ -502,8 +502,8 @@ def test_a_walk_cut_off_in_its_first_phase_can_be_drawn(trace, n):
             assert draw(series).get_axes()
 
 
-def test_a_single_support_alone_can_be_judged_and_drawn(trace):
-    """A recording that began late and ended early."""
+def test_report_and_figures_of_a_single_support_phase_only(trace):
+    """A recording that starts late and ends early."""
     record, end = trace.phases[1], trace.phases[2].start
     ticks = slice(record.start, end)
     part = dataclasses.replace(
@@ -536,12 +536,12 @@ def test_thinning_keeps_every_peak():
     assert set(zip(thin_x, thin_y, strict=True)) <= set(zip(x, y, strict=True))
 
 
-def test_a_report_needs_no_matplotlib():
+def test_a_report_does_not_import_matplotlib():
     code = "import sys, dqwalk_ros.report as a; a.report, a.analyse, a.render; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_phase_kinds_are_what_their_names_say(series):
+def test_phase_kinds_match_their_names(series):
     for span in series.spans:
         assert span.double is (span.phase.kind is PhaseKind.DOUBLE_SUPPORT)
         assert span.phase.name.startswith(span.phase.kind.value)

@@ -1,4 +1,4 @@
-"""The layers: a module imports only modules above it, and each heavy dependency is imported at one place."""
+"""The layers: a module imports only modules above it, and each heavy dependency is imported in few layers."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ LAYERS = (
 )
 """From the top down; a folder is one layer."""
 
-HOMES = {
+IMPORTERS = {
     "clarabel": {"qp"},
     "daqp": {"qp", "whole_body"},
     "matplotlib": {"adopt", "report"},
@@ -62,7 +62,7 @@ HOMES = {
     "rclpy": {"nodes"},
     "viser": {"report"},
 }
-"""The only layers that may import what is heavy or may be missing."""
+"""The only layers that may import dependencies that are heavy or optional."""
 
 FILES = sorted(PACKAGE.rglob("*.py"))
 
@@ -73,7 +73,7 @@ def layer(file: Path) -> str:
 
 @cache
 def imports(file: Path) -> list[str]:
-    """Every module a file imports, also within functions, but not for type checking only."""
+    """Return every module a file imports, also within functions, except for type checking."""
     tree = ast.parse(file.read_text(encoding="utf-8"))
     skipped = {
         id(inner)
@@ -93,7 +93,7 @@ def imports(file: Path) -> list[str]:
     return found
 
 
-def test_every_module_has_its_layer():
+def test_every_module_is_in_a_layer():
     assert {layer(file) for file in FILES} - {"__init__", "__main__"} <= set(LAYERS)
 
 
@@ -108,25 +108,25 @@ def test_a_module_imports_only_modules_above_it(file):
             assert LAYERS.index(above) <= LAYERS.index(layer(file)), f"{file.name} imports {name}, which is below it"
 
 
-@pytest.mark.parametrize("package", HOMES)
-def test_heavy_dependencies_have_one_home(package):
+@pytest.mark.parametrize("package", IMPORTERS)
+def test_heavy_dependencies_are_imported_in_their_layers_only(package):
     importers = {layer(file) for file in FILES if any(name.split(".")[0] == package for name in imports(file))}
-    assert importers <= HOMES[package]
+    assert importers <= IMPORTERS[package]
 
 
 def test_clarabel_is_imported_once():
     assert {file.name for file in FILES if "clarabel" in imports(file)} == {"qp.py"}
 
 
-def test_files_stay_readable():
-    """The schema of the parameters is a table, to be looked up rather than read, and may be longer."""
+def test_files_are_not_too_long():
+    """The parameter schema is a table and may be longer."""
     lines = {str(file.relative_to(PACKAGE)): len(file.read_text(encoding="utf-8").splitlines()) for file in FILES}
     too_long = {name: n for name, n in lines.items() if n > (800 if name == "config.py" else 700)}
-    assert not too_long, "make folders of them"
+    assert not too_long, "split these files into folders"
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(PACKAGE)))
-def test_what_is_public_says_what_it_is(file):
+def test_public_names_have_docstrings(file):
     tree = ast.parse(file.read_text(encoding="utf-8"))
     assert ast.get_docstring(tree) or not tree.body
     for node in tree.body:
@@ -135,7 +135,7 @@ def test_what_is_public_says_what_it_is(file):
 
 
 def test_a_walk_of_phases_is_recorded_and_reported_without_extras():
-    """``make walk`` installs none of them, and was over without Pinocchio once."""
+    """``make walk`` installs none of the extras."""
     import subprocess
     import sys
 
@@ -147,8 +147,8 @@ def test_a_walk_of_phases_is_recorded_and_reported_without_extras():
     assert out.stdout.strip() == "[]"
 
 
-def test_the_core_does_without_ros_and_extras():
-    """Importing the core brings in none of the optional packages."""
+def test_the_core_needs_neither_ros_nor_extras():
+    """Importing the core imports none of the optional packages."""
     import subprocess
     import sys
 

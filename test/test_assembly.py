@@ -1,4 +1,4 @@
-"""The quadratic program of a phase compared with its definition (U6), from values and Jacobians alone."""
+"""The quadratic program of a phase compared with its definition (U6), from values and Jacobians."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ def configurations(count, seed=0):
 
 
 def vfi_rows(row, kin):
-    """The inequality of one constraint, as section 4 writes it."""
+    """Return the vector-field inequality of one constraint, section 4."""
     right = -min(row.eta, 1.0 / DT) * (row.distance(kin) - row.bound)
     return row.jacobian(kin), np.minimum(right, row.return_speed)
 
 
 def hold_rows(row, kin):
-    """Several equalities made independent by their singular values."""
+    """Return the equalities, made linearly independent by their singular values."""
     E, e = vfi_rows(row, kin)
     e = np.maximum(e, -row.return_speed)
     U, s, V = np.linalg.svd(E, full_matrices=False)
@@ -58,7 +58,7 @@ def hold_rows(row, kin):
 
 
 def defined(phase, kin):
-    """(U6) as the paper writes it, from nothing but error, distance and jacobian."""
+    """Return (U6) as in the paper, from errors, distances and Jacobians."""
     n = kin.q.size
     H, c = phase.damping**2 * np.eye(n), np.zeros(n)
     for task in phase.tasks:
@@ -84,7 +84,7 @@ def assert_equal(phase, kin):
 
 
 @pytest.mark.parametrize(("kind", "foot"), KINDS)
-def test_every_row_is_its_definition(kind, foot):
+def test_rows_match_their_definition(kind, foot):
     phase = phase_of(kind, foot)
     for q in configurations(25):
         assert_equal(phase, Kinematics(setting()[1], q, phase.base))
@@ -103,7 +103,7 @@ def test_velocity_limits_only_tighten_the_bounds():
 
 
 class Higher(PointOverPlane):
-    """A user's own constraint, which must not be taken for its parent."""
+    """A user-defined constraint, which must not be evaluated as its parent class."""
 
     def value(self, s):
         d, gradient = super().value(s)
@@ -111,7 +111,7 @@ class Higher(PointOverPlane):
 
 
 class Apart(Constraint):
-    """A user's own constraint of two points and two rows."""
+    """A user-defined constraint of two points with two rows."""
 
     @property
     def watches(self):
@@ -126,7 +126,7 @@ class Apart(Constraint):
 
 
 class Twice(Posture):
-    """A user's own task."""
+    """A user-defined task."""
 
     def value(self, s, elapsed):
         e, gradient = super().value(s, elapsed)
@@ -134,7 +134,7 @@ class Twice(Posture):
 
 
 @pytest.mark.parametrize(("kind", "foot"), KINDS[::2])
-def test_tasks_and_constraints_of_ones_own(kind, foot):
+def test_user_defined_tasks_and_constraints(kind, foot):
     phase = phase_of(kind, foot)
     plane = next(row for row in phase.inequalities if type(row) is PointOverPlane)
     own = Higher(name="own", eta=3.0, bound=0.02, point=plane.point, plane=plane.plane)
@@ -154,7 +154,7 @@ def test_tasks_and_constraints_of_ones_own(kind, foot):
         assert {name: more[name] for name in plain} == pytest.approx(plain)
 
 
-def test_a_later_tick_leaves_the_problem_of_an_earlier_one_alone():
+def test_a_later_tick_does_not_change_an_earlier_problem():
     phase = phase_of(PhaseKind.DOUBLE_SUPPORT, Foot.LEFT)
     q, other = configurations(2)
     model = setting()[1]
@@ -165,7 +165,7 @@ def test_a_later_tick_leaves_the_problem_of_an_earlier_one_alone():
         np.testing.assert_array_equal(ours, kept)
 
 
-def test_a_phase_can_be_sent_to_another_process():
+def test_a_phase_can_be_pickled():
     phase = phase_of(PhaseKind.SINGLE_SUPPORT, Foot.RIGHT)
     kin = Kinematics(setting()[1], configurations(1)[0], phase.base)
     H = problem_at(phase, kin, DT).H
@@ -180,8 +180,8 @@ def standing():
 
 @pytest.mark.parametrize("kind", list(PhaseKind))
 @pytest.mark.parametrize("foot", list(Foot))
-def test_every_row_of_the_standing_walk_is_its_definition(kind, foot):
-    """On a tilted sole, on the way along the path, inside the bounds and beyond them."""
+def test_rows_of_the_standing_walk_match_their_definition(kind, foot):
+    """On a tilted sole, at several times along the path, inside and outside the bounds."""
     config, model = standing()
     rng = np.random.default_rng(3)
     q = model.posture(config.standing.posture) + 0.05 * rng.normal(size=model.n)
@@ -206,7 +206,7 @@ def test_every_row_of_the_standing_walk_is_its_definition(kind, foot):
         for ours, rows in ((np.c_[problem.G, problem.h], phase.inequalities),):
             exact = np.concatenate([np.c_[vfi_rows(row, kin)] for row in rows])
             np.testing.assert_allclose(ours, exact, rtol=1e-11, atol=1e-12)
-        if phase.equalities:  # the same rows, but for a rotation among them
+        if phase.equalities:  # the same rows up to an orthogonal transformation
             ours, exact = np.c_[problem.E, problem.e], np.c_[hold_rows(phase.equalities[0], kin)]
             np.testing.assert_allclose(ours.T @ ours, exact.T @ exact, rtol=1e-9, atol=1e-11)
             assert np.count_nonzero(np.abs(ours).max(axis=1)) == np.count_nonzero(np.abs(exact).max(axis=1))

@@ -1,4 +1,4 @@
-"""Attacks on live nodes that once succeeded: each is rejected by name, and no node exits because of it."""
+"""Attacks on nodes that once succeeded: each is rejected with its reason, and no node exits because of it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from dqwalk_ros.state import Command
 PAPER = load("paper").updated({"dt": 0.02})
 MODEL = load_model(PAPER.robot)
 GARBAGE = [b"", b"\x00", b"\x00\x01\x00\x00", bytes(11), b"\x00\x01\x00\x00" + struct.pack("<iI", 1, 0) + b"\xff" * 40]
-"""The last one has a stamp that can be."""
+"""The last one has a valid stamp."""
 
 
 @pytest.fixture
@@ -42,46 +42,46 @@ def make(tmp_path: Path) -> Iterator[Any]:
         yield made
 
 
-def measured(stamp: float) -> bytes:
+def serialized_state(stamp: float) -> bytes:
     return bytes(serialize_message(state(MODEL.joint_names, np.zeros(MODEL.n), stamp)))
 
 
-def recorded(path: Path) -> int:
-    """Return how many states can be read of a bag."""
+def readable_states(path: Path) -> int:
+    """Return the number of states that can be read from a bag."""
     return len(load_bag(path, lambda name, kind: True).columns["/joint_states"].raws)
 
 
-# ---------------------------------------------------------------------- those who watch
+# ---------------------------------------------------------------------- recorder, monitor, viewer
 
 
-def test_a_recorder_records_what_can_be_recorded(make: Any, tmp_path: Path) -> None:
+def test_the_recorder_skips_invalid_messages(make: Any, tmp_path: Path) -> None:
     one = make("recorder", PAPER, "--bag", str(tmp_path / "bag"))
     for k in range(100):
-        one.send("joint_states", measured(1.0 + 0.02 * k))
+        one.send("joint_states", serialized_state(1.0 + 0.02 * k))
         if k == 50:
-            for raw in (*GARBAGE[:-1], measured(-5.0)):
+            for raw in (*GARBAGE[:-1], serialized_state(-5.0)):
                 one.send("joint_states", raw)
                 one.send("center_of_pressure", raw)
-            one.send("joint_states", measured(2_145_916_800.0))
+            one.send("joint_states", serialized_state(2_145_916_800.0))
     assert "joint_states not recorded: a message of 4 bytes has no header" in one.log
     assert "joint_states not recorded: its stamp is -5 s, before 1970" in one.log
     one.node.close()
-    assert recorded(tmp_path / "bag") == 101
+    assert readable_states(tmp_path / "bag") == 101
 
 
-def test_a_robot_in_the_air_has_no_centre_of_pressure(make: Any, tmp_path: Path) -> None:
+def test_missing_centres_of_pressure_are_not_counted_as_lost(make: Any, tmp_path: Path) -> None:
     one = make("recorder", PAPER, "--bag", str(tmp_path / "bag"))
     for k in (0, 1, 40):
-        one.send("joint_states", measured(1.0 + 0.02 * k))
+        one.send("joint_states", serialized_state(1.0 + 0.02 * k))
         at = ros.point(round(1e9 * (1.0 + 0.02 * k)), "world", np.zeros(3))
         one.send("center_of_pressure", bytes(serialize_message(at)))
     assert one.node._missing["joint_states"] == 38
     assert one.node._missing["center_of_pressure"] == 0
 
 
-def test_a_recorder_whose_folder_is_removed_says_so(make: Any, tmp_path: Path) -> None:
+def test_the_recorder_reports_a_deleted_folder(make: Any, tmp_path: Path) -> None:
     one = make("recorder", PAPER, "--bag", str(tmp_path / "bag"))
-    one.send("joint_states", measured(1.0))
+    one.send("joint_states", serialized_state(1.0))
     one.node._flush()
     shutil.rmtree(tmp_path / "bag")
     one.node._flush()
@@ -91,8 +91,8 @@ def test_a_recorder_whose_folder_is_removed_says_so(make: Any, tmp_path: Path) -
 
 
 @contextlib.contextmanager
-def full(size: int) -> Iterator[None]:
-    """No file of this process may grow beyond a size [B], as on a disk that is full."""
+def limited_file_size(size: int) -> Iterator[None]:
+    """Limit the size of files that this process writes [B], as on a full disk."""
     before, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
@@ -102,12 +102,12 @@ def full(size: int) -> Iterator[None]:
         signal.signal(signal.SIGXFSZ, handler)
 
 
-def test_a_recorder_on_a_full_disk_says_so_and_keeps_what_it_has(make: Any, tmp_path: Path) -> None:
+def test_the_recorder_reports_a_full_disk_and_keeps_the_recording(make: Any, tmp_path: Path) -> None:
     one = make("recorder", PAPER, "--bag", str(tmp_path / "bag"))
-    dice = np.random.default_rng(1)
-    with full(300_000):
+    rng = np.random.default_rng(1)
+    with limited_file_size(300_000):
         for k in range(10_000):
-            q = dice.uniform(-1.0, 1.0, MODEL.n)  # so that it does not compress
+            q = rng.uniform(-1.0, 1.0, MODEL.n)  # random, so that it cannot be compressed
             one.send("joint_states", bytes(serialize_message(state(MODEL.joint_names, q, 1.0 + 0.02 * k))))
             if not k % 100:
                 one.node._flush()
@@ -116,10 +116,10 @@ def test_a_recorder_on_a_full_disk_says_so_and_keeps_what_it_has(make: Any, tmp_
         assert one.node.done.result() == 1
         one.node.close()
     assert "cannot write" in one.log
-    assert 100 < recorded(tmp_path / "bag") <= k
+    assert 100 < readable_states(tmp_path / "bag") <= k
 
 
-def test_a_monitor_and_a_viewer_read_what_can_be_read(make: Any) -> None:
+def test_monitor_and_viewer_ignore_invalid_messages(make: Any) -> None:
     walk, monitor, viewer = (
         make("controller", PAPER),
         make("phase_monitor", PAPER),
@@ -134,21 +134,21 @@ def test_a_monitor_and_a_viewer_read_what_can_be_read(make: Any) -> None:
     assert "joint_states rejected: a message of 1 bytes has no header" in monitor.log
     assert "a message that cannot be read" in monitor.log
     monitor.node._next = -1
-    monitor.send("joint_states", measured(1.0))
+    monitor.send("joint_states", serialized_state(1.0))
     assert "double_support" in monitor.got["diagnostics"][-1].status[0].message
     for text in ("0.5 ms", "-1", "nan", "1e999", "\x1b[31m"):
-        said = [KeyValue(key="iterations", value=text), KeyValue(key="solve time", value=text)]
-        status = DiagnosticStatus(name="controller: walk", level=b"\x00", message=text, values=said)
+        messages = [KeyValue(key="iterations", value=text), KeyValue(key="solve time", value=text)]
+        status = DiagnosticStatus(name="controller: walk", level=b"\x00", message=text, values=messages)
         viewer.send("/diagnostics", DiagnosticArray(status=[status]))
     viewer.send("joint_states", state(MODEL.joint_names, np.zeros(MODEL.n), 1.0))
     viewer.node._show()
     viewer.node.close()
 
 
-# ---------------------------------------------------------------------- those who act
+# ---------------------------------------------------------------------- controller, plant
 
 
-def test_states_from_before_1970_are_refused(make: Any) -> None:
+def test_states_stamped_before_1970_are_rejected(make: Any) -> None:
     one = make("controller", PAPER)
     for k in range(5):
         one.send("joint_states", state(MODEL.joint_names, np.zeros(MODEL.n), -100.0 + 0.02 * k))
@@ -156,12 +156,12 @@ def test_states_from_before_1970_are_refused(make: Any) -> None:
     assert not one.got["joint_velocity_commands"]
 
 
-def test_names_without_end_fit_on_a_line(make: Any) -> None:
+def test_long_lists_of_names_are_shortened_to_one_line(make: Any) -> None:
     one = make("controller", PAPER)
     names = [*MODEL.joint_names[1:], *(f"\x1b[31mjoint\n{k}" for k in range(20_000))]
     one.send("joint_states", state(names, np.zeros(len(names)), 1.0))
-    said = json.dumps([status.message for msg in one.got["diagnostics"] for status in msg.status])
-    for text in (said, *(line for _, line in one.log.lines)):
+    messages = json.dumps([status.message for msg in one.got["diagnostics"] for status in msg.status])
+    for text in (messages, *(line for _, line in one.log.lines)):
         assert text.isprintable()
         assert len(text) < 2000
     assert "and 19988 more" in one.log
@@ -170,8 +170,8 @@ def test_names_without_end_fit_on_a_line(make: Any) -> None:
     assert "joints named twice: \\x1b[31m" in one.log
 
 
-def test_a_robot_put_back_on_its_feet_ends_the_walk(make: Any) -> None:
-    """In physics, in mid-swing: what the controller walks with is no more, and it says so; the robot stands."""
+def test_a_reset_of_the_simulated_robot_ends_the_walk(make: Any) -> None:
+    """In physics, during a swing: the walk has failed, the commands are zero and the robot stands."""
     config = overlaid(load("poppy"), "physics")
     model = load_model(config.robot)
     node, plant = make("controller", config), make_plant("physics", config, model)
@@ -188,11 +188,11 @@ def test_a_robot_put_back_on_its_feet_ends_the_walk(make: Any) -> None:
     assert not plant.fallen
 
 
-def test_a_simulation_gone_astray_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_diverged_simulation_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)  # MuJoCo leaves a log
     config = overlaid(load("poppy"), "physics")
     plant = make_plant("physics", config, load_model(config.robot))
     plant.push([1e300, 0.0, 0.0])
-    still = Command(0.0, np.zeros(plant.model.n))
+    zero = Command(0.0, np.zeros(plant.model.n))
     with pytest.raises(PlantError, match="not finite any more"):
-        plant.step(still, config.dt)
+        plant.step(zero, config.dt)

@@ -1,4 +1,4 @@
-"""Bags: exact round trips, bags of other programs, damaged bags, and error messages for unusable bags."""
+"""Bags: exact round trips, bags of other programs, damaged bags, and errors for unusable bags."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ def path(trace, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def plain(trace, tmp_path_factory):
-    """The same bag as another writer makes it: not compressed, and without diagnostics."""
+    """The same bag as written by another program: not compressed, and without diagnostics."""
     packed, path = (tmp_path_factory.mktemp(name) / "walk" for name in ("packed", "plain"))
     bag.write(trace, packed, diagnostics=False)
     return rewrite(packed, path)
 
 
 def assert_same(one, other, upto=None):
-    """Angles and velocities are the same to the last bit, times to the nanosecond of a stamp, poses to an ulp."""
+    """Angles and velocities are bitwise equal, times within the resolution of a stamp (1 ns), poses within 1 ulp."""
     np.testing.assert_allclose(other.time[:upto], one.time[:upto], rtol=0, atol=1e-12)
     for name in ("q", "u"):
         np.testing.assert_array_equal(getattr(one, name)[:upto], getattr(other, name)[:upto], err_msg=name)
@@ -55,7 +55,7 @@ def assert_same(one, other, upto=None):
             np.testing.assert_allclose(b.swing_target, a.swing_target, rtol=0, atol=1e-15)
 
 
-# ---------------------------------------------------------------------- what we write
+# ---------------------------------------------------------------------- written bags
 
 
 @pytest.mark.parametrize("kind", list(StoragePlugin))
@@ -69,14 +69,14 @@ def test_round_trip_is_exact(trace, path, tmp_path, kind):
     assert back.notes == ()
 
 
-def test_a_bag_of_a_bag_is_the_same_walk(trace, path, tmp_path):
+def test_rewriting_a_bag_preserves_the_walk(trace, path, tmp_path):
     again = bag.read(path)
     bag.write(again, tmp_path / "walk", diagnostics=False)
     assert_same(trace, bag.read(tmp_path / "walk"))
     np.testing.assert_array_equal(bag.read(tmp_path / "walk").time, again.time)
 
 
-def test_numbers_of_every_size_survive(trace, tmp_path):
+def test_numbers_of_all_magnitudes_are_preserved(trace, tmp_path):
     rng = np.random.default_rng(1)
     u = rng.normal(size=trace.u.shape) * 10.0 ** rng.integers(-300, 300, trace.u.shape)
     u[0, 0], u[0, 1] = -0.0, 5e-324
@@ -85,7 +85,7 @@ def test_numbers_of_every_size_survive(trace, tmp_path):
     np.testing.assert_array_equal(back.view(np.int64), u.view(np.int64))
 
 
-def test_is_a_genuine_rosbag2(path, trace):
+def test_the_bag_is_a_valid_rosbag2(path, trace):
     meta = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     assert meta["version"] == 9
     assert meta["storage_identifier"] == "mcap"
@@ -105,7 +105,7 @@ def test_is_a_genuine_rosbag2(path, trace):
         assert qos["depth"] == topic.depth
 
 
-def test_types_are_embedded(path):
+def test_message_definitions_are_embedded(path):
     with (path / "walk.mcap").open("rb") as file:
         schemas = make_reader(file).get_summary().schemas.values()
     definition = {schema.name: schema for schema in schemas}["sensor_msgs/msg/JointState"]
@@ -115,7 +115,7 @@ def test_types_are_embedded(path):
     assert "MSG: std_msgs/Header" in text
 
 
-def test_the_same_walk_gives_the_same_bytes(trace, path, tmp_path):
+def test_writing_is_deterministic(trace, path, tmp_path):
     bag.write(trace, tmp_path / "walk")
     assert (tmp_path / "walk/walk.mcap").read_bytes() == (path / "walk.mcap").read_bytes()
     assert (tmp_path / "walk/metadata.yaml").read_text() == (path / "metadata.yaml").read_text()
@@ -127,8 +127,8 @@ def test_every_command_has_the_stamp_of_its_state(path, trace):
     np.testing.assert_array_equal(commands.stamps, states.stamps)
 
 
-def test_the_time_of_day_counts_from_the_first_state(trace, tmp_path):
-    """Seconds since 1970 in a float are rounded by 0.2 us: stamps are kept as whole numbers, times are small."""
+def test_times_count_from_the_first_state(trace, tmp_path):
+    """Seconds since 1970 in a float are rounded to 0.2 us: stamps are integers, times count from the first state."""
     epoch = 1_795_248_867_614_370_783
     bag.write(dataclasses.replace(trace, epoch=epoch), tmp_path / "walk")
     back = bag.read(tmp_path / "walk")
@@ -139,14 +139,14 @@ def test_the_time_of_day_counts_from_the_first_state(trace, tmp_path):
     assert column(trace, tmp_path / "walk", "/joint_states").stamps[0] == epoch
 
 
-def test_velocities_of_the_states_are_those_applied(path, trace):
+def test_states_contain_the_applied_velocities(path, trace):
     velocity = column(trace, path, "/joint_states").velocity
     assert not velocity[0].any()
     np.testing.assert_array_equal(velocity[1:], trace.u[:-1])
 
 
 def test_base_pose_is_continuous(path, trace):
-    """Where the base changes the pelvis does not jump: odometry goes on."""
+    """The pelvis does not jump in the odometry frame when the base sole changes."""
     content = storage.load(path, lambda topic, kind: topic == "/base_pose").columns["/base_pose"]
     (poses,) = (messages.pose_of(table.numbers) for table in messages.tables(content))
     step = np.linalg.norm(np.diff(DQ(poses).translation(), axis=0), axis=1)
@@ -154,7 +154,7 @@ def test_base_pose_is_continuous(path, trace):
     assert step.max() < 5e-3
 
 
-def test_diagnostics_come_at_their_rate_and_say_every_distance(path, trace):
+def test_diagnostics_have_their_rate_and_all_distances(path, trace):
     content = storage.load(path, lambda topic, kind: topic == "/diagnostics").columns["/diagnostics"]
     found = [messages.unpack(raw, content.type) for raw in content.raws]
     stamps = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in found])
@@ -170,7 +170,7 @@ def column(trace, path, topic):
     return messages.joint_states(found, trace.model.joint_names)
 
 
-def test_nothing_is_overwritten_unasked(trace, path, tmp_path):
+def test_bags_are_not_overwritten_by_default(trace, path, tmp_path):
     with pytest.raises(BagError, match="exists already"):
         bag.write(trace, path)
     (tmp_path / "walk").mkdir()
@@ -180,7 +180,7 @@ def test_nothing_is_overwritten_unasked(trace, path, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["walk"]
 
 
-def test_an_interrupted_write_leaves_nothing(trace, tmp_path, monkeypatch):
+def test_an_interrupted_write_leaves_no_file(trace, tmp_path, monkeypatch):
     def stop(*_):
         raise KeyboardInterrupt
 
@@ -190,13 +190,13 @@ def test_an_interrupted_write_leaves_nothing(trace, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_disk_that_refuses_is_a_bag_error(trace, tmp_path):
+def test_a_failed_write_is_a_bag_error(trace, tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(BagError, match="cannot write"):
         bag.write(trace, tmp_path / "file" / "walk")
 
 
-# ---------------------------------------------------------------------- what others write
+# ---------------------------------------------------------------------- bags of other programs
 
 
 def test_a_namespace_is_found(trace, path, tmp_path):
@@ -225,7 +225,7 @@ def test_two_robots_need_a_namespace(path, tmp_path):
 
 
 def test_joints_are_matched_by_name(trace, path, tmp_path):
-    """More joints than the model has, in another order that even changes."""
+    """More joints than in the model, in an order that changes during the recording."""
     rng = np.random.default_rng(0)
 
     def edit(topic, time, m):
@@ -240,7 +240,7 @@ def test_joints_are_matched_by_name(trace, path, tmp_path):
 
 
 def test_commands_are_matched_by_stamp(trace, path, tmp_path):
-    """Recorded late, and some lost: what is lost is nan, and the report says how many."""
+    """Some are recorded late, some are lost: lost commands are NaN, and a note states their number."""
 
     def edit(topic, time, m):
         if topic == "/joint_velocity_commands":
@@ -258,8 +258,8 @@ def test_commands_are_matched_by_stamp(trace, path, tmp_path):
     assert f"{lost.sum()} of {len(back.time)} states have no command" in back.notes
 
 
-def test_a_recording_that_began_late(trace, path, tmp_path):
-    """The first states are missing: what is latched tells where in the walk and in the world we are."""
+def test_a_recording_that_starts_late(trace, path, tmp_path):
+    """The first states are missing: latched messages determine the phase and the pose in the world."""
     second = trace.phases[1]
     since = round(second.time * 1e9) + 2_000_000_000
     latched = {"/" + name for name, topic in TOPICS.items() if topic.latched}
@@ -268,7 +268,7 @@ def test_a_recording_that_began_late(trace, path, tmp_path):
     def edit(topic, time, m):
         if topic in latched:
             if time < since and topic not in ("/walk_config", "/robot_description") and time < round(second.time * 1e9):
-                return None  # the latched message of an earlier phase is gone
+                return None  # the latched message of an earlier phase is missing
             return max(time, since), m
         kept[topic] = kept.get(topic, 0) + (time >= since)
         return (time, m) if time >= since else None
@@ -282,7 +282,7 @@ def test_a_recording_that_began_late(trace, path, tmp_path):
 
 
 def test_states_after_the_walk_are_left_out(trace, path, tmp_path):
-    """A plant goes on to publish where the robot stands."""
+    """A plant continues to publish states after the end of the walk."""
     store, end = storage.typestore(), round(trace.time[-1] * 1e9)
     standing = messages.pack_joint_states(
         end + np.arange(1, 11) * 5_000_000, trace.model.joint_names, position=np.tile(trace.q[-1], (10, 1))
@@ -299,7 +299,7 @@ def test_states_after_the_walk_are_left_out(trace, path, tmp_path):
     assert back.notes == ()
 
 
-def test_a_walk_that_failed_says_so(path, tmp_path):
+def test_a_failed_walk_is_noted(path, tmp_path):
     def edit(topic, time, m):
         if topic == "/phase" and m.data == FINISHED:
             m.data = "failed"
@@ -338,8 +338,8 @@ def test_states_before_the_walk_are_left_out(trace, path, tmp_path):
     assert "200 states before the first phase are left out" in back.notes
 
 
-def test_after_a_reset_the_last_run_counts(trace, path, tmp_path):
-    """One bag, two runs: the plant was reset in between."""
+def test_after_a_reset_the_last_run_is_read(trace, path, tmp_path):
+    """One bag with two runs, between which the plant was reset."""
     store = storage.typestore()
     twice = tmp_path / "twice"
     cut = round(trace.time[len(trace.time) // 2] * 1e9)
@@ -350,7 +350,7 @@ def test_after_a_reset_the_last_run_counts(trace, path, tmp_path):
             if time < cut:
                 writer.write(out[c.topic], time, raw)
         for c, time, raw in items:
-            writer.write(out[c.topic], time + cut + 10**9, raw)  # received later, stamped from zero again
+            writer.write(out[c.topic], time + cut + 10**9, raw)  # received later, stamps start at zero again
     back = bag.read(twice)
     assert_same(trace, back)
     assert any("went back" in note for note in back.notes)
@@ -369,7 +369,7 @@ def test_compressed_bags(trace, path, tmp_path, mode, kind):
 
 
 def test_split_bags(trace, path, tmp_path):
-    """Two files in one folder, as `ros2 bag record --max-bag-duration` leaves them."""
+    """Two files in one folder, as `ros2 bag record --max-bag-duration` writes them."""
     half = round(trace.time[len(trace.time) // 2] * 1e9)
     for name, keep in (("b_0", lambda t: t < half), ("b_1", lambda t: t >= half)):
         rewrite(path, tmp_path / name, edit=lambda topic, t, m, keep=keep: (t, m) if keep(t) else None)
@@ -389,14 +389,14 @@ def test_split_bags(trace, path, tmp_path):
     assert_same(trace, bag.read(split))
 
 
-def test_one_file_of_a_bag_will_do(trace, path):
+def test_a_single_file_of_a_bag_can_be_read(trace, path):
     assert_same(trace, bag.read(path / "walk.mcap"))
 
 
-# ---------------------------------------------------------------------- damage
+# ---------------------------------------------------------------------- damaged bags
 
 
-def test_without_metadata_the_bag_is_still_read(trace, path, tmp_path):
+def test_a_bag_without_metadata_can_be_read(trace, path, tmp_path):
     shutil.copytree(path, tmp_path / "b")
     (tmp_path / "b/metadata.yaml").unlink()
     back = bag.read(tmp_path / "b")
@@ -406,7 +406,7 @@ def test_without_metadata_the_bag_is_still_read(trace, path, tmp_path):
 
 @pytest.mark.parametrize("source", ["path", "plain"])
 @pytest.mark.parametrize("part", [0.3, 0.85])
-def test_a_truncated_bag_gives_what_it_has(trace, request, tmp_path, source, part):
+def test_the_complete_part_of_a_truncated_bag_is_read(trace, request, tmp_path, source, part):
     source = request.getfixturevalue(source)
     shutil.copytree(source, tmp_path / "b")
     (tmp_path / "b/metadata.yaml").unlink()
@@ -422,7 +422,7 @@ def test_a_truncated_bag_gives_what_it_has(trace, request, tmp_path, source, par
 
 
 def test_the_unfinished_last_chunk_is_recovered(plain, tmp_path):
-    """What was cut off is a few messages, not the rest of the chunk."""
+    """Only the last few messages are lost, not the rest of the chunk."""
     data = (plain / "walk.mcap").read_bytes()
     cut = int(0.5 * len(data))
     (tmp_path / "cut.mcap").write_bytes(data[:cut])
@@ -431,7 +431,7 @@ def test_the_unfinished_last_chunk_is_recovered(plain, tmp_path):
     assert 0 < n - len(bag.read(tmp_path / "cut.mcap").time) < 40
 
 
-def test_a_truncated_sqlite_bag_says_what_may_save_it(path, tmp_path):
+def test_the_error_of_a_truncated_sqlite_bag_names_a_remedy(path, tmp_path):
     rewrite(path, tmp_path / "b", storage=StoragePlugin.SQLITE3)
     file = tmp_path / "b/b.db3"
     data = file.read_bytes()
@@ -441,7 +441,7 @@ def test_a_truncated_sqlite_bag_says_what_may_save_it(path, tmp_path):
 
 
 @pytest.mark.parametrize("source", ["path", "plain"])
-def test_a_spoilt_chunk_ends_the_bag_there(trace, request, tmp_path, source):
+def test_a_bag_is_read_up_to_a_damaged_chunk(trace, request, tmp_path, source):
     shutil.copytree(request.getfixturevalue(source), tmp_path / "b")
     file = tmp_path / "b/walk.mcap"
     data = bytearray(file.read_bytes())
@@ -453,7 +453,7 @@ def test_a_spoilt_chunk_ends_the_bag_there(trace, request, tmp_path, source):
     assert back.notes
 
 
-# ---------------------------------------------------------------------- bags of no use
+# ---------------------------------------------------------------------- unusable bags
 
 
 @pytest.mark.parametrize("topic", ["joint_states", "joint_velocity_commands", "phase", "phase_start", "walk_config"])
@@ -463,13 +463,13 @@ def test_a_missing_topic_is_named(path, tmp_path, topic):
         bag.read(bare)
 
 
-def test_a_bag_of_something_else_says_what_it_has(path, tmp_path):
+def test_the_error_of_another_bag_lists_its_topics(path, tmp_path):
     other = rewrite(path, tmp_path / "b", rename=lambda t: "/chatter" if t == "/phase" else None)
     with pytest.raises(BagError, match=r"no messages on joint_states, .*its topics are /chatter"):
         bag.read(other)
 
 
-def test_another_robot_is_named(path, tmp_path):
+def test_joints_of_another_robot_are_an_error(path, tmp_path):
     def edit(topic, time, m):
         if topic in ("/joint_states", "/joint_velocity_commands"):
             m.name = ["shoulder" if name == "l_knee_y" else name for name in m.name]
@@ -479,7 +479,7 @@ def test_another_robot_is_named(path, tmp_path):
         bag.read(rewrite(path, tmp_path / "b", edit=edit))
 
 
-def test_a_description_of_another_robot(path, tmp_path):
+def test_a_description_of_another_robot_is_an_error(path, tmp_path):
     def edit(topic, time, m):
         if topic == "/robot_description":
             m.data = m.data.replace("l_sole", "left_sole_link")
@@ -489,7 +489,7 @@ def test_a_description_of_another_robot(path, tmp_path):
         bag.read(rewrite(path, tmp_path / "b", edit=edit))
 
 
-def test_a_config_of_another_version(path, tmp_path):
+def test_a_configuration_of_another_version_is_an_error(path, tmp_path):
     def edit(topic, time, m):
         if topic == "/walk_config":
             m.data = m.data.replace("com_radius", "com_diameter")
@@ -499,7 +499,7 @@ def test_a_config_of_another_version(path, tmp_path):
         bag.read(rewrite(path, tmp_path / "b", edit=edit))
 
 
-def test_no_bag_at_all(tmp_path):
+def test_paths_without_a_bag_are_an_error(tmp_path):
     with pytest.raises(BagError, match="no bag at"):
         bag.read(tmp_path / "nowhere")
     with pytest.raises(BagError, match="not a rosbag2"):
@@ -509,7 +509,7 @@ def test_no_bag_at_all(tmp_path):
         bag.read(tmp_path / "text.mcap")
 
 
-def test_positions_that_are_not_there(path, tmp_path):
+def test_states_without_positions_are_an_error(path, tmp_path):
     def edit(topic, time, m):
         if topic == "/joint_states":
             m.position = m.position[:0]

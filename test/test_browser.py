@@ -24,11 +24,11 @@ pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]
 
 ROOT = Path(__file__).resolve().parent.parent
 SIZE = {"width": 1000, "height": 560}
-"""Of the window: without a graphics card every pixel is drawn by the processor, and a large window takes seconds."""
+"""Of the window: small, because without a graphics card the CPU renders every pixel."""
 MIDDLE = slice(350, 670)
 """Columns of the picture between the panels."""
 PATIENCE = 120_000
-"""Longest wait for something to be seen [ms]: on two busy cores a picture may take seconds."""
+"""Timeout for a change of the page [ms]: on two busy cores a picture may take seconds."""
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def running(*words) -> Iterator[tuple[str, subprocess.Popen]]:
         process.stdout.close()
         try:
             process.wait(20)
-        except subprocess.TimeoutExpired:  # a walk that was interrupted shows its page until it is told again
+        except subprocess.TimeoutExpired:  # an interrupted walk shows its page until a second signal
             process.send_signal(signal.SIGINT)
             process.wait(20)
 
@@ -65,9 +65,9 @@ def seconds(page) -> float:
 
 
 def until(page, condition: str, **values: object) -> None:
-    """Wait until an expression of JavaScript holds; ``status`` and ``margins`` are the panels, ``time`` what they show.
+    """Wait until a JavaScript expression is true; ``status`` and ``margins`` are the panels, ``time`` the shown time.
 
-    `values` are known to the expression by their names.
+    The expression can use `values` by their names.
     """
     page.wait_for_function(
         """([condition, names, values]) => {
@@ -84,10 +84,10 @@ def until(page, condition: str, **values: object) -> None:
 
 
 def until_drawn(page, name: str, accept: Callable[[np.ndarray], bool]) -> np.ndarray:
-    """Take pictures until one is as it should be, and return it."""
+    """Take pictures until one is accepted, and return it."""
     deadline = time.monotonic() + 1e-3 * PATIENCE
     while not accept(image := picture(page, name)):
-        assert time.monotonic() < deadline, f"the picture {name}.png never came to show what it should"
+        assert time.monotonic() < deadline, f"the picture {name}.png was not as expected in time"
         page.wait_for_timeout(500)
     return image
 
@@ -96,7 +96,7 @@ def robot_seen(image: np.ndarray) -> bool:
     return dark_share(image, MIDDLE) > 0.005  # motors, soles
 
 
-def test_a_bag_is_played_and_scrubbed(path, tmp_path):
+def test_playback_of_a_bag(path, tmp_path):
     with running("-m", "dqwalk_ros.cli", "view", path, "--port", 0) as (url, _), chromium(tmp_path, **SIZE) as page:
         page.goto(url)
         until(page, "margins.includes('TIGHTEST')")
@@ -108,7 +108,7 @@ def test_a_bag_is_played_and_scrubbed(path, tmp_path):
         until(page, "time > then", then=seconds(page))
         page.get_by_role("button", name="Pause").click()
         page.get_by_role("button", name="Play").wait_for(timeout=PATIENCE)
-        page.wait_for_timeout(3000)  # what was on its way
+        page.wait_for_timeout(3000)  # for updates still in transmission
         held = seconds(page)
         page.wait_for_timeout(2000)
         assert seconds(page) == held
@@ -129,17 +129,17 @@ def moved(image: np.ndarray, before: np.ndarray) -> bool:
     return float(np.abs(image - before)[:, MIDDLE].max()) > 0.3
 
 
-def test_a_walk_is_seen_while_it_is_computed(tmp_path):
+def test_a_simulation_is_shown_while_it_runs(tmp_path):
     words = [word for key, value in SHORT.items() for word in ("--set", f"{key}={value}")]
     command = ("-m", "dqwalk_ros.cli", "simulate", "--view", "--port", 0, "--out", tmp_path / "walk", "--no-figures")
-    # far longer than the test: however slow the browser, the walk still goes on when it looks
+    # far longer than the test, so that the walk still runs even with a slow browser
     with running(*command, "--cycles", 10_000, *words) as (url, walk), chromium(tmp_path, **SIZE) as page:
         page.goto(url)
         until(page, "time >= 0 && status.includes('solved in')")
         until(page, "time > then", then=seconds(page))
         then = seconds(page)
         until_drawn(page, "simulate", robot_seen)
-        walk.send_signal(signal.SIGINT)  # the walk ends here; what was walked is kept, and can be replayed
+        walk.send_signal(signal.SIGINT)  # the walk ends; the completed part is saved and can be replayed
         page.get_by_role("button", name="Play").wait_for(timeout=PATIENCE)
         kept = bag.read(tmp_path / "walk/bag")
         assert not kept.finished
@@ -147,7 +147,7 @@ def test_a_walk_is_seen_while_it_is_computed(tmp_path):
         assert page.errors == []
 
 
-def test_a_walk_on_ros_is_seen_live(tmp_path):
+def test_a_walk_in_ros_is_shown_live(tmp_path):
     from live import Live
 
     from dqwalk_ros.runner import private_domain
@@ -168,7 +168,7 @@ def test_a_walk_on_ros_is_seen_live(tmp_path):
                 page.goto(found.group())
                 until(page, "time >= 0 && status.includes('iterations')")
                 first, then = page.inner_html("[data-dqwalk=margins]"), seconds(page)
-                assert then < 200.0  # of the walk, not of the clock
+                assert then < 200.0  # time of the walk, not time of day
                 until(page, "time > then + 0.5 && margins !== first", then=then, first=first)
                 until_drawn(page, "live", robot_seen)
                 assert page.errors == []

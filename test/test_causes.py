@@ -1,4 +1,4 @@
-"""Whole walks in physics that fall, each by one known cause, which the report must name."""
+"""Walks in physics that fall, each for one known cause, which the report must name."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ LONG = ("no damping", "latency that is told")
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.long) if n in LONG else n for n in FALLS])
-def test_a_fall_is_told_its_cause(name: str) -> None:
+def test_the_cause_of_a_fall_is_reported(name: str) -> None:
     changes, what, text, parameter = FALLS[name]
     trace = walk(changes)
     assert not trace.finished
@@ -72,15 +72,15 @@ OTHERS: dict[str, tuple[str, str, dict[str, Any], str]] = {
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", OTHERS)
-def test_noisy_sensors_typed_servos_and_another_walk_have_the_same_causes(name: str) -> None:
+def test_causes_with_noisy_sensors_and_in_the_dynamic_walk(name: str) -> None:
     config, plant, changes, what = OTHERS[name]
     trace = walk(changes, of=overlaid(load(config), plant))
     assert not trace.finished
     assert causes(analyse(trace))[0].what == what
 
 
-def test_a_fall_that_nothing_explains_is_said_to_be_one() -> None:
-    """A push is on no record; the time at which it decided the fall is."""
+def test_an_unexplained_fall_has_an_unknown_cause() -> None:
+    """A push is not recorded; the report gives the time at which the fall became inevitable."""
     trace = walk({}, push=60.0)
     assert not trace.finished
     (only,) = causes(analyse(trace))
@@ -90,8 +90,8 @@ def test_a_fall_that_nothing_explains_is_said_to_be_one() -> None:
 
 
 @pytest.mark.long
-def test_a_walk_that_stands_has_no_cause() -> None:
-    """Soft, slow and jerky as its servos may be."""
+def test_a_walk_without_a_fall_has_no_cause() -> None:
+    """Even with soft or late servos."""
     for changes in ({"servo.stiffness": 25.0, "servo.assumed_stiffness": 25.0}, {"servo.latency": 0.05}):
         trace = walk({**changes, "gait.steps": 1})
         assert trace.finished
@@ -101,14 +101,14 @@ def test_a_walk_that_stands_has_no_cause() -> None:
 EXPECTED = "it fell because: the path of the CoM requires a centre of pressure beyond the soles"
 
 
-def test_it_is_on_the_terminal_and_in_the_reports(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_cause_is_printed_and_in_the_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "walk"
-    made = ["--config", "poppy", "--plant", "physics", "--set", "standing.transfer_duration=0.5", "--no-figures"]
-    assert cli.main(["simulate", *made, "--out", str(out)]) == 1
-    said = capsys.readouterr()
-    assert EXPECTED in said.out
-    assert EXPECTED in said.err
-    assert "(standing.transfer_duration)" in said.out
+    options = ["--config", "poppy", "--plant", "physics", "--set", "standing.transfer_duration=0.5", "--no-figures"]
+    assert cli.main(["simulate", *options, "--out", str(out)]) == 1
+    output = capsys.readouterr()
+    assert EXPECTED in output.out
+    assert EXPECTED in output.err
+    assert "(standing.transfer_duration)" in output.out
     assert cli.main(["report", str(out / "bag"), "--no-figures", "--json"]) == 1  # read from the bag
     (cause,) = json.loads(capsys.readouterr().out)["causes"]
     assert cause["what"] == "pressure"
@@ -116,50 +116,50 @@ def test_it_is_on_the_terminal_and_in_the_reports(tmp_path: Path, capsys: pytest
 
 
 @pytest.mark.long
-def test_it_is_on_the_page(tmp_path: Path) -> None:
+def test_the_cause_is_in_the_html_report(tmp_path: Path) -> None:
     series = analyse(walk({"standing.transfer_duration": 0.5}))
     html.write([html.Subject("walk", series, report(series), [])], tmp_path / "report.html")
     assert EXPECTED in (tmp_path / "report.html").read_text()
 
 
-def test_the_last_states_and_the_sensors_alone_tell_it_too() -> None:
-    """What a controller knows while it walks: its states, without the ground, of the last seconds only."""
+def test_the_cause_is_found_from_the_last_states_only() -> None:
+    """The data of a controller: the states of the last seconds, without ground contact forces."""
     config = CONFIG.updated({"standing.transfer_duration": 0.7})
     controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
-    recent, every = Recorder(config, MODEL, ticks=200), Recorder(config, MODEL)
+    recent, complete_recorder = Recorder(config, MODEL, ticks=200), Recorder(config, MODEL)
     for state, command in closed_loop(controller, plant):
         recent.add(state, command, controller)
-        every.add(state, command, controller, plant)
-    few, all_of_it = recent.trace(), every.trace()
-    assert 200 <= len(few) < 400 < len(all_of_it)
-    assert len(few.phases) < len(all_of_it.phases)
-    np.testing.assert_array_equal(few.q, all_of_it.q[-len(few) :])
+        complete_recorder.add(state, command, controller, plant)
+    few, complete = recent.trace(), complete_recorder.trace()
+    assert 200 <= len(few) < 400 < len(complete)
+    assert len(few.phases) < len(complete.phases)
+    np.testing.assert_array_equal(few.q, complete.q[-len(few) :])
     for record in few.phases[1:]:
         assert few.time[record.start] == record.time
-    (first, *_), (same, *_) = causes(analyse(few)), causes(analyse(all_of_it))
+    (first, *_), (same, *_) = causes(analyse(few)), causes(analyse(complete))
     assert (first.what, first.parameter) == (same.what, same.parameter) == ("pressure", "standing.transfer_duration")
 
 
-def test_the_delay_that_balance_bears() -> None:
-    """Feedback of the divergent component through a delay, integrated: it settles below the bound and not above."""
+def test_the_longest_delay_is_the_stability_bound() -> None:
+    """Delayed feedback of the divergent component, integrated: it is stable below the bound and unstable above."""
     for gain, height in ((0.5, 0.4), (1.0, 0.8), (2.0, 0.3)):
         w, bound = np.sqrt(9.80665 / height), longest_delay(gain, height)
-        for part, settles in ((0.9, True), (1.1, False)):
+        for part, stable in ((0.9, True), (1.1, False)):
             dt, lag = bound / 400.0, round(400.0 * part)
             xi = [1e-3] * (lag + 1)
             for _ in range(60_000):
                 xi.append(xi[-1] + dt * w * (xi[-1] - (1.0 + gain) * xi[-1 - lag]))
-            assert bool(max(map(abs, xi[-4000:])) < 1e-4) is settles
+            assert bool(max(map(abs, xi[-4000:])) < 1e-4) is stable
 
 
 @pytest.mark.parametrize("up", [[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.0, -0.8, -0.6], [0.0, 0.0, -1.0]])
-def test_an_orientation_of_a_vertical(up: list[float]) -> None:
+def test_the_orientation_has_the_given_vertical(up: list[float]) -> None:
     r = orientation_of(np.array(up))
     np.testing.assert_allclose(np.linalg.norm(r), 1.0)
     np.testing.assert_allclose(upward(*r), up, atol=1e-12)
 
 
-def test_the_cure_of_the_cause_comes_first() -> None:
+def test_changes_against_the_cause_come_first() -> None:
     class Numbers:
         mgh = 12.0
 

@@ -34,8 +34,8 @@ def run(*arguments, **options):
     return subprocess.run(words, capture_output=True, text=True, check=False, env=HERE, **options)
 
 
-def one_line(text):
-    """What went wrong, in one line that names the program."""
+def is_one_line(text):
+    """Return whether a text is one line that starts with the name of the program, without traceback."""
     return text.startswith("dqwalk: ") and text.count("\n") == 1 and "Traceback" not in text
 
 
@@ -43,7 +43,7 @@ def one_line(text):
 
 
 @pytest.mark.parametrize("command", [[], ["simulate"], ["walk"], ["report"], ["config"]])
-def test_help_teaches_by_example(command, capsys):
+def test_help_contains_examples(command, capsys):
     assert cli.main([*command, "--help"]) == 0
     shown = capsys.readouterr().out
     assert "examples:" in shown
@@ -51,7 +51,7 @@ def test_help_teaches_by_example(command, capsys):
     assert max(map(len, shown.splitlines())) <= 120
 
 
-def test_help_loads_nothing_heavy():
+def test_help_imports_no_heavy_packages():
     code = "import sys\nfrom dqwalk_ros import cli\ncli.main(['simulate', '--help'])\nprint(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=HERE)
     heavy = {"numpy", "numba", "yaml", "msgspec", "matplotlib", "rosbags", "rclpy", "tqdm"}
@@ -59,7 +59,7 @@ def test_help_loads_nothing_heavy():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("arguments", "expected"),
     [
         ([], "dqwalk --help"),
         (["fly"], "'fly'; the commands are simulate"),
@@ -70,14 +70,14 @@ def test_help_loads_nothing_heavy():
         (["movie", "bag", "--between", "1,2,3"], "2 numbers"),
     ],
 )
-def test_wrong_arguments_are_one_line_and_exit_2(arguments, says, capsys):
+def test_wrong_arguments_give_one_line_and_exit_code_2(arguments, expected, capsys):
     assert cli.main(arguments) == 2
-    said = capsys.readouterr().err
-    assert one_line(said), said
-    assert says in said
+    output = capsys.readouterr().err
+    assert is_one_line(output), output
+    assert expected in output
 
 
-def test_a_message_has_no_control_characters(capsys):
+def test_error_messages_contain_no_control_characters(capsys):
     assert cli.main(["config", "\x1b[31mred\n.yaml"]) == 2
     assert capsys.readouterr().err == "dqwalk: no configuration file '\\x1b[31mred\\n.yaml'\n"
 
@@ -109,7 +109,7 @@ def test_config_of_one_section(capsys):
     assert cli.main(["config", "--section", "legs"]) == 2
 
 
-def test_config_prints_what_can_be_read_again(capsys, tmp_path):
+def test_the_output_of_config_can_be_loaded(capsys, tmp_path):
     assert cli.main(["config", "paper", "--set", "gait.step_length=0.04"]) == 0
     text = capsys.readouterr().out
     assert from_yaml(text) == load("paper").updated({"gait.step_length": 0.04})
@@ -119,7 +119,7 @@ def test_config_prints_what_can_be_read_again(capsys, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("arguments", "expected"),
     [
         (["config", "nowhere.yaml"], "nowhere.yaml"),
         (["config", "paper", "--set", "ssp.com_radios=0.04"], "did you mean 'ssp.com_radius'"),
@@ -137,12 +137,12 @@ def test_config_prints_what_can_be_read_again(capsys, tmp_path):
         (["simulate", "--set", "robot.lock=['*']"], "no joint moves the soles"),
     ],
 )
-def test_a_configuration_of_no_use_is_one_line_and_exit_2(arguments, says, tmp_path, capsys, monkeypatch):
+def test_an_invalid_configuration_gives_one_line_and_exit_code_2(arguments, expected, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert cli.main(arguments) == 2
-    said = capsys.readouterr().err
-    assert one_line(said), said
-    assert says in said
+    output = capsys.readouterr().err
+    assert is_one_line(output), output
+    assert expected in output
     assert list(tmp_path.iterdir()) == []
 
 
@@ -158,22 +158,22 @@ def test_overrides_are_read_as_yaml():
 # ---------------------------------------------------------------------- simulate and report
 
 
-def flat(report, name=""):
-    """Return every leaf of a report by its path."""
+def leaves(report, name=""):
+    """Return the leaves of a report by their paths."""
     if isinstance(report, dict | list):
         items = report.items() if isinstance(report, dict) else enumerate(report)
-        return {key: value for k, v in items for key, value in flat(v, f"{name}/{k}").items()}
+        return {key: value for k, v in items for key, value in leaves(v, f"{name}/{k}").items()}
     return {name: report}
 
 
 @pytest.fixture(scope="module")
 def walked(tmp_path_factory):
-    """A whole cycle, through the command line."""
+    """Output folder and result of a complete cycle simulated by the command line."""
     out = tmp_path_factory.mktemp("cli") / "walk"
     return out, run("simulate", *FAST, "--cycles", 1, "--first", "right", "--out", out)
 
 
-def test_simulate_leaves_bag_report_and_figures(walked):
+def test_simulate_writes_bag_report_and_figures(walked):
     out, done = walked
     assert done.returncode == 0, done.stderr
     names = {"bag", "report.json", "figure7.png", "figure8.png", "figure9.png", "top_view.png"}
@@ -193,38 +193,38 @@ def test_simulate_leaves_bag_report_and_figures(walked):
     assert report["config"]["task.eta"] == 0.4
 
 
-def test_the_bag_of_simulate_is_the_walk(walked):
+def test_the_bag_of_simulate_can_be_read(walked):
     trace = bag.read(walked[0] / "bag")
     assert trace.finished
     assert trace.config.gait.first_support == "right"
     assert trace.notes == ()
 
 
-def test_report_of_the_bag_is_the_report_of_simulate(walked, tmp_path, capsys):
+def test_report_of_the_bag_equals_the_report_of_simulate(walked, tmp_path, capsys):
     out, _ = walked
     assert cli.main(["report", str(out / "bag"), "--out", str(tmp_path), "--json", "--no-figures", "--quiet"]) == 0
     report = json.loads(capsys.readouterr().out)
     before = json.loads((out / "report.json").read_text())
     for one in (report, before):
-        one.pop("solve_time")  # a bag does not keep it
-    assert flat(report) == pytest.approx(flat(before), abs=1e-9)
+        one.pop("solve_time")  # not stored in a bag
+    assert leaves(report) == pytest.approx(leaves(before), abs=1e-9)
     assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
 
 
-def test_report_goes_beside_the_bag_in_every_format(walked, capsys, monkeypatch):
+def test_report_is_written_beside_the_bag_in_every_format(walked, capsys, monkeypatch):
     out, _ = walked
     monkeypatch.setattr("dqwalk_ros.report.figures.FIGURES", {"figure8": figure8})
     assert cli.main(["report", str(out / "bag"), "--format", "svg,pdf"]) == 0
     assert {path.suffix for path in (out / "bag_report").iterdir()} == {".json", ".svg", ".pdf"}
 
 
-def test_an_earlier_walk_is_not_overwritten_unasked(walked, capsys):
+def test_an_earlier_walk_is_not_overwritten_without_force(walked, capsys):
     out, _ = walked
     before = (out / "bag/metadata.yaml").read_text()
     assert cli.main(["simulate", *FAST, "--out", str(out)]) == 1
-    said = capsys.readouterr().err
-    assert one_line(said)
-    assert "--force" in said
+    output = capsys.readouterr().err
+    assert is_one_line(output)
+    assert "--force" in output
     assert (out / "bag/metadata.yaml").read_text() == before
 
 
@@ -235,7 +235,7 @@ def test_force_replaces_bags_only(tmp_path):
     assert (tmp_path / "bag/thesis.tex").exists()
 
 
-def test_a_broken_promise_is_exit_1_with_the_reason(tmp_path, capsys):
+def test_a_violated_constraint_gives_exit_code_1_and_the_reason(tmp_path, capsys):
     import dataclasses
 
     trace = short_walk()
@@ -249,36 +249,36 @@ def test_a_broken_promise_is_exit_1_with_the_reason(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("make", ["nothing", "empty", "text"])
-def test_report_of_no_bag_is_one_line(tmp_path, make, capsys):
+def test_report_of_an_invalid_bag_prints_one_line(tmp_path, make, capsys):
     path = tmp_path / "b"
     if make == "empty":
         path.mkdir()
     if make == "text":
         path.write_text("no bag")
     assert cli.main(["report", str(path)]) == 1
-    said = capsys.readouterr().err
-    assert one_line(said), said
-    assert str(path) in said
+    output = capsys.readouterr().err
+    assert is_one_line(output), output
+    assert str(path) in output
 
 
-def test_too_long_a_step_fails_with_the_reason_and_keeps_what_was_walked(tmp_path, capsys):
+def test_a_step_too_long_fails_with_a_reason_and_a_bag(tmp_path, capsys):
     too_long = ["--set", "gait.step_length=0.2", "--set", "gait.phase_timeout=20", "--no-figures"]
     assert cli.main(["simulate", *FAST, *too_long, "--out", str(tmp_path / "w")]) == 1
-    said = capsys.readouterr().err
-    assert "single_support" in said
-    assert "Traceback" not in said
+    output = capsys.readouterr().err
+    assert "single_support" in output
+    assert "Traceback" not in output
     trace = bag.read(tmp_path / "w/bag")
     assert not trace.finished
     assert [record.name for record in trace.phases] == ["double_support/left", "single_support/left"]
     report = json.loads((tmp_path / "w/report.json").read_text())
     assert report["walk"]["finished"] is False
     assert report["ok"] is False
-    assert [v["what"] for v in report["violations"]] == ["finished"]  # but it never left its constraints
+    assert [v["what"] for v in report["violations"]] == ["finished"]  # no constraint was violated
     assert cli.main(["report", str(tmp_path / "w/bag"), "--no-figures", "--quiet"]) == 1
 
 
-def test_ctrl_c_keeps_what_was_walked(tmp_path):
-    """The paper's own pace, interrupted once it walks."""
+def test_ctrl_c_saves_the_walk_so_far(tmp_path):
+    """A walk with the paper's parameters, interrupted during a phase."""
     out = tmp_path / "walk"
     process = subprocess.Popen(
         [sys.executable, "-u", "-m", "dqwalk_ros.cli", "simulate", "--out", str(out), "--cycles", "20", "--no-figures"],
@@ -302,7 +302,7 @@ def test_ctrl_c_keeps_what_was_walked(tmp_path):
     assert "stopped before its end" in stdout
 
 
-def test_quiet_says_nothing(tmp_path, capsys):
+def test_quiet_prints_nothing(tmp_path, capsys):
     assert cli.main(["simulate", *FAST, "--out", str(tmp_path / "w"), "--quiet", "--no-figures"]) == 0
     assert capsys.readouterr() == ("", "")
     assert {path.name for path in (tmp_path / "w").iterdir()} == {"bag", "report.json"}
@@ -315,7 +315,7 @@ def test_a_closed_pipe_is_no_error():
     assert done.stderr == ""
 
 
-def test_the_python_module_of_ros_that_is_missing_is_named(monkeypatch, capsys, tmp_path):
+def test_a_missing_python_module_of_ros_is_named(monkeypatch, capsys, tmp_path):
     def run_walk(*_, **__):
         raise ModuleNotFoundError("No module named 'rclpy'", name="rclpy")
 

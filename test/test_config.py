@@ -1,4 +1,4 @@
-"""The schema of the configuration: what it rejects and why, round trips of files, and the numbers of paper.yaml."""
+"""The schema of the configuration: rejected values and messages, round trips of files, and the values of paper.yaml."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def text(body: str) -> str:
     return "/**:\n  ros__parameters:\n" + "\n".join("    " + line for line in body.splitlines()) + "\n"
 
 
-# ---------------------------------------------------------------------- the numbers of section 5
+# ---------------------------------------------------------------------- parameters of section 5
 
 SECTION_5 = {
     "dt": 0.005,  # integration step
@@ -44,7 +44,7 @@ SECTION_5 = {
 }
 
 
-def test_paper_yaml_states_every_number_of_section_5():
+def test_paper_yaml_contains_the_parameters_of_section_5():
     stated = yaml.safe_load(find_share("config", "paper.yaml").read_text(encoding="utf-8"))
     body = stated["/**"]["ros__parameters"]
     flat = {"dt": body["dt"]} | {f"{s}.{k}": v for s, d in body.items() if isinstance(d, dict) for k, v in d.items()}
@@ -54,8 +54,8 @@ def test_paper_yaml_states_every_number_of_section_5():
     assert {name: config[name] for name in SECTION_5} == SECTION_5
 
 
-def test_the_phases_use_them(paper, legs):
-    """The rates and radii of (7)-(14) as the phases have them, not as a file has them."""
+def test_the_phases_use_the_parameters_of_section_5(paper, legs):
+    """The rates and radii of (7)-(14) in the constraints of the phases."""
     x_d = Kinematics(legs, np.zeros(legs.n), Foot.LEFT).pose(legs.soles[Foot.RIGHT].frame)
     double = make_walk(paper, legs).phase(PhaseKind.DOUBLE_SUPPORT, Foot.LEFT, np.zeros(legs.n))
     single = make_walk(paper, legs).phase(PhaseKind.SINGLE_SUPPORT, Foot.LEFT, np.zeros(legs.n), x_d)
@@ -71,7 +71,7 @@ def test_the_phases_use_them(paper, legs):
         assert (phase.eta, phase.damping) == (0.05, 0.1)
 
 
-# ---------------------------------------------------------------------- what is refused
+# ---------------------------------------------------------------------- rejected configurations
 
 REFUSED = [
     ("dps: {eta_tip: 3.0}", r"unknown parameter 'dps.eta_tip'; did you mean 'dsp.eta_tip'"),
@@ -101,7 +101,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("body", "message"), REFUSED, ids=[body for body, _ in REFUSED])
-def test_refused(body, message):
+def test_invalid_parameters_are_rejected(body, message):
     with pytest.raises(ConfigError, match=message) as caught:
         from_yaml(text(body), source="mine.yaml")
     assert str(caught.value).startswith(("mine.yaml: ", "mine.yaml, line "))
@@ -120,7 +120,7 @@ def test_refused(body, message):
         ("\t- x", "not YAML"),
     ],
 )
-def test_other_files_are_refused(whole, message):
+def test_other_files_are_rejected(whole, message):
     with pytest.raises(ConfigError, match=message):
         from_yaml(whole)
 
@@ -136,8 +136,8 @@ def test_missing_and_unreadable_files(tmp_path):
 
 
 @pytest.mark.parametrize("spec", [s for s in Config.specs() if s.low is not None], ids=lambda s: s.name)
-def test_every_bound_is_closed(spec):
-    """Both ends are allowed, what is beyond them is not."""
+def test_bounds_are_inclusive(spec):
+    """Both bounds are allowed, values beyond them are rejected."""
     for end, step in ((spec.low, -1), (spec.high, 1)):
         value = int(end) if spec.type is int else end
         assert Config.from_flat({spec.name: value}).flat()[spec.name] == value
@@ -146,21 +146,21 @@ def test_every_bound_is_closed(spec):
             Config.from_flat({spec.name: beyond})
 
 
-# ---------------------------------------------------------------------- what is kept
+# ---------------------------------------------------------------------- round trips
 
 
-def test_an_int_does_for_a_float():
+def test_an_integer_is_accepted_as_a_float():
     value = from_yaml(text("task: {eta: 1}")).task.eta
     assert value == 1.0
     assert isinstance(value, float)
 
 
-def test_what_is_not_named_keeps_its_default():
+def test_unspecified_parameters_keep_their_default():
     assert from_yaml(text("dt: 0.01")) == dataclasses.replace(Config(), dt=0.01)
 
 
-def other(spec):
-    """A value that is not the default."""
+def other_value(spec):
+    """Return a value that is not the default."""
     if spec.type is bool:
         return not spec.default
     if spec.choices:
@@ -174,8 +174,8 @@ def other(spec):
     return "something"
 
 
-def test_files_keep_everything(tmp_path):
-    config = Config.from_flat({spec.name: other(spec) for spec in Config.specs()})
+def test_files_preserve_all_parameters(tmp_path):
+    config = Config.from_flat({spec.name: other_value(spec) for spec in Config.specs()})
     changed = {n for n, v in config.flat().items() if v != Config().flat()[n]}
     assert changed >= {spec.name for spec in Config.specs() if len(spec.choices) != 1}
     for one in (config, Config(), load("paper")):
@@ -186,7 +186,7 @@ def test_files_keep_everything(tmp_path):
         assert Config.from_flat(one.flat()) == one
 
 
-def test_every_parameter_says_what_it_is():
+def test_every_parameter_has_a_meaning_and_bounds():
     specs = Config.specs()
     assert len({spec.name for spec in specs}) == len(specs)
     for spec in specs:
