@@ -59,7 +59,7 @@ file are here:
     test_launch::test_in_lockstep_the_end_of_the_walk_ends_its_own_nodes_and_is_an_error_where_it_failed
     test_package::test_the_native_lines_of_the_readme_do_what_they_say
     test_what_param_dump_writes_is_a_configuration
-    test_foreign::test_a_second_one_says_so_and_does_not_start
+    test_strangers::test_a_second_one_says_so_and_does_not_start
 """
 
 from __future__ import annotations
