@@ -23,7 +23,7 @@ from dqwalk_ros.robot import RobotModel
 from dqwalk_ros.servos import Drive, Servos
 from dqwalk_ros.simulation import Trace, make_controller, make_walk, simulate
 
-pytestmark = pytest.mark.timeout(900)  # what is compiled takes its time on a busy machine
+pytestmark = pytest.mark.timeout(900)  # compilation is slow on a loaded machine
 AS_BUILT = overlaid(dq.load("poppy"), "poppy_as_built")
 REST = ["head_*", "*_shoulder_*", "*_arm_*", "*_elbow_*", "abs_*", "bust_*", "*_hip_x", "*_hip_z", "*_ankle_y"]
 HIPS_AND_KNEES = exercise_config(AS_BUILT).updated({"robot.lock": REST})
@@ -31,46 +31,46 @@ LEGS = dq.load_model(HIPS_AND_KNEES.robot)
 
 
 def exercised(config: Config, model: RobotModel, seed: int) -> tuple[Trace, np.ndarray, Servos]:
-    """An exercise of a robot that is drawn at random, what is true of its servos (n, 5), and its servos.
+    """Simulate the exercise with random servos; return the trace, their true parameters (n, 5) and the servos.
 
-    The trace has the configuration of a robot like all others.
+    The trace contains the nominal configuration.
     """
-    random, told = np.random.default_rng(seed), Servos.of(config, model)
+    random, assumed = np.random.default_rng(seed), Servos.of(config, model)
 
     def factor(low: float, high: float) -> np.ndarray:
         return random.uniform(low, high, model.n)
 
     servos = dataclasses.replace(
-        told,
-        stiffness=told.stiffness * factor(0.6, 1.2),
-        back_emf=told.back_emf * factor(0.8, 1.2),
+        assumed,
+        stiffness=assumed.stiffness * factor(0.6, 1.2),
+        back_emf=assumed.back_emf * factor(0.8, 1.2),
         backlash=factor(0.002, 0.012),
-        friction=told.friction * factor(0.5, 1.6),
-        armature=told.armature * factor(0.95, 1.05),
+        friction=assumed.friction * factor(0.5, 1.6),
+        armature=assumed.armature * factor(0.95, 1.05),
     )
     latency, age = random.uniform(0.01, 0.06), random.uniform(0.0, 0.02)
     own = config.updated({"servo.latency": latency, "sensors.age": age, "sensors.seed": 1000 + seed})
     plant = PhysicsPlant(own, model, make_walk(config, model).posture, servos)
     trace = simulate(make_controller(config, model), plant)
     assert trace.finished
-    # a reading counts at the next state
+    # a reading is used at the next state
     delay = latency + math.ceil(age / config.dt - 1e-9) * config.dt
     columns = np.full(model.n, delay), servos.stiffness, servos.back_emf / servos.stiffness
     return trace, np.array([*columns, servos.backlash, servos.friction]).T, servos
 
 
 def within(found: fit.Identified, true: np.ndarray) -> np.ndarray:
-    """Which joints were found: delay to 3 ms, stiffness to 10 %, backlash to 0.1 degrees, shape (n, 3)."""
-    off = np.abs(found.value - true)
-    return np.array([off[:, 0] < 0.003, off[:, 1] < 0.1 * true[:, 1], off[:, 3] < math.radians(0.1)]).T
+    """Return which values are identified: delay to 3 ms, stiffness to 10 %, backlash to 0.1 degrees, shape (n, 3)."""
+    error = np.abs(found.value - true)
+    return np.array([error[:, 0] < 0.003, error[:, 1] < 0.1 * true[:, 1], error[:, 3] < math.radians(0.1)]).T
 
 
-def told_of(found: fit.Identified, trace: Trace) -> Config:
+def identified_config(found: fit.Identified, trace: Trace) -> Config:
     return from_yaml(fit.parameters(found, trace.config.dt, AS_BUILT.physics.mass_scale), onto=trace.config)
 
 
-def off(trace: Trace, config: Config) -> np.ndarray:
-    """How far each joint of a replay is from the recording, rms [deg]."""
+def replay_error(trace: Trace, config: Config) -> np.ndarray:
+    """Return the rms error of each joint angle of a replay [deg]."""
     return np.degrees(np.sqrt(np.mean((replay(trace, config) - trace.q) ** 2, axis=0)))
 
 
@@ -99,12 +99,12 @@ def test_joints_of_a_limb_move_one_after_the_other_and_within_their_limits() -> 
     assert speed.max() < 2.5
     shaken = speed > 0.02
     assert sorted(joint for limb in limbs(LEGS) for joint in limb) == list(range(LEGS.n))
-    for limb in limbs(LEGS):  # on the way to a posture they move together
+    for limb in limbs(LEGS):  # all joints of a limb move together only between postures
         assert shaken[:, limb].all(axis=1).mean() < 0.2
         assert shaken[:, limb].any(axis=1).mean() > 0.6
 
 
-def test_a_robot_that_is_held_keeps_its_pelvis_and_touches_nothing(legs) -> None:
+def test_a_held_robot_keeps_its_pelvis_pose_and_has_no_contacts(legs) -> None:
     physics = legs[0].physics
     np.testing.assert_allclose(physics.pelvis, np.tile(physics.pelvis[0], (len(legs[0]), 1)), atol=1e-12)
     assert not any(wrench.any() for wrench in physics.wrenches.values())
@@ -114,44 +114,44 @@ def test_a_robot_that_is_held_keeps_its_pelvis_and_touches_nothing(legs) -> None
 # ---------------------------------------------------------------------- the fit
 
 
-def test_servos_are_found_by_what_they_do(legs, found) -> None:
+def test_servo_parameters_are_identified_from_the_motion(legs, found) -> None:
     trace, true, servos = legs
     assert within(found, true).all(), table(found)
     assert (found.deviation > 0.0).all()
     nominal = Servos.of(trace.config, LEGS).stiffness
-    assert np.abs(servos.stiffness / nominal - 1.0).max() > 0.1  # and not by what they were said to be
+    assert np.abs(servos.stiffness / nominal - 1.0).max() > 0.1  # so the nominal values would be wrong
 
 
-def test_goals_are_those_that_the_servos_were_sent(legs) -> None:
+def test_goals_equal_those_sent_to_the_servos(legs) -> None:
     trace = legs[0]
     path = path_of(LEGS, 1)
-    there = np.array([np.interp(trace.time, 0.005 * np.arange(len(path)), column) for column in path.T]).T
-    late = round(Drive.of(trace.config, LEGS).delay / trace.config.dt)  # the path is taken up that much later
-    assert np.abs(fit.goals_of(trace)[: -late - 1] - there[late + 1 :]).max() < 0.03
+    sent = np.array([np.interp(trace.time, 0.005 * np.arange(len(path)), column) for column in path.T]).T
+    late = round(Drive.of(trace.config, LEGS).delay / trace.config.dt)  # the path is followed this much later
+    assert np.abs(fit.goals_of(trace)[: -late - 1] - sent[late + 1 :]).max() < 0.03
 
 
-def test_the_mounting_of_the_inertial_sensor_is_found(legs, found) -> None:
+def test_the_mounting_of_the_inertial_sensor_is_identified(legs, found) -> None:
     sensors = Sensors(dataclasses.replace(AS_BUILT.sensors, seed=1000))
-    askew = (sensors._leaning * sensors._mounting).rotation_matrix()
-    model = dq.load_model(told_of(found, legs[0]).robot)
+    mounting = (sensors._leaning * sensors._mounting).rotation_matrix()
+    model = dq.load_model(identified_config(found, legs[0]).robot)
     assert model.imu != model.imu_link
-    said = dq.DQ(model.frames[model.imu].pose).rotation_matrix()
-    np.testing.assert_allclose(said.T @ [0, 0, 1], askew.T @ [0, 0, 1], atol=3e-4)
+    identified = dq.DQ(model.frames[model.imu].pose).rotation_matrix()
+    np.testing.assert_allclose(identified.T @ [0, 0, 1], mounting.T @ [0, 0, 1], atol=3e-4)
 
 
-def test_what_was_found_moves_like_the_recording(legs, found) -> None:
+def test_replay_with_identified_parameters_matches_the_recording(legs, found) -> None:
     trace, true, _ = legs
-    told = told_of(found, trace)
-    now = off(trace, told).max()
-    assert now < 0.2
-    assert now < 0.3 * off(trace, told.updated({"servo.assumed_latency": 0.0})).max()
-    np.testing.assert_allclose(Servos.identified(told, LEGS).stiffness, found.value[:, 1], rtol=1e-3)
-    drive = Drive.of(told, LEGS)
+    config = identified_config(found, trace)
+    error = replay_error(trace, config).max()
+    assert error < 0.2
+    assert error < 0.3 * replay_error(trace, config.updated({"servo.assumed_latency": 0.0})).max()
+    np.testing.assert_allclose(Servos.identified(config, LEGS).stiffness, found.value[:, 1], rtol=1e-3)
+    drive = Drive.of(config, LEGS)
     np.testing.assert_allclose(drive.stiffness, found.value[:, 1], rtol=1e-3)
     assert drive.delay == pytest.approx(true[0, 0] - 0.5 * trace.config.dt + true[:, 2].mean(), abs=0.003)
 
 
-def test_a_joint_that_did_not_move_is_named(legs) -> None:
+def test_a_joint_that_did_not_move_is_reported_as_not_found(legs) -> None:
     trace = legs[0]
     q = trace.q.copy()
     q[:, 1] = 0.5  # its torque is off
@@ -164,14 +164,14 @@ def test_a_joint_that_did_not_move_is_named(legs) -> None:
         fit.identify(dataclasses.replace(trace, u=np.zeros_like(trace.u)))
 
 
-def test_a_walk_is_no_exercise(legs) -> None:
+def test_a_walk_is_refused_as_an_exercise(legs) -> None:
     walk = dataclasses.replace(legs[0], config=AS_BUILT)
     for use in (fit.identify, lambda trace: replay(trace, AS_BUILT)):
         with pytest.raises(BagError, match="dqwalk exercise"):
             use(walk)
 
 
-def test_a_joint_without_room_is_named() -> None:
+def test_a_joint_with_too_small_a_range_is_refused() -> None:
     narrow = dataclasses.replace(LEGS, q_min=LEGS.q_max - 0.2)
     with pytest.raises(ConfigError, match="lock it"):
         path_of(narrow, 1)
@@ -180,7 +180,7 @@ def test_a_joint_without_room_is_named() -> None:
 # ---------------------------------------------------------------------- the command line
 
 
-def test_from_the_exercise_to_the_parameters_on_the_command_line(tmp_path, capsys) -> None:
+def test_exercise_identify_and_replay_on_the_command_line(tmp_path, capsys) -> None:
     only = [*REST, "?_hip_y"]
     locked = "robot.lock=[" + ", ".join(f'"{name}"' for name in only) + "]"
     assert cli.main(["exercise", "--set", locked, "--set", "qp.solver=daqp", "--out", str(tmp_path), "--quiet"]) == 0
@@ -196,14 +196,14 @@ def test_from_the_exercise_to_the_parameters_on_the_command_line(tmp_path, capsy
     assert "no parameter file" in capsys.readouterr().err
 
 
-# ---------------------------------------------------------------------- what it must show
+# ---------------------------------------------------------------------- all servos
 
 
 @pytest.mark.long
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("seed", [11, 12, 13])
-def test_five_minutes_show_all_servos_of_a_poppy_drawn_at_random(seed: int) -> None:
-    """`python -m pytest -m long -s test/test_identify.py` prints what was found and what is so."""
+def test_five_minutes_identify_the_servos_of_a_random_poppy(seed: int) -> None:
+    """`python -m pytest -m long -s test/test_identify.py` prints the identified values and their errors."""
     config = exercise_config(AS_BUILT)
     model = dq.load_model(config.robot)
     trace, true, _ = exercised(config, model, seed)
@@ -211,14 +211,14 @@ def test_five_minutes_show_all_servos_of_a_poppy_drawn_at_random(seed: int) -> N
     found = fit.identify(trace, mass_scale=config.physics.mass_scale)
     good = within(found, true)
     print(f"\nseed {seed}\n{table(found)}\n", flush=True)
-    for name, value, really, kept in zip(model.joint_names, found.value, true, good, strict=True):
-        missed = [what for what, ok in zip(("delay", "stiffness", "backlash"), kept, strict=True) if not ok]
-        late, stiff, play = value[0] - really[0], value[1] / really[1] - 1.0, value[3] - really[3]
+    for name, value, truth, accurate in zip(model.joint_names, found.value, true, good, strict=True):
+        missed = [what for what, ok in zip(("delay", "stiffness", "backlash"), accurate, strict=True) if not ok]
+        late, stiff, play = value[0] - truth[0], value[1] / truth[1] - 1.0, value[3] - truth[3]
         print(
             f"{name:14s} delay {1e3 * late:+5.1f} ms  stiffness {100 * stiff:+6.1f} %  "
             f"backlash {math.degrees(play):+.3f} deg  {'MISSED: ' * bool(missed)}{', '.join(missed)}"
         )
-    rms = off(trace, told_of(found, trace))
+    rms = replay_error(trace, identified_config(found, trace))
     mean = math.sqrt(float(np.mean(rms**2)))
     print(f"{good.all(axis=1).sum()} of {model.n}; replay {mean:.3f} degrees rms, {rms.max():.3f} at most", flush=True)
     assert good.all(axis=1).sum() >= 23

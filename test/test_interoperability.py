@@ -5,60 +5,60 @@ file are here:
 
  1. The native installation stopped at its first command:
     test_package::test_every_dependency_has_a_rosdep_key
-    test_package::test_the_native_lines_of_the_readme_do_what_they_say
+    test_package::test_the_native_installation_of_the_readme_works
  2. An inertial sensor was silently ignored where the URDF lacked its link, and its frame was never read:
     test_robot::test_a_missing_link_is_named
-    test_physics_nodes::test_an_imu_that_cannot_be_used_is_refused
+    test_physics_nodes::test_an_invalid_imu_message_is_refused
  3. RViz could show only the grid: no TF before the first phase, 25 joints described and 10 published:
-    test_frames_are_those_of_rep_105_and_120
-    test_launch::test_rviz_is_shown_the_joints_that_move
- 4. Velocities of NaN, as joint_state_broadcaster sends them of position servos, were refused for ever:
-    test_velocities_that_nobody_measures_are_missing
-    test_diagnostics_of_rejected_states_come_at_the_rate_of_diagnostics
- 5. A second publisher on joint_states stopped the walk, whatever it published:
-    test_a_gripper_on_joint_states_is_somebody_else
-    test_two_plants_are_told_by_what_they_publish
- 6. Plants took commands only from a node that repeats the stamp of a state:
-    test_commands_count_whatever_way_they_are_stamped
-    test_a_command_out_of_time_is_ignored_and_the_plant_says_why
+    test_frames_follow_rep_105_and_120
+    test_launch::test_rviz_shows_exactly_the_published_joints
+ 4. Velocities of NaN, as joint_state_broadcaster sends them of position servos, were always refused:
+    test_nan_velocities_are_treated_as_not_measured
+    test_rejected_states_do_not_raise_the_rate_of_diagnostics
+ 5. A second publisher on joint_states stopped the walk, even one of a gripper:
+    test_a_gripper_on_joint_states_does_not_stop_the_walk
+    test_two_plants_are_detected_from_their_states
+ 6. Plants accepted commands only from a node that repeats the stamp of a state:
+    test_commands_are_accepted_with_any_common_stamp
+    test_a_command_from_the_future_is_ignored_with_the_reason
  7. The end of one controller ended every node of the launch, other robots and the driver included:
-    test_launch::test_a_controller_that_dies_takes_nothing_along
+    test_launch::test_the_end_of_a_controller_does_not_end_other_nodes
     test_two_robots::test_a_robot_walks_on_when_another_is_killed
  8. `ros2 topic echo --once /phase` showed history:
-    test_phase_shows_what_is_now
+    test_the_topic_phase_holds_only_the_current_phase
  9. The driver published nothing while the torque was off:
     test_driver::test_it_publishes_angles_and_moves_nothing_until_it_is_told_to
 10. Launching the driver moved the robot, then walked it:
     test_poppy::test_nothing_is_written_before_activate
-    test_launch::test_a_real_robot_is_launched_with_the_walk_that_stands_and_moves_when_it_is_told_to
-11. use_sim_time without /clock gave nonsense, and no plant published /clock:
-    test_a_node_without_the_clock_it_was_told_of_says_so
-    test_a_simulated_plant_is_the_clock_of_the_others
-    test_the_integrator_moves_by_the_clock_it_is_given
+    test_launch::test_a_real_robot_uses_the_balanced_walk_and_waits_for_start
+11. use_sim_time without /clock gave wrong times, and no plant published /clock:
+    test_use_sim_time_without_a_clock_is_reported
+    test_a_simulated_plant_publishes_the_clock
+    test_the_integrator_follows_the_ros_clock
 12. Launch ignored dummy, namespace and use_sim_time:
     test_launch::test_each_argument_reaches_the_nodes
 13. Parameter files of a whole robot stopped the nodes:
-    test_a_file_of_a_whole_robot_is_taken
-    test_a_file_for_other_nodes_only_is_taken_with_a_warning
-    test_a_misspelt_key_is_an_error_all_the_same
-14. Each node by itself walked another robot, without a word:
-    test_a_file_for_other_nodes_only_is_taken_with_a_warning
-    test_package::test_the_native_lines_of_the_readme_do_what_they_say
+    test_parameters_of_other_packages_are_ignored
+    test_a_file_for_other_nodes_only_is_accepted_with_a_warning
+    test_a_misspelt_key_is_an_error
+14. A node started alone used another robot without a warning:
+    test_a_file_for_other_nodes_only_is_accepted_with_a_warning
+    test_package::test_the_native_installation_of_the_readme_works
 15. `colcon test` with the declared dependencies collected nothing:
     test_package::test_the_tests_run_with_declared_dependencies_only
-16. A recording in real time could lose its beginning, and what steered the walk was not in it:
-    test_a_recording_in_real_time_has_its_beginning
-    test_what_steers_a_walk_is_in_its_bag
-17. Diagnostics of two robots merged, and a controller without a state said nothing:
-    test_diagnostics_name_the_robot
+16. A recording in real time could lose its beginning, and topics that steer the walk were missing:
+    test_a_real_time_plant_waits_for_the_recorder
+    test_topics_that_steer_the_walk_are_recorded
+17. Diagnostics of two robots merged, and a controller without a state published none:
+    test_diagnostics_contain_the_namespace_and_the_robot
 18. Smaller: a stamped cmd_vel, qos_overrides, another rate of states, a failed walk that `ros2 launch` ended with 0,
-    each executable twice, what `ros2 param dump` writes, a neighbour of the same domain:
-    test_cmd_vel_comes_as_nav2_sends_it
+    each executable twice, what `ros2 param dump` writes, a second controller in the domain:
+    test_cmd_vel_is_accepted_stamped_and_unstamped
     test_quality_of_service_can_be_overridden
-    test_states_at_another_rate_are_told
-    test_launch::test_in_lockstep_the_end_of_the_walk_ends_its_own_nodes_and_is_an_error_where_it_failed
-    test_package::test_the_native_lines_of_the_readme_do_what_they_say
-    test_what_param_dump_writes_is_a_configuration
+    test_states_at_another_rate_are_reported
+    test_launch::test_in_lockstep_the_end_of_the_controller_ends_its_own_nodes
+    test_package::test_the_native_installation_of_the_readme_works
+    test_the_output_of_param_dump_is_a_valid_configuration
     test_strangers::test_a_second_one_says_so_and_does_not_start
 """
 
@@ -111,7 +111,7 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 
 
 @pytest.mark.parametrize("bad", [ZERO + np.nan, np.append(np.inf, ZERO[1:])], ids=["all", "one"])
-def test_velocities_that_nobody_measures_are_missing(make: Any, bad: np.ndarray) -> None:
+def test_nan_velocities_are_treated_as_not_measured(make: Any, bad: np.ndarray) -> None:
     """Jazzy's joint_state_broadcaster fills in NaN for what a position servo does not measure."""
     one = make("controller", PAPER)
     for k in range(5):
@@ -120,14 +120,14 @@ def test_velocities_that_nobody_measures_are_missing(make: Any, bad: np.ndarray)
     assert "rejected" not in one.log
 
 
-def test_diagnostics_of_rejected_states_come_at_the_rate_of_diagnostics(make: Any) -> None:
+def test_rejected_states_do_not_raise_the_rate_of_diagnostics(make: Any) -> None:
     one = make("controller", PAPER)
     for k in range(100):
         one.send("joint_states", state(NAMES, np.full(MODEL.n, np.nan), 1.0 + k * DT))
     assert 1 <= len(one.got["diagnostics"]) <= 5
 
 
-def test_a_gripper_on_joint_states_is_somebody_else(make: Any) -> None:
+def test_a_gripper_on_joint_states_does_not_stop_the_walk(make: Any) -> None:
     """Partial publishers are common practice: hands, heads, joint_state_publisher."""
     one = make("controller", PAPER)
     gripper = Node("gripper", context=one.context)
@@ -135,9 +135,9 @@ def test_a_gripper_on_joint_states_is_somebody_else(make: Any) -> None:
     plant = Node("plant", context=one.context)
     plant.create_publisher(type(state(NAMES, ZERO, 0.0)), "joint_states", 1)
     try:
-        for look in range(4):
+        for batch in range(4):
             for k in range(50):
-                at = 1.0 + (50 * look + k) * DT
+                at = 1.0 + (50 * batch + k) * DT
                 one.send("joint_states", state(NAMES, ZERO, at))
                 one.send("joint_states", state(["finger"], [0.1], at))
             one.tick()
@@ -153,32 +153,32 @@ def test_a_gripper_on_joint_states_is_somebody_else(make: Any) -> None:
 PUBLISHERS = ("/a", "/b")
 
 
-def looks(stamps: list[list[int]], names: list[tuple[str, ...]] | None = None) -> list[str]:
+def judged(stamps: list[list[int]], names: list[tuple[str, ...]] | None = None) -> list[str]:
     judge, out = DuplicateStates(DT), []
-    for look in stamps:
-        for k, stamp in enumerate(look):
+    for batch in stamps:
+        for k, stamp in enumerate(batch):
             judge.note((names or [NAMES])[k % len(names or [NAMES])], stamp)
         out.append(judge.judge(PUBLISHERS))
     return out
 
 
-def test_two_plants_are_told_by_what_they_publish() -> None:
+def test_two_plants_are_detected_from_their_states() -> None:
     period = round(DT * 1e9)
-    single = [[(50 * look + k) * period for k in range(50)] for look in range(4)]
-    assert looks(single) == [""] * 4
-    assert looks([look[::3] for look in single]) == [""] * 4  # most are lost
-    double = [sorted([*look, *(stamp + 1000 for stamp in look)]) for look in single]
-    assert looks(double) == ["", "/a, /b", "/a, /b", "/a, /b"]
-    other_clock = [[stamp + (10**12 if k % 2 else 0) for k, stamp in enumerate(look)] for look in single]
-    assert looks(other_clock)[1] == "/a, /b"
-    assert looks(single, [NAMES, (*NAMES, "head")])[1] == "/a, /b"
+    single = [[(50 * batch + k) * period for k in range(50)] for batch in range(4)]
+    assert judged(single) == [""] * 4
+    assert judged([batch[::3] for batch in single]) == [""] * 4  # most are lost
+    double = [sorted([*batch, *(stamp + 1000 for stamp in batch)]) for batch in single]
+    assert judged(double) == ["", "/a, /b", "/a, /b", "/a, /b"]
+    other_clock = [[stamp + (10**12 if k % 2 else 0) for k, stamp in enumerate(batch)] for batch in single]
+    assert judged(other_clock)[1] == "/a, /b"
+    assert judged(single, [NAMES, (*NAMES, "head")])[1] == "/a, /b"
 
 
 # ---------------------------------------------------------------------- commands
 
 
 def moved(make: Any, stamp_of: Any) -> tuple[Any, float]:
-    """Return an integrator in real time that was told to move by commands with such stamps, and how far it did."""
+    """Send commands with such stamps to an integrator in real time; return it and its largest angle [rad]."""
     one = make("integrator", PAPER.updated({"plant.command_timeout": 0.1}))
     (period, *_) = [t for t in one.node.timers if t.timer_period_ns == round(DT * 1e9)]
     for _ in range(20):
@@ -194,16 +194,16 @@ def moved(make: Any, stamp_of: Any) -> tuple[Any, float]:
 @pytest.mark.parametrize(
     "stamp_of", [lambda state, now: state, lambda state, now: now, lambda state, now: 0], ids=["state", "now", "unset"]
 )
-def test_commands_count_whatever_way_they_are_stamped(make: Any, stamp_of: Any) -> None:
+def test_commands_are_accepted_with_any_common_stamp(make: Any, stamp_of: Any) -> None:
     """joint_state_topic_hardware_interface and teleoperation stamp now(), `ros2 topic pub` does not stamp at all."""
-    one, far = moved(make, stamp_of)
-    assert far > 0.0
+    one, angle = moved(make, stamp_of)
+    assert angle > 0.0
     assert one.node.commands.gate.late == 0
 
 
-def test_a_command_out_of_time_is_ignored_and_the_plant_says_why(make: Any) -> None:
-    one, far = moved(make, lambda state, now: now + 3_000_000_000)
-    assert far == 0.0
+def test_a_command_from_the_future_is_ignored_with_the_reason(make: Any) -> None:
+    one, angle = moved(make, lambda state, now: now + 3_000_000_000)
+    assert angle == 0.0
     assert "joint_velocity_commands ignored" in one.log
     for _ in range(2):
         one.tick()
@@ -213,8 +213,8 @@ def test_a_command_out_of_time_is_ignored_and_the_plant_says_why(make: Any) -> N
 # ---------------------------------------------------------------------- topics
 
 
-def test_phase_shows_what_is_now(make: Any) -> None:
-    """`ros2 topic echo --once /phase` asks for a history of more than one; the log of all is a topic of its own."""
+def test_the_topic_phase_holds_only_the_current_phase(make: Any) -> None:
+    """`ros2 topic echo --once /phase` requests a history of more than one; phase_log has all phases."""
     one = make("controller", PAPER)
     offered = {p.topic_name: p for p in one.node.publishers}
     assert offered["/phase"].qos_profile.depth == offered["/support_foot"].qos_profile.depth == 1
@@ -223,7 +223,7 @@ def test_phase_shows_what_is_now(make: Any) -> None:
     assert [m.data for m in one.got["phase"]] == [m.data for m in one.got["phase_log"]] == ["double_support/left"]
 
 
-def test_what_steers_a_walk_is_in_its_bag(make: Any, tmp_path: Path) -> None:
+def test_topics_that_steer_the_walk_are_recorded(make: Any, tmp_path: Path) -> None:
     one = make("recorder", PAPER, "--bag", str(tmp_path / "bag"))
     pilot = Node("pilot", context=one.context)
     twists = pilot.create_publisher(Twist, "cmd_vel", 1)
@@ -243,26 +243,26 @@ def test_what_steers_a_walk_is_in_its_bag(make: Any, tmp_path: Path) -> None:
 # ---------------------------------------------------------------------- parameters
 
 
-def test_a_file_of_a_whole_robot_is_taken(make: Any) -> None:
-    """ROS's rule: what a node does not declare is not for it."""
+def test_parameters_of_other_packages_are_ignored(make: Any) -> None:
+    """As in ROS, a node ignores parameters that it does not declare."""
     text = to_yaml(PAPER) + "    robot_name: poppy\n    teleop: {scale: 2.0}\n/arm:\n  ros__parameters: {port: x}\n"
     one = make("controller", text)
     assert one.node.config == PAPER
     assert "ignoring parameters of other packages: robot_name, teleop.scale" in one.log
 
 
-def test_a_file_for_other_nodes_only_is_taken_with_a_warning(make: Any) -> None:
+def test_a_file_for_other_nodes_only_is_accepted_with_a_warning(make: Any) -> None:
     one = make("phase_monitor", "/**/controller:\n  ros__parameters: {dt: 0.01}\n")
     assert one.node.config.dt == load("paper").dt
     assert "no section applies to /phase_monitor" in one.log
-    assert "--params-file missing" in one.log  # `ros2 run dqwalk_ros controller` walks a robot of 25 joints
+    assert "--params-file missing" in one.log  # without it the controller uses a robot of 25 joints
 
 
 @pytest.mark.parametrize(
     ("key", "meant"),
     [("gate.step_length", "gait.step_length"), ("gait.step_lenght", "gait.step_length"), ("gait.foo", "unknown")],
 )
-def test_a_misspelt_key_is_an_error_all_the_same(make: Any, key: str, meant: str) -> None:
+def test_a_misspelt_key_is_an_error(make: Any, key: str, meant: str) -> None:
     with pytest.raises(ConfigError, match=meant):
         make("controller", f"/**:\n  ros__parameters:\n    {key}: 0.04\n")
 
@@ -271,7 +271,7 @@ def test_a_misspelt_key_is_an_error_all_the_same(make: Any, key: str, meant: str
 
 
 class TFMessage:
-    """The wheels of ROS have no tf2_msgs; this stands in for its one message."""
+    """A stand-in for the message of tf2_msgs, which the ROS wheels do not contain."""
 
     def __init__(self, transforms: list[Any]) -> None:
         self.transforms = transforms
@@ -279,7 +279,7 @@ class TFMessage:
 
 @pytest.fixture
 def tf(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Any]]:
-    """What is sent on /tf and /tf_static."""
+    """Return the messages published on /tf and /tf_static, by topic."""
     message = types.ModuleType("tf2_msgs.msg")
     message.TFMessage = TFMessage
     monkeypatch.setitem(sys.modules, "tf2_msgs", types.ModuleType("tf2_msgs"))
@@ -301,8 +301,8 @@ def pose_of(transform: Any) -> DQ:
     return DQ.from_pose([p.x, p.y, p.z], [r.w, r.x, r.y, r.z])
 
 
-def heard(one: Any, topic: str, kind: Any) -> Any:
-    """Let somebody listen to a topic."""
+def subscribed(one: Any, topic: str, kind: Any) -> Any:
+    """Subscribe to a topic and wait until the publisher is connected."""
     listener = Node("listener", context=one.context)
     listener.create_subscription(kind, topic, lambda _: None, 10)
     (offered,) = (p for p in one.node.publishers if p.topic_name == topic)
@@ -311,7 +311,7 @@ def heard(one: Any, topic: str, kind: Any) -> Any:
     return listener
 
 
-def test_frames_are_those_of_rep_105_and_120(make: Any, tf: dict[str, list[Any]]) -> None:
+def test_frames_follow_rep_105_and_120(make: Any, tf: dict[str, list[Any]]) -> None:
     """odom -> base_link -> base_footprint, joined to the root of the URDF; from the first state on, walking or not."""
     one = make("controller", PAPER.updated({"node.autostart": False}))
     q = np.clip(0.1 * np.random.default_rng(2).normal(size=MODEL.n), MODEL.q_min, MODEL.q_max)
@@ -321,7 +321,7 @@ def test_frames_are_those_of_rep_105_and_120(make: Any, tf: dict[str, list[Any]]
     base, footprint = tf["/tf"][-1].transforms
     assert (base.header.frame_id, base.child_frame_id) == ("odom", "base_link")
     assert (footprint.header.frame_id, footprint.child_frame_id) == ("base_link", "base_footprint")
-    kin = Kinematics(MODEL, q, Foot.RIGHT)  # the base of double_support/left, with which the walk begins
+    kin = Kinematics(MODEL, q, Foot.RIGHT)  # the base of the first phase, double_support/left
     np.testing.assert_allclose(pose_of(base).vec8(), kin.pose(MODEL.root), atol=1e-12)
     ground = pose_of(base) * pose_of(footprint)
     assert ground.translation()[2] == pytest.approx(0.0, abs=1e-12)
@@ -329,10 +329,10 @@ def test_frames_are_those_of_rep_105_and_120(make: Any, tf: dict[str, list[Any]]
     np.testing.assert_allclose(ground.rotation_matrix()[2], [0.0, 0.0, 1.0], atol=1e-12)
 
 
-def test_odometry_has_pose_velocity_and_how_far_they_may_be_off(make: Any) -> None:
+def test_odometry_has_pose_velocity_and_covariance(make: Any) -> None:
     one = make("controller", load("poppy").updated({"plant.command_timeout": 10.0}))
     model = one.node._model
-    listener = heard(one, "/odom", OdometryMessage)
+    listener = subscribed(one, "/odom", OdometryMessage)
     plant = make_plant("kinematic", one.node.config, model)
     try:
         for k in range(700):  # through the first step
@@ -353,10 +353,10 @@ def test_odometry_has_pose_velocity_and_how_far_they_may_be_off(make: Any) -> No
     np.testing.assert_array_equal(after[2:5], before[2:5])
 
 
-def test_odometry_does_not_jump_where_a_walk_begins_anew(make: Any) -> None:
+def test_odometry_does_not_jump_when_a_walk_restarts(make: Any) -> None:
     one = make("controller", load("poppy").updated({"plant.command_timeout": 10.0}))
     model, dt = one.node._model, one.node.config.dt
-    listener = heard(one, "/odom", OdometryMessage)
+    listener = subscribed(one, "/odom", OdometryMessage)
     plant = make_plant("kinematic", one.node.config, model)
     try:
         for k in range(900):
@@ -374,8 +374,8 @@ def test_odometry_does_not_jump_where_a_walk_begins_anew(make: Any) -> None:
 # ---------------------------------------------------------------------- time
 
 
-def test_a_node_without_the_clock_it_was_told_of_says_so(make: Any) -> None:
-    """It used to say "two controllers: /controller", of which there was one."""
+def test_use_sim_time_without_a_clock_is_reported(make: Any) -> None:
+    """It must not be reported as "two controllers: /controller"."""
     for name in ("controller", "integrator"):
         one = make(name, PAPER, ros=("-p", "use_sim_time:=true"))
         for _ in range(3):
@@ -386,8 +386,8 @@ def test_a_node_without_the_clock_it_was_told_of_says_so(make: Any) -> None:
         assert "two controllers" not in one.log
 
 
-def test_a_simulated_plant_is_the_clock_of_the_others(make: Any) -> None:
-    """RViz and /tf can follow a walk in lockstep, the stamps of which begin at zero."""
+def test_a_simulated_plant_publishes_the_clock(make: Any) -> None:
+    """RViz and /tf can follow a walk in lockstep, whose stamps begin at zero."""
     one = make("integrator", PAPER.updated({"plant.lockstep": True, "plant.clock": True}))
     one.node._published_at = -1.0
     one.tick()
@@ -395,8 +395,8 @@ def test_a_simulated_plant_is_the_clock_of_the_others(make: Any) -> None:
     assert [ros.nanoseconds(m.clock) for m in one.got["clock"]] == [0, round(DT * 1e9)]
 
 
-def test_the_integrator_moves_by_the_clock_it_is_given(make: Any) -> None:
-    """At half the speed of the clock it moved at the whole."""
+def test_the_integrator_follows_the_ros_clock(make: Any) -> None:
+    """With a clock at half the real rate it moves at half the velocity."""
     one = make("integrator", PAPER, ros=("-p", "use_sim_time:=true"))
     times = iter(np.cumsum(np.full(60, 0.5 * DT)) + 10.0)
     one.node._now = lambda: next(times)
@@ -409,7 +409,7 @@ def test_the_integrator_moves_by_the_clock_it_is_given(make: Any) -> None:
     assert one.node.plant.state.q == pytest.approx(ZERO + 0.1 * 50 * 0.5 * DT)
 
 
-def test_states_at_another_rate_are_told(make: Any) -> None:
+def test_states_at_another_rate_are_reported(make: Any) -> None:
     one = make("controller", PAPER)
     for k in range(60):
         one.send("joint_states", state(NAMES, ZERO, 1.0 + 2 * k * DT))
@@ -418,27 +418,27 @@ def test_states_at_another_rate_are_told(make: Any) -> None:
     assert "joint_states arrive every 0.0100 s, but dt is 0.005 s" in one.log
 
 
-# ---------------------------------------------------------------------- the rest of the face
+# ---------------------------------------------------------------------- further interfaces
 
 
-def test_diagnostics_name_the_robot(make: Any) -> None:
-    """Those of two robots merged: the name had no namespace."""
+def test_diagnostics_contain_the_namespace_and_the_robot(make: Any) -> None:
+    """Without the namespace, those of two robots were merged."""
     one = make("controller", PAPER, ros=("-r", "__ns:=/left"))
     one.tick()
     (status,) = one.got["diagnostics"][-1].status
     assert (status.name, status.hardware_id) == ("left/controller: walk", "left/poppy_humanoid")
-    assert status.message == "waiting for joint_states"  # it said nothing at all before its first state
+    assert status.message == "waiting for joint_states"  # also before the first state
 
 
-def test_a_robot_state_publisher_has_the_description_for_itself(make: Any) -> None:
-    """ros2_control's controller_manager takes the first description that comes."""
+def test_publishing_of_the_robot_description_can_be_disabled(make: Any) -> None:
+    """ros2_control's controller_manager uses the first description it receives."""
     one = make("controller", PAPER.updated({"node.robot_description": False}))
     assert "robot_description" not in one.got
     assert "walk_config" in one.got
 
 
 @pytest.mark.parametrize("stamped", [False, True])
-def test_cmd_vel_comes_as_nav2_sends_it(make: Any, stamped: bool) -> None:
+def test_cmd_vel_is_accepted_stamped_and_unstamped(make: Any, stamped: bool) -> None:
     one = make("controller", load("poppy").updated({"gait.steps": 0, "node.stamped_cmd_vel": stamped}))
     msg = Twist()
     msg.linear.x = 0.01
@@ -459,8 +459,8 @@ def test_quality_of_service_can_be_overridden(make: Any) -> None:
     assert found.qos_profile.reliability is ReliabilityPolicy.RELIABLE
 
 
-def test_a_recording_in_real_time_has_its_beginning(make: Any) -> None:
-    """The plant waits for the recorder as in lockstep; 289 commands were once without their states."""
+def test_a_real_time_plant_waits_for_the_recorder(make: Any) -> None:
+    """As in lockstep; otherwise the first states and commands are not recorded."""
     one = make("integrator", PAPER.updated({"node.wait_for_recorder": True}))
     (period, *_) = [t for t in one.node.timers if t.timer_period_ns == round(DT * 1e9)]
     period.callback()
@@ -477,6 +477,6 @@ def test_a_recording_in_real_time_has_its_beginning(make: Any) -> None:
     assert one.got["joint_states"]
 
 
-def test_what_param_dump_writes_is_a_configuration() -> None:
+def test_the_output_of_param_dump_is_a_valid_configuration() -> None:
     text = to_yaml(PAPER) + "    use_sim_time: false\n    start_type_description_service: true\n"
     assert from_yaml(text) == PAPER

@@ -28,14 +28,14 @@ V = np.array([0.36, 0.48, 0.8])
 # ---------------------------------------------------------------------- Kinematics
 
 
-def places(robot, foot):
-    """Frames at both ends, in the middle, and on the stance leg."""
+def sample_frames(robot, foot):
+    """Return frames at both ends, in the middle, and on the stance leg."""
     knees = [name for name in robot.frames if "shank" in name or "shin" in name]
     return [robot.soles[foot.other].frame, robot.pelvis, *knees[:2]]
 
 
 def test_kinematics(robot, foot):
-    frames = places(robot, foot)
+    frames = sample_frames(robot, foot)
 
     def values(q):
         kin = Kinematics(robot, q, foot)
@@ -71,7 +71,7 @@ def test_rotations(robot, foot):
 
 
 def subclasses(parent):
-    """Every class of the package that derives from `parent`, wherever it is."""
+    """Every class of the package that derives from `parent`."""
     for module in pkgutil.walk_packages(dqwalk_ros.__path__, "dqwalk_ros."):
         if not module.name.startswith(("dqwalk_ros.nodes", "dqwalk_ros.runner", "dqwalk_ros.cli")):
             importlib.import_module(module.name)
@@ -85,7 +85,7 @@ def subclasses(parent):
 
 
 def examples(model, foot):
-    """What the fields of tasks and constraints may be, by name, or by class and name where a name has two meanings."""
+    """Return values of fields of tasks and constraints, by name or, where this is ambiguous, by class and name."""
     base, swing = model.soles[foot], model.soles[foot.other]
     zero = np.zeros(model.n)
     target = DQ(Kinematics(model, zero, foot).pose(swing.frame)) * DQ.from_pose([0.05, 0.01, 0.02])
@@ -122,14 +122,14 @@ def examples(model, foot):
         "feature": CenterOfMassOnGround(),
         "Follow.target": Target(np.array([0.01, 0.02]), np.array([0.1, 0.0])),
         "FollowPose.target": Target(np.array([*target.translation(), *target.vec8()[:4]]), np.zeros(6)),
-        # the CoM, so that more than one branch of a constraint on points is seen
+        # the CoM, so that more than one branch of a constraint on points is tested
         "PointInsideWall.point": CenterOfMass(),
         "PointInCylinder.point": CenterOfMass(),
     }
 
 
 def example(cls, model, foot):
-    """Return one of a class; a class with fields of a new kind must add them to `examples`."""
+    """Return an instance; values of new fields must be added to `examples`."""
     known = examples(model, foot)
     values = {}
     for field in dataclasses.fields(cls):
@@ -137,7 +137,7 @@ def example(cls, model, foot):
         if key in known or field.name in known:
             values[field.name] = known.get(key, known.get(field.name))
         elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
-            pytest.fail(f"say in test_jacobians.examples what '{field.name}' of {cls.__name__} may be")
+            pytest.fail(f"add a value of '{field.name}' of {cls.__name__} to test_jacobians.examples")
     return cls(**values)
 
 
@@ -165,13 +165,13 @@ def test_constraints(cls, foot):
         np.testing.assert_allclose(J, expected, rtol=0, atol=TOLERANCE * max(1.0, np.abs(J).max()))
 
 
-def test_none_is_forgotten():
+def test_all_tasks_and_constraints_are_found():
     assert {"ComOverFoot", "FramePose", "Posture"} <= {cls.__name__ for cls in subclasses(Task)}
     assert len(subclasses(Constraint)) >= 6
 
 
-def test_a_pose_error_has_the_sign_of_the_closer_one():
-    """x and -x are the same pose: the target's sign must not matter."""
+def test_the_pose_error_uses_the_closer_of_x_and_minus_x():
+    """x and -x are the same pose: the error must not depend on the target's sign."""
     robot = legs()
     rng = np.random.default_rng(24)
     cls = next(cls for cls in subclasses(Task) if cls.__name__ == "FramePose")

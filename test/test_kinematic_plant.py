@@ -17,7 +17,7 @@ DT = 0.005
 MODEL = load_model(load("paper").robot)
 
 
-def test_it_is_eulers_method_within_the_limits():
+def test_velocities_are_integrated_by_eulers_method_within_the_limits():
     plant = KinematicPlant(MODEL, time0=3.0)
     u = np.linspace(-2.0, 2.0, MODEL.n) * MODEL.velocity_max
     for k in range(1, 1001):
@@ -29,7 +29,7 @@ def test_it_is_eulers_method_within_the_limits():
     assert (np.abs(u) > MODEL.velocity_max).any()
 
 
-def test_a_state_is_left_alone_by_the_next_one():
+def test_a_step_does_not_change_earlier_states():
     plant, u = KinematicPlant(MODEL), np.full(MODEL.n, 0.1)
     first = plant.step(Command(0.0, u), DT)
     kept = first.q.copy(), first.dq.copy()
@@ -40,7 +40,7 @@ def test_a_state_is_left_alone_by_the_next_one():
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_what_is_no_velocity_moves_nothing(bad):
+def test_invalid_velocities_are_refused_without_motion(bad):
     plant = KinematicPlant(MODEL)
     before, u = plant.state, np.zeros(MODEL.n)
     u[3] = bad
@@ -50,13 +50,13 @@ def test_what_is_no_velocity_moves_nothing(bad):
         assert plant.state is before
 
 
-def test_a_start_that_does_not_fit_is_refused():
+def test_an_invalid_start_posture_is_refused():
     for q in (np.zeros(MODEL.n + 1), np.full(MODEL.n, np.nan)):
         with pytest.raises(PlantError, match="finite angles"):
             KinematicPlant(MODEL, q)
 
 
-def test_a_robot_without_limits_is_integrated_too():
+def test_a_robot_without_velocity_limits_is_integrated():
     free = dataclasses.replace(MODEL, velocity_max=np.full(MODEL.n, np.inf))
     u = np.full(MODEL.n, 1e3)
     np.testing.assert_array_equal(KinematicPlant(free).step(Command(0.0, u), DT).q, DT * u)

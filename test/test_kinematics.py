@@ -22,7 +22,7 @@ X, Y, Z = np.eye(3)
 
 
 def from_root(model, q):
-    """Poses of all bodies in the root's frame, by `dq.py` alone."""
+    """Poses of all bodies in the root's frame, by dual quaternion products alone."""
     poses = []
     for body in model.bodies:
         if body.parent < 0:
@@ -37,7 +37,7 @@ def frame_from_root(model, poses, name):
     return poses[frame.body] * DQ(frame.pose)
 
 
-def up_to_sign(a, b, tol=1e-12):
+def assert_equal_up_to_sign(a, b, tol=1e-12):
     a, b = np.asarray(a), np.asarray(b)
     np.testing.assert_allclose(a if a[:4] @ b[:4] >= 0.0 else -a, b, rtol=0, atol=tol)
 
@@ -62,7 +62,7 @@ def test_serialisation(robot, foot):
         stance, base_5 = leg(foot)
         swing, base_6 = leg(foot.other)
         expected = stance.conj() * (base_5.conj() * base_6) * swing
-        up_to_sign(Kinematics(robot, q, foot).pose(robot.soles[foot.other].frame), expected.vec8())
+        assert_equal_up_to_sign(Kinematics(robot, q, foot).pose(robot.soles[foot.other].frame), expected.vec8())
 
 
 def test_every_frame(robot, foot):
@@ -72,7 +72,7 @@ def test_every_frame(robot, foot):
         base = frame_from_root(robot, x, robot.soles[foot].frame)
         for name in robot.frames:
             expected = base.conj() * frame_from_root(robot, x, name)
-            up_to_sign(kin.pose(name), expected.vec8())
+            assert_equal_up_to_sign(kin.pose(name), expected.vec8())
             offset = np.array([0.1, -0.2, 0.3])
             np.testing.assert_allclose(kin.point(name, offset), expected.transform_point(offset), atol=1e-12)
             np.testing.assert_allclose(kin.direction(name, offset), expected.P().Ad(DQ(offset)).vec3(), atol=1e-12)
@@ -92,18 +92,18 @@ def test_centre_of_mass(robot, foot):
         np.testing.assert_allclose(kin.com, com, atol=1e-12)
         np.testing.assert_allclose(kin.com_jacobian, J, atol=1e-12)
         foot_body = robot.bodies[robot.frames[robot.soles[foot].frame].body]
-        assert foot_body.mass > 0.0  # it counts, though it is at rest
+        assert foot_body.mass > 0.0  # it contributes although it is at rest
 
 
-def link_on(model, index):
+def frame_on(model, index):
     """A frame on a body, and the body's centre of mass in it."""
     name, frame = next((name, frame) for name, frame in model.frames.items() if frame.body == index)
     return name, DQ(frame.pose).conj().transform_point(model.bodies[index].com)
 
 
 def partial_com_jacobian(model, kin, index):
-    """(3): vec8(x_c') = H8-(x_ci) J_i q', and of it the translation, as section 2.2 has it."""
-    name, com = link_on(model, index)
+    """(3): vec8(x_c') = H8-(x_ci) J_i q', reduced to the translation as in section 2.2."""
+    name, com = frame_on(model, index)
     x_ci = DQ.from_pose(com)
     J = x_ci.haminus8() @ kin.pose_jacobian(name)
     x = DQ(kin.pose(name)) * x_ci
@@ -118,14 +118,14 @@ def test_partial_com_jacobians_of_the_reversed_chain(foot):
     for q in configurations(robot, 10, seed=3):
         kin = Kinematics(robot, q, foot)
         for index in range(len(robot.bodies)):
-            name, com = link_on(robot, index)
+            name, com = frame_on(robot, index)
             expected = central_difference(lambda q, n=name, c=com: Kinematics(robot, q, foot).point(n, c), q)
             np.testing.assert_allclose(partial_com_jacobian(robot, kin, index), expected, atol=1e-9)
             np.testing.assert_allclose(kin.point_jacobian(name, com), expected, atol=1e-9)
     stance = [i for i, name in enumerate(robot.joint_names) if name[0] == foot.value[0]]
     shank = robot.frames[robot.soles[foot].frame].body
     shank = robot.bodies[shank].parent
-    name, com = link_on(robot, shank)
+    name, com = frame_on(robot, shank)
     moved = np.abs(kin.point_jacobian(name, com)).max(axis=0) > 1e-9
     assert moved[stance[-1]]  # the ankle moves the shank above it
     assert moved.sum() == 1  # and no other joint does: the chain is reversed
@@ -143,21 +143,21 @@ def test_the_base_is_at_rest(robot, foot):
     q = configurations(robot, 1)[0]
     kin = Kinematics(robot, q, foot)
     sole = robot.soles[foot].frame
-    up_to_sign(kin.pose(sole), [1, 0, 0, 0, 0, 0, 0, 0], 1e-14)
+    assert_equal_up_to_sign(kin.pose(sole), [1, 0, 0, 0, 0, 0, 0, 0], 1e-14)
     assert not kin.pose_jacobian(sole).any()
     assert not kin.jacobian(Point(sole, np.ones(3))).any()
 
 
-def test_seen_from_the_other_foot(robot):
+def test_kinematics_from_both_feet_agree(robot):
     for q in configurations(robot, 10, seed=5):
         left, right = Kinematics(robot, q, Foot.LEFT), Kinematics(robot, q, Foot.RIGHT)
         x = DQ(left.pose(left.swing))
-        up_to_sign(x.conj().vec8(), right.pose(right.swing))
+        assert_equal_up_to_sign(x.conj().vec8(), right.pose(right.swing))
         np.testing.assert_allclose(x.transform_point(right.com), left.com, atol=1e-12)
 
 
 def test_mirror_image(robot, foot):
-    """The mirror image of a robot, at the same angles, on the other foot, is the image of the robot."""
+    """A mirrored robot on the other foot, at the same angles, has mirrored positions."""
     image = mirrored(robot)
     reflect = np.array([1.0, -1.0, 1.0])
     for q in configurations(robot, 10, seed=6):
@@ -172,7 +172,7 @@ def test_mirror_image(robot, foot):
 
 
 def dq_chain(model, foot):
-    """The chain from one sole to the other as `dqrobotics` has it, and which joints it has."""
+    """Return the chain from one sole to the other in `dqrobotics`, and the indices of its joints."""
     body = model.frames[model.soles[foot].frame].body
     start, end = body, model.frames[model.soles[foot.other].frame].body
     up, down = [], []
@@ -183,8 +183,8 @@ def dq_chain(model, foot):
         down.append(end)
         end = model.bodies[end].parent
 
-    def turn_to(axis):
-        """Turns z to the axis."""
+    def rotation_to(axis):
+        """Return the rotation from z to the axis."""
         v = np.cross(Z, axis)
         if np.linalg.norm(v) < 1e-9:
             return DQ.rotation_about(0.0 if axis[2] > 0.0 else np.pi, X)
@@ -195,7 +195,7 @@ def dq_chain(model, foot):
 
     def joint(axis, index):
         nonlocal before
-        z = turn_to(axis)
+        z = rotation_to(axis)
         one = DQ_SerialManipulatorDH(np.zeros((5, 1)))
         one.set_reference_frame(other_dq.DQ((before * z).vec8()))
         one.set_effector(other_dq.DQ(z.conj().vec8()))
@@ -203,7 +203,7 @@ def dq_chain(model, foot):
         joints.append(index)
         before = DQ(1.0)
 
-    for b in up:  # reversed: the way down a joint is the way up the other way
+    for b in up:  # reversed: from child to parent a joint turns about the negative axis
         joint(-model.bodies[b].axis, model.bodies[b].joint)
         before = before * DQ(model.bodies[b].origin).conj()
     for b in reversed(down):
@@ -211,7 +211,7 @@ def dq_chain(model, foot):
         joint(model.bodies[b].axis, model.bodies[b].joint)
     last = model.bodies[down[0]].axis
     links[-1].set_effector(
-        other_dq.DQ((turn_to(last).conj() * DQ(model.frames[model.soles[foot.other].frame].pose)).vec8())
+        other_dq.DQ((rotation_to(last).conj() * DQ(model.frames[model.soles[foot.other].frame].pose)).vec8())
     )
     return links, joints
 
@@ -266,7 +266,7 @@ def test_algebra_agrees_with_dqrobotics():
 
 
 def pin_model(model):
-    """The robot in `pin`, its root free (a root that is fixed has no mass there), and the order of its joints."""
+    """Return the robot in `pin` with a free root (a fixed root has no mass there), and its joint order."""
     full = pin.buildModelFromXML(model.urdf, pin.JointModelFreeFlyer())
     locked = [full.getJointId(name) for name in full.names[2:] if name not in model.joint_names]
     reduced = pin.buildReducedModel(full, locked, pin.neutral(full)) if locked else full
@@ -303,21 +303,21 @@ def test_com_and_frames_agree_with_pin(name, foot):
         base = data.oMf[sole]
         J_base = pin.getFrameJacobian(theirs, data, sole, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
 
-        def seen_from_sole(p, J_p, base=base, J_base=J_base):
-            """A point and its Jacobian in the frame of the sole, which moves in theirs."""
+        def in_sole_frame(p, J_p, base=base, J_base=J_base):
+            """Return a point and its Jacobian in the frame of the sole, which moves in `pin`."""
             J = J_p - J_base[:3] + skew(p - base.translation) @ J_base[3:]  # w x r = -r x w
             ours = np.empty((3, model.n))
             ours[:, order] = base.rotation.T @ J[:, 6:]
             return base.rotation.T @ (p - base.translation), ours
 
-        p, J = seen_from_sole(data.com[0], J_com)
+        p, J = in_sole_frame(data.com[0], J_com)
         np.testing.assert_allclose(kin.com, p, atol=1e-9)
         np.testing.assert_allclose(kin.com_jacobian, J, atol=1e-9)
         assert model.mass == pytest.approx(pin.computeTotalMass(theirs), rel=1e-12)
         for frame in (model.soles[foot.other].frame, model.pelvis):
             index = theirs.getFrameId(frame)
             J_f = pin.getFrameJacobian(theirs, data, index, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-            p, J = seen_from_sole(data.oMf[index].translation, J_f[:3])
+            p, J = in_sole_frame(data.oMf[index].translation, J_f[:3])
             np.testing.assert_allclose(kin.point(frame), p, atol=1e-9)
             np.testing.assert_allclose(kin.point_jacobian(frame), J, atol=1e-9)
             turn = np.empty_like(J)
@@ -325,7 +325,7 @@ def test_com_and_frames_agree_with_pin(name, foot):
             np.testing.assert_allclose(kin.angular_jacobian(frame), turn, atol=1e-9)
 
 
-# ---------------------------------------------------------------------- compiled or not
+# ---------------------------------------------------------------------- compiled and interpreted
 
 PLAIN = """
 import sys, numpy as np

@@ -25,8 +25,8 @@ ARGUMENTS = {
 }
 
 
-class Made:
-    """Stands in for everything of `launch` and `launch_ros`, which the wheels of ROS lack: keeps what it is made of."""
+class StandIn:
+    """A stand-in for the classes of `launch` and `launch_ros`, which the ROS wheels lack; it keeps its arguments."""
 
     def __init__(self, *args: Any, **given: Any) -> None:
         self.args, self.given = args, given
@@ -37,41 +37,41 @@ class Made:
 
 
 class Launch(types.ModuleType):
-    """A module in which every name is a kind of `Made`."""
+    """A module in which every name is a subclass of `StandIn`."""
 
-    def __getattr__(self, name: str) -> type[Made]:
+    def __getattr__(self, name: str) -> type[StandIn]:
         if name.startswith("__"):
             raise AttributeError(name)
-        setattr(self, name, type(name, (Made,), {}))
+        setattr(self, name, type(name, (StandIn,), {}))
         return getattr(self, name)
 
 
 @pytest.fixture
-def written(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """What the launch file defines."""
+def defined(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Return the names that the launch file defines."""
     inner = ("", ".actions", ".event_handlers", ".events", ".events.process", ".substitutions")
     for module in (*(f"launch{name}" for name in inner), "launch_ros", "launch_ros.actions"):
         monkeypatch.setitem(sys.modules, module, Launch(module))
     return runpy.run_path(str(FILE))
 
 
-Start = Callable[..., tuple[dict[str, Made], list[Made]]]
+Start = Callable[..., tuple[dict[str, StandIn], list[StandIn]]]
 
 
 @pytest.fixture
-def start(written: dict[str, Any]) -> Start:
-    """Launch with some arguments; give the nodes by name, and what else there is."""
+def start(defined: dict[str, Any]) -> Start:
+    """Return a function of launch arguments that returns the nodes by name and the other actions."""
 
-    def start(**given: str) -> tuple[dict[str, Made], list[Made]]:
-        actions = written["nodes"]({name: default for name, (default, *_) in written["ARGUMENTS"].items()} | given)
+    def start(**given: str) -> tuple[dict[str, StandIn], list[StandIn]]:
+        actions = defined["nodes"]({name: default for name, (default, *_) in defined["ARGUMENTS"].items()} | given)
         nodes = {one.given["name"]: one for one in actions if type(one).__name__ == "Node"}
         return nodes, [one for one in actions if one not in nodes.values()]
 
     return start
 
 
-def config_of(node: Made) -> Config:
-    """Return the parameters that a node is started with; later ones count."""
+def config_of(node: StandIn) -> Config:
+    """Return the parameters of a node; later ones override earlier ones."""
     config = Config()
     for one in node.given["parameters"]:
         own = {k: v for k, v in one.items() if k != "use_sim_time"} if isinstance(one, dict) else None
@@ -79,13 +79,13 @@ def config_of(node: Made) -> Config:
     return config
 
 
-def test_every_argument_is_described(written: dict[str, Any]) -> None:
-    assert set(written["ARGUMENTS"]) == ARGUMENTS
-    assert all(len(description) > 20 for _, description, _ in written["ARGUMENTS"].values())
+def test_every_argument_is_described(defined: dict[str, Any]) -> None:
+    assert set(defined["ARGUMENTS"]) == ARGUMENTS
+    assert all(len(description) > 20 for _, description, _ in defined["ARGUMENTS"].values())
 
 
-def test_every_node_it_starts_is_installed(written: dict[str, Any], start: Start) -> None:
-    started = {name for plant in written["PLANTS"] for name in start(plant=plant, view="true", bag="walk")[0]}
+def test_every_started_node_is_installed(defined: dict[str, Any], start: Start) -> None:
+    started = {name for plant in defined["PLANTS"] for name in start(plant=plant, view="true", bag="walk")[0]}
     assert started == {
         "controller",
         "integrator",
@@ -102,15 +102,15 @@ def test_every_node_it_starts_is_installed(written: dict[str, Any], start: Start
         assert f'main("{name}"' in script.read_text(encoding="utf-8")
 
 
-def test_a_controller_that_dies_takes_nothing_along(start: Start) -> None:
-    """Another robot that was launched with it, and the driver with its ~/compliant: both were ended."""
+def test_the_end_of_a_controller_does_not_end_other_nodes(start: Start) -> None:
+    """Other robots of the same launch, and the driver with its ~/compliant, must keep running."""
     for plant in ("integrator", "physics", "ros2_control", "poppy"):
         nodes, others = start(plant=plant)
         assert not others, plant
         assert not any("on_exit" in node.given for node in nodes.values())
 
 
-def test_in_lockstep_the_end_of_the_walk_ends_its_own_nodes_and_is_an_error_where_it_failed(start: Start) -> None:
+def test_in_lockstep_the_end_of_the_controller_ends_its_own_nodes(start: Start) -> None:
     nodes, (handler,) = start(lockstep="true", bag="walk", namespace="left")
     (on_exit,) = handler.args
     assert on_exit.given["target_action"] is nodes["controller"]
@@ -118,15 +118,13 @@ def test_in_lockstep_the_end_of_the_walk_ends_its_own_nodes_and_is_an_error_wher
     assert {type(event).__name__ for event in ended} == {"ShutdownProcess"}
     targets = [event.given["process_matcher"].args[0] for event in ended]
     assert targets == [node for name, node in nodes.items() if name != "controller"]
-    with pytest.raises(RuntimeError, match="the controller ended with 1"):  # `ros2 launch` exited with 0
+    with pytest.raises(RuntimeError, match="the controller ended with 1"):  # else `ros2 launch` exits with 0
         on_exit.given["on_exit"](types.SimpleNamespace(returncode=1), None)
 
 
 @pytest.mark.parametrize("plant", ["poppy", "ros2_control"])
-def test_a_real_robot_is_launched_with_the_walk_that_stands_and_moves_when_it_is_told_to(
-    start: Start, plant: str
-) -> None:
-    """It walked at its first state, by the paper's walk, which does not stand."""
+def test_a_real_robot_uses_the_balanced_walk_and_waits_for_start(start: Start, plant: str) -> None:
+    """With the paper's walk, or with a start at the first state, it would fall."""
     nodes, _ = start(plant=plant)
     for name in ("controller", "poppy_driver" if plant == "poppy" else "drive"):
         config = config_of(nodes[name])
@@ -136,7 +134,7 @@ def test_a_real_robot_is_launched_with_the_walk_that_stands_and_moves_when_it_is
 
 
 def test_each_argument_reaches_the_nodes(start: Start) -> None:
-    """`ros2 launch` ignores arguments that are not declared: poppy.dummy:=true was of no effect."""
+    """`ros2 launch` ignores arguments that are not declared: poppy.dummy:=true had no effect."""
     nodes, _ = start(
         plant="poppy", namespace="left", use_sim_time="true", log_level="debug", respawn="true", dummy="true", bag="b"
     )
@@ -154,20 +152,20 @@ def test_each_argument_reaches_the_nodes(start: Start) -> None:
     assert config_of(start(config=str(ROOT / "config" / "poppy.yaml"))[0]["controller"]).gait == load("poppy").gait
 
 
-def test_rviz_is_shown_the_joints_that_move(start: Start) -> None:
-    """RobotModel was broken: 25 joints in the description, 10 in joint_states; the URDF of the walk has no more."""
+def test_rviz_shows_exactly_the_published_joints(start: Start) -> None:
+    """RobotModel fails if the description has 25 joints and joint_states has 10."""
     nodes, _ = start(rviz="true")
     (described,) = (p for p in nodes["robot_state_publisher"].given["parameters"] if "robot_description" in p)
     joints = ElementTree.fromstring(described["robot_description"]).iter("joint")
     config = config_of(nodes["controller"])
     published = load_model(config.robot).joint_names
     assert {joint.get("name") for joint in joints if joint.get("type") != "fixed"} == set(published)
-    assert not config.node.robot_description  # it is the one of robot_state_publisher
+    assert not config.node.robot_description  # robot_state_publisher publishes it
     assert Path(nodes["rviz2"].given["arguments"][-1]).is_file()
 
 
-def test_poppy_behind_ros2_control_is_the_robot_that_walks() -> None:
-    """All its joints with both interfaces, and controllers in the order in which the node drive tells them."""
+def test_the_ros2_control_description_matches_the_walking_robot() -> None:
+    """All joints have both command interfaces; controllers list them in the order that the node drive uses."""
     config = load("poppy")
     urdf = expanded(ROOT / "urdf" / "poppy.ros2_control.urdf.xacro", plugin="a/Plugin").decode()
     assert parse_model(urdf, config.robot).joint_names == load_model(config.robot).joint_names
@@ -175,9 +173,9 @@ def test_poppy_behind_ros2_control_is_the_robot_that_walks() -> None:
     (component,) = root.iter("ros2_control")
     assert component.findtext("hardware/plugin") == "a/Plugin"
     moving = {joint.get("name") for joint in root.iter("joint") if joint.get("type") == "revolute"}
-    told = {joint.get("name"): [i.get("name") for i in joint.iter("command_interface")] for joint in component}
-    assert {name for name, interfaces in told.items() if interfaces} == moving
-    assert all(interfaces in ([], ["position", "velocity"]) for interfaces in told.values())
+    commanded = {joint.get("name"): [i.get("name") for i in joint.iter("command_interface")] for joint in component}
+    assert {name for name, interfaces in commanded.items() if interfaces} == moving
+    assert all(interfaces in ([], ["position", "velocity"]) for interfaces in commanded.values())
     controllers = yaml.safe_load((ROOT / "config" / "ros2_control" / "controllers.yaml").read_text())
     for interface in ("position", "velocity"):
         controller = controllers[f"/**/forward_{interface}_controller"]["ros__parameters"]
@@ -187,8 +185,8 @@ def test_poppy_behind_ros2_control_is_the_robot_that_walks() -> None:
 
 
 @pytest.mark.native
-def test_launch_reads_it() -> None:
-    """As `ros2 launch` does; the wheels of ROS have no `launch`."""
+def test_ros2_launch_reads_the_launch_file() -> None:
+    """Needs an installed ROS: the ROS wheels do not contain `launch`."""
     import launch
     from launch.launch_description_sources import PythonLaunchDescriptionSource
 

@@ -22,21 +22,21 @@ MODEL = load_model(CONFIG.robot)
 HIGHER = CONFIG.updated({"gait.step_height": 0.03})
 
 
-def test_what_shapes_the_walk_is_not_live() -> None:
+def test_structural_parameters_are_not_live() -> None:
     live = {spec.name for spec in Config.specs() if spec.live}
     assert {"gait.step_height", "standing.swing_duration", "standing.balance", "monitor.rate"} <= live
     fixed = ("robot.", "output.", "poppy.", "physics.", "servo.", "whole_body.", "node.", "qp.", "dsp.", "ssp.")
     assert not any(name.startswith(fixed) or name in ("dt", "gait.steps", "gait.style") for name in live)
 
 
-def test_a_configuration_knows_since_when_it_is_in_force() -> None:
+def test_a_configuration_stores_the_time_from_which_it_applies() -> None:
     text = to_yaml(HIGHER, 12_000_000_345)
     assert since(text) == 12_000_000_345
     assert since(to_yaml(CONFIG)) is None
     assert from_yaml(text) == HIGHER
 
 
-def test_a_tuned_walk_goes_on_with_the_next_phase_and_its_bag_says_so(tmp_path: Path) -> None:
+def test_tuned_parameters_apply_from_the_next_phase_and_are_recorded(tmp_path: Path) -> None:
     controller, plant = make_controller(CONFIG, MODEL), make_plant("kinematic", CONFIG, MODEL)
 
     def tune(time: float) -> None:
@@ -55,7 +55,7 @@ def test_a_tuned_walk_goes_on_with_the_next_phase_and_its_bag_says_so(tmp_path: 
     assert [record.config for record in read.phases] == [record.config for record in trace.phases]
 
 
-def test_a_walk_that_cannot_be_tuned_says_so() -> None:
+def test_tuning_a_paper_walk_is_refused() -> None:
     config = load("paper")
     with pytest.raises(ConfigError, match="keeps the parameters"):
         make_controller(config, load_model(config.robot)).tune(config)
@@ -74,7 +74,7 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
         yield made
 
 
-def test_ros2_param_set_is_logged_published_and_judged_from_the_next_phase_on(make: Any) -> None:
+def test_param_set_is_logged_published_and_used_from_the_next_phase(make: Any) -> None:
     from inside import state
     from rclpy.parameter import Parameter
     from std_msgs.msg import String
@@ -113,7 +113,7 @@ def test_ros2_param_set_is_logged_published_and_judged_from_the_next_phase_on(ma
     assert monitor.node._phases.config.gait.step_height == 0.02
 
 
-def test_a_paper_walk_refuses_to_be_tuned(make: Any) -> None:
+def test_param_set_on_a_paper_walk_is_refused(make: Any) -> None:
     from rclpy.parameter import Parameter
 
     one = make("controller", load("paper"))

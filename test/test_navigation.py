@@ -15,7 +15,7 @@ pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[
 from geometry_msgs.msg import Twist
 from inside import inside, state
 from nav_msgs.msg import Odometry
-from test_interoperability import heard
+from test_interoperability import subscribed
 
 from dqwalk_ros.cli.options import overlaid
 from dqwalk_ros.config import load
@@ -25,11 +25,11 @@ from dqwalk_ros.robot import load_model
 from dqwalk_ros.simulation import make_plant
 from dqwalk_ros.state import Command
 
-LONE = {"gait.steps": 0, "plant.command_timeout": 10.0, "qp.solver": "daqp"}
-CONFIG = overlaid(load("poppy"), "physics").updated(LONE)
+SETTINGS = {"gait.steps": 0, "plant.command_timeout": 10.0, "qp.solver": "daqp"}
+CONFIG = overlaid(load("poppy"), "physics").updated(SETTINGS)
 MODEL = load_model(CONFIG.robot)
 NEAR, WITHIN = 0.04, 0.05
-"""A goal is reached at this distance by odometry, and must be at this distance in truth [m]."""
+"""A goal counts as reached at the first distance by odometry; its true distance must be below the second [m]."""
 
 
 @pytest.fixture
@@ -43,18 +43,18 @@ def velocity(odom: Odometry, goal: np.ndarray) -> Twist:
     """Turn towards the goal, then walk there."""
     p, r = odom.pose.pose.position, odom.pose.pose.orientation
     ahead, heading = goal - [p.x, p.y], 2.0 * math.atan2(r.z, r.w)
-    off = math.remainder(math.atan2(ahead[1], ahead[0]) - heading, 2.0 * math.pi)
+    error = math.remainder(math.atan2(ahead[1], ahead[0]) - heading, 2.0 * math.pi)
     out = Twist()
-    out.angular.z = 0.5 * off
-    if abs(off) < 0.2:
+    out.angular.z = 0.5 * error
+    if abs(error) < 0.2:
         out.linear.x = 0.02 * min(1.0, float(np.linalg.norm(ahead)) / 0.1)
     return out
 
 
 def drive(make: Any, goals: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return how far the robot is from each goal when it is there by its odometry, and by the truth [m]."""
+    """Return the distance to each goal by odometry when it is reached, and the true distance [m]."""
     controller, plant = make("controller", CONFIG), make_plant("physics", CONFIG, MODEL)
-    listener = heard(controller, "/odom", Odometry)
+    listener = subscribed(controller, "/odom", Odometry)
     begin = DQ(plant.truth.pelvis)
     left, out, tick, first = list(goals), [], 0, None
     try:
@@ -77,7 +77,7 @@ def drive(make: Any, goals: list[tuple[float, float]]) -> list[tuple[float, floa
             if np.linalg.norm(goal - place) < NEAR:
                 true = (begin.conj() * DQ(plant.truth.pelvis)).translation()[:2]
                 out.append((float(np.linalg.norm(goal - place)), float(np.linalg.norm(true - left.pop(0)))))
-                print(f"{tick * CONFIG.dt:.0f} s: goal {len(out)}, {1e3 * out[-1][1]:.0f} mm from it in truth")
+                print(f"{tick * CONFIG.dt:.0f} s: goal {len(out)}, {1e3 * out[-1][1]:.0f} mm true distance")
             assert tick * CONFIG.dt < 400.0 * len(goals), (place, left)
     finally:
         listener.destroy_node()
@@ -91,7 +91,7 @@ def test_a_goal_ahead_is_reached_by_odometry(make: Any) -> None:
 
 @pytest.mark.long
 @pytest.mark.timeout(3000)
-def test_five_goals_of_a_square_of_a_metre(make: Any) -> None:
+def test_five_goals_on_a_square_of_one_metre_are_reached(make: Any) -> None:
     reached = drive(make, [(1.0, 0.0), (1.0, 1.0), (0.0, 1.0), (0.0, 0.0), (1.0, 0.0)])
     assert len(reached) == 5
     assert max(true for _, true in reached) < WITHIN

@@ -56,8 +56,8 @@ def names_of(config: Config) -> list[str]:
 
 
 @pytest.mark.parametrize("walks", [1, pytest.param(2, marks=pytest.mark.long)])
-def test_lockstep_walks_exactly_as_in_one_process(tmp_path: Path, walks: int) -> None:
-    """Each time, and nothing is missing from the bag."""
+def test_a_lockstep_walk_equals_that_of_one_process(tmp_path: Path, walks: int) -> None:
+    """Every time, and with a complete bag."""
     config = load("paper").updated(SHORT)
     model = load_model(config.robot)
     expected = simulate(make_controller(config, model), KinematicPlant(model))
@@ -68,16 +68,16 @@ def test_lockstep_walks_exactly_as_in_one_process(tmp_path: Path, walks: int) ->
         walked = bag.read(path)
         assert walked.finished
         n = len(expected.time)
-        assert 0 <= len(walked.time) - n <= 1  # the plant still moves, by nothing, after the last command
+        assert 0 <= len(walked.time) - n <= 1  # the plant steps once more, at zero velocity
         np.testing.assert_allclose(walked.q[:n], expected.q, rtol=0.0, atol=1e-9)
         np.testing.assert_allclose(walked.u[:n], expected.u, rtol=0.0, atol=1e-9)
         assert [(p.name, p.start) for p in walked.phases] == [(p.name, p.start) for p in expected.phases]
         for a, b in zip(walked.phases, expected.phases, strict=True):
             np.testing.assert_allclose(a.x_odom_base, b.x_odom_base, rtol=0.0, atol=1e-9)
-        check_that_all_is_there(path, round(config.dt * 1e9))
+        check_bag_is_complete(path, round(config.dt * 1e9))
 
 
-def check_that_all_is_there(path: Path, period: int) -> None:
+def check_bag_is_complete(path: Path, period: int) -> None:
     from rosbags.rosbag2 import Reader
     from rosbags.typesys import Stores, get_typestore
 
@@ -105,16 +105,16 @@ def check_that_all_is_there(path: Path, period: int) -> None:
 
 
 @pytest.mark.long
-def test_a_recorder_that_comes_late_still_makes_a_walk(live: Make, tmp_path: Path) -> None:
+def test_a_bag_of_a_late_recorder_is_a_walk(live: Make, tmp_path: Path) -> None:
     one = live(plant__lockstep=True, **{key.replace(".", "__"): value for key, value in LONG.items()})
     walk = [f"{kind}_support/{foot}" for foot in ("left", "right") for kind in ("double", "single")]
     one.start("integrator")
     one.start("controller")
-    one.until_ready("controller/pause")  # found while the nodes find each other, lest the walk be over before the call
+    one.until_ready("controller/pause")  # during discovery, so that the call comes before the end of the walk
     one.until(lambda: "double_support/left" in one.phases(), 60.0, "the first phase")
     assert one.call("controller/pause").success
     one.until(lambda: one.phase == "paused", 10.0, "the pause")
-    before_the_pause = [name for name in one.phases() if name in walk][-1]  # waited for above
+    before_the_pause = [name for name in one.phases() if name in walk][-1]  # at least the first, see above
     ahead = walk[walk.index(before_the_pause) :]
     one.start("recorder", "--bag", str(tmp_path / "bag"))
     one.until_started("recorder")
@@ -131,8 +131,8 @@ def test_a_recorder_that_comes_late_still_makes_a_walk(live: Make, tmp_path: Pat
     assert walked.time[0] > 0.0
 
 
-def stands(one: Live) -> bool:
-    """Tell whether nothing moves for 1.5 s; on a busy machine some states are still on their way at first."""
+def at_rest(one: Live) -> bool:
+    """Return whether nothing moves for 1.5 s; on a loaded machine some states still arrive at first."""
     before = one.last("joint_states")
     one.spin(1.5)
     after = one.last("joint_states")
@@ -141,7 +141,7 @@ def stands(one: Live) -> bool:
     return not one.config.plant.lockstep or after.header.stamp == before.header.stamp
 
 
-def test_pause_stops_the_time_of_lockstep(live: Make) -> None:
+def test_pause_stops_the_simulated_time_in_lockstep(live: Make) -> None:
     one = live(plant__lockstep=True)
     one.start("integrator")
     one.start("controller")
@@ -149,7 +149,7 @@ def test_pause_stops_the_time_of_lockstep(live: Make) -> None:
     one.until(lambda: len(one.got["joint_states"]) > 200, 60.0, "walking")
     assert one.call("controller/pause").success
     one.until(lambda: one.phase == "paused", 10.0, "the pause")
-    one.until(lambda: stands(one), 20.0, "time standing still")
+    one.until(lambda: at_rest(one), 20.0, "time standing still")
     before = one.stamp()
     assert one.call("controller/start").success
     one.until(lambda: one.stamp() > before, 10.0, "going on")
@@ -158,7 +158,7 @@ def test_pause_stops_the_time_of_lockstep(live: Make) -> None:
 # ---------------------------------------------------------------------- real time
 
 
-def test_real_time_walks_by_the_clock(live: Make) -> None:
+def test_a_real_time_walk_follows_the_clock(live: Make) -> None:
     one = live(monitor__rate=20.0)
     for name in ("integrator", "controller", "phase_monitor"):
         one.start(name)
@@ -167,25 +167,25 @@ def test_real_time_walks_by_the_clock(live: Make) -> None:
     one.spin(4.0)
     assert len(one.got["joint_states"]) - count > 200  # 800 on an idle machine
     assert one.speeds().max() > 1e-3
-    one.until(lambda: any(s.values for s in one.statuses("phase_monitor")), 20.0, "a judgement")
+    one.until(lambda: any(s.values for s in one.statuses("phase_monitor")), 20.0, "a status with values")
     watched = [s for s in one.statuses("phase_monitor") if s.values]
     keys = {pair.key for pair in watched[-1].values}
     assert {"phase", "error", "distance/tip_plane", "distance/back_plane", "margin/polygon"} <= keys
     assert all(s.level in (b"\x00", b"\x01") for s in watched), [s.message for s in watched if s.level == b"\x02"]
     one.processes.signal("controller", signal.SIGINT)
     assert one.processes.wait("controller", 15.0) == 0
-    one.until(lambda: one.speed_of() == 0.0, 10.0, "zeros as its last word")
-    one.until(lambda: stands(one), 20.0, "the robot standing still")
+    one.until(lambda: one.speed_of() == 0.0, 10.0, "a zero command at the end")
+    one.until(lambda: at_rest(one), 20.0, "the robot standing still")
 
 
-def test_start_pause_reset(live: Make) -> None:
+def test_services_start_pause_and_reset(live: Make) -> None:
     one = live(node__autostart=False)
     began: list[JointState] = []
     one.node.create_subscription(JointState, "phase_start", began.append, LATCHED)
     one.start("integrator")
     one.start("controller")
-    one.until(lambda: len(one.got["joint_velocity_commands"]) > 20, 60.0, "answers")
-    one.until(lambda: one.phase == "idle", 10.0, "a controller that waits")
+    one.until(lambda: len(one.got["joint_velocity_commands"]) > 20, 60.0, "commands")
+    one.until(lambda: one.phase == "idle", 10.0, "an idle controller")
     assert one.speeds().max() == 0.0
 
     assert one.call("controller/start").success
@@ -198,7 +198,7 @@ def test_start_pause_reset(live: Make) -> None:
     one.until(lambda: one.phase == "idle" and one.speed_of(5) == 0.0, 10.0, "the reset")
     assert not one.call("controller/pause").success
     assert one.call("controller/start").success
-    one.until(lambda: one.phase == "double_support/left", 10.0, "walking anew")
+    one.until(lambda: one.phase == "double_support/left", 10.0, "walking again")
     answered = one.got["joint_velocity_commands"]
 
     def stamps(messages: list[JointState]) -> set[tuple[int, int]]:
@@ -207,7 +207,7 @@ def test_start_pause_reset(live: Make) -> None:
     one.until(lambda: len(began) == 2 and stamps(began) <= stamps(answered), 20.0, "phases that began at a state")
 
 
-def test_a_state_that_cannot_be_used_is_rejected_and_the_walk_goes_on(live: Make) -> None:
+def test_an_invalid_state_is_rejected_and_the_walk_continues(live: Make) -> None:
     one = live(plant__command_timeout=10.0)
     names = names_of(one.config)
     one.start("controller")
@@ -220,7 +220,7 @@ def test_a_state_that_cannot_be_used_is_rejected_and_the_walk_goes_on(live: Make
             for m in one.got["joint_velocity_commands"]
         )
 
-    def good(stamp: float, *, order: list[int] | None = None, extra: bool = False) -> None:
+    def accepted(stamp: float, *, order: list[int] | None = None, extra: bool = False) -> None:
         index = order or list(range(len(names)))
         shown = [names[i] for i in index] + (["head_z"] if extra else [])
 
@@ -231,7 +231,7 @@ def test_a_state_that_cannot_be_used_is_rejected_and_the_walk_goes_on(live: Make
 
         one.until(answered, 20.0, f"an answer to {stamp}")
 
-    good(1.0)
+    accepted(1.0)
     nan, inf = zero.copy(), zero.copy()
     nan[3], inf[0] = np.nan, -np.inf
     for stamp, (shown, q, dq, expected) in enumerate(
@@ -248,22 +248,22 @@ def test_a_state_that_cannot_be_used_is_rejected_and_the_walk_goes_on(live: Make
         start=2,
     ):
 
-        def said(
+        def rejected(
             shown: object = shown, q: object = q, dq: object = dq, expected: str = expected, at: int = stamp
         ) -> bool:
             one.publish_state(shown, q, float(at), dq)
             one.spin(0.1)
             return any(expected in s.message and s.level == b"\x02" for s in one.statuses("controller"))
 
-        one.until(said, 20.0, expected)
+        one.until(rejected, 20.0, expected)
         assert not answer_to(float(stamp))
     assert "joint_states rejected" in one.processes.log("controller")
-    good(20.0)
-    good(21.0, order=list(reversed(range(len(names)))))
-    good(22.0, extra=True)
+    accepted(20.0)
+    accepted(21.0, order=list(reversed(range(len(names)))))
+    accepted(22.0, extra=True)
 
 
-def test_a_command_that_cannot_be_used_moves_nothing(live: Make) -> None:
+def test_an_invalid_command_causes_no_motion(live: Make) -> None:
     from rclpy.qos import QoSProfile
 
     one = live(plant__lockstep=True)
@@ -297,7 +297,7 @@ SIGNALLED = ["controller", "integrator", "phase_monitor", "poppy_driver", "recor
     ("name", "number"),
     [*itertools.product(SIGNALLED, (signal.SIGINT, signal.SIGTERM)), ("integrator", signal.SIGHUP)],
 )
-def test_a_signal_ends_a_node_in_order(live: Make, name: str, number: signal.Signals) -> None:
+def test_a_signal_ends_a_node_without_a_traceback(live: Make, name: str, number: signal.Signals) -> None:
     no_motors = {"dt": 0.02, "poppy.dummy": True} if name == "poppy_driver" else {}
     one = live(**no_motors)
     one.start(name, *(["--bag", str(one.params.parent / "bag")] if name == "recorder" else []))
@@ -323,7 +323,7 @@ def test_a_signal_ends_a_node_in_order(live: Make, name: str, number: signal.Sig
         ("/**: {ros__parameters: {robot: {urdf: nothing.urdf}}}", "nothing.urdf"),
     ],
 )
-def test_parameters_that_cannot_be_used_end_a_node(tmp_path: Path, text: str, expected: str) -> None:
+def test_invalid_parameters_end_a_node_with_exit_code_2(tmp_path: Path, text: str, expected: str) -> None:
     file = tmp_path / "params.yaml"
     file.write_text(text)
     with private_domain() as domain:
@@ -345,7 +345,7 @@ def test_parameters_are_described_and_live_ones_can_be_set(live: Make) -> None:
     from rcl_interfaces.srv import DescribeParameters, SetParameters
 
     one = live(plant__lockstep=True)
-    one.params.write_text(to_yaml(one.config).replace("step_width: 0.0", "step_width: 0"))  # a whole number for a real
+    one.params.write_text(to_yaml(one.config).replace("step_width: 0.0", "step_width: 0"))  # an integer for a float
     one.start("integrator")
     describe = one.node.create_client(DescribeParameters, "integrator/describe_parameters")
     change = one.node.create_client(SetParameters, "integrator/set_parameters")
@@ -371,7 +371,7 @@ def test_parameters_are_described_and_live_ones_can_be_set(live: Make) -> None:
 
 
 @pytest.mark.parametrize("name", NODES)
-def test_help_needs_no_ros(name: str) -> None:
+def test_help_works_without_ros(name: str) -> None:
     code = (
         f"import sys; sys.modules['rclpy'] = None; sys.argv = ['bin/dqwalk_{name}', '--help']\n"
         "from dqwalk_ros.nodes.command_line import script; script()"

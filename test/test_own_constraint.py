@@ -22,7 +22,7 @@ def walked():
     return controller, simulate(controller, KinematicPlant(MODEL), max_time=0.2)
 
 
-def test_it_is_a_row_of_the_quadratic_program(walked):
+def test_the_constraint_is_a_row_of_the_quadratic_program(walked):
     controller, trace = walked
     problem = controller.problem
     row = problem.names.index("com_above") - problem.equalities
@@ -31,7 +31,7 @@ def test_it_is_a_row_of_the_quadratic_program(walked):
     assert problem.h[row] == pytest.approx(-5.0 * (kin.com[2] - 0.25), abs=1e-12)
 
 
-def test_the_report_and_the_monitor_judge_it(walked):
+def test_the_report_and_the_monitor_evaluate_the_constraint(walked):
     _, trace = walked
     series = analyse(trace)
     np.testing.assert_allclose(series.distances["com_above"], series.com[:, 2] - 0.25, atol=1e-15)
@@ -41,13 +41,13 @@ def test_the_report_and_the_monitor_judge_it(walked):
     assert values["distance/com_above"] == pytest.approx(kin.com[2] - 0.25)
 
 
-def test_the_page_shows_it(walked):
+def test_the_page_shows_the_constraint(walked):
     _, trace = walked
     view = Scene(CONFIG, MODEL).look(moment_of(trace, 20, {}))
     assert "com_above" in [gauge.name for gauge in view.gauges]
 
 
 @pytest.mark.parametrize("name", ["own_walk", "own_walk:LowWalk", "nowhere:HighWalk", "own_walk:ComAbove", ":"])
-def test_a_walk_that_cannot_be_found_is_named(name):
+def test_an_unknown_walk_class_is_refused(name):
     with pytest.raises(ConfigError, match=r"gait\.walk is"):
         make_walk(CONFIG.updated({"gait.walk": name}), MODEL)

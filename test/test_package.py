@@ -21,7 +21,7 @@ from dqwalk_ros.runner import private_domain
 ROOT = Path(__file__).resolve().parent.parent
 
 
-def test_the_version_is_one() -> None:
+def test_all_files_give_the_same_version() -> None:
     version = dqwalk_ros.__version__
     assert ElementTree.parse(ROOT / "package.xml").findtext("version") == version
     assert f'version="{version}"' in (ROOT / "setup.py").read_text(encoding="utf-8")
@@ -35,7 +35,7 @@ def test_every_node_is_installed() -> None:
     assert sorted(file.name for file in (ROOT / "scripts").iterdir()) == sorted(NODES)
 
 
-def test_package_xml_names_what_the_nodes_import() -> None:
+def test_package_xml_declares_what_the_nodes_import() -> None:
     declared = {e.text for e in ElementTree.parse(ROOT / "package.xml").iter() if e.tag.endswith("depend")}
     imported = set()
     for file in (ROOT / "dqwalk_ros" / "nodes").glob("*.py"):
@@ -51,19 +51,19 @@ CHEAP = "--set task.eta=1.0 --set gait.step_length=0.02 --set ssp.threshold=0.02
 
 
 def native_lines() -> tuple[list[str], str]:
-    """Return the lines of README's native installation, and the one that starts a node by itself."""
+    """Return the lines of README's native installation, and the one that starts a single node."""
     text = (ROOT / "README.md").read_text(encoding="utf-8").partition("## On a machine with ROS 2 Jazzy")[2]
     block = re.search(r"```bash\n(.*?)```", text, re.S)
-    by_itself = re.search(r"`(ros2 run dqwalk_ros controller .*?)`", text)
+    single_node = re.search(r"`(ros2 run dqwalk_ros controller .*?)`", text)
     assert block
-    assert by_itself
-    return block[1].splitlines(), by_itself[1]
+    assert single_node
+    return block[1].splitlines(), single_node[1]
 
 
-def lay_under(folder: Path, python: str) -> None:
-    """Make a folder of what a machine with ROS has before: its Python packages, colcon, and what rosdep installs.
+def make_underlay(folder: Path, python: str) -> None:
+    """Fill a folder with the packages of a machine with ROS: its Python packages, colcon, and those of rosdep.
 
-    Only what is declared: the wheels of ROS, and the keys of package.xml.
+    Only declared packages: the wheels of ROS, and the keys of package.xml.
     """
     from packaging.requirements import Requirement
 
@@ -83,7 +83,7 @@ def lay_under(folder: Path, python: str) -> None:
         waiting += [r.name for r in needs if r.name not in found and (not r.marker or r.marker.evaluate(extra))]
     command = [python, "-m", "pip", "install", "--quiet", "--target", str(folder)]
     subprocess.run([*command, "colcon-common-extensions", "setuptools<80"], check=True)
-    if sys.version_info < (3, 12):  # a virtual environment brings its own then
+    if sys.version_info < (3, 12):  # a virtual environment contains its own then
         for one in ("setuptools", "pkg_resources", "_distutils_hack", "setuptools-*"):
             for place in folder.glob(one):
                 shutil.rmtree(place)
@@ -96,10 +96,10 @@ def lay_under(folder: Path, python: str) -> None:
 
 @pytest.mark.colcon
 @pytest.mark.timeout(1800)
-def test_the_native_lines_of_the_readme_do_what_they_say(tmp_path: Path) -> None:
-    """One by one, in one shell, from a copy of the sources on. What needs a ROS that is not there is named as not run.
+def test_the_native_installation_of_the_readme_works(tmp_path: Path) -> None:
+    """Every line runs in one shell on a copy of the sources; lines that need a missing ROS are listed as not run.
 
-    On the wheels, the folder PYTHONPATH holds what such a machine has before, and `ros2` knows only `run`.
+    With the wheels, PYTHONPATH holds the packages of such a machine, and `ros2` supports only `run`.
     """
     space, tools = tmp_path / "ws", tmp_path / "tools"
     skipped = shutil.ignore_patterns(".*", "results", "build", "install", "log", "site", "*.egg-info", "__pycache__")
@@ -109,7 +109,7 @@ def test_the_native_lines_of_the_readme_do_what_they_say(tmp_path: Path) -> None
     environment = {key: value for key, value in os.environ.items() if key not in ("VIRTUAL_ENV", "COLCON")}
     environment |= {"HOME": str(tmp_path), "PATH": os.pathsep.join(path), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     environment |= {"XDG_CACHE_HOME": os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))}
-    environment["NUMBA_DISABLE_JIT"] = "1"  # a minute of compiling shows nothing here
+    environment["NUMBA_DISABLE_JIT"] = "1"  # compilation takes a minute and is not tested here
     native = shutil.which("ros2") is not None
     if not native:
         (tools / "ros2").write_text(
@@ -119,10 +119,10 @@ def test_the_native_lines_of_the_readme_do_what_they_say(tmp_path: Path) -> None
             'done\necho "No executable found" >&2; exit 1\n'
         )
         (tools / "ros2").chmod(0o755)
-        lay_under(tmp_path / "before", sys.executable)
-        environment |= {"PYTHONPATH": str(tmp_path / "before"), "AMENT_PREFIX_PATH": sys.prefix}
+        make_underlay(tmp_path / "underlay", sys.executable)
+        environment |= {"PYTHONPATH": str(tmp_path / "underlay"), "AMENT_PREFIX_PATH": sys.prefix}
 
-    lines, by_itself = native_lines()
+    lines, single_node = native_lines()
     run, not_run = [], []
     for line in lines:
         name = line.split()[0]
@@ -134,7 +134,7 @@ def test_the_native_lines_of_the_readme_do_what_they_say(tmp_path: Path) -> None
         else:
             run.append(line)
     for node in ("controller", "integrator", "phase_monitor", "recorder --bag recorded"):
-        run.append("timeout --preserve-status -s INT 30 " + by_itself.replace("controller", node, 1))
+        run.append("timeout --preserve-status -s INT 30 " + single_node.replace("controller", node, 1))
     run += [f"ros2 run dqwalk_ros {node} --help | grep Example:" for node in NODES]
 
     script = tmp_path / "script"
@@ -144,11 +144,11 @@ def test_the_native_lines_of_the_readme_do_what_they_say(tmp_path: Path) -> None
         done = subprocess.run(
             ["bash", script], env=environment, cwd=tmp_path, stdout=subprocess.PIPE, text=True, check=False
         )
-    said = done.stdout.split("@@ ")
-    for line, before, after in zip(run, said, said[1:], strict=False):
+    outputs = done.stdout.split("@@ ")
+    for line, before, after in zip(run, outputs, outputs[1:], strict=False):
         print(f"$ {line}\n{before.partition(chr(10))[2] if run.index(line) else before}")
         assert after.split()[0] == "0", line
-    assert len(said) == len(run) + 1
+    assert len(outputs) == len(run) + 1
     for line in not_run:
         warnings.warn(f"not run, there is no ROS: {line}", stacklevel=1)
 
@@ -158,20 +158,20 @@ def test_the_native_lines_of_the_readme_do_what_they_say(tmp_path: Path) -> None
     assert (share / "ament_index" / "resource_index" / "packages" / "dqwalk_ros").is_file()
     for file in ("package.xml", "config/paper.yaml", "urdf/poppy.urdf", "launch/walk.launch.py"):
         assert (share / "dqwalk_ros" / file).is_file(), file
-    report = said[run.index("ros2 run dqwalk_ros dqwalk report walk")]
+    report = outputs[run.index("ros2 run dqwalk_ros dqwalk report walk")]
     assert "single_support/right" in report
 
 
-def test_the_aggregator_knows_every_status() -> None:
+def test_the_aggregator_lists_every_status() -> None:
     import yaml
 
     tree = yaml.safe_load((ROOT / "config" / "diagnostics_aggregator.yaml").read_text())["/**"]["ros__parameters"]
     known = {name for one in tree.values() if isinstance(one, dict) for name in one["contains"]}
     assert {name.partition(":")[0] for name in known} <= set(NODES)
-    said = set()
+    published = set()
     for file in (ROOT / "dqwalk_ros" / "nodes").glob("*.py"):
-        said |= set(re.findall(r"\.diagnose\(\s*\"(\w+)\"", file.read_text(encoding="utf-8")))
-    assert {name.partition(": ")[2] for name in known} >= said
+        published |= set(re.findall(r"\.diagnose\(\s*\"(\w+)\"", file.read_text(encoding="utf-8")))
+    assert {name.partition(": ")[2] for name in known} >= published
 
 
 # ---------------------------------------------------------------------- rosdep
@@ -184,7 +184,7 @@ python3-collada python3-hypothesis python3-joblib python3-matplotlib python3-num
 python3-psutil python3-pytest python3-pytest-timeout python3-pytest-xdist python3-rich
 python3-scipy python3-serial python3-tqdm python3-yaml
 """
-"""Keys that exist, as rosdistro had them on that day: packages of Jazzy, and rosdep/python.yaml."""
+"""Keys of rosdistro on that day: packages of Jazzy, and rosdep/python.yaml."""
 ROSDISTRO = "https://raw.githubusercontent.com/ros/rosdistro/master/"
 
 
@@ -193,13 +193,13 @@ def keys() -> set[str]:
 
 
 def test_every_dependency_has_a_rosdep_key() -> None:
-    """With one that does not exist `rosdep install` installs nothing at all."""
+    """With one unknown key `rosdep install` installs nothing."""
     known = set(KEYS.split())
     assert keys() <= known, f"look {keys() - known} up in rosdistro, then add it to the table"
 
 
 @pytest.mark.long
-def test_rosdistro_has_the_keys_still() -> None:
+def test_rosdistro_still_has_the_keys() -> None:
     import urllib.error
     import urllib.request
 
@@ -216,7 +216,7 @@ def test_rosdistro_has_the_keys_still() -> None:
 @pytest.mark.long
 @pytest.mark.timeout(900)
 def test_the_tests_run_with_declared_dependencies_only() -> None:
-    """As `colcon test` does where nothing else is installed: 12 files could not be collected, and none ran."""
+    """As in `colcon test` where nothing else is installed; one undeclared import stops the collection."""
     run = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "declared"]
     where = {"cwd": ROOT, "env": {**os.environ, "PYTHONPATH": f"{ROOT}:{ROOT / 'test'}"}, "text": True}
     collected = subprocess.run([*run, "--co", "test"], capture_output=True, check=False, **where)

@@ -54,8 +54,8 @@ def rows_of(problem):
     return {name: (A[k], b[k]) for k, name in enumerate(problem.names)}
 
 
-def near(count=20, seed=30):
-    """Configurations near the zero posture, where the paper walks."""
+def near_zero(count=20, seed=30):
+    """Configurations near the zero posture, as in the paper's walk."""
     return 0.05 * np.random.default_rng(seed).normal(size=(count, 10))
 
 
@@ -65,15 +65,15 @@ def test_rows_of_double_support(foot):
     base, end = foot.other, foot
     assert (phase.base, phase.name) == (base, f"double_support/{foot.value}")
     tip_start = points(Kinematics(legs(), start, base), end)[0]
-    for q in near():
+    for q in near_zero():
         kin = Kinematics(legs(), q, base)
         rows = rows_of(problem_at(phase, kin, DT))
         tip, heel, center = points(kin, end)
         base_tip, base_heel, _ = points(kin, base)
-        slid = np.hypot(*(tip - tip_start)[:2])
+        sliding = np.hypot(*(tip - tip_start)[:2])
         expected = {
             "ground": -5.0 * tip[2],  # (8)
-            "sliding": 5.0 * (slid**2 - 0.04**2),  # (7), times -1
+            "sliding": 5.0 * (sliding**2 - 0.04**2),  # (7), times -1
             "tip_plane": -10.0 * upright_distance(kin.com, base_tip, tip, base_heel),  # (9)
             "back_plane": -20.0 * upright_distance(kin.com, base_heel, heel, base_tip),  # (10)
             "pelvis": -200.0 * (kin.point("pelvis")[2] - 0.2),  # (11); 500 1/s is more than 1/dt
@@ -83,7 +83,7 @@ def test_rows_of_double_support(foot):
         problem = problem_at(phase, kin, DT)
         np.testing.assert_allclose(problem.upper, -10.0 * (q - legs().q_max), atol=1e-12)  # (12)
         np.testing.assert_allclose(problem.lower, -10.0 * (q - legs().q_min), atol=1e-12)  # (13)
-        # the task: CoM over the end foot's centre where it is now
+        # the task: CoM over the present centre of the end foot
         sole = legs().soles[end]
         J = (kin.com_jacobian - kin.point_jacobian(sole.frame, sole.center))[:2]
         np.testing.assert_allclose(problem.H, J.T @ J + 0.1**2 * np.eye(10), atol=1e-15)
@@ -93,12 +93,12 @@ def test_rows_of_double_support(foot):
 def test_rows_of_single_support(foot):
     phase, x_d = single(FLAT, foot)
     assert phase.base is foot
-    for q in near(seed=31):
+    for q in near_zero(seed=31):
         kin = Kinematics(legs(), q, foot)
         problem = problem_at(phase, kin, DT)
         rows = rows_of(problem)
-        off = np.hypot(*(kin.com - legs().soles[foot].center)[:2])
-        assert rows["com_cylinder"][1] == pytest.approx(5.0 * (off**2 - 0.05**2), abs=1e-12)  # (14), times -1
+        distance = np.hypot(*(kin.com - legs().soles[foot].center)[:2])
+        assert rows["com_cylinder"][1] == pytest.approx(5.0 * (distance**2 - 0.05**2), abs=1e-12)  # (14), times -1
         assert rows["pelvis"][1] == pytest.approx(-200.0 * (kin.point("pelvis")[2] - 0.2), abs=1e-12)
         x = kin.pose(kin.swing)
         assert x[:4] @ x_d[:4] > 0.0
@@ -108,7 +108,7 @@ def test_rows_of_single_support(foot):
         assert problem.e.size == 0
 
 
-def test_names_of_rows():
+def test_row_names():
     limits = [f"joint_{end}/{joint}" for end in ("max", "min") for joint in legs().joint_names]
     inequalities = ["sliding", "tip_plane", "back_plane", "pelvis"]
     assert list(double(LITERAL, Foot.LEFT).row_names) == ["ground", *inequalities, *limits]
@@ -117,7 +117,7 @@ def test_names_of_rows():
     assert list(single(FLAT, Foot.LEFT)[0].row_names) == ["com_cylinder", "pelvis", *limits]
 
 
-def test_a_posture_task_only_where_it_is_asked_for():
+def test_the_posture_task_is_optional():
     assert len(double(FLAT, Foot.LEFT).tasks) == 1
     weighted = double(FLAT.updated({"task.posture_weight": 0.02}), Foot.LEFT)
     assert [(task.name, task.weight) for task in weighted.tasks] == [("com", 1.0), ("posture", 0.02)]
@@ -151,12 +151,12 @@ def test_a_walk_begins_inside_every_constraint(foot):
         assert distances[row.name] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_single_support_needs_its_target():
+def test_single_support_without_a_target_is_refused():
     with pytest.raises(ValueError, match="needs a swing target"):
         PaperWalk(FLAT, legs()).phase(PhaseKind.SINGLE_SUPPORT, Foot.LEFT, np.zeros(10))
 
 
-def test_phases_are_records():
+def test_phases_are_immutable():
     phase = double(FLAT, Foot.LEFT)
     with pytest.raises(dataclasses.FrozenInstanceError):
         phase.eta = 1.0

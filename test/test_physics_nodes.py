@@ -42,14 +42,14 @@ def domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
 
 
 def listen(live: Live, kind: Any, topic: str) -> dict[int, Any]:
-    """Return what comes on a topic, by stamp [ns]."""
+    """Return a dictionary that collects the messages of a topic by stamp [ns]."""
     got: dict[int, Any] = {}
     live.node.create_subscription(kind, topic, lambda m: got.__setitem__(ros.nanoseconds(m.header.stamp), m), DEEP)
     return got
 
 
-def test_lockstep_is_the_walk_of_one_process_and_says_more(tmp_path: Path, domain: int) -> None:
-    # far more steps than are looked at, and the nodes wait for this one: nothing depends on who is quick
+def test_a_physics_walk_in_lockstep_equals_that_of_one_process(tmp_path: Path, domain: int) -> None:
+    # more steps than are compared, and the nodes wait for this one: the result does not depend on the load
     values = {"plant.lockstep": True, "gait.steps": 100, "node.wait_for_recorder": True}
     live = Live(tmp_path, domain, CONFIG.updated(values), name="recorder")
     try:
@@ -64,21 +64,21 @@ def test_lockstep_is_the_walk_of_one_process_and_says_more(tmp_path: Path, domai
         live.start("controller")
         live.until(lambda: len(commands) > 320, 120.0, "320 ticks")
         pushes = live.node.create_publisher(WrenchStamped, "push", 1)
-        live.until(pushes.get_subscription_count, 20.0, "somebody who pushes")
+        live.until(pushes.get_subscription_count, 20.0, "the subscription to push")
         push = WrenchStamped()
         push.wrench.force.z = float("nan")
         pushes.publish(push)
-        live.until(lambda: "push rejected" in live.processes.log("physics"), 20.0, "a refusal")
+        live.until(lambda: "push rejected" in live.processes.log("physics"), 20.0, "the rejection")
 
-        def heaviest() -> float:
+        def largest_load() -> float:
             left, right = wrenches.values()
             return max(left[at].wrench.force.z + right[at].wrench.force.z for at in left.keys() & right.keys())
 
         weight = 9.81 * load_model(live.config.robot).mass
-        assert heaviest() < 1.4 * weight
-        push.wrench.force.z = -4.0  # 40 N for a tenth of a second: seen in whatever part of a step it comes
+        assert largest_load() < 1.4 * weight
+        push.wrench.force.z = -4.0  # 40 N for 0.1 s: visible in every part of a step
         pushes.publish(push)
-        live.until(lambda: heaviest() > 1.5 * weight, 60.0, "a robot that is pushed to the ground")
+        live.until(lambda: largest_load() > 1.5 * weight, 60.0, "the push in the contact forces")
         assert "pushed: 0, 0, -4 N s" in live.processes.log("physics")
     finally:
         live.close()
@@ -90,7 +90,7 @@ def test_lockstep_is_the_walk_of_one_process_and_says_more(tmp_path: Path, domai
         stamp = round(tick * config.dt * 1e9)
         state, truth = plant.state, plant.truth
         command = controller.step(state, config.dt)
-        if stamp in states and stamp in commands:  # the first may have come before this test listened
+        if stamp in states and stamp in commands:  # the first may precede the subscription
             compared += 1
             np.testing.assert_allclose(states[stamp].position, state.q, rtol=0.0, atol=1e-9)
             np.testing.assert_allclose(commands[stamp].velocity, command.velocity, rtol=0.0, atol=1e-9)
@@ -112,8 +112,8 @@ def test_lockstep_is_the_walk_of_one_process_and_says_more(tmp_path: Path, domai
     assert {m.header.frame_id for m in pressures.values()} == {"world"}
 
 
-class Deaf:
-    """Stands in for a node: what it would hear is given to it by hand."""
+class NodeStub:
+    """A stand-in for a node, whose callbacks the test calls."""
 
     def __init__(self, *, lockstep: bool = False) -> None:
         self.config = CONFIG
@@ -150,7 +150,7 @@ def state_at(stamp: int) -> tuple[JointState, State]:
 
 
 def test_in_lockstep_a_state_waits_for_the_imu_of_its_stamp() -> None:
-    node, again = Deaf(lockstep=True), []
+    node, again = NodeStub(lockstep=True), []
     sensor = InertialSensor(node, "imu", again.append)
     msg, state = state_at(5_000_000)
     node.imu(imu_at(0))
@@ -162,8 +162,8 @@ def test_in_lockstep_a_state_waits_for_the_imu_of_its_stamp() -> None:
     assert joined.up == pytest.approx([0.0, 0.0, -1.0])  # upside down
 
 
-def test_in_real_time_the_newest_imu_counts_until_it_is_too_old() -> None:
-    node = Deaf()
+def test_in_real_time_the_newest_imu_message_is_used_until_too_old() -> None:
+    node = NodeStub()
     sensor = InertialSensor(node, "imu", lambda _: None)
     with pytest.raises(StateError, match="no message yet"):
         sensor.join(*state_at(0))
@@ -182,7 +182,7 @@ def in_frame(frame: str) -> Imu:
 
 
 @pytest.mark.parametrize(
-    ("bad", "said"),
+    ("bad", "message"),
     [
         (in_frame("imu_link"), "it is in the frame 'imu_link', and robot.imu is 'imu'"),
         (imu_at(0, w=0.0), "unit quaternion"),
@@ -191,15 +191,15 @@ def in_frame(frame: str) -> Imu:
         (Imu(orientation_covariance=[-1.0] + [0.0] * 8), "no orientation"),
     ],
 )
-def test_an_imu_that_cannot_be_used_is_refused(bad: Imu, said: str) -> None:
-    node = Deaf(lockstep=True)
+def test_an_invalid_imu_message_is_refused(bad: Imu, message: str) -> None:
+    node = NodeStub(lockstep=True)
     sensor = InertialSensor(node, "imu", lambda _: None)
     node.imu(bad)
-    with pytest.raises(StateError, match=said):
+    with pytest.raises(StateError, match=message):
         sensor.join(*state_at(0))
 
 
-def test_cmd_vel_counts_until_it_falls_silent_by_the_time_of_receipt() -> None:
+def test_cmd_vel_times_out_by_the_time_of_receipt() -> None:
     class Steered:
         asked: list[tuple[float, ...]] = []  # noqa: RUF012
 
@@ -207,7 +207,7 @@ def test_cmd_vel_counts_until_it_falls_silent_by_the_time_of_receipt() -> None:
             self.asked.append(asked)
             return min(asked[0], 0.01), *asked[1:]
 
-    node, controller, now = Deaf(), Steered(), [0.0]
+    node, controller, now = NodeStub(), Steered(), [0.0]
     steering = Steering(node, controller, lambda: now[0])
     msg = Twist()
     msg.linear.x, msg.linear.y, msg.angular.z = 1.0, 0.5, -0.25
@@ -217,10 +217,10 @@ def test_cmd_vel_counts_until_it_falls_silent_by_the_time_of_receipt() -> None:
     assert "steered: 0.0100 m/s forward" in node.logged[-1]
     assert "limited by the reach of the legs" in node.logged[-1]
     msg.linear.x = float("nan")
-    node.cmd_vel(msg)  # changes nothing
+    node.cmd_vel(msg)  # is ignored
     steering.apply()
     now[0] = CONFIG.gait.cmd_vel_timeout + 0.01
-    node.cmd_vel(msg)  # and does not feed
+    node.cmd_vel(msg)  # and does not restart the timeout
     steering.apply()
     assert controller.asked == [(0.0, 0.0, 0.0), (1.0, 0.5, -0.25), (1.0, 0.5, -0.25), (0.0, 0.0, 0.0)]
     assert steering.rejected == 2
@@ -229,7 +229,7 @@ def test_cmd_vel_counts_until_it_falls_silent_by_the_time_of_receipt() -> None:
 
 @pytest.mark.long
 @pytest.mark.timeout(600)
-def test_a_walk_through_ros_is_recorded_and_judged(tmp_path: Path) -> None:
+def test_a_physics_walk_through_ros_is_recorded_and_reported(tmp_path: Path) -> None:
     config = CONFIG.updated({"gait.steps": 2})
     model = load_model(config.robot)
     expected = simulate(make_controller(config, model), make_plant("physics", config, model))
@@ -250,7 +250,7 @@ def test_a_walk_through_ros_is_recorded_and_judged(tmp_path: Path) -> None:
 
 @pytest.mark.long
 @pytest.mark.timeout(600)
-def test_cmd_vel_steers_and_silence_puts_the_feet_together(tmp_path: Path, domain: int) -> None:
+def test_cmd_vel_steers_and_its_timeout_puts_the_feet_together(tmp_path: Path, domain: int) -> None:
     live = Live(tmp_path, domain, CONFIG.updated({"plant.lockstep": True, "gait.steps": 0}))
     try:
         twists = live.node.create_publisher(Twist, "cmd_vel", 1)
@@ -258,7 +258,7 @@ def test_cmd_vel_steers_and_silence_puts_the_feet_together(tmp_path: Path, domai
         live.start("controller")
         live.until(lambda: "stance/left" in live.phases(), 120.0, "the first stance")
         live.spin(2.0)
-        assert live.phase == "stance/left"  # nobody asks for anything
+        assert live.phase == "stance/left"  # no velocity is requested
         asked = Twist()
         asked.linear.x, asked.angular.z = 10.0, 0.1
 
@@ -282,7 +282,7 @@ def test_cmd_vel_steers_and_silence_puts_the_feet_together(tmp_path: Path, domai
 
 @pytest.mark.long
 @pytest.mark.timeout(600)
-def test_real_time_stands(tmp_path: Path) -> None:
+def test_a_physics_walk_in_real_time_does_not_fall(tmp_path: Path) -> None:
     outcome = run_walk(CONFIG.updated({"gait.steps": 1}), tmp_path / "bag", plant="physics", lockstep=False)
     assert outcome.finished, outcome.reason
     assert "% of real time" in outcome.pace

@@ -66,7 +66,7 @@ MIRRORED = ["hip_x", "hip_z", "hip_y", "knee_y", "ankle_y", "shoulder_y", "shoul
 
 
 def test_a_mirrored_pose_is_mirrored_in_the_servos(model: RobotModel, config: Config) -> None:
-    """_y turns alike on both sides, _x and _z oppositely; each servo then gets what its orientation and offset say.
+    """_y turns alike on both sides, _x and _z oppositely; orientation and offset then give the servo angle.
 
     The expected raw angles are written out from the wiring, not computed by the code under test.
     """
@@ -113,7 +113,7 @@ def test_mirrored_limits_agree() -> None:
         ("motors:\n  a: {id: 999, type: MX-28, bus: lower, direct: true, offset: 0, raw: [0, 1]}", "a unique id"),
     ],
 )
-def test_a_table_that_is_none_is_refused(tmp_path: Path, text: str, expected: str) -> None:
+def test_an_invalid_motor_table_is_refused(tmp_path: Path, text: str, expected: str) -> None:
     path = tmp_path / "motors.yaml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError, match=expected):
@@ -124,14 +124,14 @@ def test_a_table_that_is_none_is_refused(tmp_path: Path, text: str, expected: st
 
 
 @pytest.mark.parametrize("speed", [0.0, 1e-9, -1e-9, 0.34, 0.36, -0.1, math.nan, math.inf, -math.inf, 1e6])
-def test_no_speed_is_read_as_unlimited(speed: float) -> None:
-    """A servo rounds to units of 0.684 deg/s, and 0 units are no limit at all."""
+def test_no_speed_is_written_as_unlimited(speed: float) -> None:
+    """A servo rounds to units of 0.684 deg/s and treats 0 units as unlimited."""
     written = register_speed(speed, 120.0)
     assert MIN_SPEED <= written <= 120.0
     assert round(written / 0.684) >= 1
 
 
-def test_no_servo_ever_gets_an_unlimited_speed(model: RobotModel, config: Config) -> None:
+def test_no_servo_receives_an_unlimited_speed(model: RobotModel, config: Config) -> None:
     rig = Rig(model, config, angles={"l_knee_y": 40.0})
     speeds = []
     for name in MOTORS:
@@ -167,8 +167,8 @@ def test_gains_are_written_and_read_back(rig: Rig) -> None:
     assert rig.plant.stiffness[rig.plant.names.index("l_hip_x")] == pytest.approx(25.3, abs=0.1)
 
 
-def test_torques_that_are_fed_forward_become_angles(rig: Rig) -> None:
-    """A servo of 25 N m/rad that is asked for 1 N m more is told 1/25 rad more, until it is told something else."""
+def test_feedforward_torques_are_added_to_the_goals_as_angles(rig: Rig) -> None:
+    """For 1 N m a servo of 25 N m/rad gets a goal 1/25 rad further, until the next torque."""
     rig.tick(0.0, 1.0)
     k = rig.plant.names.index("l_knee_y")
     assert rig.memory.goal("l_knee_y") == pytest.approx(1.0 / rig.plant.stiffness[k], abs=0.002)
@@ -193,7 +193,7 @@ def test_nothing_is_written_before_activate(model: RobotModel, config: Config) -
     assert rig.plant.measured.q[rig.plant.names.index("l_knee_y")] == pytest.approx(math.radians(40.0), abs=0.001)
 
 
-def test_nothing_moves_when_the_torque_comes_on(model: RobotModel, config: Config) -> None:
+def test_nothing_moves_when_the_torque_is_switched_on(model: RobotModel, config: Config) -> None:
     rig = Rig(model, config, angles={"l_knee_y": 40.0, "r_elbow_y": -70.0})
     before = rig.plant.measured.q.copy()
     rig.plant.activate()
@@ -203,13 +203,13 @@ def test_nothing_moves_when_the_torque_comes_on(model: RobotModel, config: Confi
         assert rig.memory.angle(name) == pytest.approx(q, abs=3e-3), name
 
 
-def test_the_way_to_the_first_pose_is_slow(model: RobotModel, config: Config) -> None:
+def test_the_motion_to_the_first_pose_is_slow(model: RobotModel, config: Config) -> None:
     rig = Rig(model, config, angles={"l_knee_y": 40.0, "r_knee_y": 10.0, "r_elbow_y": -70.0})
     rig.plant.activate()
     began = rig.memory.clock.now
     while not rig.plant.ready:
         before = np.array([rig.memory.angle(name) for name in rig.plant.names])
-        rig.tick(5.0)  # whatever is commanded
+        rig.tick(5.0)  # for any command
         moved = np.abs(np.array([rig.memory.angle(name) for name in rig.plant.names]) - before)
         assert moved.max() <= 2.0 * config.poppy.start_speed * DT + 0.003
         assert rig.memory.clock.now < began + 20.0
@@ -218,24 +218,24 @@ def test_the_way_to_the_first_pose_is_slow(model: RobotModel, config: Config) ->
     assert np.abs(rig.plant.measured.q).max() < config.poppy.start_tolerance
 
 
-def test_a_limp_robot_is_told_nothing(rig: Rig) -> None:
+def test_a_robot_without_torque_receives_no_goals(rig: Rig) -> None:
     rig.plant.release()
     assert not any(rig.memory.torque(name) for name in MOTORS)
     goals = [rig.memory.goal(name) for name in MOTORS]
     for _ in range(20):
         rig.tick(1.0)
     assert goals == [rig.memory.goal(name) for name in MOTORS]
-    rig.memory.servo("l_knee_y").moved += 300.0  # somebody bends its knee
+    rig.memory.servo("l_knee_y").moved += 300.0  # the knee is bent by hand
     rig.run(0.3)
     assert rig.plant.measured.q[rig.plant.names.index("l_knee_y")] == pytest.approx(
         rig.memory.angle("l_knee_y"), abs=1e-3
     )
     rig.plant.activate()
-    assert not rig.plant.ready  # the first pose comes first again
+    assert not rig.plant.ready  # it must reach the first pose again
     assert rig.memory.goal("l_knee_y") == pytest.approx(rig.memory.angle("l_knee_y"), abs=0.002)
 
 
-def test_goals_stay_inside_the_limits_and_near_the_joints(rig: Rig) -> None:
+def test_goals_stay_inside_the_limits_and_near_the_measured_angles(rig: Rig) -> None:
     rng, n = np.random.default_rng(1), rig.model.n
     low, high = np.radians([MOTORS[name].limits for name in rig.plant.names]).T
     for _ in range(300):
@@ -249,7 +249,7 @@ def test_goals_stay_inside_the_limits_and_near_the_joints(rig: Rig) -> None:
 
 
 def test_calibration_moves_the_zero_of_a_joint(model: RobotModel, config: Config) -> None:
-    """ "-3 acts like 0" on a robot: it shows -3 where the joint is straight."""
+    """With the calibration -3, a servo angle of -3 degrees is a joint angle of zero."""
     rig = Rig(model, config, angles={"l_hip_y": -3.0}, settings={"poppy.calibration": ["l_hip_y=-3"]})
     i = rig.plant.names.index("l_hip_y")
     assert rig.plant.measured.q[i] == pytest.approx(0.0, abs=1e-3)
@@ -258,7 +258,7 @@ def test_calibration_moves_the_zero_of_a_joint(model: RobotModel, config: Config
 
 
 @pytest.mark.parametrize("entry", ["l_hip_y", "l_hip_y=x", "nobody=1", "l_hip_y=90", "l_hip_y=nan"])
-def test_a_calibration_that_cannot_be_used_is_refused(model: RobotModel, config: Config, entry: str) -> None:
+def test_an_invalid_calibration_is_refused(model: RobotModel, config: Config, entry: str) -> None:
     with pytest.raises(ConfigError, match=r"poppy\.calibration"):
         Rig(model, config, settings={"poppy.calibration": [entry]})
 
@@ -272,21 +272,21 @@ def test_a_command_that_is_not_finite_is_refused(rig: Rig, u: float) -> None:
 
 
 @pytest.mark.parametrize("sync_read", [True, False])
-def test_a_period_is_enough_for_all_motors(model: RobotModel, config: Config, sync_read: bool) -> None:
+def test_one_period_suffices_for_all_motors(model: RobotModel, config: Config, sync_read: bool) -> None:
     rig = Rig(model, config, sync_read=sync_read)
     rig.settle()
     took = [rig.tick(0.1) for _ in range(100)]
-    assert max(took) < DT  # both buses one after the other; the driver asks them at the same time
+    assert max(took) < DT  # both buses one after the other; the driver reads them in parallel
     rig.until(lambda: rig.plant.watch.faults, 1.0) if rig.plant.watch.faults else None
 
 
-def test_ports_that_are_not_there(model: RobotModel, config: Config) -> None:
+def test_missing_ports_are_refused(model: RobotModel, config: Config) -> None:
     own = config.updated({"poppy.lower_port": "/dev/null", "poppy.upper_port": "/dev/null"})
     with pytest.raises(PlantError, match=r"the lower bus cannot be opened.*is it plugged in"):
         PoppyPlant(model, own.poppy)
 
 
-def test_the_dummies_walk_the_same_way(model: RobotModel, config: Config) -> None:
+def test_dummy_servos_can_be_read_and_activated(model: RobotModel, config: Config) -> None:
     own = config.updated({"poppy.dummy": True})
     plant = PoppyPlant(model, own.poppy, buses=open_buses(load_motors("poppy"), own.poppy))
     assert plant.measured.q[plant.names.index("l_hip_y")] == pytest.approx(math.radians(-2.0), abs=0.001)
@@ -295,8 +295,8 @@ def test_the_dummies_walk_the_same_way(model: RobotModel, config: Config) -> Non
     plant.close()
 
 
-def test_a_whole_cycle_on_a_robot_that_follows(rig: Rig) -> None:
-    """Every phase ends by its rule, all limits kept, commanded and read-back angles a few periods apart."""
+def test_a_whole_walking_cycle_with_emulated_servos(rig: Rig) -> None:
+    """The walk finishes within all limits, and measured angles stay within 0.05 rad of the goals."""
     config, model, plant = rig.config, rig.model, rig.plant
     controller = make_controller(config, model)
     worst, state = 0.0, State(0.0, plant.measured.q[: model.n])
@@ -315,6 +315,6 @@ def test_a_whole_cycle_on_a_robot_that_follows(rig: Rig) -> None:
     assert worst < 0.05
 
 
-def test_the_files_are_installed_where_they_are_looked_for() -> None:
+def test_the_configurations_of_plants_are_found() -> None:
     for plant in ("integrator", "poppy"):
         assert load(str(find_share("config/plants", f"{plant}.yaml")))

@@ -17,7 +17,7 @@ from dqwalk_ros.robot import RobotModel, load_model
 
 KNEE = MOTORS["l_knee_y"].id
 STEP = 0.003
-"""Two steps of an MX's encoder, and more than half of one of an AX's, which the head has [rad]."""
+"""Two encoder steps of an MX, and more than half a step of an AX, which the head has [rad]."""
 
 
 @pytest.fixture(scope="module")
@@ -38,15 +38,15 @@ def rig(model: RobotModel, config: Config, request: pytest.FixtureRequest) -> Ri
     return rig
 
 
-def stands(rig: Rig, seconds: float = 1.0) -> None:
-    """Check that no goal changes although the robot is told to move."""
+def check_holds(rig: Rig, seconds: float = 1.0) -> None:
+    """Check that no goal changes although motion is commanded."""
     goals = {name: rig.memory.goal(name) for name in MOTORS}
     rig.run(seconds, u=0.3)
     assert goals == {name: rig.memory.goal(name) for name in MOTORS}
 
 
-def walks(rig: Rig) -> None:
-    """Check that goals follow a command."""
+def check_moves(rig: Rig) -> None:
+    """Check that a goal follows its command."""
     goal = rig.memory.goal("l_knee_y")
     rig.tick(0.3)
     rig.tick(0.3)
@@ -56,11 +56,11 @@ def walks(rig: Rig) -> None:
 # ---------------------------------------------------------------------- the bus
 
 
-def fall_silent(servos: FaultyServos) -> None:
+def stop_answering(servos: FaultyServos) -> None:
     servos.dead = True
 
 
-def one_motor(servos: FaultyServos) -> None:
+def silence_one_motor(servos: FaultyServos) -> None:
     servos.silent = {KNEE}
 
 
@@ -68,27 +68,27 @@ def unplug(servos: FaultyServos) -> None:
     servos.unplugged = True
 
 
-def flip(servos: FaultyServos) -> None:
+def flip_bits(servos: FaultyServos) -> None:
     servos.damaged = 1.0
 
 
-def babble(servos: FaultyServos) -> None:
+def send_garbage(servos: FaultyServos) -> None:
     servos.garbage = 1.0
 
 
 BUS = {
-    "the bus is silent": (fall_silent, "lower bus: every motor does not answer; is the power on"),
-    "one motor is silent": (one_motor, "l_knee_y (motor 14, lower bus) does not answer; check its cable"),
+    "the bus is silent": (stop_answering, "lower bus: every motor does not answer; is the power on"),
+    "one motor is silent": (silence_one_motor, "l_knee_y (motor 14, lower bus) does not answer; check its cable"),
     "the port is unplugged": (unplug, "lower bus: the port is gone: No such file or directory; plug it in"),
-    "one bit of each reply is flipped": (flip, "lower bus: every motor"),
-    "replies are random bytes": (babble, "lower bus: every motor"),
+    "one bit of each reply is flipped": (flip_bits, "lower bus: every motor"),
+    "replies are random bytes": (send_garbage, "lower bus: every motor"),
 }
 
 
 @pytest.mark.parametrize("fault", BUS)
-def test_old_angles_are_not_fresh_and_nothing_moves(rig: Rig, fault: str) -> None:
+def test_old_angles_are_not_marked_fresh_and_nothing_moves(rig: Rig, fault: str) -> None:
     cause, text = BUS[fault]
-    walks(rig)
+    check_moves(rig)
     cause(rig.memory.servos["lower"])
     took = rig.until(lambda: not rig.plant.fresh, 0.3)
     assert took <= MAX_AGE + 4 * DT
@@ -96,31 +96,31 @@ def test_old_angles_are_not_fresh_and_nothing_moves(rig: Rig, fault: str) -> Non
         rig.tick(0.3)
         assert not rig.plant.fresh
     assert text in rig.faults
-    stands(rig, 1.0)
+    check_holds(rig, 1.0)
 
 
 @pytest.mark.parametrize("fault", ["the bus is silent", "one motor is silent", "replies are random bytes"])
-def test_a_short_silence_is_over_when_the_motors_have_been_looked_at(rig: Rig, fault: str) -> None:
+def test_a_short_bus_failure_ends_when_the_motors_have_been_checked(rig: Rig, fault: str) -> None:
     BUS[fault][0](rig.memory.servos["lower"])
     rig.run(0.5, u=0.3)
     rig.memory.servos["lower"].clear_faults()
     rig.until(lambda: rig.plant.fresh, 0.3)
     rig.until(lambda: not rig.plant.watch.faults, 2.0)
-    walks(rig)
+    check_moves(rig)
 
 
-def test_a_port_that_is_plugged_in_again_is_opened_again(rig: Rig) -> None:
+def test_a_replugged_port_is_reopened(rig: Rig) -> None:
     unplug(rig.memory.servos["lower"])
     rig.run(0.5)
     rig.memory.servos["lower"].clear_faults()
     rig.until(lambda: rig.plant.fresh, 2.0)
-    stands(rig)
+    check_holds(rig)
     rig.settle()
-    walks(rig)
+    check_moves(rig)
 
 
 @pytest.mark.parametrize("fault", BUS)
-def test_after_a_long_silence_somebody_has_to_look(rig: Rig, fault: str) -> None:
+def test_a_long_bus_failure_requires_a_new_activation(rig: Rig, fault: str) -> None:
     BUS[fault][0](rig.memory.servos["lower"])
     rig.run(2.0, u=0.3)
     assert "then ~/activate" in rig.faults
@@ -128,13 +128,13 @@ def test_after_a_long_silence_somebody_has_to_look(rig: Rig, fault: str) -> None
         rig.plant.activate()
     rig.memory.servos["lower"].clear_faults()
     rig.until(lambda: rig.plant.fresh, 2.0)
-    stands(rig)
+    check_holds(rig)
     rig.settle()
-    walks(rig)
+    check_moves(rig)
 
 
-def test_motors_that_had_no_power_are_not_taken_for_holding(rig: Rig) -> None:
-    """They come back with their torque off: nothing moves until somebody switches it on again."""
+def test_motors_that_lost_power_are_not_assumed_to_hold(rig: Rig) -> None:
+    """Their torque is off afterwards, and nothing moves until it is switched on again."""
     servos = rig.memory.servos["lower"]
     servos.dead = True
     rig.run(0.5)
@@ -143,33 +143,33 @@ def test_motors_that_had_no_power_are_not_taken_for_holding(rig: Rig) -> None:
     rig.run(1.5, u=0.3)
     assert "l_knee_y has lost its torque or its gain" in rig.faults
     assert rig.plant.fresh
-    stands(rig)
+    check_holds(rig)
     rig.settle()
     assert not rig.plant.watch.faults
     assert all(rig.memory.torque(name) for name in MOTORS)
-    walks(rig)
+    check_moves(rig)
 
 
-def test_a_short_cut_of_the_power_is_noticed(rig: Rig) -> None:
-    """Too short for a silence."""
+def test_a_short_power_cut_is_detected(rig: Rig) -> None:
+    """Even if no reply is missing."""
     rig.memory.servos["lower"].cut_power()
     assert rig.until(lambda: "has lost its torque" in rig.faults, 1.0) <= 11 * DT
-    stands(rig)
+    check_holds(rig)
 
 
 @pytest.mark.parametrize(("address", "value"), [(TORQUE_ENABLE, 0), (TORQUE_LIMIT, 0), (GAIN, 32)])
-def test_torque_and_gain_are_read_back_for_ever(rig: Rig, address: int, value: int) -> None:
+def test_torque_and_gain_are_read_back_continuously(rig: Rig, address: int, value: int) -> None:
     servo = rig.memory.servo("l_knee_y")
     servo.write(address, bytes([value] * (2 if address == TORQUE_LIMIT else 1)))
     rig.until(lambda: "l_knee_y has lost its torque or its gain" in rig.faults, 11 * DT)
-    stands(rig)
+    check_holds(rig)
 
 
 # ---------------------------------------------------------------------- one angle
 
 
 @pytest.mark.parametrize("angle", [90.0, -90.0, 20.0])
-def test_one_wrong_angle_moves_nothing(rig: Rig, angle: float) -> None:
+def test_a_single_wrong_angle_causes_no_motion(rig: Rig, angle: float) -> None:
     rig.run(0.2)
     goal = rig.memory.goal("l_knee_y")
     rig.memory.of("l_knee_y").slip = {KNEE: angle}
@@ -183,34 +183,34 @@ def test_one_wrong_angle_moves_nothing(rig: Rig, angle: float) -> None:
 
 
 @pytest.mark.parametrize("angle", [90.0, -20.0, 17.0])
-def test_an_encoder_that_slips_is_noticed_at_once_and_stays_noticed(rig: Rig, angle: float) -> None:
+def test_a_slipped_encoder_is_detected_at_once_and_stays_reported(rig: Rig, angle: float) -> None:
     goal = rig.memory.goal("l_knee_y")
     rig.memory.of("l_knee_y").slip = {KNEE: angle}
     assert rig.until(lambda: "l_knee_y has jumped to another angle" in rig.faults, 0.3) <= 4 * DT
-    stands(rig, 2.0)
+    check_holds(rig, 2.0)
     assert rig.memory.goal("l_knee_y") == pytest.approx(goal, abs=STEP)
     assert not rig.plant.fresh
     rig.plant.release()
     rig.run(0.5)
-    assert rig.plant.fresh  # where the robot is looked at by hand, what the motor says is shown
+    assert rig.plant.fresh  # without torque, the measured angle is published
 
 
-# ---------------------------------------------------------------------- motors that suffer
+# ---------------------------------------------------------------------- hot, weak and blocked motors
 
 
-def test_a_hot_motor_holds_the_robot_until_it_is_cooler(rig: Rig) -> None:
+def test_a_hot_motor_stops_the_robot_until_it_has_cooled(rig: Rig) -> None:
     servo = rig.memory.servo("r_hip_y")
     servo.memory[TEMPERATURE] = 66
     rig.until(lambda: "r_hip_y is at 66 degC, too hot" in rig.faults, 1.0)
-    stands(rig)
+    check_holds(rig)
     servo.memory[TEMPERATURE] = 62
-    stands(rig)
+    check_holds(rig)
     servo.memory[TEMPERATURE] = 59
     rig.until(lambda: not rig.plant.watch.faults, 1.0)
-    walks(rig)
+    check_moves(rig)
 
 
-def test_a_hot_motor_holds_also_after_the_torque_was_off(rig: Rig) -> None:
+def test_a_hot_motor_prevents_activation(rig: Rig) -> None:
     rig.memory.servo("r_hip_y").memory[TEMPERATURE] = 70
     rig.run(0.6)
     rig.plant.release()
@@ -221,18 +221,18 @@ def test_a_hot_motor_holds_also_after_the_torque_was_off(rig: Rig) -> None:
     assert not rig.plant.active
 
 
-def test_a_hot_motor_holds_also_on_the_way_to_the_first_pose(model: RobotModel, config: Config) -> None:
+def test_a_hot_motor_stops_the_motion_to_the_first_pose(model: RobotModel, config: Config) -> None:
     rig = Rig(model, config, angles={"l_knee_y": 60.0})
     rig.plant.activate()
     rig.run(0.5)
     rig.memory.servo("r_hip_y").memory[TEMPERATURE] = 75
     rig.until(lambda: "too hot" in rig.faults, 1.0)
-    stands(rig)
+    check_holds(rig)
     assert not rig.plant.ready
 
 
-def test_one_reading_of_heat_is_no_heat(rig: Rig) -> None:
-    """A byte that was not noticed as damaged does not stop a walk."""
+def test_a_single_high_temperature_is_ignored(rig: Rig) -> None:
+    """An undetected damaged byte does not stop a walk."""
     servo, bus = rig.memory.servo("r_hip_y"), next(p.bus for p in rig.plant.parts if p.bus.name == "lower")
     i = bus.ids.index(servo.number)
     servo.memory[TEMPERATURE] = 255
@@ -242,37 +242,37 @@ def test_one_reading_of_heat_is_no_heat(rig: Rig) -> None:
     assert not rig.plant.watch.faults
 
 
-def test_an_empty_battery_holds_the_robot(rig: Rig) -> None:
+def test_an_empty_battery_stops_the_robot(rig: Rig) -> None:
     for servo in rig.memory.servos["lower"].servos.values():
         servo.memory[VOLTAGE] = 96
     rig.until(lambda: "l_hip_x has 9.6 V, too little; charge the battery" in rig.faults, 1.0)
-    stands(rig)
+    check_holds(rig)
     rig.plant.release()
     with pytest.raises(PlantError, match="too little"):
         rig.plant.activate()
 
 
 @pytest.mark.parametrize(("bits", "text"), [(4, "overheating"), (32, "overload"), (36, "overheating and overload")])
-def test_a_motor_that_switched_itself_off_is_named(rig: Rig, bits: int, text: str) -> None:
+def test_a_motor_that_switched_its_torque_off_is_named(rig: Rig, bits: int, text: str) -> None:
     servo = rig.memory.servo("l_knee_y")
     servo.error = bits
     servo.write(TORQUE_LIMIT, bytes(2))
     rig.until(lambda: f"l_knee_y reports {text} and has switched its torque off" in rig.faults, 11 * DT)
-    stands(rig)
+    check_holds(rig)
     servo.error = 0
-    stands(rig)  # it stays limp until somebody has seen to it
+    check_holds(rig)  # its torque stays off until the next activation
     rig.settle()
-    walks(rig)
+    check_moves(rig)
 
 
-def test_a_motor_that_reports_its_voltage_holds_the_robot(rig: Rig) -> None:
+def test_a_voltage_error_of_a_motor_stops_the_robot(rig: Rig) -> None:
     rig.memory.servo("l_knee_y").error = 1
     rig.until(lambda: "l_knee_y has 12.0 V, too little" in rig.faults, 1.0)
-    stands(rig)
+    check_holds(rig)
 
 
 @pytest.mark.parametrize("u", [0.3, -0.3])
-def test_a_blocked_joint_is_not_pushed_for_long(rig: Rig, u: float) -> None:
+def test_a_blocked_joint_is_not_driven_for_long(rig: Rig, u: float) -> None:
     rig.memory.servo("l_ankle_y").blocked = True
     began = rig.memory.clock.now
     while "l_ankle_y cannot follow" not in rig.faults:
@@ -280,17 +280,17 @@ def test_a_blocked_joint_is_not_pushed_for_long(rig: Rig, u: float) -> None:
         assert rig.memory.clock.now - began < rig.config.poppy.max_lead / 0.3 + rig.config.poppy.blocked_after + 0.2
     rig.tick(u)
     assert rig.memory.goal("l_ankle_y") == pytest.approx(rig.memory.angle("l_ankle_y"), abs=STEP)
-    stands(rig)
+    check_holds(rig)
 
 
-def test_a_motor_at_full_load_is_blocked(rig: Rig) -> None:
+def test_a_motor_at_full_load_is_reported_as_blocked(rig: Rig) -> None:
     rig.memory.servo("l_knee_y").write(LOAD, (1024 + 1000).to_bytes(2, "little"))
     took = rig.until(lambda: "l_knee_y cannot follow" in rig.faults, 3.0)
     assert took == pytest.approx(rig.config.poppy.blocked_after, abs=0.1)
-    stands(rig)
+    check_holds(rig)
 
 
-def test_a_way_to_the_first_pose_that_is_blocked_ends_with_an_error(model: RobotModel, config: Config) -> None:
+def test_a_joint_blocked_before_the_first_pose_is_an_error(model: RobotModel, config: Config) -> None:
     rig = Rig(model, config, angles={"l_knee_y": 60.0})
     rig.plant.activate()
     rig.run(0.3)
@@ -298,12 +298,12 @@ def test_a_way_to_the_first_pose_that_is_blocked_ends_with_an_error(model: Robot
     rig.until(lambda: "l_knee_y cannot follow" in rig.faults, 3.0)
     rig.tick()
     assert rig.memory.goal("l_knee_y") == pytest.approx(rig.memory.angle("l_knee_y"), abs=STEP)
-    stands(rig, 3.0)
+    check_holds(rig, 3.0)
     assert not rig.plant.ready
 
 
-def test_a_first_pose_that_is_not_quite_reached_ends_with_an_error(model: RobotModel, config: Config) -> None:
-    """A soft joint under load comes near, and stays further away than the tolerance."""
+def test_a_first_pose_not_reached_within_tolerance_is_an_error(model: RobotModel, config: Config) -> None:
+    """A soft joint under load stops near the pose, but outside the tolerance."""
     rig = Rig(model, config, angles={"l_knee_y": 60.0})
     rig.plant.activate()
     rig.until(lambda: rig.memory.angle("l_knee_y") < 0.13, 10.0)
@@ -316,8 +316,8 @@ def test_a_first_pose_that_is_not_quite_reached_ends_with_an_error(model: RobotM
 
 
 @pytest.mark.parametrize("sync_read", [True, False])
-def test_one_lost_reply_at_start_leaves_no_leg_limp(model: RobotModel, config: Config, sync_read: bool) -> None:
-    """Whichever reply it is: the torque is on everywhere and read back, or there is an error."""
+def test_a_lost_reply_at_activation_leaves_no_torque_off(model: RobotModel, config: Config, sync_read: bool) -> None:
+    """For any lost reply, the torque is on in all motors afterwards."""
 
     def started(lost: int) -> int:
         memory, count = Memory(sync_read=sync_read), iter(range(10**9))
@@ -335,7 +335,7 @@ def test_one_lost_reply_at_start_leaves_no_leg_limp(model: RobotModel, config: C
         started(lost)
 
 
-def test_a_torque_that_does_not_come_on_is_an_error(model: RobotModel, config: Config) -> None:
+def test_a_torque_that_does_not_switch_on_is_an_error(model: RobotModel, config: Config) -> None:
     rig = Rig(model, config)
     servo = rig.memory.servo("l_knee_y")
     write = servo.write
@@ -375,12 +375,12 @@ def test_motors_that_are_missing_at_start_are_named(model: RobotModel, config: C
         rig.opened()
 
 
-@pytest.mark.parametrize("goes_off", [True, False])
+@pytest.mark.parametrize("torque_off", [True, False])
 @pytest.mark.parametrize("fault", [None, *BUS])
-def test_leaving_lets_go_of_the_bus_and_leaves_the_torque_as_configured(
-    model: RobotModel, config: Config, goes_off: bool, fault: str | None
+def test_close_releases_the_bus_and_leaves_the_torque_as_configured(
+    model: RobotModel, config: Config, torque_off: bool, fault: str | None
 ) -> None:
-    rig = Rig(model, config, settings={"poppy.torque_off_at_end": goes_off})
+    rig = Rig(model, config, settings={"poppy.torque_off_at_end": torque_off})
     rig.settle()
     closed = []
     for part in rig.plant.parts:
@@ -388,23 +388,23 @@ def test_leaving_lets_go_of_the_bus_and_leaves_the_torque_as_configured(
         port.closePort = lambda name=part.bus.name: closed.append(name)
     if fault:
         BUS[fault][0](rig.memory.servos["lower"])
-    if goes_off and fault:
+    if torque_off and fault:
         with pytest.raises(PlantError, match=r"l_knee_y.* did not confirm .*: switch the power off"):
             rig.plant.close()
     else:
         rig.plant.close()
     assert sorted(closed) == list(BUSES)
-    # a reply that is damaged does not keep the servo from doing as it is told
-    deaf = {"the bus is silent": "l_", "the port is unplugged": "l_", "one motor is silent": "l_knee_y"}.get(
+    # a servo executes a request even if its reply is damaged
+    unreachable = {"the bus is silent": "l_", "the port is unplugged": "l_", "one motor is silent": "l_knee_y"}.get(
         fault or "", "-"
     )
     for name in MOTORS:
-        if not (name.startswith(deaf) or (deaf == "l_" and MOTORS[name].bus == "lower")):
-            assert rig.memory.torque(name) is not goes_off, name
+        if not (name.startswith(unreachable) or (unreachable == "l_" and MOTORS[name].bus == "lower")):
+            assert rig.memory.torque(name) is not torque_off, name
 
 
-def test_whatever_the_port_raises_is_no_traceback(rig: Rig) -> None:
-    """Errors of pyserial, termios and the system are all the same to a robot."""
+def test_every_error_of_the_port_is_handled(rig: Rig) -> None:
+    """Errors of pyserial, termios and the operating system are handled alike."""
     import termios
 
     for error in (OSError("x"), termios.error(5, "x"), TypeError("x"), ValueError("x"), NotImplementedError("x")):
@@ -420,34 +420,34 @@ def test_whatever_the_port_raises_is_no_traceback(rig: Rig) -> None:
         rig.settle()
 
 
-# ---------------------------------------------------------------------- anything, in any order
+# ---------------------------------------------------------------------- random faults in any order
 
 
-class Attack:
-    """Random faults on both buses, and what must hold whatever they are."""
+class RandomFaults:
+    """Random faults on both buses, and the invariants that must hold."""
 
     FAULTS = ("none", "dead", "silent", "unplugged", "damaged", "garbage", "lossy", "slip", "blocked", "power", "bits",
               "hot", "low", "late")  # fmt: skip
 
     def __init__(self, rig: Rig, seed: int) -> None:
-        self.rig, self.dice = rig, random.Random(seed)
+        self.rig, self.rng = rig, random.Random(seed)
         self.history: list[tuple[float, np.ndarray]] = []
-        self.lied: dict[str, float] = {}  # until when a joint's angle is not what its motor says [s]
+        self.wrong_until: dict[str, float] = {}  # until when a motor reports a wrong angle [s]
         self.late = 0.0
         self.published = self.moved = 0
 
-    def strike(self) -> str:
-        """Begin a fault on one of the buses, or end those that are."""
-        servos = self.rig.memory.servos[self.dice.choice(BUSES)]
-        kind, servo = self.dice.choice(self.FAULTS), self.dice.choice(list(servos.servos.values()))
-        if kind in ("none", "late") or self.dice.random() < 0.5:
+    def inject(self) -> str:
+        """Begin a fault on one of the buses, or end the present ones."""
+        servos = self.rig.memory.servos[self.rng.choice(BUSES)]
+        kind, servo = self.rng.choice(self.FAULTS), self.rng.choice(list(servos.servos.values()))
+        if kind in ("none", "late") or self.rng.random() < 0.5:
             for healed in self.rig.memory.servos.values():
                 healed.clear_faults()
                 for one in healed.servos.values():
                     one.error = 0
                     one.memory[TEMPERATURE], one.memory[VOLTAGE] = 40, 120
-        self.late = self.dice.choice([0.05, 0.15, 0.4]) if kind == "late" else 0.0
-        share = self.dice.choice([0.05, 0.5, 1.0])
+        self.late = self.rng.choice([0.05, 0.15, 0.4]) if kind == "late" else 0.0
+        share = self.rng.choice([0.05, 0.5, 1.0])
         if kind == "dead":
             servos.dead = True
         elif kind == "silent":
@@ -459,19 +459,19 @@ class Attack:
         elif kind == "garbage":
             servos.garbage = share
         elif kind == "lossy":
-            servos.drop_reply = lambda packet: self.dice.random() < share
+            servos.drop_reply = lambda packet: self.rng.random() < share
         elif kind == "slip":
-            servos.slip[servo.number] = self.dice.uniform(-180.0, 180.0)
+            servos.slip[servo.number] = self.rng.uniform(-180.0, 180.0)
         elif kind == "blocked":
             servo.blocked = True
         elif kind == "power":
             servos.cut_power()
         elif kind == "bits":
-            servo.error = self.dice.choice([1, 4, 32, 64, 127])
+            servo.error = self.rng.choice([1, 4, 32, 64, 127])
         elif kind == "hot":
-            servo.memory[TEMPERATURE] = self.dice.choice([70, 255])
+            servo.memory[TEMPERATURE] = self.rng.choice([70, 255])
         elif kind == "low":
-            servo.memory[VOLTAGE] = self.dice.choice([0, 80])
+            servo.memory[VOLTAGE] = self.rng.choice([0, 80])
         return kind
 
     def truth(self) -> np.ndarray:
@@ -483,25 +483,24 @@ class Attack:
         for name in names:
             rig.memory.servo(name).advance(clock.now)
             if rig.memory.of(name).slip.get(MOTORS[name].id):
-                self.lied[name] = clock.now + 1.0
+                self.wrong_until[name] = clock.now + 1.0
         self.history.append((clock.now, self.truth()))
         before = np.array([rig.memory.goal(name) for name in names])
-        took = rig.tick(self.dice.uniform(-1.0, 1.0), self.dice.uniform(-3.0, 3.0))
+        took = rig.tick(self.rng.uniform(-1.0, 1.0), self.rng.uniform(-3.0, 3.0))
         assert took < 0.5, "a period took too long"
-        clock.now += self.late if self.dice.random() < 0.2 else 0.0
+        clock.now += self.late if self.rng.random() < 0.2 else 0.0
         self.history.append((clock.now, self.truth()))
         after = np.array([rig.memory.goal(name) for name in names])
-        honest = np.array([self.lied.get(name, 0.0) < clock.now for name in names])
+        trusted = np.array([self.wrong_until.get(name, 0.0) < clock.now for name in names])
 
         recent = [q for at, q in self.history if at >= clock.now - took - MAX_AGE - DT]
         low, high = np.min(recent, axis=0) - STEP, np.max(recent, axis=0) + STEP
         if plant.fresh:
             self.published += 1
             q = plant.measured.q
-            assert (((q >= low) & (q <= high)) | ~honest).all(), "an old angle passes for a new one"
-        # a goal that changed is near an angle that the joint had a moment ago; the first goals after the power came
-        # on are those of the servos themselves
-        changed = (np.abs(after - before) > STEP) & honest & np.array([rig.memory.torque(name) for name in names])
+            assert (((q >= low) & (q <= high)) | ~trusted).all(), "an old angle is marked fresh"
+        # a changed goal is near a recent angle of the joint; the first goals after a power cut are the servos' own
+        changed = (np.abs(after - before) > STEP) & trusted & np.array([rig.memory.torque(name) for name in names])
         lead = rig.config.poppy.max_lead + STEP
         self.moved += int(changed.any())
         far = changed & ((after > high + lead) | (after < low - lead))
@@ -511,32 +510,32 @@ class Attack:
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("seed", [*range(6), *(pytest.param(k, marks=pytest.mark.long) for k in range(6, 100))])
-def test_whatever_happens_no_old_angle_is_fresh_and_no_goal_runs_away(
+def test_random_faults_cause_neither_stale_angles_nor_runaway_goals(
     model: RobotModel, config: Config, seed: int
 ) -> None:
-    """Ten seconds of faults in any order; whenever the robot is well again, somebody activates it."""
+    """Ten seconds of faults in any order; a stopped robot is activated again at random times."""
     rig = Rig(model, config, sync_read=bool(seed % 2))
     rig.settle()
-    attack, strikes = Attack(rig, seed), []
+    sequence, injected = RandomFaults(rig, seed), []
     end, due = rig.memory.clock.now + 10.0, rig.memory.clock.now + 0.5
     while rig.memory.clock.now < end:
         if rig.memory.clock.now >= due:
-            strikes.append(attack.strike())
-            due = rig.memory.clock.now + attack.dice.uniform(0.1, 1.5)
-        if not attack.dice.randrange(50) and (rig.plant.watch.faults or not rig.plant.active):
+            injected.append(sequence.inject())
+            due = rig.memory.clock.now + sequence.rng.uniform(0.1, 1.5)
+        if not sequence.rng.randrange(50) and (rig.plant.watch.faults or not rig.plant.active):
             with contextlib.suppress(PlantError):
                 rig.plant.activate()
-        attack.tick()
-    assert attack.published > 20, strikes
-    assert attack.moved > 5, strikes
+        sequence.tick()
+    assert sequence.published > 20, injected
+    assert sequence.moved > 5, injected
     for servos in rig.memory.servos.values():
         servos.clear_faults()
     rig.run(2.0)
     assert rig.plant.fresh
-    # what is still wrong is one of those that wait for somebody, and he can mend it
+    # the remaining faults end with a new activation
     for servo in (s for servos in rig.memory.servos.values() for s in servos.servos.values()):
         servo.error = 0
         servo.memory[TEMPERATURE], servo.memory[VOLTAGE] = 40, 120
     rig.run(1.0)
     rig.settle()
-    walks(rig)
+    check_moves(rig)

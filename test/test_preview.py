@@ -66,7 +66,7 @@ def test_the_cubic_arrives_at_rest(left: float, s: float, speed: float, end: flo
     assert speed + acceleration * left + jerk * left**2 / 2 == pytest.approx(0.0, abs=1e-9)
 
 
-def test_timing() -> None:
+def test_step_timing() -> None:
     """Standing to 0.3 s, over to the right foot until 0.4 s, then 0.7 s swings and 0.1 s transitions."""
     s = STEPPING.coordinate([0.0, 0.3, 0.35, 0.4, 1.1, 1.15, 1.2, 1.9, 1.95])
     assert s == pytest.approx([-1.0, -1.0, -0.5, 0.0, 0.0, 0.5, 1.0, 1.0, 1.5])
@@ -76,13 +76,13 @@ def test_timing() -> None:
     assert swing.foot is Foot.LEFT
     assert (swing.elapsed, swing.remaining) == pytest.approx((0.2, 0.5))
     assert STEPPING.swing(1.1) is None
-    assert STEPPING.swing(1.1 - 1e-12) is None  # a clock that is summed up
+    assert STEPPING.swing(1.1 - 1e-12) is None  # rounding of an accumulated clock
     assert STEPPING.swing(1.2).foot is Foot.RIGHT
     assert [STEPPING.step(t) for t in (0.39, 0.4, 1.199, 1.2)] == [-1, 0, 0, 1]
 
 
-def test_the_grid_moves_with_the_clock_without_a_jump() -> None:
-    """Over all ticks of three steps with feet that land where they were previewed, every limit moves a little."""
+def test_the_preview_moves_continuously_with_the_clock() -> None:
+    """Over three steps with feet that land as previewed, every limit moves by a small amount per tick."""
     places = {-1: np.zeros(2), 0: np.array([0.0, -0.095])}
     last = None
     for tick in range(round(2.6 / 0.005)):
@@ -104,7 +104,7 @@ def test_the_grid_moves_with_the_clock_without_a_jump() -> None:
         assert (dP <= p.upper[p.feet] + 1e-12).all()
 
 
-def test_the_first_foot_stands_already() -> None:
+def test_the_first_previewed_footstep_is_fixed() -> None:
     p = previewed(CONFIG, STEPPING, MASS, 0.0, np.array([1.0, 2.0]), {-1: np.array([1.0, 2.0])})
     assert p.lower[p.feet][0] == pytest.approx([0.0, -0.095])
     assert p.upper[p.feet][0] == pytest.approx([0.0, -0.095])

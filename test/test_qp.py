@@ -27,7 +27,7 @@ WALKS = [
         for flat, name in ((True, f"{first}-flat-all"), (False, f"{first}-literal-all"))
     ),
 ]
-"""First support foot, flat feet or the literal (8), and every which quadratic program is looked at."""
+"""First support foot, flat feet or the literal (8), and the interval between tested quadratic programs."""
 
 
 def exact(problem: Problem) -> np.ndarray:
@@ -43,12 +43,12 @@ def exact(problem: Problem) -> np.ndarray:
 
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize(("first", "flat", "every"), WALKS)
-def test_every_answer_along_a_walk_is_exact(first, flat, every):
-    """KKT residuals below 1e-9, and the exact solver's answer to 1e-9 relative; the first second of a phase in full."""
+def test_solutions_along_a_walk_are_exact(first, flat, every):
+    """KKT residuals are below 1e-9, and the exact solution agrees to 1e-9; every program of a phase's first second."""
     trace = paper_walk(first, flat)
     solver = make_solver("clarabel")
     starts = [record.start for record in trace.phases]
-    worst, off, count, limit = 0.0, 0.0, 0, trace.model.velocity_max
+    worst, deviation, count, limit = 0.0, 0.0, 0, trace.model.velocity_max
     for record, end in zip(trace.phases, [*starts[1:], len(trace) - 1], strict=True):
         phase = make_walk(trace.config, trace.model).phase(
             record.kind, record.support, record.q_start, record.swing_target
@@ -58,45 +58,45 @@ def test_every_answer_along_a_walk_is_exact(first, flat, every):
             solution = solver.solve(problem)
             worst = max(worst, solution.residuals(problem).largest)
             u = exact(problem)
-            off = max(off, np.abs(solution.u - u).max() / np.abs(u).max())
-            # and it is what the walk did
+            deviation = max(deviation, np.abs(solution.u - u).max() / np.abs(u).max())
+            # and the walk used this solution
             np.testing.assert_allclose(solution.u, trace.u[tick], rtol=0, atol=1e-9 * np.abs(u).max())
             count += 1
     assert count > 2000
     assert worst < 1e-9
-    assert off < 1e-9
+    assert deviation < 1e-9
 
 
-# ---------------------------------------------------------------------- residuals say what is wrong
+# ---------------------------------------------------------------------- residuals and error messages
 
 
-def a_problem():
+def example_problem():
     config = load("paper")
     phase = make_walk(config, legs()).phase(PhaseKind.DOUBLE_SUPPORT, Foot.LEFT, np.full(10, 0.01))
     return problem_at(phase, Kinematics(legs(), np.full(10, 0.01), Foot.RIGHT), DT)
 
 
-@pytest.mark.parametrize("what", ["stationarity", "primal", "dual", "complementarity"])
-def test_residuals_see_a_wrong_answer(what):
-    problem = a_problem()
+@pytest.mark.parametrize("residual", ["stationarity", "primal", "dual", "complementarity"])
+def test_residuals_detect_a_wrong_solution(residual):
+    problem = example_problem()
     right = make_solver("clarabel").solve(problem)
     assert right.residuals(problem).largest < 1e-9
     z = right.z.copy()
     l, n = problem.e.size, problem.c.size  # noqa: E741
-    if what == "stationarity":
+    if residual == "stationarity":
         wrong = dataclasses.replace(right, u=right.u * 1.01)
-    elif what == "primal":
+    elif residual == "primal":
         wrong = dataclasses.replace(right, u=right.u + 1e-3 * np.linalg.pinv(problem.E)[:, 0])
     else:
-        # a multiplier on a row that does not touch: of the wrong sign, or of the right one
+        # a multiplier on an inactive row: of the wrong sign, or of the right one
         slack = problem.upper - right.u
-        z[l + problem.h.size + int(np.argmax(slack[:n]))] += -0.1 if what == "dual" else 0.1
+        z[l + problem.h.size + int(np.argmax(slack[:n]))] += -0.1 if residual == "dual" else 0.1
         wrong = dataclasses.replace(right, z=z)
-    assert getattr(wrong.residuals(problem), what) > 1e-5
+    assert getattr(wrong.residuals(problem), residual) > 1e-5
 
 
-def test_what_is_active_is_named():
-    """Minimise |u - (1, -1, 0)|^2 with u_0 <= 1/2 and u_1 >= -1/4: both hold back, the second more."""
+def test_active_rows_are_named():
+    """Minimise |u - (1, -1, 0)|^2 with u_0 <= 1/2 and u_1 >= -1/4; both are active, the second more strongly."""
     none, eye = np.empty((0, 3)), np.eye(3)
     names = tuple(f"{end}/{k}" for end in ("max", "min") for k in "abc")
     bounds = np.array([-9.0, -0.25, -9.0]), np.array([0.5, 9.0, 9.0])
@@ -107,8 +107,8 @@ def test_what_is_active_is_named():
 
 
 @pytest.mark.parametrize("far", [1e2, 1e4])
-def test_a_row_capped_at_first_still_counts(far):
-    """A bound many gradient steps away, which a row with a large right-hand side makes matter after all."""
+def test_a_distant_bound_that_becomes_active_is_respected(far):
+    """A bound many gradient steps away, made active by a row with a large right-hand side."""
     eye, G = np.eye(2), np.array([[1.0, -1.0]])
     none = np.empty((0, 2))
     bounds = np.full(2, -2.0 * far), np.array([far / 2.0, 2.0 * far])
@@ -120,7 +120,7 @@ def test_a_row_capped_at_first_still_counts(far):
 
 
 def test_rows_in_conflict_are_named():
-    problem = a_problem()
+    problem = example_problem()
     k = problem.names.index("ground")
     rows = [*range(problem.equalities), k, *range(problem.equalities, len(problem.w))]
     w = problem.w[rows]

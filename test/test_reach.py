@@ -44,7 +44,7 @@ def walked() -> WholeBodyTrace:
     return follow(controller, RigidPlant(model, controller.start, pushed="chest"), scenario)
 
 
-def test_what_is_kept_is_said_to_be() -> None:
+def test_satisfied_requirements_are_reported() -> None:
     found = {check.name: check for check in checks(walked())}
     assert all(check.ok for check in found.values())
     assert found["ticks that miss capturability (S14)"].value == 0
@@ -61,7 +61,7 @@ def test_what_is_kept_is_said_to_be() -> None:
         ({"note": "fell at 0.5 s"}, "stood for"),
     ],
 )
-def test_what_is_violated_is_said(change: dict, name: str) -> None:
+def test_violated_requirements_are_reported(change: dict, name: str) -> None:
     w = walked()
     (key, value), *_ = change.items()
     spoilt = np.where(np.arange(len(w.time)) == 50, 1e-3, 0.0)
@@ -78,8 +78,8 @@ def test_what_is_violated_is_said(change: dict, name: str) -> None:
     assert not summary(bad, found)["ok"]
 
 
-def test_the_hand_is_judged_by_the_papers_figures() -> None:
-    """A walk made up of numbers: 0.12 m off at 4 s, 5 mm over the last three."""
+def test_the_hand_is_checked_at_4_s_and_over_the_last_3_s() -> None:
+    """A synthetic walk: the hand is 0.12 m from the target at 4 s, and 5 mm over the last 3 s."""
     w = walked()
     time = np.arange(0.0, 14.0, 0.005)
     n = len(time)
@@ -104,7 +104,7 @@ def test_the_hand_is_judged_by_the_papers_figures() -> None:
     assert found["hand from target, rms of the last 3 s"].ok
 
 
-def test_a_push_is_judged_by_the_step_after_it() -> None:
+def test_a_push_is_evaluated_by_the_next_footstep() -> None:
     w = walked()
     other = replace(w, support=w.support.copy())
     moved = replace(w, scenario=replace(w.scenario, pushes=((0.2, (0.0, 5.0, 0.0)),)), support=w.support.copy())
@@ -125,14 +125,14 @@ def test_figures() -> None:
     assert hand.get_ydata()[-1] == pytest.approx(walked().hand[-1, 0])
 
 
-def test_the_papers_pushes_and_jumps_are_what_it_says() -> None:
+def test_the_scenarios_have_the_pushes_of_the_paper() -> None:
     assert [push for _, push in SCENARIOS["2"].pushes] == [(0.0, 15.0, 0.0), (-15.0, 0.0, 0.0)]
     assert [when for when, _ in SCENARIOS["2"].pushes] == [2.5, 7.0]
     assert SCENARIOS["1"].pushes == ()
 
 
-def test_tests_are_fitted_to_the_robot() -> None:
-    """Half as high and an eighth of the mass: half the way, and pushes of the same capture point in its own lengths."""
+def test_scenarios_are_scaled_to_the_robot() -> None:
+    """Half the height and an eighth of the mass: half the distances, and half the motion of the capture point."""
     controller = WholeBodyController(load("whole_body"), walked().model)
     assert fitted(SCENARIOS["2"], controller) is SCENARIOS["2"]
     h, weight = controller.point_mass.height, controller.weight
@@ -143,7 +143,7 @@ def test_tests_are_fitted_to_the_robot() -> None:
     for (t, place), (t0, place0) in zip(small.targets, SCENARIOS["2"].targets, strict=True):
         assert t == pytest.approx(t0)
         assert place == pytest.approx(small.size * np.array(place0))
-    # the capture point moves by J/(m omega), which is to scale with the height
+    # the capture point moves by J/(m omega), which must scale with the height
     moved = [
         np.linalg.norm(s.pushes[0][1]) / (m * np.sqrt(9.81 / z))
         for s, m, z in ((small, weight / 8.0, 0.5 * h), (SCENARIOS["2"], weight, h))
@@ -151,7 +151,7 @@ def test_tests_are_fitted_to_the_robot() -> None:
     assert moved[0] / moved[1] == pytest.approx(0.5, rel=0.02)
 
 
-def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_reach(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "reach"
     arguments = ["reach", "--test", "1", "--duration", "0.5", "--target", "0.5,-0.4,0.9", "--no-figures"]
     assert cli.main([*arguments, "--out", str(out)]) == 0
@@ -166,7 +166,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "3 numbers separated by commas" in capsys.readouterr().err
 
 
-# ---------------------------------------------------------------------- every figure of the issue
+# ---------------------------------------------------------------------- requirements
 
 
 def test_a_jump_in_mid_swing_moves_the_next_footstep_at_once() -> None:
@@ -183,18 +183,18 @@ def test_a_jump_in_mid_swing_moves_the_next_footstep_at_once() -> None:
 
     assert judged(jump.moved, held=False)
     assert not judged((0.0, 0.1), held=False)
-    assert judged((0.0, 0.1), held=True)  # in the corner of its box
+    assert judged((0.0, 0.1), held=True)  # in the corner of its region
     assert not judged((0.0, 0.0), held=True)
 
 
-def test_the_equations_are_what_they_should_be() -> None:
+def test_all_requirements_on_the_equations_are_met() -> None:
     rows = acceptance.unit_demands(load("whole_body"))
     assert len(rows) == 7
     assert all(row.ok and row.must for row in rows), acceptance.render(rows)
 
 
-def test_every_demand_is_judged() -> None:
-    """With a walk that is too short and answers that are off, what fails is said; the exit code follows `must`."""
+def test_every_requirement_is_evaluated() -> None:
+    """Short walks and wrong solutions: the failed requirements are reported."""
     w = walked()
     names = acceptance.walks()
     short = {name: replace(w, scenario=one.scenario) for name, one in names.items()}
@@ -203,7 +203,7 @@ def test_every_demand_is_judged() -> None:
     by_name = {row.name: row for row in good}
     assert by_name["without level 2, in place"].ok
     assert by_name["15 N s, N = 8"].ok
-    assert not by_name["footstep moved by the push at 2.5 s"].ok  # it never came
+    assert not by_name["footstep moved by the push at 2.5 s"].ok  # there was no such push
     bad = acceptance.judge(
         short | {"15 N s, N = 8": replace(w, note="fell at 0.9 s")}, Answers(ticks=10, sampled=1, acceleration=2e-3)
     )
@@ -215,7 +215,7 @@ def test_every_demand_is_judged() -> None:
 
 
 @pytest.mark.long
-def test_all_that_must_hold_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_mandatory_requirements_are_met(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.argv", ["acceptance", "--out", str(tmp_path)])
     code = acceptance.main()
     demands = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["demands"]
@@ -223,14 +223,14 @@ def test_all_that_must_hold_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert len(must) == 56
     missed = [row for row in must if not row["ok"]]
     assert code == bool(missed)
-    assert [row for row in missed if not row["topic"].startswith("CPU time")] == []  # those are the machine's as well
+    assert [row for row in missed if not row["topic"].startswith("CPU time")] == []  # those depend on the machine too
     assert {file.name for file in tmp_path.iterdir()} >= {"bag_1", "bag_2", "figure2.png", "figure5.png"}
 
 
 # ---------------------------------------------------------------------- pushes
 
 
-def test_the_hardest_push_is_found_by_bisection(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_largest_push_is_found_by_bisection(monkeypatch: pytest.MonkeyPatch) -> None:
     hits = []
 
     def walk(config, wanted):  # falls from 21.3 N s on
@@ -248,7 +248,7 @@ def test_the_hardest_push_is_found_by_bisection(monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.long
-def test_the_command_for_pushes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_reach_with_pushes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["reach", "--pushes", "--exact", "8", "--when", "1.7", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert "the left foot stands" in said
@@ -258,7 +258,7 @@ def test_the_command_for_pushes(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert (tmp_path / "pushes.png").exists()
 
 
-def test_the_figure_of_pushes() -> None:
+def test_the_figure_of_push_limits() -> None:
     limits = [Limit("physics", 0.25 * np.pi * k, 10.0 + k, 11.0 + k, "fell") for k in range(8)]
     figure = pushes_figure({"physics": limits, "rigid": limits}, "hit")
     lines = figure.axes[0].get_lines()
@@ -269,8 +269,8 @@ def test_the_figure_of_pushes() -> None:
 # ---------------------------------------------------------------------- bags
 
 
-def test_a_bag_is_the_walk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Written, read and solved again it is the walk, bit for bit in what was measured."""
+def test_a_bag_reproduces_the_walk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Measured values are read back bit for bit; recomputed torques agree to 1e-4."""
     w = walked()
     bag.write_body(w, tmp_path / "bag")
     log = bag.read_body(tmp_path / "bag")
@@ -302,8 +302,8 @@ def test_a_bag_is_the_walk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert page.count("data:image/svg+xml") == 3
 
 
-def test_what_the_record_says_is_judged_not_what_would_have_been(tmp_path: Path) -> None:
-    """Torques beyond the limits, and a foot that is pulled, are seen in the record."""
+def test_recorded_values_are_evaluated_instead_of_recomputed_ones(tmp_path: Path) -> None:
+    """Recorded torques beyond the limits and a pulling contact force are reported."""
     w = walked()
     wrong = replace(w, effort=w.effort.copy(), wrenches=w.wrenches.copy())
     wrong.effort[50] *= 10.0

@@ -21,19 +21,19 @@ from dqwalk_ros.state import Command
 from dqwalk_ros.walk import PhaseKind
 
 MOMENTS = 20
-"""Of a step: a double support to the foot that does not begin a walk, and the single support on it."""
+"""Instants of one step: the second double support of a walk, and the single support after it."""
 BEGIN, STEP = 3.0, 3.0
-"""When that step begins, and how long it takes [s]."""
+"""Start and duration of that step [s]."""
 HELD = {"kill": 1.1, "reset": 0.2, "pause": 2.0, "freeze": 0.0}
 FROZEN = (0.3, 2.0, 30.0)
 AFTER = 5.0
-"""So long it must stand [s]; a foot in the air is down by then, and the next one has been lifted."""
+"""Time for which it must not fall afterwards [s]: a foot in the air is put down, and the next one lifted."""
 
 CONFIG = functools.cache(lambda plant: overlaid(load("poppy"), plant).updated({"gait.steps": 6}))
 
 
-def walked_on(plant: Plant, steps: list[tuple[float, Command]], dt: float) -> None:
-    """Let nobody but the plant's own watchdog act."""
+def step_without_controller(plant: Plant, steps: list[tuple[float, Command]], dt: float) -> None:
+    """Step the plant with a fixed command for each span of time [s]."""
     for span, command in steps:
         for _ in range(round(span / dt)):
             plant.step(command, dt)
@@ -47,7 +47,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("plant", "fault", "moment"), CASES)
-def test_it_stands(plant: str, fault: str, moment: int) -> None:
+def test_the_robot_does_not_fall_when_its_controller_fails(plant: str, fault: str, moment: int) -> None:
     config = CONFIG(plant)
     model = load_model(config.robot)
     controller, robot = make_controller(config, model), make_plant("physics", config, model)
@@ -56,7 +56,7 @@ def test_it_stands(plant: str, fault: str, moment: int) -> None:
     still, timeout = Command(at, np.zeros(model.n)), config.plant.command_timeout
     span = HELD[fault] or FROZEN[moment % len(FROZEN)]
     silent = [(timeout, last), (span, still)] if fault in ("kill", "freeze") else [(span, still)]
-    walked_on(robot, silent, config.dt)
+    step_without_controller(robot, silent, config.dt)
     assert not robot.fallen
     if fault in ("kill", "reset"):
         controller = make_controller(config, model)
@@ -84,8 +84,8 @@ def test_a_foot_in_the_air_is_put_down_first(support: Foot) -> None:
 
 
 @pytest.mark.long
-def test_a_controller_that_is_killed_in_mid_swing_walks_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same through ROS, in real time."""
+def test_a_new_controller_continues_the_walk_in_mid_swing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Through ROS, in real time; the old one is killed."""
     pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
     from live import Live
 

@@ -20,7 +20,7 @@ POPPY = find_share("urdf", "poppy.urdf")
 
 
 def edited(tmp_path, *changes, source=POPPY):
-    """A robot that differs from ours by regular expressions."""
+    """Write a URDF that is edited by regular expressions; return its path."""
     text = source.read_text(encoding="utf-8")
     for pattern, replacement in changes:
         text, hits = re.subn(pattern, replacement, text, flags=re.DOTALL)
@@ -30,10 +30,10 @@ def edited(tmp_path, *changes, source=POPPY):
     return str(path)
 
 
-# ---------------------------------------------------------------------- what there is
+# ---------------------------------------------------------------------- joints, masses and limits
 
 
-def test_the_papers_mechanism():
+def test_the_papers_mechanism_has_ten_joints():
     model = legs()
     leg = ("hip_x", "hip_z", "hip_y", "knee_y", "ankle_y")
     assert model.n == 10
@@ -41,7 +41,7 @@ def test_the_papers_mechanism():
     assert 1.0 < model.mass < 1.2  # legs and pelvis
 
 
-def test_it_can_be_sent_to_another_process():
+def test_a_model_can_be_pickled():
     model = poppy()
     again = pickle.loads(pickle.dumps(model))
     assert again.joint_names == model.joint_names
@@ -52,14 +52,14 @@ def test_it_can_be_sent_to_another_process():
         again.frames["more"] = again.frames[again.root]
 
 
-def test_all_of_poppy():
+def test_the_whole_poppy_has_25_joints():
     model = poppy()
     assert model.n == 25
     assert set(legs().joint_names) < set(model.joint_names)
     assert model.mass > 2.0 * legs().mass
 
 
-def test_another_biped():
+def test_another_biped_is_read():
     model = biped12()
     assert model.n == 12
     assert model.mass == pytest.approx(5.0)
@@ -87,8 +87,8 @@ def _file(model):
     return str(DATA / "biped12.urdf") if model is biped12() else str(POPPY)
 
 
-def test_standing_straight(robot, foot):
-    """With all joints at zero the soles are flat on the ground, side by side, and the pelvis is above them."""
+def test_soles_are_flat_and_side_by_side_at_zero_angles(robot, foot):
+    """The pelvis and the CoM are above the soles."""
     kin = Kinematics(robot, np.zeros(robot.n), foot)
     x = kin.pose(kin.swing)
     np.testing.assert_allclose(x[:4], [1.0, 0.0, 0.0, 0.0], atol=1e-12)
@@ -110,14 +110,14 @@ def test_wildcards_lock_whole_limbs():
     assert "r_sole" in model.frames
 
 
-def test_dropping_cuts_off_all_it_carries():
+def test_dropping_a_joint_removes_all_bodies_beyond_it():
     whole, cut = poppy(), load_model(RobotConfig(drop=("abs_y",)))
     assert set(cut.joint_names) == set(legs().joint_names)
     assert "head" not in cut.frames
     assert cut.mass < whole.mass
 
 
-def test_soles_that_no_joint_moves_apart_are_refused():
+def test_soles_without_a_joint_between_them_are_refused():
     with pytest.raises(ModelError, match="no joint moves the soles"):
         load_model(RobotConfig(lock=("*",)))
 
@@ -139,7 +139,7 @@ def test_locking_keeps_the_total_mass_and_the_centre_of_mass(lock, foot):
             np.testing.assert_allclose(a.pose(frame), b.pose(frame), atol=1e-14)
 
 
-def test_nothing_depends_on_the_order_of_names():
+def test_joint_names_are_case_sensitive():
     with pytest.raises(ModelError, match="there is no such joint; it has"):
         load_model(RobotConfig(lock=("l_knee_Y",)))
 
@@ -147,7 +147,7 @@ def test_nothing_depends_on_the_order_of_names():
 # ---------------------------------------------------------------------- soles
 
 
-def test_a_sole_from_its_box():
+def test_sole_dimensions_are_those_of_its_box():
     urdf = yourdfpy.URDF.load(str(POPPY), load_meshes=False, build_scene_graph=False).robot
     for foot, name in ((Foot.LEFT, "l_sole"), (Foot.RIGHT, "r_sole")):
         box = next(link for link in urdf.links if link.name == name).collisions[0]
@@ -159,7 +159,7 @@ def test_a_sole_from_its_box():
         np.testing.assert_allclose(np.ptp(sole.corners, axis=0), [sole.length, sole.width, 0.0], atol=1e-15)
 
 
-def test_a_sole_from_the_configuration(foot):
+def test_sole_dimensions_can_be_configured(foot):
     sole = legs().soles[foot]
     assert (sole.length, sole.width) == (0.0934, 0.07)
     # p_basecom of section 5: below the foot's own centre of mass
@@ -171,7 +171,7 @@ def test_a_sole_from_the_configuration(foot):
     np.testing.assert_allclose(kin.point(sole.frame, sole.center), sole.center, atol=1e-15)
 
 
-def test_one_number_of_a_sole_may_come_from_the_box():
+def test_a_dimension_that_is_not_configured_is_that_of_the_box():
     sole = load_model(RobotConfig(sole_length=0.2)).soles[Foot.LEFT]
     assert (sole.length, sole.width) == (0.2, poppy().soles[Foot.LEFT].width)
 
@@ -179,14 +179,14 @@ def test_one_number_of_a_sole_may_come_from_the_box():
 # ---------------------------------------------------------------------- mirror images
 
 
-def test_a_mirror_image_of_a_mirror_image_is_the_robot(robot):
+def test_mirroring_twice_gives_the_original_robot(robot):
     twice = mirrored(mirrored(robot))
     for a, b in zip(robot.bodies, twice.bodies, strict=True):
         np.testing.assert_array_equal(a.origin, b.origin)
         np.testing.assert_array_equal(a.axis, b.axis)
 
 
-# ---------------------------------------------------------------------- what is refused
+# ---------------------------------------------------------------------- refused descriptions
 
 
 @pytest.mark.parametrize("key", ["pelvis", "left_sole", "right_sole", "imu"])
@@ -214,39 +214,39 @@ def test_a_missing_file_is_named():
 
 
 @pytest.mark.parametrize("text", ["", "not xml", "<robot name='x'/>", "<robot name='x'><link name='a'></robot>"])
-def test_no_urdf(tmp_path, text):
+def test_an_invalid_urdf_is_refused(tmp_path, text):
     path = tmp_path / "broken.urdf"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ModelError, match=r"broken\.urdf"):
         load_model(RobotConfig(urdf=str(path)))
 
 
-def test_no_mass(tmp_path):
+def test_a_robot_without_mass_is_refused(tmp_path):
     path = edited(tmp_path, (r"<inertial>.*?</inertial>", ""))
     with pytest.raises(ModelError, match="mass"):
         load_model(RobotConfig(urdf=path))
 
 
-def test_a_joint_that_slides(tmp_path):
+def test_a_prismatic_joint_is_refused_unless_it_is_locked(tmp_path):
     path = edited(tmp_path, (r'name="l_knee_y" type="revolute"', 'name="l_knee_y" type="prismatic"'))
     with pytest.raises(ModelError, match="joint 'l_knee_y'"):
         load_model(RobotConfig(urdf=path))
-    assert load_model(RobotConfig(urdf=path, lock=("l_knee_y",))).n == 24  # locked it is as good as fixed
+    assert load_model(RobotConfig(urdf=path, lock=("l_knee_y",))).n == 24  # a locked joint is fixed
 
 
-def test_a_robot_without_a_root(tmp_path):
+def test_a_robot_with_two_roots_is_refused(tmp_path):
     path = edited(tmp_path, (r"</robot>", '<link name="stray"/></robot>'))
     with pytest.raises(ModelError, match=r"root|stray"):
         load_model(RobotConfig(urdf=path))
 
 
-def test_a_sole_without_a_box(tmp_path):
+def test_a_sole_without_a_box_needs_configured_dimensions(tmp_path):
     path = edited(tmp_path, (r"<collision>.*?</collision>", ""))
     with pytest.raises(ModelError, match=r"'[lr]_sole' has no collision box; give robot.sole_length and sole_width"):
         load_model(RobotConfig(urdf=path))
     assert load_model(RobotConfig(urdf=path, sole_length=0.1, sole_width=0.05)).soles[Foot.LEFT].width == 0.05
 
 
-def test_ours_are_read():
+def test_the_supplied_configurations_are_read():
     assert load_model(load("paper").robot).joint_names == legs().joint_names
     assert load_model(biped12_config().robot).pelvis == "base"

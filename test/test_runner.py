@@ -27,7 +27,7 @@ def children() -> list[psutil.Process]:
     return [p for p in psutil.Process().children(recursive=True) if "dqwalk_ros.nodes" in " ".join(p.cmdline())]
 
 
-def test_a_step_too_long_ends_with_the_reason(tmp_path: Path) -> None:
+def test_a_step_that_is_too_long_ends_with_the_reason(tmp_path: Path) -> None:
     config = load("paper").updated({**SHORT, "gait.step_length": 0.3, "gait.phase_timeout": 10.0})
     outcome = run_walk(config, tmp_path / "bag")
     assert not outcome.finished
@@ -35,12 +35,12 @@ def test_a_step_too_long_ends_with_the_reason(tmp_path: Path) -> None:
     assert "com_cylinder" in outcome.reason
     assert outcome.ticks > 10
     assert not children()
-    walked = bag.read(tmp_path / "bag")  # what was walked is there
+    walked = bag.read(tmp_path / "bag")  # with the walk until then
     assert not walked.finished
     assert len(walked.time) >= outcome.ticks
 
 
-def test_a_bag_that_is_there_is_not_touched(tmp_path: Path) -> None:
+def test_an_existing_bag_is_not_changed(tmp_path: Path) -> None:
     (tmp_path / "bag").mkdir()
     (tmp_path / "bag" / "precious").write_text("data")
     outcome = run_walk(load("paper").updated(SHORT), tmp_path / "bag")
@@ -51,33 +51,33 @@ def test_a_bag_that_is_there_is_not_touched(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "victim",
+    "target",
     ["controller", *(pytest.param(name, marks=pytest.mark.long) for name in ("integrator", "phase_monitor"))],
 )
-def test_a_node_that_dies(tmp_path: Path, victim: str) -> None:
-    """Without plant or controller the walk is over; the monitor is not in the loop."""
+def test_a_killed_node_ends_the_walk_unless_it_is_the_monitor(tmp_path: Path, target: str) -> None:
+    """The monitor is not in the control loop."""
     killed = False
 
     def kill(fraction: float, text: str) -> None:
         nonlocal killed
         if not killed and "support" in text:
             for process in children():
-                if process.cmdline()[3] == victim:
+                if process.cmdline()[3] == target:
                     process.kill()
                     killed = True
 
-    in_the_loop = victim != "phase_monitor"  # a fast machine must not be done before the kill
+    in_the_loop = target != "phase_monitor"  # a fast machine must not finish before the kill
     config = load("paper").updated({**SHORT, "task.eta": 0.3, "ssp.threshold": 1e-3} if in_the_loop else SHORT)
     outcome = run_walk(config, tmp_path / "bag", progress=kill)
     assert killed
     assert outcome.finished is not in_the_loop
     if not outcome.finished:
-        assert f"{victim} ended (-9)" in outcome.reason
+        assert f"{target} ended (-9)" in outcome.reason
     assert not children()
 
 
 @pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.long), signal.SIGKILL])
-def test_no_node_outlives_the_runner(tmp_path: Path, number: signal.Signals) -> None:
+def test_no_node_remains_when_the_runner_has_ended(tmp_path: Path, number: signal.Signals) -> None:
     code = (
         "import json, sys\n"
         "from dqwalk_ros.config import load\n"
@@ -111,7 +111,7 @@ def test_no_node_outlives_the_runner(tmp_path: Path, number: signal.Signals) -> 
     assert len(bag.read(tmp_path / "bag")) > 0
 
 
-def test_progress_is_shown_and_a_recorder_that_is_held_up_loses_nothing(tmp_path: Path) -> None:
+def test_progress_is_shown_and_a_suspended_recorder_loses_no_messages(tmp_path: Path) -> None:
     held: list[threading.Timer] = []
     shown: list[tuple[float, str]] = []
 
@@ -137,7 +137,7 @@ def test_progress_is_shown_and_a_recorder_that_is_held_up_loses_nothing(tmp_path
     assert max(fractions) > 0.5
 
 
-def test_domains_are_not_shared() -> None:
+def test_private_domains_are_not_shared() -> None:
     with private_domain() as one, private_domain() as two:
         assert one != two
         assert 1 <= one <= 101
