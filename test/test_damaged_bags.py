@@ -1,4 +1,4 @@
-"""Damaged, hostile or impossible bags: one clear sentence, bounded memory and time, no traceback."""
+"""Damaged, malicious or inconsistent bags: one clear error message, bounded memory and time, no traceback."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ def path(trace, tmp_path_factory):
 
 
 def reported(bag_path, out, *options):
-    """Return exit code and report of `dqwalk report`, which ends without a traceback."""
+    """Return exit code and report of `dqwalk report`."""
     code = cli.main(["report", str(bag_path), "--no-figures", "--quiet", "--out", str(out), *options])
     file = out / "report.json"
     return code, json.loads(file.read_text()) if file.exists() else None
 
 
-# ---------------------------------------------------------------------- what a crash leaves
+# ---------------------------------------------------------------------- recordings cut off by a crash
 
 
 def test_a_bag_without_metadata_is_reported(path, tmp_path):
@@ -60,7 +60,7 @@ def test_a_bag_without_metadata_is_reported(path, tmp_path):
 
 
 @pytest.mark.parametrize("whole", [True, False], ids=["folder", "one file"])
-def test_a_recording_that_was_cut_off_is_reported(trace, path, tmp_path, whole):
+def test_a_truncated_recording_is_reported(trace, path, tmp_path, whole):
     shutil.copytree(path, tmp_path / "b")
     (tmp_path / "b/metadata.yaml").unlink()
     os.truncate(tmp_path / "b/walk.mcap", 150_000)
@@ -71,38 +71,38 @@ def test_a_recording_that_was_cut_off_is_reported(trace, path, tmp_path, whole):
     assert any("is damaged or cut off" in note for note in report["notes"])
 
 
-def test_zeros_behind_a_recording_are_not_read(path, tmp_path):
-    """A file that was preallocated when the power went: six gigabytes, none of them on the disk."""
+def test_trailing_zeros_of_a_recording_are_not_read(path, tmp_path):
+    """A preallocated, sparse file after a power failure: 6 GB of zeros."""
     data = (path / "walk.mcap").read_bytes()
     (tmp_path / "x.mcap").write_bytes(data[: len(data) // 2])
     os.truncate(tmp_path / "x.mcap", 6 << 30)
     assert len(bag.read(tmp_path / "x.mcap")) > 50
 
 
-def test_every_flipped_bit_is_noticed(trace, path, tmp_path):
-    """Or makes no difference: where it is in an index that nobody needs."""
+def test_flipped_bits_are_detected(trace, path, tmp_path):
+    """Otherwise it makes no difference, for example in an unused index."""
     data = (path / "walk.mcap").read_bytes()
     rng = np.random.default_rng(5)
-    noticed = 0
+    detected = 0
     for at in rng.integers(0, 8 * len(data), 40).tolist():
-        spoilt = bytearray(data)
-        spoilt[at // 8] ^= 1 << at % 8
-        (tmp_path / "x.mcap").write_bytes(spoilt)
+        damaged = bytearray(data)
+        damaged[at // 8] ^= 1 << at % 8
+        (tmp_path / "x.mcap").write_bytes(damaged)
         try:
             back = bag.read(tmp_path / "x.mcap")
         except BagError:
-            noticed += 1
+            detected += 1
             continue
         if back.notes:
-            noticed += 1
+            detected += 1
             continue
         np.testing.assert_array_equal(back.q, trace.q)
         np.testing.assert_array_equal(back.u, trace.u)
         assert len(back.phases) == len(trace.phases)
-    assert noticed > 30
+    assert detected > 30
 
 
-# ---------------------------------------------------------------------- what cannot be
+# ---------------------------------------------------------------------- impossible values
 
 
 def edited(path, target, topic, change):
@@ -121,8 +121,8 @@ def edited(path, target, topic, change):
 
 @pytest.mark.parametrize("seconds", [2_145_916_800, -5, 0], ids=["2038", "before 1970", "the beginning"])
 @pytest.mark.parametrize("part", [0.0, 0.5, 0.99, 1.0])
-def test_one_state_with_a_stamp_that_cannot_be(trace, path, tmp_path, seconds, part):
-    """It alone is left out, wherever it is."""
+def test_a_state_with_an_impossible_stamp_is_left_out(trace, path, tmp_path, seconds, part):
+    """At most this state is left out, wherever it is."""
     row = int(part * (len(trace) - 1))
 
     def change(number, message):
@@ -136,7 +136,7 @@ def test_one_state_with_a_stamp_that_cannot_be(trace, path, tmp_path, seconds, p
     assert [p.name for p in back.phases] == [p.name for p in trace.phases]
 
 
-def test_a_state_five_seconds_ahead_near_the_end(trace, path, tmp_path):
+def test_a_state_stamped_five_seconds_ahead_is_left_out(trace, path, tmp_path):
     def change(number, message):
         if number == len(trace) - 4:
             message.header.stamp.sec += 5
@@ -147,14 +147,14 @@ def test_a_state_five_seconds_ahead_near_the_end(trace, path, tmp_path):
     assert back.finished
 
 
-def test_a_state_from_the_future_does_not_set_the_time_of_a_recording():
+def test_a_stamp_in_the_future_does_not_set_the_recorder_time():
     from dqwalk_ros.nodes.recorder import WalkTime
 
     second, year = 1_000_000_000, 2_145_916_800_000_000_000
     for states, newest in (
-        ([1, 2, year, 3, 4], 4),  # one message whose stamp cannot be
+        ([1, 2, year, 3, 4], 4),  # one message with an impossible stamp
         ([year, 1, 2, 3], 3),  # the first one
-        ([50 * second, 1, 2], 2),  # a plant that began again
+        ([50 * second, 1, 2], 2),  # the plant was restarted
         ([1, 2, 50 * second, 51 * second], 51 * second),  # a gap
         ([5, 3, 4], 5),  # out of order
     ):
@@ -168,7 +168,7 @@ def nan(number, message):
     message.pose.orientation.x = np.nan
 
 
-def wrong(text):
+def wrong_phase(text):
     def change(number, message):
         if number == 1:
             message.data = text
@@ -176,16 +176,16 @@ def wrong(text):
     return change
 
 
-def start_of_nan(number, message):
+def nan_angles(number, message):
     message.position = message.position * np.nan
 
 
-def infinite(number, message):
+def infinite_velocities(number, message):
     if number % 7 == 0:
         message.velocity = np.full_like(message.velocity, (np.inf, -np.inf, np.nan)[number % 3])
 
 
-def far(number, message):
+def huge_angles(number, message):
     if number == 100:
         message.position = message.position + 1e300
 
@@ -204,20 +204,20 @@ def solver(text):
 @pytest.mark.parametrize(
     ("topic", "change", "sentence"),
     [
-        ("/phase", wrong("foo/left"), ""),
-        ("/phase", wrong("single_support/middle"), ""),
-        ("/phase", wrong("\x1b[31m/\x1b[2J"), ""),
-        ("/phase_start", start_of_nan, "begins with impossible numbers"),
+        ("/phase", wrong_phase("foo/left"), ""),
+        ("/phase", wrong_phase("single_support/middle"), ""),
+        ("/phase", wrong_phase("\x1b[31m/\x1b[2J"), ""),
+        ("/phase_start", nan_angles, "begins with impossible numbers"),
         ("/swing_target", nan, "begins with impossible numbers"),
         ("/base_pose", nan, ""),
-        ("/joint_velocity_commands", infinite, ""),
-        ("/joint_states", far, ""),
+        ("/joint_velocity_commands", infinite_velocities, ""),
+        ("/joint_states", huge_angles, ""),
         ("/diagnostics", solver("0.5 ms"), ""),
         ("/diagnostics", solver("-1"), ""),
     ],
     ids=lambda value: value if isinstance(value, str) else getattr(value, "__name__", ""),
 )
-def test_what_cannot_be_is_one_sentence(path, tmp_path, capsys, monkeypatch, topic, change, sentence):
+def test_impossible_values_give_at_most_one_line(path, tmp_path, capsys, monkeypatch, topic, change, sentence):
     monkeypatch.setattr("dqwalk_ros.report.html.page.FIGURES", {})
     html = ["--html"] if topic == "/diagnostics" else []
     code, report = reported(edited(path, tmp_path / "b", topic, change), tmp_path / "out", *html)
@@ -233,8 +233,8 @@ def test_what_cannot_be_is_one_sentence(path, tmp_path, capsys, monkeypatch, top
         assert report["walk"]["ticks"] > 400
 
 
-def test_topics_of_another_bag_fit_on_a_line(path, tmp_path):
-    """Escape sequences and thousands of names of topics do not reach the terminal."""
+def test_topics_of_another_bag_are_shortened(path, tmp_path):
+    """Escape sequences and long lists of topic names are not printed."""
     names = iter([f"/\x1b[31m{'x' * 300}{k}" for k in range(20)])
     other = rewrite(path, tmp_path / "b", rename=lambda topic: next(names))
     with pytest.raises(BagError, match="is not a walk") as raised:
@@ -243,11 +243,11 @@ def test_topics_of_another_bag_fit_on_a_line(path, tmp_path):
     assert str(raised.value).isprintable()
 
 
-# ---------------------------------------------------------------------- what takes the machine's memory, or time
+# ---------------------------------------------------------------------- memory and time
 
 
 def chunk_bomb(folder):
-    """96 kB of MCAP, of which one chunk inflates to 3 GB."""
+    """Write MCAP files of 96 kB with a chunk that decompresses to 3 GB."""
     out = folder / "chunk.mcap"
     with out.open("wb") as file:
         writer = McapWriter(file, chunk_size=1 << 30, compression=CompressionType.NONE)
@@ -280,7 +280,7 @@ def chunk_bomb(folder):
 
 
 def endless_view(path, folder):
-    """An SQLite bag in which `messages` is a recursive view without end."""
+    """Write an SQLite bag in which `messages` is an infinite recursive view."""
     file = rewrite(path, folder / "view", storage=StoragePlugin.SQLITE3) / "view.db3"
     base = sqlite3.connect(file)
     base.execute("DROP TABLE messages")
@@ -293,8 +293,8 @@ def endless_view(path, folder):
     shutil.copy(file, folder / "bare_view.db3")
 
 
-def names_of_its_own(path, folder):
-    """Each state names forty joints that no other state names."""
+def changing_names(path, folder):
+    """Write a bag in which each state has 40 joints that are in no other state."""
 
     def edit(topic, time, message):
         if topic == "/joint_states":
@@ -308,12 +308,12 @@ def names_of_its_own(path, folder):
 
 
 def test_memory_and_time_are_bounded(path, tmp_path):
-    """Each in one process, which never grows beyond 500 MB."""
+    """All are read in one process, which stays below 500 MB."""
     bags = tmp_path / "bags"
     bags.mkdir()
     chunk_bomb(bags)
     endless_view(path, bags)
-    names_of_its_own(path, bags)
+    changing_names(path, bags)
     os.mkfifo(bags / "pipe.mcap")
     (bags / "zero.mcap").symlink_to("/dev/zero")
     script = textwrap.dedent(
@@ -341,7 +341,7 @@ def test_memory_and_time_are_bounded(path, tmp_path):
         timeout=240,
         check=False,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (120, 120)),
-        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},  # compiling for this machine, once, takes memory of its own
+        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},  # compilation would need additional memory
     )
     assert done.returncode == 0, done.stderr
     *lines, most = done.stdout.splitlines()

@@ -1,4 +1,4 @@
-"""Prediction of the state after the delay, and walks that stand in spite of delays."""
+"""Prediction of the state after the delay, and walks with delays that do not fall."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ CONFIG = dq.load("poppy")
 MODEL = dq.load_model(CONFIG.robot)
 
 
-def test_what_is_pending_is_what_was_sent_within_the_delay() -> None:
-    """Against the integral of the commands as a function of time, at a delay that is no multiple of the period."""
+def test_pending_motion_is_the_integral_of_commands_over_the_delay() -> None:
+    """Compared with the integral of the commands over the delay, which is not a multiple of the period."""
     rng, dt, delay = np.random.default_rng(0), 0.005, 0.0228
     history, u = CommandHistory(delay, 3), rng.normal(size=(200, 3))
     times = dt * np.arange(201)
@@ -37,39 +37,39 @@ def test_without_a_delay_nothing_is_pending() -> None:
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.05])
-def test_what_is_kept_does_not_grow(delay: float) -> None:
+def test_the_command_history_is_bounded(delay: float) -> None:
     history = CommandHistory(delay, 2)
     for k in range(1000):
         history.add(0.005 * k, np.ones(2), 0.005)
     assert len(history._sums) <= delay / 0.005 + 3
 
 
-def told(**values: float) -> VelocityController:
+def controller_with(**values: float) -> VelocityController:
     config = CONFIG.updated({f"servo.{key}": value for key, value in values.items()})
     return make_controller(config, MODEL)
 
 
-def test_the_program_is_that_of_the_state_after_the_delay() -> None:
-    """Joints that followed at once and a controller that is told no delay solve the same program a delay later."""
-    late, at_once = told(assumed_latency=0.02), told()
+def test_the_program_is_evaluated_at_the_state_after_the_delay() -> None:
+    """The program equals that of a controller without delay at the state and time one delay later."""
+    delayed, undelayed = controller_with(assumed_latency=0.02), controller_with()
     q = make_walk(CONFIG, MODEL).posture
     sent = []
     for k in range(30):
-        now = q.copy()  # a robot that has not moved yet: all that was sent within 20 ms is pending
-        sent.append(late.step(State(0.005 * k, now + 0.005 * np.sum(sent[:-4], axis=0)), 0.005).velocity)
-    ahead = late.phase.evaluate(
-        Kinematics(MODEL, q + 0.005 * np.sum(sent[:-1], axis=0), late.phase.base, None, 29 * 0.005 + 0.02)
+        now = q.copy()  # the robot has not moved yet: the commands of the last 20 ms are pending
+        sent.append(delayed.step(State(0.005 * k, now + 0.005 * np.sum(sent[:-4], axis=0)), 0.005).velocity)
+    ahead = delayed.phase.evaluate(
+        Kinematics(MODEL, q + 0.005 * np.sum(sent[:-1], axis=0), delayed.phase.base, None, 29 * 0.005 + 0.02)
     )
-    expected, found = ahead.problem(0.005, at_once._limit), late.problem
+    expected, found = ahead.problem(0.005, undelayed._limit), delayed.problem
     assert found is not None
     for name in ("H", "c", "W", "w"):
         assert getattr(found, name) == pytest.approx(getattr(expected, name), abs=1e-9), name
 
 
-def test_damping_is_fed_forward_as_the_servos_have_it() -> None:
+def test_servo_damping_is_fed_forward() -> None:
     q, dq_, up = make_walk(CONFIG, MODEL).posture, 0.1 * np.random.default_rng(1).normal(size=MODEL.n), [0.0, 0.0, 1.0]
     state = State(0.0, q, dq_, np.array(up), np.zeros(3))
-    controller = told(assumed_damping=0.02)
+    controller = controller_with(assumed_damping=0.02)
     command = controller.step(state, 0.005)
     kin = controller._kinematics(state, controller.phase.base).later(0.02)
     balance = controller.walk.effort(controller.phase, kin, state)
@@ -77,15 +77,15 @@ def test_damping_is_fed_forward_as_the_servos_have_it() -> None:
 
 
 @pytest.mark.parametrize(
-    "cell",
+    "changes",
     [
         {"servo.stiffness": 25.0, "servo.latency": 0.04, "servo.rate": 50.0, "servo.backlash": 0.0058},
         {"servo.stiffness": 40.0, "servo.latency": 0.04, "physics.mass_scale": 1.1, "physics.friction": 0.4},
     ],
     ids=["25", "40"],
 )
-def test_soft_servos_behind_a_delay_walk(cell: dict[str, float]) -> None:
-    found = robustness.walk(CONFIG.updated({"gait.steps": 2, "qp.solver": "daqp"}), 0, cell)
+def test_walks_with_soft_delayed_servos(changes: dict[str, float]) -> None:
+    found = robustness.walk(CONFIG.updated({"gait.steps": 2, "qp.solver": "daqp"}), 0, changes)
     assert found.stood, found.reason
 
 

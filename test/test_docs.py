@@ -28,7 +28,7 @@ def blocks(page, language):
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if p.exists()], ids=lambda p: str(p.relative_to(ROOT)))
-def test_links_lead_somewhere(page):
+def test_link_targets_exist(page):
     text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.S | re.M)
     for target in re.findall(r"\]\(([^)\s]+)\)", text):
         made = page.parent.name == "docs" and re.fullmatch(r"nodes/(\w+)\.md", target)
@@ -39,7 +39,7 @@ def test_links_lead_somewhere(page):
 
 
 @pytest.mark.parametrize("page", OURS, ids=lambda p: p.name)
-def test_commands_parse(page):
+def test_documented_commands_are_valid(page):
     count = 0
     for block in blocks(page, "bash"):
         for line in block.splitlines():
@@ -47,19 +47,19 @@ def test_commands_parse(page):
             if words and words[0] == "dqwalk":
                 name, *words = words[1 : words.index(">")] if ">" in words else words[1:]
                 with click.Context(dqwalk) as context:
-                    dqwalk.get_command(context, name).make_context(name, words)  # raises where a word is not known
+                    dqwalk.get_command(context, name).make_context(name, words)  # raises if a word is unknown
                 count += 1
     assert count >= 5
 
 
 @pytest.mark.parametrize("page", OURS, ids=lambda p: p.name)
-def test_python_runs(page):
+def test_documented_python_runs(page):
     for block in blocks(page, "python"):
         exec(compile(block, str(page), "exec"), {"__name__": "__main__"})
 
 
 @pytest.mark.parametrize("node", sorted(NODES))
-def test_the_page_of_a_node_is_that_of_the_schema(node):
+def test_node_pages_match_the_schema(node):
     made = runpy.run_path(str(ROOT / "docs/make_nodes.py"))["page"](node)
     rows = dict(re.findall(r"^\| `([\w.]+)` \| ([^|]+) \|", made, re.M))
     assert list(rows) == [spec.name for spec in parameters_of(node)]
@@ -71,7 +71,7 @@ def test_the_page_of_a_node_is_that_of_the_schema(node):
 
 
 @pytest.mark.parametrize(("name", "folder"), [("equations", "dqwalk_ros"), ("whole_body", "dqwalk_ros/whole_body")])
-def test_places_of_equations_are_there(name, folder):
+def test_named_places_of_equations_exist(name, folder):
     count = 0
     for row in re.findall(r"^\|.*\|$", (ROOT / f"docs/{name}.md").read_text(), re.M):
         places = re.findall(r"`(\w+\.py)`(?:: |, )((?:`\w+`(?:, )?)+)", row)
@@ -84,7 +84,7 @@ def test_places_of_equations_are_there(name, folder):
     assert count >= 1
 
 
-def test_layouts_name_topics_there_are():
+def test_topics_in_layouts_exist():
     known = {f"/{name}" for name in TOPICS} | {"/com", "/support_polygon", "/walk_markers"}
     layout = json.loads((ROOT / "config/foxglove.json").read_text())
     named = set(layout["configById"]["3D!walk"]["topics"])

@@ -1,4 +1,4 @@
-"""dqwalk doctor names each fault that keeps a robot from walking, and reports a robot without faults as ready."""
+"""`dqwalk doctor` reports each fault that prevents walking, and a robot without faults as ready."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ def robot(
     return Heard(1.0, **{"states": states, "imus": imus, **values})
 
 
-def wrong(heard: Heard) -> dict[str, str]:
+def failed_checks(heard: Heard) -> dict[str, str]:
     return {finding.what: finding.text for finding in examine(CONFIG, MODEL, heard) if not finding.ok}
 
 
-def test_a_robot_that_is_ready_is_called_so() -> None:
+def test_a_ready_robot_passes_all_checks() -> None:
     findings = list(examine(CONFIG, MODEL, robot()))
     assert [finding.what for finding in findings] == list(CHECKS)
-    assert all(finding.ok for finding in findings), wrong(robot())
+    assert all(finding.ok for finding in findings), failed_checks(robot())
 
 
 def bent(joint: str, angle: float) -> np.ndarray:
@@ -88,14 +88,14 @@ FAULTS: dict[str, tuple[Callable[[], Heard], str, str]] = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_what_is_wrong_is_named_with_what_to_do(fault: str) -> None:
-    heard, check, said = FAULTS[fault]
-    found = wrong(heard())
-    assert said in found[check]
-    assert check == next(iter(found))  # nothing before it is called wrong
+def test_faults_are_reported_with_a_remedy(fault: str) -> None:
+    heard, check, expected = FAULTS[fault]
+    found = failed_checks(heard())
+    assert expected in found[check]
+    assert check == next(iter(found))  # no other check fails before it
 
 
-def test_it_listens_to_a_robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any) -> None:
+def test_doctor_with_live_nodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     with private_domain() as domain:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
@@ -109,7 +109,7 @@ def test_it_listens_to_a_robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
             main(arguments)
         finally:
             live.close()
-    said = capfd.readouterr().out
-    assert "  joints                 all 15" in said
-    assert "  soles  " in said
-    assert "  commands               integrator" in said
+    output = capfd.readouterr().out
+    assert "  joints                 all 15" in output
+    assert "  soles  " in output
+    assert "  commands               integrator" in output

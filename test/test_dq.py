@@ -1,4 +1,4 @@
-"""Laws of dual quaternions, sections 2.1 and 3 [Adorno2017], with random values from hypothesis."""
+"""Properties of dual quaternions, sections 2.1 and 3 [Adorno2017], with random values from hypothesis."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def directions(draw):
 
 @st.composite
 def poses(draw):
-    """Unit dual quaternions: a rotation by any angle and a translation."""
+    """Unit dual quaternions of any rotation and translation."""
     angle = draw(st.floats(-2.0 * np.pi, 2.0 * np.pi))
     return DQ.from_pose(draw(vectors), DQ.rotation_about(angle, draw(directions())).vec4())
 
@@ -54,7 +54,7 @@ def test_units():
 
 
 @given(any_dq, any_dq, any_dq)
-def test_ring(a, b, c):
+def test_ring_axioms(a, b, c):
     same((a * b) * c, a * (b * c), 1e-11)
     same(a * (b + c), a * b + a * c)
     same((a + b) * c, a * c + b * c)
@@ -68,7 +68,7 @@ def test_ring(a, b, c):
 
 
 @given(any_dq, any_dq)
-def test_conjugate_and_parts(a, b):
+def test_conjugate_and_primary_and_dual_parts(a, b):
     same((a * b).conj(), b.conj() * a.conj())
     same(a.Re() + a.Im(), a)
     same(a.Re() - a.Im(), a.conj())
@@ -104,7 +104,7 @@ def test_norm_and_inverse(a, b):
     same((a * b).norm(), n * b.norm(), 1e-9) if np.linalg.norm(b.vec4()) > 0.1 else None
 
 
-def test_no_inverse_without_a_primary_part():
+def test_inverse_without_a_primary_part_is_an_error():
     with pytest.raises(ZeroDivisionError, match="no inverse"):
         E.inv()
 
@@ -113,7 +113,7 @@ def test_no_inverse_without_a_primary_part():
 
 
 @given(poses(), poses(), poses())
-def test_group(x, y, z):
+def test_group_axioms(x, y, z):
     same((x * y) * z, x * (y * z), 1e-11)
     same(x * x.conj(), 1.0)
     same(x.conj() * x, 1.0)
@@ -122,7 +122,7 @@ def test_group(x, y, z):
 
 
 @given(poses(), poses())
-def test_a_pose_is_a_homogeneous_matrix(x, y):
+def test_poses_match_homogeneous_matrices(x, y):
     def matrix(x):
         return np.block([[x.rotation_matrix(), x.translation()[:, None]], [np.zeros((1, 3)), 1.0]])
 
@@ -133,7 +133,7 @@ def test_a_pose_is_a_homogeneous_matrix(x, y):
 
 
 @given(vectors, poses())
-def test_from_pose_gives_back_both(p, x):
+def test_from_pose_round_trip(p, x):
     y = DQ.from_pose(p, x.rotation())
     np.testing.assert_allclose(y.translation(), p, atol=1e-13)
     np.testing.assert_array_equal(y.rotation(), x.rotation())
@@ -141,7 +141,7 @@ def test_from_pose_gives_back_both(p, x):
 
 
 @given(poses())
-def test_exp_undoes_log(x):
+def test_exp_inverts_log(x):
     log = x.log()
     same(log.Re(), 0.0)
     same(log.exp(), x, 1e-11)
@@ -158,7 +158,7 @@ def test_log_of_a_known_motion(angle, axis, p):
 @pytest.mark.parametrize(
     "angle", [0.0, 1e-300, 1e-13, 1e-9, 1e-6, np.pi, 2 * np.pi - 1e-6, 2 * np.pi - 1e-13, 2 * np.pi]
 )
-def test_exp_undoes_log_at_the_ends(angle):
+def test_exp_inverts_log_at_limit_angles(angle):
     x = DQ.from_pose([1.0, 2.0, 3.0], DQ.rotation_about(angle, [0.6, 0.0, 0.8]).vec4())
     same(x.log().exp(), x)
 
@@ -177,25 +177,25 @@ def test_from_matrix_near_every_branch(start, size):
 
 
 @given(directions(), st.floats(-np.pi, np.pi))
-def test_from_matrix_anywhere(axis, angle):
+def test_from_matrix_of_random_rotations(axis, angle):
     rotation = Rotation.from_rotvec(angle * axis).as_matrix()
     np.testing.assert_allclose(DQ.from_matrix(rotation).rotation_matrix(), rotation, atol=1e-14)
 
 
-# ---------------------------------------------------------------------- points, lines and planes carried along
+# ---------------------------------------------------------------------- transformed points
 
 
 @given(poses(), vectors)
-def test_points(x, c):
+def test_transformation_of_points(x, c):
     moved = x.rotation_matrix() @ c + x.translation()
     np.testing.assert_allclose(x.transform_point(c), moved, atol=1e-11)
     same(x.Ad_sharp(DQ(1.0) - E * DQ(c)), DQ(1.0) - E * DQ(moved), 1e-11)
 
 
-# ---------------------------------------------------------------------- arrays of them
+# ---------------------------------------------------------------------- arrays
 
 
-def test_any_leading_shape():
+def test_arrays_of_any_leading_shape():
     rng = np.random.default_rng(1)
     a, b = rng.normal(size=(2, 4, 5, 8))
     product = (DQ(a) * DQ(b)).vec8()
@@ -211,7 +211,7 @@ def test_any_leading_shape():
     np.testing.assert_allclose(DQ(a).hamiplus8() @ b[..., None], product[..., None], atol=1e-13)
 
 
-def test_quaternions_alone():
+def test_quaternion_functions():
     rng = np.random.default_rng(2)
     a, b = rng.normal(size=(2, 4))
     np.testing.assert_allclose(qmul(a, b), (DQ(a) * DQ(b)).vec4())
@@ -221,10 +221,10 @@ def test_quaternions_alone():
 @pytest.mark.parametrize(
     ("value", "vec8"), [(2.0, [2, 0, 0, 0]), ([1, 2, 3], [0, 1, 2, 3]), ([4, 1, 2, 3], [4, 1, 2, 3])]
 )
-def test_short_values_are_filled_up(value, vec8):
+def test_short_values_are_padded_with_zeros(value, vec8):
     np.testing.assert_array_equal(DQ(value).vec8(), [*vec8, 0, 0, 0, 0])
 
 
-def test_other_lengths_are_refused():
+def test_other_lengths_are_rejected():
     with pytest.raises(ValueError, match="1, 3, 4 or 8 coefficients, not 5"):
         DQ(np.zeros(5))

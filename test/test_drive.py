@@ -1,4 +1,4 @@
-"""The node drive: conversion of the walk's commands for a robot's own controllers."""
+"""The node drive: conversion of commands for the controllers of a robot."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 # ---------------------------------------------------------------------- walks
 
 
-class Behind:
-    """A walk behind the controllers of ros2_control, and its robot in physics; a period at a time."""
+class Ros2ControlWalk:
+    """A walk whose robot, in physics, is driven through ros2_control, simulated period by period."""
 
     def __init__(self, make: Any, rate: float, interface: str, **more: Any) -> None:
         self.dt = 1.0 / rate
@@ -54,28 +54,28 @@ class Behind:
         self.controller, self.drive = make("controller", self.config), make("drive", self.config)
         self.drive.node._commands.gate.watchdog._clock = lambda: self.robot.updates * self.dt
         self.controller.send("plant_ready", Bool(data=True))
-        self.told, self._answers = self.drive.got[TOPIC[interface]], self.controller.got["joint_velocity_commands"]
-        self._heard = 0
+        self.output, self._commands = self.drive.got[TOPIC[interface]], self.controller.got["joint_velocity_commands"]
+        self._received = 0
 
     def update(self, *, killed: bool = False) -> None:
-        """Let a period pass, with the controller of the walk or without it."""
+        """Simulate one period, with or without the controller of the walk."""
         measured, imu = self.robot.update()
         self.drive.send("joint_states", measured)
         if not killed:
             self.controller.send("imu", imu)
             self.controller.send("joint_states", measured)
-            for answer in self._answers:
-                self.drive.send("joint_velocity_commands", answer)
-            self._answers.clear()
+            for message in self._commands:
+                self.drive.send("joint_velocity_commands", message)
+            self._commands.clear()
         self.drive.node._check()
-        for message in self.told[self._heard :]:
+        for message in self.output[self._received :]:
             self.robot.on_commands(message)
-        self._heard = len(self.told)
+        self._received = len(self.output)
 
 
-def stands(make: Any, rate: float, interface: str, steps: int) -> None:
-    """Walk, and see that the robot stands on its feet at the end."""
-    walk = Behind(make, rate, interface, **{"gait.steps": steps})
+def check_walk(make: Any, rate: float, interface: str, steps: int) -> None:
+    """Walk, and check that the robot has not fallen and has walked the distance."""
+    walk = Ros2ControlWalk(make, rate, interface, **{"gait.steps": steps})
     robot, controller = walk.robot, walk.controller.node
     began = {foot: DQ(x).translation()[0] for foot, x in robot.plant.truth.soles.items()}
     while controller._mode.value == "walking" and not robot.plant.fallen:
@@ -87,19 +87,19 @@ def stands(make: Any, rate: float, interface: str, steps: int) -> None:
     assert list(ahead.values()) == pytest.approx([steps * walk.config.gait.step_length] * 2, rel=0.2)
 
 
-def test_the_walk_stands_behind_ros2_control(make: Any) -> None:
-    stands(make, 50.0, "velocity", 1)
+def test_one_step_through_ros2_control(make: Any) -> None:
+    check_walk(make, 50.0, "velocity", 1)
 
 
 @pytest.mark.long
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("interface", ["position", "velocity"])
 @pytest.mark.parametrize("rate", [50.0, 100.0, 200.0, 500.0])
-def test_ten_steps_behind_ros2_control(make: Any, rate: float, interface: str) -> None:
-    stands(make, rate, interface, 10)
+def test_ten_steps_through_ros2_control(make: Any, rate: float, interface: str) -> None:
+    check_walk(make, rate, interface, 10)
 
 
-# ---------------------------------------------------------------------- what it tells
+# ---------------------------------------------------------------------- output
 
 
 def measured(q: Any, stamp: float = 1.0) -> Any:
@@ -110,7 +110,7 @@ def command(stamp: float = 1.0, speed: float = 0.0) -> Any:
     return state(NAMES, [], stamp, velocity=np.full(MODEL.n, speed))
 
 
-def test_nothing_is_told_before_the_first_command(make: Any) -> None:
+def test_no_output_before_the_topic_has_a_subscriber(make: Any) -> None:
     """The walk waits until the output topic has a subscriber."""
     one = make("drive", POPPY)
     one.send("joint_velocity_commands", command())
@@ -129,38 +129,38 @@ def test_nothing_is_told_before_the_first_command(make: Any) -> None:
 
 
 @pytest.mark.parametrize("kind", ["float64_multi_array", "joint_trajectory", "joint_state"])
-def test_positions_are_integrated_in_the_order_of_the_controller(make: Any, kind: str) -> None:
+def test_positions_are_integrated_and_in_the_order_of_the_controller(make: Any, kind: str) -> None:
     joints = (EXTRA[1], *reversed(NAMES))
     one = make("drive", POPPY.updated({"output.type": kind, "output.joints": joints, "output.topic": "told"}))
     for k in range(3):
         one.send("joint_states", measured(POSTURE, 1.0 + k * DT))
         one.send("joint_velocity_commands", command(1.0 + k * DT, 0.1))
     last = one.got["told"][-1]
-    told = {
+    output = {
         "float64_multi_array": lambda: last.data,
         "joint_trajectory": lambda: last.points[0].positions,
         "joint_state": lambda: last.position,
     }[kind]()
-    assert told[0] == 0.4  # the camera stays
-    np.testing.assert_allclose(told[1:], POSTURE[::-1] + 3 * DT * 0.1, atol=1e-12)
+    assert output[0] == 0.4  # the camera joint keeps its position
+    np.testing.assert_allclose(output[1:], POSTURE[::-1] + 3 * DT * 0.1, atol=1e-12)
     if kind == "joint_trajectory":
         assert last.joint_names == list(joints)
         assert last.points[0].time_from_start.nanosec == round(DT * 1e9)
 
 
-def test_a_position_stays_close_to_what_is_measured(make: Any) -> None:
+def test_commanded_positions_stay_close_to_the_measured_ones(make: Any) -> None:
     one = make("drive", POPPY)
     for k in range(200):
-        one.send("joint_states", measured(POSTURE, 1.0 + k * DT))  # it does not move
+        one.send("joint_states", measured(POSTURE, 1.0 + k * DT))  # the robot does not move
         one.send("joint_velocity_commands", command(1.0 + k * DT, 0.5))
-    told = np.array(one.got[TOPIC["position"]][-1].data)
-    np.testing.assert_allclose(told - POSTURE, POPPY.servo.window, atol=1e-12)
+    output = np.array(one.got[TOPIC["position"]][-1].data)
+    np.testing.assert_allclose(output - POSTURE, POPPY.servo.window, atol=1e-12)
 
 
-def test_velocities_reach_the_same_places_and_no_joint_is_told_more_than_it_can(make: Any) -> None:
-    """Torques are fed forward as angles, which a joint reaches no faster than its limit."""
-    torques = np.full(MODEL.n, 3.0)  # 0.05 rad, ten times as far as a joint moves in a period
-    told = {}
+def test_velocity_output_matches_position_output_within_limits(make: Any) -> None:
+    """Feed-forward torques are added as angles, limited to the joint velocity limits."""
+    torques = np.full(MODEL.n, 3.0)  # 0.05 rad, ten times the motion of a joint in a period
+    output = {}
     for interface in TOPIC:
         one = make("drive", POPPY.updated({"output.interface": interface}))
         for k in range(30):
@@ -168,38 +168,38 @@ def test_velocities_reach_the_same_places_and_no_joint_is_told_more_than_it_can(
             msg = command(1.0 + k * DT, 0.1)
             msg.effort = torques.tolist()
             one.send("joint_velocity_commands", msg)
-        told[interface] = np.array([msg.data for msg in one.got[TOPIC[interface]]])
-    assert (np.abs(told["velocity"]) <= MODEL.velocity_max + 1e-12).all()
-    np.testing.assert_allclose(POSTURE + DT * told["velocity"].sum(axis=0), told["position"][-1], atol=1e-9)
+        output[interface] = np.array([msg.data for msg in one.got[TOPIC[interface]]])
+    assert (np.abs(output["velocity"]) <= MODEL.velocity_max + 1e-12).all()
+    np.testing.assert_allclose(POSTURE + DT * output["velocity"].sum(axis=0), output["position"][-1], atol=1e-9)
 
 
-# ---------------------------------------------------------------------- what ends the motion
+# ---------------------------------------------------------------------- end of the motion
 
 
 @pytest.mark.parametrize("interface", list(TOPIC))
-def test_a_robot_whose_controller_is_killed_moves_no_further(make: Any, interface: str) -> None:
-    """After 0.2 s at most: the silence that counts, a look, a period. Its own controllers would go on for ever."""
-    walk = Behind(make, 50.0, interface)
-    for _ in range(60):  # in the middle of the first transfer
+def test_a_robot_with_its_controller_killed_stops(make: Any, interface: str) -> None:
+    """After 0.2 s at most: timeout, check interval and a period. The controllers of the robot have no timeout."""
+    walk = Ros2ControlWalk(make, 50.0, interface)
+    for _ in range(60):  # until the middle of the first transfer
         walk.update()
     plant, before = walk.robot.plant, 0
     speeds, goals = [float(np.abs(plant.state.dq).max())], [plant.commanded.copy()]
     for _ in range(40):
-        before = len(walk.told)
+        before = len(walk.output)
         walk.update(killed=True)
         speeds.append(float(np.abs(plant.state.dq).max()))
         goals.append(plant.commanded.copy())
-    told = max(k for k in range(1, 41) if (goals[k] != goals[k - 1]).any()) * walk.dt
+    commanded = max(k for k in range(1, 41) if (goals[k] != goals[k - 1]).any()) * walk.dt
     moved = max(k for k, speed in enumerate(speeds) if speed > 0.1 * speeds[0]) * walk.dt
-    print(f"{interface}: moved at {speeds[0]:.2f} rad/s, told to for {told:.2f} s more, did for {moved:.2f} s")
+    print(f"{interface}: {speeds[0]:.2f} rad/s, commands went on for {commanded:.2f} s, motion for {moved:.2f} s")
     assert speeds[0] > 0.1
-    assert told <= 0.2
-    assert len(walk.told) == before + 1  # again and again, for a message may be lost
-    assert interface == "position" or not any(walk.told[-1].data)
+    assert commanded <= 0.2
+    assert len(walk.output) == before + 1  # it is repeated, because a message may be lost
+    assert interface == "position" or not any(walk.output[-1].data)
     assert "holding still: no command for 0.1 s" in walk.drive.log
 
 
-def test_its_end_stops_the_robot(make: Any) -> None:
+def test_closing_the_drive_stops_the_robot(make: Any) -> None:
     one = make("drive", POPPY.updated({"output.interface": "velocity"}))
     one.send("joint_states", measured(POSTURE))
     one.send("joint_velocity_commands", command(speed=0.2))
@@ -209,8 +209,10 @@ def test_its_end_stops_the_robot(make: Any) -> None:
 
 
 @pytest.mark.long
-def test_the_controller_is_killed_as_a_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Behind a forward controller that goes on with its last command for ever; prints how long it moved on."""
+def test_the_robot_stops_after_the_controller_process_is_killed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a forward controller that repeats its last command; prints how long the motion continued."""
     import signal
 
     from live import Live
@@ -222,13 +224,13 @@ def test_the_controller_is_killed_as_a_process(tmp_path: Path, monkeypatch: pyte
     names = load_model(config.robot).joint_names
     with private_domain() as domain:
         live = Live(tmp_path, domain, config)
-        q, told, at = np.zeros(len(names)), [np.zeros(len(names))], [0.0]
+        q, output, at = np.zeros(len(names)), [np.zeros(len(names))], [0.0]
 
         def take(msg: Float64MultiArray) -> None:
-            told[0], at[0] = np.array(msg.data), time.monotonic()
+            output[0], at[0] = np.array(msg.data), time.monotonic()
 
         def update() -> None:
-            q[:] += 0.02 * told[0]
+            q[:] += 0.02 * output[0]
             live.publish_state(list(names), q, time.time())
 
         try:
@@ -236,24 +238,24 @@ def test_the_controller_is_killed_as_a_process(tmp_path: Path, monkeypatch: pyte
             live.node.create_timer(0.02, update)
             live.start("drive")
             live.start("controller")
-            live.until(lambda: np.abs(told[0]).max() > 1e-3, 120.0, "motion")
+            live.until(lambda: np.abs(output[0]).max() > 1e-3, 120.0, "motion")
             live.spin(2.0)
             live.processes.signal("controller", signal.SIGKILL)
             killed, before = time.monotonic(), q.copy()
-            live.until(lambda: not told[0].any(), 20.0, "the end of the motion")
+            live.until(lambda: not output[0].any(), 20.0, "the end of the motion")
             print(f"motion ended {at[0] - killed:.3f} s after the kill, {np.abs(q - before).max():.4f} rad further")
             live.spin(1.0)
-            assert not told[0].any()
+            assert not output[0].any()
             assert live.processes.exit_code("drive") is None
         finally:
             live.close()
 
 
-# ---------------------------------------------------------------------- what it refuses
+# ---------------------------------------------------------------------- rejected states and parameters
 
 
-def test_an_angle_that_is_not_known_moves_nothing(make: Any) -> None:
-    """Neither a joint of the walk, nor one that must be told where to stay."""
+def test_no_output_without_all_angles(make: Any) -> None:
+    """This includes joints outside the walk that must be commanded to keep their position."""
     one = make("drive", POPPY.updated({"output.joints": (*NAMES, "gripper")}))
     one.send("joint_states", measured(POSTURE))
     one.send("joint_velocity_commands", command(speed=0.2))
@@ -270,6 +272,6 @@ def test_an_angle_that_is_not_known_moves_nothing(make: Any) -> None:
         ({"plant.lockstep": True}, "a robot does not wait"),
     ],
 )
-def test_an_output_that_cannot_be_is_an_error(make: Any, values: dict[str, Any], expected: str) -> None:
+def test_inconsistent_output_parameters_are_an_error(make: Any, values: dict[str, Any], expected: str) -> None:
     with pytest.raises(ConfigError, match=expected):
         make("drive", POPPY.updated(values))

@@ -1,6 +1,6 @@
-"""The Poppy driver as a node in real time, with emulated servos over pseudo-terminals, also with faults.
+"""The Poppy driver as a node in real time, with emulated servos over pseudo-terminals, with and without faults.
 
-`make driver` prints the figures of a walk on emulated servos.
+`make driver` prints the results of a walk on emulated servos.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ KNEE = "l_knee_y"
 
 
 class Robot(Live):
-    """The driver on its buses, and a controller that answers each state by turning the left knee to and fro.
+    """The driver on its buses, and a controller that moves the left knee back and forth.
 
     Attributes
     ----------
     buses : Terminals
     speed : float
-        Of the knee [rad/s].
+        Velocity of the knee [rad/s].
     """
 
     def __init__(self, folder: Path, domain: int, **settings: object) -> None:
@@ -66,22 +66,22 @@ class Robot(Live):
         return [self.buses.of(name).joint(name).word(GOAL) for name in MOTORS]
 
     def torques(self) -> set[int]:
-        """Return what the torque registers of all servos hold."""
+        """Return the set of values in the torque registers of all servos."""
         return {self.buses.of(name).joint(name).memory[TORQUE_ENABLE] for name in MOTORS}
 
-    def moves(self, timeout: float = 20.0) -> None:
+    def until_moving(self, timeout: float = 20.0) -> None:
         """Wait until commands move the goal of the knee."""
         before = self.buses.of(KNEE).joint(KNEE).word(GOAL)
         self.until(lambda: abs(self.buses.of(KNEE).joint(KNEE).word(GOAL) - before) > 20, timeout, "a goal that moves")
 
-    def stands(self, seconds: float = 1.0) -> None:
+    def check_still(self, seconds: float = 1.0) -> None:
         """Check that no goal changes."""
         before = self.goals()
         self.spin(seconds)
         assert self.goals() == before
 
-    def says(self, text: str, timeout: float = 10.0) -> None:
-        """Wait until both statuses of the driver are ERROR, and one says so."""
+    def until_error(self, text: str, timeout: float = 10.0) -> None:
+        """Wait until a status of the driver is ERROR and contains a text."""
         start = len(self.got["diagnostics"])
 
         def found() -> bool:
@@ -91,11 +91,11 @@ class Robot(Live):
         self.until(found, timeout, f"an ERROR with {text!r}")
 
     def activate(self) -> None:
-        """Wait for the first pose, and that commands count."""
+        """Activate the driver; wait for the first pose, and until commands have an effect."""
         answer = self.call("poppy_driver/activate")
         assert answer.success, answer.message
         self.until(lambda: self.ready and self.ready[-1], 30.0, "the first pose")
-        self.moves()
+        self.until_moving()
 
     def set_compliant(self, on: bool) -> SetBool.Response:
         self.until(self._compliant.service_is_ready, 20.0, "the service")
@@ -104,7 +104,7 @@ class Robot(Live):
         return future.result()
 
     def clear_faults(self) -> None:
-        """Take all faults away."""
+        """Remove all faults and plug the ports in."""
         for name, servos in self.buses.servos.items():
             servos.clear_faults()
             for servo in servos.servos.values():
@@ -134,13 +134,13 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
 
 @pytest.fixture
 def walking(robot: Robot) -> Iterator[Robot]:
-    """The robot, moving; it is well again afterwards."""
+    """The robot, moving and without faults."""
     robot.clear_faults()
     robot.until(lambda: robot.got["joint_states"], 30.0, "a state")
     if not (robot.ready and robot.ready[-1]):
         robot.until(lambda: robot.call("poppy_driver/activate").success, 10.0, "the torque")
         robot.until(lambda: robot.ready[-1], 30.0, "the first pose")
-    robot.moves()
+    robot.until_moving()
     robot.got["joint_states"].clear()
     yield robot
     assert robot.processes.exit_code("poppy_driver") is None, robot.logs()
@@ -150,7 +150,7 @@ def stamp(msg: JointState) -> float:
     return msg.header.stamp.sec + 1e-9 * msg.header.stamp.nanosec
 
 
-def test_it_publishes_angles_and_moves_nothing_until_it_is_told_to(robot: Robot) -> None:
+def test_angles_are_published_and_nothing_moves_before_activate(robot: Robot) -> None:
     robot.until(lambda: len(robot.got["joint_states"]) > 50, 60.0, "states")
     assert robot.torques() == {0}
     robot.until(lambda: robot.ready, 5.0, "plant_ready")
@@ -158,11 +158,11 @@ def test_it_publishes_angles_and_moves_nothing_until_it_is_told_to(robot: Robot)
     robot.until(
         lambda: any("the torque is off: call ~/activate" in s.message for s in robot.statuses("poppy_driver")),
         5.0,
-        "a status that says how to begin",
+        "a status that asks for ~/activate",
     )
     state = robot.got["joint_states"][-1]
     assert state.position[state.name.index(KNEE)] == pytest.approx(0.349, abs=0.002)
-    robot.stands(0.5)
+    robot.check_still(0.5)
     robot.activate()
     assert robot.torques() == {1}
     assert robot.set_compliant(True).success
@@ -172,22 +172,22 @@ def test_it_publishes_angles_and_moves_nothing_until_it_is_told_to(robot: Robot)
     robot.until(lambda: len(robot.got["joint_states"]) > 10, 5.0, "states while the torque is off")
 
 
-def test_it_says_how_late_its_goals_are(walking: Robot) -> None:
+def test_the_latency_of_the_goals_is_published(walking: Robot) -> None:
 
-    def told() -> dict[str, str]:
+    def latencies() -> dict[str, str]:
         values = {v.key: v.value for s in walking.statuses("poppy_driver")[-10:] for v in s.values}
         return values if "latency" in values else {}
 
-    values = walking.until(told, 10.0, "a latency")
+    values = walking.until(latencies, 10.0, "a latency")
     assert 0.0 < float(values["latency"]) < 0.1
     assert float(values["longest latency"]) >= float(values["latency"])
 
 
-def fall_silent(robot: Robot, servos: FaultyServos) -> None:
+def disconnect_bus(robot: Robot, servos: FaultyServos) -> None:
     servos.dead = True
 
 
-def one_motor(robot: Robot, servos: FaultyServos) -> None:
+def disconnect_motor(robot: Robot, servos: FaultyServos) -> None:
     servos.silent = {MOTORS[KNEE].id}
 
 
@@ -195,53 +195,53 @@ def unplug(robot: Robot, servos: FaultyServos) -> None:
     robot.buses.terminals["lower"].unplug()
 
 
-def flip(robot: Robot, servos: FaultyServos) -> None:
+def damage_replies(robot: Robot, servos: FaultyServos) -> None:
     servos.damaged = 1.0
 
 
-def babble(robot: Robot, servos: FaultyServos) -> None:
+def send_garbage(robot: Robot, servos: FaultyServos) -> None:
     servos.garbage = 1.0
 
 
-def slip(robot: Robot, servos: FaultyServos) -> None:
+def slip_encoder(robot: Robot, servos: FaultyServos) -> None:
     servos.slip = {MOTORS[KNEE].id: 60.0}
 
 
-SILENCES = {
-    "the bus is silent": (fall_silent, "lower bus: every motor does not answer"),
-    "one motor is silent": (one_motor, "l_knee_y (motor 14, lower bus) does not answer"),
+BUS_FAULTS = {
+    "the bus is silent": (disconnect_bus, "lower bus: every motor does not answer"),
+    "one motor is silent": (disconnect_motor, "l_knee_y (motor 14, lower bus) does not answer"),
     "the port is unplugged": (unplug, "lower bus: the port is gone"),
-    "each reply is damaged": (flip, "lower bus: "),
-    "garbage": (babble, "lower bus: "),
-    "an encoder slips": (slip, "l_knee_y has jumped to another angle"),
+    "each reply is damaged": (damage_replies, "lower bus: "),
+    "garbage": (send_garbage, "lower bus: "),
+    "an encoder slips": (slip_encoder, "l_knee_y has jumped to another angle"),
 }
 
 
-@pytest.mark.parametrize("fault", SILENCES)
-def test_no_old_angle_is_published_as_new(walking: Robot, fault: str) -> None:
-    begin, text = SILENCES[fault]
+@pytest.mark.parametrize("fault", BUS_FAULTS)
+def test_old_angles_are_not_published(walking: Robot, fault: str) -> None:
+    begin, text = BUS_FAULTS[fault]
     begin(walking, walking.buses.servos["lower"])
     began = time.time()
-    walking.says(text)
-    walking.stands(1.5)
+    walking.until_error(text)
+    walking.check_still(1.5)
     assert max(map(stamp, walking.got["joint_states"]), default=0.0) <= began + 0.02
     walking.until(lambda: not walking.ready[-1], 5.0, "plant_ready: false")
     walking.clear_faults()
     walking.until(lambda: walking.call("poppy_driver/activate").success, 10.0, "the torque")
     walking.until(lambda: walking.ready[-1], 30.0, "the first pose")
-    walking.moves()
+    walking.until_moving()
 
 
-def heat(servos: FaultyServos) -> None:
+def overheat(servos: FaultyServos) -> None:
     servos.joint(KNEE).memory[TEMPERATURE] = 70
 
 
-def drain(servos: FaultyServos) -> None:
+def lower_voltage(servos: FaultyServos) -> None:
     for servo in servos.servos.values():
         servo.memory[VOLTAGE] = 60
 
 
-def overload(servos: FaultyServos) -> None:
+def report_overload(servos: FaultyServos) -> None:
     servos.joint(KNEE).error = 36
     servos.joint(KNEE).write(TORQUE_LIMIT, bytes(2))
 
@@ -250,47 +250,47 @@ def block(servos: FaultyServos) -> None:
     servos.joint(KNEE).blocked = True
 
 
-def strain(servos: FaultyServos) -> None:
+def load_fully(servos: FaultyServos) -> None:
     servos.joint(KNEE).write(LOAD, (1023).to_bytes(2, "little"))
 
 
-def cut(servos: FaultyServos) -> None:
+def cut_power(servos: FaultyServos) -> None:
     servos.cut_power()
 
 
-TROUBLES: dict[str, tuple[Callable[[FaultyServos], None], str]] = {
-    "a motor is hot": (heat, "l_knee_y is at 70 degC, too hot"),
-    "the battery is empty": (drain, "has 6.0 V, too little"),
-    "a motor switched itself off": (overload, "l_knee_y reports overheating and overload"),
+MOTOR_FAULTS: dict[str, tuple[Callable[[FaultyServos], None], str]] = {
+    "a motor is hot": (overheat, "l_knee_y is at 70 degC, too hot"),
+    "the battery is empty": (lower_voltage, "has 6.0 V, too little"),
+    "a motor switched itself off": (report_overload, "l_knee_y reports overheating and overload"),
     "a joint is blocked": (block, "l_knee_y cannot follow"),
-    "a motor is at full load": (strain, "l_knee_y cannot follow"),
-    "the power was cut": (cut, "has lost its torque or its gain"),
+    "a motor is at full load": (load_fully, "l_knee_y cannot follow"),
+    "the power was cut": (cut_power, "has lost its torque or its gain"),
 }
 
 
-@pytest.mark.parametrize("trouble", TROUBLES)
-def test_a_motor_in_trouble_holds_the_robot(walking: Robot, trouble: str) -> None:
-    begin, text = TROUBLES[trouble]
+@pytest.mark.parametrize("fault", MOTOR_FAULTS)
+def test_a_motor_fault_holds_the_robot(walking: Robot, fault: str) -> None:
+    begin, text = MOTOR_FAULTS[fault]
     begin(walking.buses.servos["lower"])
-    walking.says(text)
+    walking.until_error(text)
     walking.spin(0.2)
-    walking.stands()
+    walking.check_still()
     walking.until(lambda: not walking.ready[-1], 5.0, "plant_ready: false")
     walking.buses.servos["lower"].joint(KNEE).write(LOAD, bytes(2))
 
 
-def test_a_hot_motor_is_not_walked_on_after_the_torque_was_off(walking: Robot) -> None:
-    heat(walking.buses.servos["lower"])
-    walking.says("too hot")
+def test_a_hot_motor_prevents_switching_the_torque_on(walking: Robot) -> None:
+    overheat(walking.buses.servos["lower"])
+    walking.until_error("too hot")
     assert walking.set_compliant(True).success
     answer = walking.set_compliant(False)
     assert not answer.success
     assert "l_knee_y is at 70 degC, too hot" in answer.message
-    walking.stands()
+    walking.check_still()
     assert walking.torques() == {0}
 
 
-def test_a_robot_that_has_fallen_goes_limp(walking: Robot) -> None:
+def test_the_torque_is_switched_off_after_a_fall(walking: Robot) -> None:
     phase = walking.node.create_publisher(String, "phase", LATCHED)
     walking.until(phase.get_subscription_count, 10.0, "the driver listening")
     phase.publish(String(data="fallen"))
@@ -304,24 +304,22 @@ def test_two_drivers_do_not_share_a_port(walking: Robot, tmp_path: Path) -> None
     second = subprocess.run([*command, str(walking.params)], capture_output=True, text=True, check=False, timeout=60.0)
     assert second.returncode == 2
     assert "the lower bus cannot be opened" in second.stderr
-    walking.moves()
+    walking.until_moving()
 
 
-@pytest.mark.parametrize("goes_off", [False, True])
-def test_leaving_leaves_the_torque_as_configured(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, goes_off: bool
-) -> None:
+@pytest.mark.parametrize("torque_off", [False, True])
+def test_the_torque_at_exit_is_as_configured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, torque_off: bool) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     with private_domain() as domain:
-        robot = Robot(tmp_path, domain, **{"poppy.torque_off_at_end": goes_off, "poppy.activate": True})
+        robot = Robot(tmp_path, domain, **{"poppy.torque_off_at_end": torque_off, "poppy.activate": True})
         try:
             robot.start("poppy_driver")
             robot.until(lambda: robot.ready and robot.ready[-1], 60.0, "the first pose")
             for servos in robot.buses.servos.values():
-                servos.damaged = 0.3  # which makes no difference
+                servos.damaged = 0.3  # must have no effect
             robot.processes.signal("poppy_driver", signal.SIGINT)
             assert robot.processes.wait("poppy_driver", 15.0) == 0
-            assert robot.torques() == {0 if goes_off else 1}
+            assert robot.torques() == {0 if torque_off else 1}
         finally:
             robot.close()
 
@@ -329,8 +327,8 @@ def test_leaving_leaves_the_torque_as_configured(
 @pytest.mark.long
 @pytest.mark.timeout(1000)
 @pytest.mark.parametrize("options", [[], ["--full"]], ids=["a fast cycle", "the paper's cycle"])
-def test_a_cycle_on_the_dummy_motors(options: list[str]) -> None:
-    """It finishes, at 50 Hz, every angle within its limits and read back where its goal was."""
+def test_a_cycle_on_emulated_motors(options: list[str]) -> None:
+    """The walk finishes, at 50 Hz, with all angles within their limits and close to their goals."""
     words = [sys.executable, "-m", "benchmark.driver", *options]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
     print(done.stdout)

@@ -1,4 +1,4 @@
-"""The dynamic walk: laws of its plan, steps and tasks, and a short walk in physics."""
+"""The dynamic walk: properties of its plan, steps and tasks, and a short walk in physics."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ MIRROR = np.array([1.0, -1.0])
 DYNAMIC = CONFIG.dynamic
 
 
-def somewhere(seed: int) -> np.ndarray:
+def random_posture(seed: int) -> np.ndarray:
     q = MODEL.posture(CONFIG.standing.posture) + 0.2 * np.random.default_rng(seed).normal(size=MODEL.n)
     return np.clip(q, MODEL.q_min, MODEL.q_max)
 
 
 def footprints(length: float = 0.05, width: float = 0.08, first: float = 1.0) -> list[np.ndarray]:
-    """Aims of a foot and six steps from it, `length` apart; the first is on the left."""
+    """Return the footprints of a foot and six following steps, `length` apart [m]; the first is on the left."""
     return [np.array([k * length, first * 0.5 * width * (-1.0) ** k]) for k in range(7)]
 
 
 # ---------------------------------------------------------------------- the plan
 
 
-def test_the_closed_form_is_what_integration_gives() -> None:
+def test_the_closed_form_matches_integration() -> None:
     a, b, end, time = np.array([0.0, 0.04]), np.array([0.05, -0.04]), np.array([0.04, 0.01]), 0.1
     xi, n = before(a, b, end, time, OMEGA), 20000
-    for k in range(n):  # the midpoint rule, forward
+    for k in range(n):  # midpoint rule, forward in time
         z = a + (k + 0.5) / n * (b - a)
         half = xi + 0.5 * time / n * OMEGA * (xi - z)
         xi = xi + time / n * OMEGA * (half - z)
@@ -70,7 +70,7 @@ def test_xi_diverges_from_z(course: Pressed | Rest) -> None:
         assert slope == pytest.approx(OMEGA * (xi - z), abs=1e-7)
 
 
-def test_the_plan_has_no_jumps() -> None:
+def test_the_plan_is_continuous() -> None:
     aims = footprints()
     plan = single_supports(aims, 0.4, 0.1, OMEGA, ends=False)
     assert len(plan) == len(aims) - 1
@@ -83,19 +83,19 @@ def test_the_plan_has_no_jumps() -> None:
 
 
 @pytest.mark.parametrize("ends", [False, True])
-def test_left_and_right_are_mirrored(ends: bool) -> None:
+def test_plans_of_left_and_right_are_mirrored(ends: bool) -> None:
     left = single_supports(footprints(), 0.4, 0.1, OMEGA, ends=ends)
     right = single_supports(footprints(first=-1.0), 0.4, 0.1, OMEGA, ends=ends)
     assert np.array(left) * MIRROR == pytest.approx(np.array(right))
 
 
-def test_what_comes_far_ahead_hardly_matters() -> None:
+def test_distant_steps_hardly_affect_the_plan() -> None:
     aims = footprints()
     on, off = (single_supports(aims, 0.4, 0.1, OMEGA, ends=ends)[0][0] for ends in (False, True))
     assert np.abs(on - off).max() < 1e-4
 
 
-def test_on_the_spot_it_comes_back_to_where_it_was() -> None:
+def test_stepping_in_place_is_periodic() -> None:
     plan = single_supports(footprints(length=0.0), 0.4, 0.1, OMEGA, ends=False)
     assert plan[0][0] == pytest.approx(plan[2][0], abs=1e-4)
     assert plan[0][0] * MIRROR == pytest.approx(plan[1][0], abs=1e-3)
@@ -106,11 +106,11 @@ def test_on_the_spot_it_comes_back_to_where_it_was() -> None:
 
 
 @pytest.mark.parametrize("base", list(Foot))
-def test_angular_momentum_is_that_of_the_physics(base: Foot) -> None:
+def test_angular_momentum_matches_mujoco(base: Foot) -> None:
     from dqwalk_ros.plants.mujoco import build
 
     rng = np.random.default_rng(3)
-    q, u = somewhere(2), rng.normal(size=MODEL.n)
+    q, u = random_posture(2), rng.normal(size=MODEL.n)
     kin, h = Kinematics(MODEL, q, base), 1e-7
     mj = build(CONFIG, MODEL)
     data = mujoco.MjData(mj)
@@ -130,7 +130,7 @@ def test_angular_momentum_is_that_of_the_physics(base: Foot) -> None:
     assert angular_momentum(kin) @ u == pytest.approx(data.subtree_angmom[mj.body(MODEL.root).id], abs=1e-6)
 
 
-def test_a_robot_that_tilts_is_a_slow_pendulum() -> None:
+def test_the_lateral_pendulum_frequency_is_reduced() -> None:
     plainly = CONFIG.updated({"dynamic.side_frequency": 1.0})
     found = [DynamicWalk(plainly.updated({"gait.first_support": foot.value}), MODEL).pendulum.omega for foot in Foot]
     assert found[0] == pytest.approx(found[1], rel=1e-3)
@@ -155,10 +155,10 @@ def at(step: Step, elapsed: float) -> np.ndarray:
     return Pressed(step.z, step.z, step.landing + step.offset, step.duration, OMEGA).at(elapsed)[0]
 
 
-def test_a_step_as_planned_is_left_alone() -> None:
+def test_small_errors_do_not_change_the_step() -> None:
     step = a_step()
     for elapsed in (0.05, 0.15, 0.25):
-        for error in ([0.0, 0.0], [0.01, 0.0], [0.0, 0.003], [-0.008, -0.003]):  # of the ankle
+        for error in ([0.0, 0.0], [0.01, 0.0], [0.0, 0.003], [-0.008, -0.003]):  # within the range of the ankle
             xi = at(step, elapsed) + np.array(error)
             time, shift, over = adjusted(step, xi, elapsed, 0.4, np.zeros(2), DYNAMIC)
             assert time == pytest.approx(0.4, abs=0.006)
@@ -166,28 +166,28 @@ def test_a_step_as_planned_is_left_alone() -> None:
             assert over == pytest.approx([0.0, 0.0], abs=1e-3)
 
 
-def test_left_over_is_what_the_ankle_cannot_do() -> None:
+def test_left_over_is_the_error_beyond_the_ankle_range() -> None:
     step, elapsed, left = a_step(), 0.1, 0.3
     xi = at(step, elapsed) + np.array([0.08, 0.02])
     over, _ = left_over(step, xi, elapsed, np.array([left]))
-    # with the zero-moment point in the corner of the sole, xi ends beyond its end by as much
+    # with the zero-moment point in the corner of the sole, the error of xi at the end of the step
     reached = step.high + np.exp(OMEGA * left) * (xi - step.high)
     assert over[0] == pytest.approx(reached - step.landing - step.offset)
 
 
-def test_a_push_moves_the_step() -> None:
+def test_a_push_changes_position_and_time_of_the_step() -> None:
     step, xi = a_step(), at(a_step(), 0.15)
     time, shift = 0.4, np.zeros(2)
     for _ in range(20):
         time, shift, _ = adjusted(step, xi + np.array([0.06, 0.0]), 0.15, time, shift, DYNAMIC)
     assert shift[0] > 0.02
-    for _ in range(20):  # towards the other foot: it must land sooner
+    for _ in range(20):  # towards the other foot: the step must end earlier
         time, shift, _ = adjusted(step, xi - np.array([0.0, 0.03]), 0.15, time, shift, DYNAMIC)
     assert time < 0.35
     assert shift[1] == 0.0  # there is no ankle roll
 
 
-def test_a_swing_lands_where_and_when_it_is_told() -> None:
+def test_a_swing_lands_at_a_changed_goal_and_time() -> None:
     start, goal = DQ.from_pose([-0.05, 0.08, 0.002]).vec8(), DQ.from_pose([0.05, 0.08, 0.0]).vec8()
     swing, dt, duration = Swing(start, goal, 0.02), 0.001, 0.4
     places = []
@@ -211,7 +211,7 @@ def test_a_swing_lands_where_and_when_it_is_told() -> None:
 @pytest.mark.parametrize("base", list(Foot))
 def test_jacobians_are_derivatives(base: Foot) -> None:
     swing = MODEL.soles[base.other].frame
-    pose = np.array([0.05, 0.1, 0.01, *DQ(Kinematics(MODEL, somewhere(1), base).pose(swing)).vec4()])
+    pose = np.array([0.05, 0.1, 0.01, *DQ(Kinematics(MODEL, random_posture(1), base).pose(swing)).vec4()])
     two, up = Target(np.ones(2), np.ones(2)), np.array([0.05, -0.08, np.sqrt(1.0 - 0.05**2 - 0.08**2)])
     one, upright = Target(np.ones(1), np.ones(1)), Direction(MODEL.pelvis, np.eye(3)[2])
     for task in (
@@ -220,7 +220,7 @@ def test_jacobians_are_derivatives(base: Foot) -> None:
         Follow(name="upright", feature=upright, A=np.eye(2, 3), target=two, convergence=2.0),
         FollowPose(name="swing", frame=swing, target=Target(pose, np.zeros(6)), convergence=2.0, lever=0.2),
     ):  # fmt: skip
-        q, h, eye = somewhere(4), 1e-6, np.eye(MODEL.n)
+        q, h, eye = random_posture(4), 1e-6, np.eye(MODEL.n)
         columns = [
             (task.error(Kinematics(MODEL, q + h * e, base, up)) - task.error(Kinematics(MODEL, q - h * e, base, up)))
             / (2.0 * h)
@@ -229,8 +229,8 @@ def test_jacobians_are_derivatives(base: Foot) -> None:
         assert task.jacobian(Kinematics(MODEL, q, base, up)) == pytest.approx(np.stack(columns, axis=1), abs=1e-7)
 
 
-def test_a_pose_is_followed_with_its_velocity() -> None:
-    kin = Kinematics(MODEL, somewhere(5), Foot.LEFT)
+def test_follow_pose_feeds_the_target_velocity_forward() -> None:
+    kin = Kinematics(MODEL, random_posture(5), Foot.LEFT)
     x = DQ(kin.pose(kin.swing))
     place, velocity = np.array([*x.translation(), *x.vec4()[:4]]), np.arange(6.0)
     task = FollowPose(name="swing", frame=kin.swing, target=Target(place, velocity), convergence=12.0, lever=0.2)
@@ -242,7 +242,7 @@ def test_a_pose_is_followed_with_its_velocity() -> None:
 # ---------------------------------------------------------------------- the walk
 
 
-def test_phases_follow_one_another() -> None:
+def test_sequence_of_phases() -> None:
     walk = DynamicWalk(CONFIG.updated({"gait.steps": 2}), MODEL)
     names, phase, q = [], None, walk.posture
     while (following := walk.following(phase)) is not None:
@@ -257,7 +257,7 @@ def test_phases_follow_one_another() -> None:
     assert len(names) == DynamicWalk.phases(walk.config)
 
 
-def test_a_steered_walk_grows_its_steps_and_puts_the_feet_together() -> None:
+def test_a_steered_walk_ramps_its_steps_and_stops_with_feet_together() -> None:
     walk = DynamicWalk(CONFIG.updated({"gait.steps": 0}), MODEL)
     stance = walk.phase(PhaseKind.STANCE, Foot.LEFT, walk.posture)
     walk.following(None)
@@ -276,19 +276,19 @@ def test_a_steered_walk_grows_its_steps_and_puts_the_feet_together() -> None:
     assert walk._after(step, 9)[1]
 
 
-def test_poppy_walks_in_physics_and_steps_to_catch_a_push(tmp_path: Path) -> None:
+def test_poppy_walks_in_physics_and_recovers_from_a_push(tmp_path: Path) -> None:
     config = CONFIG.updated({"gait.steps": 4, "dynamic.stop_duration": 0.6})
     controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
     assert isinstance(plant, World)
 
-    def push(time: float) -> None:  # outward, in the middle of the second step, on the right foot
+    def push(time: float) -> None:  # outward, in the middle of the second step, in support on the right foot
         due = controller.phase_index == 4 and 0.2 <= time + begin - controller.phase_time0 < 0.3
         plant.push(np.array([0.0, -4.0 if due else 0.0, 0.0]))
 
     begin = plant.state.time
     trace = simulate(controller, plant, before_step=push)
     assert trace.finished, trace.notes
-    # 25, 50, 50 and 25 mm: the length grows and shrinks
+    # step lengths 25, 50, 50 and 25 mm
     assert trace.physics is not None
     pelvis = DQ(trace.physics.pelvis[[0, -1]]).translation()
     assert pelvis[1, 0] - pelvis[0, 0] == pytest.approx(0.15, abs=0.04)

@@ -28,7 +28,7 @@ def body() -> Multibody:
     return Multibody(MODEL, FRAMES)
 
 
-def test_mass_is_that_of_the_model(body: Multibody) -> None:
+def test_mass_matches_the_model(body: Multibody) -> None:
     assert body.mass == pytest.approx(MODEL.mass, abs=1e-10)
     x_base, q, _ = state()
     still = body.at(x_base, q, np.zeros(body.nv))
@@ -38,8 +38,8 @@ def test_mass_is_that_of_the_model(body: Multibody) -> None:
 
 
 @pytest.mark.parametrize("frame", FRAMES)
-def test_frames_and_com_are_those_of_the_dual_quaternions(body: Multibody, frame: str) -> None:
-    """The package's own kinematics and pinocchio agree to 1e-10, in every link and in the CoM."""
+def test_frames_and_com_match_the_dual_quaternions(body: Multibody, frame: str) -> None:
+    """Poses of all links and CoM agree with Pinocchio to 1e-10."""
     x_base, q, v = state()
     d = body.at(x_base, q, v)
     kin = Kinematics(MODEL, q, Foot.LEFT)
@@ -58,7 +58,7 @@ def test_jacobians_and_drifts_are_derivatives(body: Multibody) -> None:
     after, before = (body.at(*body.integrate(x_base, q, s * eps * v), v) for s in (1.0, -1.0))
     assert now.com_velocity == pytest.approx((after.com - before.com) / (2 * eps), abs=1e-8)
     assert now.com_jacobian @ v == pytest.approx(now.com_velocity, abs=1e-10)
-    # v is constant in the axes of the base, whose own turning is not in J' v
+    # v is constant in the axes of the base, whose rotation is not part of J' v
     assert now.com_drift == pytest.approx((after.com_velocity - before.com_velocity) / (2 * eps), abs=1e-7)
     for frame in FRAMES:
         a, b, c = after.frames[frame], before.frames[frame], now.frames[frame]
@@ -68,8 +68,8 @@ def test_jacobians_and_drifts_are_derivatives(body: Multibody) -> None:
         assert c.drift == pytest.approx((a.velocity - b.velocity) / (2 * eps), abs=1e-6)
 
 
-def test_energy_is_kept_without_torque(body: Multibody) -> None:
-    """H v' + h = 0 keeps 1/2 v'Hv + m g c_z: kinetic and potential energy, to the order of the integration."""
+def test_energy_is_conserved_without_torque(body: Multibody) -> None:
+    """H v' + h = 0 conserves 1/2 v'Hv + m g c_z, to the order of the integration."""
     x_base, q, v = state(0.3)
 
     def energy(d) -> float:
@@ -86,10 +86,10 @@ def test_energy_is_kept_without_torque(body: Multibody) -> None:
         return abs(energy(body.at(x, angles, speed)) - first)
 
     assert drift(1e-4) < 0.05
-    assert drift(5e-5) == pytest.approx(0.5 * drift(1e-4), rel=0.1)  # of first order, to zero
+    assert drift(5e-5) == pytest.approx(0.5 * drift(1e-4), rel=0.1)  # converges to zero with first order
 
 
-def test_it_stands_where_it_is_told(body: Multibody) -> None:
+def test_stand_places_the_feet_as_requested(body: Multibody) -> None:
     feet = {Foot.LEFT: [0.3, 0.2], Foot.RIGHT: [0.3, 0.0]}
     x_base, q = body.stand(np.where([n.endswith("knee") for n in MODEL.joint_names], 0.8, 0.0), feet, "chest")
     d = body.at(x_base, q, np.zeros(body.nv))
@@ -101,7 +101,7 @@ def test_it_stands_where_it_is_told(body: Multibody) -> None:
         body.stand(q, {Foot.LEFT: [0.0, 2.0], Foot.RIGHT: [0.0, -2.0]}, "chest")
 
 
-def test_what_is_dropped_or_locked_is_not_in_it() -> None:
+def test_dropped_and_locked_joints_are_not_in_the_dynamics() -> None:
     robot = load("whole_body").updated({"robot.drop": ["neck_yaw"], "robot.lock": ["L_wrist_*"]}).robot
     model = load_model(robot)
     body = Multibody(model, ("L_hand",))

@@ -22,7 +22,7 @@ MODEL = dq.load_model(POPPY.robot)
 
 
 def errors(steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Walk as built, each foot slipping by 2 mm once a step; return errors (N, 9) and their NEES (N,)."""
+    """Simulate a walk as built, with a slip of 2 mm per step; return errors (N, 9) and their NEES (N,)."""
     text = find_share("config/plants", "poppy_as_built.yaml").read_text(encoding="utf-8")
     config = from_yaml(text, onto=POPPY).updated({"gait.steps": steps, "qp.solver": "daqp", "sensors.seed": seed})
     plant, controller = make_plant("physics", config, MODEL), make_controller(config, MODEL)
@@ -41,7 +41,7 @@ def errors(steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
             p = DQ(truth.soles[phase.base]).translation() * [1.0, 1.0, 0.0]
             world = DQ.from_pose(p, [math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)])
         if single and controller.phase_index > slipped:
-            # the floor has no marks: to be carried along it is what a slip is
+            # on a uniform floor a translation of the robot is equivalent to a slip
             slipped, way = controller.phase_index, random.uniform(-np.pi, np.pi)
             plant.data.qpos[:2] += 0.002 * np.array([math.cos(way), math.sin(way)])
         twist = np.empty(6)
@@ -61,21 +61,21 @@ def errors(steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_the_base_is_known_within_what_the_estimate_says(seed: int) -> None:
+def test_errors_of_the_base_match_the_estimated_covariance(seed: int) -> None:
     error, nees = errors(4, seed)
     rms = np.sqrt((error**2).mean(axis=0))
     assert np.degrees(np.linalg.norm(rms[:2])) < 0.6
     assert np.degrees(np.abs(error[:, 2])).max() < 2.0
     assert np.linalg.norm(rms[3:6]) < 0.02
-    assert np.linalg.norm(error[-1, 6:8]) < 0.015  # of which the slips make 4 mm (rms)
+    assert np.linalg.norm(error[-1, 6:8]) < 0.015  # the slips contribute 4 mm (rms)
     assert 2.7 < nees.mean() < 19.0  # the 95 % band of chi-squared with 9 degrees of freedom
 
 
-def test_a_sole_that_bears_nothing_does_not_count() -> None:
-    """With the CoM over one sole the other one may be dragged along."""
+def test_an_unloaded_sole_is_not_used_as_a_contact() -> None:
+    """With the CoM above one sole the other sole may slide."""
     q, still = MODEL.posture(POPPY.standing.posture), (np.zeros(3), np.array([0.0, 0.0, 9.81]))
     middle = Kinematics(MODEL, q, Foot.LEFT)
-    over = middle.tilted(np.array([0.0, math.sin(0.15), math.cos(0.15)]))  # the vertical of a robot that leans
+    over = middle.tilted(np.array([0.0, math.sin(0.15), math.cos(0.15)]))  # the vertical of a tilted robot
     for kin in (middle, over):
         beside = kin.com_on_ground[1] / kin.point(kin.swing)[1]
         held = BaseEstimator(POPPY, MODEL).update(0.0, kin, *still, both=True).contacts

@@ -1,4 +1,4 @@
-"""Every example runs and prints the expected output."""
+"""Every example runs, prints the expected output and writes no file."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ EXAMPLES = {
 }
 
 
-def test_every_example_is_run():
+def test_every_example_is_listed():
     assert {path.stem for path in (ROOT / "examples").glob("*.py")} == set(EXAMPLES)
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_it_runs_and_says_so(name, tmp_path, monkeypatch, capsys):
+def test_examples_run_and_print_the_expected_output(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", [name])
     runpy.run_path(str(ROOT / "examples" / f"{name}.py"), run_name="__main__")

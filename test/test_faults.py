@@ -9,7 +9,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 
 
-def test_every_row_names_tests_that_exist() -> None:
+def test_tests_in_the_table_of_faults_exist() -> None:
     rows = [r for r in (ROOT / "docs" / "faults.md").read_text(encoding="utf-8").splitlines() if r.startswith("| ")][1:]
     assert len(rows) > 15
     for line in rows:
@@ -23,7 +23,7 @@ def test_every_row_names_tests_that_exist() -> None:
             assert not test or f"def {test}(" in text, name
 
 
-def test_every_defect_of_interoperability_names_tests_that_exist() -> None:
+def test_tests_in_the_list_of_interoperability_defects_exist() -> None:
     own = "test_interoperability"
     table = ast.get_docstring(ast.parse((ROOT / "test" / f"{own}.py").read_text(encoding="utf-8"))) or ""
     defects = re.split(r"^ ?\d+\. ", table, flags=re.M)[1:]

@@ -33,12 +33,12 @@ def problem(
     )
 
 
-def test_rows_that_agree_do_not_fight() -> None:
+def test_consistent_rows_have_no_conflict() -> None:
     assert conflicts(problem([[1.0, 0.0], [0.0, 1.0]], [-1.0, 0.5])) is None
 
 
-def test_two_rows_that_fight_are_named_with_the_gap() -> None:
-    """u0 >= 1 and -u0 >= -0.4: 0.6 is missing; u1 has nothing to do with it."""
+def test_two_conflicting_rows_are_named_with_their_gap() -> None:
+    """u0 >= 1 and -u0 >= -0.4 conflict by 0.6; u1 is not involved."""
     found = conflicts(problem([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0]], [1.0, -0.4, 0.2]))
     assert found is not None
     assert sum(found.short.values()) == pytest.approx(0.6, abs=1e-8)
@@ -46,25 +46,25 @@ def test_two_rows_that_fight_are_named_with_the_gap() -> None:
     assert "short by 0.6" in str(found)
 
 
-def test_an_equality_against_a_bound() -> None:
+def test_an_equality_in_conflict_with_a_bound() -> None:
     found = conflicts(problem([[0.0, 1.0]], [0.0], E=[[2.0, 0.0]], e=[20.0]))
     assert found is not None
     assert found.short == {"hold0": pytest.approx(6.0)} or found.short == {"max0": pytest.approx(3.0)}
     assert {*found.short, *found.against} == {"hold0", "max0"}
 
 
-def test_the_error_carries_the_rows() -> None:
+def test_the_error_contains_the_conflicting_rows() -> None:
     bad = problem([[1.0], [-1.0]], [1.0, -0.4])
     with pytest.raises(QPError) as caught:
         make_solver("clarabel").solve(bad)
-    said = explained(caught.value, bad)
-    assert set(said.rows) == {"row0", "row1"}
-    assert sum(said.short.values()) == pytest.approx(0.6, abs=1e-8)
-    assert "short by" in str(said)
-    assert said.status == caught.value.status
+    error = explained(caught.value, bad)
+    assert set(error.rows) == {"row0", "row1"}
+    assert sum(error.short.values()) == pytest.approx(0.6, abs=1e-8)
+    assert "short by" in str(error)
+    assert error.status == caught.value.status
 
 
-def test_numbers_that_are_not_finite_stay_the_solvers_error() -> None:
+def test_nonfinite_numbers_keep_the_solver_error() -> None:
     bad = problem([[1.0]], [float("nan")])
     error = QPError("x", status="NotFinite")
     assert explained(error, bad) is error
@@ -72,22 +72,22 @@ def test_numbers_that_are_not_finite_stay_the_solvers_error() -> None:
         lead_back(bad)
 
 
-def test_the_way_back_is_as_fast_as_the_limits_allow() -> None:
-    """u0 >= 20 with |u0| <= 7: 0.35 of the wanted rate can be had, and 0.9 of that is asked for."""
+def test_the_return_is_as_fast_as_the_limits_allow() -> None:
+    """u0 >= 20 with |u0| <= 7: a fraction of 0.35 is feasible, and 0.9 of that is used."""
     relaxed, t = lead_back(problem([[1.0]], [20.0]))
     assert t == pytest.approx(0.9 * 0.35)
     u = make_solver("clarabel").solve(relaxed).u
     assert u[0] == pytest.approx(0.9 * 7.0, rel=1e-6)
 
 
-def test_the_way_back_keeps_what_is_kept() -> None:
-    """u0 >= 2 wants in, u0 <= 0.5 is a row that is kept."""
+def test_the_return_keeps_satisfied_rows() -> None:
+    """u0 >= 2 is violated, u0 <= 0.5 is satisfied."""
     relaxed, t = lead_back(problem([[1.0], [-1.0]], [2.0, -0.5]))
     assert t == pytest.approx(0.9 * 0.25)
     np.testing.assert_allclose(relaxed.h, [2.0 * t, -0.5])
 
 
-def test_no_way_back_is_an_error() -> None:
+def test_an_infeasible_return_is_an_error() -> None:
     with pytest.raises(QPError, match="no way back"):
         lead_back(problem([[1.0], [-1.0]], [2.0, 0.0]))
 
@@ -103,8 +103,8 @@ def model() -> RobotModel:
 @pytest.mark.parametrize("joint", ["l_hip_x", "r_hip_x", "l_hip_z", "r_hip_z", "l_ankle_y", "r_ankle_y"])
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("beyond", [1e-9, 0.05])
-def test_a_start_outside_a_limit_is_led_back_in(model: RobotModel, joint: str, side: float, beyond: float) -> None:
-    """Without ever going further out, and within the velocity limits."""
+def test_a_start_outside_a_limit_returns_inside(model: RobotModel, joint: str, side: float, beyond: float) -> None:
+    """The violation never grows, and the velocity limits are kept."""
     config = load("paper")
     q = np.zeros(model.n)
     i = model.joint_names.index(joint)
@@ -126,7 +126,7 @@ def test_a_start_below_the_pelvis_plane_rises_above_it(model: RobotModel, below:
     from dqwalk_ros.robot import Foot
 
     q = np.zeros(model.n)
-    for side in ("l", "r"):  # knees bent, so that there is a way up
+    for side in ("l", "r"):  # knees bent, so that the pelvis can rise
         for joint, angle in (("hip_y", -0.5), ("knee_y", 1.0), ("ankle_y", -0.5)):
             q[model.joint_names.index(f"{side}_{joint}")] = angle
 
@@ -144,8 +144,8 @@ def test_a_start_below_the_pelvis_plane_rises_above_it(model: RobotModel, below:
     assert short < 1e-5
 
 
-def test_a_posture_without_a_way_back_says_which_rows_fight(model: RobotModel) -> None:
-    """One leg up in the air is no double support."""
+def test_an_infeasible_posture_names_the_conflicting_rows(model: RobotModel) -> None:
+    """Double support with one leg raised is infeasible."""
     q = np.zeros(model.n)
     i = model.joint_names.index("l_hip_y")
     q[i] = model.q_min[i]

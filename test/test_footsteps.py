@@ -1,4 +1,4 @@
-"""Commanded footsteps: reachable ones are executed, others are refused with the violated limit."""
+"""Commanded footsteps: reachable ones are executed, others are rejected with the violated limit."""
 
 from __future__ import annotations
 
@@ -41,38 +41,38 @@ BESIDE = DQ(STEPS.beside(Foot.LEFT))  # the right footprint in the left sole
         (BESIDE * DQ.from_pose([0.0, 0.0, 0.0], [np.cos(0.1), np.sin(0.1), 0.0, 0.0]), "leans by 11.5 deg"),
     ],
 )
-def test_a_footstep_that_cannot_be_is_refused_by_its_limit(footprint: DQ, limit: str) -> None:
+def test_infeasible_footsteps_are_rejected_with_the_limit(footprint: DQ, limit: str) -> None:
     with pytest.raises(StateError, match=limit) as refused:
         STEPS.planned(Foot.LEFT, [BESIDE.vec8(), DQ(STEPS.beside(Foot.RIGHT)).vec8(), footprint.vec8()])
     assert str(refused.value).startswith("footstep 3, of the right foot: ")
 
 
-def test_a_footstep_is_moved_to_where_the_legs_reach_by_no_more_than_the_tolerance() -> None:
+def test_footsteps_are_moved_within_the_tolerance_to_be_reachable() -> None:
     wanted = turned(0.03, -0.01) * BESIDE
     (x,) = STEPS.planned(Foot.LEFT, [wanted.vec8()])
-    off = (wanted.conj() * DQ(x)).translation()
-    assert 1e-3 < np.linalg.norm(off) < CONFIG.gait.footstep_tolerance
+    error = (wanted.conj() * DQ(x)).translation()
+    assert 1e-3 < np.linalg.norm(error) < CONFIG.gait.footstep_tolerance
 
 
-class Walked:
-    """The controller in this process, over joints that move exactly as they are told."""
+class KinematicRobot:
+    """The controller in this process, with joints that follow their commands exactly."""
 
     def __init__(self, make: Any) -> None:
         self.node = make("controller", CONFIG)
         self.plant = make_plant("kinematic", CONFIG, MODEL)
         self.ticks = 0
 
-    def until(self, wanted: str, most: int = 4000) -> list[str]:
+    def until(self, wanted: str, max_ticks: int = 4000) -> list[str]:
         from inside import state
 
-        said = self.node.got["footstep_status"]
-        while not (said and said[-1].data.startswith(wanted)):
-            assert self.ticks < most, [msg.data for msg in said]
+        statuses = self.node.got["footstep_status"]
+        while not (statuses and statuses[-1].data.startswith(wanted)):
+            assert self.ticks < max_ticks, [msg.data for msg in statuses]
             self.node.send("joint_states", state(MODEL.joint_names, self.plant.state.q, 1.0 + self.ticks * CONFIG.dt))
             sent = self.node.got["joint_velocity_commands"][-1]
             self.plant.step(Command(0.0, np.array(sent.velocity)), CONFIG.dt)
             self.ticks += 1
-        return [msg.data for msg in said]
+        return [msg.data for msg in statuses]
 
     def walk(self, ticks: int) -> None:
         with pytest.raises(AssertionError):
@@ -92,48 +92,48 @@ class Walked:
 
 
 @pytest.fixture
-def walked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Walked]:
+def robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[KinematicRobot]:
     pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
     from inside import inside
 
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     with inside(tmp_path) as make:
-        yield Walked(make)
+        yield KinematicRobot(make)
 
 
-def test_footsteps_in_odom_are_walked_one_foot_after_the_other(walked: Walked) -> None:
-    controller = walked.node.node._walk
-    assert "not in a stance" in walked.send(BESIDE)
-    walked.walk(10)
+def test_footsteps_in_odom_are_walked(robot: KinematicRobot) -> None:
+    controller = robot.node.node._walk
+    assert "not in a stance" in robot.send(BESIDE)
+    robot.walk(10)
     soles = {foot: DQ(x) for foot, x in controller.soles().items()}
     left = soles[Foot.LEFT] * turned(0.04, 0.0, 0.05)
     right = left * turned(0.03, 0.0) * BESIDE
-    assert walked.send(left, right) == "walking 0/2"
-    assert "not in a stance" not in walked.node.log.lines[-1]
-    said = walked.until("done")
-    assert said[-3:] == ["walking 1/2", "walking 1/2", "done 2/2"] or said[-2:] == ["walking 1/2", "done 2/2"]
+    assert robot.send(left, right) == "walking 0/2"
+    assert "not in a stance" not in robot.node.log.lines[-1]
+    statuses = robot.until("done")
+    assert statuses[-3:] == ["walking 1/2", "walking 1/2", "done 2/2"] or statuses[-2:] == ["walking 1/2", "done 2/2"]
     assert controller.phase.name.startswith("stance")
     for foot, wanted in ((Foot.LEFT, left), (Foot.RIGHT, right)):
-        off = (wanted.conj() * DQ(controller.soles()[foot])).translation()
-        assert np.linalg.norm(off) < CONFIG.gait.footstep_tolerance, foot
-    walked.walk(50)
-    assert controller.phase.name.startswith("stance")  # and it waits there
+        error = (wanted.conj() * DQ(controller.soles()[foot])).translation()
+        assert np.linalg.norm(error) < CONFIG.gait.footstep_tolerance, foot
+    robot.walk(50)
+    assert controller.phase.name.startswith("stance")  # it waits in the stance phase
 
 
-def test_an_empty_path_cancels_and_a_path_may_be_seen_from_a_sole(walked: Walked) -> None:
-    walked.walk(10)
+def test_footsteps_in_a_sole_frame_and_cancellation_by_an_empty_path(robot: KinematicRobot) -> None:
+    robot.walk(10)
     frame = MODEL.soles[Foot.LEFT].frame
-    assert "must be odom, or a sole" in walked.send(BESIDE, frame="map")
-    assert walked.send(*[turned(0.02 * k, 0.0) * (BESIDE if k % 2 else DQ(1.0)) for k in range(1, 6)], frame=frame) == (
+    assert "must be odom, or a sole" in robot.send(BESIDE, frame="map")
+    assert robot.send(*[turned(0.02 * k, 0.0) * (BESIDE if k % 2 else DQ(1.0)) for k in range(1, 6)], frame=frame) == (
         "walking 0/5"
     )
-    walked.until("walking 1/5")
-    assert "not in a stance" in walked.send(BESIDE)
-    assert walked.send() == "cancelled: 4 footsteps dropped, the feet are put together"
-    controller = walked.node.node._walk
+    robot.until("walking 1/5")
+    assert "not in a stance" in robot.send(BESIDE)
+    assert robot.send() == "cancelled: 4 footsteps dropped, the feet are put together"
+    controller = robot.node.node._walk
     names = []
     while not (names and names[-1].startswith("stance")):
-        walked.walk(20)
+        robot.walk(20)
         names.append(controller.phase.name)
         assert len(names) < 100
     apart = DQ(controller.soles()[Foot.LEFT]).conj() * DQ(controller.soles()[Foot.RIGHT])

@@ -1,4 +1,4 @@
-"""Random hostile robots, parameter files and messages: rejected by an error, in bounded time and memory.
+"""Random invalid robots, parameter files and messages: rejected with an error, in bounded time and memory.
 
 `make fuzz` runs 10 000 of them, the default suite a hundred.
 """
@@ -23,15 +23,15 @@ from dqwalk_ros.nodes.safety import JointOrder, StateGate
 from dqwalk_ros.robot import load_model
 
 INPUTS = int(os.environ.get("DQWALK_FUZZ", "120"))
-MEMORY = 500 * 1024  # [kB] of the whole process, where these tests have one to themselves (make fuzz)
-GROWTH = 100 * 1024  # [kB] where other tests have filled it before
+MEMORY = 500 * 1024  # [kB] of the process, if only these tests run in it (make fuzz)
+GROWTH = 100 * 1024  # [kB] if other tests ran in the process before
 ALLOWED = {"memory": MEMORY}
 ROOT = Path(__file__).resolve().parent.parent
 URDF = (ROOT / "test" / "data" / "biped12.urdf").read_text(encoding="utf-8")
 YAML = to_yaml(load("paper"))
 MODEL = load_model(load("paper").robot)
 
-hostile = settings(
+fuzzed = settings(
     max_examples=max(INPUTS // 6, 1), deadline=2000, suppress_health_check=list(HealthCheck), print_blob=False
 )
 WORDS = [
@@ -57,23 +57,23 @@ WORDS = [
 junk = st.sampled_from(WORDS) | st.text(max_size=20) | st.floats().map(repr) | st.integers().map(str)
 
 
-def most() -> int:
-    """Most memory that this process ever had [kB]."""
+def peak_memory() -> int:
+    """Return the peak memory of this process [kB]."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 @pytest.fixture(autouse=True)
 def limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = most()
+    before = peak_memory()
     monkeypatch.setitem(ALLOWED, "memory", MEMORY if before < MEMORY - GROWTH else before + GROWTH)
 
 
-def small() -> None:
-    assert most() < ALLOWED["memory"]
+def check_memory() -> None:
+    assert peak_memory() < ALLOWED["memory"]
 
 
 def mutated(text: str, pattern: str) -> st.SearchStrategy[str]:
-    """Replace, cut, double or move pieces of a text."""
+    """Replace, delete, duplicate or swap pieces of a text."""
     pieces = re.split(pattern, text)
     place = st.integers(0, len(pieces) - 1)
     change = st.tuples(st.sampled_from(["set", "cut", "copy", "swap"]), place, place, junk)
@@ -106,55 +106,55 @@ def load_text(data: bytes) -> None:
         assert np.isfinite(model.q_min).all()
         assert (model.q_min < model.q_max).all()
         assert model.mass > 0.0
-    small()
+    check_memory()
 
 
-@hostile
+@fuzzed
 @given(text=mutated(URDF, r"(<[^>]*>|\n)"))
-def test_robots_with_elements_moved(text: str) -> None:
+def test_robots_with_modified_elements(text: str) -> None:
     load_text(text.encode("utf-8", "surrogatepass"))
 
 
-@hostile
+@fuzzed
 @given(text=mutated(URDF, r'("[^"]*")'))
-def test_robots_with_values_changed(text: str) -> None:
+def test_robots_with_modified_values(text: str) -> None:
     load_text(text.encode("utf-8", "surrogatepass"))
 
 
-@hostile
+@fuzzed
 @given(data=st.binary(max_size=2000) | st.binary(max_size=300).map(lambda b: b"<robot name='r'>" + b + b"</robot>"))
-def test_robots_of_any_bytes(data: bytes) -> None:
+def test_robots_of_random_bytes(data: bytes) -> None:
     load_text(data)
 
 
-@hostile
+@fuzzed
 @given(text=mutated(YAML, r"(: |\n *)"))
-def test_parameter_files_with_pieces_changed(text: str) -> None:
+def test_modified_parameter_files(text: str) -> None:
     try:
         config = from_yaml(text, source="f")
     except ConfigError:
         return
     assert from_yaml(to_yaml(config)) == config
-    small()
+    check_memory()
 
 
-@hostile
+@fuzzed
 @given(
     text=st.text(max_size=500) | st.lists(junk, max_size=30).map("".join) | st.lists(junk, max_size=30).map("\n".join)
 )
-def test_parameter_files_of_any_text(text: str) -> None:
+def test_parameter_files_of_random_text(text: str) -> None:
     try:
         from_yaml(text, source="f")
     except ConfigError:
         return
-    small()
+    check_memory()
 
 
 numbers = st.lists(st.floats(width=64) | st.just(0.0), max_size=20)
 some_names = st.lists(st.sampled_from([*MODEL.joint_names, "head", ""]) | st.text(max_size=5), max_size=20)
 
 
-@hostile
+@fuzzed
 @given(
     messages=st.lists(
         st.tuples(
@@ -166,7 +166,7 @@ some_names = st.lists(st.sampled_from([*MODEL.joint_names, "head", ""]) | st.tex
         max_size=8,
     )
 )
-def test_messages(messages: list[tuple[list[str], list[float], int]]) -> None:
+def test_random_messages(messages: list[tuple[list[str], list[float], int]]) -> None:
     order, gate = JointOrder(MODEL.joint_names), StateGate(MODEL, 0.005, lambda: 0.1)
     for names, values, stamp in messages:
         try:

@@ -19,11 +19,11 @@ from dqwalk_ros.walk import EndRule, PaperWalk, PhaseKind
 
 PAPER = load("paper")
 FAST = {"task.eta": 0.5, "task.damping": 0.03, "gait.phase_timeout": 60.0}
-"""Ten times the paper's pace, to fail as fast."""
+"""Ten times as fast as the paper, so that failures occur early."""
 
 
 @pytest.mark.parametrize(("first", "second"), [("left", "right"), ("right", "left")])
-def test_four_phases_again_and_again(first, second):
+def test_the_four_phases_repeat(first, second):
     config = PAPER.updated({"gait.first_support": first, "gait.cycles": 3})
     sequence = []
     while (following := PaperWalk.phase_at(config, len(sequence))) is not None:
@@ -42,7 +42,7 @@ def test_footsteps_are_ahead_and_flat(foot):
     np.testing.assert_allclose(wide.translation(), [-0.02, -0.12 if foot is Foot.LEFT else 0.12, 0.0])
 
 
-# ---------------------------------------------------------------------- end rules, on made-up errors
+# ---------------------------------------------------------------------- end rules, with synthetic errors
 
 
 def rule(kind, **changes):
@@ -66,7 +66,7 @@ def test_single_support_ends_below_the_threshold():
     assert errors[k] < 1e-3 <= errors[k - 1]
 
 
-def test_double_support_ends_when_its_error_stops_falling():
+def test_double_support_ends_when_its_error_stops_decreasing():
     t = 0.005 * np.arange(1000)
     errors = 0.04 + 0.03 * np.exp(-2.0 * t)
     k = ticks_until_over(rule(PhaseKind.DOUBLE_SUPPORT), errors)
@@ -86,44 +86,44 @@ def test_a_phase_has_a_time_limit():
     with pytest.raises(
         PhaseError, match=r"single_support/left is not over after 10 s at an error of .*; active: sliding"
     ):
-        # falling fast enough for hope, but from too far
+        # it decreases fast enough not to stall, but starts too large
         ticks_until_over(rule(PhaseKind.SINGLE_SUPPORT), np.exp(-0.2 * 0.005 * np.arange(3000)))
 
 
-def test_a_slow_phase_is_not_a_stalled_one():
-    """As long as the goal can be reached within the time limit at the present rate, the phase goes on."""
+def test_a_slow_phase_is_not_stalled():
+    """The phase continues while the goal can be reached within the time limit at the present rate."""
     errors = 0.05 - 0.006 * 0.005 * np.arange(1960)  # 8.2 s from 0.05 to the threshold
     assert ticks_until_over(rule(PhaseKind.SINGLE_SUPPORT), errors) == 1634
 
 
-def test_a_stall_without_a_row_is_a_local_minimum():
+def test_a_stall_without_active_constraints_is_a_local_minimum():
     with pytest.raises(PhaseError, match="no constraint is active: a local minimum of the task"):
         ticks_until_over(rule(PhaseKind.SINGLE_SUPPORT), np.full(3000, 0.02), active=())
 
 
-# ---------------------------------------------------------------------- what cannot be walked
+# ---------------------------------------------------------------------- infeasible walks
 
 
-def fails(**changes):
-    """Walk until it fails; return the error and the state it failed in."""
+def failure(**changes):
+    """Walk until a phase fails; return the error."""
     config = PAPER.updated({**FAST, **changes})
     controller, plant = make_controller(config, legs()), KinematicPlant(legs())
 
-    def on_and_on():
+    def run():
         while plant.state.time < 200.0 and not controller.finished:
             plant.step(controller.step(plant.state, config.dt), config.dt)
 
     with pytest.raises(PhaseError) as caught:
-        on_and_on()
+        run()
     kin = Kinematics(legs(), plant.state.q, controller.phase.base)
     for name, d in controller.phase.distances(kin).items():
-        assert d > -1e-4, name  # it did not fall out of its constraints
+        assert d > -1e-4, name  # no constraint is violated
     return caught.value
 
 
-def test_too_long_a_step():
-    """20 cm: the swing stalls, and the error says where, how far off and what held it."""
-    error = fails(**{"gait.step_length": 0.2})
+def test_a_step_that_is_too_long_fails():
+    """20 cm: the swing stalls, and the error names the phase, the error and the active constraints."""
+    error = failure(**{"gait.step_length": 0.2})
     assert error.phase == "single_support/left"
     assert error.error > 2e-3
     assert error.active
@@ -134,16 +134,16 @@ def test_too_long_a_step():
     assert error.active[0] in str(error)
 
 
-def test_a_cylinder_that_cannot_be_reached():
-    """Poppy's hips do not let the CoM come within 5 mm of the foot's centre."""
-    error = fails(**{"ssp.com_radius": 0.005})
+def test_an_unreachable_cylinder_fails():
+    """The hip limits of Poppy keep the CoM more than 5 mm from the centre of the foot."""
+    error = failure(**{"ssp.com_radius": 0.005})
     assert error.phase == "double_support/left"
     assert error.error > 0.005
     assert error.active
     assert "it ends below 0.005 m" in str(error)
 
 
-def test_a_simulation_notes_why_it_ended():
+def test_a_failed_simulation_notes_the_reason():
     trace = walk(PAPER.updated({**FAST, "gait.phase_timeout": 1.0}), legs())
     assert not trace.finished
     assert len(trace.notes) == 1
@@ -152,7 +152,7 @@ def test_a_simulation_notes_why_it_ended():
     assert np.isnan(trace.u[-1]).all()
 
 
-# ---------------------------------------------------------------------- states that must not come in
+# ---------------------------------------------------------------------- invalid states
 
 
 @pytest.mark.parametrize(
@@ -163,11 +163,11 @@ def test_a_simulation_notes_why_it_ended():
         (np.full(10, np.inf), "the angle of l_hip_x, .* is not finite"),
     ],
 )
-def test_states_that_are_none(q, message):
+def test_invalid_states_are_rejected(q, message):
     controller, plant = make_controller(PAPER, legs()), KinematicPlant(legs())
     with pytest.raises(StateError, match=message):
         controller.step(State(0.0, q), 0.005)
-    for _ in range(3):  # on the way, too, also after a pause; the walk goes on from the next good one
+    for _ in range(3):  # also during the walk and after a pause; the walk continues with the next valid state
         plant.step(controller.step(plant.state, 0.005), 0.005)
     for time in (plant.state.time, plant.state.time + 10.0):
         with pytest.raises(StateError, match=message):

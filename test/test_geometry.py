@@ -49,7 +49,7 @@ def test_point_to_line(rng):
     assert line.distance_squared(p) == pytest.approx(np.sum((p - nearest) ** 2), abs=1e-12)
 
 
-def test_cylinder_is_negative_inside_as_in_the_paper(rng):
+def test_cylinder_distance_is_negative_inside_as_in_the_paper(rng):
     a, direction = rng.normal(size=(2, 3))
     cylinder = Cylinder(Line.through(a, direction), 0.5)
     across = unit(np.cross(direction, rng.normal(size=3)))
@@ -68,17 +68,17 @@ def test_point_to_wall(rng):
     assert point_to_wall(s, a, side)[0] == pytest.approx(abs(n @ (p - a)), abs=1e-12)
 
 
-def test_two_points_above_each_other_fix_no_wall():
+def test_two_points_above_each_other_do_not_define_a_wall():
     with pytest.raises(ValueError, match="do not define a vertical plane"):
         wall_side(np.array([1.0, 2.0, 0.0]), np.array([1.0, 2.0, 5.0]), np.zeros(3))
 
 
-# ---------------------------------------------------------------------- everything may move
+# ---------------------------------------------------------------------- gradients
 
 
 @pytest.fixture
 def curves(rng):
-    """Three points moving with four joints, as smooth as kinematics are, and their Jacobians."""
+    """Return three smooth functions of four joint angles that give points, and their Jacobians."""
     A = rng.normal(size=(3, 3, 4))
     phase = rng.normal(size=(3, 3, 4))
     centre = rng.normal(size=(3, 3))
@@ -103,25 +103,25 @@ def test_line_gradient(rng):
 
 
 def test_line_gradient_is_smooth_on_the_axis():
-    """Where that of the distance itself is not defined: why the square is used."""
+    """The gradient of the distance itself is undefined there, which is why its square is used."""
     line = Line.through([1.0, 2.0, 0.0], [0.0, 0.0, 1.0])
     np.testing.assert_allclose(point_to_line_squared(np.array([1.0, 2.0, 7.0]), line.l, line.m)[1], 0.0, atol=1e-15)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_wall_gradient_with_the_residual(rng, side):
+def test_wall_gradient_of_moving_points(rng, side):
     s, a = rng.normal(size=6), rng.normal(size=3)
     _, gradient = point_to_wall(s, a, side)
     expected = central_difference(lambda s: point_to_wall(s, a, side)[0], s)
     np.testing.assert_allclose(gradient, expected, atol=1e-7 * max(1.0, np.abs(gradient).max()))
-    assert np.abs(gradient[3:]).max() > 1e-4  # the moving place counts
+    assert np.abs(gradient[3:]).max() > 1e-4  # the motion of the wall contributes
 
 
 # ---------------------------------------------------------------------- polygons
 
 
 def brute_force(p, vertices):
-    """Boundary sampled every 2e-4 or so, and a winding number for the sign."""
+    """Return the distance to a boundary sampled at about 2e-4, with the sign of the winding number."""
     t = np.linspace(0.0, 1.0, 20001)[:, None]
     ends = np.roll(vertices, -1, axis=0)
     boundary = np.concatenate([a + t * (b - a) for a, b in zip(vertices, ends, strict=True)])
@@ -136,7 +136,7 @@ def test_point_to_polygon(rng):
     polygon = ConvexPolygon.hull(rng.normal(size=(8, 2)))
     for p in 1.5 * rng.normal(size=(20, 2)):
         assert polygon.distance(p) == pytest.approx(brute_force(p, polygon.vertices), abs=1e-4)
-        assert polygon.distance([*p, 5.0]) == polygon.distance(p)  # of a point in space, its ground projection
+        assert polygon.distance([*p, 5.0]) == polygon.distance(p)  # the ground projection of a point in space
 
 
 @pytest.mark.parametrize(
@@ -145,18 +145,18 @@ def test_point_to_polygon(rng):
         ([0.5, 0.4], 0.4, [0.0, 1.0]),  # nearest to the lower edge
         ([1.9, 0.6], 0.1, [-1.0, 0.0]),
         ([1.0, -0.3], -0.3, [0.0, 1.0]),  # beyond an edge
-        ([2.3, 1.4], -0.5, [-0.6, -0.8]),  # beyond a corner: the corner counts, not the edges
+        ([2.3, 1.4], -0.5, [-0.6, -0.8]),  # beyond a corner: distance to the corner
         ([-0.3, -0.4], -0.5, [0.6, 0.8]),
         ([1.0, 0.0], 0.0, [0.0, 1.0]),  # on the edge
     ],
 )
-def test_polygon_by_hand(p, distance, gradient):
+def test_polygon_distances_and_gradients_of_known_points(p, distance, gradient):
     d, g = point_to_polygon(np.array(p), SQUARE)
     assert d == pytest.approx(distance, abs=1e-15)
     np.testing.assert_allclose(g, gradient, atol=1e-15)
 
 
-def test_on_a_corner_the_gradient_is_finite():
+def test_the_gradient_on_a_corner_is_finite():
     for corner in SQUARE:
         d, g = point_to_polygon(corner, SQUARE)
         assert d == 0.0
@@ -170,7 +170,7 @@ def test_polygon_gradient(rng):
         np.testing.assert_allclose(point_to_polygon(p, vertices)[1], expected, atol=1e-6)
 
 
-def test_hull_leaves_out_what_lies_inside_or_on_an_edge():
+def test_hull_omits_points_inside_and_on_edges():
     inner = [[1.0, 0.5], [1.0, 0.0], [2.0, 0.5], [0.3, 0.2]]
     hull = ConvexPolygon.hull([*SQUARE.tolist(), *inner, *SQUARE.tolist()]).vertices
     assert hull.shape == (4, 2)
@@ -181,7 +181,7 @@ def test_hull_leaves_out_what_lies_inside_or_on_an_edge():
 
 @pytest.mark.parametrize("jitter", [0.0, *(10.0**-k for k in range(6, 18))])
 def test_no_point_is_outside_of_its_hull(jitter):
-    """Two soles beside each other, most corners on common lines but for `jitter` [m]."""
+    """Two soles side by side, most corners collinear up to `jitter` [m]."""
     rng = np.random.default_rng(0)
     sole = np.array([[-0.072, -0.023], [0.072, -0.023], [0.072, 0.023], [-0.072, 0.023]])
     for _ in range(40):
@@ -190,7 +190,7 @@ def test_no_point_is_outside_of_its_hull(jitter):
         points = np.concatenate([sole, sole + np.array([ahead, 0.095])]) @ R.T + jitter * rng.normal(size=(8, 2))
         n, d = ConvexPolygon.hull(points).edges()
         distances = points @ n.T - d
-        assert distances.min() > -2e-9  # they are rounded to 1e-9
+        assert distances.min() > -2e-9  # the vertices are rounded to 1e-9
         assert distances.min(axis=0).max() < 2e-9  # every edge touches
 
 
@@ -204,6 +204,6 @@ def test_hull_matches_scipy(rng):
 
 
 @pytest.mark.parametrize("points", [[[0, 0]], [[0, 0], [1, 1]], [[0, 0], [1, 1], [3, 3], [2, 2]], [[1, 1]] * 5])
-def test_no_area_no_polygon(points):
+def test_points_without_an_area_are_rejected(points):
     with pytest.raises(ValueError, match="no convex hull with an area"):
         ConvexPolygon.hull(points)

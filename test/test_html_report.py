@@ -35,7 +35,7 @@ def path(tmp_path_factory):
 
 @pytest.fixture
 def one_figure(monkeypatch):
-    """Drawing takes longer than all the rest."""
+    """Draw a single figure, because drawing dominates the time."""
 
     def simple(series):
         figure = new_figure(2.0, 1.0)
@@ -52,14 +52,14 @@ def page(path, tmp_path_factory):
     return out
 
 
-def test_the_page_is_one_small_file_that_fetches_nothing(page):
+def test_the_page_is_small_and_self_contained(page):
     text = (page / "report.html").read_text()
     assert len(text) < 5e6
     assert not re.findall(r"""(?:src|href)=['"](?!data:)""", text)
     assert not re.findall(r"https?://(?!www\.w3\.org)", re.sub(r"base64,[^'\"]*", "", text))
 
 
-def test_the_page_says_what_the_report_says(page):
+def test_the_page_contains_the_report(page):
     text, report = (page / "report.html").read_text(), json.loads((page / "report.json").read_text())
     for phase in report["phases"]:
         assert phase["name"] in text
@@ -72,8 +72,8 @@ def test_the_page_says_what_the_report_says(page):
     assert f"{report['walk']['duration']:.1f} s" in text
 
 
-def test_the_replay_stands_where_the_walk_did():
-    """The tree of the replay, put together as `replay.js` does it, has its soles where the kinematics has them."""
+def test_the_replay_matches_the_kinematics():
+    """The soles of the replay, computed from its tree as in `replay.js`, match the kinematics."""
     trace = short_walk()
     data = replay_data(report.analyse(trace))
     t, q, root = (np.frombuffer(b64decode(data[k]), "<f4") for k in ("t", "q", "root"))
@@ -89,11 +89,11 @@ def test_the_replay_stands_where_the_walk_did():
         for foot in Foot:
             sole = trace.model.soles[foot]
             shown = poses[data["soles"][foot.value]["b"]].transform_point(data["soles"][foot.value]["corners"][0])
-            there = DQ(record.x_odom_base).transform_point(kin.point(sole.frame, sole.corners[0]))
-            np.testing.assert_allclose(shown, there, atol=2e-5)
+            expected = DQ(record.x_odom_base).transform_point(kin.point(sole.frame, sole.corners[0]))
+            np.testing.assert_allclose(shown, expected, atol=2e-5)
 
 
-def test_it_says_who_walked_and_who_reports(path, tmp_path, one_figure):
+def test_the_page_shows_the_origin_of_the_walk_and_of_the_report(path, tmp_path, one_figure):
     walked = {"began": "2020-02-20 20:20:20 UTC", "numpy": "1.2.3", "host": "the <lab>"}
     bag.write(dataclasses.replace(short_walk(), origin=walked), tmp_path / "old", diagnostics=False)
     assert bag.read(tmp_path / "old").origin == walked
@@ -102,8 +102,8 @@ def test_it_says_who_walked_and_who_reports(path, tmp_path, one_figure):
     assert "<tr><td>at</td><td>2020-02-20 20:20:20 UTC</td>" in text
     assert f"<tr><td>numpy</td><td>1.2.3</td><td>{np.__version__}</td></tr>" in text
     assert "the &lt;lab&gt;" in text
-    nobody = rewrite(tmp_path / "old", tmp_path / "older", rename=lambda t: None if t == "/walk_origin" else t)
-    assert bag.read(nobody).origin == {}
+    without_origin = rewrite(tmp_path / "old", tmp_path / "older", rename=lambda t: None if t == "/walk_origin" else t)
+    assert bag.read(without_origin).origin == {}
 
 
 def test_two_walks_side_by_side(path, tmp_path, one_figure):
@@ -118,22 +118,22 @@ def test_two_walks_side_by_side(path, tmp_path, one_figure):
     assert text.count("data:image/svg+xml") == 2
 
 
-def test_a_standing_walk_beside_one_of_the_paper(path, tmp_path, one_figure):
-    """A standing walk has no margin of the paper's: nothing is made up for it, and its page is written."""
+def test_a_standing_walk_beside_a_paper_walk(path, tmp_path, one_figure):
+    """A standing walk has no paper margin: its table cell is empty."""
     config = load("poppy").updated({"gait.steps": 1})
     model = load_model(config.robot)
     trace = simulate(make_controller(config, model), KinematicPlant(model), max_time=1.0)
     bag.write(trace, tmp_path / "standing", diagnostics=False)
     out = ["--no-figures", "--quiet", "--out", str(tmp_path / "out")]
     code = cli.main(["report", str(tmp_path / "standing"), "--compare", str(path), *out])
-    assert code == 1  # it stopped before its end
+    assert code == 1  # the walk did not finish
     text = (tmp_path / "out/report.html").read_text()
     assert "stopped before its end" in text
     assert "<td>paper margin</td><td class=n>–</td><td class=n>+" in text
 
 
-def test_no_name_becomes_a_tag(path, tmp_path, one_figure):
-    """Names of joints, robots, parameters and bags are text, wherever they come from."""
+def test_names_are_escaped(path, tmp_path, one_figure):
+    """Names of joints, robots, parameters and bags are escaped."""
     tag, config = "<img src=x onerror=alert(1)>", short_config(**{"poppy.lower_port": "<img src=y>"})
 
     def rename(topic, stamp, message):
@@ -167,14 +167,14 @@ def test_series_as_csv(page):
     np.testing.assert_allclose(table[:, 2 : 2 + trace.model.n], trace.q, atol=1e-8)
 
 
-def test_faults_are_said_once(path, tmp_path):
-    def complain(topic, stamp, message):
+def test_repeated_faults_are_listed_once(path, tmp_path):
+    def reject(topic, stamp, message):
         if topic == "/diagnostics" and stamp > 5_000_000_000:
             message.status[0].level = 2
             message.status[0].message = f"joint_states rejected ({stamp} so far)"
         return stamp, message
 
-    found = faults(diagnostics_of(rewrite(path, tmp_path / "b", edit=complain)))
+    found = faults(diagnostics_of(rewrite(path, tmp_path / "b", edit=reject)))
     assert found[0].level == "ERROR"
     assert found[0].count > 10
     assert sum("rejected" in fault.message for fault in found) == 1
@@ -183,8 +183,8 @@ def test_faults_are_said_once(path, tmp_path):
 
 @pytest.mark.long
 @pytest.mark.timeout(600)
-def test_ten_minutes_are_reported_in_time(tmp_path):
-    """120 000 states: in under 20 s of processor time and 1 GiB."""
+def test_a_report_of_ten_minutes_is_fast(tmp_path):
+    """120 000 states need less than 20 s of CPU time and 1 GiB of memory."""
     trace = short_walk()
     times = -(-120_000 // len(trace))
     phases = [

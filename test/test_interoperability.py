@@ -27,7 +27,7 @@ file are here:
  8. `ros2 topic echo --once /phase` showed history:
     test_the_topic_phase_holds_only_the_current_phase
  9. The driver published nothing while the torque was off:
-    test_driver::test_it_publishes_angles_and_moves_nothing_until_it_is_told_to
+    test_driver::test_angles_are_published_and_nothing_moves_before_activate
 10. Launching the driver moved the robot, then walked it:
     test_poppy::test_nothing_is_written_before_activate
     test_launch::test_a_real_robot_uses_the_balanced_walk_and_waits_for_start
