@@ -25,7 +25,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 TARGETS = {
     "dqwalk_ros/nodes/safety.py": ("test_safety.py", "test_liars.py"),
-    "dqwalk_ros/plants/motor_watch.py": ("test_poppy_faults.py", "test_poppy.py"),
+    "dqwalk_ros/plants/motor_watch.py": ("test_motor_watch.py", "test_poppy_faults.py", "test_poppy.py"),
     "dqwalk_ros/plants/poppy.py": ("test_poppy_faults.py", "test_poppy.py"),
 }
 """Files, and the tests that must detect their mutants."""
@@ -65,17 +65,26 @@ NAMES = {"min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum",
 def mutants(source: str) -> Iterator[tuple[int, str, ast.Module]]:
     """Yield line, description of the change, and the changed module."""
     tree = ast.parse(source)
-    texts = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in ast.walk(node)}
+    kept = {id(part) for node in ast.walk(tree) for part in without_effect(node)}
     count = len(list(ast.walk(tree)))
     for k in range(count):
         before = list(ast.walk(tree))[k]
-        if id(before) in texts:
-            continue  # texts of messages are not mutated
+        if id(before) in kept:
+            continue
         for change in changes(before):
             changed = copy.deepcopy(tree)
             node = list(ast.walk(changed))[k]
             change(node)
             yield getattr(before, "lineno", 0), f"{ast.unparse(before)}  ->  {ast.unparse(node)}", changed
+
+
+def without_effect(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield the parts of a node whose change cannot move a robot: texts of messages, annotations and decorators."""
+    if isinstance(node, ast.JoinedStr):
+        yield from ast.walk(node)
+    annotations = [getattr(node, name, None) for name in ("annotation", "returns")]
+    for part in (*filter(None, annotations), *getattr(node, "decorator_list", ())):
+        yield from ast.walk(part)
 
 
 def changes(node: ast.AST) -> Iterator[object]:
