@@ -28,7 +28,7 @@ from dqwalk_ros.state import Command
 SETTINGS = {"gait.steps": 0, "plant.command_timeout": 10.0, "qp.solver": "daqp"}
 CONFIG = overlaid(load("poppy"), "physics").updated(SETTINGS)
 MODEL = load_model(CONFIG.robot)
-NEAR, WITHIN = 0.04, 0.05
+NEAR, WITHIN = 0.02, 0.05
 """A goal counts as reached at the first distance by odometry; its true distance must be below the second [m]."""
 
 
