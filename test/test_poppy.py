@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dynamixel_bus import MOTORS
-from poppy_rig import DT, Rig
+from poppy_rig import DT, MAX_AGE, Rig
 
 from dqwalk_ros.config import Config, find_share, load
 from dqwalk_ros.errors import ConfigError, PlantError
@@ -110,7 +110,11 @@ def test_mirrored_limits_agree() -> None:
         ("motors:\n  a: {id: 1, type: MX-28, bus: lower, direct: true, offset: .nan, raw: [0, 1]}", "in degrees"),
         ("motors:\n  a: {id: 1, type: X, bus: lower, direct: true, offset: 0, raw: [0, 1]}", "a type of MX-28"),
         ("motors:\n  a: {id: 1, type: MX-28, bus: lower, direct: 3, offset: 0, raw: [0, 1]}", "true or false"),
-        ("motors:\n  a: {id: 999, type: MX-28, bus: lower, direct: true, offset: 0, raw: [0, 1]}", "a unique id"),
+        ("motors:\n  a: {id: 253, type: MX-28, bus: lower, direct: true, offset: 0, raw: [0, 1]}", "a unique id"),
+        ("motors:\n  a: {id: -1, type: MX-28, bus: lower, direct: true, offset: 0, raw: [0, 1]}", "a unique id"),
+        ("motors:\n  a: {id: 1, type: MX-28, bus: lower, direct: true, offset: 0, raw: [1, 1]}", "raw: "),
+        ("motors:\n  a: {id: 1, type: MX-28, bus: lower, direct: true, offset: 361, raw: [0, 1]}", "in degrees"),
+        ("motors:\n  a: {id: 1, type: MX-28, bus: lower, direct: true, offset: 0, raw: [0, 1, 2]}", "raw: "),
     ],
 )
 def test_an_invalid_motor_table_is_refused(tmp_path: Path, text: str, expected: str) -> None:
@@ -118,6 +122,17 @@ def test_an_invalid_motor_table_is_refused(tmp_path: Path, text: str, expected: 
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError, match=expected):
         load_motors(str(path))
+
+
+def test_the_extreme_values_of_a_motor_table_are_accepted(tmp_path: Path) -> None:
+    path = tmp_path / "motors.yaml"
+    path.write_text(
+        "motors:\n"
+        "  a: {id: 0, type: MX-28, bus: lower, direct: true, offset: -360, raw: [-360, 360]}\n"
+        "  b: {id: 252, type: MX-28, bus: lower, direct: true, offset: 360, raw: [0, 1]}\n",
+        encoding="utf-8",
+    )
+    assert [motor.id for motor in load_motors(str(path)).values()] == [0, 252]
 
 
 # ---------------------------------------------------------------------- speeds, stiffness
@@ -129,6 +144,22 @@ def test_no_speed_is_written_as_unlimited(speed: float) -> None:
     written = register_speed(speed, 120.0)
     assert MIN_SPEED <= written <= 120.0
     assert round(written / 0.684) >= 1
+
+
+def test_the_least_speed_is_two_units_of_the_register() -> None:
+    """One more than zero after any rounding, and slow enough not to be seen."""
+    assert register_speed(0.0, 120.0) == pytest.approx(2 * 0.684, rel=0.05)
+
+
+def test_a_servo_is_fast_enough_for_its_command_and_its_error(rig: Rig) -> None:
+    k = rig.plant.names.index("l_knee_y")
+    for _ in range(5):
+        rig.tick(0.3, 1.0)
+    u = 0.3
+    rig.plant.tell(Command(0.0, np.full(rig.model.n, u), None), DT)
+    error = abs(rig.plant.goal[k] - rig.plant.measured.q[k])
+    speed = rig.memory.servo("l_knee_y").word(32) * TYPES["MX-28"].speed_unit
+    assert speed == pytest.approx(math.degrees(1.5 * u + error / DT), abs=1.0)
 
 
 def test_no_servo_receives_an_unlimited_speed(model: RobotModel, config: Config) -> None:
@@ -190,7 +221,32 @@ def test_nothing_is_written_before_activate(model: RobotModel, config: Config) -
     assert len(sent) > 100
     assert {packet[4] for packet in sent} <= {2, 0x84}  # read, read all
     assert rig.plant.fresh
+    assert not rig.plant.ready
     assert rig.plant.measured.q[rig.plant.names.index("l_knee_y")] == pytest.approx(math.radians(40.0), abs=0.001)
+
+
+def test_a_robot_in_its_first_pose_is_not_ready_before_activate(model: RobotModel, config: Config) -> None:
+    rig = Rig(model, config)
+    rig.run(0.5)
+    assert not rig.plant.ready
+
+
+def test_the_time_of_the_states_is_that_of_the_commands(rig: Rig) -> None:
+    began = rig.plant.state.time
+    for k in range(10):
+        rig.tick()
+        assert rig.plant.state.time == pytest.approx(began + (k + 1) * DT)
+
+
+def test_angles_are_fresh_up_to_their_maximum_age(rig: Rig) -> None:
+    rig.plant.measured.at[:] = 0.0
+    rig.memory.clock.now = MAX_AGE
+    assert rig.plant.fresh
+    rig.memory.clock.now = np.nextafter(MAX_AGE, 1.0)
+    assert not rig.plant.fresh
+    rig.memory.clock.now = 0.0
+    rig.plant.measured.at[-1] = -0.2
+    assert not rig.plant.fresh, "the oldest angle counts"
 
 
 def test_nothing_moves_when_the_torque_is_switched_on(model: RobotModel, config: Config) -> None:
@@ -277,18 +333,18 @@ def test_one_period_suffices_for_all_motors(model: RobotModel, config: Config, s
     rig.settle()
     took = [rig.tick(0.1) for _ in range(100)]
     assert max(took) < DT  # both buses one after the other; the driver reads them in parallel
-    rig.until(lambda: rig.plant.watch.faults, 1.0) if rig.plant.watch.faults else None
+    assert not rig.plant.watch.faults
 
 
 def test_missing_ports_are_refused(model: RobotModel, config: Config) -> None:
     own = config.updated({"poppy.lower_port": "/dev/null", "poppy.upper_port": "/dev/null"})
     with pytest.raises(PlantError, match=r"the lower bus cannot be opened.*is it plugged in"):
-        PoppyPlant(model, own.poppy)
+        PoppyPlant(model, own.poppy, MAX_AGE)
 
 
 def test_dummy_servos_can_be_read_and_activated(model: RobotModel, config: Config) -> None:
     own = config.updated({"poppy.dummy": True})
-    plant = PoppyPlant(model, own.poppy, buses=open_buses(load_motors("poppy"), own.poppy))
+    plant = PoppyPlant(model, own.poppy, MAX_AGE, buses=open_buses(load_motors("poppy"), own.poppy))
     assert plant.measured.q[plant.names.index("l_hip_y")] == pytest.approx(math.radians(-2.0), abs=0.001)
     plant.activate()
     assert plant.active

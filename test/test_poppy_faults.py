@@ -12,7 +12,7 @@ from poppy_rig import DT, MAX_AGE, Rig
 
 from dqwalk_ros.config import Config, load
 from dqwalk_ros.errors import PlantError
-from dqwalk_ros.plants.dynamixel import GAIN, TORQUE_ENABLE, TORQUE_LIMIT
+from dqwalk_ros.plants.dynamixel import GAIN, TORQUE_ENABLE, TORQUE_LIMIT, TYPES
 from dqwalk_ros.robot import RobotModel, load_model
 
 KNEE = MOTORS["l_knee_y"].id
@@ -182,6 +182,20 @@ def test_a_single_wrong_angle_causes_no_motion(rig: Rig, angle: float) -> None:
     assert not rig.plant.watch.faults
 
 
+def test_the_limit_of_a_plausible_angle_is_the_motion_at_full_speed(model: RobotModel, config: Config) -> None:
+    """An MX-28 turns by 6.6 degrees in a period of 20 ms; 13 encoder steps more are tolerated."""
+    rig = Rig(model, config)
+    rig.settle()
+    most = TYPES["MX-28"].free_speed * DT
+    rig.memory.of("l_knee_y").slip = {KNEE: most + 2.0}
+    rig.tick()
+    assert rig.plant.measured.jumps[rig.plant.names.index("l_knee_y")] == 1
+    rig.memory.of("l_knee_y").slip = {KNEE: most + 0.5}
+    rig.tick()
+    rig.tick()
+    assert not rig.plant.measured.jumps.any()
+
+
 @pytest.mark.parametrize("angle", [90.0, -20.0, 17.0])
 def test_a_slipped_encoder_is_detected_at_once_and_stays_reported(rig: Rig, angle: float) -> None:
     goal = rig.memory.goal("l_knee_y")
@@ -308,7 +322,8 @@ def test_a_first_pose_not_reached_within_tolerance_is_an_error(model: RobotModel
     rig.plant.activate()
     rig.until(lambda: rig.memory.angle("l_knee_y") < 0.13, 10.0)
     rig.memory.servo("l_knee_y").blocked = True
-    rig.until(lambda: "l_knee_y does not reach the first pose" in rig.faults, 6.0)
+    took = rig.until(lambda: "l_knee_y does not reach the first pose" in rig.faults, 6.0)
+    assert took > 3.0, "it has some time after its goal"
     assert not rig.plant.ready
 
 

@@ -193,7 +193,7 @@ class PoppyPlant(Plant):
         self,
         model: RobotModel,
         config: PoppyConfig,
-        max_age: float = 0.1,
+        max_age: float,
         *,
         buses: Mapping[str, Bus] | None = None,
         clock: Clock = time.monotonic,
