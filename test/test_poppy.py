@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -294,6 +295,7 @@ def test_a_robot_without_torque_receives_no_goals(rig: Rig) -> None:
 def test_goals_stay_inside_the_limits_and_near_the_measured_angles(rig: Rig) -> None:
     rng, n = np.random.default_rng(1), rig.model.n
     low, high = np.radians([MOTORS[name].limits for name in rig.plant.names]).T
+    low[:n], high[:n] = np.maximum(low[:n], rig.model.q_min), np.minimum(high[:n], rig.model.q_max)
     for _ in range(300):
         q = rig.plant.measured.q.copy()
         rig.plant.step(Command(0.0, rng.normal(0.0, 20.0, n), rng.normal(0.0, 5.0, n)), DT)
@@ -311,6 +313,57 @@ def test_calibration_moves_the_zero_of_a_joint(model: RobotModel, config: Config
     assert rig.plant.measured.q[i] == pytest.approx(0.0, abs=1e-3)
     rig.settle()
     assert rig.memory.goal("l_hip_y") == pytest.approx(math.radians(-3.0), abs=1e-3)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("zero", [10.0, -10.0])
+def test_a_calibration_does_not_move_the_limits_of_a_servo(
+    model: RobotModel, config: Config, zero: float, side: float
+) -> None:
+    rig = Rig(model, config, settings={"poppy.calibration": [f"r_ankle_y={zero}"]})
+    rig.settle()
+    k, low, high = rig.plant.names.index("r_ankle_y"), *MOTORS["r_ankle_y"].limits
+    u = np.zeros(model.n)
+    u[k] = side
+    reached = []
+    for _ in range(150):
+        rig.plant.step(Command(0.0, u), DT)
+        rig.memory.clock.now += DT
+        reached.append(math.degrees(rig.memory.goal("r_ankle_y")))
+    assert low - 0.1 <= min(reached)
+    assert max(reached) <= high + 0.1
+    assert (max(reached) > high - 1.0 - abs(zero)) if side > 0.0 else (min(reached) < low + 1.0 + abs(zero))
+
+
+def test_a_joint_whose_limits_exclude_zero_has_its_first_pose_at_the_nearest_limit(
+    model: RobotModel, config: Config, tmp_path: Path
+) -> None:
+    text = find_share("config/motors", "poppy.yaml").read_text(encoding="utf-8")
+    path = tmp_path / "motors.yaml"
+    path.write_text(re.sub(r"(r_elbow_y:.*?raw: )\[.*?\]", r"\1[20.0, 90.0]", text), encoding="utf-8")
+    low, high = load_motors(str(path))["r_elbow_y"].limits
+    nearest = low if low > 0.0 else high
+    assert abs(nearest) > 10.0
+    rig = Rig(model, config, angles={"r_elbow_y": 0.5 * (low + high)}, settings={"poppy.motors": str(path)})
+    rig.settle()
+    k = rig.plant.names.index("r_elbow_y")
+    assert math.degrees(rig.plant.measured.q[k]) == pytest.approx(nearest, abs=0.5 + math.degrees(0.1))
+    rig.run(2.0)
+    assert math.degrees(rig.plant.measured.q[k]) == pytest.approx(nearest, abs=0.5)
+
+
+def test_a_period_of_zero_sends_no_goals(rig: Rig) -> None:
+    goals = rig.plant.goal.copy()
+    rig.plant.tell(Command(0.0, np.ones(rig.model.n), np.ones(rig.model.n)), 0.0)
+    np.testing.assert_array_equal(rig.plant.goal, goals)
+
+
+def test_a_gain_of_zero_leaves_the_gains_of_the_servos(model: RobotModel, config: Config) -> None:
+    rig = Rig(model, config, settings={"poppy.p_gain": 0})
+    rig.settle()
+    assert {rig.memory.servo(name).memory[28] for name in MOTORS} == {32}
+    rig.run(1.0)
+    assert not rig.plant.watch.faults
 
 
 @pytest.mark.parametrize("entry", ["l_hip_y", "l_hip_y=x", "nobody=1", "l_hip_y=90", "l_hip_y=nan"])

@@ -196,6 +196,17 @@ def test_the_limit_of_a_plausible_angle_is_the_motion_at_full_speed(model: Robot
     assert not rig.plant.measured.jumps.any()
 
 
+def test_an_implausible_angle_counts_once_until_the_next_reply(rig: Rig) -> None:
+    """A motor that falls silent after a wrong angle has not jumped."""
+    servos, k = rig.memory.of("l_knee_y"), rig.plant.names.index("l_knee_y")
+    servos.slip = {KNEE: 40.0}
+    rig.tick()
+    servos.silent = {KNEE}
+    for _ in range(4):
+        rig.tick()
+        assert rig.plant.measured.jumps[k] == 1
+
+
 @pytest.mark.parametrize("angle", [90.0, -20.0, 17.0])
 def test_a_slipped_encoder_is_detected_at_once_and_stays_reported(rig: Rig, angle: float) -> None:
     goal = rig.memory.goal("l_knee_y")
