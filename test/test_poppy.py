@@ -352,6 +352,12 @@ def test_a_joint_whose_limits_exclude_zero_has_its_first_pose_at_the_nearest_lim
     assert math.degrees(rig.plant.measured.q[k]) == pytest.approx(nearest, abs=0.5)
 
 
+def test_the_distance_from_the_first_pose_is_that_of_the_farthest_joint(model: RobotModel, config: Config) -> None:
+    rig = Rig(model, config, angles={"l_knee_y": 40.0, "r_elbow_y": -70.0})
+    rig.tick()
+    assert rig.plant.left == pytest.approx(math.radians(70.0), abs=0.01)
+
+
 def test_a_period_of_zero_sends_no_goals(rig: Rig) -> None:
     goals = rig.plant.goal.copy()
     rig.plant.tell(Command(0.0, np.ones(rig.model.n), np.ones(rig.model.n)), 0.0)

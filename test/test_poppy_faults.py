@@ -16,6 +16,7 @@ from dqwalk_ros.plants.dynamixel import GAIN, TORQUE_ENABLE, TORQUE_LIMIT, TYPES
 from dqwalk_ros.robot import RobotModel, load_model
 
 KNEE = MOTORS["l_knee_y"].id
+SYNC_WRITE = 0x83
 STEP = 0.003
 """Two encoder steps of an MX, and more than half a step of an AX, which the head has [rad]."""
 
@@ -306,6 +307,10 @@ def test_a_blocked_joint_is_not_driven_for_long(rig: Rig, u: float) -> None:
     rig.tick(u)
     assert rig.memory.goal("l_ankle_y") == pytest.approx(rig.memory.angle("l_ankle_y"), abs=STEP)
     check_holds(rig)
+    requests = rig.memory.of("l_ankle_y").requests
+    requests.clear()
+    rig.run(0.5)
+    assert not [packet for packet in requests if packet[4] == SYNC_WRITE], "goals are no longer sent"
 
 
 def test_a_motor_at_full_load_is_reported_as_blocked(rig: Rig) -> None:
