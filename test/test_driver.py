@@ -16,7 +16,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
 
-from dynamixel_bus import LOAD, MOTORS, TEMPERATURE, VOLTAGE, FaultyServos, Terminals
+from dynamixel_bus import LOAD, MOTORS, TEMPERATURE, VOLTAGE, FaultyServos, Terminals, angle_of
 from live import LATCHED, Live
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
@@ -28,7 +28,7 @@ from dqwalk_ros.plants.dynamixel import GOAL, TORQUE_ENABLE, TORQUE_LIMIT
 from dqwalk_ros.runner import private_domain
 
 ROOT = Path(__file__).resolve().parent.parent
-KNEE = "l_knee_y"
+KNEE, RIGHT_KNEE = "l_knee_y", "r_knee_y"
 
 
 class Robot(Live):
@@ -320,6 +320,20 @@ def test_the_torque_at_exit_is_as_configured(tmp_path: Path, monkeypatch: pytest
             robot.processes.signal("poppy_driver", signal.SIGINT)
             assert robot.processes.wait("poppy_driver", 15.0) == 0
             assert robot.torques() == {0 if torque_off else 1}
+        finally:
+            robot.close()
+
+
+def test_the_first_pose_is_the_posture_of_the_walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with private_domain() as domain:
+        robot = Robot(tmp_path, domain, **{"standing.posture": ["r_knee_y=0.5"], "poppy.activate": True})
+        try:
+            robot.start("poppy_driver")
+            robot.until(lambda: robot.ready and robot.ready[-1], 60.0, "the first pose")
+            assert angle_of(robot.buses.of(RIGHT_KNEE).joint(RIGHT_KNEE), MOTORS[RIGHT_KNEE]) == pytest.approx(
+                0.5, abs=load("paper").poppy.start_tolerance
+            )
         finally:
             robot.close()
 

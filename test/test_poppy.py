@@ -212,6 +212,14 @@ def test_feedforward_torques_are_added_to_the_goals_as_angles(rig: Rig) -> None:
     assert rig.memory.goal("l_knee_y") == pytest.approx(0.0, abs=0.002)
 
 
+def test_a_state_does_not_change_later(rig: Rig) -> None:
+    state = rig.plant.state
+    before = state.q.copy(), state.dq.copy()
+    rig.run(0.2, 0.5)
+    assert not np.array_equal(rig.plant.state.q, before[0])
+    np.testing.assert_array_equal((state.q, state.dq), before)
+
+
 # ---------------------------------------------------------------------- start and stop
 
 

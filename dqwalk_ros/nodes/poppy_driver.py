@@ -27,10 +27,10 @@ class PoppyDriver(WalkNode):
     """Drive a real Poppy Humanoid; with poppy.dummy:=true, emulated motors.
 
     The driver does not move the robot by itself (unless poppy.activate is set). It publishes the angles from the start.
-    ~/activate switches the torque on in the current posture, checks it, and moves the robot slowly to its first pose;
-    then commands are accepted. The stamp of a state is the time at which its oldest angle was read; a state with an
-    angle older than plant.command_timeout is not published. While a motor has a fault the robot holds still, and
-    /diagnostics names the motor, the fault, and what to do.
+    ~/activate switches the torque on in the current posture, checks it, and moves the robot slowly to its first pose,
+    standing.posture; then commands are accepted. The stamp of a state is the time at which its oldest angle was read; a
+    state with an angle older than plant.command_timeout is not published. While a motor has a fault the robot holds
+    still, and /diagnostics names the motor, the fault, and what to do.
 
     Subscribes to::
 
@@ -49,7 +49,7 @@ class PoppyDriver(WalkNode):
         ~/activate               std_srvs/Trigger: switch the torque on, go to the first pose
         ~/compliant              std_srvs/SetBool: true switches the torque off, false is ~/activate
 
-    Sections of the schema: dt, robot, plant, poppy.
+    Sections of the schema: dt, robot, standing (posture), plant, poppy.
 
     Example::
 
@@ -77,7 +77,8 @@ class PoppyDriver(WalkNode):
                 f"set dt: {self._period:g}, as config/plants/poppy.yaml does"
             )
         model = load_model(config.robot)
-        self._plant = PoppyPlant(model, config.poppy, config.plant.command_timeout)
+        posture = model.posture(config.standing.posture)
+        self._plant = PoppyPlant(model, config.poppy, config.plant.command_timeout, posture)
         self._commands = CommandInput(self, model)
         self._state_msg = ros.JointWriter(self._plant.names)
         self._goal_msg = ros.JointWriter(self._plant.names)

@@ -53,10 +53,17 @@ class PhysicsPlant(World):
         Initial joint angles, with both soles on the ground, or held by its root [rad]; zero by default.
     servos : Servos, optional
         The simulated servos; by default those of the section ``servo``.
+    bus : Bus, optional
+        Computes the goals of the servos; by default from the commands, as the section ``servo`` describes it.
     """
 
     def __init__(
-        self, config: Config, model: RobotModel, q0: ArrayLike | None = None, servos: Servos | None = None
+        self,
+        config: Config,
+        model: RobotModel,
+        q0: ArrayLike | None = None,
+        servos: Servos | None = None,
+        bus: Bus | None = None,
     ) -> None:
         self.config, self.model, self._shape = config, model, (model.n,)
         self._dt, self._timestep = config.dt, config.physics.timestep
@@ -83,7 +90,7 @@ class PhysicsPlant(World):
         self._goals[:] = q + drive.angles(effort)
         self._seat(q)
         self._back_emf = servos.back_emf
-        self._bus = Bus(config.servo, servos, drive, q, model.q_min, model.q_max, effort)
+        self._bus = bus or Bus(config.servo, servos, drive, q, model.q_min, model.q_max, effort)
         self._sensors = Sensors(config.sensors)
         self._level = _level(config)
         self._ticks = 0

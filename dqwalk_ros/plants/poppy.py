@@ -157,6 +157,9 @@ class PoppyPlant(Plant):
     config : PoppyConfig
     max_age : float
         Age above which angles are not used [s].
+    posture : ndarray, shape (n,), optional
+        First pose of the joints of the model [rad]; zero by default, and zero for the other joints. It is clipped to
+        the limits of the joints.
     buses : mapping of str to Bus, optional
         By the name of the bus in the table of motors; `open_buses` by default.
     clock : callable
@@ -194,6 +197,7 @@ class PoppyPlant(Plant):
         model: RobotModel,
         config: PoppyConfig,
         max_age: float,
+        posture: Array | None = None,
         *,
         buses: Mapping[str, Bus] | None = None,
         clock: Clock = time.monotonic,
@@ -213,7 +217,10 @@ class PoppyPlant(Plant):
         self._low, self._high = np.radians(low - self._zero), np.radians(high - self._zero)
         self._low[:n] = np.maximum(self._low[:n], model.q_min)
         self._high[:n] = np.minimum(self._high[:n], model.q_max)
-        self._first = np.clip(np.zeros(every), self._low, self._high)
+        first = np.zeros(every)
+        if posture is not None:
+            first[:n] = posture
+        self._first = np.clip(first, self._low, self._high)
         self._fastest = np.radians([kind.free_speed for kind in types])
         with_gain = np.array([kind.has_gain for kind in types]) & (config.p_gain > 0)
         self._gain = np.where(with_gain, config.p_gain, -1)
@@ -294,7 +301,7 @@ class PoppyPlant(Plant):
     def state(self) -> State:
         """Last measured angles and velocities of the joints of the model."""
         n = self._model.n
-        return State(self._time, self.measured.q[:n], self.measured.dq[:n])
+        return State(self._time, self.measured.q[:n].copy(), self.measured.dq[:n].copy())
 
     @property
     def age(self) -> float:
