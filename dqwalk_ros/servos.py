@@ -28,8 +28,9 @@ __all__ = ["IDENTIFIED", "Drive", "ServoType", "Servos", "load_types"]
 
 Array = NDArray[np.float64]
 
-_LATE = 0.02
-"""Delay from which on fed-back damping excites a joint whose servo has damping of its own [s]."""
+_LATE = 0.045
+"""Delay at which no damping is fed back where the servo has damping of its own [s]. At 40 ms the full damping excites
+the joint; without any, the dynamic walk falls with delays of 15 to 26 ms."""
 
 
 @dataclass(frozen=True)

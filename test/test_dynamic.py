@@ -276,6 +276,15 @@ def test_a_steered_walk_ramps_its_steps_and_stops_with_feet_together() -> None:
     assert walk._after(step, 9)[1]
 
 
+def test_the_trunk_keeps_its_posture_over_many_steps() -> None:
+    """The CoM moves by some joints of the trunk as well, always in the same direction."""
+    config = CONFIG.updated({"gait.steps": 20})
+    trace = simulate(make_controller(config, MODEL), make_plant("kinematic", config, MODEL))
+    assert trace.finished, trace.notes
+    bent = np.degrees(trace.q[-1, [MODEL.joint_names.index(name) for name in ("abs_y", "abs_z", "bust_y", "bust_x")]])
+    assert np.abs(bent).max() < 2.0
+
+
 def test_poppy_walks_in_physics_and_recovers_from_a_push(tmp_path: Path) -> None:
     config = CONFIG.updated({"gait.steps": 4, "dynamic.stop_duration": 0.6})
     controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)

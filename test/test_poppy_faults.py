@@ -16,7 +16,7 @@ from dqwalk_ros.plants.dynamixel import GAIN, TORQUE_ENABLE, TORQUE_LIMIT, TYPES
 from dqwalk_ros.robot import RobotModel, load_model
 
 KNEE = MOTORS["l_knee_y"].id
-SYNC_WRITE = 0x83
+READ, SYNC_WRITE = 2, 0x83
 STEP = 0.003
 """Two encoder steps of an MX, and more than half a step of an AX, which the head has [rad]."""
 
@@ -403,6 +403,14 @@ def test_motors_that_are_missing_at_start_are_named(model: RobotModel, config: C
     rig.plant.close()
     rig.memory.of("l_knee_y").silent = {KNEE, KNEE + 1}
     with pytest.raises(PlantError, match=r"l_knee_y \(14, lower bus\) does not answer, l_ankle_y \(15.*robot on"):
+        rig.opened()
+
+
+def test_a_motor_without_a_valid_angle_at_start_is_named(model: RobotModel, config: Config) -> None:
+    rig = Rig(model, config, sync_read=False)
+    rig.plant.close()
+    rig.memory.of("l_knee_y").drop_reply = lambda packet: packet[2] == KNEE and packet[4] == READ and packet[5] > 0
+    with pytest.raises(PlantError, match="no valid angle from l_knee_y$"):
         rig.opened()
 
 
