@@ -410,7 +410,7 @@ def test_a_motor_without_a_valid_angle_at_start_is_named(model: RobotModel, conf
     rig = Rig(model, config, sync_read=False)
     rig.plant.close()
     rig.memory.of("l_knee_y").drop_reply = lambda packet: packet[2] == KNEE and packet[4] == READ and packet[5] > 0
-    with pytest.raises(PlantError, match="no valid angle from l_knee_y$"):
+    with pytest.raises(PlantError, match=r"no valid angle from l_knee_y$"):
         rig.opened()
 
 

@@ -112,11 +112,14 @@ def test_the_controller_is_told_the_type_unless_it_is_told_otherwise() -> None:
 
 
 def test_a_lead_makes_up_for_the_back_emf_and_no_more() -> None:
-    late = TYPED.updated({"servo.assumed_latency": 0.04})
+    late = TYPED.updated({"servo.assumed_latency": 0.06})
     plain, ahead = Drive.of(late, MODEL), Drive.of(late.updated({"servo.assumed_lead": 0.02}), MODEL)
     assert ahead.lead == pytest.approx(plain.damping)
-    assert (ahead.damping == 0.0).all()  # late damping shakes
+    assert (ahead.damping == 0.0).all()  # late feedback of damping excites the joint
     assert ahead.delay < plain.delay
+    sooner = Drive.of(late.updated({"servo.assumed_latency": 0.02, "servo.assumed_lead": 0.02}), MODEL)
+    assert (sooner.damping > 0.0).all()
+    assert (sooner.damping < plain.damping).all()
 
 
 def test_the_delay_is_latency_half_a_hold_and_the_lag_of_damping() -> None:
