@@ -380,7 +380,12 @@ def test_a_gain_of_zero_leaves_the_gains_of_the_servos(model: RobotModel, config
     assert not rig.plant.watch.faults
 
 
-@pytest.mark.parametrize("entry", ["l_hip_y", "l_hip_y=x", "nobody=1", "l_hip_y=90", "l_hip_y=nan"])
+def test_the_largest_calibration_is_45_degrees(model: RobotModel, config: Config) -> None:
+    rig = Rig(model, config, settings={"poppy.calibration": ["l_hip_y=45", "r_hip_y=-45"]})
+    assert math.degrees(rig.plant.measured.q[rig.plant.names.index("l_hip_y")]) == pytest.approx(-45.0, abs=0.1)
+
+
+@pytest.mark.parametrize("entry", ["l_hip_y", "l_hip_y=x", "nobody=1", "l_hip_y=45.1", "l_hip_y=nan"])
 def test_an_invalid_calibration_is_refused(model: RobotModel, config: Config, entry: str) -> None:
     with pytest.raises(ConfigError, match=r"poppy\.calibration"):
         Rig(model, config, settings={"poppy.calibration": [entry]})
@@ -391,7 +396,22 @@ def test_a_command_that_is_not_finite_is_refused(rig: Rig, u: float) -> None:
     goals = rig.plant.goal.copy()
     with pytest.raises(PlantError, match="finite velocities"):
         rig.tick(u)
+    one = np.zeros(rig.model.n)
+    one[3] = u
+    with pytest.raises(PlantError, match="finite velocities"):
+        rig.plant.tell(Command(0.0, one), DT)
     np.testing.assert_array_equal(rig.plant.goal, goals)
+
+
+def test_velocities_are_differences_of_angles(rig: Rig) -> None:
+    k = rig.plant.names.index("l_knee_y")
+    for _ in range(10):
+        rig.tick(0.3)
+    measured = []
+    for _ in range(20):
+        rig.tick(0.3)
+        measured.append(rig.plant.measured.dq[k])
+    assert np.mean(measured) == pytest.approx(0.3, abs=0.02)
 
 
 @pytest.mark.parametrize("sync_read", [True, False])
