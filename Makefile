@@ -22,6 +22,9 @@ VENV_OPTIONS :=
 ROS_EXTRA    := ros,
 endif
 
+# without cached bytecode each of the many processes that the tests start compiles the package anew
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
 .PHONY: help venv walk walk-physics simulate reach test test-long browser docs chaos fuzz mutation soak driver robots see lint colcon clean
 
@@ -44,7 +47,7 @@ simulate: $(VENV)/.installed  ## the same walk in one process, without ROS
 reach: $(VENV)/.installed-wholebody  ## everything the whole-body controller must show, asked and got, and figures 2 to 5
 	PYTHONPATH=test OPENBLAS_NUM_THREADS=1 $(BIN)/python -m acceptance --jobs $(JOBS) --out results/reach $(ARGS)
 
-test: $(VENV)/.installed-test  ## run all tests (JOBS=2 at a time)
+test: $(VENV)/.installed-test  ## run all tests but those of test-long, browser and colcon (JOBS=2 at a time)
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m 'not colcon and not native and not long and not browser' $(ARGS)
 
 test-long: $(VENV)/.installed-test  ## the tests that take minutes

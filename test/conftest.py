@@ -19,6 +19,23 @@ for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIG
         signal.signal(number, handler)
 
 
+SLOWEST = (
+    *("test_nodes", "test_study", "test_runner", "test_walk", "test_driver", "test_bag", "test_cli"),
+    *("test_html_report", "test_damaged_bags", "test_analysis", "test_poppy_faults", "test_identify", "test_viewer"),
+    *("test_kinematics", "test_startup", "test_interoperability", "test_physics_nodes", "test_two_robots"),
+)
+"""Files that take longest, longest first. They are started first, so that all workers of pytest-xdist end together."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.option.loadscopereorder = False  # pytest-xdist would start the files with the most tests first
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    rank = {name: place for place, name in enumerate(SLOWEST)}
+    items.sort(key=lambda item: rank.get(item.path.stem, len(rank)))
+
+
 def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> declared.Module:
     return declared.Module.from_parent(parent, path=module_path)
 
