@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
 import subprocess
 import sys
+import termios
 from pathlib import Path
 
 import pytest
@@ -280,17 +282,25 @@ def test_a_step_too_long_fails_with_a_reason_and_a_bag(tmp_path, capsys):
 def test_ctrl_c_saves_the_walk_so_far(tmp_path):
     """A walk with the paper's parameters, interrupted during a phase."""
     out = tmp_path / "walk"
+    ours, terminal = os.openpty()  # on a terminal the progress is shown ten times a second, else every five seconds
+    termios.tcsetwinsize(terminal, (24, 120))
     process = subprocess.Popen(
         [sys.executable, "-u", "-m", "dqwalk_ros.cli", "simulate", "--out", str(out), "--cycles", "20", "--no-figures"],
         stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
+        stderr=terminal,
         text=True,
         env=HERE,
     )
-    while "support/" not in process.stderr.readline():  # progress, every five seconds
-        assert process.poll() is None
-    os.kill(process.pid, signal.SIGINT)
-    stdout, stderr = process.communicate(timeout=60)
+    os.close(terminal)
+    stderr = ""
+    with os.fdopen(ours, "rb", buffering=0) as shown:
+        while stderr.count("support/") < 3:
+            stderr += shown.read(1000).decode()
+        process.send_signal(signal.SIGINT)
+        with contextlib.suppress(OSError):  # the other end of the terminal is closed
+            while True:
+                stderr += shown.read(1000).decode()
+    stdout, _ = process.communicate(timeout=60)
     assert process.returncode == 1, stderr
     assert "interrupted" in stderr
     assert "Traceback" not in stderr

@@ -100,7 +100,9 @@ def test_doctor_with_live_nodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     with private_domain() as domain:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
         arguments = ["doctor", "--plant", "integrator", "--seconds", "1", "--set", "plant.imu=false"]
-        assert main(arguments) == 1
+        with monkeypatch.context() as shorter:
+            shorter.setattr("dqwalk_ros.nodes.doctor._DISCOVERY", 1.0)
+            assert main(arguments) == 1
         assert "start the driver" in capfd.readouterr().out
         live = Live(tmp_path, domain, CONFIG)
         try:

@@ -74,7 +74,7 @@ class Robot(Live):
         before = self.buses.of(KNEE).joint(KNEE).word(GOAL)
         self.until(lambda: abs(self.buses.of(KNEE).joint(KNEE).word(GOAL) - before) > 20, timeout, "a goal that moves")
 
-    def check_still(self, seconds: float = 1.0) -> None:
+    def check_still(self, seconds: float = 0.5) -> None:
         """Check that no goal changes."""
         before = self.goals()
         self.spin(seconds)
@@ -162,7 +162,7 @@ def test_angles_are_published_and_nothing_moves_before_activate(robot: Robot) ->
     )
     state = robot.got["joint_states"][-1]
     assert state.position[state.name.index(KNEE)] == pytest.approx(0.349, abs=0.002)
-    robot.check_still(0.5)
+    robot.check_still()
     robot.activate()
     assert robot.torques() == {1}
     assert robot.set_compliant(True).success
@@ -223,7 +223,7 @@ def test_old_angles_are_not_published(walking: Robot, fault: str) -> None:
     begin(walking, walking.buses.servos["lower"])
     began = time.time()
     walking.until_error(text)
-    walking.check_still(1.5)
+    walking.check_still(1.5)  # longer than an outage after which the motion resumes
     assert max(map(stamp, walking.got["joint_states"]), default=0.0) <= began + 0.02
     walking.until(lambda: not walking.ready[-1], 5.0, "plant_ready: false")
     walking.clear_faults()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import signal
 import subprocess
 import sys
@@ -295,7 +294,12 @@ SIGNALLED = ["controller", "integrator", "phase_monitor", "poppy_driver", "recor
 
 @pytest.mark.parametrize(
     ("name", "number"),
-    [*itertools.product(SIGNALLED, (signal.SIGINT, signal.SIGTERM)), ("integrator", signal.SIGHUP)],
+    [
+        *((name, signal.SIGINT) for name in SIGNALLED),
+        ("integrator", signal.SIGTERM),
+        ("integrator", signal.SIGHUP),
+        *(pytest.param(name, signal.SIGTERM, marks=pytest.mark.long) for name in SIGNALLED if name != "integrator"),
+    ],
 )
 def test_a_signal_ends_a_node_without_a_traceback(live: Make, name: str, number: signal.Signals) -> None:
     no_motors = {"dt": 0.02, "poppy.dummy": True} if name == "poppy_driver" else {}
@@ -311,9 +315,10 @@ def test_a_signal_ends_a_node_without_a_traceback(live: Make, name: str, number:
     ("text", "expected"),
     [
         ("/**: {ros__parameters: {gait: {step_lenght: 0.04}}}", "did you mean 'gait.step_length'"),
-        (
+        pytest.param(
             "/**: {ros__parameters: {gait: {step_length: far}}}",
             "'gait.step_length' must be a number in [-0.5, 0.5], got",
+            marks=pytest.mark.long,
         ),
         (
             "/**: {ros__parameters: {gait: {step_length: 99.0}}}",

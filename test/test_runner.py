@@ -28,7 +28,7 @@ def children() -> list[psutil.Process]:
 
 
 def test_a_step_that_is_too_long_ends_with_the_reason(tmp_path: Path) -> None:
-    config = load("paper").updated({**SHORT, "gait.step_length": 0.3, "gait.phase_timeout": 10.0})
+    config = load("paper").updated({**SHORT, "gait.step_length": 0.3, "gait.phase_timeout": 5.0})
     outcome = run_walk(config, tmp_path / "bag")
     assert not outcome.finished
     assert "single_support/left" in outcome.reason
@@ -51,10 +51,13 @@ def test_an_existing_bag_is_not_changed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "target",
-    ["controller", *(pytest.param(name, marks=pytest.mark.long) for name in ("integrator", "phase_monitor"))],
+    ("target", "lockstep"),
+    [  # in lockstep the other nodes wait 12 s for the acknowledgements of the killed one
+        ("controller", False),
+        *(pytest.param(name, True, marks=pytest.mark.long) for name in ("controller", "integrator", "phase_monitor")),
+    ],
 )
-def test_a_killed_node_ends_the_walk_unless_it_is_the_monitor(tmp_path: Path, target: str) -> None:
+def test_a_killed_node_ends_the_walk_unless_it_is_the_monitor(tmp_path: Path, target: str, lockstep: bool) -> None:
     """The monitor is not in the control loop."""
     killed = False
 
@@ -68,7 +71,7 @@ def test_a_killed_node_ends_the_walk_unless_it_is_the_monitor(tmp_path: Path, ta
 
     in_the_loop = target != "phase_monitor"  # a fast machine must not finish before the kill
     config = load("paper").updated({**SHORT, "task.eta": 0.3, "ssp.threshold": 1e-3} if in_the_loop else SHORT)
-    outcome = run_walk(config, tmp_path / "bag", progress=kill)
+    outcome = run_walk(config, tmp_path / "bag", progress=kill, lockstep=lockstep)
     assert killed
     assert outcome.finished is not in_the_loop
     if not outcome.finished:
@@ -76,14 +79,20 @@ def test_a_killed_node_ends_the_walk_unless_it_is_the_monitor(tmp_path: Path, ta
     assert not children()
 
 
-@pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.long), signal.SIGKILL])
-def test_no_node_remains_when_the_runner_has_ended(tmp_path: Path, number: signal.Signals) -> None:
+@pytest.mark.parametrize(
+    ("number", "lockstep"),
+    [
+        (signal.SIGKILL, False),
+        *(pytest.param(number, True, marks=pytest.mark.long) for number in (signal.SIGINT, signal.SIGKILL)),
+    ],
+)
+def test_no_node_remains_when_the_runner_has_ended(tmp_path: Path, number: signal.Signals, lockstep: bool) -> None:
     code = (
         "import json, sys\n"
         "from dqwalk_ros.config import load\n"
         "from dqwalk_ros.runner import run_walk\n"
         "show = lambda fraction, text: print(json.dumps(text), flush=True)\n"
-        f"out = run_walk(load('paper').updated({SHORT!r}), sys.argv[1], progress=show)\n"
+        f"out = run_walk(load('paper').updated({SHORT!r}), sys.argv[1], progress=show, lockstep={lockstep})\n"
         "print(json.dumps('reason ' + out.reason), flush=True)\n"
     )
     with private_domain() as domain:

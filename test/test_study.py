@@ -136,7 +136,8 @@ def test_results_do_not_depend_on_where_they_were_walked(small, tmp_path):
     assert all(row["finished"] for row in table), [row["end"] for row in table]
 
 
-def test_no_scheduler_is_one_sentence(small, tmp_path):
+def test_no_scheduler_is_one_sentence(small, tmp_path, monkeypatch):
+    monkeypatch.setattr("dqwalk_ros.studies.runner._CONNECT_TIMEOUT", "1s")
     with pytest.raises(ConfigError, match="no Dask scheduler answers at tcp://"):
         walk_all(read(small), tmp_path / "out", scheduler="tcp://127.0.0.1:9")
 

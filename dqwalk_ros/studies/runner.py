@@ -19,6 +19,9 @@ Outcome = TypeVar("Outcome", bound=msgspec.Struct)
 """The outcome of a walk, a struct of plain types."""
 Point = Mapping[str, Any]
 
+_CONNECT_TIMEOUT = "10s"
+"""Longest wait for a Dask scheduler."""
+
 
 class Store(Generic[Outcome]):
     """The outcomes of a study in a file, a line of JSON each, from which an interrupted study continues.
@@ -182,7 +185,7 @@ def _backend(scheduler: str | None) -> Iterator[None]:
     from distributed import Client
 
     try:
-        client = Client(scheduler, timeout="10s")
+        client = Client(scheduler, timeout=_CONNECT_TIMEOUT)
     except (OSError, ValueError) as error:
         raise ConfigError(f"no Dask scheduler answers at {scheduler}: {error}") from error
     with client, parallel_config("dask"):
