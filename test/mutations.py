@@ -3,7 +3,7 @@
 A mutant is one changed operator, number or function of a file. Its tests run in a child process that uses the changed
 file instead of the original. Surviving mutants are listed; docs/faults.md explains them, or a test is missing.
 
-Usage: python test/mutations.py [--every N] [--only TEXT] [FILE ...]
+Usage: python test/mutations.py [--every N] [--only TEXT] [--again OUTPUT] [FILE ...]
 """
 
 from __future__ import annotations
@@ -152,16 +152,20 @@ def main() -> int:
     parser.add_argument("files", nargs="*", default=list(TARGETS))
     parser.add_argument("--every", type=int, default=1, help="test every N-th mutant only")
     parser.add_argument("--only", default="", help="only changes that contain this text")
+    parser.add_argument("--again", metavar="OUTPUT", help="only the survivors in the saved output of an earlier run")
     options = parser.parse_args()
     sys.path.insert(0, str(ROOT / "test"))
     for name in WARM:
         importlib.import_module(name)
+    earlier = Path(options.again).read_text(encoding="utf-8") if options.again else None
     left = total = 0
     for file in options.files:
         source = (ROOT / file).read_text(encoding="utf-8")
         if not survives(file, ast.parse(source)):
             sys.exit(f"{file}: its tests fail without a change")
-        every = [one for one in mutants(source) if options.only in one[1]][:: options.every]
+        every = [
+            one for one in mutants(source) if options.only in one[1] and (earlier is None or f": {one[1]}\n" in earlier)
+        ][:: options.every]
         for k, (line, what, changed) in enumerate(every):
             print(f"\r{file} {k + 1}/{len(every)}, {left} survive ", end="", file=sys.stderr, flush=True)
             total += 1
