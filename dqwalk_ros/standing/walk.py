@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -56,6 +57,7 @@ class StandingWalk(Walk):
         self._stands_first: Foot | None = None  # support foot of the first commanded footprint
         self._first = Foot(config.gait.first_support)
         self._balance: Balance | None = None
+        self._observed: Phase | None = None
 
     is_tunable = True
 
@@ -118,6 +120,14 @@ class StandingWalk(Walk):
     def placed(self) -> int:
         """Number of remaining commanded footprints."""
         return len(self._planned)
+
+    def observe(self, phase: Phase, kin: Kinematics, state: State) -> Phase:
+        """Return the phase; with an inertial sensor, its CoM path begins at the CoM's projection along gravity."""
+        if state.up is not None and phase is not self._observed:
+            start = kin.com_on_ground
+            tasks = (replace(task, start=start) if isinstance(task, ComPath) else task for task in phase.tasks)
+            self._observed = phase = replace(phase, tasks=tuple(tasks))
+        return phase
 
     def is_waiting(self, phase: Phase) -> bool:
         """Return whether `phase` is a stance of a steered walk with zero velocity and without footprints."""
