@@ -1,4 +1,4 @@
-"""A fictitious biped, the numbers of its two phases, and states of a walk: the input of every tick of `benchmark.tick`.
+"""A fictitious biped, the parameters of its two phases, and states of a walk: the input of `benchmark.tick`.
 
 The robot is a serial chain from the sole of the left foot, up the leg, through the pelvis and down the other leg; the
 world is the left sole. Body i is attached to joint i: x_i = x_{i-1} (fixed_R_i, fixed_p_i) rot(axis_i, q_i).
@@ -45,7 +45,7 @@ class Chain:
     mass : ndarray, shape (n,)
         [kg]
     base_mass, base_com : float and ndarray, shape (3,)
-        Of the left foot, which is the world.
+        Of the left foot, which is the base [kg], [m].
     tip_R, tip_p : ndarray
         The right sole in the frame of the last body.
     q_min, q_max : ndarray, shape (n,)
@@ -77,7 +77,7 @@ class Chain:
 
 @dataclass
 class Walk:
-    """The numbers of both phases: section 5 of the paper, and places in the world of the left sole.
+    """The parameters of both phases: section 5 of the paper, and positions in the frame of the left sole.
 
     A plane is its unit normal n and offset d; the distance n.p - d is kept above zero. Centres are points (3,) on
     upright axes.
@@ -112,7 +112,7 @@ def biped() -> Chain:
     right = mirrored * left
     places = np.concatenate([left[::-1], right])
     axes = np.array([_AXIS[a] for a, _ in _LEG])
-    # where each body's centre of mass is: of the left leg the link above a joint hangs on it
+    # centre of mass of each body; in the left leg a joint moves the link above it
     links = np.array([0.005, 0.003, -0.05])
     com = np.concatenate([(left + links)[-2::-1], [[0.0, 0.0, 0.05]], right + mirrored * links])
     mass = np.full(12, _LINK_MASS)
@@ -137,7 +137,7 @@ def biped() -> Chain:
 
 
 def walk_of(chain: Chain) -> Walk:
-    """Return the numbers of a step from a crouch."""
+    """Return the parameters of a step from a crouched posture."""
     bend = {2: -0.35, 3: 0.7, 4: -0.35}
     q = np.array([bend.get(int(name[2:]), 0.0) for name in chain.names])
     pose, p = DQ(1.0), [np.zeros(3)]

@@ -34,15 +34,15 @@ from dqwalk_ros.runner import Processes, private_domain
 FAST = {"gait.step_length": 0.02, "task.eta": 0.5, "ssp.threshold": 0.02}
 """A cycle in 70 s instead of five minutes."""
 CLOSE = 0.6
-"""A read-back angle is a goal's to this part of a step of the servo's own encoder."""
+"""Tolerance between a read-back angle and a goal, in steps of the servo's encoder."""
 PERIODS = 5
-"""Within so many periods a read-back angle must be one that the goal had."""
+"""A read-back angle must be within the goals of this many preceding periods."""
 
 
 def config_for(full: bool) -> Config:
-    """Return the paper's walk with what the plant asks for, as the launch file puts them together."""
-    asked = yaml.safe_load(find_share("config/plants", "poppy.yaml").read_text(encoding="utf-8"))
-    values = flat(asked["/**"]["ros__parameters"])
+    """Return the paper's walk with the parameters of the plant, combined as in the launch file."""
+    plant = yaml.safe_load(find_share("config/plants", "poppy.yaml").read_text(encoding="utf-8"))
+    values = flat(plant["/**"]["ros__parameters"])
     own = {"poppy.dummy": True, "poppy.activate": True, "node.autostart": True, "node.exit_when_done": True}
     return load("paper").updated({**values, **({} if full else FAST), **own})
 
@@ -56,7 +56,7 @@ def flat(tree: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def bare_loop(period: float, stop: Any, answer: Any) -> None:
-    """Sleep in periods, as a loop that does nothing else, until told to stop; send the times."""
+    """Sleep to a fixed period until `stop` is set; send the times at which each sleep ended [s]."""
     times, due = [], time.monotonic()
     while not stop.is_set():
         due = max(due + period, time.monotonic())
@@ -66,7 +66,7 @@ def bare_loop(period: float, stop: Any, answer: Any) -> None:
 
 
 class Listener:
-    """A node that keeps what the others say."""
+    """A node that stores the messages of the others."""
 
     def __init__(self, domain: int) -> None:
         import rclpy
@@ -96,18 +96,18 @@ class Listener:
             self.node.create_subscription(kind, name, box.append, profile)
 
     def spin(self) -> None:
-        """Listen for a moment."""
+        """Handle a message; wait for it at most 0.2 s."""
         self._executor.spin_once(timeout_sec=0.2)
 
     def close(self) -> None:
-        """End."""
+        """Destroy the node."""
         self.node.destroy_node()
         self._executor.shutdown()
         self._context.try_shutdown()
 
 
 def walked(config: Config, timeout: float) -> tuple[dict[str, list[Any]], np.ndarray, str]:
-    """Walk; return what was said, the times of a bare loop [s], and how the controller ended."""
+    """Walk; return the messages by topic, the times of a bare loop [s], and the last log line of the controller."""
     spawn = multiprocessing.get_context("spawn")
     stop, (mine, other) = spawn.Event(), spawn.Pipe()
     loop = spawn.Process(target=bare_loop, args=(1.0 / config.poppy.rate, stop, other), daemon=True)
@@ -135,7 +135,7 @@ def walked(config: Config, timeout: float) -> tuple[dict[str, list[Any]], np.nda
 
 
 def periods(times: np.ndarray) -> str:
-    """Say what the periods of a loop were."""
+    """Describe the periods of a loop."""
     ms = 1e3 * np.diff(times)
     most = f"longest {ms.max():.1f} ms after {times[ms.argmax()] - times[0]:.1f} s"
     return f"median {np.median(ms):.2f} ms, p99 {np.percentile(ms, 99):.2f} ms, {most}"
@@ -153,7 +153,7 @@ def main() -> int:
 
 
 def report(config: Config, got: dict[str, list[Any]], bare: np.ndarray, end: str) -> bool:
-    """Print the figures; return whether they are as they should be."""
+    """Print the results; return whether all requirements are met."""
     motors = load_motors(config.poppy.motors)
     states = {m.header.stamp.sec * 10**9 + m.header.stamp.nanosec: m for m in got["joint_states"]}
     goals = {m.header.stamp.sec * 10**9 + m.header.stamp.nanosec: m for m in got["joint_goals"]}
@@ -196,7 +196,7 @@ def report(config: Config, got: dict[str, list[Any]], bare: np.ndarray, end: str
     period = 1e3 / config.poppy.rate
     held = abs(float(np.median(1e3 * np.diff(at))) - period) < 0.02 * period
     ok = finished and inside and held and share > 99.0
-    print("as it should be" if ok else "NOT as it should be")
+    print("all requirements met" if ok else "NOT all requirements met")
     return ok
 
 

@@ -29,20 +29,22 @@ from dqwalk_ros.config import find_share, load
 from dqwalk_ros.robot import load_model
 
 RATES = {200: 60.0, 500: 20.0, 1000: 20.0}
-"""By the clock: states per second, and for how long [s], of a minute in all."""
+"""In real time: states per second, and the duration [s] with ``--seconds 60``."""
 
 
 @dataclass
 class Plant:
-    """The other side of a controller: publishes states, and keeps what comes back."""
+    """The plant of a controller: publishes states and stores the commands."""
 
     node: object
     controller: psutil.Process
     send: Callable[[int, np.ndarray], None]
     spin: Callable[[float], None]
     n: int
-    answers: dict[int, tuple[float, np.ndarray]] = field(default_factory=dict)  # by stamp: when, velocity
-    computed: list[float] = field(default_factory=list)  # what the controller says of itself [s]
+    answers: dict[int, tuple[float, np.ndarray]] = field(
+        default_factory=dict
+    )  # by stamp: time of receipt [s], velocity
+    computed: list[float] = field(default_factory=list)  # compute times that the controller reports [s]
 
     def spent(self) -> float:
         """CPU time of the controller so far [s]."""
@@ -51,7 +53,7 @@ class Plant:
 
 @contextmanager
 def plant(solver: str, *, lockstep: bool, dt: float) -> Iterator[Plant]:
-    """Start a controller and stand opposite to it."""
+    """Start a controller with this process as its plant."""
     import rclpy
     from diagnostic_msgs.msg import DiagnosticArray
     from sensor_msgs.msg import JointState
@@ -98,7 +100,7 @@ def plant(solver: str, *, lockstep: bool, dt: float) -> Iterator[Plant]:
 
 
 def wait_for(made: Plant, condition: Callable[[], object]) -> None:
-    """Spin until something is so."""
+    """Spin until a condition holds."""
     deadline = time.monotonic() + 60.0
     while not condition():
         if not made.controller.is_running() or time.monotonic() > deadline:
@@ -117,7 +119,7 @@ def in_lockstep(solver: str, ticks: int) -> list[str]:
             made.send(stamp, q)
             while stamp not in made.answers:
                 made.spin(0.2)
-                if time.perf_counter() - sent > 1.0:  # it was not heard
+                if time.perf_counter() - sent > 1.0:  # the state was lost
                     if time.perf_counter() - began > 60.0:
                         raise SystemExit("the controller does not answer")
                     sent = time.perf_counter()
@@ -180,7 +182,7 @@ def by_the_clock(solver: str, rate: int, seconds: float) -> list[str]:
             made.send(stamp, q)
 
         def wait(left: float) -> None:
-            """Wait for the answer, and once it is there for nothing, as a driver does."""
+            """Wait for the command, and after its arrival only sleep, as a driver does."""
             if sent and next(iter(sent)) in made.answers:
                 time.sleep(left)
             else:

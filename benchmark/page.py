@@ -41,7 +41,7 @@ TITLES = {
 
 
 def main() -> None:
-    """Run and write."""
+    """Run the benchmarks and write the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--peers", metavar="PYTHON", help="Python of an environment with benchmark/requirements.txt")
     parser.add_argument("--ticks", type=int, default=100_000, help="number of ticks of the long walk")

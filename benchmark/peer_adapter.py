@@ -38,7 +38,7 @@ class Never:
 
 
 def robot_of(chain: Chain) -> RobotModel:
-    """Return the robot of a chain, which is described from its left sole on."""
+    """Return the robot of a chain whose root is the left sole."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "chain.urdf"
         path.write_text(chain_urdf(chain), encoding="utf-8")
@@ -47,7 +47,7 @@ def robot_of(chain: Chain) -> RobotModel:
 
 
 def phase_of(model: RobotModel, walk: Walk, phase: str) -> Phase:
-    """Return the phase ``"dsp"`` or ``"ssp"`` of a walk, seen from the left sole."""
+    """Return the phase ``"dsp"`` or ``"ssp"`` of a walk, in the frame of the left sole."""
     com, tip = CenterOfMass(), Point("tip")
     pelvis = PointOverPlane(
         name="pelvis", eta=walk.eta_pelvis, point=Point("pelvis"), plane=Plane(_UP, walk.pelvis_height)
@@ -104,7 +104,7 @@ def phase_of(model: RobotModel, walk: Walk, phase: str) -> Phase:
 
 
 def make(solver: str) -> Callable[[Chain, Walk, str], Callable[[Array], Array]]:
-    """Return the maker of ticks with a solver."""
+    """Return a function that makes ticks with a solver."""
 
     def maker(chain: Chain, walk: Walk, phase: str) -> Callable[[Array], Array]:
         model = robot_of(chain)

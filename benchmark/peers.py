@@ -1,4 +1,4 @@
-"""The tick of a phase written with other packages, each in the form that its experienced user would write.
+"""The tick of a phase written with other packages, each as an experienced user would write it.
 
 Except for placo and, in single support, mink and pink, all solve the same quadratic program (U6) as
 `benchmark.peer_adapter`: with the package's kinematics, rows in numpy, and its usual solver. "In place":
@@ -121,7 +121,7 @@ def quadprog_in_place(rows: Rows) -> Callable[[], Array]:
 
 
 def clarabel_in_place(rows: Rows) -> Callable[[], Array]:
-    """Return a function that solves with one Clarabel, updated; its default tolerances, no scaling."""
+    """Return a function that solves with one Clarabel solver whose data is updated; default tolerances, no scaling."""
     import clarabel
     from scipy import sparse
 
@@ -155,7 +155,7 @@ def clarabel_in_place(rows: Rows) -> Callable[[], Array]:
 
 
 def pinocchio(solver: Callable[[Rows], Callable[[], Array]]) -> Callable[[Chain, Walk, str], Tick]:
-    """Return the maker of ticks with Pinocchio's kinematics."""
+    """Return a function that makes ticks with Pinocchio's kinematics."""
 
     def make(chain: Chain, walk: Walk, phase: str) -> Tick:
         import pinocchio as pin
@@ -211,7 +211,7 @@ def haminus4(r: Array) -> Array:
 
 
 def pinocchio_plain(solver: str) -> Callable[[Chain, Walk, str], Tick]:
-    """Return the maker of ticks with Pinocchio's kinematics, matrices of numpy and qpsolvers."""
+    """Return a function that makes ticks with Pinocchio's kinematics, matrices of numpy and qpsolvers."""
 
     def make(chain: Chain, walk: Walk, phase: str) -> Tick:
         import pinocchio as pin
@@ -514,7 +514,7 @@ def _mjcf(chain: Chain) -> str:
 
 
 def placo(chain: Chain, walk: Walk, phase: str) -> Tick:
-    """Return the tick with placo; rows that it does not know are half spaces over the joints, renewed at each tick."""
+    """Return the tick with placo; rows without a placo constraint are half spaces of joints, updated at each tick."""
     import placo as package
 
     n, dt, dsp = chain.n, walk.dt, phase == "dsp"
@@ -592,4 +592,4 @@ PEERS: dict[str, Callable[[Chain, Walk, str], Tick]] = {
     "mink + quadprog": mink,
     "pink + quadprog": pink,
 }
-"""Each of (chain, walk, phase), and returns u of q."""
+"""Functions of (chain, walk, phase) that return a tick, a function of q that returns u."""

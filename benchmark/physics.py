@@ -1,4 +1,4 @@
-"""The closed loop in physics compared with the engine's steps alone: same robot, same steps, alternately.
+"""Time of the closed loop in physics and of the engine's steps alone: same robot, same steps, alternately.
 
 python -m benchmark.physics [--ticks 2000]
 """

@@ -1,4 +1,4 @@
-"""Adopts robots from other packages and lets them walk: one row per robot description.
+"""Adopts robots from other packages and walks them: one row per robot description.
 
 python -m benchmark.robots PATH ... [--out results/robots] [--only NAME]
 
@@ -61,7 +61,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("paths", nargs="+", type=Path)
     parser.add_argument("--out", type=Path, default=Path("results/robots"))
-    parser.add_argument("--only", default="", help="those with this text in their path")
+    parser.add_argument("--only", default="", help="only files with this text in their path")
     args = parser.parse_args()
     files = [f for p in args.paths for f in (sorted(p.rglob("*.urdf")) if p.is_dir() else [p]) if args.only in str(f)]
     rows, refused = [], []

@@ -40,7 +40,7 @@ from dqwalk_ros.simulation import make_controller, simulate
 
 SIZE = {"width": 1000, "height": 500}
 MIDDLE = slice(350, 670)
-"""Of a browser window, and the columns of its picture between the panels."""
+"""Size of the browser window, and the columns of its picture between the panels [pixels]."""
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
 
 
@@ -60,16 +60,16 @@ def viewing(path: Path) -> Iterator[tuple[str, float]]:
 
 
 def until_seen(page: Any, timeout: float = 60.0) -> float:
-    """Return when the robot was seen."""
+    """Wait until the robot is visible; return that time [s]."""
     deadline = time.monotonic() + timeout
     while time.monotonic() < deadline:
         if dark_share(picture(page, "see"), MIDDLE) > 0.005:
             return time.monotonic()
-    raise SystemExit("no robot was seen on the page")
+    raise SystemExit("the page shows no robot")
 
 
 def opening(folder: Path, rounds: int = 5) -> None:
-    """Print how long it takes from the command to the address, and to the robot in a browser that is there already."""
+    """Print the time from the command to the address, and to the visible robot in a browser that already runs."""
     path = folder / "walk"
     bag.write(short_walk(), path)
     times = []
@@ -90,7 +90,7 @@ def opening(folder: Path, rounds: int = 5) -> None:
 
 @contextlib.contextmanager
 def walking(folder: Path, config: Config) -> Iterator[str]:
-    """Walk on ROS by the clock, with the viewer; yield the address of the page."""
+    """Walk through ROS in real time with the viewer; yield the address of the page."""
     params = folder / "params.yaml"
     params.write_text(to_yaml(config), encoding="utf-8")
     with private_domain() as domain, Processes(folder, domain) as processes:
@@ -112,7 +112,7 @@ def viewer(processes: Processes, params: Path) -> str:
 
 
 def smoothness(folder: Path, seconds: float = 15.0) -> None:
-    """Print how many pictures the page sends, and a browser draws, while a walk goes on."""
+    """Print how many pictures per second the page sends and a browser draws during a walk."""
     config = short_config(**{"gait.cycles": 50, "plant.lockstep": False})
     with walking(folder, config) as url, chromium(folder, **SIZE) as page:
         page.goto(url)
@@ -136,7 +136,7 @@ def smoothness(folder: Path, seconds: float = 15.0) -> None:
 
 
 def cost(folder: Path, rounds: int = 3) -> None:
-    """Print what a page costs the walk, in lockstep, where everything goes as fast as it can."""
+    """Print how much the page slows a walk in lockstep, which runs as fast as possible."""
     config = load("paper").updated({"gait.cycles": 1, "task.eta": 1.0, "ssp.threshold": 4e-3})
     cases: dict[str, list[float]] = {"no viewer": [], "viewer": [], "viewer and open page": []}
     for k in range(rounds):
@@ -170,7 +170,7 @@ def cost(folder: Path, rounds: int = 3) -> None:
 
 
 def reporting(folder: Path, states: int = 120_000) -> None:
-    """Print what a report of ten minutes of the paper's walk takes."""
+    """Print time and memory of a report of ten minutes of the paper's walk."""
     path, config = folder / "long", load("paper").updated({"gait.cycles": 10})
     model = load_model(config.robot)
     trace = simulate(make_controller(config, model), KinematicPlant(model), max_time=(states - 1) * config.dt)
@@ -196,7 +196,7 @@ PARTS = {"open": opening, "rate": smoothness, "cost": cost, "report": reporting}
 
 
 def main() -> None:
-    """Print all figures, or those that are asked for."""
+    """Run all parts, or the given ones."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("parts", nargs="*", choices=[[], *PARTS], help="all of them by default")
     args = parser.parse_args()

@@ -28,9 +28,9 @@ from dqwalk_ros.runner import run_walk
 from dqwalk_ros.simulation import make_controller, simulate
 
 GROWTH = 5.0
-"""A node may grow by so much after the first minute [MB]."""
+"""Largest permitted growth of a node after the first minute [MB]."""
 FIRST = 60.0
-"""When the first sample is taken [s]."""
+"""Time of the first sample [s]."""
 STREAMS = ("/joint_states", "/joint_velocity_commands", "/base_pose")
 
 
@@ -53,7 +53,7 @@ class Watched:
         self.curve: list[dict[str, float]] = []
 
     def __call__(self, fraction: float, text: str) -> None:
-        """Take a sample every two seconds; what `run_walk` calls with its progress."""
+        """Take a sample every two seconds; the progress callback of `run_walk`."""
         self._progress(fraction, text)
         now = time.monotonic()
         if "support" not in text or now < self._due:
@@ -86,7 +86,7 @@ def sample() -> dict[str, tuple[float, int]]:
 
 
 def cycles_for(minutes: float, config: Config) -> tuple[int, float]:
-    """Return how many cycles fill the time, and how long they take [s]; the first is shorter than the others."""
+    """Return the number of cycles that fill the time, and their duration [s]; the first is shorter than the others."""
     model = load_model(config.robot)
     two = simulate(make_controller(config.updated({"gait.cycles": 2}), model), KinematicPlant(model))
     first = float(two.time[two.phases[4].start])
@@ -96,7 +96,7 @@ def cycles_for(minutes: float, config: Config) -> tuple[int, float]:
 
 
 def gaps(bag: Path, period: int) -> dict[str, tuple[int, int]]:
-    """Return how many messages each stream of a bag has, and how many stamps are missing between them."""
+    """Return the number of messages of each stream of a bag, and of stamps missing between them."""
     from rosbags.rosbag2 import Reader
 
     found = {topic: [0, 0, -1] for topic in STREAMS}
@@ -114,7 +114,7 @@ def main() -> int:
     """Walk, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=60.0, help="of walking, simulated time")
-    parser.add_argument("--out", type=Path, default=Path("results/soak"), help="made anew")
+    parser.add_argument("--out", type=Path, default=Path("results/soak"), help="folder of the bag; replaced")
     parser.add_argument("--keep", action="store_true", help="keep the bag")
     parser.add_argument("--quiet", action="store_true")
     args = parser.parse_args()
@@ -137,9 +137,9 @@ def main() -> int:
 
 
 def report(watched: Watched, outcome: Any, config: Config) -> bool:
-    """Print what grew and what is missing; return whether nothing did and nothing is."""
+    """Print growth and missing messages; return whether both are within their limits."""
     if not watched.first:
-        print(f"the walk was over before {FIRST:.0f} s: there is nothing to compare")
+        print(f"the walk ended before {FIRST:.0f} s: nothing to compare")
         return False
     rows, ok = [], bool(outcome.finished)
     for name, (memory, files) in watched.last.items():

@@ -1,4 +1,4 @@
-"""Every stage of one tick, and the tick of other packages.
+"""Time of each stage of one tick, and of the same tick written with other packages.
 
     python -m benchmark.tick                  stages of this package
     python -m benchmark.tick --peers          and other packages, on the same problem
@@ -32,7 +32,7 @@ def stages(chain: Chain, walk: Walk, kind: str, rounds: int) -> str:
     """Time every stage; return a table."""
     model = robot_of(chain)
     phase = phase_of(model, walk, kind)
-    # the stages run on their own: states in the order of the chain do as well as any
+    # each stage is timed alone, on states of the walk
     qs = states(make_daqp(chain, walk, kind), walk)
     no_limit = np.full(model.n, math.inf)
     kins = {id(q): Kinematics(model, q, phase.base) for q in qs}
@@ -62,7 +62,7 @@ def stages(chain: Chain, walk: Walk, kind: str, rounds: int) -> str:
 
 
 def beside(chain: Chain, walk: Walk, kind: str, rounds: int) -> str:
-    """Time our tick and the peers'; return a table."""
+    """Time the tick of this package and of the others; return a table."""
     from benchmark.peers import PEERS
 
     exact = make_daqp(chain, walk, kind)
@@ -93,7 +93,7 @@ def beside(chain: Chain, walk: Walk, kind: str, rounds: int) -> str:
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--peers", action="store_true", help="also time the packages one would use instead")
+    parser.add_argument("--peers", action="store_true", help="also time other packages")
     parser.add_argument("--rounds", type=int, default=40)
     args = parser.parse_args()
     warnings.filterwarnings("ignore", message="Converted matrix")
