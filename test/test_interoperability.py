@@ -59,7 +59,7 @@ file are here:
     test_launch::test_in_lockstep_the_end_of_the_controller_ends_its_own_nodes
     test_package::test_the_native_installation_of_the_readme_works
     test_the_output_of_param_dump_is_a_valid_configuration
-    test_strangers::test_a_second_one_says_so_and_does_not_start
+    test_strangers::test_a_node_that_already_runs_does_not_start_again
 """
 
 from __future__ import annotations

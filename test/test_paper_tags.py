@@ -40,7 +40,7 @@ PLACES = {
     "switching rule of section 5": ("dqwalk_ros/walk.py", "fall < self._stall and", "fall < 0.1 * self._stall and"),
     "of Fig. 1": ("dqwalk_ros/walk.py", "PHASES_PER_CYCLE < 2 else", "PHASES_PER_CYCLE < 1 else"),
 }
-"""Tag, file, the line as it is read, and the same line broken."""
+"""Tag, file, the original line, and the changed line."""
 
 LOOK = """
 import numpy as np
@@ -61,13 +61,13 @@ print([(phase.name, round(phase.time, 6)) for phase in trace.phases], trace.note
 
 @pytest.mark.long
 @pytest.mark.parametrize("tag", PLACES)
-def test_an_equation_stands_at_its_tag_and_is_executed_there(tag, tmp_path):
+def test_the_equation_at_each_tag_is_executed(tag, tmp_path):
     assert "double_support/left" in output_of(LOOK)
     assert changes_output(tmp_path, LOOK, tag, *PLACES[tag])
 
 
 @pytest.mark.long
-def test_the_numbers_of_section_5_are_those_of_the_configuration(tmp_path):
+def test_the_walk_uses_the_parameters_of_the_configuration(tmp_path):
     copy_package(tmp_path)
     assert output_of(LOOK, tmp_path) == output_of(LOOK)
     output_of.cache_clear()

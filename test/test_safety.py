@@ -52,7 +52,7 @@ def model() -> RobotModel:
 # ---------------------------------------------------------------------- names
 
 
-def test_joints_are_taken_by_name_in_any_order() -> None:
+def test_joints_are_matched_by_name_in_any_order() -> None:
     order = JointOrder(["a", "b"])
     np.testing.assert_array_equal(order(["b", "head", "a"], [2.0, 9.0, 1.0], "position"), [1.0, 2.0])
     np.testing.assert_array_equal(order(["a", "b"], [3.0, 4.0], "position"), [3.0, 4.0])
@@ -72,7 +72,9 @@ def test_joints_are_taken_by_name_in_any_order() -> None:
         (["b", "a"], [float("inf"), 1.0], "not a finite position: b = inf"),
     ],
 )
-def test_what_does_not_fit_is_refused_by_name(names: list[str], values: list[float], expected: str) -> None:
+def test_wrong_joint_names_and_values_are_rejected_by_name(
+    names: list[str], values: list[float], expected: str
+) -> None:
     order = JointOrder(["a", "b"])
     order(["a", "b"], [0.0, 0.0], "position")
     with pytest.raises(StateError, match=expected):
@@ -83,9 +85,9 @@ def test_what_does_not_fit_is_refused_by_name(names: list[str], values: list[flo
 # ---------------------------------------------------------------------- watchdog and latch
 
 
-def test_the_watchdog_knows_silence_by_receipt_alone(clock: FakeClock) -> None:
+def test_the_watchdog_measures_silence_by_the_time_of_receipt(clock: FakeClock) -> None:
     dog = Watchdog(lambda: 0.1, clock)
-    assert dog.silent  # nothing came yet
+    assert dog.silent  # no message yet
     dog.feed()
     clock.now += 0.0999
     assert not dog.silent
@@ -97,7 +99,7 @@ def test_the_watchdog_knows_silence_by_receipt_alone(clock: FakeClock) -> None:
     assert dog.silent
 
 
-def test_a_latch_needs_faults_in_a_row_and_a_reset() -> None:
+def test_the_fault_counter_latches_after_consecutive_faults_until_reset() -> None:
     latch = FaultCounter(3)
     assert not latch.fault("x")
     assert not latch.fault("x")
@@ -119,7 +121,7 @@ def gate_of(model: RobotModel, clock: FakeClock, **options: object) -> StateGate
     return StateGate(model, DT, lambda: 0.1, clock=clock, **options)  # type: ignore[arg-type]
 
 
-def test_a_walk_passes(model: RobotModel, clock: FakeClock) -> None:
+def test_states_of_a_walk_are_accepted(model: RobotModel, clock: FakeClock) -> None:
     gate = gate_of(model, clock)
     for k in range(100):
         assert gate.is_new(k * PERIOD)
@@ -128,7 +130,7 @@ def test_a_walk_passes(model: RobotModel, clock: FakeClock) -> None:
     assert gate.rejected == gate.overtaken == 0
 
 
-def test_a_spike_is_refused_and_does_not_feed_the_watchdog(model: RobotModel, clock: FakeClock) -> None:
+def test_a_spike_is_rejected_and_does_not_feed_the_watchdog(model: RobotModel, clock: FakeClock) -> None:
     gate = gate_of(model, clock)
     zero = np.zeros(model.n)
     gate.accept(0, zero)
@@ -139,7 +141,7 @@ def test_a_spike_is_refused_and_does_not_feed_the_watchdog(model: RobotModel, cl
         gate.accept(PERIOD, spike)
     clock.now += 0.06
     assert gate.watchdog.silent
-    gate.accept(2 * PERIOD, zero)  # good again, and the spike left no trace
+    gate.accept(2 * PERIOD, zero)  # valid; the spike had no effect
     assert not gate.watchdog.silent
     assert gate.rejected == 1
 
@@ -152,7 +154,7 @@ def test_half_a_radian_between_two_ticks_is_a_jump(model: RobotModel, clock: Fak
         gate.accept(PERIOD, np.full(model.n, 0.05) + 0.45 * np.eye(model.n)[2])
 
 
-def test_jumps_in_a_row_latch_until_reset(model: RobotModel, clock: FakeClock) -> None:
+def test_consecutive_jumps_latch_until_reset(model: RobotModel, clock: FakeClock) -> None:
     gate = gate_of(model, clock, jumps=3)
     zero, far = np.zeros(model.n), 0.4 * np.eye(model.n)[1] * np.sign(model.q_max[1] + model.q_min[1])
     gate.accept(0, zero)
@@ -166,8 +168,8 @@ def test_jumps_in_a_row_latch_until_reset(model: RobotModel, clock: FakeClock) -
     gate.accept(5 * PERIOD, far)
 
 
-def test_an_angle_that_jumped_and_stays_is_never_accepted(model: RobotModel, clock: FakeClock) -> None:
-    """The time that passes while it is refused is none in which a joint may move there."""
+def test_a_persistent_jump_is_never_accepted(model: RobotModel, clock: FakeClock) -> None:
+    """The time during which it is rejected does not count as time in which the joint could move."""
     gate = gate_of(model, clock, jumps=1000)
     gate.accept(0, np.zeros(model.n))
     for k in range(1, 100):
@@ -178,7 +180,7 @@ def test_an_angle_that_jumped_and_stays_is_never_accepted(model: RobotModel, clo
     gate.accept(100 * PERIOD, np.zeros(model.n))
 
 
-def test_a_stamp_of_the_future_lets_no_jump_pass(model: RobotModel, clock: FakeClock) -> None:
+def test_a_stamp_in_the_future_does_not_allow_a_jump(model: RobotModel, clock: FakeClock) -> None:
     gate = gate_of(model, clock)
     gate.accept(0, np.zeros(model.n))
     clock.now += DT
@@ -186,31 +188,31 @@ def test_a_stamp_of_the_future_lets_no_jump_pass(model: RobotModel, clock: FakeC
         gate.accept(100_000_000_000, np.full(model.n, 0.05) + 0.95 * np.eye(model.n)[2])
 
 
-def test_after_a_long_silence_the_robot_may_stand_elsewhere(model: RobotModel, clock: FakeClock) -> None:
+def test_after_a_long_silence_another_posture_is_accepted(model: RobotModel, clock: FakeClock) -> None:
     gate = gate_of(model, clock)
     gate.accept(0, np.zeros(model.n))
     clock.now += 1.0
     gate.accept(PERIOD, 0.3 * np.eye(model.n)[0])
 
 
-def test_in_lockstep_the_clock_says_nothing(model: RobotModel, clock: FakeClock) -> None:
+def test_in_lockstep_jumps_are_judged_by_stamps_not_by_the_clock(model: RobotModel, clock: FakeClock) -> None:
     gate = gate_of(model, clock, by_stamp=True)
     gate.accept(0, np.zeros(model.n))
     clock.now += 100.0
     with pytest.raises(StateError, match="jump"):
         gate.accept(PERIOD, 0.3 * np.eye(model.n)[0])
     gate.reset()
-    gate.accept(200 * PERIOD, np.zeros(model.n))  # what counts is the time that passed, not what time it is
+    gate.accept(200 * PERIOD, np.zeros(model.n))  # only the elapsed time counts, not the stamp itself
     with pytest.raises(StateError, match="jump"):
         gate.accept(201 * PERIOD, 0.3 * np.eye(model.n)[0])
 
 
-def test_all_joints_outside_are_all_named(model: RobotModel) -> None:
+def test_every_joint_outside_its_limits_is_named(model: RobotModel) -> None:
     assert outside_limits(model.q_max + 0.2, model, 0.1).count(" by 0.2 rad") == model.n
 
 
 @pytest.mark.parametrize("beyond", [1e-9, 1e-4, 0.01, 0.0999])
-def test_a_little_outside_the_limits_is_led_back(model: RobotModel, clock: FakeClock, beyond: float) -> None:
+def test_joints_slightly_outside_their_limits_are_accepted(model: RobotModel, clock: FakeClock, beyond: float) -> None:
     for i in range(model.n):
         q = np.zeros(model.n)
         q[i] = model.q_max[i] + beyond
@@ -220,7 +222,9 @@ def test_a_little_outside_the_limits_is_led_back(model: RobotModel, clock: FakeC
 
 
 @pytest.mark.parametrize("beyond", [0.101, 0.5, 1e6])
-def test_far_outside_the_limits_is_refused_by_name(model: RobotModel, clock: FakeClock, beyond: float) -> None:
+def test_joints_far_outside_their_limits_are_rejected_by_name(
+    model: RobotModel, clock: FakeClock, beyond: float
+) -> None:
     for i, name in enumerate(model.joint_names):
         for sign, limit in ((1.0, model.q_max[i]), (-1.0, model.q_min[i])):
             q = np.zeros(model.n)
@@ -230,14 +234,14 @@ def test_far_outside_the_limits_is_refused_by_name(model: RobotModel, clock: Fak
             assert name in outside_limits(q, model, 0.1)
 
 
-def test_order_of_stamps(model: RobotModel, clock: FakeClock) -> None:
+def test_states_out_of_order_are_dropped_until_the_watchdog_times_out(model: RobotModel, clock: FakeClock) -> None:
     gate = gate_of(model, clock)
     gate.accept(10 * PERIOD, np.zeros(model.n))
     assert not gate.is_new(10 * PERIOD)
     assert not gate.is_new(9 * PERIOD)
     assert gate.is_new(11 * PERIOD)
     assert gate.overtaken == 2
-    clock.now += 0.11  # nothing newer came: the plant's clock was set back
+    clock.now += 0.11  # no newer state: the plant's clock was set back
     assert gate.is_new(3 * PERIOD)
 
 
@@ -248,7 +252,7 @@ def commands_of(model: RobotModel, clock: FakeClock) -> CommandGate:
     return CommandGate(model, lambda: 0.1, clock)
 
 
-def test_a_plant_holds_before_the_first_command_and_after_the_last(model: RobotModel, clock: FakeClock) -> None:
+def test_the_plant_holds_before_the_first_and_after_the_last_command(model: RobotModel, clock: FakeClock) -> None:
     gate, zero = commands_of(model, clock), np.zeros(model.n)
     assert gate.holding
     assert not gate.velocity(zero, DT).any()
@@ -261,24 +265,24 @@ def test_a_plant_holds_before_the_first_command_and_after_the_last(model: RobotM
     assert not gate.velocity(zero, DT).any()
 
 
-def test_commands_that_answer_the_wrong_state_are_ignored(model: RobotModel, clock: FakeClock) -> None:
+def test_commands_for_a_wrong_state_are_ignored(model: RobotModel, clock: FakeClock) -> None:
     gate, u = commands_of(model, clock), np.full(model.n, 0.01)
     now = 1000 * PERIOD
     assert gate.accept(now - PERIOD, u, now)
     assert not gate.accept(now - 2 * PERIOD, 2 * u, now)  # overtaken
-    assert not gate.accept(now + 1, 2 * u, now)  # of a state that was never published: a clock fault
+    assert not gate.accept(now + 1, 2 * u, now)  # for a state that was never published: a clock fault
     assert gate.late == 2
     np.testing.assert_array_equal(gate.velocity(np.zeros(model.n), DT), u)
 
 
-def test_a_command_that_is_stamped_when_it_is_sent_counts(model: RobotModel, clock: FakeClock) -> None:
+def test_commands_stamped_at_sending_are_accepted_until_too_old(model: RobotModel, clock: FakeClock) -> None:
     gate, u, now = commands_of(model, clock), np.full(model.n, 0.01), 1000 * PERIOD
     sent = 5000 * PERIOD
     assert gate.accept(sent, u, now, clock=sent + 99 * MS)
     assert not gate.accept(sent + PERIOD, u, now, clock=sent + PERIOD + 101 * MS)
 
 
-def test_a_relay_that_delays_by_200_ms_moves_nothing(model: RobotModel, clock: FakeClock) -> None:
+def test_commands_delayed_by_200_ms_cause_no_motion(model: RobotModel, clock: FakeClock) -> None:
     gate, u = commands_of(model, clock), np.full(model.n, 0.01)
     for k in range(1, 200):
         gate.accept(k * PERIOD, u, k * PERIOD + 200 * MS)
@@ -286,7 +290,7 @@ def test_a_relay_that_delays_by_200_ms_moves_nothing(model: RobotModel, clock: F
         assert gate.holding
 
 
-def test_what_is_ignored_does_not_feed_the_watchdog(model: RobotModel, clock: FakeClock) -> None:
+def test_ignored_commands_do_not_feed_the_watchdog(model: RobotModel, clock: FakeClock) -> None:
     gate, u = commands_of(model, clock), np.full(model.n, 0.01)
     gate.accept(100 * PERIOD, u, 100 * PERIOD)
     for _ in range(30):
@@ -295,7 +299,7 @@ def test_what_is_ignored_does_not_feed_the_watchdog(model: RobotModel, clock: Fa
     assert gate.late >= 20
 
 
-def test_a_clock_set_back_holds_for_one_silence_and_goes_on(model: RobotModel, clock: FakeClock) -> None:
+def test_after_the_clock_is_set_back_the_plant_holds_for_one_timeout(model: RobotModel, clock: FakeClock) -> None:
     gate, u = commands_of(model, clock), np.full(model.n, 0.01)
     ahead = 100_000_000_000
     gate.accept(ahead, u, ahead)
@@ -308,7 +312,7 @@ def test_a_clock_set_back_holds_for_one_silence_and_goes_on(model: RobotModel, c
     assert accepted.index(True) == pytest.approx(20, abs=2)
 
 
-def test_a_refusal_holds_whatever_comes(model: RobotModel, clock: FakeClock) -> None:
+def test_a_refusal_holds_despite_commands(model: RobotModel, clock: FakeClock) -> None:
     gate = commands_of(model, clock)
     gate.refused = "two controllers: a, b"
     gate.accept(0, np.full(model.n, 0.01), 0)
@@ -316,7 +320,7 @@ def test_a_refusal_holds_whatever_comes(model: RobotModel, clock: FakeClock) -> 
     assert not gate.velocity(np.zeros(model.n), DT).any()
 
 
-def test_hold_forgets_the_command(model: RobotModel, clock: FakeClock) -> None:
+def test_hold_discards_the_command(model: RobotModel, clock: FakeClock) -> None:
     gate = commands_of(model, clock)
     gate.accept(0, np.full(model.n, 0.01), 0)
     gate.hold()
@@ -330,7 +334,7 @@ speeds = st.floats(-1e6, 1e6, allow_nan=False)
 
 @settings(max_examples=40, deadline=None)
 @given(data=st.data())
-def test_whatever_is_asked_no_limit_is_crossed(model: RobotModel, data: st.DataObject) -> None:
+def test_clamped_velocities_cross_no_limit(model: RobotModel, data: st.DataObject) -> None:
     u = np.array(data.draw(st.lists(speeds, min_size=model.n, max_size=model.n)))
     at = np.array(data.draw(st.lists(st.floats(0.0, 1.0), min_size=model.n, max_size=model.n)))
     dt = data.draw(st.floats(1e-4, 0.1))
@@ -344,7 +348,7 @@ def test_whatever_is_asked_no_limit_is_crossed(model: RobotModel, data: st.DataO
 
 @settings(max_examples=40, deadline=None)
 @given(data=st.data())
-def test_outside_it_goes_in_or_stays(model: RobotModel, data: st.DataObject) -> None:
+def test_outside_its_limits_a_joint_moves_only_inward(model: RobotModel, data: st.DataObject) -> None:
     u = np.array(data.draw(st.lists(speeds, min_size=model.n, max_size=model.n)))
     out = np.array(data.draw(st.lists(st.floats(1e-9, 0.5), min_size=model.n, max_size=model.n)))
     v = clamp_velocity(u, model.q_max + out, model, DT)
@@ -353,7 +357,7 @@ def test_outside_it_goes_in_or_stays(model: RobotModel, data: st.DataObject) -> 
     assert (v >= 0.0).all()
 
 
-def test_outside_it_stays_unless_it_is_told_to_move(model: RobotModel) -> None:
+def test_outside_its_limits_a_joint_moves_only_if_commanded(model: RobotModel) -> None:
     for q in (model.q_max + 0.1, model.q_min - 0.1):
         assert not clamp_velocity(np.zeros(model.n), q, model, DT).any()
     np.testing.assert_array_equal(
@@ -361,8 +365,8 @@ def test_outside_it_stays_unless_it_is_told_to_move(model: RobotModel) -> None:
     )
 
 
-def test_a_fast_command_is_that_of_the_limit(model: RobotModel) -> None:
-    """Neither less nor more: at the velocity limit far from the end of the range, into the end near it."""
+def test_a_command_beyond_the_limits_is_clamped_exactly_to_them(model: RobotModel) -> None:
+    """To the velocity limit far from the joint limit, and to reach the joint limit within one period near it."""
     zero, fast = np.zeros(model.n), np.full(model.n, 1e3)
     far = np.minimum(model.q_max / 1e-4, model.velocity_max)
     np.testing.assert_allclose(clamp_velocity(fast, zero, model, 1e-4), far)
@@ -372,7 +376,7 @@ def test_a_fast_command_is_that_of_the_limit(model: RobotModel) -> None:
     np.testing.assert_allclose(0.1 * clamp_velocity(fast, model.q_max - 1e-3, model, 0.1), np.full(model.n, 1e-3))
 
 
-def test_two_publishers_are_told_at_once_unless_one_may_be_a_ghost(clock: FakeClock) -> None:
+def test_two_publishers_are_reported_at_once_unless_one_may_be_stale(clock: FakeClock) -> None:
     judge = DuplicatePublishers(clock).judge
     assert judge([]) == judge(["/a"]) == ""
     assert judge(["/b", "/a"]) == "/a, /b"
@@ -385,42 +389,42 @@ def test_two_publishers_are_told_at_once_unless_one_may_be_a_ghost(clock: FakeCl
     clock.now += 0.2
     assert judge(["/a", "/a"]) == "/a, 2 times"
     assert judge(["/a"]) == ""
-    assert judge(["/a", "/a"]) == ""  # counted anew
+    assert judge(["/a", "/a"]) == ""  # the time is counted anew
 
 
-def test_a_second_plant_is_told_by_what_it_publishes() -> None:
-    def looked(messages: list[tuple[list[str], int]], publishers: list[str]) -> str:
+def test_a_second_plant_is_detected_by_its_messages() -> None:
+    def verdict(messages: list[tuple[list[str], int]], publishers: list[str]) -> str:
         judge = DuplicateStates(DT)
         for look in range(1, DuplicateStates.looks + 1):
             for names, stamp in messages:
                 judge.note(names, stamp)
-            said = judge.judge(publishers)
-            assert look == DuplicateStates.looks or said == ""  # one look is not enough
-        return said
+            found = judge.judge(publishers)
+            assert look == DuplicateStates.looks or found == ""  # one interval is not enough
+        return found
 
     both, one = ["/a", "/b"], [(["x"], k * PERIOD) for k in range(50)]
-    assert looked(one, both) == ""  # the other one publishes joints of its own
-    assert looked(one, ["/a"]) == ""
-    assert looked([m for m in one for _ in range(2)], both) == "/a, /b"  # more than the stamps account for
-    assert looked([(["x"], k * PERIOD) for k in (0, 5, 1, 6, 2, 7, 3, 8)], both) == "/a, /b"  # back and forth
-    assert looked([*one, (["x", "y"], 50 * PERIOD)], both) == "/a, /b"  # another list of joints
+    assert verdict(one, both) == ""  # the other one publishes other joints
+    assert verdict(one, ["/a"]) == ""
+    assert verdict([m for m in one for _ in range(2)], both) == "/a, /b"  # more messages than the stamps explain
+    assert verdict([(["x"], k * PERIOD) for k in (0, 5, 1, 6, 2, 7, 3, 8)], both) == "/a, /b"  # back and forth
+    assert verdict([*one, (["x", "y"], 50 * PERIOD)], both) == "/a, /b"  # another list of joints
     twice = [(["x"], stamp * PERIOD) for stamp in (0, 5, 4, 9, 8, 13)]
-    assert looked(twice, both) == ""  # two are overtaken, which happens
+    assert verdict(twice, both) == ""  # two states out of order, which is normal
 
 
-def test_the_rate_of_a_plant_is_measured_while_it_is_alone() -> None:
-    """One of twice the expected rate is not taken for two."""
+def test_the_rate_of_a_plant_is_measured_while_there_is_only_one() -> None:
+    """A plant at twice the expected rate is not reported as two plants."""
     judge = DuplicateStates(2 * DT)
     for publishers in (["/a"], ["/a", "/b"], ["/a", "/b"]):
         for k in range(50):
             judge.note(["x"], k * PERIOD)
-        said = judge.judge(publishers)
-    assert said == ""
+        found = judge.judge(publishers)
+    assert found == ""
 
 
-def test_a_plant_is_ready_until_commands_fall_silent(model: RobotModel, clock: FakeClock) -> None:
+def test_the_plant_is_ready_until_commands_time_out(model: RobotModel, clock: FakeClock) -> None:
     gate = commands_of(model, clock)
-    assert gate.ready  # none came yet
+    assert gate.ready  # no command yet
     gate.accept(0, np.zeros(model.n), 0)
     clock.now += 0.099
     assert gate.ready
@@ -432,7 +436,7 @@ def test_a_plant_is_ready_until_commands_fall_silent(model: RobotModel, clock: F
     assert not gate.ready
 
 
-def test_different_answers_to_one_state_are_two_controllers(model: RobotModel, clock: FakeClock) -> None:
+def test_different_commands_for_one_state_indicate_two_controllers(model: RobotModel, clock: FakeClock) -> None:
     gate = commands_of(model, clock)
     for k in range(4):
         assert not gate.contradicted
@@ -445,7 +449,7 @@ def test_different_answers_to_one_state_are_two_controllers(model: RobotModel, c
     assert not gate.contradicted
 
 
-def test_no_time_no_motion(model: RobotModel) -> None:
+def test_without_elapsed_time_the_clamped_velocity_is_zero(model: RobotModel) -> None:
     assert not clamp_velocity(np.ones(model.n), np.zeros(model.n), model, 0.0).any()
     assert not clamp_velocity(np.ones(model.n), np.zeros(model.n), model, -1.0).any()
 
@@ -470,7 +474,7 @@ def test_torques_stay_within_the_limits(model: RobotModel) -> None:
 
 
 def accepted_body() -> tuple[BodyGate, dict[str, np.ndarray]]:
-    """Return a gate that has taken a state, and that state."""
+    """Return a gate that has accepted a state, and that state."""
     body = load_model(load("whole_body").robot)
     gate = BodyGate(body, DT, lambda: 0.5)
     q = np.clip(np.zeros(body.n), body.q_min, body.q_max)
@@ -492,7 +496,7 @@ def accepted_body() -> tuple[BodyGate, dict[str, np.ndarray]]:
         ("place", 1.0, "the base jumped by"),
     ],
 )
-def test_one_glitch_of_a_body_is_refused_and_changes_nothing(what: str, value: float, why: str) -> None:
+def test_an_invalid_body_state_is_rejected_and_changes_nothing(what: str, value: float, why: str) -> None:
     gate, state = accepted_body()
     wrong = {**state, what: state[what].copy()}
     wrong[what][-1] += value
@@ -502,15 +506,15 @@ def test_one_glitch_of_a_body_is_refused_and_changes_nothing(what: str, value: f
     assert gate.rejected == 1
 
 
-def test_a_body_may_be_pushed() -> None:
-    """A push changes velocities at once, a joint beyond its own limits too; neither is refused."""
+def test_velocity_changes_by_a_push_are_accepted() -> None:
+    """A push changes velocities instantly, also beyond a joint's velocity limit; both are accepted."""
     gate, state = accepted_body()
     pushed = {**state, "dq": state["dq"] + 13.0, "v_base": np.array([0.0, 1.0, 0.0, 2.0, 0.0, 0.0])}
     gate.accept_body(PERIOD, **pushed)
     gate.accept_body(2 * PERIOD, **{**pushed, "q": state["q"] + 13.0 * DT})
 
 
-def test_a_base_moves_no_faster_than_it_can_at_any_time() -> None:
+def test_a_base_that_moves_too_fast_is_rejected_at_any_time() -> None:
     gate, state = accepted_body()
     late = 1000 * PERIOD
     gate.accept_body(late, **state)
@@ -519,7 +523,7 @@ def test_a_base_moves_no_faster_than_it_can_at_any_time() -> None:
     gate.accept_body(late + PERIOD, **{**state, "place": state["place"] + [0.09, 0.0, 0.0]})
 
 
-def test_a_body_that_keeps_jumping_is_refused_for_good() -> None:
+def test_consecutive_jumps_of_the_base_latch() -> None:
     gate, state = accepted_body()
     for k in range(5):
         far = {**state, "place": state["place"] + [5.0 + k, 0.0, 0.0]}

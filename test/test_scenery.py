@@ -11,7 +11,7 @@ from dqwalk_ros.plants.mujoco import build
 from dqwalk_ros.robot import load_model
 
 
-def test_what_is_only_seen_changes_nothing_that_moves():
+def test_visual_shapes_do_not_affect_the_physics():
     config = load("poppy")
     model = load_model(config.robot)
     plain, seen = build(config, model), build(config, model, scenery=add_scenery)
@@ -30,8 +30,8 @@ def test_what_is_only_seen_changes_nothing_that_moves():
     np.testing.assert_array_equal(*states)
 
 
-def test_pictures_hide_the_shapes_that_collide():
-    """Group 0 is left out of pictures: neither floor nor soles, which are drawn as they collide, may be in it."""
+def test_pictures_hide_collision_shapes():
+    """Pictures omit group 0, so floor and soles, whose collision shapes are drawn, are in another group."""
     config = load("poppy")
     made = build(config, load_model(config.robot), scenery=add_scenery)
     for name in ("floor", "sole_left", "sole_right"):

@@ -22,14 +22,14 @@ Rights = dict[str, set[str]]
 
 
 def resolved(name: str, node: str) -> str:
-    """Return a name of the policy in full, as sros2 takes it: absolute, private or in the namespace `/`."""
+    """Return a name of the policy in its absolute form; it may be absolute, private or relative to `/`, as in sros2."""
     if name.startswith("~/"):
         return f"/{node}/{name[2:]}"
     return name if name.startswith("/") else f"/{name}"
 
 
 def policy() -> dict[str, Rights]:
-    """Return what each node may do."""
+    """Return the rights of each node."""
     out: dict[str, Rights] = {}
     for enclave in ElementTree.parse(find_share("config/security", "policy.xml")).getroot().iter("enclave"):
         (profile,) = enclave.iter("profile")
@@ -42,13 +42,13 @@ def policy() -> dict[str, Rights]:
             assert way in (("publish", "subscribe") if group.tag == "topics" else ("reply", "request"))
             names = [resolved(item.text or "", node) for item in group]
             assert {item.tag for item in group} == {group.tag[:-1]}
-            assert len(names) == len(set(names)), f"{node}: a name stands twice"
+            assert len(names) == len(set(names)), f"{node}: a name occurs twice"
             rights[way] |= set(names)
     return out
 
 
-def test_the_file_is_a_policy() -> None:
-    """Elements, attributes and their order as the schema of sros2 has them [REP-2022, version 0.2.0]."""
+def test_the_policy_follows_the_sros2_schema() -> None:
+    """Elements, attributes and their order follow the schema of sros2 [REP-2022, version 0.2.0]."""
     root = ElementTree.parse(ROOT / "config/security/policy.xml").getroot()
     assert (root.tag, root.attrib) == ("policy", {"version": "0.2.0"})
     assert [child.tag for child in root] == ["enclaves"]
@@ -61,7 +61,7 @@ def test_the_file_is_a_policy() -> None:
         assert all(re.fullmatch(r"[~/]?[a-z_/]+", item.text or "") for group in profile for item in group)
 
 
-def test_every_node_has_an_enclave_and_a_person_may_call_every_service() -> None:
+def test_every_node_has_an_enclave_and_the_operator_may_call_every_service() -> None:
     rights = policy()
     assert set(rights) == {*NODES, "operator"}
     ours = {s for node in NODES for s in rights[node]["reply"] if "parameter" not in s and "type_desc" not in s}
@@ -77,10 +77,10 @@ def test_every_node_has_an_enclave_and_a_person_may_call_every_service() -> None
     ],
     ids="+".join,
 )
-def test_the_nodes_do_exactly_what_the_policy_says(
+def test_nodes_use_exactly_the_rights_of_the_policy(
     group: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Started in one process and asked what they publish, subscribe to and serve: nothing more, and nothing less."""
+    """The publishers, subscriptions, services and clients of each node, started in this process."""
     pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
     import rclpy
     from rclpy.context import Context
@@ -118,7 +118,7 @@ def test_the_nodes_do_exactly_what_the_policy_says(
                     does = {way: {topic for topic, _ in names} for way, names in found.items()}
                     if importlib.util.find_spec("tf2_msgs") is None and name == "controller":
                         expected[name]["publish"] -= {"/tf", "/tf_static"}  # the wheels of ROS have no tf2_msgs
-                    if name == "recorder":  # it may subscribe to them, and does once somebody publishes them
+                    if name == "recorder":  # it subscribes to them as soon as they are published
                         from dqwalk_ros.nodes.recorder import OTHERS
 
                         expected[name]["subscribe"] -= {resolved(topic, name) for topic in OTHERS}
@@ -131,8 +131,8 @@ def test_the_nodes_do_exactly_what_the_policy_says(
             context.try_shutdown()
 
 
-def test_a_node_asked_for_security_does_not_start_without_its_keys(tmp_path: Path) -> None:
-    """It says so, and exits."""
+def test_a_secured_node_does_not_start_without_its_keys(tmp_path: Path) -> None:
+    """It logs the reason and exits with code 2."""
     pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
     from dqwalk_ros.runner import environment, private_domain
 
@@ -152,8 +152,8 @@ def test_a_node_asked_for_security_does_not_start_without_its_keys(tmp_path: Pat
 
 
 @pytest.mark.parametrize("file", sorted((ROOT / "launch").glob("*.launch.py")), ids=lambda file: file.name)
-def test_a_launch_file_stays_on_this_machine(file: Path) -> None:
-    """ROS_AUTOMATIC_DISCOVERY_RANGE is set, to LOCALHOST unless the environment or an argument says otherwise."""
+def test_launch_files_limit_discovery_to_this_machine(file: Path) -> None:
+    """ROS_AUTOMATIC_DISCOVERY_RANGE is LOCALHOST unless the environment or an argument sets it."""
     text = file.read_text(encoding="utf-8")
     names = {getattr(n.func, "id", "") for n in ast.walk(ast.parse(text)) if isinstance(n, ast.Call)}
     assert "SetEnvironmentVariable" in names
@@ -161,7 +161,7 @@ def test_a_launch_file_stays_on_this_machine(file: Path) -> None:
     assert '"--enclave"' in text
 
 
-def test_nodes_started_by_us_stay_on_this_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_runner_limits_discovery_to_this_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     from dqwalk_ros.runner import environment
 
     monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE", raising=False)

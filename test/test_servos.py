@@ -1,4 +1,4 @@
-"""Models of servo types and of sensor errors: the physics behaves as their parameters say."""
+"""Models of servo types and of sensor errors: the physics matches their parameters."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ KNEE, HIP = MODEL.joint_names.index("l_knee_y"), MODEL.joint_names.index("l_hip_
 
 
 def hanging(**changes: object) -> PhysicsPlant:
-    """Poppy in the air, without gravity: its servos are all there is."""
+    """Return Poppy in the air without gravity, so that only the servos act."""
     config = TYPED.updated({name.replace("__", "."): value for name, value in changes.items()})
     plant = PhysicsPlant(config, MODEL, MODEL.posture(config.standing.posture))
     plant.mj.opt.gravity[:] = 0.0
@@ -44,7 +44,7 @@ def hanging(**changes: object) -> PhysicsPlant:
 # ---------------------------------------------------------------------- the table
 
 
-def test_stiffness_is_what_the_p_register_makes_of_the_stall_torque() -> None:
+def test_stiffness_follows_from_p_register_and_stall_torque() -> None:
     """P/8 of 1023 per step of 1/4096 of a turn: an MX-28 has 51 N m/rad at most, and 6.4 at its default."""
     for p, expected in ((254, 50.6), (32, 6.4)):
         servos = Servos.of(TYPED.updated({"servo.p_gain": p}), MODEL)
@@ -53,15 +53,15 @@ def test_stiffness_is_what_the_p_register_makes_of_the_stall_torque() -> None:
         assert servos.stiffness[HIP] / servos.stiffness[KNEE] == pytest.approx(6.0 / 2.5)
 
 
-def test_voltage_scales_the_torque_and_the_speed() -> None:
-    """The back EMF, torque per speed, is the motor's own."""
+def test_voltage_scales_torque_and_speed() -> None:
+    """The back-EMF constant, torque per speed, does not depend on the voltage."""
     at12, at15 = (Servos.of(TYPED.updated({"servo.voltage": v}), MODEL) for v in (12.0, 15.0))
     np.testing.assert_allclose(at15.torque, 1.25 * at12.torque)
     np.testing.assert_allclose(at15.back_emf, at12.back_emf)
     np.testing.assert_allclose(at15.torque / at15.back_emf, 1.25 * at12.torque / at12.back_emf)
 
 
-def test_every_motor_of_poppy_is_in_the_table_and_of_the_type_of_the_plant() -> None:
+def test_every_poppy_motor_has_the_servo_type_of_the_plant() -> None:
     from dqwalk_ros.plants.poppy import load_motors
 
     types, motors = load_types("servos"), load_motors("poppy")
@@ -71,7 +71,7 @@ def test_every_motor_of_poppy_is_in_the_table_and_of_the_type_of_the_plant() -> 
         assert named.torque[k] == types[motors[joint].type].stall_torque
 
 
-def test_a_type_of_ones_own(tmp_path) -> None:
+def test_a_custom_servo_type_is_used(tmp_path) -> None:
     table = tmp_path / "mine.yaml"
     table.write_text(
         "servos:\n  X: {stall_torque: 4.0, no_load_speed: 8.0, voltage: 12.0, duty: 10.0, p_register: false,\n"
@@ -93,44 +93,44 @@ def test_a_type_of_ones_own(tmp_path) -> None:
         ("assumed", "*=stiffness", "stiffness 49.2"),
     ],
 )
-def test_an_entry_that_cannot_be_read_is_refused(key: str, entry: str, message: str) -> None:
+def test_an_invalid_servo_entry_is_an_error(key: str, entry: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         Drive.of(CONFIG.updated({f"servo.{key}": [entry]}), MODEL)
 
 
-def test_the_controller_is_told_the_type_unless_it_is_told_otherwise() -> None:
+def test_the_controller_assumes_the_servo_type_unless_overridden() -> None:
     plain, typed = Drive.of(CONFIG, MODEL), Drive.of(TYPED, MODEL)
     assert (plain.stiffness == CONFIG.servo.assumed_stiffness).all()
     assert typed.stiffness[KNEE] == pytest.approx(50.6, rel=0.01)
     assert typed.damping[KNEE] == pytest.approx(2.5 / 5.76)
-    told = Drive.of(TYPED.updated({"servo.assumed": ["l_knee_y=stiffness 40, damping 0.01"]}), MODEL)
-    assert told.stiffness[KNEE] == 40.0
-    assert told.damping[KNEE] == pytest.approx(0.4)
-    assert told.stiffness[HIP] == typed.stiffness[HIP]
+    overridden = Drive.of(TYPED.updated({"servo.assumed": ["l_knee_y=stiffness 40, damping 0.01"]}), MODEL)
+    assert overridden.stiffness[KNEE] == 40.0
+    assert overridden.damping[KNEE] == pytest.approx(0.4)
+    assert overridden.stiffness[HIP] == typed.stiffness[HIP]
     effort = np.ones(MODEL.n)
-    np.testing.assert_allclose(told.angles(effort) * told.stiffness, effort)
+    np.testing.assert_allclose(overridden.angles(effort) * overridden.stiffness, effort)
 
 
-def test_a_lead_makes_up_for_the_back_emf_and_no_more() -> None:
+def test_the_lead_compensates_the_back_emf_only() -> None:
     late = TYPED.updated({"servo.assumed_latency": 0.06})
     plain, ahead = Drive.of(late, MODEL), Drive.of(late.updated({"servo.assumed_lead": 0.02}), MODEL)
     assert ahead.lead == pytest.approx(plain.damping)
-    assert (ahead.damping == 0.0).all()  # late feedback of damping excites the joint
+    assert (ahead.damping == 0.0).all()  # delayed damping feedback excites the joint
     assert ahead.delay < plain.delay
     sooner = Drive.of(late.updated({"servo.assumed_latency": 0.02, "servo.assumed_lead": 0.02}), MODEL)
     assert (sooner.damping > 0.0).all()
     assert (sooner.damping < plain.damping).all()
 
 
-def test_the_delay_is_latency_half_a_hold_and_the_lag_of_damping() -> None:
-    told = {"servo.assumed_latency": 0.04, "servo.assumed_rate": 50.0, "servo.assumed_damping": 0.02}
-    assert Drive.of(CONFIG.updated(told), MODEL).delay == pytest.approx(0.07)
+def test_the_delay_is_latency_plus_half_a_hold_plus_damping_lag() -> None:
+    assumed = {"servo.assumed_latency": 0.04, "servo.assumed_rate": 50.0, "servo.assumed_damping": 0.02}
+    assert Drive.of(CONFIG.updated(assumed), MODEL).delay == pytest.approx(0.07)
 
 
 # ---------------------------------------------------------------------- in the engine
 
 
-def test_a_servo_pushes_by_its_stiffness_and_no_more_than_it_stalls_at() -> None:
+def test_servo_torque_is_proportional_to_the_error_up_to_the_stall_torque() -> None:
     plant = hanging()
     data, rest = plant.data, plant.data.qpos[plant._qadr].copy()
     for error in (0.02, 0.04, 0.3):
@@ -143,7 +143,7 @@ def test_a_servo_pushes_by_its_stiffness_and_no_more_than_it_stalls_at() -> None
         assert plant.truth.effort[KNEE] == pytest.approx(expected, abs=1e-9)
 
 
-def test_within_the_play_of_the_gears_there_is_no_torque() -> None:
+def test_within_the_backlash_there_is_no_torque() -> None:
     plant = hanging()
     plant._goals[:] = plant.data.qpos[plant._qadr] + 0.0028  # less than half of 0.0058
     plant.data.qvel[:] = 0.0
@@ -151,8 +151,8 @@ def test_within_the_play_of_the_gears_there_is_no_torque() -> None:
     np.testing.assert_allclose(plant.truth.effort, 0.0, atol=1e-12)
 
 
-def test_a_servo_turns_no_faster_than_without_load() -> None:
-    """Its torque-speed line: full voltage gives the stall torque at rest and none at the speed without load."""
+def test_servo_torque_decreases_to_zero_at_the_no_load_speed() -> None:
+    """The torque-speed line: at full voltage, the stall torque at rest and zero at the no-load speed."""
     plant = hanging()
     fast = 5.76
     plant._goals[:, KNEE] += 1.0
@@ -163,7 +163,7 @@ def test_a_servo_turns_no_faster_than_without_load() -> None:
         assert plant.truth.effort[KNEE] == pytest.approx(torque, abs=1e-9)
 
 
-def test_a_goal_is_late_and_held() -> None:
+def test_goals_are_delayed_and_held() -> None:
     config = CONFIG.updated({"servo.latency": 0.02, "servo.rate": 50.0, "servo.resolution": 0.0}).servo
     drive = Drive.of(CONFIG, MODEL)
     q = np.zeros(MODEL.n)
@@ -176,8 +176,8 @@ def test_a_goal_is_late_and_held() -> None:
     np.testing.assert_allclose(seen, steps, atol=1e-12)
 
 
-def test_goals_that_change_within_a_tick_change_there() -> None:
-    """The engine's own loop takes the steps between two goals: the same as step by step."""
+def test_goals_may_change_within_a_tick() -> None:
+    """The engine makes several steps at once between two changes of the goals; the result equals single steps."""
     config = TYPED.updated({"servo.latency": 0.0023, "dt": 0.02})
     plant = PhysicsPlant(config, MODEL, MODEL.posture(config.standing.posture))
     once = mujoco.MjData(plant.mj)
@@ -197,13 +197,13 @@ def reading(q: float, dq: float = 0.0) -> Reading:
     return Reading(np.full(3, q), np.full(3, dq), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.array([0, 0, 9.81]))
 
 
-def test_readings_are_late_and_as_often_as_the_bus_reads() -> None:
+def test_readings_are_delayed_and_held_between_bus_reads() -> None:
     sensors = Sensors(SensorsConfig(rate=50.0, age=0.01))
     seen = [sensors.measure(0.005 * k, reading(float(k))).q[0] for k in range(12)]
     assert seen == [0, 0, 0, 0, 0, 0, 4, 4, 4, 4, 8, 8]
 
 
-def test_an_encoder_has_steps_and_velocity_is_what_it_sees() -> None:
+def test_encoder_angles_are_quantized_and_velocities_follow_from_them() -> None:
     sensors = Sensors(SensorsConfig(encoder=0.01, velocity_filter=0.02))
     out = [sensors.measure(0.005 * k, reading(0.5 * 0.005 * k, dq=0.5)) for k in range(400)]
     assert all(abs(r.q[0] / 0.01 - round(r.q[0] / 0.01)) < 1e-9 for r in out)
@@ -211,7 +211,7 @@ def test_an_encoder_has_steps_and_velocity_is_what_it_sees() -> None:
     assert np.std([r.dq[0] for r in out[100:]]) > 0.01
 
 
-def test_the_inertial_sensor_is_wrong_by_what_the_configuration_says() -> None:
+def test_errors_of_the_inertial_sensor_are_as_configured() -> None:
     c = SensorsConfig(
         attitude_bias=0.01, attitude_noise=0.002, gyro_bias=0.02, gyro_noise=0.005, accelerometer_bias=0.1,
         accelerometer_noise=0.05, seed=3,
@@ -226,7 +226,7 @@ def test_the_inertial_sensor_is_wrong_by_what_the_configuration_says() -> None:
     assert tilt.std(axis=0) == pytest.approx(np.full(2, 0.002), rel=0.05)
 
 
-def test_a_sensor_mounted_askew_turns_all_that_it_measures_alike() -> None:
+def test_a_misaligned_sensor_rotates_all_its_measurements() -> None:
     sensors, true = Sensors(SensorsConfig(misalignment=0.1, seed=1)), reading(0.0)
     out = sensors.measure(0.0, true)
     up = upward(*out.orientation)
@@ -242,8 +242,8 @@ def test_exact_sensors_change_nothing() -> None:
 # ---------------------------------------------------------------------- the floor
 
 
-def test_a_slope_is_felt_by_the_inertial_sensor() -> None:
-    """The floor rises ahead by 3 and to the left by 2 degrees, and the robot stands upright on it."""
+def test_the_inertial_sensor_measures_a_slope() -> None:
+    """The floor rises by 3 degrees forward and by 2 degrees to the left; the robot stands perpendicular to it."""
     a, b = math.radians(3.0), math.radians(2.0)
     config = CONFIG.updated({"physics.slope": a, "physics.slope_side": b})
     plant = PhysicsPlant(config, MODEL, MODEL.posture(config.standing.posture))
@@ -256,14 +256,14 @@ def test_a_slope_is_felt_by_the_inertial_sensor() -> None:
 
 
 def test_soft_servos_stand_on_a_slope_before_the_first_command() -> None:
-    """Goals hold the weight from the start: without that the robot is on its heels when the walk begins."""
+    """The initial goals compensate gravity; otherwise the robot would stand on its heels when the walk begins."""
     config = CONFIG.updated({"physics.slope": 0.035, "servo.stiffness": 25.0, "servo.assumed_stiffness": 25.0})
     plant = PhysicsPlant(config, MODEL, MODEL.posture(config.standing.posture))
     assert plant.truth.tilt < math.radians(0.1)
     assert np.abs(plant._goals - plant.commanded).max() > 0.005
 
 
-def test_rubble_lies_where_the_robot_does_not_begin() -> None:
+def test_rubble_leaves_the_initial_position_free() -> None:
     config = CONFIG.updated({"physics.rubble": 0.005})
     plant = PhysicsPlant(config, MODEL, MODEL.posture(config.standing.posture))
     boxes = plant.mj.geom_type == mujoco.mjtGeom.mjGEOM_BOX
@@ -273,8 +273,8 @@ def test_rubble_lies_where_the_robot_does_not_begin() -> None:
     assert not plant.fallen
 
 
-def test_the_report_judges_the_robot_not_its_sensors(tmp_path) -> None:
-    """Poses of the soles, from a bag, are those of the engine although every measured angle is late and in steps."""
+def test_the_report_uses_true_poses_not_measured_angles(tmp_path) -> None:
+    """The soles' poses from a bag equal those of the engine, although measured angles are delayed and quantized."""
     config = overlaid(dq.load("poppy"), "poppy_as_built").updated({"gait.steps": 1})
     model = dq.load_model(config.robot)
     plant, true = make_plant("physics", config, model), []
@@ -283,7 +283,7 @@ def test_the_report_judges_the_robot_not_its_sensors(tmp_path) -> None:
     )
     bag.write(trace, tmp_path / "bag")
     back = bag.read(tmp_path / "bag")
-    assert np.abs(back.q - back.physics.q).max() > 1e-3  # by its sensors the robot is elsewhere
+    assert np.abs(back.q - back.physics.q).max() > 1e-3  # the measured posture differs
     ground = reporting.analyse(back).ground
     count = min(len(true), len(trace))
     assert count >= 100
@@ -292,5 +292,5 @@ def test_the_report_judges_the_robot_not_its_sensors(tmp_path) -> None:
         np.testing.assert_allclose(DQ(ground.soles[foot][:count]).translation(), DQ(expected).translation(), atol=1e-6)
         turned = np.abs((ground.soles[foot][:count, :4] * expected[:, :4]).sum(axis=1))
         np.testing.assert_allclose(turned, 1.0, atol=1e-9)
-    without = dataclasses.replace(back.physics, q=np.full_like(back.q, np.nan))  # as bags were before
+    without = dataclasses.replace(back.physics, q=np.full_like(back.q, np.nan))  # an older bag
     assert np.isfinite(reporting.analyse(dataclasses.replace(back, physics=without)).ground.tilt).all()

@@ -22,7 +22,7 @@ SOLVERS = {"clarabel": ClarabelSolver, "daqp": DaqpSolver}
 
 
 def walked(kind, foot, count=15):
-    """Problems along a short way into a phase."""
+    """Yield the problems of the first ticks of a phase."""
     model, phase = setting()[1], phase_of(kind, foot)
     q, solver = phase.q_start, ClarabelSolver()
     for _ in range(count):
@@ -32,7 +32,7 @@ def walked(kind, foot, count=15):
 
 
 def random_problem(rng, n=8, equalities=2, inequalities=12, scale=1.0):
-    """A feasible problem with rows that matter: a random point satisfies all of it."""
+    """Return a feasible problem, satisfied by a random point, with active rows."""
     A, u = rng.normal(size=(3, n)), scale * rng.normal(size=n)
     E, G = rng.normal(size=(equalities, n)), rng.normal(size=(inequalities, n))
     H = A.T @ A + 0.01 * np.eye(n)
@@ -45,7 +45,7 @@ def random_problem(rng, n=8, equalities=2, inequalities=12, scale=1.0):
 
 @pytest.mark.parametrize("name", SOLVERS)
 @pytest.mark.parametrize(("kind", "foot"), KINDS)
-def test_answers_are_optimal_on_the_way(kind, foot, name):
+def test_solutions_along_a_phase_are_optimal(kind, foot, name):
     solver = SOLVERS[name]()
     for problem in walked(kind, foot):
         solution = solver.solve(problem)
@@ -55,7 +55,7 @@ def test_answers_are_optimal_on_the_way(kind, foot, name):
 
 @pytest.mark.parametrize("name", SOLVERS)
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e3])
-def test_answers_are_optimal_whatever_the_scale(name, scale):
+def test_solutions_are_optimal_at_every_scale(name, scale):
     rng, solver = np.random.default_rng(3), SOLVERS[name]()
     for _ in range(40):
         problem = random_problem(rng, scale=scale)
@@ -63,7 +63,7 @@ def test_answers_are_optimal_whatever_the_scale(name, scale):
 
 
 @pytest.mark.parametrize("name", SOLVERS)
-def test_rounding_is_no_motion_that_is_asked_for(name):
+def test_rounding_errors_cause_no_motion(name):
     rng, solver = np.random.default_rng(5), SOLVERS[name]()
     for _ in range(40):
         problem = random_problem(rng, n=12, equalities=6)
@@ -75,7 +75,7 @@ def test_rounding_is_no_motion_that_is_asked_for(name):
 
 
 @pytest.mark.parametrize("name", SOLVERS)
-def test_no_answer_names_rows(name):
+def test_an_infeasible_problem_names_its_rows(name):
     solver, rng = SOLVERS[name](), np.random.default_rng(5)
     problem = random_problem(rng, equalities=0)
     solver.solve(problem)
@@ -84,11 +84,11 @@ def test_no_answer_names_rows(name):
     with pytest.raises(QPError, match="row0") as caught:
         solver.solve(dataclasses.replace(problem, W=W, w=w))
     assert "row1" in caught.value.rows
-    assert solver.solve(problem).residuals(problem).largest < 1e-7  # and it goes on
+    assert solver.solve(problem).residuals(problem).largest < 1e-7  # the next problem is solved
 
 
 @pytest.mark.parametrize("name", SOLVERS)
-def test_numbers_that_are_none_are_refused(name):
+def test_nan_in_a_problem_is_an_error(name):
     if name == "daqp":
         pytest.importorskip("daqp")
     problem = random_problem(np.random.default_rng(5))
@@ -100,16 +100,16 @@ def test_numbers_that_are_none_are_refused(name):
         assert caught.value.status == "NotFinite"
 
 
-@pytest.mark.parametrize("lie", ["a bad status with good numbers", "a good status with bad numbers"])
-def test_an_answer_counts_only_with_its_status_and_its_residuals(lie, monkeypatch):
-    """A solver that ran out of time has plausible numbers, and one that says Solved may be wrong."""
+@pytest.mark.parametrize("fault", ["a bad status with good numbers", "a good status with bad numbers"])
+def test_a_solution_needs_a_valid_status_and_small_residuals(fault, monkeypatch):
+    """A solver that ran out of time returns plausible numbers, and one with the status Solved may be wrong."""
     problem = random_problem(np.random.default_rng(5))
     solve = _ClarabelProgram.solve
 
-    def lying(self):
+    def faulty(self):
         true, spent = solve(self)
         x, status = np.array(true.x), true.status
-        if lie.startswith("a bad status"):
+        if fault.startswith("a bad status"):
             status = clarabel.SolverStatus.MaxTime
         else:
             x += 1e-3
@@ -117,14 +117,14 @@ def test_an_answer_counts_only_with_its_status_and_its_residuals(lie, monkeypatc
 
     solver = ClarabelSolver()
     assert solver.solve(problem).residuals(problem).largest < 1e-7
-    monkeypatch.setattr(_ClarabelProgram, "solve", lying)
+    monkeypatch.setattr(_ClarabelProgram, "solve", faulty)
     with pytest.raises(QPError) as caught:
         solver.solve(problem)
-    assert ("MaxTime" in caught.value.status) is lie.startswith("a bad status")
+    assert ("MaxTime" in caught.value.status) is fault.startswith("a bad status")
 
 
-def test_a_row_that_seemed_too_far_away_counts():
-    """A valley takes the answer many gradient steps down, to a wall; the nearer walls say nothing."""
+def test_a_distant_row_that_becomes_active_is_respected():
+    """In a flat valley the solution is many gradient steps away, at a wall; nearer walls are inactive."""
     problem = Problem.of(
         np.diag([1.0 + 1e-6, 1e-6, 1e-6]), np.array([-1.0, -1e-2, 0.0]), np.empty((0, 3)), np.empty(0),
         np.array([[0.0, -1.0, 0.0]]), np.array([-500.0]), np.array([-1e3, -1e3, -1.0]), np.array([1e3, 1e3, 1.0]),
@@ -138,7 +138,7 @@ def test_a_row_that_seemed_too_far_away_counts():
     assert solution.residuals(problem).largest < 1e-7
 
 
-def test_a_walk_seldom_asks_for_all_rows():
+def test_a_walk_rarely_needs_all_rows():
     config, model = setting()
     solver = ClarabelSolver()
     controller, plant = make_controller(config, model), KinematicPlant(model)
@@ -162,7 +162,7 @@ def test_walks_do_not_depend_on_the_solver():
     assert np.abs(ways[0]).max() > 1e-3
 
 
-def test_daqp_answers_itself():
+def test_daqp_needs_no_fallback():
     solver = make_solver("daqp")
     for kind, foot in KINDS:
         for problem in walked(kind, foot, 5):

@@ -74,7 +74,7 @@ def test_jacobians_are_derivatives(base: Foot) -> None:
 
 
 def test_the_path_begins_at_the_center_of_mass_on_a_slope() -> None:
-    """Projected along gravity, as the error is; projected along the normal of the soles it is 23 mm beside it."""
+    """The projection is along gravity, as in the error; that along the normal of the soles is 23 mm away."""
     controller = make_controller(CONFIG, MODEL)
     q = MODEL.posture(CONFIG.standing.posture)
     controller.step(State(0.0, q, np.zeros(MODEL.n), up=np.array([0.0, np.sin(0.05), np.cos(0.05)])), CONFIG.dt)
@@ -84,7 +84,7 @@ def test_the_path_begins_at_the_center_of_mass_on_a_slope() -> None:
     assert np.linalg.norm(task.start - level) == pytest.approx(0.023, abs=0.001)
 
 
-def test_paths_begin_and_end_where_they_should_and_their_velocity_is_their_derivative() -> None:
+def test_swing_paths_connect_start_and_goal_and_their_velocity_is_the_derivative() -> None:
     start = DQ.from_pose([0.0, 0.1, 0.0]).vec8()
     goal = DQ.from_pose([0.1, 0.12, 0.0], [np.cos(0.1), 0.0, 0.0, np.sin(0.1)]).vec8()
     path = SwingPath(
@@ -102,7 +102,7 @@ def test_paths_begin_and_end_where_they_should_and_their_velocity_is_their_deriv
 
 
 def test_a_held_sole_without_ankle_roll_has_independent_rows() -> None:
-    """Six rows of rank five, and the answer of a quadratic program moves none of what can be moved."""
+    """The six rows have rank five; five rows are kept, and their null space is that of all six."""
     phase = make_walk(CONFIG, MODEL).phase(PhaseKind.DOUBLE_SUPPORT, Foot.LEFT, MODEL.posture(CONFIG.standing.posture))
     kin = Kinematics(MODEL, MODEL.posture(CONFIG.standing.posture), phase.base)
     E = problem_at(phase, kin, CONFIG.dt).E
@@ -128,8 +128,8 @@ def test_footsteps_are_flat_within_reach_and_mirrored() -> None:
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.2])
-def test_a_footprint_is_reached_with_the_com_over_either_foot(turn: float) -> None:
-    """Asked in a way of its own: all joint angles that hold both, found by a general least-squares solver."""
+def test_footprints_are_reachable_with_the_com_over_either_foot(turn: float) -> None:
+    """An independent check: a general least-squares solver finds joint angles that satisfy both."""
     x = StandingWalk(CONFIG, MODEL).footsteps.step(Foot.LEFT, 0.03, 0.0, turn)
     frame = MODEL.soles[Foot.RIGHT].frame
     for over in (Point(MODEL.soles[Foot.LEFT].frame, MODEL.soles[Foot.LEFT].center),
@@ -144,7 +144,7 @@ def test_a_footprint_is_reached_with_the_com_over_either_foot(turn: float) -> No
         assert np.abs(found.fun).max() < 1e-3
 
 
-def test_posture_names_joints_or_says_so() -> None:
+def test_an_invalid_posture_entry_is_an_error() -> None:
     for entry in ("knee=0.3", "?_knee_y=bent"):
         with pytest.raises(ConfigError, match=r"standing\.posture"):
             MODEL.posture([entry])
@@ -158,8 +158,8 @@ def test_gravity_torques_are_the_derivative_of_the_potential() -> None:
     assert tau == pytest.approx(MODEL.mass * 9.80665 * height, abs=1e-5)
 
 
-def test_both_soles_bear_as_much_as_they_carry() -> None:
-    """Seen from either sole, the other one a point that carries its part of the force; both weighted by the load."""
+def test_ground_torques_are_weighted_by_the_load_of_each_sole() -> None:
+    """Mean of two models, one per base sole, weighted by load; the other sole is a point with its part of the force."""
     X = np.array([1.0, 0.0, 0.0])
 
     def seen_from(base: Foot, q: np.ndarray, force: np.ndarray, share: float, ahead: float) -> np.ndarray:
@@ -184,14 +184,14 @@ def test_both_soles_bear_as_much_as_they_carry() -> None:
 
 
 def reference(path: ComPath, kin: Kinematics) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Place, velocity and acceleration of the path at one configuration."""
+    """Return position, velocity and acceleration of the path at one configuration."""
     goals = [kin.point(point.frame, point.offset) for point in path.over]
     return com_path(np.concatenate([np.zeros(2), *goals]), path.start, kin.elapsed, path.duration)
 
 
 @pytest.mark.parametrize("kind", [PhaseKind.DOUBLE_SUPPORT, PhaseKind.SINGLE_SUPPORT])
-def test_balance_torques_draw_the_com_to_its_path_with_the_pressure_inside(kind: PhaseKind) -> None:
-    """The formula of the docstring, in numpy, on a tilted sole; far off the pressure it needs is cut to the soles."""
+def test_balance_torques_follow_the_com_path_with_the_cop_inside_the_soles(kind: PhaseKind) -> None:
+    """The formula of the docstring, in numpy, on a tilted sole; a centre of pressure outside the soles is clamped."""
     goal = StandingWalk(CONFIG, MODEL).footsteps.step(Foot.LEFT, 0.05, 0.0, 0.0)
     phase = make_walk(CONFIG, MODEL).phase(kind, Foot.LEFT, MODEL.posture(CONFIG.standing.posture), goal)
     path = next(task for task in phase.tasks if isinstance(task, ComPath))
@@ -221,7 +221,7 @@ def test_balance_torques_draw_the_com_to_its_path_with_the_pressure_inside(kind:
 
 
 @pytest.mark.parametrize("over", [(Point("l_sole"),), (Point("l_sole"), Point("r_sole"))])
-def test_the_path_of_the_com_is_smooth(over: tuple[Point, ...]) -> None:
+def test_the_com_path_is_smooth(over: tuple[Point, ...]) -> None:
     path = ComPath(name="com", start=np.array([0.02, -0.1]), over=over, duration=1.2, saturation=1.0)
     q, h = somewhere(6), 1e-4
     for t in (0.2, 0.6, 1.1):
@@ -230,7 +230,7 @@ def test_the_path_of_the_com_is_smooth(over: tuple[Point, ...]) -> None:
         assert now[2] == pytest.approx((after[1] - before[1]) / (2 * h), abs=1e-6)
 
 
-def test_com_velocity_counts_a_sole_that_tips() -> None:
+def test_com_velocity_includes_the_rotation_of_a_tipping_sole() -> None:
     q, turning = somewhere(5), np.array([0.1, 0.2, 0.0])
     kin = Kinematics(MODEL, q, Foot.LEFT)
     in_imu = DQ(kin.pose("imu")).rotation_matrix().T @ turning
@@ -248,7 +248,7 @@ def walked(plant: str, **values: object):
 
 
 def kept(trace) -> dict[str, float]:
-    """Return the least of every distance of a walk, and the largest landing error as `miss`."""
+    """Return the smallest value of each distance of a walk, and the largest landing error as `miss` [m]."""
     least: dict[str, float] = {"miss": 0.0}
     ends = [record.start for record in trace.phases[1:]] + [len(trace) - 1]
     for record, end in zip(trace.phases, ends, strict=True):
@@ -266,7 +266,7 @@ def kept(trace) -> dict[str, float]:
     return least
 
 
-def stands(trace) -> None:
+def assert_balanced(trace) -> None:
     assert trace.finished, trace.notes
     least = kept(trace)
     assert least["edges"] >= -1e-4
@@ -275,9 +275,9 @@ def stands(trace) -> None:
 
 
 @pytest.mark.parametrize("first", ["left", "right"])
-def test_one_step_stands_on_its_true_soles(first: str) -> None:
+def test_one_step_stays_balanced_over_its_true_soles(first: str) -> None:
     trace, _ = walked("kinematic", gait__steps=1, gait__first_support=first)
-    stands(trace)
+    assert_balanced(trace)
     assert [record.name.split("/")[0] for record in trace.phases] == [
         "double_support", "single_support", "double_support", "single_support", "stance",
     ]  # fmt: skip
@@ -293,9 +293,9 @@ def test_one_step_stands_on_its_true_soles(first: str) -> None:
     ],
     ids=["20 ahead", "10 back", "a full turn"],
 )
-def test_long_walks_stand(values: dict[str, object], ahead: float, turned: float) -> None:
+def test_long_walks_stay_balanced(values: dict[str, object], ahead: float, turned: float) -> None:
     trace, _ = walked("kinematic", **values)
-    stands(trace)
+    assert_balanced(trace)
     walk = reporting.report(reporting.analyse(trace))["walk"]
     assert walk["forward"] == pytest.approx(ahead, abs=5e-3)
     assert walk["turned"] == pytest.approx(turned, abs=np.radians(1.0))
@@ -303,12 +303,12 @@ def test_long_walks_stand(values: dict[str, object], ahead: float, turned: float
 
 @pytest.mark.long
 @pytest.mark.parametrize("plant", ["kinematic", "physics"])
-def test_ankles_that_roll_step_aside(plant: str) -> None:
+def test_a_robot_with_ankle_roll_steps_sideways(plant: str) -> None:
     config = BIPED12.updated({"gait.steps": 10, "gait.step_length": 0.0, "gait.step_side": 0.03})
     model = dq.load_model(config.robot)
     trace = simulate(make_controller(config, model), make_plant(plant, config, model))
     if plant == "kinematic":
-        stands(trace)
+        assert_balanced(trace)
     report = reporting.report(reporting.analyse(trace))
     assert trace.finished, trace.notes
     assert report["walk"]["lateral"] == pytest.approx(0.3, abs=5e-3)
@@ -316,8 +316,8 @@ def test_ankles_that_roll_step_aside(plant: str) -> None:
 
 
 @pytest.mark.long
-def test_the_walk_of_the_paper_rests_on_the_foot_that_should_swing() -> None:
-    """The finding: the CoM leaves the true support, and the robot tips onto its other foot as soon as it may."""
+def test_in_physics_the_papers_walk_loads_its_swing_foot() -> None:
+    """The CoM leaves the true support polygon, and the robot tips onto its other foot in single support."""
     config = dq.load("paper")
     model = dq.load_model(config.robot)
     trace = simulate(make_controller(config, model), make_plant("physics", config, model), max_time=30.0)
@@ -329,7 +329,7 @@ def test_the_walk_of_the_paper_rests_on_the_foot_that_should_swing() -> None:
     assert report["physics"]["cop_inside"] < 0.9
 
 
-def test_a_step_in_physics() -> None:
+def test_one_step_in_physics_stays_balanced() -> None:
     trace, plant = walked("physics", gait__steps=1)
     assert trace.finished, trace.notes
     assert not plant.fallen
@@ -339,14 +339,14 @@ def test_a_step_in_physics() -> None:
     assert soles[0][0] == pytest.approx(0.05, abs=0.01)
 
 
-def test_the_physics_engine_makes_up_no_mass() -> None:
+def test_the_physics_model_has_the_mass_of_the_robot() -> None:
     plant = make_plant("physics", CONFIG.updated({"physics.settle": 0.0}), MODEL)
     assert plant.mj.body_mass.sum() == pytest.approx(MODEL.mass, rel=1e-12)
     assert plant.state.up == pytest.approx([0.0, 0.0, 1.0], abs=0.2)
 
 
-def test_a_transfer_that_stood_still_for_a_while_is_begun_anew() -> None:
-    """In the middle of it, taken up at the velocity it had, the path would tip the robot, which stands first."""
+def test_an_interrupted_transfer_starts_again_from_rest() -> None:
+    """Continued in the middle at its previous velocity, the path would tip the robot, so it stands first."""
     config = CONFIG.updated({"gait.steps": 1})
     model = dq.load_model(config.robot)
     controller, plant = make_controller(config, model), make_plant("physics", config, model)
@@ -356,7 +356,7 @@ def test_a_transfer_that_stood_still_for_a_while_is_begun_anew() -> None:
         if not 150 <= tick < 210:
             command = controller.step(state, dt)
         elif tick >= 150 + round(config.plant.command_timeout / dt):
-            command = still  # as every plant does in silence
+            command = still  # every plant holds after its command timeout
         state = plant.step(command, dt)
         assert not plant.fallen
         if tick == 210:
@@ -366,12 +366,12 @@ def test_a_transfer_that_stood_still_for_a_while_is_begun_anew() -> None:
     assert controller.phase.kind is PhaseKind.SINGLE_SUPPORT
 
 
-def test_a_plant_that_does_not_exist_is_an_error() -> None:
+def test_an_unknown_plant_is_an_error() -> None:
     with pytest.raises(PlantError, match="no plant is called 'fysics': kinematic, integrator, physics"):
         make_plant("fysics", CONFIG, MODEL)
 
 
-def test_a_swing_that_stood_still_for_a_while_goes_on_where_it_was() -> None:
+def test_an_interrupted_swing_continues_where_it_stopped() -> None:
     config = CONFIG.updated({"gait.steps": 1})
     model = dq.load_model(config.robot)
     controller, plant = make_controller(config, model), make_plant("physics", config, model)
@@ -385,10 +385,10 @@ def test_a_swing_that_stood_still_for_a_while_goes_on_where_it_was() -> None:
     command = controller.step(State(state.time + 60.0, state.q), config.dt)
     assert controller.phase_index == 1
     assert controller.phase_time0 == pytest.approx(began + 60.0)
-    assert np.abs(command.velocity).max() < 1.2 * speed  # nothing to make up for
+    assert np.abs(command.velocity).max() < 1.2 * speed  # it does not catch up
 
 
-def test_another_biped_walks_in_physics_with_a_configuration_of_its_own() -> None:
+def test_another_biped_walks_in_physics_with_its_own_configuration() -> None:
     config = BIPED12.updated({"gait.steps": 1})
     model = dq.load_model(config.robot)
     plant = make_plant("physics", config, model)
@@ -398,7 +398,7 @@ def test_another_biped_walks_in_physics_with_a_configuration_of_its_own() -> Non
 
 
 @pytest.mark.long
-def test_a_metre_in_physics() -> None:
+def test_a_walk_of_one_metre_in_physics_stays_balanced() -> None:
     config = CONFIG.updated({"gait.steps": 20})
     model = dq.load_model(config.robot)
     controller, plant = make_controller(config, model), make_plant("physics", config, model)

@@ -20,12 +20,12 @@ def python(code: str, here: Path = ROOT, **env: str) -> subprocess.CompletedProc
 
 
 @pytest.mark.parametrize("code", ["import dqwalk_ros", "import dqwalk_ros.cli"])
-def test_nothing_heavy_comes_with_the_package_or_its_help(code):
+def test_package_and_help_import_no_heavy_modules(code):
     out = python(f"{code}\nimport sys\nprint([name for name in {HEAVY!r} if name in sys.modules])").stdout
     assert out.strip() == "[]"
 
 
-def test_a_controller_is_ready_without_the_slow_parts_of_scipy():
+def test_the_controller_imports_no_slow_parts_of_scipy():
     code = (
         "import sys, numpy as np\n"
         "from dqwalk_ros import kinematics\n"
@@ -37,7 +37,7 @@ def test_a_controller_is_ready_without_the_slow_parts_of_scipy():
     assert python(code).stdout.strip() == "False False"
 
 
-def test_the_integrator_node_is_spared_numba():
+def test_the_integrator_node_does_not_import_numba():
     code = "import sys\nfrom dqwalk_ros.nodes.plant import Integrator\nfrom dqwalk_ros.robot import load_model\n"
     code += "from dqwalk_ros.config import load\nfrom dqwalk_ros.plants.kinematic import KinematicPlant\n"
     code += "KinematicPlant(load_model(load('paper').robot))\nprint('numba' in sys.modules)"
@@ -48,14 +48,14 @@ CODE = "import numpy as np\nfrom dqwalk_ros.kinematics import compose\nx = np.ey
 ANNOUNCED = "compiling for this machine"
 
 
-def test_compiling_is_announced_once_per_machine(tmp_path):
+def test_compilation_is_announced_once_per_machine(tmp_path):
     here = {"XDG_CACHE_HOME": str(tmp_path), "NUMBA_DISABLE_JIT": "0"}
     assert python(CODE, **here).stderr.count(ANNOUNCED) == 1
     assert ANNOUNCED not in python(CODE, **here).stderr
 
 
-def test_a_compiled_function_is_compiled_anew_when_what_it_calls_has_changed(tmp_path):
-    """numba itself looks at no file but the function's own."""
+def test_a_compiled_function_is_recompiled_when_a_function_it_calls_changes(tmp_path):
+    """numba itself checks only the file of the function."""
     package = tmp_path / "dqwalk_ros"
     shutil.copytree(ROOT / "dqwalk_ros", package, ignore=shutil.ignore_patterns("__pycache__"))
     here = {"XDG_CACHE_HOME": str(tmp_path), "NUMBA_DISABLE_JIT": "0", "PYTHONPATH": str(tmp_path)}

@@ -28,7 +28,7 @@ MODEL = dq.load_model(CONFIG.robot)
 PERIOD = CONFIG.standing.transfer_duration + CONFIG.standing.swing_duration
 
 
-def test_a_course_is_read_and_walked_in_order() -> None:
+def test_a_course_is_parsed_and_followed_in_order() -> None:
     course = Course.parse(["0.01,0,0.02,30", "-0.01,0.001,0,5"])
     assert course.legs == (Leg(0.01, 0.0, 0.02, 30.0), Leg(-0.01, 0.001, 0.0, 5.0))
     assert course.duration == 35.0
@@ -41,23 +41,23 @@ def test_a_course_is_read_and_walked_in_order() -> None:
 
 
 @pytest.mark.parametrize("asked", [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 9.0), (0.3, 0.2, -1.0)])
-def test_cmd_vel_is_clamped_to_what_the_legs_can_do(asked: tuple[float, float, float]) -> None:
+def test_cmd_vel_is_clamped_to_the_reach_of_the_legs(asked: tuple[float, float, float]) -> None:
     g = CONFIG.gait
     walked = np.array(StandingWalk(CONFIG, MODEL).steer(*asked)) * PERIOD
     most = np.array([g.most_length, g.most_side, g.most_turn])
     part = np.divide(walked, most, out=np.zeros(3), where=most > 0.0)
-    assert np.linalg.norm(part) == pytest.approx(1.0)  # as much as they can, and no more
+    assert np.linalg.norm(part) == pytest.approx(1.0)  # exactly the maximum
     assert (np.sign(walked) * np.sign(asked) >= 0.0).all()
     if most[1] == 0.0:
         assert walked[1] == 0.0
 
 
-def test_what_the_legs_can_do_is_not_changed() -> None:
+def test_cmd_vel_within_the_reach_of_the_legs_is_not_changed() -> None:
     asked = 0.4 * CONFIG.gait.most_length / PERIOD, 0.0, 0.4 * CONFIG.gait.most_turn / PERIOD
     assert StandingWalk(CONFIG, MODEL).steer(*asked) == pytest.approx(asked)
 
 
-def test_it_waits_walks_and_stops_with_the_feet_together() -> None:
+def test_a_steered_walk_waits_walks_and_stops_with_the_feet_together() -> None:
     controller, plant = make_controller(CONFIG, MODEL), make_plant("kinematic", CONFIG, MODEL)
     names: list[str] = []
     poses: list[np.ndarray] = []
@@ -83,12 +83,12 @@ def test_it_waits_walks_and_stops_with_the_feet_together() -> None:
     assert kinds == [PhaseKind.STANCE, double, single, PhaseKind.STANCE] or kinds == [
         PhaseKind.STANCE, double, single, double, single, PhaseKind.STANCE,
     ]  # fmt: skip
-    assert trace.phases[1].time >= 2.0  # it waited, however long a stance takes
+    assert trace.phases[1].time >= 2.0  # it waited longer than the stance requires
     jumps = np.linalg.norm(np.diff(poses, axis=0), axis=1)
-    assert jumps.max() < 0.2 * CONFIG.dt  # odometry goes on where the base changes
+    assert jumps.max() < 0.2 * CONFIG.dt  # odometry is continuous where the base changes
 
 
-def test_a_walk_that_goes_its_own_way_is_not_steered() -> None:
+def test_steering_or_stopping_a_walk_without_steering_is_an_error() -> None:
     counted = make_controller(CONFIG.updated({"gait.steps": 2}), MODEL)
     with pytest.raises(ConfigError, match=r"gait\.steps: 0"):
         counted.steer(0.01, 0.0, 0.0)
@@ -97,7 +97,7 @@ def test_a_walk_that_goes_its_own_way_is_not_steered() -> None:
         make_controller(config, dq.load_model(config.robot)).stop()
 
 
-def test_up_is_the_third_row_of_the_rotation_whatever_the_yaw() -> None:
+def test_the_up_vector_is_independent_of_yaw() -> None:
     r = np.random.default_rng(3).normal(size=4)
     r /= np.linalg.norm(r)
     up = DQ.from_pose([0.0, 0.0, 0.0], r).rotation_matrix()[2]
@@ -108,12 +108,12 @@ def test_up_is_the_third_row_of_the_rotation_whatever_the_yaw() -> None:
 
 @pytest.fixture(scope="module")
 def short():
-    """Three hundred ticks in physics, the first double support."""
+    """Return 1.6 s in physics, the first double support."""
     config = overlaid(dq.load("poppy"), "physics").updated({"gait.steps": 1})
     return simulate(make_controller(config, MODEL), make_plant("physics", config, MODEL), max_time=1.6)
 
 
-def test_looking_at_the_truth_changes_nothing() -> None:
+def test_reading_the_true_state_does_not_change_the_simulation() -> None:
     config = CONFIG.updated({"gait.steps": 1})
     ends = []
     for look in (False, True):
@@ -127,7 +127,7 @@ def test_looking_at_the_truth_changes_nothing() -> None:
     assert (ends[0] == ends[1]).all()
 
 
-def test_a_bag_keeps_what_the_physics_knew(short, tmp_path: Path) -> None:
+def test_a_bag_contains_the_physics_data(short, tmp_path: Path) -> None:
     bag.write(short, tmp_path / "bag")
     read = bag.read(tmp_path / "bag")
     assert read.physics is not None
@@ -137,9 +137,9 @@ def test_a_bag_keeps_what_the_physics_knew(short, tmp_path: Path) -> None:
         assert (read.physics.wrenches[foot] == short.physics.wrenches[foot]).all()
 
 
-def test_the_report_says_how_it_stood(short) -> None:
+def test_the_report_contains_the_balance_of_the_walk(short) -> None:
     report = reporting.report(reporting.analyse(short))
-    assert [one["what"] for one in report["violations"]] == ["finished"]  # it was stopped
+    assert [one["what"] for one in report["violations"]] == ["finished"]  # the walk was stopped early
     of = report["physics"]
     assert of["cop_inside"] == 1.0
     assert 0.0 <= of["tilt"]["value"] < np.radians(0.5)
@@ -156,8 +156,8 @@ def violated(trace) -> set[str]:
     return {violation["what"] for violation in reporting.report(reporting.analyse(trace))["violations"]}
 
 
-def test_the_report_sees_a_robot_that_does_not_stand(short) -> None:
-    """A centre of pressure 20 cm off on 2 % of the ticks, a sole that leans by 3 degrees, a robot that lies."""
+def test_the_report_detects_a_loss_of_balance(short) -> None:
+    """A centre of pressure 20 cm outside on 2 % of the ticks, a sole tilted by 3 degrees, a robot on the floor."""
     n = len(short)
     cop = short.physics.cop.copy()
     cop[: n // 50 + 1, 0] += 0.2
@@ -173,7 +173,7 @@ def test_the_report_sees_a_robot_that_does_not_stand(short) -> None:
     assert "fallen" in violated(tampered(short, pelvis=pelvis))
 
 
-def test_a_circle_is_found() -> None:
+def test_a_circle_is_fitted_through_points() -> None:
     angles = np.linspace(0.0, 5.0, 40)
     p = np.array([0.3, -0.2]) + 0.5 * np.column_stack([np.cos(angles), np.sin(angles)])
     circle = Circle.through(p)
@@ -182,7 +182,7 @@ def test_a_circle_is_found() -> None:
     assert circle.deviation < 1e-9
 
 
-def test_the_command_line_refuses_a_course_it_cannot_read(tmp_path: Path, capsys) -> None:
+def test_an_invalid_course_is_a_command_line_error(tmp_path: Path, capsys) -> None:
     arguments = ["simulate", "--config", "poppy", "--cmd-vel", "far", "--out", str(tmp_path / "walk")]
     assert main(arguments) == 2
     assert "--cmd-vel wants" in capsys.readouterr().err
@@ -191,7 +191,7 @@ def test_the_command_line_refuses_a_course_it_cannot_read(tmp_path: Path, capsys
 
 @pytest.mark.long
 @pytest.mark.timeout(900)
-def test_a_circle_by_cmd_vel_in_physics(tmp_path: Path) -> None:
+def test_cmd_vel_leads_the_robot_around_a_circle_in_physics(tmp_path: Path) -> None:
     out = tmp_path / "circle"
     arguments = ["simulate", "--config", "poppy", "--plant", "physics", "--cmd-vel", "0.012,0,0.037,172"]
     assert main([*arguments, "--out", str(out), "--quiet"]) == 0

@@ -50,8 +50,8 @@ def until(happened: Any, timeout: float = 20.0) -> None:
         time.sleep(0.01)
 
 
-def test_the_first_message_of_a_stranger_is_refused(make: Any) -> None:
-    """Nothing that the plant hears from then on moves it; no timer of the plant has to come by."""
+def test_commands_of_a_second_controller_are_ignored_from_the_first(make: Any) -> None:
+    """Commands cause no motion as soon as there are two publishers, before the plant's next periodic check."""
     plant = make("integrator", CONFIG)
     node = plant.node
     plant.foreign_node("controller").create_publisher(JointState, "joint_velocity_commands", QoSProfile(depth=1))
@@ -72,7 +72,7 @@ def test_the_first_message_of_a_stranger_is_refused(make: Any) -> None:
     until(lambda: node.commands._check() or "two controllers: /controller, /stranger" in plant.log)
 
 
-def test_the_watchdog_can_only_be_lowered_while_the_robot_moves(make: Any) -> None:
+def test_the_command_timeout_can_only_be_lowered_while_the_robot_moves(make: Any) -> None:
     plant = make("integrator", CONFIG)
     node = plant.node
 
@@ -93,7 +93,7 @@ def test_the_watchdog_can_only_be_lowered_while_the_robot_moves(make: Any) -> No
 
 
 @pytest.mark.parametrize("impulse", [1e12, -1e300, float("nan"), float("inf")])
-def test_a_push_beyond_all_bounds_is_refused(make: Any, impulse: float) -> None:
+def test_an_excessive_push_is_rejected(make: Any, impulse: float) -> None:
     from geometry_msgs.msg import WrenchStamped
 
     from dqwalk_ros.cli.options import overlaid
@@ -106,8 +106,8 @@ def test_a_push_beyond_all_bounds_is_refused(make: Any, impulse: float) -> None:
     assert not plant.node.plant.data.xfrc_applied.any()
 
 
-def test_a_second_one_says_so_and_does_not_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A node on this machine, however busy that is; one that was killed is in nobody's way."""
+def test_a_node_that_already_runs_does_not_start_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also on a busy machine; a killed node does not prevent the start."""
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     with private_domain() as domain:
         live = Live(tmp_path, domain, CONFIG)
@@ -134,12 +134,14 @@ def test_a_second_one_says_so_and_does_not_start(tmp_path: Path, monkeypatch: py
             live.close()
 
 
-def test_a_second_one_on_another_machine_is_heard(make: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No lock tells of it."""
+def test_a_node_that_runs_on_another_machine_is_detected(
+    make: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """There is no lock of it on this machine."""
     first, second = make("integrator", CONFIG), make("integrator", CONFIG)
     first.node.refuse_a_second()
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    second.node.refuse_a_second()  # the first one says nothing: it may be dead
+    second.node.refuse_a_second()  # the first one publishes nothing: it may be dead
     until(lambda: ros.other_publishers(second.node, "joint_states") == ("/integrator", "/integrator"))
     over = threading.Event()
 

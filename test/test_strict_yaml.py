@@ -56,7 +56,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_it_is_refused_with_the_line(name: str) -> None:
+def test_invalid_files_are_rejected_with_the_line(name: str) -> None:
     text, expected = BAD[name]
     with pytest.raises(ConfigError, match=expected) as caught:
         from_yaml(text, source="file.yaml")
@@ -64,15 +64,15 @@ def test_it_is_refused_with_the_line(name: str) -> None:
     assert len(str(caught.value)) < 1000
 
 
-def test_a_whole_number_is_a_real_one() -> None:
+def test_integers_are_accepted_for_real_parameters() -> None:
     assert from_yaml(HEAD + "    task: {eta: 1}\n").task.eta == 1.0
 
 
-def test_a_power_of_ten_is_a_number() -> None:
-    """As for rcl; YAML 1.1 alone would take it for a text."""
+def test_numbers_in_exponent_notation_are_accepted() -> None:
+    """As in rcl; by YAML 1.1 alone it would be a string."""
     assert from_yaml(HEAD + "    task: {eta: 5e-2}\n").task.eta == 0.05
 
 
-def test_what_we_write_we_read() -> None:
+def test_written_configurations_can_be_loaded() -> None:
     for config in (Config(), load("paper")):
         assert from_yaml(to_yaml(config)) == config

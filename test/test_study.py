@@ -47,7 +47,7 @@ def small(tmp_path):
     return write(tmp_path / "small.yaml", SHORT + vary)
 
 
-# ---------------------------------------------------------------------- what is walked
+# ---------------------------------------------------------------------- the points of a study
 
 
 def test_a_grid_is_every_combination_in_order(small):
@@ -57,7 +57,7 @@ def test_a_grid_is_every_combination_in_order(small):
 
 
 @pytest.mark.parametrize("sample", ["latin_hypercube", "sobol"])
-def test_samples_fill_the_ranges_and_repeat(tmp_path, sample):
+def test_samples_fill_the_ranges_and_are_reproducible(tmp_path, sample):
     text = f"{SHORT}sample: {sample}\ncount: 16\nseed: 4\nvary: {{task.eta: {{from: 1, to: 2}}, dt: [0.005, 0.004]}}\n"
     points = read(write(tmp_path / "s.yaml", text)).points()
     assert points == read(tmp_path / "s.yaml").points()
@@ -95,14 +95,14 @@ SIX = ", ".join(
         ("vary: " + "[" * 20000, "nested too deeply"),
     ],
 )
-def test_studies_of_no_use_are_refused_before_the_first_walk(tmp_path, text, words):
+def test_invalid_studies_are_rejected_before_the_first_walk(tmp_path, text, words):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(ConfigError, match=words):
         read(write(tmp_path / "wrong.yaml", text))
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # [kB]
 
 
-def test_a_walk_that_fails_is_a_result(tmp_path):
+def test_a_failed_walk_is_a_result(tmp_path):
     vary = "vary: {start.l_knee_y: [0.0, 0.1], start.nobody: [0.0], mass.pelvis: [1.0, 2.0]}\n"
     rows = walk_all(read(write(tmp_path / "s.yaml", SHORT + vary)), tmp_path / "out")
     assert len(rows) == 4
@@ -110,7 +110,7 @@ def test_a_walk_that_fails_is_a_result(tmp_path):
     assert all("no such joint" in row["end"] for row in rows.values())
 
 
-def test_starts_masses_and_disturbances_change_the_walk_and_repeat(tmp_path):
+def test_starts_masses_and_disturbances_change_the_walk_reproducibly(tmp_path):
     vary = "vary: {start.l_knee_y: [0.1], mass.pelvis: [1.0, 2.0], disturbance.velocity: [0.0, 0.01]}\n"
     study = read(write(tmp_path / "s.yaml", SHORT + vary))
     rows = walk_all(study, tmp_path / "a")
@@ -119,10 +119,10 @@ def test_starts_masses_and_disturbances_change_the_walk_and_repeat(tmp_path):
     assert walk_all(study, tmp_path / "b") == rows
 
 
-# ---------------------------------------------------------------------- where and how it is walked
+# ---------------------------------------------------------------------- schedulers, interruption and resumption
 
 
-def test_results_do_not_depend_on_where_they_were_walked(small, tmp_path):
+def test_results_do_not_depend_on_the_scheduler(small, tmp_path):
     study = read(small)
     one = walk_all(study, tmp_path / "one")
     assert walk_all(study, tmp_path / "two", jobs=2) == one
@@ -136,14 +136,14 @@ def test_results_do_not_depend_on_where_they_were_walked(small, tmp_path):
     assert all(row["finished"] for row in table), [row["end"] for row in table]
 
 
-def test_no_scheduler_is_one_sentence(small, tmp_path, monkeypatch):
+def test_a_missing_scheduler_is_an_error(small, tmp_path, monkeypatch):
     monkeypatch.setattr("dqwalk_ros.studies.runner._CONNECT_TIMEOUT", "1s")
     with pytest.raises(ConfigError, match="no Dask scheduler answers at tcp://"):
         walk_all(read(small), tmp_path / "out", scheduler="tcp://127.0.0.1:9")
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT], ids=["killed", "Ctrl-C"])
-def test_a_study_that_was_stopped_goes_on_without_losing_a_walk(tmp_path, number):
+def test_an_interrupted_study_resumes_without_losing_a_walk(tmp_path, number):
     text = SHORT + "vary: {gait.step_length: {from: 0.01, to: 0.03, steps: 12}}\n"
     study, out = write(tmp_path / "long.yaml", text), tmp_path / "out"
     command = [sys.executable, "-m", "dqwalk_ros.cli", "study", str(study), "--out", str(out), "--jobs", "1"]
@@ -152,15 +152,15 @@ def test_a_study_that_was_stopped_goes_on_without_losing_a_walk(tmp_path, number
     while not (log.exists() and len(log.read_text().splitlines()) > 3) and time.monotonic() < deadline:
         time.sleep(0.02)
     process.send_signal(number)
-    said = process.communicate(timeout=60)[1]
+    output = process.communicate(timeout=60)[1]
     if number == signal.SIGINT:
         assert process.returncode == 1
-        assert "of 12 walks are saved, the same command continues" in said
-        assert "Traceback" not in said
+        assert "of 12 walks are saved, the same command continues" in output
+        assert "Traceback" not in output
     before = log.read_text().splitlines()
     assert 3 < len(before) < 13
     with log.open("a") as file:
-        file.write('{"walk": 11, "finis')  # as a kill in the middle of a write leaves it
+        file.write('{"walk": 11, "finis')  # an incomplete line, as after a kill during a write
     walked = []
     rows = walk_all(read(study), out, progress=lambda done, total, last: walked.append(done))
     whole = [json.loads(line) for line in before[1:] if line.endswith("}")]
@@ -193,7 +193,7 @@ def square(index: int, point: dict[str, float]) -> Number:
         b"",
     ],
 )
-def test_a_damaged_line_is_walked_again(tmp_path, line):
+def test_the_walk_of_a_damaged_line_is_repeated(tmp_path, line):
     path = tmp_path / "walks.jsonl"
     path.write_bytes(b'{"study":"me"}\n{"walk":0,"square":0.0}\n' + line + b'\n{"walk":2,"square":4.0}\n')
     store = Store(path, "me", POINTS, Number)
@@ -222,14 +222,14 @@ def test_a_store_has_one_study_and_one_writer(tmp_path):
     anew.close()
 
 
-def test_a_folder_in_place_of_a_file_is_one_sentence(tmp_path):
+def test_a_folder_in_place_of_the_file_is_an_error(tmp_path):
     (tmp_path / "walks.jsonl").mkdir()
     with pytest.raises(StudyError, match="Is a directory"):
         Store(tmp_path / "walks.jsonl", "me", POINTS, Number)
 
 
 def _fill(path: Path) -> None:
-    resource.setrlimit(resource.RLIMIT_FSIZE, (200, 200))  # as a full disk: a write fails in the middle
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200, 200))  # like a full disk: a write fails in the middle
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     points = POINTS * 20
     try:
@@ -239,7 +239,7 @@ def _fill(path: Path) -> None:
     sys.exit(3)
 
 
-def test_a_full_disk_is_one_sentence_and_loses_nothing(tmp_path):
+def test_a_full_disk_is_an_error_and_loses_no_outcome(tmp_path):
     path = tmp_path / "walks.jsonl"
     process = multiprocessing.get_context("spawn").Process(target=_fill, args=(path,))
     process.start()
@@ -251,7 +251,7 @@ def test_a_full_disk_is_one_sentence_and_loses_nothing(tmp_path):
     store.close()
 
 
-def test_the_command_says_what_came_of_it(small, tmp_path, capsys):
+def test_the_study_command_reports_its_results_and_errors(small, tmp_path, capsys):
     out = tmp_path / "out"
     assert cli.main(["study", str(small), "--out", str(out), "--quiet", "--jobs", "1"]) == 0
     assert cli.main(["study", str(small), "--out", str(out)]) == 0
@@ -270,7 +270,7 @@ def test_the_command_says_what_came_of_it(small, tmp_path, capsys):
 # ---------------------------------------------------------------------- robustness
 
 
-def test_robustness_draws_cells_and_counts_them():
+def test_robustness_samples_cells_and_counts_failures():
     axes = {"physics.friction": (0.4, 0.8), "servo.latency": (0.0, 0.02, 0.04)}
     assert len(robustness.cells(axes)) == 6
     drawn = robustness.cells(axes, sample=4, seed=1)
@@ -289,21 +289,21 @@ def test_stiffness_is_varied_relative_to_the_robots_own():
     assert big[0] == pytest.approx(4000.0 * 25 / 60)
 
 
-def test_the_controller_may_be_told_a_wrong_latency():
+def test_the_assumed_latency_can_be_wrong():
     config = POPPY.updated({"servo.latency": 0.03, "sensors.age": 0.01})
     for error, expected in ((0.0, 0.04), (0.02, 0.06), (-0.02, 0.02), (-0.1, 0.0)):
         assert robustness.assumed(config, error)["servo.assumed_latency"] == pytest.approx(expected)
 
 
-def test_as_built_is_walked_at_two_gains_and_with_many_seeds():
+def test_robustness_as_built_varies_gain_and_seed():
     axes = robustness.axes_of(overlaid(POPPY, "poppy_as_built"))
     assert len(robustness.cells(axes)) == 40
     done = [robustness.Cell({"servo.p_gain": 255.0, "sensors.seed": k}, True, 1.0, 3, "", 0.001 * k) for k in range(3)]
     assert "loaded sole: 0.06 degrees" in table(done, axes)
 
 
-def test_a_robot_with_weak_servos_that_nothing_holds_falls(tmp_path):
-    """The cell says so: 8 N m/rad per joint are less than the weight of the pendulum asks for."""
+def test_a_robot_with_weak_servos_falls(tmp_path):
+    """8 N m/rad per joint is less than the gravitational stiffness m g h of the robot requires."""
     values = {"servo.stiffness": 8.0, "servo.assumed_stiffness": 0.0, "standing.balance": 0.0}
     config = POPPY.updated({"gait.steps": 1})
     (cell,) = robustness.walk_all(config, [values], tmp_path)
@@ -341,7 +341,7 @@ def test_pushes_scale_with_the_robot():
     assert pushes.impulse_scale(big) > 1.5 * scale
 
 
-def test_limits_are_kept_and_drawn(tmp_path, monkeypatch, capsys):
+def test_limits_of_pushes_are_saved_and_printed(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(
         pushes, "pushed", lambda config, push: "fell" if push.impulse > 0.8 + 0.1 * push.direction else ""
     )
@@ -359,12 +359,12 @@ def test_limits_are_kept_and_drawn(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().out == shown
 
 
-def test_a_push_is_survived_or_not():
+def test_a_small_push_is_survived_and_a_large_one_is_not():
     assert not pushes.pushed(POPPY, pushes.Push("standing", 0.0, 0.1))
     assert "fell" in pushes.pushed(POPPY, pushes.Push("standing", 0.0, 3.0))
 
 
-def test_a_stance_that_never_comes_is_not_pushed(monkeypatch):
+def test_a_push_in_a_phase_that_never_begins_is_an_error(monkeypatch):
     monkeypatch.setattr(pushes, "_due", lambda controller, time, number, part: False)
     monkeypatch.setattr(pushes, "_LATE", -1.0)
     monkeypatch.setattr(pushes, "_STANDS", 0.1)

@@ -22,7 +22,7 @@ def walk(scenario: Scenario) -> WholeBodyTrace:
     return follow(controller, TorquePlant(MODEL, controller.start, pushed="chest"), scenario)
 
 
-def test_it_walks_on_soft_ground() -> None:
+def test_the_robot_walks_on_compliant_ground() -> None:
     walked = walk(Scenario("soft", 1.15, ((0.0, (1.2, -0.8, 0.9)),)))
     assert walked.stood, walked.note
     assert walked.error[-1] < walked.error[0] - 0.3
@@ -32,7 +32,7 @@ def test_it_walks_on_soft_ground() -> None:
 
 
 def test_a_push_is_an_impulse() -> None:
-    """In the air, where nothing holds it, the momentum is the impulse, and gravity's."""
+    """Without contacts, the momentum equals the impulse plus that of gravity."""
     controller = WholeBodyController(CONFIG, MODEL)
     start = controller.start
     high = start.x_base.copy()
@@ -50,7 +50,7 @@ def test_a_push_is_an_impulse() -> None:
     assert body.mass * d.com_velocity == pytest.approx([0.0, 15.0, -body.mass * 9.81 * 0.06], abs=0.05)
 
 
-def test_what_cannot_be_used_is_said() -> None:
+def test_invalid_arguments_are_errors() -> None:
     controller = WholeBodyController(CONFIG, MODEL)
     plant = TorquePlant(MODEL, controller.start, pushed="chest")
     with pytest.raises(PlantError, match="impulse"):
@@ -61,7 +61,7 @@ def test_what_cannot_be_used_is_said() -> None:
 
 
 @pytest.mark.long
-def test_test_1_completes() -> None:
+def test_scenario_1_completes() -> None:
     walked = walk(SCENARIOS["1"])
     assert walked.stood, walked.note
     assert walked.error[walked.at(4.0)] < 0.10

@@ -81,7 +81,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_it_is_refused_with_the_place(name: str) -> None:
+def test_invalid_descriptions_are_rejected_with_element_and_line(name: str) -> None:
     text, expected = BAD[name]
     began = time.process_time()
     with pytest.raises(ModelError, match=expected):
@@ -115,7 +115,7 @@ REPAIRED = {
 
 
 @pytest.mark.parametrize("name", REPAIRED)
-def test_what_ros_tools_take_is_taken(name: str) -> None:
+def test_flaws_that_ros_tools_accept_are_repaired(name: str) -> None:
     text, expected = REPAIRED[name]
     urdf = Urdf(text, "odd.urdf")
     if expected:
@@ -126,21 +126,21 @@ def test_what_ros_tools_take_is_taken(name: str) -> None:
     for one in urdf.links.values():
         a, b, c = np.linalg.eigvalsh(one.inertia)
         assert not one.mass or (a > 0.0 and a + b >= c * 0.999)
-    again = Urdf(urdf.text(), "again")  # what is written needs no repair
+    again = Urdf(urdf.text(), "again")  # the written text needs no repair
     assert not again.repairs
     assert again.text() == urdf.text()
 
 
-def test_no_mesh_is_opened(tmp_path: Path) -> None:
+def test_mesh_files_are_not_opened(tmp_path: Path) -> None:
     trap = tmp_path / "trap.stl"
-    os.mkfifo(trap)  # opening it would wait forever
+    os.mkfifo(trap)  # opening it would block forever
     mesh = f'<visual><geometry><mesh filename="{trap}" scale="0.1 0.1 0.1"/></geometry></visual>'
     (shape,) = Urdf(robot(link("a", more=mesh)), "x").links["a"].visuals
     assert (shape.kind, shape.mesh, shape.size) == ("mesh", str(trap), (0.1, 0.1, 0.1))
 
 
 @pytest.mark.parametrize("path", OURS, ids=lambda path: path.name)
-def test_our_own_need_no_repair_and_are_read_as_by_yourdfpy(path: Path) -> None:
+def test_own_descriptions_need_no_repair_and_match_yourdfpy(path: Path) -> None:
     urdf = Urdf.load(path)
     assert not urdf.repairs
     known = yourdfpy.URDF.load(str(path), load_meshes=False, build_scene_graph=False).robot
@@ -167,12 +167,12 @@ angles = st.floats(-4.0, 4.0) | st.sampled_from([0.0, np.pi / 2, -np.pi / 2, np.
 
 
 @given(st.tuples(angles, angles, angles))
-def test_an_origin_is_found_again(rpy: tuple[float, float, float]) -> None:
+def test_an_origin_is_recovered_from_its_matrix(rpy: tuple[float, float, float]) -> None:
     pose = Origin((1.0, 2.0, 3.0), rpy).matrix
     np.testing.assert_allclose(Origin.of(pose).matrix, pose, atol=1e-8)
 
 
-def test_a_joint_fixed_at_an_angle_is_where_it_would_have_turned_to() -> None:
+def test_a_joint_fixed_at_an_angle_has_the_pose_of_that_angle() -> None:
     urdf = Urdf(robot(A, B, joint(more='<origin xyz="1 0 0" rpy="1.5707963 0 0"/><axis xyz="0 0 1"/>')), "x")
     turned = urdf.joints["j"].at(0.3).matrix
     urdf.weld({"j": 0.3})
@@ -181,7 +181,7 @@ def test_a_joint_fixed_at_an_angle_is_where_it_would_have_turned_to() -> None:
     assert turned[2, 0] == pytest.approx(np.sin(0.3))  # about -y of the parent
 
 
-def test_files_of_packages_are_found_around_the_description(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_package_files_are_found_near_the_description(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = tmp_path / "my_robot" / "meshes" / "foot.stl"
     near = tmp_path / "my_robot" / "urdf" / "deep" / "my.urdf"
     for path in (mesh, near):

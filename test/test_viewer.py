@@ -49,10 +49,10 @@ def views(trace, count=40):
         yield tick, scene.look(moment_of(trace, tick, phases))
 
 
-def test_shapes_are_those_of_the_urdf(trace):
+def test_shapes_match_the_urdf(trace):
     shapes = shapes_of(trace.config, trace.model)
     kept = trace.model.urdf.count("<visual>")
-    assert len(shapes) == kept > 40  # what is dropped is not in the model's URDF
+    assert len(shapes) == kept > 40  # dropped links are not in the model's URDF
     assert {shape.kind for shape in shapes} == {"box", "cylinder", "sphere"}
     assert {shape.body for shape in shapes} <= set(range(len(trace.model.bodies)))
     urdf = io.BytesIO(trace.model.urdf.encode())
@@ -63,7 +63,7 @@ def test_shapes_are_those_of_the_urdf(trace):
         placed = DQ(frame.pose) * DQ.from_matrix(origin[:3, :3], origin[:3, 3])
         point = np.array([0.1, 0.2, 0.3])
         np.testing.assert_allclose(DQ(shape.pose).transform_point(point), placed.transform_point(point), atol=1e-12)
-    # the drawn feet touch the ground the sole stands on, to the thickness of the drawing
+    # the lowest shape is within 3 cm above the ground on which the sole stands
     q = np.zeros(trace.model.n)
     kin = Kinematics(trace.model, q, Foot.LEFT)
     lowest = min(
@@ -75,8 +75,8 @@ def test_shapes_are_those_of_the_urdf(trace):
     assert -1e-3 < lowest < 0.03
 
 
-def test_meshes_are_seen(trace, tmp_path):
-    """A mesh of the URDF is among the shapes, at its scale and place, coarser where it is fine, and in the replay."""
+def test_meshes_are_shown(trace, tmp_path):
+    """A mesh of the URDF is among the shapes, scaled and placed, with fewer faces, and in the replay."""
     trimesh.creation.icosphere(subdivisions=6, radius=60.0).export(tmp_path / "part.stl")
     mesh = '<geometry><mesh filename="part.stl" scale="0.001 0.001 0.001"/></geometry>'
     look = f'<visual><origin xyz="0 0 0.1"/>{mesh}</visual>'
@@ -92,7 +92,7 @@ def test_meshes_are_seen(trace, tmp_path):
     assert len(b64decode(drawn["f"])) == 4 * mesh.faces.size
 
 
-def test_a_view_stands_where_the_walk_does(trace):
+def test_views_match_the_walk(trace):
     for tick, view in views(trace):
         index = view.moment.index
         record = trace.phases[index]
@@ -110,8 +110,8 @@ def test_a_view_stands_where_the_walk_does(trace):
         assert view.tightest.value == min((g for g in view.gauges if g.role == "kept"), key=lambda g: g.share).value
 
 
-def test_regions_are_where_their_distance_is_zero(trace):
-    """The centre of a drawn wall or plane lies on it; a point on a drawn cylinder's side has no margin left."""
+def test_the_distance_at_the_boundary_of_a_region_is_zero(trace):
+    """At the centre of a drawn wall or plane, and on the side of a drawn cylinder."""
     for tick, view in views(trace):
         record, phase = trace.phases[view.moment.index], view.moment.phase
         x = DQ(record.x_odom_base)
@@ -130,8 +130,8 @@ def test_regions_are_where_their_distance_is_zero(trace):
                 assert abs(t[0] * v[1] - t[1] * v[0]) < 1e-12
 
 
-def test_markers_are_the_shapes_of_the_page(trace):
-    """Seen from the base sole, each constraint's shape under its name."""
+def test_markers_match_the_shapes_of_the_page(trace):
+    """In the frame of the base sole, the shape of each constraint under its name."""
     from dqwalk_ros.nodes.markers import markers
 
     for tick, view in views(trace, 5):
@@ -152,7 +152,7 @@ def test_markers_are_the_shapes_of_the_page(trace):
             np.testing.assert_allclose(at[name], (back * DQ(region.pose)).translation(), atol=1e-12)
 
 
-def test_gauges_say_metres_left(trace):
+def test_gauges_show_the_remaining_distance(trace):
     for tick, view in views(trace):
         phase = view.moment.phase
         kin = Kinematics(trace.model, trace.q[tick], phase.base)
@@ -165,7 +165,7 @@ def test_gauges_say_metres_left(trace):
         assert gauges["joint_min"].value == pytest.approx(low, abs=1e-9)
 
 
-def test_panels_say_it_in_words(trace):
+def test_panels_list_every_margin(trace):
     history = History()
     for _, view in views(trace, 60):
         history.add(view)
@@ -178,7 +178,7 @@ def test_panels_say_it_in_words(trace):
     assert len(history.marks) == 4
 
 
-def test_a_history_stays_small_and_whole(trace):
+def test_the_history_is_bounded_and_covers_the_whole_walk(trace):
     _, view = next(views(trace, 1))
     history = History()
     moment = view.moment
@@ -226,7 +226,7 @@ def test_the_page_serves_and_plays(trace):
         ("127.0.0.1:{port}", "null", False),
     ],
 )
-def test_only_pages_of_this_machine_are_answered(page, host, origin, allowed):
+def test_requests_of_foreign_pages_are_rejected(page, host, origin, allowed):
     port = page.server.get_port()
     lines = ["GET / HTTP/1.1", f"Host: {host.format(port=port)}", "Upgrade: websocket", "Connection: Upgrade"]
     lines += ["Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Version: 13"]
@@ -238,7 +238,7 @@ def test_only_pages_of_this_machine_are_answered(page, host, origin, allowed):
     assert status == ("101" if allowed else "403")
 
 
-def test_a_push_is_offered_and_given(page):
+def test_the_push_buttons_apply_pushes(page):
     pushes: list[list[float]] = []
     buttons = {}
     gui, page._push = page.server.gui, None
@@ -254,8 +254,8 @@ def test_a_push_is_offered_and_given(page):
     assert pushes == [[0.0, 0.3, 0.0], [-0.3, 0.0, 0.0]]
 
 
-def test_the_divergent_component_is_ahead_of_a_body_that_moves(trace):
-    """By v/w, with w^2 = g/h; over the centre of mass where nothing moves."""
+def test_the_divergent_component_is_ahead_of_the_com_by_its_velocity(trace):
+    """By v/w with w^2 = g/h; at rest it is above the centre of mass."""
     scene, moment = Scene(trace.config, trace.model), moment_of(trace, 200, {})
     view = scene.look(moment)
     still = scene.look(replace(moment, dq=np.zeros_like(moment.q)))
@@ -269,8 +269,8 @@ def test_the_divergent_component_is_ahead_of_a_body_that_moves(trace):
 
 
 @pytest.mark.parametrize("value", ["abc", float("nan"), 1e308, None, [1], {}])
-def test_a_control_of_a_wrong_type_moves_nothing_and_ends_nothing(page, trace, value):
-    """A browser may send anything: the page plays on."""
+def test_control_values_of_a_wrong_type_are_ignored(page, trace, value):
+    """A browser can send any value; the replay continues."""
     player = Player(page, trace)
     event = SimpleNamespace(client=object(), target=SimpleNamespace(value=value))
     player._on_slider(event)
@@ -282,12 +282,12 @@ def test_a_control_of_a_wrong_type_moves_nothing_and_ends_nothing(page, trace, v
     player.run(going=lambda: page.shown < pictures + 2)
 
 
-def test_a_name_of_a_bag_is_text(page):
+def test_bag_names_are_escaped(page):
     page.say("reading <img src=x onerror=alert(3)>")
     assert "<img" not in page._status.content
 
 
-def test_the_page_is_for_this_machine_only(trace):
+def test_the_page_listens_on_this_machine_only(trace):
     page = Page(0)
     try:
         port = int(page.url.rpartition(":")[2])
@@ -301,8 +301,8 @@ def test_the_page_is_for_this_machine_only(trace):
         page.close()
 
 
-def test_an_adopted_robot_is_shown_as_it_stands(tmp_path):
-    """Both soles on the ground side by side, the CoM over their middle, and an arrow between them, ahead."""
+def test_an_adopted_robot_is_shown_in_its_standing_posture(tmp_path):
+    """Both soles on the ground side by side, the CoM above their midpoint, from which an arrow points forward."""
     found = adopt(DATA / "small_humanoid.urdf", tmp_path)
     page = Page(0)
     try:

@@ -13,7 +13,7 @@ from dqwalk_ros.nodes.wheels import TimerWaker
 
 
 class Timer:
-    """Due in so many nanoseconds; reset, it is due in a second."""
+    """A timer due in `left` nanoseconds; after a reset, in one second."""
 
     def __init__(self, left: int | None) -> None:
         self.left, self.resets = left, 0
@@ -25,7 +25,7 @@ class Timer:
         self.left, self.resets = 1_000_000_000, self.resets + 1
 
 
-def test_only_what_overslept_is_woken_once_and_the_loop_always() -> None:
+def test_only_overdue_timers_are_reset_and_the_loop_is_always_woken() -> None:
     timers = {"early": Timer(5_000_000), "held up": Timer(-20_000_000), "cancelled": Timer(None)}
     timers["overslept"] = Timer(-3_600_000_000_000)
     looks = threading.Semaphore(0)
@@ -38,5 +38,5 @@ def test_only_what_overslept_is_woken_once_and_the_loop_always() -> None:
     assert {name: timer.resets for name, timer in timers.items()} == {**dict.fromkeys(timers, 0), "overslept": 1}
 
 
-def test_stop_before_it_began_does_nothing() -> None:
+def test_stop_before_start_has_no_effect() -> None:
     TimerWaker(SimpleNamespace(timers=()), None).stop()  # type: ignore[arg-type]

@@ -37,13 +37,13 @@ def walk(scenario: Scenario, changes: dict | None = None, **options) -> WholeBod
 
 @cache
 def reached() -> WholeBodyTrace:
-    """A walk in place until a target appears in mid-swing, at 0.8 s."""
+    """Return a walk in place until a target appears during a swing, at 0.8 s."""
     return walk(Scenario("short", 2.0, ((0.8, TARGET[0][1]),)))
 
 
 @cache
 def problems() -> tuple:
-    """Return every 20th hierarchy of a short walk with a push, and its answer."""
+    """Return every 20th hierarchy of a short walk with a push, with its solution and layout."""
     controller = WholeBodyController(CONFIG, MODEL)
     plant = RigidPlant(MODEL, controller.start, pushed="chest")
     controller.reach(TARGET[0][1])
@@ -59,24 +59,24 @@ def problems() -> tuple:
 
 
 def assert_limits(walked: WholeBodyTrace) -> None:
-    """Assert what level 1 promises on every tick, by the plant's own forces."""
+    """Assert that level 1 holds on every tick, with the contact forces of the plant."""
     assert walked.stood, walked.note
     for name in ("cop_margin", "friction", "normal", "torque", "joint", "step"):
-        least = -1e-5 if name == "joint" else -1e-6  # (S9) is no more exact than the integration, nor an impact
+        least = -1e-5 if name == "joint" else -1e-6  # (S9) has the error of the integration and of impacts
         assert walked.margins[name].min() > least, name
     assert walked.residual.max() < 1e-6
     assert walked.violation.max() == 0.0
 
 
-def test_every_answer_is_exact() -> None:
-    """Level 1 and 2 to 1e-8, and the accelerations those of Clarabel to 1e-3 rad/s^2."""
+def test_every_solution_is_exact() -> None:
+    """Levels 1 and 2 hold to 1e-8, and the accelerations equal those of Clarabel to 1e-3 rad/s^2."""
     for h, answer, layout in problems():
         assert h.violation(answer.x).max() < 1e-8
         assert answer.x[: layout.nv] == pytest.approx(clarabel_solution(h)[: layout.nv], abs=1e-3)
 
 
 def test_infeasible_balance_keeps_level_one() -> None:
-    """A capture point 0.6 m ahead cannot be stopped at in two steps: (S14) is missed by the least there is."""
+    """A capture point 0.6 m ahead cannot be reached in two steps: the residual of (S14) is the smallest possible."""
     far = infeasible(CONFIG, MODEL)
     assert far.method == "level 2 relaxed"
     assert far.level1 < 1e-7
@@ -84,18 +84,18 @@ def test_infeasible_balance_keeps_level_one() -> None:
     assert far.residual > 0.05
 
 
-def test_it_walks_towards_the_target() -> None:
+def test_the_robot_walks_towards_the_target() -> None:
     walked = reached()
     assert_limits(walked)
     assert walked.error[-1] < walked.error[walked.at(0.9)] - 0.3
-    assert len(walked.footholds()) == 3  # the foot it stands on first, and two steps
+    assert len(walked.footholds()) == 3  # the first stance foot and two steps
     assert np.abs(walked.height_error).max() < 1e-3
     assert walked.tilt.max() < 0.02
     assert walked.effort.std(axis=0).max() > 1.0
 
 
 def test_the_next_footstep_follows_the_target_at_once() -> None:
-    """The target appears in mid-swing: the landing place previewed in that very tick is another."""
+    """The target appears during a swing: the landing position planned in the same tick changes."""
     walked = reached()
     i = walked.at(0.8) + 1
     assert walked.time[i] == pytest.approx(0.8)
@@ -104,8 +104,8 @@ def test_the_next_footstep_follows_the_target_at_once() -> None:
     assert np.linalg.norm(walked.landing[i] - walked.landing[i - 1]) > 5.0 * usual + 1e-3
 
 
-def test_the_forces_of_the_plant_are_those_planned() -> None:
-    """From the torques alone the plant finds the motion and the wrenches that the controller meant."""
+def test_the_contact_forces_of_the_plant_match_the_plan() -> None:
+    """From the torques alone the plant computes the accelerations and contact wrenches of the controller's plan."""
     controller = WholeBodyController(CONFIG, MODEL)
     plant = RigidPlant(MODEL, controller.start, pushed="chest")
     controller.reach(TARGET[0][1])
@@ -137,8 +137,8 @@ def test_a_push_obeys_the_law_of_impact() -> None:
     assert J.T @ impulse == pytest.approx(missing, abs=1e-8)
 
 
-def test_without_balance_it_falls() -> None:
-    """The negative control: without the second level it does not stand for two seconds."""
+def test_without_the_balance_level_the_robot_falls() -> None:
+    """Negative control: without the second level the robot falls within two seconds."""
     walked = walk(Scenario("no balance", 2.0, TARGET), {"capturability": False})
     assert not walked.stood
     assert walked.time[-1] < 2.0
@@ -149,7 +149,7 @@ def in_place() -> WholeBodyTrace:
     return walk(Scenario("in place", 1.35))
 
 
-def test_without_a_target_it_walks_in_place() -> None:
+def test_without_a_target_the_robot_walks_in_place() -> None:
     walked = in_place()
     assert_limits(walked)
     places = np.array([place for _, place in walked.footholds()])
@@ -157,8 +157,8 @@ def test_without_a_target_it_walks_in_place() -> None:
     assert 0.15 < np.abs(walked.com_velocity[:, 1]).max() < 0.45
 
 
-def test_an_obstacle_is_kept_clear_of() -> None:
-    """A distance of one's own: a sphere where the hand would pass, and it goes around."""
+def test_the_hand_avoids_an_obstacle() -> None:
+    """A user-defined distance: the hand avoids a sphere on its path."""
     scenario = Scenario("obstacle", 0.7, ((0.0, (0.45, -0.35, 0.9)),))
     free = walk(scenario)
     at = int(0.45 / CONFIG.dt)
@@ -174,8 +174,8 @@ def test_an_obstacle_is_kept_clear_of() -> None:
     assert clearance(kept) > -1e-3
 
 
-def test_an_objective_of_ones_own() -> None:
-    """The left hand reaches as well, in two lines."""
+def test_a_custom_objective_is_followed() -> None:
+    """The left hand also reaches for a position."""
     place = np.array([0.25, 0.35, 0.95])
     own = FramePosition(name="left hand", frame="L_hand", target=place, kp=100.0)
     controller = WholeBodyController(CONFIG, MODEL, objectives=[own])
@@ -192,8 +192,8 @@ def test_an_objective_of_ones_own() -> None:
     assert error() < 0.5 * first
 
 
-def test_joint_bounds_stop_in_time() -> None:
-    """A joint driven against its limit as hard as (S9) allows comes to rest before it."""
+def test_joint_bounds_stop_a_joint_before_its_limit() -> None:
+    """A joint accelerated towards its limit as much as (S9) allows stops before it."""
     q, dq = MODEL.q_max - 0.3, np.full(MODEL.n, 4.0)
     for _ in range(400):
         _, upper = joint_bounds(MODEL, q, dq, CONFIG.whole_body.limit_time)
@@ -202,13 +202,13 @@ def test_joint_bounds_stop_in_time() -> None:
     assert q == pytest.approx(MODEL.q_max, abs=5e-3)
 
 
-def test_friction_edges_are_of_unit_length_on_the_cone() -> None:
+def test_friction_edges_are_unit_vectors_on_the_cone() -> None:
     G = friction_edges(0.6)
     assert np.linalg.norm(G, axis=0) == pytest.approx(np.ones(4))
     assert np.linalg.norm(G[:2], axis=0) == pytest.approx(0.6 * G[2])
 
 
-def test_what_cannot_be_used_is_said() -> None:
+def test_invalid_arguments_are_errors() -> None:
     controller = WholeBodyController(CONFIG, MODEL)
     start = controller.start
     with pytest.raises(StateError, match="three finite"):
@@ -237,13 +237,13 @@ def test_what_cannot_be_used_is_said() -> None:
         Scenario("never", 1.0, ((0.0, (1.0, 2.0)),))  # type: ignore[arg-type]
 
 
-def test_the_state_is_complete() -> None:
+def test_a_state_requires_all_fields() -> None:
     with pytest.raises(TypeError):
         BodyState(0.0, np.zeros(3), x_base=np.zeros(8), v_base=np.zeros(6))  # type: ignore[call-arg]
 
 
-def test_mirrored_it_is_the_mirror_image() -> None:
-    """Beginning on the left foot, with everything mirrored, it makes the mirrored steps."""
+def test_the_mirrored_walk_is_the_mirror_image() -> None:
+    """Started on the other foot, the walk makes the mirrored steps."""
     right = [(t, place) for t, place in in_place().footholds() if t < 1.3]
     config = CONFIG.updated({"gait.first_support": "left"})
     controller = WholeBodyController(config, MODEL)
@@ -256,7 +256,7 @@ def test_mirrored_it_is_the_mirror_image() -> None:
 
 @pytest.mark.long
 def test_a_push_beyond_reach_degrades_gracefully() -> None:
-    """25 N s miss (S14); level 1 stays as it is for as long as the robot is up."""
+    """A push of 25 N s violates (S14); level 1 holds for as long as the robot does not fall."""
     walked = walk(Scenario("hard", 3.5, TARGET, ((2.5, (0.0, 25.0, 0.0)),)))
     missed = walked.residual > 1e-6
     assert missed.any()

@@ -44,10 +44,10 @@ def live(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
         made.close()
 
 
-def test_it_walks_over_topics(live: Live, tmp_path: Path) -> None:
-    """The torques are those of one process, tick by tick; a target is set and moved, a push is given; all is recorded.
+def test_a_walk_over_topics_equals_that_of_one_process_and_is_recorded(live: Live, tmp_path: Path) -> None:
+    """The torques are equal at each tick; a target is set and moved, and a push applied.
 
-    Solved again from the bag, every torque is that of the nodes: each target and push is in it at the state it was.
+    The walk solved again from the bag has the same torques, so each target and push is recorded at the right state.
     """
     efforts: dict[int, JointState] = {}
     twists: list[TwistStamped] = []
@@ -71,7 +71,7 @@ def test_it_walks_over_topics(live: Live, tmp_path: Path) -> None:
     for tick in range(30):
         command = controller.step(plant.state, CONFIG.dt)
         msg = efforts.get(round(tick * CONFIG.dt * 1e9))
-        if msg is not None:  # the first may have come before this test listened
+        if msg is not None:  # the first may precede the subscription
             got = np.array([msg.effort[msg.name.index(name)] for name in model.joint_names])
             assert got == pytest.approx(command.effort, abs=1e-3)
         plant.step(command, CONFIG.dt)
@@ -84,40 +84,42 @@ def test_it_walks_over_topics(live: Live, tmp_path: Path) -> None:
     live.until(lambda: len(efforts) > begun + 200, 60.0, "another second")
     at = len(twists)
     hit = WrenchStamped()
-    hit.wrench.force.y = 4.0  # at a moment nobody chose: 10 N s can be more than a step under way can catch
+    hit.wrench.force.y = 4.0  # at an arbitrary time; 10 N s can be too much during a swing
     push.publish(hit)
     live.until(lambda: "pushed: 0, 4, 0 N s" in live.processes.log("rigid"), 20.0, "the push")
 
-    def jump() -> bool:  # within one tick, and far beyond what walking does
+    def jump() -> bool:  # within one tick, much larger than in walking
         speeds = np.array([[t.twist.linear.x, t.twist.linear.y, t.twist.linear.z] for t in twists[at - 1 :]])
         return len(speeds) > 1 and bool(np.linalg.norm(np.diff(speeds, axis=0), axis=1).max() > 0.05)
 
-    live.until(jump, 30.0, "the velocity after it")
-    goal.pose.position.x = 1.6  # while it walks
+    live.until(jump, 30.0, "a jump of the velocity")
+    goal.pose.position.x = 1.6  # during the walk
     target.publish(goal)
     moved = len(efforts)
     live.until(lambda: len(efforts) > moved + 100, 60.0, "half a second more")
     statuses = live.statuses("whole_body_controller")
     assert {s.message for s in statuses} <= {"waiting for body state", "in balance"}
-    live.until(lambda: live.status("rigid") is not None, 20.0, "a word of the plant")
+    live.until(lambda: live.status("rigid") is not None, 20.0, "a status of the plant")
     assert live.status("rigid").level == b"\x00"
 
-    stranger = live.node.create_publisher(JointState, "joint_effort_commands", 10)  # a second one, out of its mind
+    stranger = live.node.create_publisher(JointState, "joint_effort_commands", 10)  # a second, faulty controller
     names = list(model.joint_names)
 
-    def mad() -> bool:
+    def two_controllers() -> bool:
         stranger.publish(JointState(name=names, effort=[float("nan")] * len(names)))
         return "two controllers: /test, /whole_body_controller" in live.status("rigid").message
 
-    live.until(mad, 20.0, "the plant holding still and naming both")
+    live.until(two_controllers, 20.0, "the plant holding still and naming both")
     assert live.processes.exit_code("rigid") is None
     live.node.destroy_publisher(stranger)
     ticks = len(efforts)
-    live.until(lambda: len(efforts) > ticks + 5, 40.0, "the walk going on")
+    live.until(lambda: len(efforts) > ticks + 5, 40.0, "the walk continuing")
 
     live.processes.stop()
     log = bag.read_body(tmp_path / "bag")
-    assert any("torque commands are incomplete or not finite" in note for note in log.notes)  # the stranger's
+    assert any(
+        "torque commands are incomplete or not finite" in note for note in log.notes
+    )  # those of the second controller
     assert [place for _, place in log.scenario.targets] == [(1.2, -0.8, 0.9), (1.6, -0.8, 0.9)]
     assert [impulse for _, impulse in log.scenario.pushes] == [(0.0, 4.0, 0.0)]
     assert len(log.states) > moved
@@ -127,7 +129,7 @@ def test_it_walks_over_topics(live: Live, tmp_path: Path) -> None:
     assert [check.name for check in checks(walked) if not check.ok] == []
 
 
-# ---------------------------------------------------------------------- one node, handed messages
+# ---------------------------------------------------------------------- one node, called directly
 
 REAL = load("whole_body")
 MODEL = load_model(REAL.robot)
@@ -140,7 +142,7 @@ def make(tmp_path: Path) -> Iterator[Any]:
 
 
 def tell(node: Any, stamp: float, body: BodyState, **changed: Any) -> None:
-    """Hand a node the three messages of a state; `changed` are other joint names, angles, velocities, pose or twist."""
+    """Send a node the three messages of a state; `changed`: other joint names, angles, velocities, pose or twist."""
     said = {"names": MODEL.joint_names, "q": body.q, "dq": body.dq, "x": body.x_base, "twist": body.v_base} | changed
     node.send("joint_states", state(said["names"], said["q"], stamp, velocity=said["dq"]))
     ns = round(stamp * 1e9)
@@ -163,7 +165,7 @@ def last_status(node: Any) -> Any:
 
 
 def one(values: Any, value: float) -> np.ndarray:
-    """Return a copy with another first number."""
+    """Return a copy with another first value."""
     out = np.array(values, dtype=np.float64)
     out[0] = value
     return out
@@ -197,8 +199,8 @@ GLITCHES: dict[str, tuple[dict[str, Any], str]] = {
 }
 
 
-def test_one_glitch_is_refused_by_name_and_the_walk_goes_on(make: Any) -> None:
-    """Each between two good states: no answer, ERROR that names it, and the next state is answered."""
+def test_an_invalid_state_is_rejected_with_its_reason_and_the_walk_continues(make: Any) -> None:
+    """Each between two valid states: it has no command, ERROR with the reason, and the next state has a command."""
     node = make("whole_body_controller", REAL)
     tell(node, 0.0, START)
     for k, (name, (changed, why)) in enumerate(GLITCHES.items()):
@@ -216,7 +218,7 @@ def test_one_glitch_is_refused_by_name_and_the_walk_goes_on(make: Any) -> None:
     assert all(np.isfinite(msg.effort).all() for msg in answers(node))
 
 
-def test_when_the_plant_falls_silent_the_torques_are_zero_once_and_it_is_stale(make: Any) -> None:
+def test_when_states_time_out_zero_torques_are_sent_once_and_the_status_is_stale(make: Any) -> None:
     node = make("whole_body_controller", REAL)
     node.tick()
     assert last_status(node).message == "waiting for body state"
@@ -231,7 +233,7 @@ def test_when_the_plant_falls_silent_the_torques_are_zero_once_and_it_is_stale(m
     assert len(answers(node)) == said
     for _ in range(
         2
-    ):  # it only waited, and asks again: the same answer, and no other zero, or the plant takes it for two
+    ):  # the plant repeats its state: it gets the same command once, else it would assume two controllers
         tell(node, 0.0, START)
         node.tick()
         assert len(answers(node)) == said + 1
@@ -242,8 +244,8 @@ def test_when_the_plant_falls_silent_the_torques_are_zero_once_and_it_is_stale(m
     assert not any(answers(node)[-1].effort)
 
 
-@pytest.mark.parametrize("fault", ["no answer", "not finite", "a fault of ours"])
-def test_a_controller_that_fails_sends_zero_and_stays_until_it_is_reset(
+@pytest.mark.parametrize("fault", ["infeasible", "not finite", "an exception"])
+def test_a_failed_controller_sends_zero_torques_and_waits_for_a_reset(
     make: Any, fault: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     node = make("whole_body_controller", REAL)
@@ -251,8 +253,8 @@ def test_a_controller_that_fails_sends_zero_and_stays_until_it_is_reset(
     good = core.WholeBodyController.step
 
     def step(self: Any, body: Any, dt: float) -> Any:
-        if fault == "no answer":
-            raise QPError("no motion obeys the laws", status="Infeasible")
+        if fault == "infeasible":
+            raise QPError("no solution", status="Infeasible")
         if fault == "not finite":
             return replace(good(self, body, dt), effort=np.full(MODEL.n, math.nan))
         raise ZeroDivisionError
@@ -265,7 +267,7 @@ def test_a_controller_that_fails_sends_zero_and_stays_until_it_is_reset(
     assert len(answers(node)) == 2
     assert not any(answers(node)[-1].effort)
     assert last_status(node).level == b"\x02"
-    assert not node.node.done.done()  # it does not leave the robot to itself
+    assert not node.node.done.done()  # the node keeps running
     tell(node, 0.1, START)
     assert len(answers(node)) == 2
     assert node.call("reset", Trigger.Request()).success
@@ -273,7 +275,7 @@ def test_a_controller_that_fails_sends_zero_and_stays_until_it_is_reset(
     assert max(map(abs, answers(node)[-1].effort)) > 10.0
 
 
-def test_jumps_in_a_row_end_the_walk_until_it_is_reset(make: Any) -> None:
+def test_consecutive_jumps_end_the_walk(make: Any) -> None:
     node = make("whole_body_controller", REAL.updated({"node.exit_when_done": True}))
     tell(node, 0.0, START)
     for k in range(REAL.safety.jumps):
@@ -283,8 +285,8 @@ def test_jumps_in_a_row_end_the_walk_until_it_is_reset(make: Any) -> None:
     assert node.node.done.result() == 1
 
 
-def test_a_controller_that_is_started_anew_in_mid_swing_takes_up_the_walk(make: Any) -> None:
-    """The plant waits; the new controller knows from the stamps which foot swings, and the robot stays on its feet."""
+def test_a_controller_restarted_during_a_swing_continues_the_walk(make: Any) -> None:
+    """The plant waits; the new controller derives the swing foot from the stamps, and the robot does not fall."""
     plant = RigidPlant(MODEL, START, pushed="chest")
     stepping = WholeBodyController(REAL, MODEL).stepping
     node = make("whole_body_controller", REAL)
@@ -307,7 +309,7 @@ def test_a_controller_that_is_started_anew_in_mid_swing_takes_up_the_walk(make: 
     assert abs(DQ(plant.state.x_base).translation()[2] - DQ(START.x_base).translation()[2]) < 0.02
 
 
-def test_where_stamps_do_not_tell_a_walk_begins_at_rest(make: Any) -> None:
+def test_with_stamps_of_the_wall_clock_a_walk_must_begin_at_rest(make: Any) -> None:
     node = make("whole_body_controller", REAL)
     moving = replace(START, dq=START.dq + 0.2)
     tell(node, 1.7e9, moving)
@@ -321,15 +323,15 @@ def effort_message(stamp: float, effort: Any) -> JointState:
     return state(MODEL.joint_names, [], stamp, effort=effort)
 
 
-def test_the_plant_holds_without_a_command_and_takes_the_first_answer_to_a_state(make: Any) -> None:
-    """A controller that hears nothing more says zero to a state that it has answered: the answer counts."""
+def test_the_plant_holds_without_a_command_and_applies_the_first_one_for_a_state(make: Any) -> None:
+    """A controller without new states sends zero for a state that it has already answered: the first command counts."""
     node = make("rigid", REAL)
     period = node.node._on_period
     period()
     assert len(node.got["joint_states"]) == 1
     for _ in range(3):
         period()
-    assert len(node.got["joint_states"]) == 1  # it waits: time stands still
+    assert len(node.got["joint_states"]) == 1  # it waits: the simulated time stands still
     first = np.array(WholeBodyController(REAL, MODEL).step(START, REAL.dt).effort)
     node.send("joint_effort_commands", effort_message(0.0, first))
     node.send("joint_effort_commands", effort_message(0.0, 0.0 * first))
@@ -342,7 +344,7 @@ def test_the_plant_holds_without_a_command_and_takes_the_first_answer_to_a_state
     assert (last_status(node).level, last_status(node).message) == (b"\x01", "holding: no commands")
 
 
-def test_torques_beyond_the_limits_are_cut_off_and_pushes_out_of_range_refused(make: Any) -> None:
+def test_torques_are_clamped_and_excessive_pushes_rejected(make: Any) -> None:
     node = make("rigid", REAL)
     node.node._on_period()
     node.send("joint_effort_commands", effort_message(0.0, np.full(MODEL.n, 6e4)))
@@ -356,7 +358,7 @@ def test_torques_beyond_the_limits_are_cut_off_and_pushes_out_of_range_refused(m
     assert np.isfinite(node.got["joint_states"][-1].velocity).all()
 
 
-def test_the_launch_file_starts_what_is_installed() -> None:
+def test_the_launch_file_starts_installed_nodes() -> None:
     text = (ROOT / "launch" / "whole_body.launch.py").read_text(encoding="utf-8")
     calls = [n for n in ast.walk(ast.parse(text)) if isinstance(n, ast.Call) and getattr(n.func, "id", "") == "node"]
     started = {call.args[0].value for call in calls}

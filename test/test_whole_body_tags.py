@@ -22,7 +22,7 @@ FOLDER = Path(whole_body.__file__).parent
 
 
 def tags() -> dict[int, list[tuple[str, int]]]:
-    """Return where each number is in a comment: file and line, that of the code below a comment of its own."""
+    """Return file and line of the code that each tag marks, by number; a comment line marks the code below it."""
     found: dict[int, list[tuple[str, int]]] = {}
     for file in FOLDER.glob("*.py"):
         text = file.read_text(encoding="utf-8")
@@ -38,7 +38,7 @@ def tags() -> dict[int, list[tuple[str, int]]]:
     return found
 
 
-def test_each_equation_is_at_one_place_that_runs() -> None:
+def test_each_equation_is_tagged_at_one_executed_line() -> None:
     found = tags()
     assert sorted(found) == list(range(1, 25))
     assert {number: places for number, places in found.items() if len(places) != 1} == {}
@@ -103,7 +103,7 @@ PLACES = {
     23: (PLANT, "momentum = d.H @ s.v +", "momentum = 0.9 * d.H @ s.v +"),
     24: (PLANT, "momentum, np.zeros(len(J)))", "momentum, np.full(len(J), 1e-3))"),
 }
-"""File, the line as it is read, and the same line broken."""
+"""File, the original line, and the changed line."""
 
 LOOK = """
 from dqwalk_ros import load, load_model
@@ -122,6 +122,6 @@ for part in (walked.q[-1], h.H, h.c, h.A, h.lower, h.upper):
 
 @pytest.mark.long
 @pytest.mark.parametrize("number", PLACES)
-def test_an_equation_that_is_broken_at_its_tag_changes_the_walk(number: int, tmp_path: Path) -> None:
+def test_a_changed_equation_changes_the_walk(number: int, tmp_path: Path) -> None:
     assert output_of(LOOK).count("\n") == 6, output_of(LOOK)
     assert changes_output(tmp_path, LOOK, f"(S{number})", *PLACES[number])
