@@ -389,7 +389,7 @@ def test_two_publishers_are_reported_at_once_unless_one_may_be_stale(clock: Fake
     clock.now += 0.2
     assert judge(["/a", "/a"]) == "/a, 2 times"
     assert judge(["/a"]) == ""
-    assert judge(["/a", "/a"]) == ""  # the time is counted anew
+    assert judge(["/a", "/a"]) == ""  # the time starts again
 
 
 def test_a_second_plant_is_detected_by_its_messages() -> None:
@@ -462,11 +462,11 @@ def test_a_joint_without_a_velocity_limit_is_clamped_by_its_range(model: RobotMo
 
 def test_torques_stay_within_the_limits(model: RobotModel) -> None:
     limited = dataclasses.replace(model, effort_max=np.arange(1.0, model.n + 1.0))
-    asked = np.linspace(-30.0, 30.0, model.n)
-    given = clamp_effort(asked, limited)
-    assert (np.abs(given) <= limited.effort_max).all()
+    requested = np.linspace(-30.0, 30.0, model.n)
+    clamped = clamp_effort(requested, limited)
+    assert (np.abs(clamped) <= limited.effort_max).all()
     np.testing.assert_array_equal(
-        given[np.abs(asked) <= limited.effort_max], asked[np.abs(asked) <= limited.effort_max]
+        clamped[np.abs(requested) <= limited.effort_max], requested[np.abs(requested) <= limited.effort_max]
     )
 
 

@@ -136,11 +136,15 @@ def test_a_secured_node_does_not_start_without_its_keys(tmp_path: Path) -> None:
     pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
     from dqwalk_ros.runner import environment, private_domain
 
-    asked = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce", "ROS_SECURITY_KEYSTORE": str(tmp_path)}
+    secured = {
+        "ROS_SECURITY_ENABLE": "true",
+        "ROS_SECURITY_STRATEGY": "Enforce",
+        "ROS_SECURITY_KEYSTORE": str(tmp_path),
+    }
     with private_domain() as domain:
         done = subprocess.run(
             [sys.executable, "-m", "dqwalk_ros.nodes", "integrator", "--ros-args", "--enclave", "/dqwalk/integrator"],
-            env={**environment(domain), **asked},
+            env={**environment(domain), **secured},
             capture_output=True,
             text=True,
             timeout=60,

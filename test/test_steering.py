@@ -40,21 +40,21 @@ def test_a_course_is_parsed_and_followed_in_order() -> None:
             Course.parse([text])
 
 
-@pytest.mark.parametrize("asked", [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 9.0), (0.3, 0.2, -1.0)])
-def test_cmd_vel_is_clamped_to_the_reach_of_the_legs(asked: tuple[float, float, float]) -> None:
+@pytest.mark.parametrize("requested", [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 9.0), (0.3, 0.2, -1.0)])
+def test_cmd_vel_is_clamped_to_the_reach_of_the_legs(requested: tuple[float, float, float]) -> None:
     g = CONFIG.gait
-    walked = np.array(StandingWalk(CONFIG, MODEL).steer(*asked)) * PERIOD
+    walked = np.array(StandingWalk(CONFIG, MODEL).steer(*requested)) * PERIOD
     most = np.array([g.most_length, g.most_side, g.most_turn])
     part = np.divide(walked, most, out=np.zeros(3), where=most > 0.0)
     assert np.linalg.norm(part) == pytest.approx(1.0)  # exactly the maximum
-    assert (np.sign(walked) * np.sign(asked) >= 0.0).all()
+    assert (np.sign(walked) * np.sign(requested) >= 0.0).all()
     if most[1] == 0.0:
         assert walked[1] == 0.0
 
 
 def test_cmd_vel_within_the_reach_of_the_legs_is_not_changed() -> None:
-    asked = 0.4 * CONFIG.gait.most_length / PERIOD, 0.0, 0.4 * CONFIG.gait.most_turn / PERIOD
-    assert StandingWalk(CONFIG, MODEL).steer(*asked) == pytest.approx(asked)
+    requested = 0.4 * CONFIG.gait.most_length / PERIOD, 0.0, 0.4 * CONFIG.gait.most_turn / PERIOD
+    assert StandingWalk(CONFIG, MODEL).steer(*requested) == pytest.approx(requested)
 
 
 def test_a_steered_walk_waits_walks_and_stops_with_the_feet_together() -> None:

@@ -76,20 +76,20 @@ def test_the_command_timeout_can_only_be_lowered_while_the_robot_moves(make: Any
     plant = make("integrator", CONFIG)
     node = plant.node
 
-    def asked(value: float) -> bool:
+    def accepts(value: float) -> bool:
         (result,) = node.set_parameters([Parameter("plant.command_timeout", value=value)])
         assert result.successful or "can only be lowered while the robot moves" in result.reason
         return result.successful
 
-    assert asked(0.3)
+    assert accepts(0.3)
     node._on_period()
     plant.send("joint_velocity_commands", command(node._stamp, 0.1))
-    assert not asked(10.0)
-    assert not asked(0.31)
+    assert not accepts(10.0)
+    assert not accepts(0.31)
     assert node.config.plant.command_timeout == 0.3
-    assert asked(0.2)
+    assert accepts(0.2)
     node.commands.gate.hold()
-    assert asked(0.3)
+    assert accepts(0.3)
 
 
 @pytest.mark.parametrize("impulse", [1e12, -1e300, float("nan"), float("inf")])

@@ -217,9 +217,9 @@ def test_a_store_has_one_study_and_one_writer(tmp_path):
     store.close()
     with pytest.raises(ConfigError, match="another study"):
         Store(path, "you", POINTS, Number)
-    anew = Store(path, "you", POINTS, Number, force=True)
-    assert anew.done == {}
-    anew.close()
+    replaced = Store(path, "you", POINTS, Number, force=True)
+    assert replaced.done == {}
+    replaced.close()
 
 
 def test_a_folder_in_place_of_the_file_is_an_error(tmp_path):

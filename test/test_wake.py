@@ -25,17 +25,17 @@ class Timer:
         self.left, self.resets = 1_000_000_000, self.resets + 1
 
 
-def test_only_overdue_timers_are_reset_and_the_loop_is_always_woken() -> None:
-    timers = {"early": Timer(5_000_000), "held up": Timer(-20_000_000), "cancelled": Timer(None)}
-    timers["overslept"] = Timer(-3_600_000_000_000)
-    looks = threading.Semaphore(0)
-    wake = TimerWaker(SimpleNamespace(timers=timers.values()), SimpleNamespace(wake=looks.release))  # type: ignore[arg-type]
+def test_only_late_timers_are_reset_and_the_executor_is_always_woken() -> None:
+    timers = {"early": Timer(5_000_000), "slightly late": Timer(-20_000_000), "cancelled": Timer(None)}
+    timers["late"] = Timer(-3_600_000_000_000)
+    wakes = threading.Semaphore(0)
+    wake = TimerWaker(SimpleNamespace(timers=timers.values()), SimpleNamespace(wake=wakes.release))  # type: ignore[arg-type]
     wake.start()
     for _ in range(3):
-        assert looks.acquire(timeout=30.0)
+        assert wakes.acquire(timeout=30.0)
     wake.stop()
     assert not wake.is_alive()
-    assert {name: timer.resets for name, timer in timers.items()} == {**dict.fromkeys(timers, 0), "overslept": 1}
+    assert {name: timer.resets for name, timer in timers.items()} == {**dict.fromkeys(timers, 0), "late": 1}
 
 
 def test_stop_before_start_has_no_effect() -> None:

@@ -141,22 +141,22 @@ def make(tmp_path: Path) -> Iterator[Any]:
         yield made
 
 
-def tell(node: Any, stamp: float, body: BodyState, **changed: Any) -> None:
+def send_state(node: Any, stamp: float, body: BodyState, **changed: Any) -> None:
     """Send a node the three messages of a state; `changed`: other joint names, angles, velocities, pose or twist."""
-    said = {"names": MODEL.joint_names, "q": body.q, "dq": body.dq, "x": body.x_base, "twist": body.v_base} | changed
-    node.send("joint_states", state(said["names"], said["q"], stamp, velocity=said["dq"]))
+    values = {"names": MODEL.joint_names, "q": body.q, "dq": body.dq, "x": body.x_base, "twist": body.v_base} | changed
+    node.send("joint_states", state(values["names"], values["q"], stamp, velocity=values["dq"]))
     ns = round(stamp * 1e9)
-    pose = ros.pose(ns, "odom", said["x"])
-    if "turned" in said:
-        pose.pose.orientation.w *= said["turned"]
+    pose = ros.pose(ns, "odom", values["x"])
+    if "turned" in values:
+        pose.pose.orientation.w *= values["turned"]
     node.send("base_pose", pose)
     twist = TwistStamped(header=pose.header)
-    for vector, numbers in ((twist.twist.linear, said["twist"][:3]), (twist.twist.angular, said["twist"][3:])):
+    for vector, numbers in ((twist.twist.linear, values["twist"][:3]), (twist.twist.angular, values["twist"][3:])):
         vector.x, vector.y, vector.z = map(float, numbers)
     node.send("base_twist", twist)
 
 
-def answers(node: Any) -> list[JointState]:
+def commands_of(node: Any) -> list[JointState]:
     return node.got["joint_effort_commands"]
 
 
@@ -202,46 +202,46 @@ GLITCHES: dict[str, tuple[dict[str, Any], str]] = {
 def test_an_invalid_state_is_rejected_with_its_reason_and_the_walk_continues(make: Any) -> None:
     """Each between two valid states: it has no command, ERROR with the reason, and the next state has a command."""
     node = make("whole_body_controller", REAL)
-    tell(node, 0.0, START)
+    send_state(node, 0.0, START)
     for k, (name, (changed, why)) in enumerate(GLITCHES.items()):
-        before = len(answers(node))
+        before = len(commands_of(node))
         node.node._diagnosed = -math.inf
-        tell(node, 0.01 * k + 0.005, START, **changed)
-        assert len(answers(node)) == before, name
+        send_state(node, 0.01 * k + 0.005, START, **changed)
+        assert len(commands_of(node)) == before, name
         assert last_status(node).level == b"\x02", name
         assert why in last_status(node).message, name
-        tell(node, 0.01 * k + 0.010, START)
-        assert len(answers(node)) == before + 1, name
+        send_state(node, 0.01 * k + 0.010, START)
+        assert len(commands_of(node)) == before + 1, name
     assert not node.node.done.done()
     node.node._diagnose()
     assert last_status(node).level == b"\x00"
-    assert all(np.isfinite(msg.effort).all() for msg in answers(node))
+    assert all(np.isfinite(msg.effort).all() for msg in commands_of(node))
 
 
 def test_when_states_time_out_zero_torques_are_sent_once_and_the_status_is_stale(make: Any) -> None:
     node = make("whole_body_controller", REAL)
     node.tick()
     assert last_status(node).message == "waiting for body state"
-    tell(node, 0.0, START)
-    assert max(map(abs, answers(node)[-1].effort)) > 10.0
+    send_state(node, 0.0, START)
+    assert max(map(abs, commands_of(node)[-1].effort)) > 10.0
     time.sleep(1.5 * REAL.plant.command_timeout)
     node.tick()
-    assert not any(answers(node)[-1].effort)
+    assert not any(commands_of(node)[-1].effort)
     assert (last_status(node).level, last_status(node).message) == (b"\x03", "body state timed out")
-    said = len(answers(node))
+    count = len(commands_of(node))
     node.tick()
-    assert len(answers(node)) == said
+    assert len(commands_of(node)) == count
     for _ in range(
         2
     ):  # the plant repeats its state: it gets the same command once, else it would assume two controllers
-        tell(node, 0.0, START)
+        send_state(node, 0.0, START)
         node.tick()
-        assert len(answers(node)) == said + 1
-        assert answers(node).pop().effort == answers(node)[0].effort
-    tell(node, 0.005, START)
-    assert max(map(abs, answers(node)[-1].effort)) > 10.0
+        assert len(commands_of(node)) == count + 1
+        assert commands_of(node).pop().effort == commands_of(node)[0].effort
+    send_state(node, 0.005, START)
+    assert max(map(abs, commands_of(node)[-1].effort)) > 10.0
     node.node.close()
-    assert not any(answers(node)[-1].effort)
+    assert not any(commands_of(node)[-1].effort)
 
 
 @pytest.mark.parametrize("fault", ["infeasible", "not finite", "an exception"])
@@ -249,7 +249,7 @@ def test_a_failed_controller_sends_zero_torques_and_waits_for_a_reset(
     make: Any, fault: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     node = make("whole_body_controller", REAL)
-    tell(node, 0.0, START)
+    send_state(node, 0.0, START)
     good = core.WholeBodyController.step
 
     def step(self: Any, body: Any, dt: float) -> Any:
@@ -261,26 +261,26 @@ def test_a_failed_controller_sends_zero_torques_and_waits_for_a_reset(
 
     monkeypatch.setattr(core.WholeBodyController, "step", step)
     for k in range(1, REAL.safety.failures + 1):
-        tell(node, 0.005 * k, START)
+        send_state(node, 0.005 * k, START)
     monkeypatch.undo()
-    assert all(np.isfinite(msg.effort).all() for msg in answers(node))
-    assert len(answers(node)) == 2
-    assert not any(answers(node)[-1].effort)
+    assert all(np.isfinite(msg.effort).all() for msg in commands_of(node))
+    assert len(commands_of(node)) == 2
+    assert not any(commands_of(node)[-1].effort)
     assert last_status(node).level == b"\x02"
     assert not node.node.done.done()  # the node keeps running
-    tell(node, 0.1, START)
-    assert len(answers(node)) == 2
+    send_state(node, 0.1, START)
+    assert len(commands_of(node)) == 2
     assert node.call("reset", Trigger.Request()).success
-    tell(node, 0.105, START)
-    assert max(map(abs, answers(node)[-1].effort)) > 10.0
+    send_state(node, 0.105, START)
+    assert max(map(abs, commands_of(node)[-1].effort)) > 10.0
 
 
 def test_consecutive_jumps_end_the_walk(make: Any) -> None:
     node = make("whole_body_controller", REAL.updated({"node.exit_when_done": True}))
-    tell(node, 0.0, START)
+    send_state(node, 0.0, START)
     for k in range(REAL.safety.jumps):
-        tell(node, 0.005 * (k + 1), START, x=DQ.from_pose([5.0 + k, 0.0, 0.7]).vec8())
-    assert not any(answers(node)[-1].effort)
+        send_state(node, 0.005 * (k + 1), START, x=DQ.from_pose([5.0 + k, 0.0, 0.7]).vec8())
+    assert not any(commands_of(node)[-1].effort)
     assert "in a row" in last_status(node).message
     assert node.node.done.result() == 1
 
@@ -295,8 +295,8 @@ def test_a_controller_restarted_during_a_swing_continues_the_walk(make: Any) -> 
             assert stepping.swing(0.005 * tick) is not None
             node = make("whole_body_controller", REAL)
         now = 0.005 * tick
-        tell(node, now, plant.state)
-        effort = np.array(answers(node)[-1].effort)
+        send_state(node, now, plant.state)
+        effort = np.array(commands_of(node)[-1].effort)
         assert np.abs(effort).max() <= REAL.whole_body.effort
         zero = np.zeros(MODEL.n)
         stance, landing = stepping.stance(now), stepping.landing(now, 0.005)
@@ -312,11 +312,11 @@ def test_a_controller_restarted_during_a_swing_continues_the_walk(make: Any) -> 
 def test_with_stamps_of_the_wall_clock_a_walk_must_begin_at_rest(make: Any) -> None:
     node = make("whole_body_controller", REAL)
     moving = replace(START, dq=START.dq + 0.2)
-    tell(node, 1.7e9, moving)
-    assert answers(node) == []
+    send_state(node, 1.7e9, moving)
+    assert commands_of(node) == []
     assert "start the walk at rest" in last_status(node).message
-    tell(node, 1.7e9 + 1.0, START)
-    assert len(answers(node)) == 1
+    send_state(node, 1.7e9 + 1.0, START)
+    assert len(commands_of(node)) == 1
 
 
 def effort_message(stamp: float, effort: Any) -> JointState:
