@@ -5,7 +5,8 @@ python -m benchmark.robots PATH ... [--out results/robots] [--only NAME]
 PATH is a URDF, a xacro, or a folder to search, such as those of the packages example-robot-data and jvrc-description
 (`make robots`). Robots that are not bipeds are listed with the reason.
 
-Each robot is adopted and walks `gait.steps` of its own configuration in MuJoCo, then one cycle of the paper's walk.
+Each robot is adopted and walks `gait.steps` of its own configuration in MuJoCo, one cycle of the paper's walk, and three
+metres of the dynamic walk in MuJoCo, whose mean speed is given; - if it falls or the report finds a violation.
 """
 
 from __future__ import annotations
@@ -53,7 +54,20 @@ def row(path: Path, out: Path) -> list[Any]:
         f"{math.degrees(abs(ground['turned'])):.1f}",
         "yes" if walked["ok"] and walked["walk"]["finished"] else "no",
         "yes" if whole["ok"] and whole["walk"]["finished"] else "no",
+        dynamic_speed(out),
     ]
+
+
+def dynamic_speed(folder: Path) -> str:
+    """Return the mean speed over three metres of an adopted robot's dynamic walk [m/s]."""
+    physics = find_share("config/plants", "physics.yaml").read_text(encoding="utf-8")
+    config = from_yaml(physics, onto=load(folder / "dynamic.yaml"))
+    config = config.updated({"gait.steps": math.ceil(3.0 / config.gait.step_length) + 8})
+    model = load_model(config.robot)
+    walked = report(analyse(simulate(make_controller(config, model), make_plant("physics", config, model))))
+    if not (walked["ok"] and walked["walk"]["finished"]):
+        return "-"
+    return f"{walked['physics']['way'] / walked['walk']['duration']:.3f}"
 
 
 def main() -> None:
@@ -72,7 +86,7 @@ def main() -> None:
         except DqwalkError as error:
             refused.append(f"- `{file.name}`: {error}")
     head = ["robot", "kg", "adopted in [s]", "cure", "way [m]", "m/s", "tilt [deg]", "CoP inside [%]", "turned [deg]",
-            "stands", "paper's walk"]  # fmt: skip
+            "stands", "paper's walk", "dynamic walk [m/s]"]  # fmt: skip
     print(f"\n{machine()}\n\n{table(head, rows)}\n\nNot adopted:\n\n" + "\n".join(refused))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,13 @@ import trimesh
 from dqwalk_ros import cli
 from dqwalk_ros.adopt import Adoption, adopt
 from dqwalk_ros.adopt.check import check
+from dqwalk_ros.cli.options import overlaid
 from dqwalk_ros.config import load
+from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.robot import Foot, load_model
+from dqwalk_ros.simulation import make_controller, make_plant, simulate
 
 DATA = Path(__file__).parent / "data"
 SMALL, SMALLER = DATA / "small_humanoid.urdf", DATA / "smaller_humanoid.urdf"
@@ -153,6 +157,40 @@ def test_a_small_robot_walks(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     out = capsys.readouterr().out
     assert re.search(r"kinematic: walked 0\.\d", out)
     assert re.search(r"physics: walked 0\.\d", out)
+    assert re.search(r"dynamic walk: walked 0\.\d", out)
+
+
+def test_the_dynamic_walk_has_the_froude_number_of_its_comment_and_the_drive_of_the_standing_walk(
+    small: Adoption,
+) -> None:
+    config = load(small.folder / "dynamic.yaml")
+    period = config.standing.transfer_duration + config.standing.swing_duration
+    assert config.gait.step_length / period == pytest.approx(0.05 * math.sqrt(9.81 * small.numbers.leg), rel=0.05)
+    assert config.servo.stiffness == small.config.servo.stiffness
+    assert config.robot == small.config.robot
+
+
+def test_values_given_by_the_user_are_in_both_walks_unless_they_concern_the_steps(tmp_path: Path) -> None:
+    adopt(SMALL, tmp_path, changes={"servo.stiffness": 70.0, "gait.step_length": 0.02, "servo.assumed_lead": 0.01})
+    standing, dynamic = load(tmp_path / "robot.yaml"), load(tmp_path / "dynamic.yaml")
+    assert standing.servo.stiffness == dynamic.servo.stiffness == 70.0
+    assert standing.servo.assumed_lead == dynamic.servo.assumed_lead == 0.01
+    assert standing.gait.step_length == 0.02
+    assert dynamic.gait.step_length > 0.03
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("urdf", [SMALL, SMALLER])
+def test_small_robots_walk_three_metres_dynamically(urdf: Path, tmp_path: Path) -> None:
+    adopt(urdf, tmp_path)
+    config = overlaid(load(tmp_path / "dynamic.yaml"), "physics")
+    config = config.updated({"gait.steps": math.ceil(3.0 / config.gait.step_length) + 8})
+    model = load_model(config.robot)
+    trace = simulate(make_controller(config, model), make_plant("physics", config, model))
+    assert trace.finished, trace.notes
+    assert trace.physics is not None
+    way = DQ(trace.physics.pelvis[[0, -1]]).translation()[:, 0]
+    assert way[1] - way[0] > 3.0
 
 
 def test_meshes_in_folders_with_special_characters_are_found(tmp_path: Path) -> None:

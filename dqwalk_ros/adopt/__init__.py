@@ -23,6 +23,7 @@ from dqwalk_ros.adopt.check import Finding, check
 from dqwalk_ros.adopt.parameters import (
     Entry,
     Numbers,
+    dynamic_parameters,
     measure,
     paper_parameters,
     parameters,
@@ -37,7 +38,7 @@ from dqwalk_ros.robot import Foot, RobotModel, load_model
 from dqwalk_ros.shapes import Shapes
 from dqwalk_ros.urdf import Origin, Urdf
 
-__all__ = ["Adoption", "Finding", "adopt", "changed", "check", "table", "write_yaml"]
+__all__ = ["Adoption", "Finding", "adopt", "changed", "check", "table", "write_dynamic", "write_yaml"]
 
 _CROUCH = 0.91
 """Distance of hip and ankle as a fraction of the straight leg, for the longer steps of the whole-body controller."""
@@ -52,8 +53,8 @@ class Adoption:
     Attributes
     ----------
     folder : Path
-        Folder with ``robot.urdf``, ``robot.yaml``, ``paper.yaml``, ``whole_body.yaml`` (if the robot has ankle roll
-        joints and arms) and ``adopt.json``.
+        Folder with ``robot.urdf``, ``robot.yaml``, ``dynamic.yaml``, ``paper.yaml``, ``whole_body.yaml`` (if the robot
+        has ankle roll joints and arms) and ``adopt.json``.
     config : Config
         The configuration of ``robot.yaml``.
     model : RobotModel
@@ -180,6 +181,7 @@ def adopt(
         folder, config, model, anatomy, standing, numbers, tuple(entries), evidence,
         tuple(dict.fromkeys((*urdf.repairs, *model.repairs))), tuple(check(config, model)),
     )  # fmt: skip
+    write_dynamic(found, entries, changes or {})
     (folder / "adopt.json").write_text(json.dumps(_json(found, path), indent=1) + "\n", encoding="utf-8")
     return found
 
@@ -235,6 +237,25 @@ def changed(entries: Sequence[Entry], changes: Mapping[str, Any], reason: str) -
     known = {entry.key for entry in entries}
     kept = [Entry(e.key, changes[e.key], reason) if e.key in changes else e for e in entries]
     return kept + [Entry(key, value, reason) for key, value in changes.items() if key not in known]
+
+
+def write_dynamic(found: Adoption, entries: Sequence[Entry], given: Mapping[str, Any]) -> None:
+    """Write the configuration of the dynamic walk, ``dynamic.yaml``.
+
+    Parameters
+    ----------
+    found : Adoption
+    entries : sequence of Entry
+        Parameters of the standing walk.
+    given : dict of str to value
+        Parameters given by the user, which replace the derived ones.
+    """
+    damping = next(entry.value for entry in entries if entry.key == "servo.damping")
+    new = {entry.key: entry for entry in dynamic_parameters(found.anatomy, found.numbers, damping)}
+    merged = [new.pop(entry.key, entry) for entry in entries] + list(new.values())
+    own = {key: value for key, value in given.items() if not key.startswith("gait.")}
+    title = f"{found.model.name}: the dynamic walk (docs/dynamic.md)."
+    write_yaml(found.folder / "dynamic.yaml", changed(merged, own, "given by --set"), title)
 
 
 def _align_root(urdf: Urdf, anatomy: Anatomy) -> None:

@@ -20,6 +20,7 @@ from dqwalk_ros.statics import GRAVITY, gravity_torques
 __all__ = [
     "Entry",
     "Numbers",
+    "dynamic_parameters",
     "measure",
     "paper_parameters",
     "parameters",
@@ -33,6 +34,10 @@ STIFFNESS = 5.0
 """Servo stiffness as a multiple of m g h; below 3 most robots fall."""
 SHORTEST = 1.5
 """Shortest duration of a weight transfer from foot to foot [s]."""
+FROUDE = 0.05
+"""Speed of the dynamic walk divided by sqrt(g l), with the leg length l."""
+POPPY = 0.46
+"""Leg length of Poppy, whose dynamic walk is scaled: lengths in proportion to it, times to its square root [m]."""
 
 
 @dataclass(frozen=True)
@@ -329,4 +334,60 @@ def parameters(model: RobotModel, anatomy: Anatomy, numbers: Numbers, standing: 
             "likely" if scale == 1.0 else "guess",
         ),
         Entry("monitor.tolerance", 0.0001, "error of the Euler method at touchdown"),
+    ]
+
+
+def dynamic_parameters(anatomy: Anatomy, numbers: Numbers, damping: float) -> list[Entry]:
+    """Return the parameters of the dynamic walk that differ from the standing walk.
+
+    They are those of Poppy, with lengths scaled by the leg and times by its square root.
+
+    Parameters
+    ----------
+    anatomy : Anatomy
+    numbers : Numbers
+    damping : float
+        ``servo.damping`` [s].
+    """
+    size = numbers.leg / POPPY
+    slow = math.sqrt(size)
+    single, double = rounded(0.4 * slow, 2), rounded(0.1 * slow, 2)
+    speed = FROUDE * math.sqrt(GRAVITY * numbers.leg)
+    step = rounded(speed * (single + double), 2)
+    roll = "R" in anatomy.kinds[-2:]
+    time, length = "as Poppy, scaled by the square root of the leg", "as Poppy, scaled by the leg"
+    return [
+        Entry("gait.style", "dynamic", "steps of a fixed duration, adjusted to the divergent component of motion"),
+        Entry("gait.steps", 20, "about a metre for a small robot, three for a tall one"),
+        Entry("gait.step_length", step, f"{speed:.2f} m/s, a Froude number of {FROUDE}"),
+        Entry("gait.step_height", rounded(0.02 * size, 2), length),
+        Entry("gait.most_length", rounded(1.2 * step, 2), "longest step commanded by cmd_vel"),
+        Entry("gait.most_side", 0.0, "sideways steps are left to the standing walk"),
+        Entry("task.eta", rounded(4.0 / slow, 2), time),
+        Entry("standing.transfer_duration", double, time),
+        Entry("standing.swing_duration", single, time),
+        Entry("standing.balance", 0.7, "as Poppy"),
+        Entry("standing.eta_feet", 10.0, "as Poppy"),
+        Entry("standing.eta_edges", 20.0, "as Poppy"),
+        Entry("standing.recovery", 0.1, "as Poppy"),
+        Entry("standing.swing_weight", 30.0, "as Poppy"),
+        Entry("standing.swing_rate", rounded(12.0 / slow, 2), time),
+        Entry("dynamic.start_duration", rounded(0.6 * slow, 2), time),
+        Entry("dynamic.stop_duration", rounded(slow, 2), time),
+        Entry("dynamic.com_rate", rounded(2.0 / slow, 2), time),
+        Entry("dynamic.height_rate", rounded(4.0 / slow, 2), time),
+        Entry("dynamic.upright_rate", rounded(5.0 / slow, 2), time),
+        Entry("dynamic.catch_margin", rounded(min(0.012 * size, 0.17 * numbers.width), 2), "0.17 of the sole's width"),
+        Entry("dynamic.catch_beyond", rounded(0.01 * size, 2), length),
+        Entry("dynamic.catch_length", rounded(0.1 * size, 2), length),
+        Entry("dynamic.catch_side", rounded(0.05 * size, 2) if roll else 0.0, length if roll else "no ankle rolls"),
+        Entry("dynamic.shortest_step", rounded(0.26 * slow, 2), time),
+        Entry("dynamic.untouched", rounded(0.04 * slow, 2), time),
+        Entry("dynamic.settled", rounded(0.12 * slow, 2), time),
+        Entry("joints.eta", 10.0, "as Poppy"),
+        Entry("joints.velocity", 6.0, "as Poppy"),
+        Entry(
+            "servo.assumed_lead", rounded(0.7 * damping, 2), "0.7 of servo.damping: more, and steps get long", "guess"
+        ),
+        Entry("qp.solver", "daqp", "the fastest"),
     ]

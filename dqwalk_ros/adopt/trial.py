@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from dqwalk_ros.adopt import Adoption, changed, write_yaml
+from dqwalk_ros.adopt import Adoption, changed, write_dynamic, write_yaml
 from dqwalk_ros.adopt.parameters import Numbers, rounded
 from dqwalk_ros.config import Config, find_share, from_yaml, load
 from dqwalk_ros.dual_quaternions import DQ
@@ -19,7 +19,7 @@ from dqwalk_ros.robot import RobotModel, load_model
 from dqwalk_ros.simulation import Trace, make_controller, make_plant, simulate
 from dqwalk_ros.stability import Finding
 
-__all__ = ["Trial", "cures", "first_walks", "walk"]
+__all__ = ["Trial", "cures", "dynamic_walk", "first_walks", "walk"]
 
 _STEPS = 4
 """Number of steps of a trial."""
@@ -32,7 +32,7 @@ class Trial:
     Attributes
     ----------
     plant : str
-        ``kinematic`` or ``physics``.
+        ``kinematic`` or ``physics``; ``dynamic walk`` if it is this walk in physics.
     stood : bool
         Whether the walk was completed.
     distance : float
@@ -91,14 +91,21 @@ def first_walks(
             again = walk(cured, load_model(cured.robot), plant, _STEPS, progress)
             yield again, ", ".join(names)
             if again.stood:
+                write_dynamic(found, entries, given)
                 break
         else:
             write_yaml(file, found.entries, f"{model.name}: the standing walk.")
             return
 
 
+def dynamic_walk(found: Adoption, progress: Callable[[float, str], None] = lambda *_: None) -> Trial:
+    """Walk some steps of the dynamic walk in physics; its configuration is kept even if the robot falls."""
+    config = load(found.folder / "dynamic.yaml")
+    return replace(walk(config, load_model(config.robot), "physics", 2 * _STEPS, progress), plant="dynamic walk")
+
+
 def walk(config: Config, model: RobotModel, plant: str, steps: int, progress: Callable[[float, str], None]) -> Trial:
-    """Walk some steps, or one cycle of a walk other than the standing walk, on a plant.
+    """Walk some steps, or one cycle of the paper's walk, on a plant.
 
     Parameters
     ----------
@@ -116,7 +123,7 @@ def walk(config: Config, model: RobotModel, plant: str, steps: int, progress: Ca
     Trial
         An error of the walk is its `note`.
     """
-    changed = config.updated({"gait.steps": steps} if config.gait.style == "standing" else {"gait.cycles": 1})
+    changed = config.updated({"gait.cycles": 1} if config.gait.style == "paper" else {"gait.steps": steps})
     if plant == "physics":
         changed = from_yaml(find_share("config/plants", "physics.yaml").read_text(encoding="utf-8"), onto=changed)
     try:

@@ -26,12 +26,13 @@ _SHOWN = 5
 writes to the folder of --out:
   robot.urdf       the robot repaired, with soles; the original is not changed
   robot.yaml       the standing walk; a comment beside each number gives its source
+  dynamic.yaml     the dynamic walk, several times as fast
   paper.yaml       the walk of Urban & Adorno
   whole_body.yaml  the whole-body controller, if the robot has ankle roll joints and arms
   robot.png        the robot in its posture, soles, CoM, and forward direction
   adopt.json       all results
 
-exit code: 0 the robot walks; 1 it was adopted but falls; 2 it cannot be adopted, with the reason
+exit code: 0 the standing walk walks; 1 it was adopted but falls; 2 it cannot be adopted, with the reason
 
 examples:
   dqwalk adopt my_robot.urdf
@@ -39,6 +40,7 @@ examples:
   dqwalk adopt robot.urdf --left l_foot --right r_foot --forward -x
   dqwalk adopt my_robot.urdf --view                        show the result in the browser
   dqwalk simulate --config adopted/robot.yaml --plant physics
+  dqwalk simulate --config adopted/dynamic.yaml --plant physics
   dqwalk reach --config adopted/whole_body.yaml --test 1
 """)
 @click.argument("urdf", type=click.Path(path_type=Path))
@@ -119,7 +121,7 @@ def _page(found: Adoption, port: int | None) -> Page:
 
 def _walk(found: Adoption, given: dict[str, object], *, quiet: bool) -> int:
     """Test the walks, print their results, and return the exit code."""
-    from dqwalk_ros.adopt.trial import first_walks
+    from dqwalk_ros.adopt.trial import dynamic_walk, first_walks
     from dqwalk_ros.cli.progress import Progress
 
     last = None
@@ -127,8 +129,11 @@ def _walk(found: Adoption, given: dict[str, object], *, quiet: bool) -> int:
         for result, cure in first_walks(found, given, bar):
             print(f"{result}" + (f" {'cured by' if result.stood else 'in spite of'}: {cure}" if cure else ""))
             last = result
+        if last is not None and last.stood:
+            print(fast := dynamic_walk(found, bar))
     if last is None or not last.stood:
         print("no cure helped")
         return 1
-    print(f"dqwalk simulate --config {found.folder / 'robot.yaml'} --plant physics")
+    for file in ("robot.yaml", "dynamic.yaml") if fast.stood else ("robot.yaml",):
+        print(f"dqwalk simulate --config {found.folder / file} --plant physics")
     return 0
