@@ -5,8 +5,8 @@ python -m benchmark.robots PATH ... [--out results/robots] [--only NAME]
 PATH is a URDF, a xacro, or a folder to search, such as those of the packages example-robot-data and jvrc-description
 (`make robots`). Robots that are not bipeds are listed with the reason.
 
-Each robot is adopted and walks `gait.steps` of its own configuration in MuJoCo, one cycle of the paper's walk, and three
-metres of the dynamic walk in MuJoCo, whose mean speed is given; - if it falls or the report finds a violation.
+Each robot is adopted and walks `gait.steps` of its own configuration in MuJoCo, one cycle of the paper's walk, and
+three metres of the dynamic walk in MuJoCo, whose mean speed is given; - if it falls or the report finds a violation.
 """
 
 from __future__ import annotations
