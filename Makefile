@@ -44,13 +44,13 @@ walk-physics: $(VENV)/.installed-sim  ## walk STEPS steps in MuJoCo through ROS 
 simulate: $(VENV)/.installed  ## the same walk in one process, without ROS
 	$(BIN)/dqwalk simulate --config $(CONFIG) --cycles $(CYCLES) --out $(OUT) --force
 
-reach: $(VENV)/.installed-wholebody  ## everything the whole-body controller must show, asked and got, and figures 2 to 5
+reach: $(VENV)/.installed-wholebody  ## every requirement of the whole-body controller with its measured value, and figures 2 to 5
 	PYTHONPATH=test OPENBLAS_NUM_THREADS=1 $(BIN)/python -m acceptance --jobs $(JOBS) --out results/reach $(ARGS)
 
 test: $(VENV)/.installed-test  ## run all tests but those of test-long, browser and colcon (JOBS=2 at a time)
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m 'not colcon and not native and not long and not browser' $(ARGS)
 
-test-long: $(VENV)/.installed-test  ## the tests that take minutes
+test-long: $(VENV)/.installed-test  ## the tests that take minutes, and variants of the others
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m long $(ARGS)
 
 browser: $(VENV)/.installed-test  ## run the tests that look at the pages in headless Chromium (installs it with apt)

@@ -80,7 +80,10 @@ def test_servo_damping_is_fed_forward() -> None:
     "changes",
     [
         {"servo.stiffness": 25.0, "servo.latency": 0.04, "servo.rate": 50.0, "servo.backlash": 0.0058},
-        {"servo.stiffness": 40.0, "servo.latency": 0.04, "physics.mass_scale": 1.1, "physics.friction": 0.4},
+        pytest.param(
+            {"servo.stiffness": 40.0, "servo.latency": 0.04, "physics.mass_scale": 1.1, "physics.friction": 0.4},
+            marks=pytest.mark.long,
+        ),
     ],
     ids=["25", "40"],
 )

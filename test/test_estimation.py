@@ -60,7 +60,7 @@ def errors(steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array(found), np.array(nees)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_errors_of_the_base_match_the_estimated_covariance(seed: int) -> None:
     error, nees = errors(4, seed)
     rms = np.sqrt((error**2).mean(axis=0))
