@@ -79,20 +79,14 @@ def test_a_killed_node_ends_the_walk_unless_it_is_the_monitor(tmp_path: Path, ta
     assert not children()
 
 
-@pytest.mark.parametrize(
-    ("number", "lockstep"),
-    [
-        (signal.SIGKILL, False),
-        *(pytest.param(number, True, marks=pytest.mark.long) for number in (signal.SIGINT, signal.SIGKILL)),
-    ],
-)
-def test_no_node_remains_when_the_runner_has_ended(tmp_path: Path, number: signal.Signals, lockstep: bool) -> None:
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.long), signal.SIGKILL])
+def test_no_node_remains_when_the_runner_has_ended(tmp_path: Path, number: signal.Signals) -> None:
     code = (
         "import json, sys\n"
         "from dqwalk_ros.config import load\n"
         "from dqwalk_ros.runner import run_walk\n"
         "show = lambda fraction, text: print(json.dumps(text), flush=True)\n"
-        f"out = run_walk(load('paper').updated({SHORT!r}), sys.argv[1], progress=show, lockstep={lockstep})\n"
+        f"out = run_walk(load('paper').updated({SHORT!r}), sys.argv[1], progress=show)\n"
         "print(json.dumps('reason ' + out.reason), flush=True)\n"
     )
     with private_domain() as domain:
