@@ -71,6 +71,24 @@ def test_errors_of_the_base_match_the_estimated_covariance(seed: int) -> None:
     assert 2.7 < nees.mean() < 19.0  # the 95 % band of chi-squared with 9 degrees of freedom
 
 
+@pytest.mark.long
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_drift_over_ten_metres_is_below_one_percent(seed: int) -> None:
+    error, nees = errors(200, seed)
+    rms, drift = np.sqrt((error**2).mean(axis=0)), float(np.linalg.norm(error[-1, 6:8]))
+    yaw = np.degrees(error[-1, 2])
+    print(
+        f"\nseed {seed}: drift {1e3 * drift:.1f} mm, yaw {yaw:.2f} degrees, "
+        f"roll and pitch {np.degrees(np.linalg.norm(rms[:2])):.2f} degrees rms, "
+        f"velocity {np.linalg.norm(rms[3:6]):.4f} m/s rms, mean NEES {nees.mean():.1f}"
+    )
+    assert drift < 0.1
+    assert abs(yaw) < 2.0
+    assert np.degrees(np.linalg.norm(rms[:2])) < 0.5
+    assert np.linalg.norm(rms[3:6]) < 0.02
+
+
 def test_an_unloaded_sole_is_not_used_as_a_contact() -> None:
     """With the CoM above one sole the other sole may slide."""
     q, still = MODEL.posture(POPPY.standing.posture), (np.zeros(3), np.array([0.0, 0.0, 9.81]))
