@@ -1,7 +1,9 @@
-"""A thread resets timers that are late, and only those."""
+"""A thread resets timers that are late, and only those; signals in quick succession end a node."""
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 from types import SimpleNamespace
 
@@ -40,3 +42,19 @@ def test_only_late_timers_are_reset_and_the_executor_is_always_woken() -> None:
 
 def test_stop_before_start_has_no_effect() -> None:
     TimerWaker(SimpleNamespace(timers=()), None).stop()  # type: ignore[arg-type]
+
+
+def test_signals_in_quick_succession_do_not_block_the_handler() -> None:
+    """A handler that takes a lock is interrupted by the next signal while it holds the lock."""
+    code = (
+        "import os, signal, subprocess, sys\n"
+        "from dqwalk_ros.nodes import wheels\n"
+        "stopped = wheels.init(['controller'])\n"
+        "send = f'import os\\nfor _ in range(200_000): os.kill({os.getpid()}, 15); os.kill({os.getpid()}, 2)'\n"
+        "sender = subprocess.Popen([sys.executable, '-c', send])\n"
+        "while sender.poll() is None:\n"
+        "    pass\n"
+        "assert stopped.is_set()\n"
+        "wheels.shutdown(None, 0)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=40.0)

@@ -42,19 +42,37 @@ _END = 5.0
 """Deadline for the shutdown of the middleware [s]."""
 
 
-def init(argv: Sequence[str]) -> threading.Event:
-    """Initialise rclpy; return an event that SIGINT and SIGTERM set, and SIGHUP where it is not ignored (nohup).
+class StopRequest:
+    """A flag that a signal handler sets.
+
+    It has no lock: a second signal can interrupt the handler of the first, and would wait forever for the lock of a
+    `threading.Event`.
+    """
+
+    _is_set = False
+
+    def set(self, *_: object) -> None:
+        """Set the flag; takes the arguments of a signal handler."""
+        self._is_set = True
+
+    def is_set(self) -> bool:
+        """Return whether a signal was received."""
+        return self._is_set
+
+
+def init(argv: Sequence[str]) -> StopRequest:
+    """Initialise rclpy; return a flag that SIGINT and SIGTERM set, and SIGHUP where it is not ignored (nohup).
 
     Raises
     ------
     ConfigError
         For invalid ROS arguments, or missing security keys.
     """
-    stopped = threading.Event()
+    stopped = StopRequest()
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(find_share("config", "fastdds.xml")))
     hangs_up = signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN
     for number in (signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hangs_up else [])):
-        signal.signal(number, lambda *_: stopped.set())
+        signal.signal(number, stopped.set)
     try:
         rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy raises its own, undocumented types
