@@ -506,7 +506,8 @@ class PoppyPlant(Plant):
             at[part.places], m.load[part.places] = part.bus.at, part.bus.load
             degrees[part.places] = [self._table[k].user(x) for k, x in zip(part.places, part.bus.position, strict=True)]
         q = np.radians(degrees - self._zero)
-        new, passed = at > self._received, at - m.at
+        new = at > self._received
+        passed = np.subtract(at, m.at, out=np.zeros_like(at), where=new)
         self._received = at
         far = np.abs(q - m.q) > self._fastest * np.minimum(passed, _REACH) + _SLACK  # false while m.q is nan
         m.jumps = np.where(new, np.where(far, m.jumps + 1, 0), m.jumps)
