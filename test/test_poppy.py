@@ -358,6 +358,7 @@ def test_a_joint_whose_limits_exclude_zero_has_its_first_pose_at_the_nearest_lim
     assert math.degrees(rig.plant.measured.q[k]) == pytest.approx(nearest, abs=0.5 + math.degrees(0.1))
     rig.run(2.0)
     assert math.degrees(rig.plant.measured.q[k]) == pytest.approx(nearest, abs=0.5)
+    assert rig.plant.left < 0.01
 
 
 def test_the_distance_from_the_first_pose_is_that_of_the_farthest_joint(model: RobotModel, config: Config) -> None:
