@@ -424,9 +424,16 @@ def test_one_period_suffices_for_all_motors(model: RobotModel, config: Config, s
     assert not rig.plant.watch.faults
 
 
-def test_missing_ports_are_refused(model: RobotModel, config: Config) -> None:
-    own = config.updated({"poppy.lower_port": "/dev/null", "poppy.upper_port": "/dev/null"})
-    with pytest.raises(PlantError, match=r"the lower bus cannot be opened.*is it plugged in"):
+@pytest.mark.parametrize(
+    ("port", "expected"),
+    [
+        ("/dev/null", r"the lower bus cannot be opened \(port /dev/null\): (?!no port).*is it plugged in"),
+        ("auto", r"the lower bus cannot be opened \(port auto\): no port with the motors 11, 12.*is it plugged in"),
+    ],
+)
+def test_missing_ports_are_refused(model: RobotModel, config: Config, port: str, expected: str) -> None:
+    own = config.updated({"poppy.lower_port": port, "poppy.upper_port": port})
+    with pytest.raises(PlantError, match=expected):
         PoppyPlant(model, own.poppy, MAX_AGE)
 
 

@@ -550,19 +550,19 @@ def open_buses(motors: Mapping[str, Motor], config: PoppyConfig) -> dict[str, Bu
     for name in sorted({motor.bus for motor in motors.values()}):
         own = [motor for motor in motors.values() if motor.bus == name]
         ids, types = [motor.id for motor in own], [TYPES[motor.type] for motor in own]
+        port = named.get(name, "auto")
         try:
             if config.dummy:
                 servos = EmulatedServos([EmulatedServo(i, kind) for i, kind in zip(ids, types, strict=True)])
                 opened: Callable[[], Any] = partial(EmulatedPort, servos)
             else:
-                port = named.get(name, "auto")
                 opened = partial(open_port, find_port(ids) if port == "auto" else port)
             buses[name] = Bus(name, opened, ids, types, sync_read=config.sync_read)
         except (OSError, PlantError) as error:
             for bus in buses.values():
                 bus.close()
             raise PlantError(
-                f"the {name} bus cannot be opened: {error}; is it plugged in, and not used by another program? "
-                "(poppy.dummy:=true tries the driver without a robot)"
+                f"the {name} bus cannot be opened (port {port}): {error}; is it plugged in, and not used by another "
+                "program? (poppy.dummy:=true tries the driver without a robot)"
             ) from error
     return buses
