@@ -171,12 +171,20 @@ def test_the_dynamic_walk_has_the_froude_number_of_its_comment_and_the_drive_of_
 
 
 def test_values_given_by_the_user_are_in_both_walks_unless_they_concern_the_steps(tmp_path: Path) -> None:
-    adopt(SMALL, tmp_path, changes={"servo.stiffness": 70.0, "gait.step_length": 0.02, "servo.assumed_lead": 0.01})
+    changes = {
+        "servo.stiffness": 70.0,
+        "gait.step_length": 0.02,
+        "standing.swing_duration": 2.0,
+        "servo.assumed_lead": 0.01,
+    }
+    adopt(SMALL, tmp_path, changes=changes)
     standing, dynamic = load(tmp_path / "robot.yaml"), load(tmp_path / "dynamic.yaml")
     assert standing.servo.stiffness == dynamic.servo.stiffness == 70.0
     assert standing.servo.assumed_lead == dynamic.servo.assumed_lead == 0.01
     assert standing.gait.step_length == 0.02
+    assert standing.standing.swing_duration == 2.0
     assert dynamic.gait.step_length > 0.03
+    assert dynamic.standing.swing_duration < 0.5
 
 
 @pytest.mark.long

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import mujoco
@@ -9,6 +10,9 @@ import numpy as np
 import pytest
 
 import dqwalk_ros as dq
+from dqwalk_ros import strict_yaml
+from dqwalk_ros.cli.options import overlaid
+from dqwalk_ros.config import find_share
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.dynamic.adjust import Step, adjusted, left_over
 from dqwalk_ros.dynamic.pendulum import angular_momentum
@@ -18,7 +22,7 @@ from dqwalk_ros.dynamic.tasks import Follow, FollowPose, Target
 from dqwalk_ros.dynamic.walk import DynamicWalk
 from dqwalk_ros.kinematics import CenterOfMass, CenterOfMassOnGround, Direction, Kinematics
 from dqwalk_ros.plants import World
-from dqwalk_ros.report import bag
+from dqwalk_ros.report import analyse, bag, report
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.simulation import make_controller, make_plant, simulate
 from dqwalk_ros.walk import PhaseKind
@@ -283,6 +287,62 @@ def test_the_trunk_keeps_its_posture_over_many_steps() -> None:
     assert trace.finished, trace.notes
     bent = np.degrees(trace.q[-1, [MODEL.joint_names.index(name) for name in ("abs_y", "abs_z", "bust_y", "bust_x")]])
     assert np.abs(bent).max() < 2.0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("noise", [False, True])
+def test_cmd_vel_steers_the_dynamic_walk_on_a_circle(noise: bool) -> None:
+    """Of 0.5 m; the loaded sole turns back a little in each step, so the circle is larger."""
+    sensors = {"attitude_noise": 0.004, "gyro_noise": 0.02, "encoder": 0.001534, "velocity_filter": 0.01, "seed": 1}
+    changes = {f"sensors.{key}": value for key, value in sensors.items()} if noise else {}
+    config = overlaid(CONFIG, "physics").updated({"gait.steps": 0, "qp.solver": "daqp", **changes})
+    controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
+
+    def steer(time: float) -> None:
+        controller.steer(0.08, 0.0, 0.16) if time < 46.0 else controller.stop()
+
+    trace = simulate(controller, plant, before_step=steer, max_time=60.0)
+    assert trace.finished, trace.notes
+    assert trace.physics is not None
+    second = np.ones(round(1.0 / config.dt)) * config.dt  # the mean over a second is without the sway
+    walking = (trace.time > 4.0) & (trace.time < 45.0)
+    pelvis = DQ(trace.physics.pelvis).translation()
+    x, y = (np.convolve(pelvis[:, k], second, "same")[walking] for k in range(2))
+    fit, *_ = np.linalg.lstsq(np.column_stack([2.0 * x, 2.0 * y, np.ones_like(x)]), x**2 + y**2, rcond=None)
+    radius = math.sqrt(fit[2] + fit[0] ** 2 + fit[1] ** 2)
+    off = np.abs(np.hypot(x - fit[0], y - fit[1]) - radius).max()
+    print(f"\ncircle of {radius:.3f} m, round to {1e3 * off:.1f} mm")
+    assert radius == pytest.approx(0.5, abs=0.06)
+    assert off < 0.02
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("latency", [0.0, 0.02])
+@pytest.mark.parametrize("speed", [0.10, 0.17])
+def test_a_biped_with_ankle_roll_walks_dynamically(speed: float, latency: float) -> None:
+    """With Poppy's parameters, but its aims and its lateral frequency."""
+    biped = dq.load(str(Path(__file__).parent / "data" / "biped12.yaml"))
+    own = ("dynamic.aim_ahead", "dynamic.aim_inside", "dynamic.side_frequency", "standing.posture")
+    tree = strict_yaml.read(find_share("config", "poppy_dynamic.yaml").read_text(), source="poppy_dynamic.yaml")
+    sections = tree["/**"]["ros__parameters"]
+    common = {
+        f"{name}.{key}": value
+        for name in ("task", "standing", "dynamic", "servo", "joints", "qp")
+        for key, value in sections[name].items()
+        if f"{name}.{key}" not in own
+    }
+    changes = {
+        "gait.style": "dynamic", "gait.steps": 14, "gait.step_length": 0.5 * speed, "gait.most_length": 0.1,
+        "servo.stiffness": 200.0, "servo.assumed_stiffness": 200.0, "dynamic.upright_weight": 1.0,
+        "dynamic.catch_side": 0.05, "servo.latency": latency, "servo.assumed_latency": latency,
+    }  # fmt: skip
+    config = overlaid(biped, "physics").updated({**common, **changes})
+    model = dq.load_model(config.robot)
+    trace = simulate(make_controller(config, model), make_plant("physics", config, model))
+    found = report(analyse(trace))
+    print(f"\n{speed} m/s, {1e3 * latency:.0f} ms: tilt {math.degrees(found['physics']['tilt']['value']):.2f} degrees")
+    assert trace.finished, trace.notes
+    assert found["ok"]
 
 
 def test_poppy_walks_in_physics_and_recovers_from_a_push(tmp_path: Path) -> None:

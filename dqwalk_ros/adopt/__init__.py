@@ -248,12 +248,13 @@ def write_dynamic(found: Adoption, entries: Sequence[Entry], given: Mapping[str,
     entries : sequence of Entry
         Parameters of the standing walk.
     given : dict of str to value
-        Parameters given by the user, which replace the derived ones.
+        Parameters given by the user. Those of the standing walk's own steps and durations are not used.
     """
     damping = next(entry.value for entry in entries if entry.key == "servo.damping")
     new = {entry.key: entry for entry in dynamic_parameters(found.anatomy, found.numbers, damping)}
+    common = ("dynamic.", "servo.", "qp.")
+    own = {key: value for key, value in given.items() if key not in new or key.startswith(common)}
     merged = [new.pop(entry.key, entry) for entry in entries] + list(new.values())
-    own = {key: value for key, value in given.items() if not key.startswith("gait.")}
     title = f"{found.model.name}: the dynamic walk (docs/dynamic.md)."
     write_yaml(found.folder / "dynamic.yaml", changed(merged, own, "given by --set"), title)
 

@@ -36,8 +36,8 @@ SHORTEST = 1.5
 """Shortest duration of a weight transfer from foot to foot [s]."""
 FROUDE = 0.05
 """Speed of the dynamic walk divided by sqrt(g l), with the leg length l."""
-POPPY = 0.46
-"""Leg length of Poppy, whose dynamic walk is scaled: lengths in proportion to it, times to its square root [m]."""
+REFERENCE = 0.46
+"""Leg length at which the dynamic walk has the lengths and times of Poppy's [m]; Poppy's own hips are 0.42 m high."""
 
 
 @dataclass(frozen=True)
@@ -340,7 +340,7 @@ def parameters(model: RobotModel, anatomy: Anatomy, numbers: Numbers, standing: 
 def dynamic_parameters(anatomy: Anatomy, numbers: Numbers, damping: float) -> list[Entry]:
     """Return the parameters of the dynamic walk that differ from the standing walk.
 
-    They are those of Poppy, with lengths scaled by the leg and times by its square root.
+    They are those of ``config/poppy_dynamic.yaml``, with lengths scaled by the leg and times by its square root.
 
     Parameters
     ----------
@@ -349,7 +349,7 @@ def dynamic_parameters(anatomy: Anatomy, numbers: Numbers, damping: float) -> li
     damping : float
         ``servo.damping`` [s].
     """
-    size = numbers.leg / POPPY
+    size = numbers.leg / REFERENCE
     slow = math.sqrt(size)
     single, double = rounded(0.4 * slow, 2), rounded(0.1 * slow, 2)
     speed = FROUDE * math.sqrt(GRAVITY * numbers.leg)
