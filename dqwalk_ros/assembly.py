@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.compiled import jit
 from dqwalk_ros.constraints import (
     Affine,
@@ -37,7 +37,6 @@ from dqwalk_ros.tasks import ComOverFoot, FramePose, Task, pose_difference
 
 __all__ = ["Assembly", "Evaluation"]
 
-Array = NDArray[np.float64]
 
 DEPENDENT = 5e-3
 """Ratio to the largest singular value below which a singular value of equality rows counts as zero."""

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.compiled import jit
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.geometry import ConvexPolygon, Cylinder, Plane, point_to_line_squared, point_to_wall
@@ -52,7 +52,6 @@ __all__ = [
     "vfi",
 ]
 
-Array = NDArray[np.float64]
 
 _UP = np.array([0.0, 0.0, 1.0])
 

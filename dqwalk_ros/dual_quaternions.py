@@ -9,11 +9,12 @@ from __future__ import annotations
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from dqwalk_ros.arrays import Array
 
 __all__ = ["DQ", "E", "i", "j", "k", "product", "qconj", "qmul"]
 
-Array = NDArray[np.float64]
 
 _CONJ4 = np.array([1.0, -1.0, -1.0, -1.0])
 _CONJ8 = np.concatenate([_CONJ4, _CONJ4])

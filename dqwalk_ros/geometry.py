@@ -12,8 +12,9 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.compiled import jit
 from dqwalk_ros.dual_quaternions import DQ
 
@@ -27,8 +28,6 @@ __all__ = [
     "point_to_wall",
     "wall_side",
 ]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,9 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.compiled import jit
 from dqwalk_ros.dual_quaternions import DQ, product
 from dqwalk_ros.robot import Foot, RobotModel
@@ -44,7 +45,6 @@ __all__ = [
     "support_tree",
 ]
 
-Array = NDArray[np.float64]
 
 _ORIGIN = np.zeros(3)
 _Z = np.array([0.0, 0.0, 1.0])
@@ -363,7 +363,9 @@ class Kinematics:
         return kin
 
     def later(self, dt: float) -> Kinematics:
-        """Return a copy with the elapsed time increased by `dt` [s]."""
+        """Return the kinematics with the elapsed time increased by `dt` [s]."""
+        if dt == 0.0:
+            return self
         kin = self._copy()
         kin.elapsed = self.elapsed + dt
         return kin

@@ -19,6 +19,7 @@ import clarabel
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.compiled import jit
 from dqwalk_ros.errors import QPError
 
@@ -37,7 +38,6 @@ __all__ = [
     "objective",
 ]
 
-Array = NDArray[np.float64]
 
 PRIMAL = 1e-7
 """Largest scaled violation of a row that is accepted."""

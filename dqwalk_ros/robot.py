@@ -17,16 +17,14 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import RobotConfig, find_share
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ConfigError, ModelError
 from dqwalk_ros.urdf import Joint, Link, Origin, Urdf
 
 __all__ = ["Body", "Foot", "Frame", "RobotModel", "Sole", "find_urdf", "load_model", "parse_model"]
-
-Array = NDArray[np.float64]
 
 
 class Foot(enum.Enum):

@@ -17,16 +17,15 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from dqwalk_ros import strict_yaml
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config, find_share
 from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.robot import RobotModel
 
 __all__ = ["IDENTIFIED", "Drive", "ServoType", "Servos", "load_types"]
 
-Array = NDArray[np.float64]
 
 _LATE = 0.045
 """Delay at which no damping is fed back where the servo has damping of its own [s]. At 40 ms the full damping excites

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.packages import find_package_file
 from dqwalk_ros.urdf import Link, Shape, Urdf
 
 __all__ = ["PRIMITIVES", "Shapes", "Surface", "meshes_of"]
 
-Array = NDArray[np.float64]
 
 PRIMITIVES = ("box", "cylinder", "sphere")
 """Shapes that every viewer can draw; all other shapes are drawn as triangles."""

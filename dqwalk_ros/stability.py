@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
@@ -30,7 +30,6 @@ __all__ = [
     "servo_findings",
 ]
 
-Array = NDArray[np.float64]
 
 STIFFNESS = 3.0
 """Least stiffness of the servos, as a multiple of m g h."""

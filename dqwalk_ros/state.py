@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
+from dqwalk_ros.arrays import Array
 
 __all__ = ["Command", "State"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(slots=True, eq=False)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.compiled import jit
 from dqwalk_ros.kinematics import Kinematics, direction
 
 __all__ = ["GRAVITY", "borne_by_other", "gravity_torques", "ground_torques", "share"]
 
-Array = NDArray[np.float64]
 
 GRAVITY = 9.80665
 """[m/s^2]"""

@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.compiled import jit
 from dqwalk_ros.kinematics import CenterOfMass, Feature, JointAngles, Kinematics, Observer, Point, Pose
 
 __all__ = ["ComOverFoot", "FramePose", "Posture", "Task"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

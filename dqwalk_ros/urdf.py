@@ -20,14 +20,13 @@ from xml.etree import ElementTree
 from xml.parsers import expat
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.packages import expanded
 
 __all__ = ["Joint", "Link", "Origin", "Shape", "Urdf"]
 
-Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
 Rgba = tuple[float, float, float, float]
 

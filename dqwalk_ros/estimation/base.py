@@ -16,20 +16,19 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.compiled import jit
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.robot import Foot, RobotModel
-from dqwalk_ros.statics import share
+from dqwalk_ros.statics import GRAVITY, share
 
 __all__ = ["BaseEstimate", "BaseEstimator"]
 
-Array = NDArray[np.float64]
 
-_GRAVITY = np.array([0.0, 0.0, -9.80665])
+_GRAVITY = np.array([0.0, 0.0, -GRAVITY])
 _POINTS = tuple((foot, side) for foot in Foot for side in (-0.5, 0.5))
 """Heel and toe of both soles, as offsets from the centre in lengths of the sole."""
 _R, _V, _P, _GYRO, _ACCELEROMETER = slice(0, 3), slice(3, 6), slice(6, 9), slice(21, 24), slice(24, 27)
@@ -67,13 +66,7 @@ class BaseEstimate:
 
 
 class BaseEstimator:
-    """Estimates the base recursively; `update` processes one state.
-
-    Parameters
-    ----------
-    config : Config
-    model : RobotModel
-    """
+    """Estimates the base recursively; `update` processes one state."""
 
     def __init__(self, config: Config, model: RobotModel) -> None:
         self._config, self._model = config.estimation, model
@@ -96,7 +89,6 @@ class BaseEstimator:
 
         Parameters
         ----------
-        time : float
         kin : Kinematics
             The robot at the measured joint angles and vertical, in the frame of a sole on the ground.
         gyro, acceleration : ndarray, shape (3,)
@@ -123,7 +115,7 @@ class BaseEstimator:
             h, stands, self._stood, self._R, self._v, self._p, self._d, self._bias, self._P, c.kinematics**2, c.floor**2
         )
         self._time, self._last_inertial, self._stood = time, (gyro, acceleration), stands
-        pelvis = DQ.from_pose(self._p, _quaternion(self._R)) * x_imu.conj() * DQ(kin.pose(self._model.pelvis))
+        pelvis = DQ.from_matrix(self._R, self._p) * x_imu.conj() * DQ(kin.pose(self._model.pelvis))
         p = pelvis.translation()
         omega = self._R @ (gyro - self._bias[:3])
         contacts = frozenset(foot for foot, s, slipped in zip(foot_of, stands, lost, strict=True) if s and not slipped)
@@ -252,11 +244,3 @@ def _correct(H, z, noise, R, v, p, d, bias, P):  # type: ignore[no-untyped-def]
     bias += xi[21:]
     L = np.eye(_SIZE) - K @ H
     P[:] = L @ P @ L.T + (K * noise) @ K.T
-
-
-def _quaternion(R: Array) -> Array:
-    """Return the unit quaternion (4,) of a rotation matrix, real part first."""
-    w = 0.5 * math.sqrt(max(1.0 + R[0, 0] + R[1, 1] + R[2, 2], 1e-12))
-    q = np.array([4.0 * w * w, R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / (4.0 * w)
-    out: Array = q / np.linalg.norm(q)
-    return out

@@ -16,13 +16,12 @@ import math
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.servos import Drive
 
 __all__ = ["DriveWatch"]
 
-Array = NDArray[np.float64]
 
 _EVERY, _SPAN, _FORGET = 0.02, 0.2, 10.0
 """Sampling period, time over which differences are taken, and time constant of the forgetting [s]."""

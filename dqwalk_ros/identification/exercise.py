@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.kinematics import JointAngles, Kinematics
@@ -27,7 +27,6 @@ from dqwalk_ros.walk import Phase, PhaseKind, Walk, joint_limits
 
 __all__ = ["NAME", "Exercise", "Slot", "duration", "exercise_config", "limbs", "path_of", "slots"]
 
-Array = NDArray[np.float64]
 
 _Z = np.array([0.0, 0.0, 1.0])
 NAME = f"{__name__}:Exercise"
@@ -65,7 +64,6 @@ def exercise_config(config: Config, cycles: int = 1) -> Config:
 
     Parameters
     ----------
-    config : Config
     cycles : int
         Number of exercises of each joint.
     """
@@ -125,7 +123,6 @@ def slots(model: RobotModel, cycles: int) -> tuple[tuple[Slot, ...], ...]:
 
     Parameters
     ----------
-    model : RobotModel
     cycles : int
         Number of exercises of each joint of the longest limb.
 

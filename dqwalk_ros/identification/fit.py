@@ -24,6 +24,7 @@ from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 from scipy.special import log_ndtr
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import BagError
 from dqwalk_ros.identification.exercise import limbs
@@ -38,7 +39,6 @@ from dqwalk_ros.urdf import Origin
 
 __all__ = ["NAMES", "Identified", "Mounting", "goals_of", "identify", "parameters"]
 
-Array = NDArray[np.float64]
 
 NAMES = ("delay", "stiffness", "damping", "backlash", "friction")
 """Identified parameters of each servo [s, N m/rad, s, rad, N m]; the damping is divided by the stiffness."""
@@ -160,10 +160,6 @@ def identify(
     progress : callable, optional
         Called with the completed fraction and the name of the joint.
 
-    Returns
-    -------
-    Identified
-
     Raises
     ------
     BagError
@@ -217,7 +213,6 @@ def parameters(found: Identified, dt: float, mass_scale: float) -> str:
 
     Parameters
     ----------
-    found : Identified
     dt : float
         Control period [s].
     mass_scale : float

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config, SensorsConfig
 from dqwalk_ros.errors import BagError
 from dqwalk_ros.identification.exercise import NAME
@@ -17,7 +17,6 @@ from dqwalk_ros.state import Command
 
 __all__ = ["replay", "require_exercise"]
 
-Array = NDArray[np.float64]
 
 _SHOWN = 100
 """Number of progress reports."""

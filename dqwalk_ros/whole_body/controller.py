@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.errors import ConfigError, ModelError, StateError
 from dqwalk_ros.robot import Foot, RobotModel
@@ -23,7 +24,6 @@ from dqwalk_ros.whole_body.preview import PointMass, Stepping, previewed
 
 __all__ = ["BodyCommand", "BodyState", "BodyTick", "WholeBodyController", "Wrench"]
 
-Array = NDArray[np.float64]
 
 _EPS = 1e-9
 

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
+from dqwalk_ros.text_table import aligned
 from dqwalk_ros.whole_body.trace import MARGINS, Reaction, WholeBodyTrace
 
-__all__ = ["KEPT", "Demand", "aligned", "checks", "render_checks", "spread", "summary"]
+__all__ = ["KEPT", "Demand", "checks", "render_checks", "spread", "summary"]
 
-Array = NDArray[np.float64]
 
 KEPT = dict.fromkeys(MARGINS, -1e-6) | {"joint": -1e-5}
 """Smallest margins accepted; they allow for the errors of the integration of (S9) and of impacts."""
@@ -189,7 +189,7 @@ def render_checks(walked: WholeBodyTrace, found: Sequence[Demand]) -> str:
     for check in found:
         known = f"{check.authors:.4g}" if check.authors is not None else ""
         rows.append((check.name, check.got, check.bound, known, "" if check.ok else "NOT REACHED"))
-    lines = aligned(rows)
+    lines = aligned(rows).splitlines()
     solve, tick = spread(1e3 * walked.times[:, 2]), spread(1e3 * walked.times[:, 3])
     return "\n".join(
         [
@@ -202,9 +202,3 @@ def render_checks(walked: WholeBodyTrace, found: Sequence[Demand]) -> str:
             f" one iteration in {100.0 * float((walked.iterations == 1).mean()):.1f} % of the ticks",
         ]
     )
-
-
-def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return the lines of a table."""
-    width = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return ["  ".join(cell.ljust(w) for cell, w in zip(row, width, strict=True)).rstrip() for row in rows]

@@ -14,15 +14,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.robot import Foot, RobotModel
 
 __all__ = ["GRAVITY", "Dynamics", "FrameMotion", "Multibody", "rotation_error"]
 
-Array = NDArray[np.float64]
 
 GRAVITY = 9.81
 """g [m/s^2]."""

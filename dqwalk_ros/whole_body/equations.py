@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import WholeBodyConfig
 from dqwalk_ros.robot import RobotModel
 from dqwalk_ros.whole_body.dynamics import Dynamics, FrameMotion, rotation_error
@@ -23,7 +23,6 @@ from dqwalk_ros.whole_body.preview import PointMass, Preview, Swing, swing_accel
 
 __all__ = ["FACES", "Layout", "Scene", "friction_edges", "hierarchy", "joint_bounds"]
 
-Array = NDArray[np.float64]
 
 FACES = 4
 """Number of edges of the friction pyramid."""

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.errors import ConfigError, DqwalkError
 from dqwalk_ros.provenance import here
@@ -17,7 +18,7 @@ from dqwalk_ros.simulation import closed_loop
 from dqwalk_ros.whole_body.controller import BodyCommand, BodyState, WholeBodyController, Wrench
 from dqwalk_ros.whole_body.rigid_plant import BodyPlant, RigidPlant
 from dqwalk_ros.whole_body.scenario import Scenario
-from dqwalk_ros.whole_body.trace import FEET, Array, BodyLog, Collector, Reaction, WholeBodyTrace
+from dqwalk_ros.whole_body.trace import FEET, BodyLog, Collector, Reaction, WholeBodyTrace
 
 __all__ = ["PLANTS", "Walk", "follow", "make_body_plant", "retrace", "walk"]
 

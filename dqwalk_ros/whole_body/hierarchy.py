@@ -18,11 +18,11 @@ import daqp
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.errors import QPError
 
 __all__ = ["BALANCE", "LAW", "LIMIT", "Answer", "Hierarchy", "HierarchySolver"]
 
-Array = NDArray[np.float64]
 
 LAW, LIMIT, BALANCE = 0, 1, 2
 """Levels of rows: equations of motion and contact, which are never relaxed; the rest of level 1; level 2."""

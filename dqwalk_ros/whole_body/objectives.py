@@ -14,13 +14,11 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.whole_body.dynamics import Dynamics, rotation_error
 
 __all__ = ["Distance", "FrameOrientation", "FrameOutsideSphere", "FramePosition", "JointPosture", "Objective"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

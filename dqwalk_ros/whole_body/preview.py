@@ -13,14 +13,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import WholeBodyConfig
 from dqwalk_ros.robot import Foot
 
 __all__ = ["PointMass", "Preview", "Stepping", "Swing", "previewed", "swing_acceleration", "swing_jerk"]
 
-Array = NDArray[np.float64]
 
 _EPS = 1e-9
 

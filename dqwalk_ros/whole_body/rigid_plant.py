@@ -11,16 +11,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.errors import PlantError
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.whole_body.controller import BodyCommand, BodyState, Wrench
 from dqwalk_ros.whole_body.dynamics import Dynamics, Multibody
 
 __all__ = ["BodyPlant", "RigidPlant"]
-
-Array = NDArray[np.float64]
 
 
 class BodyPlant(ABC):

@@ -10,8 +10,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import PlantError
 from dqwalk_ros.plants.mujoco import robot_spec
@@ -21,7 +21,6 @@ from dqwalk_ros.whole_body.rigid_plant import BodyPlant
 
 __all__ = ["TorquePlant"]
 
-Array = NDArray[np.float64]
 
 _SOFT = 0.005
 """Time constant of the contacts [s]."""

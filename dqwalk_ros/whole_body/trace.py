@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.whole_body.controller import BodyState, WholeBodyController, Wrench
@@ -15,7 +16,6 @@ from dqwalk_ros.whole_body.scenario import Scenario
 
 __all__ = ["FEET", "MARGINS", "BodyLog", "Collector", "Reaction", "WholeBodyTrace"]
 
-Array = NDArray[np.float64]
 
 FEET = (Foot.LEFT, Foot.RIGHT)
 """The order of feet in arrays."""
