@@ -118,6 +118,11 @@ class GaitConfig:
         "the soles) or 'dynamic' (dynamically stable: docs/dynamic.md)",
     )
     walk: str = _par("", "class of your own walk, as MODULE:CLASS, in place of gait.style (docs/tutorial.md)")
+    recover: str = _par(
+        "",
+        "standing: dynamic walk whose steps catch what the soles cannot bear, a name such as poppy_dynamic or a path; "
+        "empty: none",
+    )
     first_support: Literal["left", "right"] = _par("left", "foot of the first single support")
     cycles: int = _par(1, "paper: number of walking cycles of four phases each (Fig. 1)", "", 1, 100000)
     step_length: float = _par(
@@ -314,7 +319,7 @@ class PhysicsConfig:
 
 @dataclass(frozen=True)
 class SensorsConfig:
-    """Errors of the simulated sensors; by default there are none."""
+    """Errors of the simulated sensors, by default zero."""
 
     encoder: float = _par(0.0, "step size of measured joint angles; 0: continuous; an MX has 0.001534", "rad", 0.0, 0.1)
     velocity_filter: float = _par(0.0, "time constant of the velocities' low-pass; 0: exact", "s", 0.0, 1.0)

@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.assembly import Evaluation
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
@@ -25,8 +25,6 @@ from dqwalk_ros.state import Command, State
 from dqwalk_ros.walk import Phase, Walk
 
 __all__ = ["Tick", "VelocityController"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -85,16 +83,15 @@ class VelocityController:
         self.config = self._tuned = config
         self.model = model
         self._imu = model.imu
-        self._limit = np.minimum(model.velocity_max, config.joints.velocity or np.inf)
         self._solver = make_solver(config.qp.solver)
         self._make_walk, self._shape = walk, (model.n,)
-        self._drive = Drive.of(config, model)
         self.reset()
 
     def reset(self) -> None:
         """Discard the walk; the next state begins a new one."""
-        self.config = self._tuned
-        self.walk = self._make_walk(self.config, self.model)
+        self._use(self._tuned)
+        self._walk_config = self._tuned
+        self.walk = self._make_walk(self._tuned, self.model)
         self.phase_index = -1
         self.phase_time0 = math.nan
         self.finished = False
@@ -107,6 +104,12 @@ class VelocityController:
         self._last_time = math.inf
         self._history = CommandHistory(self._drive.delay, self.model.n)
         self._x_odom_base = DQ(1.0)
+
+    def _use(self, config: Config) -> None:
+        """Set the configuration of the current phase."""
+        self.config = config
+        self._limit = np.minimum(self.model.velocity_max, config.joints.velocity or np.inf)
+        self._drive = Drive.of(config, self.model)
 
     @property
     def phase(self) -> Phase:
@@ -259,9 +262,9 @@ class VelocityController:
 
     def _begin_next_phase(self, state: State, kin: Kinematics | None = None) -> None:
         """Begin the next phase at `state`; `kin` is in the base frame of the previous phase."""
-        if self._tuned is not self.config:
-            self.config = self._tuned
-            self.walk.tune(self.config)
+        if self._tuned is not self._walk_config:
+            self._walk_config = self._tuned
+            self.walk.tune(self._tuned)
         if self._phase is None:
             following = self.walk.beginning(self._kinematics(state, Foot.LEFT))
         else:
@@ -270,6 +273,9 @@ class VelocityController:
             self.finished = True
             return
         phase = self.walk.phase(*following[:2], state.q, following[2])
+        if self.walk.current is not self.config:
+            self._use(self.walk.current)
+            self._history.delay = self._drive.delay
         if kin is not None and phase.base is not kin.base:
             # the base frame changes to the other sole at its present pose
             self._x_odom_base = (self._x_odom_base * DQ(kin.pose(kin.swing))).normalized()

@@ -11,11 +11,12 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dqwalk_ros import provenance
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.controller import VelocityController
+from dqwalk_ros.dynamic.recovery import RecoveringWalk, steps_config
 from dqwalk_ros.dynamic.walk import DynamicWalk
 from dqwalk_ros.errors import ConfigError, DqwalkError, PlantError
 from dqwalk_ros.estimation.base import BaseEstimator
@@ -42,7 +43,6 @@ __all__ = [
     "warm_up",
 ]
 
-Array = NDArray[np.float64]
 
 WALKS: Mapping[str, type[Walk]] = {"paper": PaperWalk, "standing": StandingWalk, "dynamic": DynamicWalk}
 """Class of the walk of each ``gait.style``."""
@@ -58,7 +58,8 @@ def walk_type(config: Config) -> type[Walk]:
     """
     own = config.gait.walk
     if not own:
-        return WALKS[config.gait.style]
+        recovers = config.gait.style == "standing" and config.gait.recover
+        return RecoveringWalk if recovers else WALKS[config.gait.style]
     module, _, name = own.partition(":")
     try:
         found = getattr(importlib.import_module(module), name)
@@ -75,7 +76,15 @@ def make_walk(config: Config, model: RobotModel) -> Walk:
 
 
 def make_controller(config: Config, model: RobotModel) -> VelocityController:
-    """Return a new controller as `config` describes it."""
+    """Return a new controller as `config` describes it.
+
+    Raises
+    ------
+    ConfigError
+        As `walk_type`, and if ``gait.recover`` is not the configuration of a dynamic walk.
+    """
+    if walk_type(config) is RecoveringWalk:
+        steps_config(config)
     return VelocityController(config, model, walk_type(config))
 
 
@@ -254,6 +263,13 @@ class PhaseRecord:
     config: Config | None = None
     decision: str = ""
 
+    @classmethod
+    def of(cls, controller: VelocityController, start: int, time: float, config: Config | None = None) -> PhaseRecord:
+        """Return the record of a controller's phase, which began at a time [s] with the state of index `start`."""
+        now = controller.phase
+        given = {name: getattr(now, name) for name in ("name", "kind", "support", "base", "q_start", "swing_target")}
+        return cls(start=start, time=time, x_odom_base=controller.x_odom_base, config=config, **given)
+
     def phase(self, config: Config, model: RobotModel) -> Phase:
         """Return the phase, built from the recorded data."""
         return make_walk(self.config or config, model).phase(self.kind, self.support, self.q_start, self.swing_target)
@@ -409,21 +425,9 @@ class Recorder:
             self._physics.append((truth, inertial))
         self._finished = finished = controller.finished
         if controller.phase_index > self._index and not finished:
-            phase, self._index = controller.phase, controller.phase_index
-            self._phases.append(
-                PhaseRecord(
-                    name=phase.name,
-                    kind=phase.kind,
-                    support=phase.support,
-                    base=phase.base,
-                    start=len(self._time),
-                    time=state.time,
-                    q_start=phase.q_start,
-                    swing_target=phase.swing_target,
-                    x_odom_base=controller.x_odom_base,
-                    config=None if controller.config is self._config else controller.config,
-                )
-            )
+            self._index = controller.phase_index
+            tuned = None if controller.config is self._config else controller.config
+            self._phases.append(PhaseRecord.of(controller, len(self._time), state.time, tuned))
         elif not finished and controller.phase.decision != self._phases[-1].decision:
             now = controller.phase
             self._phases[-1] = replace(self._phases[-1], swing_target=now.swing_target, decision=now.decision)

@@ -14,8 +14,9 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.assembly import Assembly, Evaluation
 from dqwalk_ros.config import Config
 from dqwalk_ros.constraints import (
@@ -38,7 +39,6 @@ from dqwalk_ros.tasks import ComOverFoot, FramePose, Posture, Task
 
 __all__ = ["EndRule", "PaperWalk", "Phase", "PhaseKind", "Rule", "Walk", "com_target", "joint_limits", "pelvis_height"]
 
-Array = NDArray[np.float64]
 
 _UP = np.array([0.0, 0.0, 1.0])
 _X = np.array([1.0, 0.0, 0.0])
@@ -180,6 +180,11 @@ class Walk(ABC):
     @abstractmethod
     def posture(self) -> Array:
         """Joint angles at the start of the walk, shape (n,) [rad]."""
+
+    @property
+    def current(self) -> Config:
+        """Configuration of the current phase."""
+        return self.config
 
     is_tunable = False
     """Whether live parameters (`config.Spec.live`) may change between two phases."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 
@@ -14,17 +15,16 @@ from dqwalk_ros import strict_yaml
 from dqwalk_ros.cli.options import overlaid
 from dqwalk_ros.config import find_share
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.dynamic.adjust import Step, adjusted, left_over
+from dqwalk_ros.dynamic.adjust import Step, adjusted, left_over, transfer_time
 from dqwalk_ros.dynamic.pendulum import angular_momentum
-from dqwalk_ros.dynamic.plan import Pressed, Rest, before, single_supports
+from dqwalk_ros.dynamic.plan import Pressed, Rest, single_supports
 from dqwalk_ros.dynamic.swing import Swing
-from dqwalk_ros.dynamic.tasks import Follow, FollowPose, Target
+from dqwalk_ros.dynamic.tasks import FollowPose, Target
 from dqwalk_ros.dynamic.walk import DynamicWalk
-from dqwalk_ros.kinematics import CenterOfMass, CenterOfMassOnGround, Direction, Kinematics
-from dqwalk_ros.plants import World
+from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.report import analyse, bag, report
 from dqwalk_ros.robot import Foot
-from dqwalk_ros.simulation import make_controller, make_plant, simulate
+from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, simulate
 from dqwalk_ros.walk import PhaseKind
 
 CONFIG = dq.load("poppy_dynamic")
@@ -45,16 +45,6 @@ def footprints(length: float = 0.05, width: float = 0.08, first: float = 1.0) ->
 
 
 # ---------------------------------------------------------------------- the plan
-
-
-def test_the_closed_form_matches_integration() -> None:
-    a, b, end, time = np.array([0.0, 0.04]), np.array([0.05, -0.04]), np.array([0.04, 0.01]), 0.1
-    xi, n = before(a, b, end, time, OMEGA), 20000
-    for k in range(n):  # midpoint rule, forward in time
-        z = a + (k + 0.5) / n * (b - a)
-        half = xi + 0.5 * time / n * OMEGA * (xi - z)
-        xi = xi + time / n * OMEGA * (half - z)
-    assert xi == pytest.approx(end, abs=1e-8)
 
 
 @pytest.mark.parametrize(
@@ -191,6 +181,50 @@ def test_a_push_changes_position_and_time_of_the_step() -> None:
     assert shift[1] == 0.0  # there is no ankle roll
 
 
+def test_a_double_support_lasts_until_xi_has_arrived() -> None:
+    a, b = np.array([0.0, 0.0]), np.array([0.05, -0.08])
+    course = Pressed(a, b, np.array([0.06, -0.06]), 0.1, OMEGA)
+    xi, z = course.at(0.03)
+    assert transfer_time(course, z, xi, 0.0) == pytest.approx(0.07, abs=0.005)
+    behind = xi + np.array([0.0, 0.006])
+    longer = transfer_time(course, z, behind, 0.07)
+    assert longer > 0.08
+    begin, _ = Pressed(z, b, course.end, longer, OMEGA).at(0.0)  # of the longer double support
+    assert begin[1] == pytest.approx(behind[1], abs=2e-3)
+    assert transfer_time(course, z, xi - np.array([0.0, 0.015]), 0.07) == pytest.approx(0.07)
+    assert transfer_time(course, z, behind, 0.45) == pytest.approx(0.45, abs=0.011)  # longer than what is tried
+
+
+def test_a_robot_that_is_held_does_not_wait_for_ever() -> None:
+    """In a double support a hand stops the robot, so the divergent component never arrives."""
+    config = CONFIG.updated({"gait.steps": 6})
+    controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
+    held = next(state for state, _ in closed_loop(controller, plant) if controller.phase_index == 5)
+    assert controller.phase.kind is PhaseKind.DOUBLE_SUPPORT
+    held, begun = dataclasses.replace(held, dq=np.zeros(MODEL.n), gyro=np.zeros(3)), held.time
+    while controller.phase_index == 5 and held.time - begun < 6.0:
+        held = dataclasses.replace(held, time=held.time + config.dt)
+        controller.step(held, config.dt)
+    assert 0.2 < held.time - begun < 4.0
+
+
+def test_a_push_towards_the_swing_foot_is_caught_on_the_spot() -> None:
+    """The foot lands early and throws the robot back; without a longer double support it fell."""
+    config = CONFIG.updated({"gait.step_length": 0.0, "gait.steps": 4})
+    controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
+
+    def push(time: float) -> None:  # in the middle of the second step, in support on the right foot
+        due = controller.phase_index == 4 and 0.2 <= time + begin - controller.phase_time0 < 0.3
+        plant.push(np.array([0.0, 5.0 if due else 0.0, 0.0]))
+
+    begin = plant.state.time
+    trace = simulate(controller, plant, before_step=push)
+    assert trace.finished, trace.notes
+    longer = [record.name for record in trace.phases if record.decision.startswith("the double support lasts")]
+    assert longer[0] == "double_support/left"
+    assert all(record.decision == "" for record in trace.phases[:4])
+
+
 def test_a_swing_lands_at_a_changed_goal_and_time() -> None:
     start, goal = DQ.from_pose([-0.05, 0.08, 0.002]).vec8(), DQ.from_pose([0.05, 0.08, 0.0]).vec8()
     swing, dt, duration = Swing(start, goal, 0.02), 0.001, 0.4
@@ -210,27 +244,6 @@ def test_a_swing_lands_at_a_changed_goal_and_time() -> None:
 
 
 # ---------------------------------------------------------------------- tasks
-
-
-@pytest.mark.parametrize("base", list(Foot))
-def test_jacobians_are_derivatives(base: Foot) -> None:
-    swing = MODEL.soles[base.other].frame
-    pose = np.array([0.05, 0.1, 0.01, *DQ(Kinematics(MODEL, random_posture(1), base).pose(swing)).vec4()])
-    two, up = Target(np.ones(2), np.ones(2)), np.array([0.05, -0.08, np.sqrt(1.0 - 0.05**2 - 0.08**2)])
-    one, upright = Target(np.ones(1), np.ones(1)), Direction(MODEL.pelvis, np.eye(3)[2])
-    for task in (
-        Follow(name="com", feature=CenterOfMassOnGround(), target=two, convergence=2.0),
-        Follow(name="height", feature=CenterOfMass(), A=np.eye(3)[2:], target=one, convergence=2.0),
-        Follow(name="upright", feature=upright, A=np.eye(2, 3), target=two, convergence=2.0),
-        FollowPose(name="swing", frame=swing, target=Target(pose, np.zeros(6)), convergence=2.0, lever=0.2),
-    ):  # fmt: skip
-        q, h, eye = random_posture(4), 1e-6, np.eye(MODEL.n)
-        columns = [
-            (task.error(Kinematics(MODEL, q + h * e, base, up)) - task.error(Kinematics(MODEL, q - h * e, base, up)))
-            / (2.0 * h)
-            for e in eye
-        ]
-        assert task.jacobian(Kinematics(MODEL, q, base, up)) == pytest.approx(np.stack(columns, axis=1), abs=1e-7)
 
 
 def test_follow_pose_feeds_the_target_velocity_forward() -> None:
@@ -348,7 +361,6 @@ def test_a_biped_with_ankle_roll_walks_dynamically(speed: float, latency: float)
 def test_poppy_walks_in_physics_and_recovers_from_a_push(tmp_path: Path) -> None:
     config = CONFIG.updated({"gait.steps": 4, "dynamic.stop_duration": 0.6})
     controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
-    assert isinstance(plant, World)
 
     def push(time: float) -> None:  # outward, in the middle of the second step, in support on the right foot
         due = controller.phase_index == 4 and 0.2 <= time + begin - controller.phase_time0 < 0.3

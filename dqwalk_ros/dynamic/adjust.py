@@ -11,13 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import DynamicConfig
+from dqwalk_ros.dynamic.plan import Pressed, before
 
-__all__ = ["Step", "adjusted", "left_over"]
+__all__ = ["Step", "adjusted", "left_over", "transfer_time"]
 
-Array = NDArray[np.float64]
 
 _GRID = 0.01
 """Resolution of the search for the landing time [s]."""
@@ -25,6 +25,9 @@ _AHEAD_PART, _TIME_PART = 0.05, 1e-3
 """Weights of the squared error along x and of the squared change of time [m^2/s^2], relative to the lateral error."""
 _SMOOTH = 0.5
 """Fraction by which the landing position approaches its new value in one control period."""
+
+_LONGEST_TRANSFER = 0.3
+"""Longest remaining time of a double support that is tried, unless more is planned [s]."""
 
 
 @dataclass(frozen=True)
@@ -131,3 +134,23 @@ def adjusted(
     over, moved = left_over(step, xi, elapsed, np.array([duration - elapsed]))
     wanted = np.clip(over[0] + moved[0], -step.reach, step.reach)
     return duration, shift + _SMOOTH * (wanted - shift), over[0]
+
+
+def transfer_time(course: Pressed, z: Array, xi: Array, least: float) -> float:
+    """Return the remaining time of a double support after which xi is at its planned end to the side.
+
+    Parameters
+    ----------
+    course : Pressed
+        The double support, with its zero-moment point at the end.
+    z : ndarray, shape (2,)
+        Present zero-moment point; from there it moves linearly [m].
+    xi : ndarray, shape (2,)
+        Measured divergent component [m].
+    least : float
+        Least remaining time [s].
+    """
+    first = max(least, _GRID)
+    left = np.arange(first, max(_LONGEST_TRANSFER, first + _GRID), _GRID)
+    missed = [abs(float(before(z, course.b, course.end, T, course.omega)[1] - xi[1])) for T in left.tolist()]
+    return float(left[int(np.argmin(missed))])

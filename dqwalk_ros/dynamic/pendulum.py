@@ -12,16 +12,14 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.statics import GRAVITY
 from dqwalk_ros.urdf import Urdf
 from dqwalk_ros.walk import Phase
 
 __all__ = ["Pendulum", "angular_momentum"]
-
-Array = NDArray[np.float64]
 
 
 def angular_momentum(kin: Kinematics) -> Array:

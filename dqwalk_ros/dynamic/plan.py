@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+
+from dqwalk_ros.arrays import Array
 
 __all__ = ["Course", "Pressed", "Rest", "before", "single_supports"]
 
-Array = NDArray[np.float64]
 
 _OFFSET = 0.4
 """xi at the start of the last planned step, as a fraction of the distance from the middle of the feet to its foot."""

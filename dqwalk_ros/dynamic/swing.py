@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.dual_quaternions import DQ, product
 
 __all__ = ["Swing"]
 
-Array = NDArray[np.float64]
 
 _LIFT, _LAND = 0.02, 0.06
 """Fractions of the duration at the beginning and at the end without motion along the ground."""
@@ -28,14 +27,19 @@ class Swing:
         Poses in the base frame, as unit dual quaternions.
     height : float
         Largest height of the path [m].
+    descent : float
+        Duration of a whole swing of which only the descent remains; zero for a swing that starts on the ground [s].
 
     Attributes
     ----------
+    begun : float
+        Time of the whole path before its start, on the descent from its largest height; zero if it starts on the
+        ground [s].
     goal : ndarray, shape (2,)
         Landing position, which may be changed during the swing [m].
     """
 
-    def __init__(self, start: Array, goal: Array, height: float) -> None:
+    def __init__(self, start: Array, goal: Array, height: float, descent: float = 0.0) -> None:
         a, b = DQ(start), DQ(goal)
         turn = b.P() * a.P().conj()
         self._half = (turn if turn.vec4()[0] >= 0.0 else -turn).log().vec3()
@@ -43,7 +47,11 @@ class Swing:
         self._p, self._above = a.translation()[:2], float(a.translation()[2])
         self.goal = b.translation()[:2]
         self._height = height
-        self._s = self._elapsed = 0.0
+        self._s = 0.0
+        if descent > 0.0:
+            self._s = _descent(self._above / height)
+            self._above, self._height = 0.0, self._above / _arch(self._s)[0]
+        self.begun = self._elapsed = self._s * descent
         self._v = np.zeros(2)
 
     def step(self, elapsed: float, duration: float) -> tuple[Array, Array, Array]:
@@ -100,3 +108,9 @@ def _arch(s: float) -> tuple[float, float]:
     """
     left = 1.0 - s
     return _SCALE * s**2 * left**1.5, _SCALE * s * left**0.5 * (2.0 - 3.5 * s)
+
+
+def _descent(part: float) -> float:
+    """Return the fraction of the time at which the arch has come down to a part of its height."""
+    s = np.linspace(_TOP, 1.0, 200)
+    return float(s[np.argmax(_SCALE * s**2 * (1.0 - s) ** 1.5 <= max(part, 0.1))]) if part < 1.0 else _TOP

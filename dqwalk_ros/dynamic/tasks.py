@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.constraints import pose_error
 from dqwalk_ros.kinematics import Feature, Point, Rotation
 from dqwalk_ros.tasks import Task
 
 __all__ = ["Follow", "FollowPose", "Target"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(slots=True, eq=False)

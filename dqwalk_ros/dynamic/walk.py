@@ -13,12 +13,12 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.constraints import Constraint
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.dynamic.adjust import Step, adjusted, left_over
+from dqwalk_ros.dynamic.adjust import Step, adjusted, left_over, transfer_time
 from dqwalk_ros.dynamic.pendulum import Pendulum
 from dqwalk_ros.dynamic.plan import Course, Pressed, Rest, single_supports
 from dqwalk_ros.dynamic.swing import Swing
@@ -36,9 +36,8 @@ from dqwalk_ros.statics import GRAVITY, ground_torques
 from dqwalk_ros.tasks import Task
 from dqwalk_ros.walk import Phase, PhaseKind, Rule, com_target
 
-__all__ = ["DynamicWalk"]
+__all__ = ["DynamicWalk", "along_ground"]
 
-Array = NDArray[np.float64]
 
 _UP = np.array([0.0, 0.0, 1.0])
 _AHEAD = 6
@@ -51,6 +50,8 @@ _RESIDUAL, _YIELD = 0.002, 0.1
 """Error [m] above which the path of the CoM approaches the measured CoM, and the fraction of this at each state."""
 _CONFIRMED = 3
 """Number of consecutive states above the threshold after which a step is adjusted, to reject measurement noise."""
+_LONGEST_WAIT = 3.0
+"""Time after the planned end of a double support from which on it is not extended further [s]."""
 _SMOOTH = 0.02
 """Time constant of the filter of the measured xi for the step adjustment [s]."""
 _GAP = 0.1
@@ -64,14 +65,16 @@ class Timed:
     ----------
     duration : float
         [s]
+    begun : float
+        Part of the duration that has passed when the phase begins, because its swing foot is in the air already [s].
     """
 
     def __init__(self, duration: float) -> None:
-        self.duration = duration
+        self.duration, self.begun = duration, 0.0
 
     def is_over(self, error: float, elapsed: float) -> bool:
         """Return whether the time is up; see `walk.Rule.is_over`."""
-        return elapsed >= self.duration - 1e-9
+        return elapsed + self.begun >= self.duration - 1e-9
 
 
 @dataclass(eq=False)
@@ -111,6 +114,7 @@ class DynamicWalk(StandingWalk):
         self._course: Course
         self._flight: _Flight | None = None
         self._pushed = False
+        self._descends = False  # whether the swing foot of the next single support is in the air already
         self._targets: dict[str, Target] = {}
         self._legs = np.empty(0, dtype=np.intp)  # joints between the base sole and the pelvis
 
@@ -263,20 +267,23 @@ class DynamicWalk(StandingWalk):
         omega, up = self.pendulum.omega, kin.up
         dt = state.time - self._time
         self._time = state.time
-        c, v = _along_ground(kin.com, up), _along_ground(self._com_velocity(kin, state), up)
+        c, v = along_ground(kin.com, up), along_ground(self.com_velocity(kin, state), up)
         if known := 0.0 <= dt <= _GAP:
             self._com = self._com + dt * omega * (self._xi - self._com)  # c' = w (xi - c)
         else:
-            dt, self._com, self._xi = 0.0, c, c
+            dt, self._com, self._xi = 0.0, c, c + v / omega if self._descends else c
         if phase is not self._known:
             self._begin(phase, kin)
-        t = kin.elapsed
+        assert isinstance(phase.rule, Timed)
+        t = kin.elapsed + phase.rule.begun
         xi = c + v / omega
         moved = self._smooth + dt * omega * (self._smooth - self._pressure) if known else xi  # xi' = w (xi - z)
         self._smooth = moved + dt / (_SMOOTH + dt) * (xi - moved)
         flight = self._flight
         if flight is not None:
             phase = self._adjust_step(flight, phase, c, self._smooth, t)
+        elif isinstance(self._course, Pressed):
+            phase = self._adjust_transfer(self._course, phase, self._smooth, t)
         self._xi, z = self._course.at(t)
         if flight is None:  # a command takes effect after the delay
             _, z = self._course.at(t + self._advance)
@@ -293,7 +300,7 @@ class DynamicWalk(StandingWalk):
         self._known = phase
         return phase
 
-    def _com_velocity(self, kin: Kinematics, state: State) -> Array:
+    def com_velocity(self, kin: Kinematics, state: State) -> Array:
         """Return the velocity of the CoM, shape (3,) [m/s]; zero if the joint velocities are unknown."""
         if state.dq is None:
             return np.zeros(3)
@@ -327,6 +334,28 @@ class DynamicWalk(StandingWalk):
         if np.abs(over).max() > _RESIDUAL:
             self._com = self._com + _YIELD * (c - self._com)
         return phase
+
+    def _adjust_transfer(self, course: Pressed, phase: Phase, xi: Array, t: float) -> Phase:
+        """Extend a double support to the measured xi (2,) [m] at `t` [s] after its beginning.
+
+        A push towards the swing foot brings it to the ground early, and the impact throws the robot back. A single
+        support that begins with xi too far behind would have to end sooner than the other foot can land. A robot that
+        is held does not wait for ever. Return the phase, at its last state with the decision.
+        """
+        rule, left, planned = phase.rule, course.duration - t, self._duration(phase.kind)
+        assert isinstance(rule, Timed)
+        due, z = course.at(t)
+        waits = left > 1e-9 and t < planned + _LONGEST_WAIT
+        if self.config.dynamic.catch and abs(xi[1] - due[1]) > self._threshold and waits:
+            most = self.config.dynamic.hurry
+            left += min(max(transfer_time(course, z, xi, planned - t) - left, -most), most)
+            course.duration = rule.duration = t + left
+            course.a = course.b - (course.b - z) * course.duration / left
+        longer = course.duration - planned
+        if left > 1.5 * self.config.dt or longer < self.config.dt or phase.decision:
+            return phase
+        text = f"the double support lasts {1e3 * longer:.0f} ms longer, until the divergent component has arrived"
+        return replace(phase, decision=text)
 
     def _with_decision(self, flight: _Flight, phase: Phase) -> Phase:
         """Return the phase with the final landing position and a text that explains the change."""
@@ -382,7 +411,9 @@ class DynamicWalk(StandingWalk):
             z=base, landing=landing, offset=end - landing, duration=rule.duration, omega=omega,
             low=sole.center[:2] - half, high=sole.center[:2] + half, reach=np.array([d.catch_length, d.catch_side]),
         )  # fmt: skip
-        swing = Swing(kin.pose(kin.swing), target, self.config.gait.step_height)
+        descends, self._descends = self._descends, False
+        swing = Swing(kin.pose(kin.swing), target, self.config.gait.step_height, rule.duration if descends else 0.0)
+        rule.begun = swing.begun
         # after an adjusted step, the next step is adjusted from its beginning
         self._flight = _Flight(rule, course, step, swing, swing.goal, lost=_CONFIRMED if self._pushed else 0)
         return course
@@ -440,7 +471,7 @@ class DynamicWalk(StandingWalk):
         return tau
 
 
-def _along_ground(v: Array, up: Array) -> Array:
+def along_ground(v: Array, up: Array) -> Array:
     """Return the projection of a vector (3,) on the ground along the vertical `up` (3,), shape (2,)."""
     along: Array = v[:2] - v[2] / up[2] * up[:2]
     return along

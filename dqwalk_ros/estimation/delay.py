@@ -10,11 +10,10 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
+
+from dqwalk_ros.arrays import Array
 
 __all__ = ["CommandHistory"]
-
-Array = NDArray[np.float64]
 
 
 class CommandHistory:
@@ -26,10 +25,15 @@ class CommandHistory:
         T, the time from a measurement to the effect of the command that answers it [s].
     n : int
         Number of joints.
+
+    Attributes
+    ----------
+    delay : float
+        T, which may be changed [s].
     """
 
     def __init__(self, delay: float, n: int) -> None:
-        self._delay = delay
+        self.delay = delay
         self._sum = np.zeros(n)
         self._sums: deque[tuple[float, Array]] = deque()
 
@@ -39,11 +43,11 @@ class CommandHistory:
             self._sums.append((time, self._sum))
         self._sum = self._sum + dt * velocity
         self._sums.append((time + dt, self._sum))
-        self._forget(time - self._delay)
+        self._forget(time - self.delay)
 
     def pending(self, time: float) -> Array:
         """Return S(t) - S(t - T) at `time` [s]: the motion until the next command takes effect, shape (n,) [rad]."""
-        begin, sums = time - self._delay, self._sums
+        begin, sums = time - self.delay, self._sums
         self._forget(begin)
         if len(sums) < 2:
             return np.zeros_like(self._sum)

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.compiled import jit
 from dqwalk_ros.config import Config
 from dqwalk_ros.constraints import ComInsideEdges
@@ -22,7 +22,6 @@ from dqwalk_ros.walk import Phase, PhaseKind
 
 __all__ = ["Balance", "com_velocity"]
 
-Array = NDArray[np.float64]
 
 _NONE = np.empty(0)
 _NO_EDGES = np.empty((0, 2)), _NONE

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.constraints import pose_error
 from dqwalk_ros.dual_quaternions import DQ
@@ -20,7 +20,6 @@ from dqwalk_ros.robot import Foot, RobotModel
 
 __all__ = ["Footprint", "Footsteps", "flat"]
 
-Array = NDArray[np.float64]
 
 _LEVER = 0.1
 """Length that weights angles against distances in the search for the nearest reachable pose [m/rad]."""

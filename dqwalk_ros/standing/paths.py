@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.compiled import jit
 from dqwalk_ros.constraints import pose_error
 from dqwalk_ros.dual_quaternions import DQ
@@ -15,8 +16,6 @@ from dqwalk_ros.kinematics import CenterOfMassOnGround, Feature, Point, Rotation
 from dqwalk_ros.tasks import Task
 
 __all__ = ["ComPath", "SwingPath", "com_path"]
-
-Array = NDArray[np.float64]
 
 
 @jit
@@ -39,6 +38,13 @@ def com_path(s, start, elapsed, duration):  # type: ignore[no-untyped-def]
     place, slope, bend = _minimum_jerk(elapsed / duration)
     way = goal - start
     return start + place * way, slope / duration * way, bend / duration**2 * way
+
+
+@jit
+def _com_rate(s, e, start, elapsed, duration, eta, saturation):  # type: ignore[no-untyped-def]
+    """Return the velocity of the path less eta times the saturated error e, shape (2,) [m/s]."""
+    _, velocity, _ = com_path(s, start, elapsed, duration)
+    return velocity - eta * min(1.0, saturation / max(math.sqrt(e @ e), 1e-12)) * e
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,9 +87,7 @@ class ComPath(Task):
 
     def rate(self, s: Array, e: Array, elapsed: float, eta: float) -> Array:
         """Return the desired e': the velocity of the path minus the saturated error times eta, shape (2,) [m/s]."""
-        _, velocity, _ = com_path(s, self.start, elapsed, self.duration)
-        size = float(e @ e) ** 0.5
-        back: Array = velocity - eta * min(1.0, self.saturation / max(size, 1e-12)) * e
+        back: Array = _com_rate(s, e, self.start, elapsed, self.duration, eta, self.saturation)
         return back
 
 
@@ -104,6 +108,21 @@ def _swing_path(elapsed, duration, height, start, way, r_start, half_turn):  # t
     r[0] = a * r_start[0] - v @ r_start[1:]
     r[1:] = a * r_start[1:] + r_start[0] * v + np.cross(v, r_start[1:])
     return start + place * way + bump * up, r, velocity
+
+
+@jit
+def _swing_error(s, path, lever):  # type: ignore[no-untyped-def]
+    """Return the error (6,) of a sole with the coordinates s (7,) from its path, and the gradient (6, 7)."""
+    p, r, _ = _swing_path(*path)
+    return pose_error(s, p, r, lever)
+
+
+@jit
+def _swing_rate(e, path, lever, convergence):  # type: ignore[no-untyped-def]
+    """Return the velocity of the path, angles times `lever`, less `convergence` times the error e, shape (6,) [m/s]."""
+    _, _, velocity = _swing_path(*path)
+    velocity[3:] *= lever
+    return velocity - convergence * e
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,20 +167,13 @@ class SwingPath(Task):
         half = (turn if turn.vec4()[0] >= 0.0 else -turn).log().vec3()
         return a.translation(), b.translation() - a.translation(), self.start[:4].copy(), half.copy()
 
-    def at(self, elapsed: float) -> tuple[Array, Array, Array]:
-        """Position (3,), orientation (4,) and velocity, linear and angular (6,), on the path."""
-        path: tuple[Array, Array, Array] = _swing_path(elapsed, self.duration, self.height, *self._ends)
-        return path
-
     def value(self, s: Array, elapsed: float) -> tuple[Array, Array]:
         """Error from the path, shape (6,) [m]."""
-        p, r, _ = self.at(elapsed)
-        e, gradient = pose_error(s, p, r, self.lever)
+        e, gradient = _swing_error(s, (elapsed, self.duration, self.height, *self._ends), self.lever)
         return e, gradient
 
     def rate(self, s: Array, e: Array, elapsed: float, eta: float) -> Array:
         """Return the desired e': the velocity of the path minus the error times `convergence`, shape (6,) [m/s]."""
-        _, _, velocity = self.at(elapsed)
-        velocity[3:] *= self.lever
-        back: Array = velocity - self.convergence * e
+        path = elapsed, self.duration, self.height, *self._ends
+        back: Array = _swing_rate(e, path, self.lever, self.convergence)
         return back

@@ -13,8 +13,8 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.constraints import ComInsideEdges, Constraint, FrameHeld, PointsOverPlane
 from dqwalk_ros.dual_quaternions import DQ
@@ -31,7 +31,6 @@ from dqwalk_ros.walk import Phase, PhaseKind, Rule, Walk, joint_limits, pelvis_h
 
 __all__ = ["StandingWalk"]
 
-Array = NDArray[np.float64]
 
 _UP = np.array([0.0, 0.0, 1.0])
 _JOINT_RETURN = 0.5
