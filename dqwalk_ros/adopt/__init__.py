@@ -7,13 +7,11 @@ source and a confidence.
 
 from __future__ import annotations
 
-import dataclasses
 import json
-import math
 import os
 import pathlib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,21 +19,20 @@ import numpy as np
 from dqwalk_ros.adopt.anatomy import Anatomy, find_anatomy
 from dqwalk_ros.adopt.check import Finding, check
 from dqwalk_ros.adopt.parameters import (
-    Entry,
     Numbers,
     dynamic_parameters,
-    measure,
     paper_parameters,
     parameters,
     robot_entries,
     whole_body_parameters,
 )
-from dqwalk_ros.adopt.posture import Standing, over_one_foot, stand
-from dqwalk_ros.adopt.skeleton import Evidence, Skeleton
+from dqwalk_ros.adopt.posture import over_one_foot, stand
+from dqwalk_ros.adopt.skeleton import Entry, Skeleton
 from dqwalk_ros.config import Config, RobotConfig, load
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.robot import Foot, RobotModel, load_model
 from dqwalk_ros.shapes import Shapes
+from dqwalk_ros.text_table import aligned
 from dqwalk_ros.urdf import Origin, Urdf
 
 __all__ = ["Adoption", "Finding", "adopt", "changed", "check", "table", "write_dynamic", "write_yaml"]
@@ -61,13 +58,11 @@ class Adoption:
         The model of the repaired robot.
     anatomy : Anatomy
         Legs, soles, arms and sensors.
-    standing : Standing
-        The initial posture of the walk.
     numbers : Numbers
-        Quantities from which the parameters were derived.
+        The initial posture, and quantities from which the parameters were derived.
     entries : tuple of Entry
         All parameters in ``robot.yaml``.
-    evidence : tuple of Evidence
+    evidence : tuple of Entry
         Values found in the robot description, with their sources.
     repairs : tuple of str
         Repairs of the robot description.
@@ -79,10 +74,9 @@ class Adoption:
     config: Config
     model: RobotModel
     anatomy: Anatomy
-    standing: Standing
     numbers: Numbers
     entries: tuple[Entry, ...]
-    evidence: tuple[Evidence, ...]
+    evidence: tuple[Entry, ...]
     repairs: tuple[str, ...]
     findings: tuple[Finding, ...]
 
@@ -96,7 +90,6 @@ def adopt(
     right: str = "",
     forward: str = "",
     changes: Mapping[str, Any] | None = None,
-    say: Callable[[str], None] = lambda _: None,
 ) -> Adoption:
     """Read a robot description, derive the parameters of a walk and write the files, without walking.
 
@@ -114,8 +107,6 @@ def adopt(
         Forward axis of the root link, ``+x``, ``-x``, ``+y`` or ``-y``; empty to find it.
     changes : dict of str to value, optional
         Parameters that replace the derived ones.
-    say : callable, optional
-        Called with a line of text before each long operation.
 
     Returns
     -------
@@ -127,30 +118,26 @@ def adopt(
         If the robot description cannot be read, or the robot cannot walk with this package.
     """
     path, folder = pathlib.Path(path), pathlib.Path(folder)
-    say("reading")
     urdf = Urdf.load(path)
     shapes = Shapes(urdf, path, tuple(map(pathlib.Path, package_paths)))
-    say("finding legs, soles and arms")
     anatomy = find_anatomy(urdf, shapes, left=left, right=right, forward=forward)
     _align_root(urdf, anatomy)
     soles = _add_soles(urdf, anatomy)
-    _resolve_meshes(urdf, shapes)
+    urdf.links.update({name: shapes.named(link) for name, link in urdf.links.items()})  # paths of the meshes
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "robot.urdf").write_text(urdf.text(), encoding="utf-8")
 
-    say("finding a posture")
     sole = anatomy.soles[Foot.LEFT]
     free = {joint for leg in anatomy.legs.values() for joint in leg}
     if "R" not in anatomy.kinds[-2:]:
         free |= set(anatomy.waist)  # without ankle roll joints, the trunk moves the CoM over a sole
-    locked = _locked(urdf, free)
     robot = RobotConfig(
         urdf=str(folder / "robot.urdf"),
         pelvis=anatomy.pelvis,
         left_sole=soles[Foot.LEFT],
         right_sole=soles[Foot.RIGHT],
         imu=anatomy.imu,
-        lock=_lock_entries(locked),
+        lock=_lock(urdf, free),
         sole_length=float(f"{sole.length:.4g}"),
         sole_width=float(f"{sole.width:.4g}"),
     )
@@ -164,21 +151,20 @@ def adopt(
             f"the CoM of this robot cannot be placed over one sole with both feet flat: the least distance from its "
             f"middle is {1e3 * deviation:.0f} mm"
         )
-    step = math.floor(0.09 * anatomy.leg * 1e3 + 1e-6) / 1e3
-    numbers = measure(model, anatomy, standing, [q for q, _ in single], step)
-    about = robot_entries(model, anatomy, locked, soles, "the joints that walk")
-    entries = [*about, *parameters(model, anatomy, numbers, standing)]
+    numbers = Numbers.of(model, anatomy, standing, [q for q, _ in single])
+    about = robot_entries(model, anatomy, robot.lock, soles, "the joints that walk")
+    entries = [*about, *parameters(numbers)]
     entries = changed(entries, changes or {}, "given by --set")
     write_yaml(folder / "robot.yaml", entries, f"{urdf.name}, adopted from {path.name}: the standing walk.")
-    paper = [*about, *paper_parameters(numbers, standing, anatomy)]
+    paper = [*about, *paper_parameters(numbers)]
     write_yaml(folder / "paper.yaml", paper, f"{urdf.name}, adopted from {path.name}: the walk of Urban & Adorno.")
     if "R" in anatomy.kinds[-2:] and len(anatomy.hands) == len(Foot):
-        _write_whole_body(folder, urdf, anatomy, robot, numbers, path.name)
+        _write_whole_body(folder, urdf, robot, numbers, path.name)
     config = load(folder / "robot.yaml")
     model = load_model(config.robot)
-    evidence = (*anatomy.evidence, *_mass_evidence(numbers, standing))
+    evidence = (*anatomy.evidence, *_mass_evidence(numbers))
     found = Adoption(
-        folder, config, model, anatomy, standing, numbers, tuple(entries), evidence,
+        folder, config, model, anatomy, numbers, tuple(entries), evidence,
         tuple(dict.fromkeys((*urdf.repairs, *model.repairs))), tuple(check(config, model)),
     )  # fmt: skip
     write_dynamic(found, entries, changes or {})
@@ -191,17 +177,15 @@ def table(found: Adoption) -> str:
     rows = [("quantity", "value", "confidence", "source")]
     rows += [(e.what, e.value, e.confidence, e.source) for e in found.evidence]
     rows += [
-        (e.key, _yaml_value(e.value), e.confidence, e.reason)
+        (e.what, _yaml_value(e.value), e.confidence, e.source)
         for e in found.entries
-        if not e.key.startswith("robot.") or e.confidence != "sure"
+        if not e.what.startswith("robot.") or e.confidence != "sure"
     ]
-    cut = [48, 64]
-    widths = [min(max(len(row[k]) for row in rows), (cut[0], cut[1], 10)[k]) for k in range(3)]
-    lines = []
-    for row in rows:
-        cells = [text if len(text) <= widths[k] else text[: widths[k] - 3] + "..." for k, text in enumerate(row[:3])]
-        lines.append("  ".join(f"{text:<{widths[k]}}" for k, text in enumerate(cells)) + "  " + row[3])
-    return "\n".join(lines)
+
+    def cut(text: str, most: int) -> str:
+        return text if len(text) <= most else text[: most - 3] + "..."
+
+    return aligned([(cut(what, 48), cut(value, 64), confidence, source) for what, value, confidence, source in rows])
 
 
 def write_yaml(path: pathlib.Path, entries: Sequence[Entry], title: str) -> None:
@@ -209,15 +193,15 @@ def write_yaml(path: pathlib.Path, entries: Sequence[Entry], title: str) -> None
     lines = [f"# {title} `dqwalk config` explains each key.", "/**:", "  ros__parameters:"]
     sections: dict[str, list[Entry]] = {}
     for entry in entries:
-        sections.setdefault(entry.key.rpartition(".")[0], []).append(entry)
+        sections.setdefault(entry.what.rpartition(".")[0], []).append(entry)
     for section, members in sections.items():
         indent = "    "
         if section:
             lines.append(f"    {section}:")
             indent = "      "
         for entry in members:
-            text = f"{indent}{entry.key.rpartition('.')[2]}: {_yaml_value(entry.value)}"
-            note = entry.reason + ("" if entry.confidence == "sure" else f" ({entry.confidence})")
+            text = f"{indent}{entry.what.rpartition('.')[2]}: {_yaml_value(entry.value)}"
+            note = entry.source + ("" if entry.confidence == "sure" else f" ({entry.confidence})")
             lines.append(f"{text:<44}  # {note}")
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
@@ -234,8 +218,8 @@ def _yaml_value(value: Any) -> str:
 
 def changed(entries: Sequence[Entry], changes: Mapping[str, Any], reason: str) -> list[Entry]:
     """Return the entries with the values of `changes`, which may add keys, and with `reason` for these."""
-    known = {entry.key for entry in entries}
-    kept = [Entry(e.key, changes[e.key], reason) if e.key in changes else e for e in entries]
+    known = {entry.what for entry in entries}
+    kept = [Entry(e.what, changes[e.what], reason) if e.what in changes else e for e in entries]
     return kept + [Entry(key, value, reason) for key, value in changes.items() if key not in known]
 
 
@@ -250,11 +234,11 @@ def write_dynamic(found: Adoption, entries: Sequence[Entry], given: Mapping[str,
     given : dict of str to value
         Parameters given by the user. Those of the standing walk's own steps and durations are not used.
     """
-    damping = next(entry.value for entry in entries if entry.key == "servo.damping")
-    new = {entry.key: entry for entry in dynamic_parameters(found.anatomy, found.numbers, damping)}
+    damping = next(entry.value for entry in entries if entry.what == "servo.damping")
+    new = {entry.what: entry for entry in dynamic_parameters(found.numbers, damping)}
     common = ("dynamic.", "servo.", "qp.")
     own = {key: value for key, value in given.items() if key not in new or key.startswith(common)}
-    merged = [new.pop(entry.key, entry) for entry in entries] + list(new.values())
+    merged = [new.pop(entry.what, entry) for entry in entries] + list(new.values())
     title = f"{found.model.name}: the dynamic walk (docs/dynamic.md)."
     write_yaml(found.folder / "dynamic.yaml", changed(merged, own, "given by --set"), title)
 
@@ -263,17 +247,14 @@ def _align_root(urdf: Urdf, anatomy: Anatomy) -> None:
     """Add a new root link with x forward and z up, unless the root link has these axes."""
     if np.allclose(anatomy.turn, np.eye(3), atol=1e-9):
         return
-    old = urdf.root
-    links, joints = dict(urdf.links), dict(urdf.joints)
-    urdf.links.clear()
-    urdf.joints.clear()
     pose = np.eye(4)
     pose[:3, :3] = anatomy.turn
-    urdf.links.update(links)
-    urdf.add_frame("dqwalk_root", old, Origin())
-    joint = urdf.joints.pop("dqwalk_root_joint")
-    urdf.joints["dqwalk_root_joint"] = type(joint)(joint.name, "fixed", "dqwalk_root", old, Origin.of(pose), joint.axis)
-    urdf.joints.update(joints)
+    old, others = urdf.root, dict(urdf.joints)
+    urdf.joints.clear()
+    urdf.add_frame("dqwalk_root", old, Origin.of(pose))
+    (joint,) = urdf.joints.values()
+    urdf.joints[joint.name] = replace(joint, parent="dqwalk_root", child=old)
+    urdf.joints.update(others)
 
 
 def _add_soles(urdf: Urdf, anatomy: Anatomy) -> dict[Foot, str]:
@@ -283,39 +264,25 @@ def _add_soles(urdf: Urdf, anatomy: Anatomy) -> dict[Foot, str]:
     return names
 
 
-def _resolve_meshes(urdf: Urdf, shapes: Shapes) -> None:
-    """Replace mesh names by paths of their files, unless their package is installed."""
-    for link in list(urdf.links.values()):
-        urdf.links[link.name] = shapes.named(link)
-
-
-def _write_whole_body(
-    folder: pathlib.Path, urdf: Urdf, anatomy: Anatomy, robot: RobotConfig, numbers: Numbers, source: str
-) -> None:
+def _write_whole_body(folder: pathlib.Path, urdf: Urdf, robot: RobotConfig, numbers: Numbers, source: str) -> None:
     """Write the configuration of the whole-body controller, which also moves the waist and the arms."""
-    chain = Skeleton(urdf).chain
+    anatomy, chain = numbers.anatomy, Skeleton(urdf).chain
     arms = {foot: tuple(j for j in chain[hand] if j not in anatomy.waist) for foot, hand in anatomy.hands.items()}
     legs = {joint for leg in anatomy.legs.values() for joint in leg}
-    locked = _locked(urdf, legs | set(anatomy.waist) | {joint for arm in arms.values() for joint in arm})
-    model = load_model(dataclasses.replace(robot, lock=_lock_entries(locked)))
+    lock = _lock(urdf, legs | set(anatomy.waist) | {joint for arm in arms.values() for joint in arm})
+    model = load_model(replace(robot, lock=lock))
     standing = stand(model, anatomy, numbers.apart, bent=_CROUCH)
     names = {foot: model.soles[foot].frame for foot in Foot}
-    about = robot_entries(model, anatomy, locked, names, "legs, waist and arms")
-    entries = [*about, *whole_body_parameters(model, anatomy, numbers, standing, arms)]
+    about = robot_entries(model, anatomy, lock, names, "legs, waist and arms")
+    entries = [*about, *whole_body_parameters(model, standing, numbers, arms)]
     write_yaml(folder / "whole_body.yaml", entries, f"{urdf.name}, adopted from {source}: Sherikov et al.")
 
 
-def _lock_entries(locked: Mapping[str, float]) -> tuple[str, ...]:
-    return tuple(name if not angle else f"{name}={angle:.6g}" for name, angle in locked.items())
-
-
-def _locked(urdf: Urdf, free: set[str]) -> dict[str, float]:
-    """Return the angles [rad] at which the joints that are not free are locked."""
-    out = {}
-    for joint in urdf.joints.values():
-        if joint.moves and joint.name not in free and not joint.mimic:
-            out[joint.name] = min(max(0.0, joint.lower), joint.upper)
-    return out
+def _lock(urdf: Urdf, free: set[str]) -> tuple[str, ...]:
+    """Return the joints that are not free, with an angle [rad] where zero is outside their limits."""
+    locked = [joint for joint in urdf.joints.values() if joint.moves and joint.name not in free and not joint.mimic]
+    angles = {joint.name: min(max(0.0, joint.lower), joint.upper) for joint in locked}
+    return tuple(name if not angle else f"{name}={angle:.6g}" for name, angle in angles.items())
 
 
 def _sole_distance(urdf: Urdf, anatomy: Anatomy) -> float:
@@ -328,23 +295,26 @@ def _sole_distance(urdf: Urdf, anatomy: Anatomy) -> float:
     return float(f"{max(least, min(apart, max(1.5 * hip, least))):.4g}")
 
 
-def _mass_evidence(numbers: Numbers, standing: Standing) -> list[Evidence]:
-    n = numbers
+def _mass_evidence(n: Numbers) -> list[Entry]:
+    ahead = 1e3 * n.standing.com[0]
     return [
-        Evidence("mass", f"{n.mass:.4g} kg", "sum of the links"),
-        Evidence("CoM in the posture", f"{1e3 * standing.com[0]:.1f} mm forward, {n.height:.3f} m up", "posture"),
-        Evidence("m g h", f"{n.mgh:.4g} N m/rad", "mass and height of the CoM"),
-        Evidence("inertia of a leg", f"{n.inertia:.3g} kg m^2", "its bodies as point masses, about the hip"),
-        Evidence("torque on one foot", f"{n.torque:.2f} of the effort limit", f"{n.joint}, statics", "likely"),
+        Entry("mass", f"{n.model.mass:.4g} kg", "sum of the links"),
+        Entry("CoM in the posture", f"{ahead:.1f} mm forward, {n.height:.3f} m up", "posture"),
+        Entry("m g h", f"{n.mgh:.4g} N m/rad", "mass and height of the CoM"),
+        Entry("inertia of a leg", f"{n.inertia:.3g} kg m^2", "its bodies as point masses, about the hip"),
+        Entry("torque on one foot", f"{n.torque:.2f} of the effort limit", f"{n.joint}, statics", "likely"),
     ]
 
 
 def _json(found: Adoption, path: pathlib.Path) -> dict[str, Any]:
+    def rows(entries: Sequence[Entry], *names: str) -> list[dict[str, Any]]:
+        return [dict(zip(names, vars(entry).values(), strict=True)) for entry in entries]
+
     return {
         "from": str(path),
         "robot": found.model.name,
-        "evidence": [vars(e) for e in found.evidence],
-        "parameters": [vars(e) for e in found.entries],
+        "evidence": rows(found.evidence, "what", "value", "source", "confidence"),
+        "parameters": rows(found.entries, "key", "value", "reason", "confidence"),
         "repairs": list(found.repairs),
         "findings": [vars(f) for f in found.findings],
     }

@@ -11,14 +11,14 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dqwalk_ros.adopt.skeleton import Evidence, Points, Skeleton
+from dqwalk_ros.adopt.skeleton import Entry, Points, Skeleton
 from dqwalk_ros.adopt.soles import FoundSole, find_soles, foot_links, plane_below
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.shapes import Shapes
@@ -26,7 +26,6 @@ from dqwalk_ros.urdf import Urdf
 
 __all__ = ["Anatomy", "find_anatomy"]
 
-Array = NDArray[np.float64]
 
 _NEAR_FLOOR = 0.03
 """Largest height of a foot above the lowest point, as a fraction of the robot's height."""
@@ -60,7 +59,7 @@ class Anatomy:
         Joints within the feet.
     leg : float
         Height of the hips above the soles [m].
-    evidence : tuple of Evidence
+    evidence : tuple of Entry
         The values above, with their sources.
     """
 
@@ -75,7 +74,7 @@ class Anatomy:
     waist: tuple[str, ...]
     toes: tuple[str, ...]
     leg: float
-    evidence: tuple[Evidence, ...]
+    evidence: tuple[Entry, ...]
 
 
 def find_anatomy(
@@ -128,17 +127,9 @@ def find_anatomy(
     raise problem
 
 
-def _ups() -> Iterator[Array]:
-    """Yield rotations (3, 3) that make an axis of the root link vertical: z first (REP-103), then the others."""
-    yield np.eye(3)
-    for axis, sign in ((1, 1.0), (0, 1.0), (1, -1.0), (0, -1.0)):
-        up = np.zeros(3)
-        up[axis] = sign
-        other = np.array([0.0, 0.0, 1.0])
-        yield np.array([np.cross(other, up), other, up]) if axis == 0 else np.array([other, np.cross(up, other), up])
-
-
-_UPS = tuple(_ups())
+_X, _Y, _Z = np.eye(3)
+_UPS = tuple(np.array(rows) for rows in ((_X, _Y, _Z), (_Z, _X, _Y), (_Y, _Z, _X), (_Z, -_X, -_Y), (-_Y, _Z, -_X)))
+"""Rotations (3, 3) that make an axis of the root link vertical: z first (REP-103), then the others."""
 
 
 def _stands(skeleton: Skeleton, points: Points, pair: tuple[str, str]) -> bool:
@@ -280,51 +271,40 @@ def _anatomy(
         raise ModelError(
             f"this biped has only {len(one)} joints in a leg, too few to keep the soles flat on the ground in a walk"
         )
-    evidence: list[Evidence] = []
     up = skeleton.pose(urdf.root)[:3, :3]  # from the root's axes to axes with z up
-    yaw, one, two = _find_forward(skeleton, points, one, two, forward, evidence)
+    yaw, one, two, ahead = _find_forward(skeleton, points, one, two, forward)
     skeleton = Skeleton(urdf, yaw @ up)
     legs = {Foot.LEFT: one, Foot.RIGHT: two}
-    evidence.insert(
-        0,
-        Evidence(
-            "legs",
-            f"{' '.join(one)} | {' '.join(two)}",
-            "given by --left and --right" if named else "the chains that mirror each other and reach the ground",
-        ),
-    )
-    kinds = "".join(_kind(skeleton.axis(joint)) for joint in one)
-    evidence.append(Evidence("axes of a leg", kinds, "axes of its joints: roll, pitch, yaw"))
+    kinds = "".join("RPY"[int(np.argmax(np.abs(skeleton.axis(joint))))] for joint in one)
     hip, ankle = (0.5 * (skeleton.place(one[k]) + skeleton.place(two[k])) for k in (0, -1))
-    soles, toes = find_soles(skeleton, points, legs, float(hip[2] - ankle[2]), evidence)
+    soles = find_soles(skeleton, points, legs, float(hip[2] - ankle[2]))
+    toes = tuple(j for leg in legs.values() for j in skeleton.joints if leg[-1] in skeleton.way(j)[:-1])
     ground = float(np.mean([(skeleton.pose(s.link) @ s.pose)[2, 3] for s in soles.values()]))
-    leg = float(hip[2] - ground)
     pelvis_body = skeleton.body(urdf.joints[one[0]].parent)
     parents = {urdf.joints[leg[0]].parent for leg in legs.values()}
     pelvis = parents.pop() if len(parents) == 1 else skeleton.heaviest(pelvis_body)
-    evidence.append(Evidence("pelvis", pelvis, "link that carries both legs"))
     hands, torso_body = _find_hands(skeleton, {*one, *two}, pelvis_body)
     torso = skeleton.heaviest(torso_body)
-    evidence.append(
-        Evidence("torso", torso, "body that carries both arms" if hands else "heaviest body above the legs")
-    )
-    if hands:
-        evidence.append(Evidence("hands", f"{hands[Foot.LEFT]}, {hands[Foot.RIGHT]}", "ends of the arms", "likely"))
     waist = tuple(joint for joint in skeleton.way(torso_body) if joint not in skeleton.way(pelvis_body))
     imu = _find_imu(skeleton, pelvis_body, torso_body)
-    evidence.append(
-        Evidence(
-            "inertial sensor",
-            imu or pelvis,
-            "link name" if imu else "pelvis: no link is named like an inertial sensor",
-            "sure" if imu else "guess",
-        )
-    )
-    return Anatomy(yaw @ up, legs, kinds, soles, pelvis, torso, imu, hands, waist, toes, leg, tuple(evidence))
-
-
-def _kind(axis: Array) -> str:
-    return "RPY"[int(np.argmax(np.abs(axis)))]
+    chosen = "given by --left and --right" if named else "the chains that mirror each other and reach the ground"
+    evidence = [
+        Entry("legs", f"{' '.join(one)} | {' '.join(two)}", chosen),
+        ahead,
+        Entry("axes of a leg", kinds, "axes of its joints: roll, pitch, yaw"),
+        *(Entry(f"{foot.value} sole", str(sole), sole.source, sole.confidence) for foot, sole in soles.items()),
+        Entry("toes", " ".join(toes), "joints carried by the ankles: locked", "likely"),
+        Entry("pelvis", pelvis, "link that carries both legs"),
+        Entry("torso", torso, "body that carries both arms" if hands else "heaviest body above the legs"),
+        Entry("hands", ", ".join(hands.values()), "ends of the arms", "likely"),
+        Entry("inertial sensor", imu, "link name")
+        if imu
+        else Entry("inertial sensor", pelvis, "pelvis: no link is named like an inertial sensor", "guess"),
+    ]
+    return Anatomy(
+        yaw @ up, legs, kinds, soles, pelvis, torso, imu, hands, waist, toes, float(hip[2] - ground),
+        tuple(entry for entry in evidence if entry.value),
+    )  # fmt: skip
 
 
 def _side_vote(skeleton: Skeleton, one: Sequence[str], two: Sequence[str]) -> int:
@@ -363,27 +343,20 @@ def _find_forward(
     one: tuple[str, ...],
     two: tuple[str, ...],
     forward: str,
-    evidence: list[Evidence],
-) -> tuple[Array, tuple[str, ...], tuple[str, ...]]:
-    """Return the rotation (3, 3) that turns the forward direction to x, the left leg and the right leg."""
+) -> tuple[Array, tuple[str, ...], tuple[str, ...], Entry]:
+    """Return the rotation (3, 3) that turns the forward direction to x, the left leg, the right leg, and the source."""
     lateral = np.median([skeleton.place(a) - skeleton.place(b) for a, b in zip(one, two, strict=True)], axis=0)
     lateral[2] = 0.0
     lateral /= np.linalg.norm(lateral)
     ahead = np.array([lateral[1], -lateral[0], 0.0])  # if `one` is the left leg
     root = skeleton.pose(skeleton.urdf.root)[:3, :3]
-    votes: list[tuple[float, str]] = []  # > 0: `one` is the left leg
-    names = _side_vote(skeleton, one, two)
-    if names:
-        votes.append((3.0 * names, "the names of left and right"))
-    knee = _knee_vote(skeleton, one, two, ahead)
-    if knee:
-        votes.append((2.0 * knee, "the direction in which the knees bend"))
-    longer = _length_vote(skeleton, points, one, two, ahead)
-    if longer:
-        votes.append((longer, "the feet, which are longer in front of the ankle"))
     usual = float(ahead @ root[:, 0])
-    if abs(usual) > 0.9:
-        votes.append((1.5 * np.sign(usual), "x of the root link (REP-103)"))
+    votes = [  # > 0: `one` is the left leg
+        (3.0 * _side_vote(skeleton, one, two), "the names of left and right"),
+        (2.0 * _knee_vote(skeleton, one, two, ahead), "the direction in which the knees bend"),
+        (_length_vote(skeleton, points, one, two, ahead), "the feet, which are longer in front of the ankle"),
+        (1.5 * round(usual) * (abs(usual) > 0.9), "x of the root link (REP-103)"),
+    ]
     if forward:
         sign, axis = (-1.0 if forward[0] == "-" else 1.0), "xyz".index(forward[-1])
         given = float(sign * root[:, axis] @ ahead)
@@ -404,11 +377,11 @@ def _find_forward(
     axis = int(np.argmax(np.abs(where)))
     exact = abs(where[axis]) > 0.99
     name = f"{'+' if where[axis] > 0 else '-'}{'xyz'[axis]}" if exact else str(where.round(3).tolist())
-    evidence.append(Evidence("ahead", f"{name} of {skeleton.urdf.root}", source, confidence))
     if exact:
         ahead = root @ np.eye(3)[axis] * np.sign(where[axis])
     x, y, _ = ahead / np.linalg.norm(ahead)
-    return np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, 1.0]]), one, two
+    found = Entry("ahead", f"{name} of {skeleton.urdf.root}", source, confidence)
+    return np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, 1.0]]), one, two, found
 
 
 def _knee_vote(skeleton: Skeleton, one: Sequence[str], two: Sequence[str], ahead: Array) -> float:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
@@ -19,7 +20,6 @@ from dqwalk_ros.urdf import Urdf
 
 __all__ = ["Finding", "check"]
 
-Array = NDArray[np.float64]
 
 _BELOW = 0.012
 """Largest distance of a foot below its sole [m]."""
@@ -50,58 +50,50 @@ def check(config: Config, model: RobotModel) -> list[Finding]:
     return found
 
 
-def _posture(config: Config, model: RobotModel, q: Array) -> list[Finding]:
+def _posture(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:
     outside = [k for k in range(model.n) if not model.q_min[k] - 1e-6 <= q[k] <= model.q_max[k] + 1e-6]
-    return [
-        Finding(
+    for k in outside:
+        yield Finding(
             f"the walk begins with '{model.joint_names[k]}' at {q[k]:.3f} rad, outside its limits of "
             f"{model.q_min[k]:.3f} and {model.q_max[k]:.3f} rad",
             "standing.posture",
         )
-        for k in outside
-    ]
 
 
-def _soles(config: Config, model: RobotModel, q: Array) -> list[Finding]:
+def _soles(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:
     """Check that left and right are not exchanged, and that the soles point forward, are level and below the feet."""
     kin = Kinematics(model, q, Foot.LEFT)
     left, right = (model.soles[foot] for foot in Foot)
     other = DQ(kin.pose(right.frame))
-    out = []
     p = kin.point(right.frame, right.center) - left.center
     if p[1] >= 0.0:
-        out.append(
-            Finding(
-                f"the right sole is {1e3 * p[1]:.0f} mm to the left of the left sole: left and right are exchanged, or "
-                "the soles point backward",
-                "robot.left_sole, robot.right_sole",
-            )
+        yield Finding(
+            f"the right sole is {1e3 * p[1]:.0f} mm to the left of the left sole: left and right are exchanged, or "
+            "the soles point backward",
+            "robot.left_sole, robot.right_sole",
         )
     R = other.rotation_matrix()
     tilt = math.acos(min(1.0, float(R[2, 2])))
     if tilt > _LEVEL:
         text = f"the soles are not parallel in the posture: the angle between them is {math.degrees(tilt):.1f} degrees"
-        out.append(Finding(text, "robot.left_sole_rpy, robot.right_sole_rpy"))
+        yield Finding(text, "robot.left_sole_rpy, robot.right_sole_rpy")
     elif abs(p[2]) > 0.005:
-        out.append(
-            Finding(
-                f"one sole is {1e3 * abs(p[2]):.1f} mm higher than the other in the posture",
-                "standing.posture, robot.left_sole_xyz, robot.right_sole_xyz",
-            )
+        yield Finding(
+            f"one sole is {1e3 * abs(p[2]):.1f} mm higher than the other in the posture",
+            "standing.posture, robot.left_sole_xyz, robot.right_sole_xyz",
         )
     turn = math.atan2(R[1, 0], R[0, 0])
     if abs(turn) > math.radians(15.0):
         text = f"the forward directions of the soles differ by {math.degrees(abs(turn)):.0f} degrees"
-        out.append(Finding(text, "robot.left_sole_rpy, robot.right_sole_rpy"))
+        yield Finding(text, "robot.left_sole_rpy, robot.right_sole_rpy")
     if kin.point(model.pelvis)[2] < 0.0:
-        out.append(Finding("the pelvis is below the soles: they are upside down", "robot.left_sole_rpy"))
-    return out + _lowest(config, model)
+        yield Finding("the pelvis is below the soles: they are upside down", "robot.left_sole_rpy")
+    yield from _lowest(config, model)
 
 
-def _lowest(config: Config, model: RobotModel) -> list[Finding]:
+def _lowest(config: Config, model: RobotModel) -> Iterator[Finding]:
     """Check that no foot extends below its sole."""
     shapes = Shapes(Urdf(model.urdf, model.name), find_urdf(config.robot.urdf))
-    out = []
     for foot, sole in model.soles.items():
         frame = model.frames[sole.frame]
         to_sole = DQ(frame.pose).conj()
@@ -117,18 +109,15 @@ def _lowest(config: Config, model: RobotModel) -> list[Finding]:
         unread = next((f"'{mesh}' {why}" for mesh, why in shapes.missing.items()), "")
         if not found and unread:
             text = f"no shape of the {foot.value} foot can be read, so its sole is not checked: {unread}"
-            out.append(Finding(text, "robot.urdf"))
+            yield Finding(text, "robot.urdf")
         if found and min(found) < -_BELOW:
-            out.append(
-                Finding(
-                    f"the {foot.value} foot reaches {-1e3 * float(min(found)):.0f} mm below its sole",
-                    f"robot.{foot.value}_sole, robot.{foot.value}_sole_xyz",
-                )
+            yield Finding(
+                f"the {foot.value} foot reaches {-1e3 * float(min(found)):.0f} mm below its sole",
+                f"robot.{foot.value}_sole, robot.{foot.value}_sole_xyz",
             )
-    return out
 
 
-def _com(config: Config, model: RobotModel, q: Array) -> list[Finding]:
+def _com(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:
     """Check that the CoM of the posture is over the soles."""
     kin = Kinematics(model, q, Foot.LEFT)
     left, right = (model.soles[foot] for foot in Foot)
@@ -137,29 +126,26 @@ def _com(config: Config, model: RobotModel, q: Array) -> list[Finding]:
     room = 0.5 * left.length - config.standing.margin
     if abs(deviation) > room:
         where = "ahead of" if deviation > 0.0 else "behind"
-        return [
-            Finding(
-                f"the CoM of the posture is {1e3 * abs(deviation):.0f} mm {where} the middle of the soles, more than "
-                f"{1e3 * room:.0f} mm: the knees bend the wrong way, the soles point backward, or the posture is wrong",
-                "standing.posture",
-            )
-        ]
-    return []
+        yield Finding(
+            f"the CoM of the posture is {1e3 * abs(deviation):.0f} mm {where} the middle of the soles, more than "
+            f"{1e3 * room:.0f} mm: the knees bend the wrong way, the soles point backward, or the posture is wrong",
+            "standing.posture",
+        )
 
 
-def _torque(config: Config, model: RobotModel, q: Array) -> list[Finding]:
+def _torque(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:
     """Check that all joints are strong enough to stand on one foot."""
     over = Kinematics(model, _over_left(model, q), Foot.LEFT)
     tau = np.abs(gravity_torques(over, both=False))
     limit = Servos.of(config, model).torque
     worst = int(np.argmax(tau / limit))
     if tau[worst] * _TORQUE <= limit[worst]:
-        return []
+        return
     text = (
         f"'{model.joint_names[worst]}' needs about {tau[worst]:.3g} N m to stand on one foot; its limit is "
         f"{limit[worst]:.3g} N m and should be at least {_TORQUE} times the needed torque"
     )
-    return [Finding(text, "servo.torque_scale, the effort limits of the URDF", "torque")]
+    yield Finding(text, "servo.torque_scale, the effort limits of the URDF", "torque")
 
 
 def _over_left(model: RobotModel, q: Array) -> Array:

@@ -5,30 +5,28 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dqwalk_ros.adopt.anatomy import Anatomy
 from dqwalk_ros.adopt.posture import Standing
+from dqwalk_ros.adopt.skeleton import Entry
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.stability import leg_inertia
 from dqwalk_ros.statics import GRAVITY, gravity_torques
 
 __all__ = [
-    "Entry",
     "Numbers",
     "dynamic_parameters",
-    "measure",
     "paper_parameters",
     "parameters",
     "robot_entries",
     "whole_body_parameters",
 ]
 
-Array = NDArray[np.float64]
 
 STIFFNESS = 5.0
 """Servo stiffness as a multiple of m g h; below 3 most robots fall."""
@@ -41,65 +39,71 @@ REFERENCE = 0.46
 
 
 @dataclass(frozen=True)
-class Entry:
-    """One parameter with the reason for its value.
-
-    Attributes
-    ----------
-    key : str
-        Name, such as ``gait.step_length``.
-    value : value
-    reason : str
-        Written as a comment beside the value.
-    confidence : str
-        ``sure``, ``likely`` or ``guess``.
-    """
-
-    key: str
-    value: Any
-    reason: str
-    confidence: str = "sure"
-
-
-@dataclass(frozen=True)
 class Numbers:
     """Quantities from which the parameters are derived.
 
     Attributes
     ----------
-    mass : float
-        Mass of the robot, m [kg].
-    height : float
-        Height of the CoM above the soles, h [m].
-    mgh : float
-        m g h [N m/rad].
-    inertia : float
-        Inertia of a leg about its hip [kg m^2].
+    model : RobotModel
+    anatomy : Anatomy
+    standing : Standing
     torque : float
         Largest static torque in single support, as a fraction of the effort limit of the joint.
     joint : str
         The joint of `torque`.
-    leg : float
-        Height of the hips above the soles [m].
-    width, length : float
-        Size of a sole [m].
-    apart : float
-        Lateral distance of the soles' centres [m].
-    step : float
-        Step length [m].
     """
 
-    mass: float
-    height: float
-    mgh: float
-    inertia: float
+    model: RobotModel
+    anatomy: Anatomy
+    standing: Standing
     torque: float
     joint: str
-    leg: float
-    width: float
-    length: float
-    apart: float
-    step: float
+
+    @classmethod
+    def of(cls, model: RobotModel, anatomy: Anatomy, standing: Standing, single: Sequence[Array]) -> Numbers:
+        """Return the quantities; `single`: postures (n,) with the CoM over the left and the right sole [rad]."""
+        parts: dict[str, float] = {}
+        for foot, q in zip(Foot, single, strict=True):
+            share = np.abs(gravity_torques(Kinematics(model, q, foot), both=False)) / model.effort_max
+            known = zip(model.joint_names, share.tolist(), strict=True)
+            parts |= {name: part for name, part in known if name in anatomy.legs[foot]}
+        joint = max(parts, key=lambda name: parts[name])
+        return cls(model, anatomy, standing, parts[joint], joint)
+
+    @property
+    def height(self) -> float:
+        """Height of the CoM above the soles, h [m]."""
+        return float(self.standing.com[2])
+
+    @property
+    def mgh(self) -> float:
+        """M g h [N m/rad]."""
+        return self.model.mass * GRAVITY * self.height
+
+    @cached_property
+    def inertia(self) -> float:
+        """Inertia of a leg about its hip [kg m^2]."""
+        return leg_inertia(self.model, Kinematics(self.model, self.standing.q, Foot.LEFT))
+
+    @property
+    def leg(self) -> float:
+        """Height of the hips above the soles [m]."""
+        return self.anatomy.leg
+
+    @property
+    def width(self) -> float:
+        """Width of a sole [m]."""
+        return self.model.soles[Foot.LEFT].width
+
+    @property
+    def apart(self) -> float:
+        """Lateral distance of the soles' centres [m]."""
+        return self.standing.width
+
+    @property
+    def step(self) -> float:
+        """Step length: 0.09 of a leg, in whole millimetres [m]."""
+        return math.floor(0.09 * self.leg * 1e3 + 1e-6) / 1e3
 
     @property
     def stiffness(self) -> float:
@@ -133,93 +137,35 @@ def rounded(value: float, digits: int = 3) -> float:
     return float(f"{value:.{digits}g}")
 
 
-def measure(model: RobotModel, anatomy: Anatomy, standing: Standing, single: Sequence[Array], step: float) -> Numbers:
-    """Return the quantities from which the parameters are derived.
-
-    Parameters
-    ----------
-    model : RobotModel
-    anatomy : Anatomy
-    standing : Standing
-    single : sequence of ndarray, shape (n,)
-        Postures with the CoM over the left and over the right sole [rad].
-    step : float
-        Step length [m].
-
-    Returns
-    -------
-    Numbers
-    """
-    sole = model.soles[Foot.LEFT]
-    height = float(standing.com[2])
-    torque, joint = static_torque(model, anatomy, single)
-    return Numbers(
-        mass=model.mass,
-        height=height,
-        mgh=model.mass * GRAVITY * height,
-        inertia=leg_inertia(model, Kinematics(model, standing.q, Foot.LEFT)),
-        torque=torque,
-        joint=joint,
-        leg=anatomy.leg,
-        width=sole.width,
-        length=sole.length,
-        apart=standing.width,
-        step=step,
-    )
-
-
-def static_torque(model: RobotModel, anatomy: Anatomy, single: Sequence[Array]) -> tuple[float, str]:
-    """Return the largest static torque on one foot as a fraction of the effort limit, and the name of its joint."""
-    parts = {
-        name: float(part)
-        for foot, q in zip(Foot, single, strict=True)
-        for name, part in zip(
-            model.joint_names,
-            np.abs(gravity_torques(Kinematics(model, q, foot), both=False)) / model.effort_max,
-            strict=True,
-        )
-        if name in anatomy.legs[foot]
-    }
-    joint = max(parts, key=lambda name: parts[name])
-    return parts[joint], joint
-
-
 # ---------------------------------------------------------------------- the files
 
 
 def robot_entries(
-    model: RobotModel, anatomy: Anatomy, locked: dict[str, float], soles: dict[Foot, str], free: str
+    model: RobotModel, anatomy: Anatomy, lock: Sequence[str], soles: dict[Foot, str], free: str
 ) -> list[Entry]:
-    """Return the parameters of the section ``robot``; `free` describes the joints that move."""
-    sole = model.soles[Foot.LEFT]
+    """Return the parameters of the section ``robot``; `free` describes the joints that are not in `lock`."""
+    sole, found = model.soles[Foot.LEFT], anatomy.soles
+    sensor = "inertial sensor" if anatomy.imu else "no link is named like an inertial sensor"
     return [
         Entry("robot.urdf", "robot.urdf", "repaired, with frames of the soles, in the folder of this file"),
         Entry("robot.pelvis", anatomy.pelvis, "link that carries both legs"),
+        *(Entry(f"robot.{k.value}_sole", soles[k], found[k].source, found[k].confidence) for k in Foot),
+        Entry("robot.imu", anatomy.imu or anatomy.pelvis, sensor),
         Entry(
-            "robot.left_sole", soles[Foot.LEFT], anatomy.soles[Foot.LEFT].source, anatomy.soles[Foot.LEFT].confidence
-        ),
-        Entry(
-            "robot.right_sole",
-            soles[Foot.RIGHT],
-            anatomy.soles[Foot.RIGHT].source,
-            anatomy.soles[Foot.RIGHT].confidence,
-        ),
-        Entry(
-            "robot.imu",
-            anatomy.imu or anatomy.pelvis,
-            "inertial sensor" if anatomy.imu else "no link is named like an inertial sensor",
-        ),
-        Entry(
-            "robot.lock",
-            [name if not angle else f"{name}={angle:.6g}" for name, angle in locked.items()] or [""],
-            f"all joints except {free}; with an angle if zero is outside the limits",
+            "robot.lock", list(lock) or [""], f"all joints except {free}; with an angle if zero is outside the limits"
         ),
         Entry("robot.sole_length", rounded(sole.length, 4), "largest rectangle in the foot"),
         Entry("robot.sole_width", rounded(sole.width, 4), "largest rectangle in the foot"),
     ]
 
 
-def paper_parameters(numbers: Numbers, standing: Standing, anatomy: Anatomy) -> list[Entry]:
+def _posture(model: RobotModel, standing: Standing, between: str) -> list[str]:
+    """Return the posture as name and angle of each joint that is not at zero."""
+    angles = zip(model.joint_names, standing.q, strict=True)
+    return [f"{name}{between}{angle:.4f}" for name, angle in angles if abs(angle) > 5e-5]
+
+
+def paper_parameters(numbers: Numbers) -> list[Entry]:
     """Return the parameters of the walk of Urban & Adorno."""
     return [
         Entry("gait.style", "paper", "Urban & Adorno"),
@@ -229,24 +175,21 @@ def paper_parameters(numbers: Numbers, standing: Standing, anatomy: Anatomy) -> 
         Entry(
             "ssp.com_radius", rounded(max(0.5 * numbers.width, 0.6 * numbers.apart)), "reached before the feet slide"
         ),
-        Entry("pelvis.height", rounded(0.7 * standing.pelvis), "0.7 of the standing height"),
+        Entry("pelvis.height", rounded(0.7 * numbers.standing.pelvis), "0.7 of the standing height"),
     ]
 
 
 def whole_body_parameters(
-    model: RobotModel, anatomy: Anatomy, numbers: Numbers, standing: Standing, arms: dict[Foot, tuple[str, ...]]
+    model: RobotModel, standing: Standing, numbers: Numbers, arms: dict[Foot, tuple[str, ...]]
 ) -> list[Entry]:
     """Return the parameters of the whole-body controller [Sherikov et al.].
 
     Lengths are those of the paper's robot, whose CoM is 0.73 m high, scaled with the height of the CoM, and times with
     the square root of that height.
     """
-    size = float(standing.com[2]) / 0.73
+    size, anatomy = float(standing.com[2]) / 0.73, numbers.anatomy
     slow = math.sqrt(size)
     interval = rounded(0.005 * max(4, round(20.0 * slow)))  # a multiple of the control period
-    posture = [
-        f"{name}: {angle:.4f}" for name, angle in zip(model.joint_names, standing.q, strict=True) if abs(angle) > 5e-5
-    ]
     most = model.effort_max[np.isfinite(model.effort_max)]
     scaled = "as the paper's robot, scaled by the height of the CoM"
     return [
@@ -254,7 +197,7 @@ def whole_body_parameters(
         Entry("gait.first_support", "right", "as the paper's robot"),
         Entry("whole_body.torso", anatomy.torso, "link that carries the arms"),
         Entry("whole_body.hand", anatomy.hands[Foot.RIGHT], "end of the right arm"),
-        Entry("whole_body.posture", posture, "soles level, knees bent by 9 % of the leg"),
+        Entry("whole_body.posture", _posture(model, standing, ": "), "soles level, knees bent by 9 % of the leg"),
         Entry(
             "whole_body.free",
             [*anatomy.legs[Foot.LEFT], *anatomy.legs[Foot.RIGHT], *arms[Foot.RIGHT]],
@@ -265,7 +208,7 @@ def whole_body_parameters(
         Entry("whole_body.double_support", interval, "one interval"),
         Entry("whole_body.first_double_support", rounded(3.0 * interval), "three intervals"),
         Entry("whole_body.feet_distance", rounded(numbers.apart, 4), "distance of the soles in the posture"),
-        Entry("whole_body.cop_length", rounded(0.6 * numbers.length), "0.6 of the sole"),
+        Entry("whole_body.cop_length", rounded(0.6 * numbers.model.soles[Foot.LEFT].length), "0.6 of the sole"),
         Entry("whole_body.cop_width", rounded(0.5 * numbers.width), "half of the sole"),
         Entry("whole_body.step_length", rounded(0.2 * size), scaled),
         Entry("whole_body.step_width_min", rounded(numbers.apart, 4), "distance of the soles in the posture"),
@@ -276,13 +219,10 @@ def whole_body_parameters(
     ]
 
 
-def parameters(model: RobotModel, anatomy: Anatomy, numbers: Numbers, standing: Standing) -> list[Entry]:
+def parameters(numbers: Numbers) -> list[Entry]:
     """Return the parameters of the standing walk, whose stiffness, damping and duration follow from `numbers`."""
-    n = numbers
+    n, model, anatomy, standing = numbers, numbers.model, numbers.anatomy, numbers.standing
     small = min(1.0, n.leg / 0.4)
-    posture = [
-        f"{name}={angle:.4f}" for name, angle in zip(model.joint_names, standing.q, strict=True) if abs(angle) > 5e-5
-    ]
     steps = max(10, math.ceil(0.6 / n.step))
     swing = 1.5
     speed = float(np.min([3.0, *model.velocity_max[np.isfinite(model.velocity_max)]]))
@@ -305,7 +245,11 @@ def parameters(model: RobotModel, anatomy: Anatomy, numbers: Numbers, standing: 
         Entry("task.damping", 0.03, "as for every robot"),
         Entry("task.posture_weight", 0.0002, "as for every robot"),
         Entry("pelvis.height", rounded(0.7 * standing.pelvis), "0.7 of the standing height"),
-        Entry("standing.posture", posture, "soles level, knees bent by 4 % of the leg, CoM over the soles' middle"),
+        Entry(
+            "standing.posture",
+            _posture(model, standing, "="),
+            "soles level, knees bent by 4 % of the leg, CoM over the soles' middle",
+        ),
         Entry("standing.margin", n.margin, "8 mm, or 0.15 of the sole's width"),
         Entry("standing.pressure_margin", rounded(min(0.004, 0.07 * n.width)), "half of the margin"),
         Entry("standing.transfer_duration", n.transfer, "the CoP stays within the soles during the transfer"),
@@ -337,14 +281,13 @@ def parameters(model: RobotModel, anatomy: Anatomy, numbers: Numbers, standing: 
     ]
 
 
-def dynamic_parameters(anatomy: Anatomy, numbers: Numbers, damping: float) -> list[Entry]:
+def dynamic_parameters(numbers: Numbers, damping: float) -> list[Entry]:
     """Return the parameters of the dynamic walk that differ from the standing walk.
 
     They are those of ``config/poppy_dynamic.yaml``, with lengths scaled by the leg and times by its square root.
 
     Parameters
     ----------
-    anatomy : Anatomy
     numbers : Numbers
     damping : float
         ``servo.damping`` [s].
@@ -354,7 +297,7 @@ def dynamic_parameters(anatomy: Anatomy, numbers: Numbers, damping: float) -> li
     single, double = rounded(0.4 * slow, 2), rounded(0.1 * slow, 2)
     speed = FROUDE * math.sqrt(GRAVITY * numbers.leg)
     step = rounded(speed * (single + double), 2)
-    roll = "R" in anatomy.kinds[-2:]
+    roll = "R" in numbers.anatomy.kinds[-2:]
     time, length = "as Poppy, scaled by the square root of the leg", "as Poppy, scaled by the leg"
     return [
         Entry("gait.style", "dynamic", "steps of a fixed duration, adjusted to the divergent component of motion"),

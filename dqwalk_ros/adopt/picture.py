@@ -6,8 +6,8 @@ import pathlib
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["draw"]
 
-Array = NDArray[np.float64]
 
 _MOST_TRIANGLES = 60_000
 _LIGHT = np.array([0.5, -0.4, 0.77])

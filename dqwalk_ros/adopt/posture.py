@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from dqwalk_ros.adopt.anatomy import Anatomy
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.kinematics import Kinematics
@@ -17,7 +17,6 @@ from dqwalk_ros.robot import Foot, RobotModel
 
 __all__ = ["Standing", "over_one_foot", "stand"]
 
-Array = NDArray[np.float64]
 
 _BENT = 0.96
 """Distance of hip and ankle as a fraction of the straight leg."""
@@ -81,14 +80,11 @@ def stand(model: RobotModel, anatomy: Anatomy, width: float, bent: float = _BENT
         If no posture has both soles level side by side and the CoM over their middle, or a leg has fewer than three
         pitch joints.
     """
-    pitches = {foot: _pitch(model, joints, anatomy) for foot, joints in anatomy.legs.items()}
-    found = []
-    signs = _axis_signs(model)
-    for way in (1.0, -1.0):
-        start = np.zeros(model.n)
-        for pitch in pitches.values():
-            start[list(pitch)] = way * np.array([-0.3, 0.6, -0.3]) * signs[list(pitch)]
-        found.append(_solve(model, anatomy, width, bent, pitches, start))
+    bend, signs = np.zeros(model.n), _axis_signs(model)
+    for joints in anatomy.legs.values():
+        pitch = list(_pitch(model, joints, anatomy))
+        bend[pitch] = np.array([-0.3, 0.6, -0.3]) * signs[pitch]
+    found = [_solve(model, anatomy, width, bent, way * bend) for way in (1.0, -1.0)]
     good = [one for one in found if one.error < _LEAST * max(anatomy.leg, 0.2)]
     if not good:
         best = min(found, key=lambda one: one.error)
@@ -102,9 +98,8 @@ def stand(model: RobotModel, anatomy: Anatomy, width: float, bent: float = _BENT
 
 def over_one_foot(model: RobotModel, anatomy: Anatomy, standing: Standing, foot: Foot) -> tuple[Array, float]:
     """Return a posture (n,) [rad] with the CoM over one sole and both soles level, and its largest error [m]."""
-    pitches = {side: _pitch(model, joints, anatomy) for side, joints in anatomy.legs.items()}
     y = 0.0 if foot is Foot.LEFT else -standing.width
-    best = _solve(model, anatomy, standing.width, _BENT, pitches, standing.q, com=(0.0, y), free_pelvis=True)
+    best = _solve(model, anatomy, standing.width, _BENT, standing.q, com=(0.0, y), free_pelvis=True)
     return best.q, best.error
 
 
@@ -122,19 +117,17 @@ def _solve(
     anatomy: Anatomy,
     width: float,
     bent: float,
-    pitches: Mapping[Foot, tuple[int, int, int]],
     start: Array,
     com: tuple[float, float] | None = None,
     free_pelvis: bool = False,
 ) -> Standing:
     names = model.joint_names
-    bodies = {foot: [names[k] for k in pitch] for foot, pitch in pitches.items()}
+    bodies = {foot: [names[k] for k in _pitch(model, joints, anatomy)] for foot, joints in anatomy.legs.items()}
     frames = _joint_frames(model)
-    straight = {}
-    for foot, (hip, knee, ankle) in bodies.items():
-        kin = Kinematics(model, np.zeros(model.n), Foot.LEFT)
-        p = [kin.point(frames[name]) for name in (hip, knee, ankle)]
-        straight[foot] = float(np.linalg.norm(p[1] - p[0]) + np.linalg.norm(p[2] - p[1]))
+    zero, straight = Kinematics(model, np.zeros(model.n), Foot.LEFT), {}
+    for foot, leg in bodies.items():
+        a, b, c = (zero.point(frames[name]) for name in leg)
+        straight[foot] = float(np.linalg.norm(b - a) + np.linalg.norm(c - b))
     margin = np.minimum(_MARGIN, 0.1 * (model.q_max - model.q_min))
     low, high = model.q_min + margin, model.q_max - margin
     wanted = (0.0, -0.5 * width) if com is None else com

@@ -4,36 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.shapes import Shapes
 from dqwalk_ros.urdf import Urdf
 
-__all__ = ["Evidence", "Points", "Skeleton"]
-
-Array = NDArray[np.float64]
+__all__ = ["Entry", "Points", "Skeleton"]
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """A value found in a robot description.
+class Entry:
+    """A value of the robot or of its configuration.
 
     Attributes
     ----------
     what : str
-        Name of the quantity.
-    value : str
+        Name of a quantity, or of a parameter such as ``gait.step_length``.
+    value : value
     source : str
-        How the value was found.
+        How the value was found or why it was chosen; written as a comment beside a parameter.
     confidence : str
         ``sure``, ``likely`` or ``guess``.
     """
 
     what: str
-    value: str
+    value: Any
     source: str
     confidence: str = "sure"
 

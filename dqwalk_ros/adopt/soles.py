@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from dqwalk_ros.adopt.skeleton import Evidence, Points, Skeleton
+from dqwalk_ros.adopt.skeleton import Points, Skeleton
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.robot import Foot
 
 __all__ = ["FoundSole", "find_soles", "foot_links", "plane_below"]
 
-Array = NDArray[np.float64]
 
 _FLAT = 0.004
 """Largest distance from the plane of a sole of a point that belongs to it [m]."""
@@ -50,6 +49,11 @@ class FoundSole:
     source: str
     confidence: str
 
+    def __str__(self) -> str:
+        x, y, z = 1e3 * self.pose[:3, 3]
+        size = f"{1e3 * self.length:.0f} x {1e3 * self.width:.0f} mm"
+        return f"{size} at ({x:.0f}, {y:.0f}, {z:.0f}) mm of {self.link}"
+
 
 def foot_links(skeleton: Skeleton, ankle: str) -> list[str]:
     """Return the links that the ankle carries: the foot and its toes."""
@@ -57,9 +61,9 @@ def foot_links(skeleton: Skeleton, ankle: str) -> list[str]:
 
 
 def find_soles(
-    skeleton: Skeleton, points: Points, legs: dict[Foot, tuple[str, ...]], leg: float, evidence: list[Evidence]
-) -> tuple[dict[Foot, FoundSole], tuple[str, ...]]:
-    """Return the soles, of equal size on both sides, and the joints within the feet.
+    skeleton: Skeleton, points: Points, legs: dict[Foot, tuple[str, ...]], leg: float
+) -> dict[Foot, FoundSole]:
+    """Return the soles, of equal size on both sides.
 
     Parameters
     ----------
@@ -70,8 +74,6 @@ def find_soles(
         Joints from the hip to the ankle.
     leg : float
         Length of a leg [m].
-    evidence : list of Evidence
-        The soles and toes are appended to it.
 
     Raises
     ------
@@ -79,12 +81,6 @@ def find_soles(
         If a foot has no shape, or is too small for a flat sole.
     """
     found = {foot: _sole(skeleton, points, joints[-1], leg) for foot, joints in legs.items()}
-    toes = tuple(
-        joint
-        for joints in legs.values()
-        for joint, way in ((j, skeleton.way(j)) for j in skeleton.joints)
-        if joints[-1] in way and joint != joints[-1]
-    )
     for foot, sole in found.items():
         if min(sole.length, sole.width) < _LEAST_SOLE * leg:
             raise ModelError(
@@ -92,21 +88,7 @@ def find_soles(
                 f"{1e3 * sole.width:.0f} mm, but the walk requires flat soles{points.lacking}"
             )
     length, width = (min(getattr(sole, key) for sole in found.values()) for key in ("length", "width"))
-    out = {}
-    for foot, sole in found.items():
-        out[foot] = FoundSole(sole.link, sole.pose, length, width, sole.outline, sole.source, sole.confidence)
-        x, y, z = 1e3 * sole.pose[:3, 3]
-        evidence.append(
-            Evidence(
-                f"{foot.value} sole",
-                f"{1e3 * length:.0f} x {1e3 * width:.0f} mm at ({x:.0f}, {y:.0f}, {z:.0f}) mm of {sole.link}",
-                sole.source,
-                sole.confidence,
-            )
-        )
-    if toes:
-        evidence.append(Evidence("toes", " ".join(toes), "joints carried by the ankles: locked", "likely"))
-    return out, toes
+    return {foot: replace(sole, length=length, width=width) for foot, sole in found.items()}
 
 
 def _sole(skeleton: Skeleton, points: Points, ankle: str, leg: float) -> FoundSole:
