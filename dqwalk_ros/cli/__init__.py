@@ -57,6 +57,10 @@ exit code: 0 success; 1 the walk failed or violated a constraint; 2 wrong argume
 """
 
 
+_EXTRAS = {"distributed": "study", "mujoco": "sim", "pinocchio": "wholebody", "pyarrow": "study", "viser": "view"}
+"""Extra of the package that installs a Python module."""
+
+
 class _Commands(click.Group):
     """Finds a command by the name of its module."""
 
@@ -83,14 +87,7 @@ def dqwalk() -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command.
-
-    Returns
-    -------
-    int
-        0 on success, 1 if the walk failed or violated a constraint, 2 if the arguments or the configuration are
-        invalid.
-    """
+    """Run one command and return its exit code, which the help describes."""
     words = list(sys.argv[1:] if argv is None else argv)
     try:
         with dqwalk.make_context("dqwalk", words) as context:
@@ -109,7 +106,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] == "dqwalk_ros":
             raise
-        return _fail(f"the Python module '{error.name}' is not installed", FAILED)
+        extra = _EXTRAS.get((error.name or "").partition(".")[0])
+        how = f": pip install 'dqwalk_ros[{extra}]'" if extra else ""
+        return _fail(f"the Python module '{error.name}' is not installed{how}", FAILED)
     except KeyboardInterrupt:
         return _fail("interrupted", FAILED)
     except MemoryError:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import importlib.util
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from dqwalk_ros.cli.options import command, parse_overrides, quiet_option, set_option
-from dqwalk_ros.errors import ConfigError, ViewerError
+from dqwalk_ros.cli.options import command, folder_option, parse_overrides, port_option, quiet_option, set_option
+from dqwalk_ros.errors import ConfigError
 
 if TYPE_CHECKING:
     from dqwalk_ros.adopt import Adoption
@@ -44,17 +43,16 @@ examples:
   dqwalk reach --config adopted/whole_body.yaml --test 1
 """)
 @click.argument("urdf", type=click.Path(path_type=Path))
-@click.option("--out", metavar="DIR", type=click.Path(path_type=Path), default="adopted", show_default=True,
-              help="Folder of the results.")  # fmt: skip
+@folder_option("adopted")
 @click.option("--package-path", "places", metavar="DIR", multiple=True, type=click.Path(path_type=Path),
               help="Also search for ROS packages here; may be given several times.")  # fmt: skip
-@click.option("--left", metavar="LINK", default="", help="Link of the left foot.")
-@click.option("--right", metavar="LINK", default="", help="Link of the right foot.")
+@click.option("--left", metavar="LINK", default="", show_default=False, help="Link of the left foot.")
+@click.option("--right", metavar="LINK", default="", show_default=False, help="Link of the right foot.")
 @click.option("--forward", type=click.Choice(["+x", "-x", "+y", "-y"]), help="Forward axis of the root link.")
 @click.option("--yes", is_flag=True, help="Take the best guess instead of asking.")
 @click.option("--no-walk", is_flag=True, help="Write the files and check them; do not walk.")
 @click.option("--view", is_flag=True, help="Show posture, soles, CoM and forward direction in the browser.")
-@click.option("--port", type=int, help="Port of the page; 0: any.  [default: 8080, or the next free one]")
+@port_option
 @quiet_option
 @set_option
 def adopt(
@@ -75,8 +73,8 @@ def adopt(
     from dqwalk_ros import adopt as adopting
     from dqwalk_ros.adopt.picture import draw
 
-    if view and importlib.util.find_spec("viser") is None:
-        raise ViewerError("--view needs viser: pip install 'dqwalk_ros[view]'")
+    if view:
+        import dqwalk_ros.report.viewer.page  # noqa: F401 - if viser is missing, say so before the work
     if bool(left) != bool(right):
         raise ConfigError("--left and --right must be given together")
     given = dict(parse_overrides(changes))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from dqwalk_ros.cli.options import command, config_of, config_option, set_option
+from dqwalk_ros.cli.options import command, config_of, config_option, plant_option, set_option
 
 __all__ = ["doctor"]
 
@@ -16,17 +16,11 @@ examples:
   dqwalk doctor --offline                                  the configuration and its robot only
 """)
 @config_option("poppy")
-@click.option(
-    "--plant",
-    type=click.Choice(["integrator", "physics", "poppy_as_built", "ros2_control", "poppy"]),
-    default="poppy",
-    show_default=True,
-    help="What executes the commands.",
+@plant_option(
+    ["integrator", "physics", "poppy_as_built", "ros2_control", "poppy"], "poppy", "What executes the commands."
 )
-@click.option(
-    "--seconds", metavar="S", type=click.FloatRange(0.5, 600.0), default=5.0, show_default=True, help="Time to listen."
-)
-@click.option("--namespace", metavar="NAME", default="", help="Namespace of the robot.")
+@click.option("--seconds", metavar="S", type=click.FloatRange(0.5, 600.0), default=5.0, help="Time to listen.")
+@click.option("--namespace", metavar="NAME", default="", show_default=False, help="Namespace of the robot.")
 @click.option("--offline", is_flag=True, help="Do not listen to the robot.")
 @set_option
 def doctor(config: str, plant: str, seconds: float, namespace: str, offline: bool, changes: tuple[str, ...]) -> int:

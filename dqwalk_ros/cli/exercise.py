@@ -14,6 +14,8 @@ from dqwalk_ros.cli.options import (
     config_option,
     folder_option,
     force_option,
+    parse_overrides,
+    plant_option,
     quiet_option,
     set_option,
 )
@@ -39,14 +41,12 @@ then:
   dqwalk identify exercise/bag
 """)
 @config_option("poppy")
-@click.option(
-    "--plant",
-    type=click.Choice(["physics", "poppy_as_built", "poppy"]),
-    default="poppy_as_built",
-    show_default=True,
-    help="MuJoCo with ideal sensors, Poppy as it is built, or the real robot.",
+@plant_option(
+    ["physics", "poppy_as_built", "poppy"],
+    "poppy_as_built",
+    "MuJoCo with ideal sensors, Poppy as it is built, or the real robot.",
 )
-@click.option("--cycles", metavar="N", type=int, default=1, show_default=True, help="Exercise each joint N times.")
+@click.option("--cycles", metavar="N", type=int, default=1, help="Exercise each joint N times.")
 @click.option("--ros", is_flag=True, help="Use ROS 2, as always for the real robot.")
 @set_option
 @folder_option("exercise")
@@ -56,7 +56,6 @@ def exercise(
     config: str, plant: str, cycles: int, ros: bool, changes: tuple[str, ...], out: Path, force: bool, quiet: bool
 ) -> int:
     """Move every joint of a suspended robot, and record the motion of its servos."""
-    from dqwalk_ros.cli.options import parse_overrides
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import prepare
     from dqwalk_ros.identification.exercise import duration, exercise_config
@@ -71,7 +70,7 @@ def exercise(
         known, motors = load_types(made.servo.table), load_motors(made.poppy.motors)
         types = [f"{name}={motor.type}" for name, motor in motors.items() if motor.type in known]
         made = made.updated({"servo.types": types, "servo.p_gain": made.poppy.p_gain or made.servo.p_gain})
-    prepare(Output(out, force, (), False, quiet))
+    prepare(Output(out=out, force=force))
     with Progress(quiet=quiet) as bar:
         if ros or plant == "poppy":
             from dqwalk_ros.runner import run_walk

@@ -11,9 +11,7 @@ from dqwalk_ros.cli.options import command, config_of, config_option, set_option
 from dqwalk_ros.errors import ConfigError
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from dqwalk_ros.arrays import Array
     from dqwalk_ros.robot import Foot
     from dqwalk_ros.standing.footsteps import Footsteps
 
@@ -32,7 +30,7 @@ examples:
   dqwalk footsteps --config my_biped.yaml --support right
 """)
 @config_option("poppy")
-@click.option("--support", type=click.Choice(["left", "right"]), default="left", show_default=True, help="Stance foot.")
+@click.option("--support", type=click.Choice(["left", "right"]), default="left", help="Stance foot.")
 @set_option
 def footsteps(config: str, support: str, changes: tuple[str, ...]) -> int:
     """Show which steps the legs of a robot reach.
@@ -43,9 +41,9 @@ def footsteps(config: str, support: str, changes: tuple[str, ...]) -> int:
     import numpy as np
 
     from dqwalk_ros.kinematics import Kinematics
-    from dqwalk_ros.report.table import aligned
     from dqwalk_ros.robot import Foot, load_model
     from dqwalk_ros.standing.walk import StandingWalk
+    from dqwalk_ros.text_table import aligned
 
     made, foot = config_of(config, changes), Foot(support)
     if made.gait.style != "standing":
@@ -71,14 +69,11 @@ def footsteps(config: str, support: str, changes: tuple[str, ...]) -> int:
     return 0
 
 
-def reached(steps: Footsteps, support: Foot, length: float, side: float, turn: float) -> NDArray[np.float64]:
-    """Return the reachable step nearest to a requested one.
+def reached(steps: Footsteps, support: Foot, length: float, side: float, turn: float) -> Array:
+    """Return the reachable step nearest to a requested one, shape (5,).
 
-    Returns
-    -------
-    ndarray, shape (5,)
-        Motion of the body ahead, aside and in yaw, and distance of the footprint from the requested one
-        [m, m, rad, m, rad].
+    It is the motion of the body ahead, aside and in yaw, and the distance of the footprint from the requested one
+    [m, m, rad, m, rad].
     """
     import numpy as np
 

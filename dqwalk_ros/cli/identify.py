@@ -64,7 +64,7 @@ def identify(bag: Path, mass: float | None, out: Path | None, quiet: bool) -> in
 
 def table(found: Identified) -> str:
     """Return the result as aligned text."""
-    from dqwalk_ros.report.table import aligned
+    from dqwalk_ros.text_table import aligned
 
     unit = (1e3, 1.0, 1e3, 180.0 / math.pi, 1.0)
     digits = (1, 1, 1, 2, 3)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from dqwalk_ros.cli.options import command, numbers, quiet_option
+from dqwalk_ros.cli.options import bag_argument, command, namespace_option, numbers, quiet_option
 from dqwalk_ros.errors import ConfigError
 
 __all__ = ["movie"]
@@ -17,23 +17,18 @@ examples:
   MUJOCO_GL=egl dqwalk movie walk/bag --out walk.gif --speed 4
   MUJOCO_GL=egl dqwalk movie walk/bag --out strip.png --strip 9 --between 0,7.5
 """)
-@click.argument("bag", type=click.Path(path_type=Path))
-@click.option("--namespace", metavar="NAME", help="Namespace of the robot, if the bag contains several.")
+@bag_argument
+@namespace_option
 @click.option(
     "--out",
     metavar="FILE",
     type=click.Path(path_type=Path),
     default="walk.gif",
-    show_default=True,
     help=".gif, .webp, or .png for a strip.",
 )
-@click.option(
-    "--speed", type=click.FloatRange(0.0, min_open=True), default=2.0, show_default=True, help="Relative to real time."
-)
-@click.option(
-    "--rate", type=click.FloatRange(0.0, min_open=True), default=12.5, show_default=True, help="Pictures per second."
-)
-@click.option("--strip", metavar="N", type=click.IntRange(1), default=8, show_default=True, help="Pictures of a strip.")
+@click.option("--speed", type=click.FloatRange(0.0, min_open=True), default=2.0, help="Relative to real time.")
+@click.option("--rate", type=click.FloatRange(0.0, min_open=True), default=12.5, help="Pictures per second.")
+@click.option("--strip", metavar="N", type=click.IntRange(1), default=8, help="Pictures of a strip.")
 @click.option("--between", metavar="A,B", callback=numbers(2), help="First and last time of a strip [s]; default: all.")
 @quiet_option
 def movie(

@@ -6,7 +6,7 @@ import contextlib
 import functools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,39 +18,24 @@ if TYPE_CHECKING:
     from dqwalk_ros.config import Config
 
 __all__ = [
-    "Many",
-    "Output",
-    "command",
-    "config_of",
-    "config_option",
-    "course_option",
-    "folder_option",
-    "force_option",
-    "format_option",
-    "jobs_option",
-    "many_options",
-    "numbers",
-    "output_options",
-    "overlaid",
-    "params_option",
-    "parse_overrides",
-    "put_on",
-    "quiet_option",
-    "scheduler_option",
-    "set_option",
-    "walk_options",
-]
+    "Many", "Output", "Report", "bag_argument", "command", "config_of", "config_option", "folder_option",
+    "force_option", "format_option", "jobs_option", "many_options", "namespace_option", "numbers", "output_options",
+    "overlaid", "params_option", "parse_overrides", "plant_option", "port_option", "put_on", "quiet_option",
+    "set_option", "walk_options",
+]  # fmt: skip
 
 Function = Callable[..., Any]
+Option = Callable[[Function], Function]
+"""A decorator that adds options to the function of a command."""
 
 
 def command(epilog: str) -> Callable[[Function], click.Command]:
     """Return a decorator that makes a command from a function; the epilog is printed without reformatting."""
     kept = "\n\n".join("\b\n" + paragraph for paragraph in epilog.strip("\n").split("\n\n"))
-    return click.command(epilog=kept, context_settings={"max_content_width": 120})
+    return click.command(epilog=kept, context_settings={"max_content_width": 120, "show_default": True})
 
 
-def _with(options: Sequence[Callable[[Function], Function]], function: Function) -> Function:
+def _with(options: Sequence[Option], function: Function) -> Function:
     """Return a function with options added, in the order in which help shows them."""
     return functools.reduce(lambda made, option: option(made), reversed(options), function)
 
@@ -82,25 +67,33 @@ def _formats(_: click.Context, __: click.Parameter, text: str) -> tuple[str, ...
     return formats
 
 
-def config_option(default: str) -> Callable[[Function], Function]:
+def _negated(_: click.Context, __: click.Parameter, flag: bool) -> bool:
+    return not flag
+
+
+def config_option(default: str) -> Option:
     """Return the option --config."""
-    return click.option(
-        "--config", metavar="CONFIG", default=default, show_default=True, help="Name or path of a configuration."
-    )
+    return click.option("--config", metavar="CONFIG", default=default, help="Name or path of a configuration.")
 
 
-def folder_option(default: str | None, shown: str = "") -> Callable[[Function], Function]:
+def plant_option(plants: Sequence[str], default: str, about: str) -> Option:
+    """Return the option --plant."""
+    return click.option("--plant", type=click.Choice(plants), default=default, help=about)
+
+
+def folder_option(default: str | None, shown: str = "") -> Option:
     """Return the option --out; `shown` describes a default that depends on another argument."""
+    kind = click.Path(path_type=Path)
     return click.option(
-        "--out",
-        metavar="DIR",
-        type=click.Path(path_type=Path),
-        default=default,
-        show_default=shown or True,
-        help="Folder of the results.",
+        "--out", metavar="DIR", type=kind, default=default, show_default=shown or True, help="Folder of the results."
     )
 
 
+bag_argument = click.argument("bag", type=click.Path(path_type=Path))
+namespace_option = click.option(
+    "--namespace", metavar="NAME", help="Namespace of the robot, if the bag contains several."
+)
+port_option = click.option("--port", type=int, help="Port of the page; 0: any.  [default: 8080, or the next free one]")
 set_option = click.option(
     "--set",
     "changes",
@@ -118,123 +111,103 @@ params_option = click.option(
 force_option = click.option("--force", is_flag=True, help="Replace earlier results.")
 quiet_option = click.option("--quiet", is_flag=True, help="Print no progress and no tables.")
 jobs_option = click.option(
-    "--jobs", metavar="N", type=click.IntRange(1), default=2, show_default=True, help="Number of parallel processes."
-)
-scheduler_option = click.option(
-    "--scheduler", metavar="ADDRESS", help="Address of a Dask scheduler to use instead, such as tcp://host:8786."
+    "--jobs", metavar="N", type=click.IntRange(1), default=2, help="Number of parallel processes."
 )
 format_option = click.option(
-    "--format", "formats", metavar="LIST", callback=_formats, default="png", show_default=True, help="png, pdf, svg."
-)
-course_option = click.option(
-    "--cmd-vel",
-    "course",
-    metavar="X,Y,TURN,S",
-    multiple=True,
-    help="Steer a standing walk: forward, left [m/s], turn [rad/s], duration [s]; then the next one, or stop.",
+    "--format", "formats", metavar="LIST", callback=_formats, default="png", help="png, pdf, svg."
 )
 
 
-def walk_options(function: Function) -> Function:
-    """Add --config, --params, --cycles, --first, --set and --cmd-vel."""
-    options = [
+def walk_options(plants: Sequence[str], about: str) -> Option:
+    """Return a decorator that adds the options of a walk.
+
+    The function gets its configuration as `config`, the name of its plant, by default the first of `plants`, as
+    `plant`, and the texts of --cmd-vel as `course`.
+    """
+    options: list[Option] = [
         config_option("paper"),
         params_option,
         click.option("--cycles", metavar="N", type=int, help="Walking cycles of four phases (gait.cycles)."),
         click.option("--first", type=click.Choice(["left", "right"]), help="First support foot (gait.first_support)."),
         set_option,
-        course_option,
-    ]
-    return _with(options, function)
-
-
-@dataclass(frozen=True)
-class Output:
-    """Which results are written, and where.
-
-    Attributes
-    ----------
-    out : Path or None
-        Folder of the results.
-    force : bool
-        Replace earlier results.
-    formats : tuple of str
-        File formats of the figures.
-    figures : bool
-        Draw figures.
-    quiet : bool
-        Print no progress and no tables.
-    """
-
-    out: Path | None
-    force: bool
-    formats: tuple[str, ...]
-    figures: bool
-    quiet: bool
-
-    @property
-    def folder(self) -> Path:
-        """`out`, for commands whose --out has a default."""
-        assert self.out is not None
-        return self.out
-
-
-def output_options(default: str | None, shown: str = "") -> Callable[[Function], Function]:
-    """Return a decorator that adds the options of `Output`, which the function gets as `output`."""
-    options = [
-        folder_option(default, shown),
-        *([force_option] if default else []),
-        format_option,
-        click.option("--no-figures", is_flag=True, help="Draw nothing."),
-        quiet_option,
+        click.option(
+            "--cmd-vel",
+            "course",
+            metavar="X,Y,TURN,S",
+            multiple=True,
+            help="Steer a standing walk: forward, left [m/s], turn [rad/s], duration [s]; then the next one, or stop.",
+        ),
+        plant_option(plants, plants[0], about),
     ]
 
     def decorate(function: Function) -> Function:
         @functools.wraps(function)
-        def wrapped(
-            out: Path | None,
-            formats: tuple[str, ...],
-            no_figures: bool,
-            quiet: bool,
-            force: bool = False,
-            **rest: Any,
-        ) -> Any:
-            return function(output=Output(out, force, formats, not no_figures, quiet), **rest)
+        def wrapped(*, config: str, changes: Any, params: Any, cycles: Any, first: Any, **rest: Any) -> Any:
+            also = {"gait.cycles": cycles, "gait.first_support": first}
+            plant, course = rest["plant"], rest["course"]
+            made = config_of(config, changes, plant=plant, params=params, course=course, also=also)
+            return function(config=made, **rest)
 
         return _with(options, wrapped)
 
     return decorate
 
 
-@dataclass(frozen=True)
-class Many:
-    """Options of a study of many walks.
+def _gathered(kind: type[Output], name: str, options: Sequence[Option]) -> Option:
+    """Return a decorator that adds options, whose values the function gets as one object, the argument `name`."""
 
-    Attributes
-    ----------
-    out : Path or None
-        Folder of the results.
-    jobs : int
-        Number of parallel processes.
-    scheduler : str or None
-        Address of a Dask scheduler.
-    force : bool
-        Replace earlier results.
-    quiet : bool
-        Print no progress and no tables.
-    """
+    def decorate(function: Function) -> Function:
+        @functools.wraps(function)
+        def wrapped(**given: Any) -> Any:
+            own = {field.name: given.pop(field.name) for field in fields(kind) if field.name in given}
+            return function(**{name: kind(**own)}, **given)
+
+        return _with(options, wrapped)
+
+    return decorate
+
+
+@dataclass(frozen=True, kw_only=True)
+class Output:
+    """The folder of the results, whether earlier ones are replaced, and whether progress and tables are not printed."""
 
     out: Path | None
-    jobs: int
-    scheduler: str | None
-    force: bool
-    quiet: bool
+    force: bool = False
+    quiet: bool = False
 
     @property
     def folder(self) -> Path:
         """`out`, for commands whose --out has a default."""
         assert self.out is not None
         return self.out
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report(Output):
+    """Output of a report: also the file formats of the figures, and whether any are drawn."""
+
+    formats: tuple[str, ...]
+    figures: bool
+
+
+def output_options(default: str | None, shown: str = "") -> Option:
+    """Return a decorator that adds the options of `Report`, which the function gets as `output`."""
+    options: list[Option] = [
+        folder_option(default, shown),
+        *([force_option] if default else []),
+        format_option,
+        click.option("--no-figures", "figures", is_flag=True, callback=_negated, help="Draw nothing."),
+        quiet_option,
+    ]
+    return _gathered(Report, "output", options)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Many(Output):
+    """Output of a study of many walks, and its number of processes or the address of a Dask scheduler."""
+
+    jobs: int
+    scheduler: str | None
 
     @contextlib.contextmanager
     def options(self, unit: str, describe: Callable[[Any], str] = lambda _: "") -> Iterator[dict[str, Any]]:
@@ -249,19 +222,12 @@ class Many:
             yield {"force": self.force, "jobs": self.jobs, "scheduler": self.scheduler, "progress": progress}
 
 
-def many_options(default: str | None, shown: str = "") -> Callable[[Function], Function]:
+def many_options(default: str | None, shown: str = "") -> Option:
     """Return a decorator that adds the options of `Many`, which the function gets as `many`."""
-    options: list[Callable[[Function], Function]]
-    options = [jobs_option, scheduler_option, folder_option(default, shown), force_option, quiet_option]
-
-    def decorate(function: Function) -> Function:
-        @functools.wraps(function)
-        def wrapped(out: Path | None, jobs: int, scheduler: str | None, force: bool, quiet: bool, **rest: Any) -> Any:
-            return function(many=Many(out, jobs, scheduler, force, quiet), **rest)
-
-        return _with(options, wrapped)
-
-    return decorate
+    scheduler = click.option(
+        "--scheduler", metavar="ADDRESS", help="Address of a Dask scheduler to use instead, such as tcp://host:8786."
+    )
+    return _gathered(Many, "many", [jobs_option, scheduler, folder_option(default, shown), force_option, quiet_option])
 
 
 def config_of(

@@ -11,13 +11,7 @@ __all__ = ["Progress"]
 
 
 class Progress:
-    """Shows the fraction done, a line of text and the time left on standard error; a context manager.
-
-    Parameters
-    ----------
-    quiet : bool
-        Show nothing.
-    """
+    """Shows the fraction done, a line of text and the time left on standard error; a context manager."""
 
     def __init__(self, *, quiet: bool = False) -> None:
         self._bar = tqdm(

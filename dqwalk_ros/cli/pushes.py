@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from dqwalk_ros.studies.pushes import Limit
 
 __all__ = ["pushes", "table"]
-
 
 _LABELS = {
     "standing": "standing on both feet",
@@ -38,26 +37,14 @@ examples:
     "--moment",
     type=click.Choice(["all", "standing", "left", "right"]),
     default="all",
-    show_default=True,
     help="Standing, or in the middle of a step on this foot.",
 )
 @click.option(
-    "--part",
-    type=click.FloatRange(0.0, 0.95),
-    default=0.5,
-    show_default=True,
-    help="Fraction of a step after which the push begins.",
+    "--part", type=click.FloatRange(0.0, 0.95), default=0.5, help="Fraction of a step after which the push begins."
 )
+@click.option("--directions", metavar="N", type=click.IntRange(1, 360), default=8, help="Evenly spread.")
 @click.option(
-    "--directions", metavar="N", type=click.IntRange(1, 360), default=8, show_default=True, help="Evenly spread."
-)
-@click.option(
-    "--duration",
-    metavar="S",
-    type=click.FloatRange(0.0, min_open=True),
-    default=0.1,
-    show_default=True,
-    help="Duration of each push [s].",
+    "--duration", metavar="S", type=click.FloatRange(0.0, min_open=True), default=0.1, help="Duration of each push [s]."
 )
 @click.option(
     "--tolerance",
@@ -84,50 +71,35 @@ def pushes(
     step on either foot, finds by bisection the impulse at which it falls, and prints the largest impulse survived.
     Needs dqwalk_ros[sim].
     """
-    from dqwalk_ros.cli.results import write_csv
+    from dqwalk_ros.cli.results import write_study
     from dqwalk_ros.report.figures.studies import pushes_figure
-    from dqwalk_ros.report.figures.style import drawing
     from dqwalk_ros.robot import load_model
     from dqwalk_ros.studies import pushes as study
 
     made = config_of(config, changes)
     if made.gait.style == "paper":
         raise ConfigError(f"pushes need a standing or a dynamic walk; gait.style of '{config}' is {made.gait.style}")
-    out, moments = many.folder, study.MOMENTS if moment == "all" else (moment,)
+    moments = study.MOMENTS if moment == "all" else (moment,)
+    given: dict[str, Any] = {"duration": duration, "part": part, "tolerance": tolerance}
     with many.options("directions") as options:
-        found = study.limits(
-            made, out, moments, directions, duration=duration, part=part, tolerance=tolerance, **options
-        )
+        found = study.limits(made, many.folder, moments, directions, **given, **options)
     total = len(moments) * directions
     if len(found) < total:
         raise StudyError(f"interrupted; {len(found)} of {total} directions are saved, the same command continues")
-    write_csv(
-        out / "pushes.csv",
-        ["moment", "direction_deg", "survived_Ns", "failed_Ns", "reason"],
-        [[one.moment, round(math.degrees(one.direction), 3), one.survived, one.failed, one.reason] for one in found],
-    )
-    text = table(found, duration, study.impulse_scale(made))
-    (out / "pushes.txt").write_text(text + "\n", encoding="utf-8")
-    with drawing():
-        by_moment = {label: [one for one in found if one.moment == key] for key, label in _LABELS.items()}
-        title = f"{load_model(made.robot).name}: largest push survived [N s]"
-        pushes_figure({label: ones for label, ones in by_moment.items() if ones}, title).savefig(out / "pushes.png")
-    print(text)
+    head = ["moment", "direction_deg", "survived_Ns", "failed_Ns", "reason"]
+    rows = [[one.moment, round(math.degrees(one.direction), 3), one.survived, one.failed, one.reason] for one in found]
+    by_moment = {_LABELS[key]: [one for one in found if one.moment == key] for key in moments}
+    figure = pushes_figure(by_moment, f"{load_model(made.robot).name}: largest push survived [N s]")
+    write_study(many.folder, "pushes", head, rows, table(found, duration, study.impulse_scale(made)), figure)
     return 0
 
 
 def table(found: Sequence[Limit], duration: float, scale: float) -> str:
     """Return the impulses survived, a line per direction and a column per moment.
 
-    Parameters
-    ----------
-    found : sequence of Limit
-    duration : float
-        Duration of the pushes [s].
-    scale : float
-        M sqrt(g h) of the robot [N s].
+    `duration` is that of the pushes [s], `scale` is M sqrt(g h) of the robot [N s].
     """
-    from dqwalk_ros.report.table import aligned
+    from dqwalk_ros.text_table import aligned
 
     moments = list(dict.fromkeys(one.moment for one in found))
 

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING
 import click
 
 from dqwalk_ros.cli.options import (
-    Output,
+    Report,
     command,
     config_of,
     config_option,
     jobs_option,
     numbers,
     output_options,
+    plant_option,
     set_option,
 )
 from dqwalk_ros.errors import BagError, ConfigError, StudyError
@@ -61,20 +62,12 @@ examples:
   dqwalk report reach/bag_1 --html                         look at the walk: replay in 3D, figures, table
 """)
 @config_option("whole_body")
-@click.option(
-    "--test", type=click.Choice(["1", "2", "both"]), default="both", show_default=True, help="Test of the paper."
-)
+@click.option("--test", type=click.Choice(["1", "2", "both"]), default="both", help="Test of the paper.")
 @click.option("--pushes", is_flag=True, help="Find the largest push survived, in eight directions.")
-@click.option("--when", metavar="S", type=float, default=2.5, show_default=True, help="--pushes: time of the push.")
-@click.option("--exact", metavar="R", type=float, default=1.0, show_default=True, help="--pushes: accuracy [N s].")
+@click.option("--when", metavar="S", type=float, default=2.5, help="--pushes: time of the push.")
+@click.option("--exact", metavar="R", type=float, default=1.0, help="--pushes: accuracy [N s].")
 @jobs_option
-@click.option(
-    "--plant",
-    type=click.Choice(["rigid", "physics", "both"]),
-    default="rigid",
-    show_default=True,
-    help="physics: MuJoCo, torque-controlled.",
-)
+@plant_option(["rigid", "physics", "both"], "rigid", "physics: MuJoCo, torque-controlled.")
 @click.option("--paper-times", is_flag=True, help="The target jumps at 4 and 8 s (paper), not as in the thesis.")
 @click.option(
     "--target", metavar="X,Y,Z", callback=numbers(3), help="One target of the hand instead of the test's [m]."
@@ -83,7 +76,7 @@ examples:
 @click.option("--duration", metavar="S", type=float, help="Duration instead of the test's 14 s.")
 @set_option
 @output_options("reach")
-def reach(config: str, pushes: bool, changes: tuple[str, ...], output: Output, **options: object) -> int:
+def reach(config: str, pushes: bool, changes: tuple[str, ...], output: Report, **options: object) -> int:
     """Reach for a target with the whole body, under pushes.
 
     A robot of HRP-2's size reaches for a target with its right hand and walks there without footsteps planned in
@@ -127,10 +120,12 @@ def _scenarios(args: _Options, config: Config) -> list[Scenario]:
     return scenarios
 
 
-def _tests(args: _Options, output: Output, config: Config, scenarios: Sequence[Scenario], out: Path) -> int:
+def _tests(args: _Options, output: Report, config: Config, scenarios: Sequence[Scenario], out: Path) -> int:
     """Run the scenarios one after the other and write the results; return the exit code."""
-    from dqwalk_ros.cli.body import write_results
     from dqwalk_ros.cli.progress import Progress
+    from dqwalk_ros.cli.results import write_report
+    from dqwalk_ros.report import bag
+    from dqwalk_ros.report.figures import reaching
     from dqwalk_ros.whole_body.demands import checks, render_checks, summary
     from dqwalk_ros.whole_body.experiments import Walk, walk
 
@@ -152,19 +147,22 @@ def _tests(args: _Options, output: Output, config: Config, scenarios: Sequence[S
         reports.append(summary(walked, found))
         if not output.quiet:
             print(render_checks(walked, found) + "\n")
-    write_results(output, out, reports, walks, _bags(output, walks, out))
+    bags = [out / ("bag" if len(walks) == 1 else f"bag_{k}") for k in range(1, len(walks) + 1)]
+    for walked, path in zip(walks, bags, strict=True):
+        bag.write_body(walked, path, overwrite=output.force)
+    write_report(output, reports, "", reaching.drawn(walks), more=bags)
     return 0 if all(report["ok"] for report in reports) else 1
 
 
-def _pushes(args: _Options, output: Output, config: Config, out: Path) -> int:
+def _pushes(args: _Options, output: Report, config: Config, out: Path) -> int:
     """Find the largest push survived in every direction and write the results; return the exit code."""
-    from dqwalk_ros.cli.body import write_results
     from dqwalk_ros.cli.progress import Progress
+    from dqwalk_ros.cli.results import write_report
     from dqwalk_ros.report.figures.studies import pushes_figure
-    from dqwalk_ros.report.figures.style import drawing
-    from dqwalk_ros.report.table import aligned
+    from dqwalk_ros.report.figures.style import Drawn
     from dqwalk_ros.robot import Foot
     from dqwalk_ros.studies import torso_pushes
+    from dqwalk_ros.text_table import aligned
     from dqwalk_ros.whole_body.preview import Stepping
 
     plants = ("physics", "rigid") if args.plant == "both" else (args.plant,)
@@ -185,14 +183,9 @@ def _pushes(args: _Options, output: Output, config: Config, out: Path) -> int:
     swing = Stepping.of(config.whole_body, Foot(config.gait.first_support)).swing(args.when)
     stands = "on both feet" if swing is None else f"on the {swing.foot.other.value} foot"
     title = f"pushed at {args.when:g} s, walking in place, {stands}"
-    if not output.quiet:
-        print(f"largest push survived, smallest not survived [N s]; {title}")
-        limits_of = {name: [by_plant[plant][k] for plant in plants] for k, name in enumerate(torso_pushes.DIRECTIONS)}
-        table = [
-            [name, *(f"{limit.survived:g}, {limit.failed or math.inf:g}" for limit in limits)]
-            for name, limits in limits_of.items()
-        ]
-        print(aligned(table, ("", *plants), right=range(1, len(plants) + 1)) + "\n")
+    cells = [[f"{one.survived:g}, {one.failed or math.inf:g}" for one in by_plant[plant]] for plant in plants]
+    table = aligned(list(zip(torso_pushes.DIRECTIONS, *cells, strict=True)), ("", *plants), range(1, len(plants) + 1))
+    text = f"largest push survived, smallest not survived [N s]; {title}\n{table}\n"
     rows = {
         plant: [
             {"direction": math.degrees(one.direction), "stood": one.survived, "fell": one.failed, "reason": one.reason}
@@ -200,19 +193,6 @@ def _pushes(args: _Options, output: Output, config: Config, out: Path) -> int:
         ]
         for plant, ones in by_plant.items()
     }
-    files = [out / f"pushes.{kind}" for kind in output.formats] if output.figures else []
-    with drawing():
-        for file in files:
-            pushes_figure(by_plant, f"Largest push survived [N s]\n{title}").savefig(file)
-    write_results(output, out, rows, [], files)
+    figure = pushes_figure(by_plant, f"Largest push survived [N s]\n{title}")
+    write_report(output, rows, text, [Drawn("pushes", figure)])
     return 0
-
-
-def _bags(output: Output, walks: Sequence[WholeBodyTrace], out: Path) -> list[Path]:
-    """Write the bag of each walk."""
-    from dqwalk_ros.report import bag
-
-    paths = [out / ("bag" if len(walks) == 1 else f"bag_{k + 1}") for k in range(len(walks))]
-    for walked, path in zip(walks, paths, strict=True):
-        bag.write_body(walked, path, overwrite=output.force)
-    return paths

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from dqwalk_ros.cli.options import Output, command, output_options
-from dqwalk_ros.errors import BagError
+from dqwalk_ros.cli.options import Report, bag_argument, command, namespace_option, output_options
+from dqwalk_ros.errors import BagError, ConfigError
 
 if TYPE_CHECKING:
     from dqwalk_ros.report import Series
@@ -25,8 +27,8 @@ examples:
   dqwalk report walk/bag --json | jq .walk.margin
   dqwalk report rosbag2_2025_01_31/ --namespace poppy_1
 """)
-@click.argument("bag", type=click.Path(path_type=Path))
-@click.option("--namespace", metavar="NAME", help="Namespace of the robot, if the bag contains several.")
+@bag_argument
+@namespace_option
 @click.option("--html", is_flag=True, help="Also write one offline page: replay, figures, tables.")
 @click.option(
     "--compare", metavar="BAG", type=click.Path(path_type=Path), help="Another walk, side by side on that page."
@@ -35,7 +37,7 @@ examples:
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON instead of tables.")
 @output_options(None, shown="BAG_report")
 def report(
-    bag: Path, namespace: str | None, html: bool, compare: Path | None, csv: bool, as_json: bool, output: Output
+    bag: Path, namespace: str | None, html: bool, compare: Path | None, csv: bool, as_json: bool, output: Report
 ) -> int:
     """Evaluate and draw a recorded walk.
 
@@ -46,32 +48,51 @@ def report(
     from dqwalk_ros.cli.results import write_results
     from dqwalk_ros.report import bag as bags
 
-    out = output.out or bag.with_name(bag.resolve().name + "_report")
+    output = replace(output, out=output.out or bag.with_name(bag.resolve().name + "_report"))
     if bags.is_body(bag):
-        from dqwalk_ros.cli import body
-
-        return body.report(
-            bag,
-            out,
-            _name(bag),
-            output,
-            namespace=namespace,
-            html=html,
-            as_json=as_json,
-            series=compare is not None or csv,
-        )
+        if compare or csv:
+            raise ConfigError("--compare and --csv are not available for whole-body walks")
+        return _body(bag, namespace, output, html=html, as_json=as_json)
     series = _series(bag, namespace)
-    found = write_results(series.trace, out, output, as_json=as_json, series=series)
+    found = write_results(series, output, as_json=as_json)
     extra = []
     try:
         if html or compare:
-            extra.append(_html(bag, compare, namespace, series, found, out))
+            extra.append(_html(bag, compare, namespace, series, found, output.folder))
         if csv:
-            extra.append(_csv(series, out))
+            extra.append(_csv(series, output.folder))
     except OSError as error:
-        raise BagError(f"cannot write to '{out}': {error}") from error
+        raise BagError(f"cannot write to '{output.folder}': {error}") from error
     if extra and not (output.quiet or as_json):
         print("wrote " + ", ".join(str(file) for file in extra))
+    return 0 if found["ok"] else 1
+
+
+def _body(bag: Path, namespace: str | None, output: Report, *, html: bool, as_json: bool) -> int:
+    """Evaluate and draw a whole-body walk; return the exit code."""
+    from dqwalk_ros.cli.progress import Progress
+    from dqwalk_ros.cli.results import write_report
+    from dqwalk_ros.report.bag import read_body
+    from dqwalk_ros.report.figures import reaching
+    from dqwalk_ros.report.html import body as page
+    from dqwalk_ros.whole_body.demands import checks, render_checks, summary
+    from dqwalk_ros.whole_body.experiments import retrace
+
+    log = read_body(bag, namespace=namespace)
+    with Progress(quiet=output.quiet or as_json) as bar:
+        walked, off = retrace(log, progress=bar)
+    demands = checks(walked)
+    found = summary(walked, demands) | {"torques_differ_by": off, "notes": list(log.notes)}
+    files = []
+    if html:
+        output.folder.mkdir(parents=True, exist_ok=True)
+        files.append(output.folder / "report.html")
+        differ = f"Recorded and recomputed torques differ by at most {off:.2g} N m."
+        page.write(files[0], _name(bag), walked, demands, [differ, *log.notes])
+    for note in () if as_json or output.quiet else log.notes:
+        print(f"note: {note}", file=sys.stderr)
+    table = f"{render_checks(walked, demands)}\nrecorded and recomputed torques differ by at most {off:.2g} N m\n"
+    write_report(output, found, table, reaching.drawn([walked]), as_json=as_json, more=files)
     return 0 if found["ok"] else 1
 
 

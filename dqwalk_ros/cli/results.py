@@ -1,4 +1,4 @@
-"""Writes the results of `simulate`, `walk` and `report`: report, figures, tables."""
+"""Writes the results of commands: reports, figures, tables."""
 
 from __future__ import annotations
 
@@ -10,14 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dqwalk_ros import report as reporting
-from dqwalk_ros.cli.options import Output
+from dqwalk_ros.cli.options import Output, Report
 from dqwalk_ros.errors import BagError
-from dqwalk_ros.simulation import Trace
 
 if TYPE_CHECKING:
-    from dqwalk_ros.report import Series
+    from matplotlib.figure import Figure
 
-__all__ = ["prepare", "write_csv", "write_results"]
+    from dqwalk_ros.report import Series
+    from dqwalk_ros.report.figures.style import Drawn
+
+__all__ = ["prepare", "write_report", "write_results", "write_study"]
 
 
 def prepare(output: Output) -> None:
@@ -41,38 +43,65 @@ def prepare(output: Output) -> None:
         raise BagError(f"cannot create the folder '{output.folder}': {error}") from error
 
 
-def write_csv(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Write a table as CSV, a line per row."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(head)
-        writer.writerows(rows)
+def write_study(
+    folder: Path, name: str, head: Sequence[str], rows: Iterable[Sequence[Any]], text: str, figure: Figure
+) -> None:
+    """Write a study as ``NAME.csv``, a line per row, ``NAME.txt`` and ``NAME.png``, and print the text."""
+    from dqwalk_ros.report.figures.style import Drawn, save
+
+    with (folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([head, *rows])
+    (folder / f"{name}.txt").write_text(text + "\n", encoding="utf-8")
+    save([Drawn(name, figure)], folder)
+    print(text)
 
 
-def write_results(
-    trace: Trace, out: Path, output: Output, *, as_json: bool = False, series: Series | None = None
-) -> dict[str, Any]:
-    """Analyse a walk, unless its `series` are given, write ``report.json`` and the figures, and print the tables.
+def write_report(
+    output: Report,
+    found: Any,
+    table: str,
+    drawn: Iterable[Drawn],
+    *,
+    as_json: bool = False,
+    more: Sequence[Path] = (),
+) -> None:
+    """Print a report, write it to ``report.json``, write its figures, and print the names of the files.
 
-    Returns
-    -------
-    dict
-        The report.
+    Parameters
+    ----------
+    table : str
+        The report as text; empty if it was printed before.
+    as_json : bool
+        Print only `found`, as JSON.
+    more : sequence of Path
+        Files that were written before.
+
+    Raises
+    ------
+    BagError
+        If a file cannot be written.
     """
-    series = series or reporting.analyse(trace)
-    report = reporting.report(series)
-    text = json.dumps(report, indent=2, allow_nan=False)
+    from dqwalk_ros.report.figures.style import save
+
+    text, out = json.dumps(found, indent=2), output.folder
+    if as_json:
+        print(text)
+    elif table and not output.quiet:
+        print(table)
     try:
         out.mkdir(parents=True, exist_ok=True)
         (out / "report.json").write_text(text + "\n", encoding="utf-8")
-        files = [out / "report.json"]
-        if output.figures:
-            files += reporting.save(series, out, output.formats)
+        files = [*more, out / "report.json", *(save(drawn, out, output.formats) if output.figures else ())]
     except OSError as error:
         raise BagError(f"cannot write to '{out}': {error}") from error
-    if as_json:
-        print(text)
-    elif not output.quiet:
-        print(reporting.render(report))
-        print("wrote " + ", ".join(str(file) for file in files))
-    return report
+    if not (as_json or output.quiet):
+        print("wrote " + ", ".join(map(str, files)))
+
+
+def write_results(series: Series, output: Report, *, as_json: bool = False) -> dict[str, Any]:
+    """Write and print the report and the figures of a walk of phases, and return the report."""
+    from dqwalk_ros.report import figures
+
+    found = reporting.report(series)
+    write_report(output, found, reporting.render(found), figures.drawn(series), as_json=as_json)
+    return found

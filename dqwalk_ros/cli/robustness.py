@@ -12,7 +12,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dqwalk_ros.cli.options import Many, command, config_of, config_option, many_options, params_option, set_option
+from dqwalk_ros.cli.options import (
+    Many,
+    command,
+    config_of,
+    config_option,
+    many_options,
+    params_option,
+    plant_option,
+    set_option,
+)
 from dqwalk_ros.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -37,17 +46,11 @@ examples:
   dqwalk robustness --plant poppy_as_built --steps 20                40 walks: two P gains, 20 seeds of the sensors
 """)
 @config_option("poppy")
-@click.option(
-    "--plant",
-    type=click.Choice(["physics", "poppy_as_built"]),
-    default="physics",
-    show_default=True,
-    help="MuJoCo with ideal sensors, or Poppy as it is built.",
-)
-@click.option("--steps", metavar="N", type=int, default=10, show_default=True, help="Steps of each walk.")
+@plant_option(["physics", "poppy_as_built"], "physics", "MuJoCo with ideal sensors, or Poppy as it is built.")
+@click.option("--steps", metavar="N", type=int, default=10, help="Steps of each walk.")
 @click.option("--axis", metavar="KEY=A,B", multiple=True, help="Vary a parameter over these values.")
 @click.option("--sample", metavar="N", type=int, default=0, show_default="all", help="Walk N random combinations.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Seed of --sample.")
+@click.option("--seed", type=int, default=0, help="Seed of --sample.")
 @many_options("robustness")
 @params_option
 @set_option
@@ -67,9 +70,8 @@ def robustness(
     Walks every combination of friction, mass, servo stiffness, backlash, output rate and latency (432 of them) and
     prints the fraction that stood and why the others did not. Needs dqwalk_ros[sim].
     """
-    from dqwalk_ros.cli.results import write_csv
+    from dqwalk_ros.cli.results import write_study
     from dqwalk_ros.report.figures.studies import robustness_figure
-    from dqwalk_ros.report.figures.style import drawing
     from dqwalk_ros.studies import robustness as study
 
     made = config_of(config, changes, plant=plant, params=params, also={"gait.steps": steps})
@@ -83,23 +85,16 @@ def robustness(
     for name, numbers in axes.items():  # invalid values are rejected before the first walk
         for number in numbers if name != study.LATENCY_ERROR else ():
             made.updated({name: number}, source="--axis")
-    combinations, out = study.cells(axes, sample, seed), many.folder
+    combinations = study.cells(axes, sample, seed)
     with many.options("cells", lambda last: f"; the last one {'stood' if last.stood else 'did not stand'}") as options:
-        done = study.walk_all(made, combinations, out, **options)
-    write_csv(
-        out / "robustness.csv",
-        [*axes, "stood", "time", "steps", "reason", "tilt"],
-        [
-            [*(cell.values[name] for name in axes), int(cell.stood), cell.time, cell.steps, cell.reason, cell.tilt]
-            for cell in done
-        ],
-    )
-    text = table(done, axes)
-    (out / "robustness.txt").write_text(text + "\n", encoding="utf-8")
-    with drawing():
-        robustness_figure(done, axes, steps).savefig(out / "robustness.png")
-    print(text)
-    return 0 if len(done) == len(combinations) and all(cell.stood for cell in done) else 1
+        done = study.walk_all(made, combinations, many.folder, **options)
+    head = [*axes, "stood", "time", "steps", "reason", "tilt"]
+    rows = [
+        [*(values[name] for name in axes), int(end.stood), end.time, end.steps, end.reason, end.tilt]
+        for values, end in done
+    ]
+    write_study(many.folder, "robustness", head, rows, table(done, axes), robustness_figure(done, axes, steps))
+    return 0 if len(done) == len(combinations) and all(end.stood for _, end in done) else 1
 
 
 def _number(text: str) -> float:
@@ -110,26 +105,25 @@ def _number(text: str) -> float:
 
 def table(done: Sequence[Cell], axes: dict[str, tuple[float, ...]]) -> str:
     """Return the fraction that stood, in total and for each value, and the failures."""
-    stood = sum(cell.stood for cell in done)
+    stood = sum(end.stood for _, end in done)
     total = math.prod(map(len, axes.values()))
     lines = [f"{stood} of {len(done)} cells stood ({len(done)} of the {total} combinations were walked)"]
-    tilts = [math.degrees(cell.tilt) for cell in done if cell.stood and cell.tilt is not None]
+    tilts = [math.degrees(end.tilt) for _, end in done if end.stood and end.tilt is not None]
     if tilts:
         lines.append(
             f"largest tilt of the loaded sole: {statistics.median(tilts):.2f} degrees (median of those that stood)"
         )
     lines.append("")
-    for name, values in axes.items():
-        for value in values:
-            part = [cell for cell in done if cell.values[name] == value]
+    for name, varied in axes.items():
+        for value in varied:
+            part = [end.stood for values, end in done if values[name] == value]
             if part:
-                good = sum(cell.stood for cell in part)
-                lines.append(f"  {name + ' = ' + format(value, 'g'):28s} {good:3d} of {len(part):3d}")
-    reasons = Counter(_NUMBER.sub("#", cell.reason) for cell in done if not cell.stood)
+                lines.append(f"  {name + ' = ' + format(value, 'g'):28s} {sum(part):3d} of {len(part):3d}")
+    fallen = [(values, end) for values, end in done if not end.stood]
+    reasons = Counter(_NUMBER.sub("#", end.reason) for _, end in fallen)
     if reasons:
         lines += ["", "why the others did not:", *(f"  {count:3d} x {why}" for why, count in reasons.most_common()), ""]
-    for cell in done:
-        if not cell.stood:
-            where = ", ".join(f"{name.partition('.')[2]} {value:g}" for name, value in cell.values.items())
-            lines.append(f"  failed at {cell.time:5.1f} s, after {cell.steps} steps: {where}: {cell.reason}")
+    for values, end in fallen:
+        where = ", ".join(f"{name.partition('.')[2]} {value:g}" for name, value in values.items())
+        lines.append(f"  failed at {end.time:5.1f} s, after {end.steps} steps: {where}: {end.reason}")
     return "\n".join(lines)

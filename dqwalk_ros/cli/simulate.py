@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import math
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from dqwalk_ros.cli.options import Output, command, config_of, output_options, walk_options
-from dqwalk_ros.errors import ViewerError
+from dqwalk_ros.cli.options import Report, command, output_options, port_option, walk_options
 
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config
     from dqwalk_ros.controller import VelocityController
     from dqwalk_ros.report.viewer.player import Feed
-    from dqwalk_ros.standing.course import Course
 
 __all__ = ["simulate"]
 
@@ -40,61 +36,48 @@ examples:
   dqwalk simulate --config poppy --plant physics           the standing walk, in MuJoCo (dqwalk_ros[sim])
   dqwalk simulate --config poppy --plant physics --cmd-vel 0.015,0,0,20 --cmd-vel=-0.01,0,0,20    forward, then back
 """)
-@walk_options
-@click.option(
-    "--plant",
-    type=click.Choice(["kinematic", "integrator", "physics", "poppy_as_built"]),
-    default="kinematic",
-    show_default=True,
-    help="Ideal joints (both names), MuJoCo, or MuJoCo with Poppy's own servos, delays and sensors.",
+@walk_options(
+    ["kinematic", "integrator", "physics", "poppy_as_built"],
+    "Ideal joints (both names), MuJoCo, or MuJoCo with Poppy's own servos, delays and sensors.",
 )
 @click.option("--view", is_flag=True, help="Show the walk in the browser, live, then as a replay.")
-@click.option("--port", type=int, help="Port of the page; 0: any.  [default: 8080, or the next free one]")
+@port_option
 @output_options("walk")
-def simulate(
-    config: str,
-    params: tuple[Path, ...],
-    cycles: int | None,
-    first: str | None,
-    changes: tuple[str, ...],
-    course: tuple[str, ...],
-    plant: str,
-    view: bool,
-    port: int | None,
-    output: Output,
-) -> int:
+def simulate(config: Config, course: tuple[str, ...], plant: str, view: bool, port: int | None, output: Report) -> int:
     """Walk in this process, without ROS."""
-    also = {"gait.cycles": cycles, "gait.first_support": first}
-    made = config_of(config, changes, plant=plant, params=params, course=course, also=also)
     from dqwalk_ros import simulation
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import prepare, write_results
-    from dqwalk_ros.report import bag
+    from dqwalk_ros.report import analyse, bag
     from dqwalk_ros.report.table import why
     from dqwalk_ros.robot import load_model
     from dqwalk_ros.standing.course import Course
 
-    model, legs = load_model(made.robot), Course.parse(course)
+    model, legs = load_model(config.robot), Course.parse(course)
     prepare(output)
-    controller = simulation.make_controller(made, model)
-    body = simulation.make_plant(plant, made, model)
+    controller = simulation.make_controller(config, model)
+    body = simulation.make_plant(plant, config, model)
     with contextlib.ExitStack() as stack:
-        feed = stack.enter_context(_page(made, port)) if view else None
-        pilot = _Pilot(controller, legs) if course else None
-        done = _Fraction(controller) if pilot is None else pilot.fraction
+        feed = stack.enter_context(_page(config, port)) if view else None
+        done, begin = _Fraction(controller), body.state.time
 
         def before_step(time: float) -> None:
             if feed is not None:
                 feed.offer(body.state, controller)
-            if pilot is not None:
-                pilot(time)
+            if course:
+                asked = legs.at(time)
+                if asked is None:
+                    controller.stop()
+                else:
+                    controller.steer(*asked)
+
+        def progress(_: float, text: str) -> None:
+            bar((body.state.time - begin) / legs.duration if course else done(), text)
 
         with Progress(quiet=output.quiet) as bar:
-            trace = simulation.simulate(
-                controller, body, progress=lambda _, text: bar(done(), text), before_step=before_step
-            )
+            trace = simulation.simulate(controller, body, progress=progress, before_step=before_step)
         bag.write(trace, output.folder / "bag")
-        report = write_results(trace, output.folder, output)
+        report = write_results(analyse(trace), output)
         if not trace.finished:
             print(f"dqwalk: {'; '.join([*trace.notes, *why(report)[:1]])}", file=sys.stderr)
         if feed is not None:
@@ -106,8 +89,6 @@ def simulate(
 
 def _page(config: Config, port: int | None) -> Feed:
     """Return a page in its own process."""
-    if importlib.util.find_spec("viser") is None:
-        raise ViewerError("--view needs viser: pip install 'dqwalk_ros[view]'")
     from dqwalk_ros.report.viewer.player import Feed
 
     feed = Feed(config, port)
@@ -115,32 +96,13 @@ def _page(config: Config, port: int | None) -> Feed:
     return feed
 
 
-class _Pilot:
-    """Steers the walk along a course, then stops it."""
-
-    def __init__(self, controller: VelocityController, course: Course) -> None:
-        self._controller, self._course, self._time = controller, course, 0.0
-
-    def fraction(self) -> float:
-        """Return the fraction of the course that is done."""
-        return min(1.0, self._time / self._course.duration)
-
-    def __call__(self, time: float) -> None:
-        self._time = time
-        asked = self._course.at(time)
-        if asked is None:
-            self._controller.stop()
-        else:
-            self._controller.steer(*asked)
-
-
 class _Fraction:
     """Fraction of a walk that is done: by phases, and within single support by the decay of the error."""
 
     def __init__(self, controller: VelocityController) -> None:
-        self._controller = controller
         from dqwalk_ros.simulation import walk_type
 
+        self._controller = controller
         self._total = walk_type(controller.config).phases(controller.config) or math.inf
         self._threshold = controller.config.ssp.threshold
         self._index, self._first = -1, 0.0

@@ -63,26 +63,23 @@ def study(path: Path, many: Many, dry_run: bool, formats: tuple[str, ...]) -> in
         rows = studies.walk_all(plan, folder, **options)
     if len(rows) < len(points):
         raise StudyError(f"interrupted; {len(rows)} of {len(points)} walks are saved, the same command continues")
+    from dqwalk_ros.report.figures.studies import study_figure
+    from dqwalk_ros.report.figures.style import Drawn, save
+
     found = list(rows.values())
-    figures = _draw(plan, found, folder, formats)
+    figures = save([Drawn("study", study_figure(found, list(plan.vary), _units(plan)))], folder, formats)
     if not many.quiet:
         print(_summary(plan, found))
         print(f"wrote {', '.join(map(str, [folder / 'walks.parquet', *figures]))}")
     return 0
 
 
-def _draw(study: Study, rows: list[dict[str, Any]], out: Path, formats: tuple[str, ...]) -> list[Path]:
+def _units(study: Study) -> dict[str, str]:
+    """Return the units of the parameters that a study may vary."""
     from dqwalk_ros.config import Config
-    from dqwalk_ros.report.figures.studies import study_figure
 
-    units = {spec.name: spec.unit for spec in Config.specs()}
-    units |= {name: "rad" for name in study.vary if name.startswith("start.")}
-    units |= {"disturbance.velocity": "rad/s"}
-    figure = study_figure(rows, list(study.vary), units)
-    paths = [out / f"study.{kind}" for kind in formats]
-    for path in paths:
-        figure.savefig(path)
-    return paths
+    own = {name: "rad" for name in study.vary if name.startswith("start.")} | {"disturbance.velocity": "rad/s"}
+    return {spec.name: spec.unit for spec in Config.specs()} | own
 
 
 def _summary(study: Study, rows: list[dict[str, Any]]) -> str:

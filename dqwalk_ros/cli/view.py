@@ -8,8 +8,7 @@ from pathlib import Path
 
 import click
 
-from dqwalk_ros.cli.options import command
-from dqwalk_ros.errors import ViewerError
+from dqwalk_ros.cli.options import bag_argument, command, namespace_option, port_option
 
 __all__ = ["view"]
 
@@ -21,9 +20,9 @@ examples:
   dqwalk simulate --view                                   a walk while it is computed
   dqwalk_viewer                                            a walk on ROS 2, live (or: ros2 run dqwalk_ros viewer)
 """)
-@click.argument("bag", type=click.Path(path_type=Path))
-@click.option("--namespace", metavar="NAME", help="Namespace of the robot, if the bag contains several.")
-@click.option("--port", type=int, help="Port of the page; 0: any.  [default: 8080, or the next free one]")
+@bag_argument
+@namespace_option
+@port_option
 @click.option("--open", "open_browser", is_flag=True, help="Open the page in the browser of this machine.")
 @click.option("--play", is_flag=True, help="Start playing at once.")
 def view(bag: Path, namespace: str | None, port: int | None, open_browser: bool, play: bool) -> int:
@@ -34,13 +33,8 @@ def view(bag: Path, namespace: str | None, port: int | None, open_browser: bool,
     any bag that `dqwalk report` reads. On another machine, forward the port: ssh -L 8080:127.0.0.1:8080 HOST.
     """
     from dqwalk_ros.report import bag as bags
-
-    try:
-        from dqwalk_ros.report.viewer.page import Page
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] != "viser":
-            raise
-        raise ViewerError("the page needs viser: pip install 'dqwalk_ros[view]'") from error
+    from dqwalk_ros.report.viewer.page import Page
+    from dqwalk_ros.report.viewer.player import Player
 
     page = Page(port)
     try:
@@ -50,8 +44,6 @@ def view(bag: Path, namespace: str | None, port: int | None, open_browser: bool,
         if open_browser:
             webbrowser.open(page.url)
         trace = bags.read(bag, namespace=namespace)
-        from dqwalk_ros.report.viewer.player import Player
-
         player = Player(page, trace)
         if play:
             player.toggle()

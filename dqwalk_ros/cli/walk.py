@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from dqwalk_ros.cli.options import Output, command, config_of, output_options, walk_options
+from dqwalk_ros.cli.options import Report, command, output_options, walk_options
 from dqwalk_ros.errors import BagError
+
+if TYPE_CHECKING:
+    from dqwalk_ros.config import Config
 
 __all__ = ["walk"]
 
@@ -21,27 +24,12 @@ examples:
   dqwalk walk --config poppy --plant physics --set gait.steps=20        20 steps in MuJoCo
   dqwalk walk --config poppy --plant physics --cmd-vel 0.015,0,0.03,30  steered by the node pilot on cmd_vel
 """)
-@walk_options
-@click.option(
-    "--plant",
-    type=click.Choice(["integrator", "physics", "poppy_as_built", "poppy"]),
-    default="integrator",
-    show_default=True,
-    help="Ideal joints, MuJoCo, or the real robot (in real time).",
+@walk_options(
+    ["integrator", "physics", "poppy_as_built", "poppy"], "Ideal joints, MuJoCo, or the real robot (in real time)."
 )
 @click.option("--realtime", is_flag=True, help="Run in real time, at 1/dt, instead of in lockstep.")
 @output_options("walk")
-def walk(
-    config: str,
-    params: tuple[Path, ...],
-    cycles: int | None,
-    first: str | None,
-    changes: tuple[str, ...],
-    course: tuple[str, ...],
-    plant: str,
-    realtime: bool,
-    output: Output,
-) -> int:
+def walk(config: Config, course: tuple[str, ...], plant: str, realtime: bool, output: Report) -> int:
     """Walk through ROS 2: four nodes, in lockstep.
 
     Starts controller, plant, phase_monitor and recorder in lockstep (each state waits for its command, so the walk is
@@ -49,15 +37,13 @@ def walk(
     """
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import prepare, write_results
-    from dqwalk_ros.report import bag
+    from dqwalk_ros.report import analyse, bag
     from dqwalk_ros.runner import run_walk
 
-    also = {"gait.cycles": cycles, "gait.first_support": first}
-    made = config_of(config, changes, plant=plant, params=params, course=course, also=also)
     prepare(output)
     with Progress(quiet=output.quiet) as progress:
         outcome = run_walk(
-            made,
+            config,
             output.folder / "bag",
             plant=plant,
             course=course,
@@ -73,5 +59,5 @@ def walk(
             raise
         print(f"dqwalk: no report: {error}", file=sys.stderr)
         return 1
-    report = write_results(trace, output.folder, output)
+    report = write_results(analyse(trace), output)
     return 0 if outcome.finished and report["ok"] else 1

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.report.metrics import Series, hull_margin, support_polygon
 from dqwalk_ros.servos import Servos
@@ -21,7 +22,6 @@ from dqwalk_ros.statics import GRAVITY
 
 __all__ = ["causes", "lost"]
 
-Array = NDArray[np.float64]
 
 _SMOOTH = 0.05
 """Time over which velocities of the CoM are averaged [s]."""

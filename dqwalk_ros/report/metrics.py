@@ -7,6 +7,7 @@ A bag is evaluated in the same way, whichever program recorded it.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,6 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.constraints import Constraint, PointInCylinder
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ModelError
@@ -29,7 +31,6 @@ __all__ = [
     "support_polygon", "urdf_soles",
 ]  # fmt: skip
 
-Array = NDArray[np.float64]
 
 FALLEN = 0.6
 """Height of the pelvis, relative to its first height, below which the robot has fallen."""
@@ -164,7 +165,7 @@ class Span:
     start, end : int
         Its ticks, ``start <= tick < end``.
     ending : Ending or None
-        None if the walk stopped before the end of the phase.
+        None if the walk stopped before the end of the phase, or the phase was interrupted.
     """
 
     record: PhaseRecord
@@ -190,8 +191,6 @@ class Series:
 
     Attributes
     ----------
-    trace : Trace
-    spans : tuple of Span
     error : ndarray, shape (N,)
         Norm of the task error: [m] in double support, of vec8 in single support.
     distances : dict of str to ndarray, shape (N,)
@@ -298,12 +297,6 @@ class Series:
         physics, held = self.trace.physics, self.trace.config.physics.held
         return None if physics is None or held or not np.isfinite(physics.pelvis).any() else Ground(self, physics)
 
-    def corners(self, tick: int, soles: Mapping[Foot, Sole] | None = None) -> tuple[Array, Array]:
-        """Return the corners (4, 3) of the base and of the other sole at a tick, in the base sole's frame [m]."""
-        soles = soles or self.trace.model.soles
-        base = self.spans[int(self.span_of[tick])].phase.base
-        return soles[base].corners, DQ(self.end[tick]).transform_point(soles[base.other].corners)
-
     def polygon_margin(self, points: Array, soles: Mapping[Foot, Sole] | None = None) -> Array:
         """Return the signed distance of points (N, 2) in the base sole's frame to the support polygon [m], (N,)."""
         soles = soles or self.trace.model.soles
@@ -355,6 +348,9 @@ def analyse(trace: Trace) -> Series:
     stops = [record.start for record in trace.phases[1:]] + [count]
     ends: list[Array | None] = [record.q_start for record in trace.phases[1:]]
     ends.append(trace.q[-1] if trace.finished else None)
+    for k, (record, after) in enumerate(itertools.pairwise(trace.phases)):
+        if record.kind is after.kind is PhaseKind.SINGLE_SUPPORT:  # steps catch a push before the foot has landed
+            ends[k] = None
     for record, stop, q_end in zip(trace.phases, stops, ends, strict=True):
         phase = record.phase(config, model)
         ending = None if q_end is None else Ending.at(model, phase, q_end)
@@ -412,7 +408,6 @@ class Ground:
 
     Attributes
     ----------
-    physics : PhysicsRecord
     soles : dict of Foot to ndarray, shape (N, 8)
         True poses.
     com : ndarray, shape (N, 3)
@@ -437,7 +432,7 @@ class Ground:
 
     def __init__(self, series: Series, physics: PhysicsRecord) -> None:
         trace, model, count = series.trace, series.trace.model, len(series.trace)
-        self.physics = physics
+        self.physics, self._series = physics, series
         self.soles = {foot: np.empty((count, 8)) for foot in Foot}
         self.com, self.cop_margin = np.empty((count, 3)), np.full(count, np.nan)
         self.height = DQ(physics.pelvis).translation()[:, 2]
@@ -460,7 +455,7 @@ class Ground:
         loads = np.stack([physics.wrenches[foot][:, 2] for foot in Foot], axis=1)
         tilts = np.stack([tilt(self.soles[foot]) for foot in Foot], axis=1)
         self.tilt = tilts[np.arange(count), np.argmax(np.nan_to_num(loads), axis=1)]
-        self.stands = self._stands(series)
+        self.stands = self._stands()
         turned = abs(float(self.stands[-1, 2] - self.stands[0, 2]))
         arc = turned > _TURNED and len(self.stands) > 5
         self.circle = Circle.through(self.stands[1:, :2]) if arc else None
@@ -479,27 +474,28 @@ class Ground:
         low = np.nanmin(self.height) < FALLEN * self.height[np.isfinite(self.height)][0]
         return bool(low or np.nanmax(self.tilt) > TIPPED)
 
-    def swing_load(self, series: Series) -> float | None:
-        """Return the fraction of the weight on the swing foot, the median of all ticks; None without single support."""
+    @property
+    def swing_load(self) -> float | None:
+        """Fraction of the weight on the swing foot, the median of all ticks; None without single support."""
         parts = []
-        for span in series.spans:
+        for span in self._series.spans:
             if not span.double:
-                swing, support = (
-                    self.physics.wrenches[foot][span.ticks, 2]
-                    for foot in (span.phase.support.other, span.phase.support)
-                )
+                feet = (span.phase.support.other, span.phase.support)
+                swing, support = (self.physics.wrenches[foot][span.ticks, 2] for foot in feet)
                 parts.append(swing / np.maximum(swing + support, 1e-3))
         part = np.concatenate(parts) if parts else np.empty(0)
         return float(np.nanmedian(part)) if np.isfinite(part).any() else None
 
-    def drift(self, series: Series) -> float:
-        """Return the horizontal error of odometry at the end, relative to the first base sole [m]."""
-        first, last = series.spans[0], series.spans[-1]
+    @property
+    def drift(self) -> float:
+        """Horizontal error of odometry at the end, relative to the first base sole [m]."""
+        first, last = self._series.spans[0], self._series.spans[-1]
         true = DQ(self.soles[first.phase.base][0]).conj() * DQ(self.soles[last.phase.base][-1])
         estimated = DQ(first.record.x_odom_base).conj() * DQ(last.record.x_odom_base)
         return float(np.linalg.norm((true.translation() - estimated.translation())[:2]))
 
-    def _stands(self, series: Series) -> Array:
+    def _stands(self) -> Array:
+        series = self._series
         ticks = [span.start for span in series.spans if span.double] + [len(series.time) - 1]
         places, yaws = [], []
         for foot in Foot:

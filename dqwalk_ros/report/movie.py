@@ -10,29 +10,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.report.metrics import pelvis_in_odom
 from dqwalk_ros.simulation import Trace
 
-__all__ = ["frames", "pelvis_poses", "save_movie", "save_strip"]
+__all__ = ["frames", "save_movie", "save_strip"]
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+Progress = Callable[[float, str], None]
+"""Called with the fraction done and a line of text."""
 
 
-def pelvis_poses(trace: Trace) -> Array:
-    """Return the pelvis in the world at every tick, shape (N, 8): the true one for walks in physics."""
-    return pelvis_in_odom(trace) if trace.physics is None else trace.physics.pelvis
-
-
-def frames(
-    trace: Trace,
-    times: Array,
-    *,
-    width: int,
-    height: int,
-    progress: Callable[[float, str], None] | None = None,
-) -> Iterator[Image]:
+def frames(trace: Trace, times: Array, width: int, height: int, progress: Progress | None = None) -> Iterator[Image]:
     """Yield a picture of the robot at each time [s], with the time and the phase written on it.
+
+    The pose of the pelvis is the true one for walks in physics, else that of odometry.
 
     Raises
     ------
@@ -41,7 +33,7 @@ def frames(
     """
     from dqwalk_ros.plants.camera import Camera
 
-    pelvis = pelvis_poses(trace)
+    pelvis = pelvis_in_odom(trace) if trace.physics is None else trace.physics.pelvis
     known = np.flatnonzero(np.isfinite(pelvis).all(axis=1))
     starts = np.array([record.time for record in trace.phases])
     with Camera(trace.config, trace.model, width, height) as camera:
@@ -62,35 +54,22 @@ def save_movie(
     rate: float = 12.5,
     width: int = 360,
     height: int = 400,
-    progress: Callable[[float, str], None] | None = None,
-) -> Path:
+    progress: Progress | None = None,
+) -> None:
     """Write the walk as an animated picture, a .gif or a .webp.
 
-    Parameters
-    ----------
-    trace : Trace
-    path : path-like
-    speed : float
-        Relative to real time.
-    rate : float
-        Pictures per second.
-    width, height : int
-        [pixels]
-    progress : callable, optional
-        Called with the fraction done and a line of text.
+    The speed is relative to real time, the rate in pictures per second, the size in pixels.
     """
     from PIL import Image as pillow
 
     times = np.arange(trace.time[0], trace.time[-1] + 1e-9, speed / rate)
-    made = [pillow.fromarray(one) for one in frames(trace, times, width=width, height=height, progress=progress)]
-    out = Path(path)
+    made = [pillow.fromarray(one) for one in frames(trace, times, width, height, progress)]
     options: dict[str, Any] = {"quality": 70, "method": 4}
-    if out.suffix.lower() == ".gif":
+    if Path(path).suffix.lower() == ".gif":
         palette = made[len(made) // 2].quantize(64)
         made = [one.quantize(palette=palette, dither=pillow.Dither.NONE) for one in made]
         options = {"optimize": True}
-    made[0].save(out, save_all=True, append_images=made[1:], duration=round(1e3 / rate), loop=0, **options)
-    return out
+    made[0].save(path, save_all=True, append_images=made[1:], duration=round(1e3 / rate), loop=0, **options)
 
 
 def save_strip(
@@ -101,19 +80,16 @@ def save_strip(
     between: tuple[float, float] | None = None,
     width: int = 240,
     height: int = 400,
-    progress: Callable[[float, str], None] | None = None,
-) -> Path:
+    progress: Progress | None = None,
+) -> None:
     """Write some pictures of the walk side by side, evenly spread over it, or `between` two times [s]."""
     from PIL import Image as pillow
 
     first, last = between or (float(trace.time[0]), float(trace.time[-1]))
-    times = np.linspace(first, last, count)
-    made = list(frames(trace, times, width=width, height=height, progress=progress))
     gap = np.full((height, 4, 3), 255, dtype=np.uint8)
+    made = frames(trace, np.linspace(first, last, count), width, height, progress)
     row = [part for one in made for part in (one, gap)][:-1]
-    out = Path(path)
-    pillow.fromarray(np.concatenate(row, axis=1)).quantize(128).save(out, optimize=True)
-    return out
+    pillow.fromarray(np.concatenate(row, axis=1)).quantize(128).save(path, optimize=True)
 
 
 def _labelled(picture: Image, *lines: str) -> Image:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.constraints import (
     Constraint,
@@ -39,7 +40,6 @@ __all__ = [
     "Gauge", "Moment", "Region", "Scene", "Shape", "View", "beginning", "moment_of", "region", "shapes_of", "tightest",
 ]  # fmt: skip
 
-Array = NDArray[np.float64]
 Rgb = tuple[int, int, int]
 Rgba = tuple[float, float, float, float]
 _GREY: Rgba = (0.7, 0.72, 0.75, 1.0)
@@ -185,7 +185,6 @@ class Gauge:
 
     Attributes
     ----------
-    name : str
     value : float
         Distance left to the threshold, which is at zero, in `unit`.
     unit : str
@@ -225,7 +224,6 @@ class Moment:
     ----------
     time : float [s]
     q : ndarray, shape (n,) [rad]
-    phase : Phase
     index : int
         Number of the phase, 0, 1, ... from the beginning of the walk.
     began : float
@@ -257,7 +255,6 @@ class View:
 
     Attributes
     ----------
-    moment : Moment
     level, message : str
         Of the `Assessment`.
     bodies : ndarray, shape (B, 8)
@@ -270,8 +267,6 @@ class View:
         Support polygon, counter-clockwise.
     target : ndarray, shape (8,), or None
         Target pose of the swing sole.
-    regions : tuple of Region
-    gauges : tuple of Gauge
     error : float
         Norm of the task error.
     divergent : ndarray, shape (3,), or None
@@ -305,13 +300,7 @@ def tightest(gauges: Iterable[Gauge]) -> Gauge:
 
 @dataclass
 class Scene:
-    """Turns moments of one walk into views.
-
-    Parameters
-    ----------
-    config : Config
-    model : RobotModel
-    """
+    """Turns moments of one walk into views."""
 
     config: Config
     model: RobotModel

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["aligned", "distances", "numbers", "phases", "render", "why"]
+from dqwalk_ros.text_table import aligned
+
+__all__ = ["distances", "numbers", "phases", "render", "why"]
 
 _EDGE = 1e-5
 """Distance up to which the CoM counts as at the edge of its support [m]: the error of Euler's method."""
 _TURNED = math.radians(0.5)
 """Turn below which the walk counts as straight [rad]."""
-_WIDTH = 10_000
-"""Width of the console [characters]: no line is cut or wrapped, so that programs can read the output."""
 
 
 def render(report: Mapping[str, Any]) -> str:
@@ -65,27 +64,20 @@ def numbers(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return name and text of each result for the whole walk."""
     walk, mm = report["walk"], 1e3
     margin, joints, speed = walk["margin"], walk["margin"]["joints"], walk["joint_speed"]
+    steps = f"{walk['steps']}, {mm * walk['forward']:.1f} mm forward, {mm * walk['lateral']:.1f} mm to the left"
+    if abs(walk["turned"]) > _TURNED:
+        steps += f", turned {math.degrees(walk['turned']):+.1f} degrees"
     lines = [
         ("walk", "finished" if walk["finished"] else "stopped before its end"),
         ("time", f"{walk['duration']:.2f} s, {walk['ticks']} ticks"),
-        (
-            "steps",
-            f"{walk['steps']}, {mm * walk['forward']:.1f} mm forward, {mm * walk['lateral']:.1f} mm to the left"
-            + (f", turned {math.degrees(walk['turned']):+.1f} degrees" if abs(walk["turned"]) > _TURNED else ""),
-        ),
+        ("steps", steps),
     ]
     if walk["landing_error"] is not None:
         lines.append(("landing error", f"at most {mm * walk['landing_error']:.2f} mm"))
-    lines += [
-        (
-            "joint-limit margin",
-            f"{joints['value']:.4f} rad at {joints['time']:.2f} s ({walk['closest_joint']})",
-        ),
-        (
-            "joint speed",
-            f"at most {speed['largest']:.3f} rad/s, {100 * speed['of_limit']:.1f} % of the limit",
-        ),
-    ]
+    closest = f"{joints['value']:.4f} rad at {joints['time']:.2f} s ({walk['closest_joint']})"
+    lines.append(("joint-limit margin", closest))
+    fastest = f"at most {speed['largest']:.3f} rad/s, {100 * speed['of_limit']:.1f} % of the limit"
+    lines.append(("joint speed", fastest))
     if "paper" in margin:
         lines.append(("paper margin", _margin(margin["paper"])))
     lines.append(("true margin", _margin(margin["true"])))
@@ -95,12 +87,7 @@ def numbers(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         lines += _physics(report["physics"])
     lines.append(("unit-norm error", f"{walk['unit_norm_error']:.1e}"))
     if (solve := report["solve_time"]) is not None:
-        lines.append(
-            (
-                "solve time",
-                ", ".join(f"{key} {1e6 * solve[key]:.0f} us" for key in ("median", "p99", "max")),
-            )
-        )
+        lines.append(("solve time", ", ".join(f"{key} {1e6 * value:.0f} us" for key, value in solve.items())))
     if walk["unanswered"]:
         lines.append(("unanswered", f"{walk['unanswered']} states without a command"))
     lines += [("note", note) for note in report["notes"]]
@@ -156,34 +143,6 @@ def _verdict(report: Mapping[str, Any]) -> str:
 
 
 def why(report: Mapping[str, Any]) -> list[str]:
-    """Return why the robot fell, a line for what acted first and one for each of the others; none where it did not."""
+    """Return why the robot fell: a line for the first cause and one for each other; empty if it did not fall."""
     found = [c["message"] + (f" ({c['parameter']})" if c["parameter"] else "") for c in report.get("causes", [])]
     return [("it fell because: " if k == 0 else "as well: ") + text for k, text in enumerate(found)]
-
-
-def aligned(rows: Sequence[Sequence[str]], head: Sequence[str] = (), right: Sequence[int] = ()) -> str:
-    """Return rows of text in columns.
-
-    Parameters
-    ----------
-    rows : sequence of sequence of str
-    head : sequence of str
-        Names of the columns, with a line below them; a name may have several lines.
-    right : sequence of int
-        Indices of the right-aligned columns.
-    """
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    made = Table(box=box.SIMPLE_HEAD if head else None, show_header=bool(head), show_edge=False, pad_edge=False)
-    for c in range(len(head) or len(rows[0])):
-        name = Text(head[c]) if head else ""
-        made.add_column(name, justify="right" if c in right else "left", no_wrap=True, header_style="")
-    for row in rows:
-        made.add_row(*map(Text, row))  # Text: no markup of rich
-    console = Console(file=io.StringIO(), width=_WIDTH, color_system=None)
-    console.print(made)
-    text = console.file.getvalue()  # type: ignore[attr-defined]
-    return "\n".join(line.rstrip() for line in text.splitlines())

@@ -14,9 +14,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dqwalk_ros import __version__
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config, MonitorConfig
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
@@ -28,7 +28,6 @@ from dqwalk_ros.walk import Phase
 
 __all__ = ["Assessment", "Assessor", "Violation", "report", "violations"]
 
-Array = NDArray[np.float64]
 
 TILT = np.radians(2.0)
 """Largest tilt of the more loaded sole [rad]."""
@@ -69,14 +68,7 @@ class Assessment:
 
 
 class Assessor:
-    """Assesses the states of one phase.
-
-    Parameters
-    ----------
-    config : Config
-    model : RobotModel
-    phase : Phase
-    """
+    """Assesses the states of one phase."""
 
     def __init__(self, config: Config, model: RobotModel, phase: Phase) -> None:
         self.config, self.model, self.phase = config, model, phase
@@ -85,16 +77,9 @@ class Assessor:
         self._held = [(row.name, abs(start[row.name]), _decay(row.eta, config.dt)) for row in phase.equalities]
 
     def __call__(self, kin: Kinematics, elapsed: float, monitor: MonitorConfig | None = None) -> Assessment:
-        """Return the assessment of one state.
+        """Return the assessment of one state, `elapsed` seconds after the phase began.
 
-        Parameters
-        ----------
-        kin : Kinematics
-            Of that state, relative to the base sole of the phase.
-        elapsed : float
-            Time since the phase began [s].
-        monitor : MonitorConfig, optional
-            Replaces that of the configuration.
+        `kin` is relative to the base sole of the phase; `monitor` replaces that of the configuration.
         """
         monitor = monitor or self.config.monitor
         ticks = max(elapsed, 0.0) / self.config.dt
@@ -149,9 +134,8 @@ class Violation:
         Name of the distance or of the rule.
     phase : str
         Name of the phase; empty for a rule of the whole walk.
-    time : float
-        [s]
-    value, allowed : float
+    time, value, allowed : float
+        Time [s], and value and its bound in the unit of the distance.
     message : str
         All of this in one sentence.
     """
@@ -318,13 +302,7 @@ def report(series: Series) -> dict[str, Any]:
         "walk": _walk(series, phases),
         "physics": None if series.ground is None else _physics(series, series.ground),
         "phases": phases,
-        "solve_time": {
-            "median": float(np.median(solved)),
-            "p99": float(np.percentile(solved, 99)),
-            "max": float(solved.max()),
-        }
-        if len(solved)
-        else None,
+        "solve_time": _quantiles(solved) if len(solved) else None,
         "robot": {
             "name": trace.model.name,
             "joints": list(trace.model.joint_names),
@@ -336,6 +314,10 @@ def report(series: Series) -> dict[str, Any]:
         },
         "notes": list(trace.notes),
     }
+
+
+def _quantiles(values: Array) -> dict[str, float]:
+    return dict(zip(("median", "p99", "max"), np.percentile(values, (50, 99, 100)).tolist(), strict=True))
 
 
 def _least(series: Series, values: Array, ticks: slice = slice(None)) -> dict[str, float]:
@@ -451,8 +433,8 @@ def _physics(series: Series, of: Ground) -> dict[str, Any]:
         "cop_margin": float(np.nanmin(of.cop_margin)) if np.isfinite(of.cop_margin).any() else None,
         "landing_height": max(heights, default=None),
         "fallen": of.fallen,
-        "swing_load": of.swing_load(series),
-        "odometry_drift": of.drift(series),
+        "swing_load": of.swing_load,
+        "odometry_drift": of.drift,
     }
     if np.isfinite(of.power).any():
         # cost of transport: positive work per weight and path length

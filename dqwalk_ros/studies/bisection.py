@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 __all__ = ["Bracket", "largest"]
 
 
-@dataclass(frozen=True)
-class Bracket:
+class Bracket(NamedTuple):
     """The interval that contains the limit.
 
     Attributes
@@ -28,18 +27,10 @@ class Bracket:
 
 
 def largest(fails: Callable[[float], str], first: float, most: float, tolerance: float) -> Bracket:
-    """Double a load until it is not survived, then bisect.
+    """Double a load, from `first` to `most`, until it is not survived, then bisect down to the tolerance.
 
-    Assumes that a robot that survives a load also survives every smaller one.
-
-    Parameters
-    ----------
-    fails : callable
-        Returns why a load is not survived, an empty text if it is survived.
-    first, most : float
-        First and largest load that are tried.
-    tolerance : float
-        Largest width of the interval.
+    Assumes that a robot that survives a load also survives every smaller one. `fails` returns why a load is not
+    survived, an empty text if it is survived.
     """
     survived, failed, reason = 0.0, None, ""
     while survived < most and failed is None:

@@ -1,21 +1,4 @@
-"""Reads the file of a study, checks it, and lists its walks.
-
-::
-
-    config: paper                       # name or path, as of --config
-    set: {gait.cycles: 1}               # parameters of every walk
-    sample: grid                        # grid, latin_hypercube or sobol
-    count: 64                           # walks, for latin_hypercube and sobol
-    seed: 0
-    vary:
-      gait.step_length: {from: 0.03, to: 0.12, steps: 10}
-      robot.drop: [[abs_y], []]         # a list of any values
-      start.l_knee_y: {from: 0.0, to: 0.3, steps: 4}
-
-Besides every parameter of `dqwalk config` a study may vary ``start.JOINT`` (initial angle [rad]), ``mass.LINK`` (factor
-on the mass of the body to which the link is attached) and ``disturbance.velocity`` (standard deviation of a random
-velocity added to every joint at every tick [rad/s]).
-"""
+"""Reads the file of a study, whose form `dqwalk study --help` shows, checks it, and lists its walks."""
 
 from __future__ import annotations
 
@@ -71,12 +54,10 @@ class Study:
 
     Attributes
     ----------
-    name : str
     config : Config
         The configuration common to all walks.
     sample : str
         ``"grid"``, ``"latin_hypercube"`` or ``"sobol"``.
-    count, seed : int
     vary : mapping of str to Range or tuple
         A range, or a tuple of values.
     """

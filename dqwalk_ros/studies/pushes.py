@@ -16,16 +16,15 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.errors import DqwalkError, PlantError
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.plants import World
 from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, make_walk
 from dqwalk_ros.statics import GRAVITY
-from dqwalk_ros.studies.bisection import Bracket, largest
+from dqwalk_ros.studies.bisection import largest
 from dqwalk_ros.studies.plan import digest
 from dqwalk_ros.studies.runner import Store, run
 from dqwalk_ros.walk import PhaseKind
 
-__all__ = ["MOMENTS", "Limit", "Outcome", "Push", "every_limit", "impulse_scale", "limit", "limits", "pushed"]
+__all__ = ["MOMENTS", "Limit", "Push", "every_limit", "impulse_scale", "limit", "limits", "pushed"]
 
 MOMENTS = ("standing", "left", "right")
 """In a stance on both feet, or in the middle of a step on the left or on the right foot."""
@@ -63,21 +62,11 @@ class Push:
     part: float = 0.5
 
 
-class Outcome(msgspec.Struct, frozen=True):
-    """The result for one direction: see `Limit`."""
-
-    survived: float
-    failed: float | None
-    reason: str
-
-
-@dataclass(frozen=True)
-class Limit:
+class Limit(msgspec.Struct, frozen=True):
     """The limit in one direction.
 
     Attributes
     ----------
-    moment : str
     direction : float
         [rad]
     survived : float
@@ -118,7 +107,6 @@ def pushed(config: Config, push: Push) -> str:
     varied = config.updated(values)
     model = load_model(varied.robot)
     controller, plant = make_controller(varied, model), make_plant("physics", varied, model)
-    assert isinstance(plant, World)
     force = push.impulse / push.duration * np.array([math.cos(push.direction), math.sin(push.direction), 0.0])
     began, why, transfer = math.inf, "", _transfer(varied)
     try:
@@ -153,30 +141,17 @@ def _due(controller: VelocityController, time: float, number: int, part: float) 
 
 def limit(
     config: Config, duration: float, part: float, tolerance: float, index: int, point: Mapping[str, Any]
-) -> Outcome:
-    """Find the largest impulse that is survived at a moment in a direction.
+) -> Limit:
+    """Find the largest impulse that is survived at the moment and in the direction of `point`, to a tolerance [N s].
 
-    Parameters
-    ----------
-    config : Config
-    duration : float
-        Of each push [s].
-    part : float
-        Fraction of a step after which the push begins.
-    tolerance : float
-        [N s]
-    index : int
-        Not used; passed by the runner.
-    point : mapping
-        ``moment``, one of `MOMENTS`, and ``direction`` [rad].
+    Duration and part are those of `Push`; the index is not used.
     """
     scale = impulse_scale(config)
 
     def fails(impulse: float) -> str:
         return pushed(config, Push(point["moment"], point["direction"], impulse, duration, part))
 
-    found: Bracket = largest(fails, _FIRST * scale, _MOST * scale, tolerance)
-    return Outcome(found.survived, found.failed, found.reason)
+    return Limit(**point, **largest(fails, _FIRST * scale, _MOST * scale, tolerance)._asdict())
 
 
 def limits(
@@ -190,25 +165,9 @@ def limits(
     tolerance: float | None = None,
     **options: Any,
 ) -> list[Limit]:
-    """Find the limit of every moment and direction.
+    """Find the limit of each of some `MOMENTS` in each of some directions; see `every_limit`.
 
-    Parameters
-    ----------
-    config : Config
-    out : Path
-        Folder of ``limits.jsonl``.
-    moments : sequence of str
-        Of `MOMENTS`.
-    directions : int
-        Number of directions, evenly spread.
-    duration : float
-        Of each push [s].
-    part : float
-        Fraction of a step after which the push begins.
-    tolerance : float, optional
-        [N s]; by default 0.36 % of `impulse_scale`.
-    **options
-        As `every_limit`.
+    Duration and part are those of `Push`; the tolerance is in [N s], by default 0.36 % of `impulse_scale`.
     """
     exact = _TOLERANCE * impulse_scale(config) if tolerance is None else tolerance
     task = functools.partial(limit, config, duration, part, exact)
@@ -216,7 +175,7 @@ def limits(
 
 
 def every_limit(
-    task: Callable[[int, Mapping[str, Any]], Outcome],
+    task: Callable[[int, Mapping[str, Any]], Limit],
     settings: tuple[Any, ...],
     out: Path,
     moments: Sequence[str],
@@ -225,7 +184,7 @@ def every_limit(
     force: bool = False,
     **options: Any,
 ) -> list[Limit]:
-    """Find a limit for every moment and direction.
+    """Find a limit for every moment and each of some evenly spread directions.
 
     Parameters
     ----------
@@ -236,8 +195,6 @@ def every_limit(
     out : Path
         Folder of ``limits.jsonl``.
     moments : sequence of str
-    directions : int
-        Number of directions, evenly spread.
     force : bool
         Discard earlier results.
     **options
@@ -245,9 +202,4 @@ def every_limit(
     """
     points = [{"moment": m, "direction": 2.0 * math.pi * k / directions} for m in moments for k in range(directions)]
     key = digest(settings[0], points, *settings[1:])
-    store = Store(out / "limits.jsonl", key, points, Outcome, force=force)
-    try:
-        done = run(task, points, store, **options)
-    finally:
-        store.close()
-    return [Limit(**points[k], **msgspec.to_builtins(outcome)) for k, outcome in done.items()]  # type: ignore[arg-type]
+    return list(run(task, Store(out / "limits.jsonl", key, points, Limit, force=force), **options).values())

@@ -7,7 +7,6 @@ import itertools
 import math
 import random
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,6 @@ from dqwalk_ros.studies.runner import Store, run
 from dqwalk_ros.walk import PhaseKind
 
 __all__ = ["Cell", "Outcome", "assumed", "axes_of", "cells", "walk", "walk_all"]
-
 
 LATENCY_ERROR = "latency_error"
 """An axis that is not a parameter: error of the latency that the controller assumes [s]."""
@@ -73,16 +71,8 @@ class Outcome(msgspec.Struct, frozen=True):
     tilt: float | None = None
 
 
-@dataclass(frozen=True)
-class Cell:
-    """A combination of parameters, `values`, and the `Outcome` of its walk."""
-
-    values: Mapping[str, float]
-    stood: bool
-    time: float
-    steps: int = 0
-    reason: str = ""
-    tilt: float | None = None
+Cell = tuple[Mapping[str, float], Outcome]
+"""A combination of parameters, and the outcome of its walk."""
 
 
 def cells(axes: Mapping[str, Sequence[float]], sample: int = 0, seed: int = 0) -> list[dict[str, float]]:
@@ -136,22 +126,10 @@ def walk(config: Config, index: int, values: Mapping[str, Any]) -> Outcome:
 def walk_all(
     config: Config, combinations: Sequence[Mapping[str, float]], out: Path, *, force: bool = False, **options: Any
 ) -> list[Cell]:
-    """Simulate the walks that are missing in a folder, and return all cells in order.
+    """Simulate the walks that are missing in ``cells.jsonl`` of a folder, and return all cells in order.
 
-    Parameters
-    ----------
-    config : Config
-    combinations : sequence of mapping
-    out : Path
-        Folder of ``cells.jsonl``.
-    force : bool
-        Discard earlier results.
-    **options
-        As `runner.run`.
+    With `force` earlier results are discarded; other options are those of `runner.run`.
     """
     store = Store(out / "cells.jsonl", digest(config, list(combinations)), combinations, Outcome, force=force)
-    try:
-        done = run(functools.partial(walk, config), combinations, store, **options)
-    finally:
-        store.close()
-    return [Cell(combinations[k], **msgspec.to_builtins(outcome)) for k, outcome in done.items()]
+    done = run(functools.partial(walk, config), store, **options)
+    return [(combinations[k], outcome) for k, outcome in done.items()]

@@ -28,7 +28,6 @@ class Store(Generic[Outcome]):
 
     Parameters
     ----------
-    path : Path
     digest : str
         Hash of everything that affects an outcome.
     points : sequence of mapping
@@ -54,7 +53,7 @@ class Store(Generic[Outcome]):
     def __init__(
         self, path: Path, digest: str, points: Sequence[Point], kind: type[Outcome], *, force: bool = False
     ) -> None:
-        self._path, self._points, self._kind = path, points, kind
+        self._path, self.points, self._kind = path, points, kind
         self.done: dict[int, Outcome] = {}
         head = {"study": digest}
         with self._explained():
@@ -86,13 +85,14 @@ class Store(Generic[Outcome]):
 
     def close(self) -> None:
         """Close the file and release its lock."""
-        self._file.close()
+        with self._explained():  # what could not be written before is written again
+            self._file.close()
 
     def add(self, index: int, outcome: Outcome) -> None:
         """Save an outcome."""
         self.done[index] = outcome
         with self._explained():
-            self._write({"walk": index, **self._points[index], **msgspec.to_builtins(outcome)})
+            self._write({"walk": index, **self.points[index], **msgspec.to_builtins(outcome)})
 
     def _write(self, line: Mapping[str, Any]) -> None:
         self._file.write(msgspec.json.encode(line) + b"\n")
@@ -107,7 +107,7 @@ class Store(Generic[Outcome]):
     def _outcome(self, line: bytes) -> tuple[int, Outcome] | None:
         row = self._decoded(line)
         index = row.get("walk") if isinstance(row, dict) else None
-        if type(index) is not int or not 0 <= index < len(self._points):
+        if type(index) is not int or not 0 <= index < len(self.points):
             return None
         try:
             return index, msgspec.convert(row, self._kind)
@@ -124,14 +124,13 @@ class Store(Generic[Outcome]):
 
 def run(
     task: Callable[[int, Point], Outcome],
-    points: Sequence[Point],
     store: Store[Outcome],
     *,
     jobs: int = 1,
     scheduler: str | None = None,
     progress: Callable[[int, int, Outcome], None] | None = None,
 ) -> dict[int, Outcome]:
-    """Run the walks that are missing in the store, and return all outcomes by the index of their point.
+    """Run the walks that are missing in a store, close it, and return all outcomes by the index of their point.
 
     The order of the walks is random, so that the outcomes of an interrupted study are a fair sample. Ctrl-C stops the
     study; the outcomes until then are returned and remain in the store.
@@ -140,8 +139,6 @@ def run(
     ----------
     task : callable
         Runs walk number `index` at a point; its outcome must not depend on the process.
-    points : sequence of mapping
-    store : Store
     jobs : int
         Processes on this machine.
     scheduler : str, optional
@@ -158,14 +155,14 @@ def run(
     """
     from joblib import Parallel, delayed
 
-    missing = [index for index in range(len(points)) if index not in store.done]
+    missing = [index for index in range(len(store.points)) if index not in store.done]
     random.Random(0).shuffle(missing)
-    with _backend(scheduler), contextlib.suppress(KeyboardInterrupt):
+    with contextlib.closing(store), _backend(scheduler), contextlib.suppress(KeyboardInterrupt):
         parallel = Parallel(n_jobs=-1 if scheduler else jobs, return_as="generator_unordered", batch_size=1)
-        for index, outcome in parallel(delayed(_numbered)(task, index, points[index]) for index in missing):
+        for index, outcome in parallel(delayed(_numbered)(task, index, store.points[index]) for index in missing):
             store.add(index, outcome)
             if progress is not None:
-                progress(len(store.done), len(points), outcome)
+                progress(len(store.done), len(store.points), outcome)
     return dict(sorted(store.done.items()))
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.studies.bisection import largest
-from dqwalk_ros.studies.pushes import Limit, Outcome, every_limit
+from dqwalk_ros.studies.pushes import Limit, every_limit
 from dqwalk_ros.whole_body.experiments import Walk, walk
 from dqwalk_ros.whole_body.scenario import Scenario
 
@@ -24,20 +24,10 @@ _AFTER = 4.0
 """Time for which the robot must stand after the push [s]."""
 
 
-def limit(config: Config, when: float, exact: float, index: int, point: Mapping[str, Any]) -> Outcome:
-    """Find the largest impulse that is survived in one direction.
+def limit(config: Config, when: float, exact: float, index: int, point: Mapping[str, Any]) -> Limit:
+    """Find the largest impulse that is survived at the time `when` [s] in the direction of `point`.
 
-    Parameters
-    ----------
-    config : Config
-    when : float
-        Time of the push [s].
-    exact : float
-        Accuracy of the limit [N s].
-    index : int
-        Not used; passed by the runner.
-    point : mapping
-        ``moment``, here the name of the plant, and ``direction`` [rad].
+    The accuracy is `exact` [N s]; the moment of `point` is the name of the plant; the index is not used.
     """
     x, y = math.cos(point["direction"]), math.sin(point["direction"])
 
@@ -45,8 +35,7 @@ def limit(config: Config, when: float, exact: float, index: int, point: Mapping[
         push = (when, (impulse * x, impulse * y, 0.0))
         return walk(config, Walk(Scenario(f"{impulse:g} N s", when + _AFTER, (), (push,)), plant=point["moment"])).note
 
-    found = largest(fails, _FIRST, _MOST, exact)
-    return Outcome(found.survived, found.failed, found.reason)
+    return Limit(**point, **largest(fails, _FIRST, _MOST, exact)._asdict())
 
 
 def limits(

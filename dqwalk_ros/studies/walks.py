@@ -11,9 +11,9 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from dqwalk_ros import report
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config, RobotConfig
 from dqwalk_ros.errors import ConfigError, DqwalkError, StudyError
 from dqwalk_ros.plants.kinematic import KinematicPlant
@@ -27,16 +27,14 @@ __all__ = ["Outcome", "walk", "walk_all"]
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
-    """The outcome of a walk; numbers are None if the walk could not begin.
+    """The outcome of a walk; numbers are None if it could not begin.
 
     Attributes
     ----------
-    finished : bool
     end : str
         Why it did not finish.
     duration : float
         [s]
-    ticks, steps : int
     error : float
         Of the last phase.
     paper, true, joints : float
@@ -46,49 +44,28 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
 
     finished: bool
     end: str
-    duration: float | None
-    ticks: int | None
-    steps: int | None
-    error: float | None
-    paper: float | None = msgspec.field(name="margin/paper")
-    true: float | None = msgspec.field(name="margin/true")
-    joints: float | None = msgspec.field(name="margin/joints")
-
-    @classmethod
-    def unwalked(cls, end: str) -> Outcome:
-        """Return the outcome of a walk that could not begin."""
-        return msgspec.convert({**dict.fromkeys(cls.__struct_encode_fields__), "finished": False, "end": end}, cls)
+    duration: float | None = None
+    ticks: int | None = None
+    steps: int | None = None
+    error: float | None = None
+    paper: float | None = msgspec.field(default=None, name="margin/paper")
+    true: float | None = msgspec.field(default=None, name="margin/true")
+    joints: float | None = msgspec.field(default=None, name="margin/joints")
 
 
 def walk(config: Config, seed: int, index: int, point: Mapping[str, Any]) -> Outcome:
-    """Run one walk.
-
-    Parameters
-    ----------
-    config : Config
-    seed, index : int
-        Seed of the study and number of the walk; together they fix its random numbers.
-    point : mapping of str to value
-        The varied parameters of this walk.
-    """
+    """Run the walk of a number with its varied parameters; seed and number together fix its random numbers."""
     try:
         return _walked(config, seed, index, point)
     except DqwalkError as error:
-        return Outcome.unwalked(str(error))
+        return Outcome(finished=False, end=str(error))
 
 
 def walk_all(study: Study, out: Path, *, force: bool = False, **options: Any) -> dict[int, dict[str, Any]]:
     """Run the walks of a study that are missing in a folder, and return the rows of all walks.
 
-    Parameters
-    ----------
-    study : Study
-    out : Path
-        Folder of ``walks.jsonl`` and, when all walks are done, ``walks.parquet``.
-    force : bool
-        Discard earlier results.
-    **options
-        As `runner.run`.
+    The folder has ``walks.jsonl`` and, when all walks are done, ``walks.parquet``. With `force` earlier results are
+    discarded; other options are those of `runner.run`.
 
     Returns
     -------
@@ -97,13 +74,10 @@ def walk_all(study: Study, out: Path, *, force: bool = False, **options: Any) ->
     """
     points = study.points()
     store = Store(out / "walks.jsonl", study.digest(), points, Outcome, force=force)
-    try:
-        done = run(functools.partial(walk, study.config, study.seed), points, store, **options)
-        rows = {k: {"walk": k, **points[k], **msgspec.to_builtins(outcome)} for k, outcome in done.items()}
-        if len(rows) == len(points):
-            _write_parquet(list(rows.values()), out / "walks.parquet")
-    finally:
-        store.close()
+    done = run(functools.partial(walk, study.config, study.seed), store, **options)
+    rows = {k: {"walk": k, **points[k], **msgspec.to_builtins(outcome)} for k, outcome in done.items()}
+    if len(rows) == len(points):
+        _write_parquet(list(rows.values()), out / "walks.parquet")
     return rows
 
 
@@ -140,7 +114,7 @@ def _walked(config: Config, seed: int, index: int, point: Mapping[str, Any]) -> 
     if trace.interrupted:
         raise KeyboardInterrupt  # an interrupted walk has no outcome
     if not trace.phases:
-        return Outcome.unwalked("; ".join(trace.notes))
+        return Outcome(finished=False, end="; ".join(trace.notes))
     found = report.report(report.analyse(trace))["walk"]
     margin = {name: found["margin"][name]["value"] for name in ("paper", "true", "joints")}
     return Outcome(
@@ -175,7 +149,7 @@ def _with_masses(model: RobotModel, own: Mapping[str, Any]) -> RobotModel:
 class _Disturbed(KinematicPlant):
     """The integrator, with a random velocity added to each joint at each tick."""
 
-    def __init__(self, model: RobotModel, q0: NDArray[np.float64], deviation: float, rng: np.random.Generator) -> None:
+    def __init__(self, model: RobotModel, q0: Array, deviation: float, rng: np.random.Generator) -> None:
         super().__init__(model, q0)
         self._deviation, self._rng = deviation, rng
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import to_yaml
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import BagError
@@ -15,6 +16,7 @@ from dqwalk_ros.provenance import to_text
 from dqwalk_ros.report.bag.messages import (
     NS,
     aligned,
+    at_stamps,
     joint_states,
     pack,
     pack_joint_states,
@@ -35,7 +37,6 @@ from dqwalk_ros.whole_body.trace import FEET, BodyLog, WholeBodyTrace
 
 __all__ = ["read_body", "write_body"]
 
-Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 
@@ -92,20 +93,7 @@ def _when(timed: tuple[Timed, ...], stamps: Stamps) -> Stamps:
 
 
 def read_body(path: str | os.PathLike[str], *, namespace: str | None = None) -> BodyLog:
-    """Read a recorded whole-body walk, whichever program recorded it.
-
-    Parameters
-    ----------
-    path : path-like
-        The bag's folder, or one of its files.
-    namespace : str, optional
-        Of the robot, if the bag contains several.
-
-    Raises
-    ------
-    BagError
-        If the bag cannot be read, lacks a required topic, or is that of another robot.
-    """
+    """Read a recorded whole-body walk, whichever program recorded it; see `walk.read` for parameters and errors."""
     bag = open_recording(path, namespace, BODY_TOPICS, BODY_REQUIRED)
     path, model, columns, notes = bag.path, bag.model, bag.columns, bag.notes
     joints, rows, stamps = bag.states, bag.rows, bag.stamps
@@ -138,7 +126,7 @@ def _places(column: Column | None) -> list[tuple[int, tuple[float, float, float]
     """Return the first three numbers of each message and its stamp [ns], in the order of time."""
     found = [
         (stamp, (float(x), float(y), float(z)))
-        for part in (tables(column) if column is not None else ())
+        for part in tables(column)
         for stamp, (x, y, z) in zip(part.stamps.tolist(), part.numbers[:, :3], strict=True)
         if np.isfinite([x, y, z]).all()
     ]
@@ -147,22 +135,16 @@ def _places(column: Column | None) -> list[tuple[int, tuple[float, float, float]
 
 def _efforts(path: Path, model: RobotModel, column: Column, stamps: Stamps, notes: list[str]) -> Array:
     """Return the torques (N, n) [N m] of each stamp, nan where none were sent; of several, the first."""
-    told = joint_states(column, model.joint_names)
-    finite = np.isfinite(told.effort).all(axis=1)
+    commands = joint_states(column, model.joint_names)
+    finite = np.isfinite(commands.effort).all(axis=1)
     if not finite.any():
         lack = [
-            n for n, torques in zip(model.joint_names, told.effort.T, strict=True) if not np.isfinite(torques).all()
+            n for n, torques in zip(model.joint_names, commands.effort.T, strict=True) if not np.isfinite(torques).all()
         ]
         raise BagError(f"'{path}': joint_effort_commands lack numbers of {', '.join(lack)}")
     if refused := int(np.count_nonzero(~finite)):
         notes.append(f"{refused} torque commands are incomplete or not finite, and are left out")
-    answered, first = np.unique(told.stamps[finite], return_index=True)
-    out = np.full((len(stamps), model.n), np.nan)
-    place = np.searchsorted(answered, stamps)
-    place[place == len(answered)] = 0
-    match = answered[place] == stamps
-    out[match] = told.effort[finite][first[place[match]]]
-    return out
+    return at_stamps(stamps, commands.stamps[::-1], commands.effort[::-1])[0]
 
 
 def _named(scenario: Scenario) -> Scenario:

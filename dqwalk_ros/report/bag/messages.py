@@ -17,20 +17,21 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import BagError
 from dqwalk_ros.report.bag.storage import Column, load, typestore
 
 __all__ = [
-    "Fault", "JointStates", "Status", "Table", "aligned", "diagnostics", "diagnostics_of", "faults", "joint_states",
-    "new", "pack", "pack_joint_states", "pack_poses", "pose_numbers", "pose_of", "serialize", "stamped", "stamps_of",
-    "tables", "text", "texts", "unpack",
+    "Fault", "JointStates", "Status", "Table", "aligned", "at_stamps", "diagnostics", "diagnostics_of", "faults",
+    "joint_states", "new", "pack", "pack_joint_states", "pack_poses", "pose_numbers", "pose_of", "serialize", "stamped",
+    "stamps_of", "tables", "text", "texts", "unpack",
 ]  # fmt: skip
 
-Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 NS = 1_000_000_000
 """Nanoseconds per second."""
+_DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 LEVELS = ("OK", "WARN", "ERROR", "STALE")
 """Levels of diagnostic_msgs/DiagnosticStatus [REP-107]."""
 _ALL_BITS = float(np.frombuffer(b"\xff" * 8)[0])  # a nan of which every bit is set
@@ -94,14 +95,10 @@ def texts(column: Column) -> list[str]:
     return [str(unpack(raw, column.type).data) for raw in column.raws]
 
 
-def _header(stamp: int, frame: str) -> Any:
+def stamped(kind: str, frame: str = "", *, stamp: int = 0, **values: Any) -> Any:
+    """Return a message of a type that has a header, with the stamp [ns]; other fields are as in `new`."""
     time = new("builtin_interfaces/msg/Time", sec=stamp // NS, nanosec=stamp % NS)
-    return new("std_msgs/msg/Header", stamp=time, frame_id=frame)
-
-
-def stamped(kind: str, frame: str) -> Any:
-    """Return an empty message of a type that has a header."""
-    return new(kind, header=_header(0, frame))
+    return new(kind, header=new("std_msgs/msg/Header", stamp=time, frame_id=frame), **values)
 
 
 def diagnostics(stamp: int, name: str, hardware: str, level: str, message: str, values: Mapping[str, Any]) -> bytes:
@@ -118,7 +115,7 @@ def diagnostics(stamp: int, name: str, hardware: str, level: str, message: str, 
         hardware_id=hardware,
         values=pairs,
     )
-    return serialize(new("diagnostic_msgs/msg/DiagnosticArray", header=_header(stamp, ""), status=[status]))
+    return serialize(stamped(_DIAGNOSTICS, stamp=stamp, status=[status]))
 
 
 # ---------------------------------------------------------------------- many messages
@@ -134,46 +131,13 @@ def _doubles(message: Any) -> Iterator[tuple[Any, str, Any]]:
             yield from _doubles(value)
 
 
-class _Layout:
-    """The positions of stamp and doubles among the bytes of a message."""
-
-    def __init__(self, message: Any) -> None:
-        low, high = copy.deepcopy(message), copy.deepcopy(message)
-        for one, double, bits in ((low, 0.0, 0), (high, _ALL_BITS, 0xFFFFFFFF)):
-            for owner, name, value in list(_doubles(one)):
-                setattr(owner, name, np.full_like(value, double) if isinstance(value, np.ndarray) else double)
-            one.header.stamp.sec, one.header.stamp.nanosec = -(bits & 1), bits
-        self.bytes = np.frombuffer(serialize(low), np.uint8)
-        changed = np.flatnonzero(self.bytes != np.frombuffer(serialize(high), np.uint8))
-        self.stamp, self.doubles = changed[:8], changed[8:]
-        same = np.setdiff1d(np.arange(4, len(self.bytes)), changed)  # the first four bytes are the encapsulation
-        parts = [part for part in np.split(same, np.flatnonzero(np.diff(same) > 1) + 1) if len(part)]
-        self._same = [(slice(part[0], part[-1] + 1), self.bytes[part].tobytes()) for part in parts]
-
-    def fits(self, raw: bytes) -> bool:
-        """Return whether a message differs only in stamp, doubles and padding at its end."""
-        size = len(self.bytes)
-        return size <= len(raw) < size + 8 and raw[1] == 1 and all(raw[part] == same for part, same in self._same)
-
-
-def pack(message: Any, stamps: Stamps, numbers: Array) -> list[bytes]:
-    """Return messages like `message`, which has a header.
-
-    Parameters
-    ----------
-    message : message
-    stamps : ndarray of int64, shape (N,) [ns]
-    numbers : ndarray, shape (N, k)
-        Every double behind the header, in the order of the message.
-    """
-    layout, count = _Layout(message), len(stamps)
-    if not count:
-        return []
-    block = np.tile(layout.bytes, (count, 1))
-    times = np.stack([stamps // NS, stamps % NS], axis=1).astype("<u4")
-    block[:, layout.stamp] = times.view(np.uint8).reshape(count, 8)
-    block[:, layout.doubles] = np.ascontiguousarray(numbers, "<f8").view(np.uint8).reshape(count, -1)
-    return [row.tobytes() for row in block]
+def _filled(message: Any, double: float, bits: int) -> NDArray[np.uint8]:
+    """Return the bytes of a copy of a message whose doubles are all `double`, and whose stamp has the given bits."""
+    message = copy.deepcopy(message)
+    for owner, name, value in list(_doubles(message)):
+        setattr(owner, name, np.full_like(value, double) if isinstance(value, np.ndarray) else double)
+    message.header.stamp.sec, message.header.stamp.nanosec = -(bits & 1), bits
+    return np.frombuffer(serialize(message), np.uint8)
 
 
 @dataclass(frozen=True)
@@ -197,7 +161,53 @@ class Table:
     numbers: Array
 
 
-def tables(column: Column) -> Iterator[Table]:
+class _Layout:
+    """The positions of stamp and doubles among the bytes of messages like one of them."""
+
+    def __init__(self, message: Any) -> None:
+        self._message = message
+        self._bytes = _filled(message, 0.0, 0)
+        changed = np.flatnonzero(self._bytes != _filled(message, _ALL_BITS, 0xFFFFFFFF))
+        self._stamp, self._doubles = changed[:8], changed[8:]
+        same = np.setdiff1d(np.arange(4, len(self._bytes)), changed)  # the first four bytes are the encapsulation
+        parts = [part for part in np.split(same, np.flatnonzero(np.diff(same) > 1) + 1) if len(part)]
+        self._same = [(slice(part[0], part[-1] + 1), self._bytes[part].tobytes()) for part in parts]
+
+    def fits(self, raw: bytes) -> bool:
+        """Return whether a message differs only in stamp, doubles and padding at its end."""
+        size = len(self._bytes)
+        return size <= len(raw) < size + 8 and raw[1] == 1 and all(raw[part] == same for part, same in self._same)
+
+    def pack(self, stamps: Stamps, numbers: Array) -> list[bytes]:
+        """Return messages with these stamps and numbers."""
+        block = np.tile(self._bytes, (len(stamps), 1))
+        times = np.stack([stamps // NS, stamps % NS], axis=1).astype("<u4")
+        block[:, self._stamp] = times.view(np.uint8)
+        block[:, self._doubles] = np.ascontiguousarray(numbers, "<f8").view(np.uint8)
+        return [row.tobytes() for row in block]
+
+    def table(self, rows: list[int], raws: list[bytes]) -> Table:
+        """Return the stamps and numbers of messages, which are the given rows of their column."""
+        size = len(self._bytes)
+        block = np.frombuffer(b"".join([raw[:size] for raw in raws]), np.uint8).reshape(len(raws), size)
+        times = np.ascontiguousarray(block[:, self._stamp]).view([("sec", "<i4"), ("nanosec", "<u4")])[:, 0]
+        numbers = np.ascontiguousarray(block[:, self._doubles]).view("<f8").astype(np.float64)
+        return Table(self._message, np.array(rows), times["sec"].astype(np.int64) * NS + times["nanosec"], numbers)
+
+
+def pack(message: Any, stamps: Stamps, numbers: Array) -> list[bytes]:
+    """Return messages like `message`, which has a header.
+
+    Parameters
+    ----------
+    stamps : ndarray of int64, shape (N,) [ns]
+    numbers : ndarray, shape (N, k)
+        Every double behind the header, in the order of the message.
+    """
+    return _Layout(message).pack(stamps, numbers) if len(stamps) else []
+
+
+def tables(column: Column | None) -> Iterator[Table]:
     """Yield the messages of a column as tables; a new table begins where anything but stamp and numbers changes.
 
     Raises
@@ -205,43 +215,44 @@ def tables(column: Column) -> Iterator[Table]:
     BagError
         If all messages are damaged; if only some are, those are omitted.
     """
+    if column is None:
+        return
     layout: _Layout | None = None
-    message: Any = None
     rows: list[int] = []
+    raws: list[bytes] = []
     damaged: BagError | None = None
-    count = 0
     for row, raw in enumerate(column.raws):
         if layout is None or not layout.fits(raw):
-            if layout is not None:
-                yield _table(column, layout, message, rows)
-            layout, rows = None, []
             try:
                 message = unpack(raw, column.type)
             except BagError as error:
                 damaged = error
                 continue
-            count += 1
-            layout = _Layout(message)
-            if not layout.fits(raw):  # of another byte order
-                layout = None
-                stamp = message.header.stamp.sec * NS + message.header.stamp.nanosec
-                numbers = np.hstack([np.ravel(value) for _, _, value in _doubles(message)])
-                yield Table(message, np.array([row]), np.array([stamp]), numbers[None])
-                continue
+            raw = serialize(message)  # in this machine's byte order
+            if layout is None or not layout.fits(raw):
+                if layout is not None:
+                    yield layout.table(rows, raws)
+                layout, rows, raws = _Layout(message), [], []
         rows.append(row)
+        raws.append(raw)
     if layout is not None:
-        yield _table(column, layout, message, rows)
-    if damaged is not None and not count:
+        yield layout.table(rows, raws)
+    elif damaged is not None:
         raise damaged
 
 
-def _table(column: Column, layout: _Layout, message: Any, rows: list[int]) -> Table:
-    size = len(layout.bytes)
-    block = np.frombuffer(b"".join([column.raws[row][:size] for row in rows]), np.uint8).reshape(len(rows), size)
-    times = np.ascontiguousarray(block[:, layout.stamp]).view([("sec", "<i4"), ("nanosec", "<u4")])[:, 0]
-    stamps = times["sec"].astype(np.int64) * NS + times["nanosec"]
-    numbers = np.ascontiguousarray(block[:, layout.doubles]).view("<f8").reshape(len(rows), -1)
-    return Table(message, np.array(rows), stamps, numbers.astype(np.float64))
+def at_stamps(stamps: Stamps, found: Stamps, values: Array) -> tuple[Array, int]:
+    """Return the value with each of some ascending stamps, shape (N, k), and the number of values with another stamp.
+
+    Stamps without a value, or with one that is not finite, have nan; of several values with one stamp the last counts.
+    """
+    out = np.full((len(stamps), values.shape[1]), np.nan)
+    place = np.searchsorted(stamps, found)
+    place[place == len(stamps)] = 0
+    match = stamps[place] == found
+    good = match & np.isfinite(values).all(axis=1)
+    out[place[good]] = values[good]
+    return out, int(np.count_nonzero(~match))
 
 
 def aligned(column: Column | None, stamps: Stamps, width: int) -> Array:
@@ -253,15 +264,12 @@ def aligned(column: Column | None, stamps: Stamps, width: int) -> Array:
         Of a type with a fixed number of doubles.
     stamps : ndarray of int64, shape (N,) [ns]
         In ascending order.
-    width : int
     """
-    out = np.full((len(stamps), width), np.nan)
-    for found in tables(column) if column is not None and len(stamps) else ():
-        place = np.searchsorted(stamps, found.stamps)
-        place[place == len(stamps)] = 0
-        match = (stamps[place] == found.stamps) & np.isfinite(found.numbers).all(axis=1)
-        out[place[match]] = found.numbers[match]
-    return out
+    found = list(tables(column))
+    if not found or not len(stamps):
+        return np.full((len(stamps), width), np.nan)
+    numbers = np.concatenate([table.numbers for table in found])
+    return at_stamps(stamps, np.concatenate([table.stamps for table in found]), numbers)[0]
 
 
 # ---------------------------------------------------------------------- poses
@@ -269,8 +277,7 @@ def aligned(column: Column | None, stamps: Stamps, width: int) -> Array:
 
 def pack_poses(stamps: Stamps, frame: str, x: Array) -> list[bytes]:
     """Return PoseStamped messages of unit dual quaternions `x` (N, 8)."""
-    message = new("geometry_msgs/msg/PoseStamped", header=_header(0, frame))
-    return pack(message, stamps, pose_numbers(x))
+    return pack(stamped("geometry_msgs/msg/PoseStamped", frame), stamps, pose_numbers(x))
 
 
 def pose_numbers(x: Array) -> Array:
@@ -361,39 +368,22 @@ def pack_joint_states(
     effort: Array | None = None,
     frame: str = "",
 ) -> list[bytes]:
-    """Return JointState messages.
-
-    Parameters
-    ----------
-    stamps : ndarray of int64, shape (N,) [ns]
-    names : sequence of str, n of them
-    position, velocity, effort : ndarray, shape (N, n) [rad, rad/s, N m], or None
-    frame : str
-    """
+    """Return JointState messages with positions, velocities and torques (N, n) [rad, rad/s, N m], if given."""
     parts = {"position": position, "velocity": velocity, "effort": effort}
     known = {name: part for name, part in parts.items() if part is not None}
-    sized = {name: np.zeros(len(names)) for name in known}
-    message = new("sensor_msgs/msg/JointState", header=_header(0, frame), name=list(names), **sized)
+    sized: dict[str, Any] = {name: np.zeros(len(names)) for name in known}
+    message = stamped("sensor_msgs/msg/JointState", frame, name=list(names), **sized)
     return pack(message, stamps, np.concatenate(list(known.values()), axis=1))
 
 
 # ---------------------------------------------------------------------- diagnostics
 
-_DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 _WORST = ("ERROR", "STALE", "WARN")
 
 
 @dataclass(frozen=True)
 class Status:
-    """One status.
-
-    Attributes
-    ----------
-    time : float
-        When it was recorded [s].
-    name, level, message : str
-    values : mapping of str to str
-    """
+    """One status, and the time at which it was recorded [s]."""
 
     time: float
     name: str
@@ -445,13 +435,10 @@ def diagnostics_of(path: str | os.PathLike[str]) -> list[Status]:
 
 def faults(statuses: list[Status]) -> list[Fault]:
     """Return each fault once, the worst first; messages that differ in numbers only are the same fault."""
-    found: dict[tuple[str, str, str], Fault] = {}
+    same: dict[tuple[str, str, str], list[Status]] = {}
     for status in statuses:
-        if status.level == "OK":
-            continue
-        key = status.name, status.level, re.sub(r"[-+.\d]+(e[-+]?\d+)?", "#", status.message)
-        before = found.get(key)
-        first, count = (before.first, before.count) if before else (status.time, 0)
-        message = before.message if before else status.message
-        found[key] = Fault(status.name, status.level, message, first, status.time, count + 1)
-    return sorted(found.values(), key=lambda fault: (_WORST.index(fault.level), fault.first))
+        if status.level != "OK":
+            text = re.sub(r"[-+.\d]+(e[-+]?\d+)?", "#", status.message)
+            same.setdefault((status.name, status.level, text), []).append(status)
+    found = [Fault(s[0].name, s[0].level, s[0].message, s[0].time, s[-1].time, len(s)) for s in same.values()]
+    return sorted(found, key=lambda fault: (_WORST.index(fault.level), fault.first))

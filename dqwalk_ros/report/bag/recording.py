@@ -30,11 +30,8 @@ class Recording:
 
     Attributes
     ----------
-    path : Path
     columns : dict of str to Column
         By the names in `dqwalk_ros.topics`.
-    config : Config
-    model : RobotModel
     states : JointStates
         All readable messages of joint_states.
     rows : ndarray of int, shape (N,)
@@ -76,18 +73,7 @@ def is_body(path: str | os.PathLike[str]) -> bool:
 def open_recording(
     path: str | os.PathLike[str], namespace: str | None, topics: Mapping[str, Topic], required: Sequence[str]
 ) -> Recording:
-    """Read the topics of a walk from a bag.
-
-    Parameters
-    ----------
-    path : path-like
-        The bag's folder, or one of its files.
-    namespace : str or None
-        Of the robot, if the bag contains several.
-    topics : mapping of str to Topic
-        The topics of this kind of walk.
-    required : sequence of str
-        Names of the topics that must be present.
+    """Read the topics of a kind of walk, of which some are required, from a bag; other arguments as of `walk.read`.
 
     Raises
     ------

@@ -106,7 +106,6 @@ def write_columns(
 
     Parameters
     ----------
-    path : path-like
     topics : mapping of str to Topic
         All topics of the bag.
     columns : iterable of (str, ndarray of int64, sequence of bytes)
@@ -167,12 +166,10 @@ class Column:
 
     Attributes
     ----------
-    type : str
     times : list of int [ns]
         When each was recorded.
     order : list of int
         Position of each among all messages of the bag.
-    raws : list of bytes
     """
 
     type: str
@@ -206,7 +203,6 @@ def load(path: str | os.PathLike[str], wanted: Callable[[str, str], bool]) -> Co
     ----------
     path : path-like
         A bag's folder, or one of its files: MCAP or SQLite, split, compressed, or cut off by a crash.
-    wanted : callable
 
     Raises
     ------

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros import provenance
-from dqwalk_ros.config import Config, to_yaml
+from dqwalk_ros.arrays import Array
+from dqwalk_ros.config import to_yaml
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import BagError, listed
 from dqwalk_ros.kinematics import Kinematics
@@ -20,6 +20,7 @@ from dqwalk_ros.report.bag import messages
 from dqwalk_ros.report.bag.messages import (
     NS,
     aligned,
+    at_stamps,
     joint_states,
     pack,
     pack_joint_states,
@@ -43,7 +44,6 @@ from dqwalk_ros.walk import PhaseKind, com_target
 
 __all__ = ["read", "read_orientations", "write"]
 
-Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 _Messages = tuple[str, Stamps, list[bytes]]
 _CLOCK = 10**18
@@ -62,8 +62,6 @@ def write(trace: Trace, path: str | os.PathLike[str], *, diagnostics: bool = Tru
     ----------
     trace : Trace
         With at least one state.
-    path : path-like
-        The bag's folder.
     diagnostics : bool
         Add ``/diagnostics`` at ``monitor.rate``.
     overwrite : bool
@@ -90,12 +88,13 @@ def _columns(trace: Trace, diagnostics: bool) -> list[_Messages]:
     answered = ~np.isnan(trace.u[:, 0])
     effort = None if trace.physics is None else trace.physics.effort
     found = [("walk_config", stamps[:1], [text(to_yaml(trace.config))])]
-    before: Config | None = None
+    before = trace.config
     for record in trace.phases:
-        if record.config is not None and record.config != before:
+        config = record.config or trace.config
+        if config != before:
             stamp = stamps[[record.start]]
-            found.append(("walk_config", stamp, [text(to_yaml(record.config, int(stamp[0])))]))
-        before = record.config
+            found.append(("walk_config", stamp, [text(to_yaml(config, int(stamp[0])))]))
+        before = config
     if trace.origin:
         found.append(("walk_origin", stamps[:1], [text(provenance.to_text(trace.origin))]))
     found += [
@@ -195,7 +194,7 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
     path, model, columns, notes, stamps = bag.path, bag.model, bag.columns, bag.notes, bag.stamps
     starts = _starts(path, model, columns, notes)
     q = bag.states.position[bag.rows]
-    walking = stamps >= starts[0].stamp
+    walking = stamps >= min(starts)
     whole = ~(~(np.abs(q) < _FARTHEST)).any(axis=1)  # false for nan
     if early := int(np.count_nonzero(~walking)):
         notes.append(f"{early} states before the first phase are left out")
@@ -224,9 +223,7 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
         time=(stamps - epoch) / NS,
         q=q,
         u=u,
-        phases=_tuned(
-            _records(model, starts, stamps, _first_base(model, columns, starts[0]), epoch, notes), bag, epoch
-        ),
+        phases=_records(bag, starts, stamps, epoch),
         solve_time=np.full(len(stamps), np.nan),
         finished=last_phase == FINISHED,
         notes=tuple(notes),
@@ -237,47 +234,36 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
 
 
 def read_orientations(path: str | os.PathLike[str], *, namespace: str | None = None) -> Array:
-    """Return what a recorded inertial sensor took for its orientation, unit quaternions (m, 4), real part first.
+    """Return the recorded orientations of the inertial sensor, unit quaternions (m, 4), real part first.
 
-    There may be none. Errors are those of `read`.
+    Without a sensor m is zero. Errors are those of `read`.
     """
-    column = open_recording(path, namespace, TOPICS, REQUIRED).columns.get("imu")
-    seen = [table.numbers[:, [3, 0, 1, 2]] for table in tables(column)] if column is not None else []
-    all_seen = np.concatenate([np.zeros((0, 4)), *seen])
-    out: Array = all_seen[np.abs(np.linalg.norm(all_seen, axis=1) - 1.0) < _UNIT]
+    columns = open_recording(path, namespace, TOPICS, REQUIRED).columns
+    seen = np.concatenate([np.zeros((0, 4)), *(table.numbers[:, :4] for table in tables(columns.get("imu")))])
+    out: Array = seen[np.abs(np.linalg.norm(seen, axis=1) - 1.0) < _UNIT][:, [3, 0, 1, 2]]
     return out
 
 
 _UNIT = 0.01
-"""A quaternion whose norm is this far from one is no orientation."""
+"""Largest difference of the norm of a recorded orientation from one."""
 
 
 # ---------------------------------------------------------------------- phases
 
 
-@dataclass(frozen=True)
-class _Start:
-    """The start of a phase as recorded."""
+def _starts(path: Path, model: RobotModel, columns: Mapping[str, Column], notes: list[str]) -> dict[int, PhaseRecord]:
+    """Return the record of every phase by its stamp [ns], in order, still without tick, pose in odom and changes.
 
-    name: str
-    kind: PhaseKind
-    support: Foot
-    base: Foot
-    stamp: int
-    q: Array
-    swing_target: Array | None
-
-
-def _starts(path: Path, model: RobotModel, columns: Mapping[str, Column], notes: list[str]) -> list[_Start]:
-    """Return every phase in order; published names are assigned to the starts in the order of both."""
+    Published names are assigned to the starts in the order of both.
+    """
     names = [name for name in texts(columns["phase"]) if "/" in name]
     begun = joint_states(columns["phase_start"], model.joint_names)
     if not names or not len(begun.stamps):
         raise BagError(f"'{path}' contains no phase of a walk")
     feet = {model.soles[foot].frame: foot for foot in Foot}
     if not set(begun.frames) <= set(feet) or not set(model.joint_names) <= set(begun.named):
-        told = f"{ascii(begun.frames[0])[1:-1][:60]} and {listed(begun.named)}"
-        raise BagError(f"'{path}' is of another robot: phase_start names {told}")
+        given = f"{ascii(begun.frames[0])[1:-1][:60]} and {listed(begun.named)}"
+        raise BagError(f"'{path}' is of another robot: phase_start names {given}")
     targets = _swing_targets(columns.get("swing_target"))
     known = [_parsed(name) for name in names]
     # a name is published again after a pause, so it does not identify its start
@@ -285,7 +271,7 @@ def _starts(path: Path, model: RobotModel, columns: Mapping[str, Column], notes:
     if None in known:
         strange = ascii(names[known.index(None)])[:60]
         notes.append(f"unknown phase {strange}: phases are identified by their base sole and swing target")
-    found: dict[int, _Start] = {}
+    found: dict[int, PhaseRecord] = {}
     for i, stamp in enumerate(begun.stamps.tolist()):
         base, q, target = feet[begun.frames[i]], begun.position[i], targets.get(stamp)
         kind = PhaseKind.DOUBLE_SUPPORT if target is None else PhaseKind.SINGLE_SUPPORT
@@ -300,8 +286,8 @@ def _starts(path: Path, model: RobotModel, columns: Mapping[str, Column], notes:
             raise BagError(f"'{path}': the swing target of {name} at {time:.3f} s is missing")
         if not (np.abs(q) < _FARTHEST).all() or not (target is None or _is_pose(target)):
             raise BagError(f"'{path}': {name} at {time:.3f} s begins with impossible numbers")
-        found[stamp] = _Start(name, kind, support, base, stamp, q, target)
-    return [found[stamp] for stamp in sorted(found)]
+        found[stamp] = PhaseRecord(name, kind, support, base, 0, time, q, target, DQ(1.0).vec8())
+    return dict(sorted(found.items()))
 
 
 def _parsed(name: str) -> tuple[PhaseKind, Foot] | None:
@@ -320,18 +306,18 @@ def _is_pose(x: Array) -> bool:
 def _swing_targets(column: Column | None) -> dict[int, Array]:
     """Return the targets (8,) of the swing foot by their stamp [ns]."""
     out: dict[int, Array] = {}
-    for found in tables(column) if column is not None else ():
+    for found in tables(column):
         out |= dict(zip(found.stamps.tolist(), pose_of(found.numbers), strict=True))
     return out
 
 
-def _first_base(model: RobotModel, columns: Mapping[str, Column], start: _Start) -> Array:
+def _first_base(model: RobotModel, column: Column | None, stamp: int, start: PhaseRecord) -> Array:
     """Return the pose of the first phase's base sole in odom: the origin, unless the recording started later."""
-    one = DQ(1.0).vec8()
-    (told,) = pose_of(aligned(columns.get("base_pose"), np.array([start.stamp]), 7))
-    if not _is_pose(told):
-        return one
-    x = (DQ(told) * DQ(Kinematics(model, start.q, start.base).pose(model.pelvis)).conj()).vec8()
+    (recorded,) = pose_of(aligned(column, np.array([stamp]), 7))
+    if not _is_pose(recorded):
+        return start.x_odom_base
+    x = (DQ(recorded) * DQ(Kinematics(model, start.q_start, start.base).pose(model.pelvis)).conj()).vec8()
+    one = start.x_odom_base
     return one if min(np.abs(x - one).max(), np.abs(x + one).max()) < _SAME_POSE else x
 
 
@@ -339,53 +325,30 @@ _SAME_POSE = 5e-3
 """Largest difference of a pose from the origin that is attributed to the estimation of the base."""
 
 
-def _tuned(records: Sequence[PhaseRecord], bag: Recording, epoch: int) -> tuple[PhaseRecord, ...]:
-    """Return the records, those after a change of parameters with the changed configuration."""
-    out = []
-    for record in records:
-        began = round(record.time * NS) + epoch
-        since = max((stamp for stamp in bag.tuned if stamp <= began + _NEAR), default=None)
-        out.append(record if since is None else dataclasses.replace(record, config=bag.tuned[since]))
-    return tuple(out)
-
-
-_NEAR = 1000
-"""Rounding error of a time in seconds [ns]."""
-
-
-def _records(
-    model: RobotModel, starts: Sequence[_Start], stamps: Stamps, x_odom_base: Array, epoch: int, notes: list[str]
-) -> tuple[PhaseRecord, ...]:
+def _records(bag: Recording, starts: Mapping[int, PhaseRecord], stamps: Stamps, epoch: int) -> tuple[PhaseRecord, ...]:
     """Return the records of the phases, with times counted from `epoch` [ns].
 
-    Where the base sole changes, its pose in odom is updated: x_odom_new = x_odom_old x_old_new(q_start).
+    Where the base sole changes, its pose in odom is updated: x_odom_new = x_odom_old x_old_new(q_start). After a change
+    of parameters a record has the changed configuration.
     """
-    out: list[PhaseRecord] = []
-    for start in starts:
+    model, out = bag.model, list[PhaseRecord]()
+    first = min(starts)
+    x_odom_base = _first_base(model, bag.columns.get("base_pose"), first, starts[first])
+    for stamp, start in starts.items():
         if out and out[-1].base is not start.base:
-            step = Kinematics(model, start.q, out[-1].base).pose(model.soles[start.base].frame)
+            step = Kinematics(model, start.q_start, out[-1].base).pose(model.soles[start.base].frame)
             x_odom_base = (DQ(x_odom_base) * DQ(step)).vec8()
-        tick, time = int(np.searchsorted(stamps, start.stamp)), (start.stamp - epoch) / NS
+        tick, time = int(np.searchsorted(stamps, stamp)), (stamp - epoch) / NS
         if tick == len(stamps):
-            notes.append(f"{start.name} began at {time:.3f} s, after the last state, and is left out")
+            bag.notes.append(f"{start.name} began at {time:.3f} s, after the last state, and is left out")
             break
         if out and out[-1].start == tick:  # ended before the recording started
             out.pop()
-        if stamps[tick] != start.stamp:
-            notes.append(f"the state at which {start.name} began, {time:.3f} s, is missing")
-        out.append(
-            PhaseRecord(
-                name=start.name,
-                kind=start.kind,
-                support=start.support,
-                base=start.base,
-                start=tick,
-                time=time,
-                q_start=start.q,
-                swing_target=start.swing_target,
-                x_odom_base=x_odom_base,
-            )
-        )
+        if stamps[tick] != stamp:
+            bag.notes.append(f"the state at which {start.name} began, {time:.3f} s, is missing")
+        tuned = max((since for since in bag.tuned if since <= stamp), default=None)
+        config = None if tuned is None else bag.tuned[tuned]
+        out.append(dataclasses.replace(start, start=tick, time=time, x_odom_base=x_odom_base, config=config))
     return tuple(out)
 
 
@@ -397,15 +360,10 @@ def _commands(path: Path, model: RobotModel, stamps: Stamps, column: Column, not
     commands = joint_states(column, model.joint_names)
     if missing := [name for name in model.joint_names if name not in commands.named]:
         raise BagError(f"'{path}': joint_velocity_commands lack {', '.join(missing)}")
-    u = np.full((len(stamps), model.n), np.nan)
-    place = np.searchsorted(stamps, commands.stamps)
-    place[place == len(stamps)] = 0
-    match = stamps[place] == commands.stamps
-    finite = np.isfinite(commands.velocity).all(axis=1)
-    u[place[match & finite]] = commands.velocity[match & finite]
-    if stray := int(np.count_nonzero(~match)):
+    u, stray = at_stamps(stamps, commands.stamps, commands.velocity)
+    if stray:
         notes.append(f"{stray} commands answer a state that is not in the bag")
-    if wrong := int(np.count_nonzero(~finite)):
+    if wrong := int(np.count_nonzero(~np.isfinite(commands.velocity).all(axis=1))):
         notes.append(f"{wrong} commands are not finite")
     return u
 

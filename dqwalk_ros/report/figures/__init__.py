@@ -1,55 +1,41 @@
-"""The figures of a walk. Only this folder imports matplotlib, and only when a figure is drawn."""
+"""The figures of a walk. Only this folder imports matplotlib."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from dqwalk_ros.report.figures import style
 from dqwalk_ros.report.figures.from_above import on_the_ground, top_view
 from dqwalk_ros.report.figures.paper import figure7, figure8, figure9
-from dqwalk_ros.report.figures.style import drawing
+from dqwalk_ros.report.figures.style import Drawn
 from dqwalk_ros.report.metrics import Series
 
-__all__ = ["FIGURES", "FORMATS", "figure7", "figure8", "figure9", "fits", "on_the_ground", "save", "top_view"]
+__all__ = ["FIGURES", "drawn", "figure7", "figure8", "figure9", "on_the_ground", "save", "top_view"]
 
 FIGURES = {
-    "figure7": figure7,
-    "figure8": figure8,
-    "figure9": figure9,
-    "top_view": top_view,
-    "on_the_ground": on_the_ground,
+    "figure7": (figure7, "Figure 7: the task error, and the distances of double support."),
+    "figure8": (figure8, "Figure 8: the same for single support."),
+    "figure9": (figure9, "Figure 9: joint angles, with their limits in red."),
+    "top_view": (
+        top_view,
+        "From above: footsteps, the path of the centre of mass, and its margin to the edge of the support.",
+    ),
+    "on_the_ground": (on_the_ground, "True motion in physics: soles, centre of mass, centre of pressure, tilt."),
 }
-FORMATS = ("png", "pdf", "svg")
+"""Function and caption of each figure."""
 
 
-def fits(name: str, series: Series) -> bool:
-    """Return whether a figure applies to a walk."""
-    if name in ("figure7", "figure8"):
-        return series.trace.config.gait.style == "paper"
-    return name != "on_the_ground" or series.ground is not None
+def drawn(series: Series) -> Iterator[Drawn]:
+    """Draw every figure that applies to a walk."""
+    paper = series.trace.config.gait.style == "paper"
+    applies = {"figure7": paper, "figure8": paper, "on_the_ground": series.ground is not None}
+    for name, (draw, caption) in FIGURES.items():
+        if applies.get(name, True):
+            yield Drawn(name, draw(series), caption)
 
 
 def save(series: Series, folder: str | os.PathLike[str], formats: Sequence[str] = ("png",)) -> list[Path]:
-    """Draw every figure into a folder and return the files.
-
-    Parameters
-    ----------
-    series : Series
-    folder : path-like
-        Created if it does not exist.
-    formats : sequence of {"png", "pdf", "svg"}
-    """
-    out = Path(folder)
-    out.mkdir(parents=True, exist_ok=True)
-    files = []
-    for name, draw in FIGURES.items():
-        if not fits(name, series):
-            continue
-        figure = draw(series)
-        for kind in formats:
-            files.append(out / f"{name}.{kind}")
-            with drawing():  # resolution and fonts are read when the figure is saved
-                figure.savefig(files[-1])
-            figure.set_layout_engine("none")  # compute the layout only once
-    return files
+    """Draw every figure of a walk into a folder and return the files; see `style.save`."""
+    return style.save(drawn(series), folder, formats)

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Patch, Polygon
+from matplotlib.patheffects import Normal, Stroke
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.geometry import ConvexPolygon
 from dqwalk_ros.report.figures.style import (
@@ -28,13 +33,8 @@ from dqwalk_ros.report.metrics import Ground, Series, Span, urdf_soles
 from dqwalk_ros.report.verdict import TILT
 from dqwalk_ros.robot import Foot, Sole
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 __all__ = ["on_the_ground", "top_view"]
 
-Array = NDArray[np.float64]
 _COLOR = {Foot.LEFT: BLUE, Foot.RIGHT: GREEN}
 _ORANGE, _HULL, _HULL_EDGE = "#b35900", "#eef1f4", "#c9d1d9"
 _LONG = 0.45
@@ -45,14 +45,10 @@ _MANY = 50
 
 def _patch(ax: Axes, corners: Array, edge: str, face: str = "none", **looks: Any) -> None:
     """Draw a sole or another polygon (m, 2)."""
-    from matplotlib.patches import Polygon
-
     ax.add_patch(Polygon(corners, facecolor=face, edgecolor=edge, **looks))
 
 
 def _ring(ax: Axes, center: Array, radius: float, zorder: int) -> None:
-    from matplotlib.patches import Circle
-
     looks: dict[str, Any] = {"fill": False, "edgecolor": RED, "linestyle": DASHED, "linewidth": 1.2}
     ax.add_patch(Circle((float(center[0]), float(center[1])), radius, zorder=zorder, **looks))
 
@@ -65,8 +61,6 @@ def _way(way: Array) -> tuple[Array, Array]:
 
 
 def _soles_legend() -> list[Any]:
-    from matplotlib.patches import Patch
-
     return [Patch(facecolor=_COLOR[f] + "26", edgecolor=_COLOR[f], label=f"{f.value} sole") for f in Foot]
 
 
@@ -84,34 +78,31 @@ def _finish(ax: Axes, title: str, x: str, y: str, adjustable: str) -> None:
 # ---------------------------------------------------------------------- by the odometry
 
 
+@drawing()
 def top_view(series: Series) -> Figure:
     """Draw the footsteps and the CoM in odom, and the margins of the CoM over time."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     reach = float(np.ptp(series.com_odom[:, 0])) + 0.25
     steps = sum(not span.double for span in series.spans)
-    with drawing():
-        if reach < _LONG:
-            fig = new_figure(11.5, 5.2)
-            ground, margins = fig.subplots(1, 2, width_ratios=[1.0, 1.15])
-        else:
-            height = float(np.clip(11.0 * 0.26 / reach, 1.8, 5.0))
-            fig = new_figure(11.5, height + 3.6)
-            ground, margins = fig.subplots(2, 1, height_ratios=[height, 2.2])
-        own = urdf_soles(series.trace)
-        _draw_footsteps(ground, series, own)
-        _draw_margins(margins, series)
-        handles = [*_soles_legend(), Patch(facecolor=_HULL, edgecolor=_HULL_EDGE, label="double-support polygon")]
-        if series.trace.config.gait.style == "paper":
-            handles.append(Line2D([], [], color=RED, linestyle=DASHED, linewidth=1.2, label="cylinder (U14)"))
-        handles.append(Line2D([], [], color=INK, linewidth=2.0, label="CoM"))
-        handles.append(Line2D([], [], color=GREY, linestyle=":", linewidth=1.2, label="start, swing"))
-        if own is not None:
-            handles.append(Line2D([], [], color=_ORANGE, linewidth=1.0, alpha=0.6, label="sole of the URDF"))
-        _legend(fig, handles)
-        title = f"{series.trace.model.name}: {steps} step{'s' if steps != 1 else ''} from above"
-        fig.suptitle(title, fontsize=12, fontweight="bold")
+    if reach < _LONG:
+        fig = new_figure(11.5, 5.2)
+        ground, margins = fig.subplots(1, 2, width_ratios=[1.0, 1.15])
+    else:
+        height = float(np.clip(11.0 * 0.26 / reach, 1.8, 5.0))
+        fig = new_figure(11.5, height + 3.6)
+        ground, margins = fig.subplots(2, 1, height_ratios=[height, 2.2])
+    own = urdf_soles(series.trace)
+    _draw_footsteps(ground, series, own)
+    _draw_margins(margins, series)
+    handles = [*_soles_legend(), Patch(facecolor=_HULL, edgecolor=_HULL_EDGE, label="double-support polygon")]
+    if series.trace.config.gait.style == "paper":
+        handles.append(Line2D([], [], color=RED, linestyle=DASHED, linewidth=1.2, label="cylinder (U14)"))
+    handles.append(Line2D([], [], color=INK, linewidth=2.0, label="CoM"))
+    handles.append(Line2D([], [], color=GREY, linestyle=":", linewidth=1.2, label="start, swing"))
+    if own is not None:
+        handles.append(Line2D([], [], color=_ORANGE, linewidth=1.0, alpha=0.6, label="sole of the URDF"))
+    _legend(fig, handles)
+    title = f"{series.trace.model.name}: {steps} step{'s' if steps != 1 else ''} from above"
+    fig.suptitle(title, fontsize=12, fontweight="bold")
     return fig
 
 
@@ -124,8 +115,6 @@ def _in_odom(series: Series, span: Span, tick: int, foot: Foot, soles: Mapping[F
 
 
 def _draw_footsteps(ax: Axes, series: Series, own: Mapping[Foot, Sole] | None) -> None:
-    from matplotlib.patheffects import Normal, Stroke
-
     soles, first = series.trace.model.soles, series.spans[0]
     for foot in Foot:  # initial stance
         _patch(ax, _in_odom(series, first, first.start, foot, soles), GREY, linestyle=":", linewidth=1.2, zorder=2)
@@ -190,41 +179,39 @@ def _draw_margins(ax: Axes, series: Series) -> None:
 # ---------------------------------------------------------------------- in physics
 
 
+@drawing()
 def on_the_ground(series: Series) -> Figure:
     """Draw the true soles, CoM and centre of pressure, the margin of the CoP and the tilt of the soles."""
-    from matplotlib.lines import Line2D
-
     of = series.ground
     if of is None:
         raise ValueError("the walk was not simulated in physics")
     long, broad = np.ptp(of.stands[:, :2], axis=0) + 0.3
-    with drawing():
-        if long > 2.0 * broad:
-            top = float(np.clip(11.0 * broad / long, 1.8, 5.0))
-            fig = new_figure(11.5, top + 4.0)
-            grid = fig.add_gridspec(3, 1, height_ratios=[top, 1.6, 1.1])
-            axes = [fig.add_subplot(grid[k, 0]) for k in range(3)]
-        else:
-            fig = new_figure(11.5, 6.2)
-            grid = fig.add_gridspec(2, 2, width_ratios=[1.15, 1.0], height_ratios=[1.4, 1.0])
-            axes = [fig.add_subplot(grid[:, 0]), fig.add_subplot(grid[0, 1]), fig.add_subplot(grid[1, 1])]
-        _draw_ground(axes[0], series, of)
-        _draw_over_time(axes[1:], series, of)
-        handles = [
-            *_soles_legend(),
-            Line2D([], [], color=INK, linewidth=1.6, label="CoM"),
-            Line2D([], [], color=_ORANGE, linewidth=1.0, label="centre of pressure"),
-            Line2D([], [], color=GREY, marker="o", markersize=3, linestyle="", label="halfway between the feet"),
-        ]
-        if of.circle is not None:
-            label = f"circle of {of.circle.radius:.3f} m"
-            handles.append(Line2D([], [], color=RED, linestyle=DASHED, linewidth=1.2, label=label))
-        _legend(fig, handles)
-        turned = of.stands[-1, 2]
-        steps = sum(not span.double for span in series.spans)
-        title = f"{series.trace.model.name} in physics: {steps} steps"
-        title += f", {np.degrees(turned):+.0f} degrees" if abs(turned) > 0.1 else ""
-        fig.suptitle(title, fontsize=12, fontweight="bold")
+    if long > 2.0 * broad:
+        top = float(np.clip(11.0 * broad / long, 1.8, 5.0))
+        fig = new_figure(11.5, top + 4.0)
+        grid = fig.add_gridspec(3, 1, height_ratios=[top, 1.6, 1.1])
+        axes = [fig.add_subplot(grid[k, 0]) for k in range(3)]
+    else:
+        fig = new_figure(11.5, 6.2)
+        grid = fig.add_gridspec(2, 2, width_ratios=[1.15, 1.0], height_ratios=[1.4, 1.0])
+        axes = [fig.add_subplot(grid[:, 0]), fig.add_subplot(grid[0, 1]), fig.add_subplot(grid[1, 1])]
+    _draw_ground(axes[0], series, of)
+    _draw_over_time(axes[1:], series, of)
+    handles = [
+        *_soles_legend(),
+        Line2D([], [], color=INK, linewidth=1.6, label="CoM"),
+        Line2D([], [], color=_ORANGE, linewidth=1.0, label="centre of pressure"),
+        Line2D([], [], color=GREY, marker="o", markersize=3, linestyle="", label="halfway between the feet"),
+    ]
+    if of.circle is not None:
+        label = f"circle of {of.circle.radius:.3f} m"
+        handles.append(Line2D([], [], color=RED, linestyle=DASHED, linewidth=1.2, label=label))
+    _legend(fig, handles)
+    turned = of.stands[-1, 2]
+    steps = sum(not span.double for span in series.spans)
+    title = f"{series.trace.model.name} in physics: {steps} steps"
+    title += f", {np.degrees(turned):+.0f} degrees" if abs(turned) > 0.1 else ""
+    fig.suptitle(title, fontsize=12, fontweight="bold")
     return fig
 
 

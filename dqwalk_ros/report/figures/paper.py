@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.report.figures.style import (
     BLUE,
     DASHED,
@@ -23,13 +27,7 @@ from dqwalk_ros.report.figures.style import (
 )
 from dqwalk_ros.report.metrics import Series, Span
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 __all__ = ["figure7", "figure8", "figure9"]
-
-Array = NDArray[np.float64]
 
 
 class _Panel(NamedTuple):
@@ -51,13 +49,8 @@ def _curves(series: Series, double: bool) -> list[tuple[Span, tuple[float, float
         foot = span.phase.support.value
         what = f"to the {foot} foot" if double else f"{span.phase.support.other.value} foot swings"
         cycle = f", cycle {i // 2 + 1}" if cycles > 1 else ""
-        out.append(
-            (
-                span,
-                tone((BLUE, GREEN)[i % 2], i // 2, cycles),
-                f"{_ordinal(i)} {'DSP' if double else 'SSP'}: {what}{cycle}",
-            )
-        )
+        label = f"{_ordinal(i)} {'DSP' if double else 'SSP'}: {what}{cycle}"
+        out.append((span, tone((BLUE, GREEN)[i % 2], i // 2, cycles), label))
     return out[::-1]
 
 
@@ -93,8 +86,6 @@ def _time_response(series: Series, panels: Sequence[_Panel], axes: Sequence[Axes
 
 def _name_bound(ax: Axes, bound: float, label: str) -> None:
     """Write the name of a bound beside its line, where it covers the fewest points of the curves."""
-    from matplotlib.patheffects import withStroke
-
     (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
     inside = 1 if bound < 0.5 * (low + high) else -1  # above the line or below it
     places = [(side, way) for way in (inside, -inside) for side in ("right", "left")]
@@ -125,15 +116,18 @@ def _name_bound(ax: Axes, bound: float, label: str) -> None:
     )
 
 
-def _legend(fig: Figure, series: Series, double: bool, bound: str) -> None:
-    from matplotlib.lines import Line2D
-
+def _supports(series: Series, panels: Sequence[_Panel], height: float, title: str, *, double: bool) -> Figure:
+    """Return a figure of panels, three in a row, over the time since the beginning of each phase of one kind."""
+    fig = new_figure(11.0, height)
+    _time_response(series, panels, list(fig.subplots(len(panels) // 3, 3).flat), double)
+    fig.suptitle(title, fontsize=12, fontweight="bold")
     curves = _curves(series, double)[::-1]
     if len(curves) > 6:
         curves = curves[:2] + curves[-2:]
     handles = [Line2D([], [], color=color, label=label) for _, color, label in curves]
-    handles.append(Line2D([], [], color=RED, linestyle=DASHED, linewidth=1.3, label=bound))
+    handles.append(Line2D([], [], color=RED, linestyle=DASHED, linewidth=1.3, label="bound"))
     fig.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 3), fontsize=9)
+    return fig
 
 
 def _pelvis(series: Series) -> _Panel:
@@ -141,6 +135,7 @@ def _pelvis(series: Series) -> _Panel:
     return _Panel("Pelvis to its plane", "distance [mm]", 1e3 * height, 0.0, "pelvis plane")
 
 
+@drawing()
 def figure7(series: Series) -> Figure:
     """Draw Fig. 7: the double supports, A to F."""
     config = series.trace.config
@@ -165,15 +160,10 @@ def figure7(series: Series) -> Figure:
         _Panel("CoM to the back plane", "distance [mm]", mm * series.distance("back_plane"), 0.0, "back plane"),
         _pelvis(series),
     ]
-    with drawing():
-        fig = new_figure(11.0, 6.2)
-        axes = fig.subplots(2, 3).flat
-        _time_response(series, panels, list(axes), double=True)
-        fig.suptitle("Double support: the CoM moves over the next support foot", fontsize=12, fontweight="bold")
-        _legend(fig, series, True, "bound")
-    return fig
+    return _supports(series, panels, 6.2, "Double support: the CoM moves over the next support foot", double=True)
 
 
+@drawing()
 def figure8(series: Series) -> Figure:
     """Draw Fig. 8: the single supports."""
     config = series.trace.config
@@ -195,14 +185,10 @@ def figure8(series: Series) -> Figure:
         ),
         _pelvis(series),
     ]
-    with drawing():
-        fig = new_figure(11.0, 3.7)
-        _time_response(series, panels, list(fig.subplots(1, 3)), double=False)
-        fig.suptitle("Single support: the swing foot moves to its target", fontsize=12, fontweight="bold")
-        _legend(fig, series, False, "bound")
-    return fig
+    return _supports(series, panels, 3.7, "Single support: the swing foot moves to its target", double=False)
 
 
+@drawing()
 def figure9(series: Series) -> Figure:
     """Draw Fig. 9: the joint angles, with the limits and the changes of phase."""
     model = series.trace.model
@@ -213,20 +199,19 @@ def figure9(series: Series) -> Figure:
     order = [i for pair in zip(left, right, strict=False) for i in pair] if len(left) == len(right) else [*left, *right]
     order += others
     rows = (len(order) + 1) // 2
-    with drawing():
-        fig = new_figure(11.0, 1.55 * rows + 1.3)
-        grid = fig.subplots(rows, 2, sharex=True, squeeze=False)
-        for ax, i in zip(grid.flat, order, strict=False):
-            _joint(ax, series, i)
-        for ax in list(grid.flat)[len(order) :]:
-            ax.remove()
-        for ax in grid[-1]:
-            ax.set_xlabel("time [s]")
-        for ax in grid[0]:
-            low, high = ax.get_ylim()
-            ax.set_ylim(low, high + 0.2 * (high - low))
-            name_phases(ax, series)
-        fig.suptitle("Joint angles over the walk, with their limits", fontsize=12, fontweight="bold")
+    fig = new_figure(11.0, 1.55 * rows + 1.3)
+    grid = fig.subplots(rows, 2, sharex=True, squeeze=False)
+    for ax, i in zip(grid.flat, order, strict=False):
+        _joint(ax, series, i)
+    for ax in list(grid.flat)[len(order) :]:
+        ax.remove()
+    for ax in grid[-1]:
+        ax.set_xlabel("time [s]")
+    for ax in grid[0]:
+        low, high = ax.get_ylim()
+        ax.set_ylim(low, high + 0.2 * (high - low))
+        name_phases(ax, series)
+    fig.suptitle("Joint angles over the walk, with their limits", fontsize=12, fontweight="bold")
     return fig
 
 

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
+import matplotlib as mpl
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure  # not pyplot: no global state, no display
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.report.metrics import Series
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 __all__ = [
     "BLUE",
@@ -31,7 +33,6 @@ __all__ = [
     "tone",
 ]
 
-Array = NDArray[np.float64]
 
 BLUE, GREEN, RED, INK, GREY = "#1f5fb4", "#1d9a4e", "#d1242f", "#24292f", "#8c959f"
 _STYLE: Any = {
@@ -68,18 +69,35 @@ _MOST_POINTS = 1500
 
 @contextmanager
 def drawing() -> Iterator[None]:
-    """Apply this style within the context, without changing matplotlib's global settings."""
-    import matplotlib as mpl
-
+    """Apply this style within a context or a function, without changing matplotlib's global settings."""
     with mpl.rc_context(_STYLE):
         yield
 
 
 def new_figure(width: float, height: float) -> Figure:
     """Return an empty figure of a width and height [inch]."""
-    from matplotlib.figure import Figure  # not pyplot: no global state, no display
-
     return Figure(figsize=(width, height), layout="constrained")
+
+
+class Drawn(NamedTuple):
+    """A figure, its file name without suffix, and its caption in a report."""
+
+    name: str
+    figure: Figure
+    caption: str = ""
+
+
+def save(drawn: Iterable[Drawn], folder: str | os.PathLike[str], formats: Sequence[str] = ("png",)) -> list[Path]:
+    """Write figures as png, pdf or svg into a folder, which is created if necessary, and return the files."""
+    out, files = Path(folder), []
+    out.mkdir(parents=True, exist_ok=True)
+    for name, figure, _ in drawn:
+        for kind in formats:
+            files.append(out / f"{name}.{kind}")
+            with drawing():  # resolution and fonts are read when the figure is saved
+                figure.savefig(files[-1])
+            figure.set_layout_engine("none")  # compute the layout only once
+    return files
 
 
 def thinned(x: Array, y: Array) -> tuple[Array, Array]:
@@ -98,8 +116,6 @@ def thinned(x: Array, y: Array) -> tuple[Array, Array]:
 
 def tone(color: str, cycle: int, cycles: int) -> tuple[float, float, float]:
     """Return the colour of a cycle: full for the first one, lighter for later ones."""
-    from matplotlib.colors import to_rgb
-
     fade = 0.0 if cycles < 2 else 0.65 * cycle / (cycles - 1)
     r, g, b = (channel + (1.0 - channel) * fade for channel in to_rgb(color))
     return r, g, b

@@ -6,7 +6,7 @@ import base64
 import io
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib import resources
@@ -18,36 +18,17 @@ import numpy as np
 from dqwalk_ros import provenance
 from dqwalk_ros.report import table as tables
 from dqwalk_ros.report.bag.messages import Status, faults
-from dqwalk_ros.report.figures import FIGURES, fits
-from dqwalk_ros.report.figures.style import drawing
+from dqwalk_ros.report.figures import drawn
+from dqwalk_ros.report.figures.style import Drawn, drawing
 from dqwalk_ros.report.html.replay import replay_data
 from dqwalk_ros.report.metrics import Series
 
-__all__ = ["Subject", "document", "origin_table", "replay", "table", "write"]
-
-_CAPTIONS = {
-    "figure7": "Figure 7: the task error, and the distances of double support.",
-    "figure8": "Figure 8: the same for single support.",
-    "figure9": "Figure 9: joint angles, with their limits in red.",
-    "on_the_ground": "True motion in physics: soles, centre of mass, centre of pressure, tilt.",
-    "top_view": "From above: footsteps, the path of the centre of mass, and its margin to the edge of the support.",
-}
+__all__ = ["Markup", "Subject", "bad", "figures", "heading", "origin_table", "replay", "table", "write", "write_page"]
 
 
 @dataclass(frozen=True)
 class Subject:
-    """A walk to report on.
-
-    Attributes
-    ----------
-    name : str
-        Of the bag.
-    series : Series
-    report : dict
-        From `verdict.report`.
-    statuses : list of Status
-        The diagnostics of the nodes.
-    """
+    """A walk to report on: the name of its bag, its series, its `verdict.report`, and the diagnostics of the nodes."""
 
     name: str
     series: Series
@@ -56,26 +37,14 @@ class Subject:
 
 
 def write(subjects: Sequence[Subject], path: str | os.PathLike[str]) -> None:
-    """Write the report of one walk, or of two side by side.
-
-    Parameters
-    ----------
-    subjects : sequence of Subject
-    path : path-like
-        The HTML file.
-    """
-    Path(path).write_text(_page(subjects), encoding="utf-8")
-
-
-def _page(subjects: Sequence[Subject]) -> str:
-    both = len(subjects) > 1
+    """Write the report of one walk, or of two side by side, to an HTML file."""
     parts = [
-        _heading(subjects),
-        f"<h2>Replay</h2><div class='card'>{replay([s.name for s in subjects])}</div>",
-        _comparison(subjects) if both else _section("The walk in numbers", _all_numbers, subjects),
+        f"<div class='two'>{''.join(map(_heading, subjects))}</div>",
+        replay([s.name for s in subjects]),
+        _comparison(subjects) if len(subjects) > 1 else _section("The walk in numbers", _all_numbers, subjects),
         _section("Smallest distance to each bound", _margins, subjects),
         _section("Phases", _phases, subjects),
-        _figures(subjects),
+        figures([drawn(s.series) for s in subjects]),
         _section("Joint speeds and limits", _joints, subjects),
         _section("Time of a tick", _tick_times, subjects),
         _section("Faults", _faults, subjects),
@@ -83,19 +52,20 @@ def _page(subjects: Sequence[Subject]) -> str:
         _configuration(subjects),
         origin_table([(s.name, s.series.trace.origin) for s in subjects]),
     ]
-    return document(" and ".join(s.name for s in subjects), parts, [replay_data(s.series) for s in subjects])
+    write_page(path, " and ".join(s.name for s in subjects), parts, [replay_data(s.series) for s in subjects])
 
 
-def document(name: str, parts: Sequence[str], walks: Sequence[Any]) -> str:
-    """Return a complete page from its parts and the walks for the replay."""
+def write_page(path: str | os.PathLike[str], name: str, parts: Sequence[str], walks: Sequence[Any]) -> None:
+    """Write a page of some parts, with the data of the walks for the replay."""
     data = json.dumps(walks, separators=(",", ":")).replace("<", "\\u003c")  # so that it contains no tag or comment
-    return (
+    text = (
         f"<!doctype html><html lang='en'><head><meta charset='utf-8'><title>dqwalk: {escape(name)}</title>"
         "<meta name='viewport' content='width=device-width, initial-scale=1'>"
         "<link rel='icon' href='data:,'>"
         f"<style>{_asset('style.css')}</style></head><body><main>{''.join(parts)}</main>"
         f"<script id='data' type='application/json'>{data}</script><script>{_asset('replay.js')}</script></body></html>"
     )
+    Path(path).write_text(text, encoding="utf-8")
 
 
 def _asset(name: str) -> str:
@@ -103,12 +73,9 @@ def _asset(name: str) -> str:
 
 
 def _section(title: str, body: Callable[[Subject], str], subjects: Sequence[Subject]) -> str:
-    cards = "".join(f"<div class='card scroll'>{_label(s, subjects)}{body(s)}</div>" for s in subjects)
-    return f"<h2>{title}</h2><div class='two'>{cards}</div>"
-
-
-def _label(subject: Subject, subjects: Sequence[Subject]) -> str:
-    return f"<p><b>{escape(subject.name)}</b></p>" if len(subjects) > 1 else ""
+    labels = [f"<p><b>{escape(s.name)}</b></p>" if len(subjects) > 1 else "" for s in subjects]
+    cards = [f"<div class='card scroll'>{label}{body(s)}</div>" for label, s in zip(labels, subjects, strict=True)]
+    return f"<h2>{title}</h2><div class='two'>{''.join(cards)}</div>"
 
 
 class Markup(str):
@@ -129,30 +96,16 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: Sequence[
 # ---------------------------------------------------------------------- sections
 
 
-def _heading(subjects: Sequence[Subject]) -> str:
-    out = []
-    for s in subjects:
-        ok, walk = s.report["ok"], s.report["walk"]
-        violations = [v for v in s.report["violations"] if v["what"] != "finished"]
-        words = [] if walk["finished"] else ["stopped before its end"]
-        if violations:
-            words.append(f"{len(violations)} violation{'s' if len(violations) > 1 else ''}")
-        word = ", ".join(words) or "every constraint kept"
-        numbers = _numbers(s).items()
-        tiles = "".join(f"<div class='tile'><span>{key}</span><b>{value}</b></div>" for key, value in numbers)
-        out.append(
-            f"<div><h1>{escape(s.name)}<span class='badge {'ok' if ok else 'violated'}'>{word}</span></h1>"
-            f"<p class='muted'>{escape(s.report['robot']['name'])}, {len(s.report['robot']['joints'])} joints, "
-            f"{s.report['robot']['mass']:.2f} kg</p><div class='tiles'>{tiles}</div></div>"
-        )
-    return f"<div class='two'>{''.join(out)}</div>"
-
-
-def _numbers(subject: Subject) -> dict[str, str]:
-    walk = subject.report["walk"]
-    margin = walk["margin"]
+def _heading(subject: Subject) -> str:
+    report = subject.report
+    walk, margin, robot = report["walk"], report["walk"]["margin"], report["robot"]
+    violations = [v for v in report["violations"] if v["what"] != "finished"]
+    words = [] if walk["finished"] else ["stopped before its end"]
+    if violations:
+        words.append(f"{len(violations)} violation{'s' if len(violations) > 1 else ''}")
+    about = f"{robot['name']}, {len(robot['joints'])} joints, {robot['mass']:.2f} kg"
     error = walk["landing_error"]
-    return {
+    numbers = {
         "time walked": f"{walk['duration']:.1f} s",
         "steps": str(walk["steps"]),
         "distance": f"{1e3 * walk['distance']:.1f} mm",
@@ -162,6 +115,16 @@ def _numbers(subject: Subject) -> dict[str, str]:
         "smallest joint-limit margin": f"{np.degrees(margin['joints']['value']):.2f}°",
         "largest joint speed": f"{walk['joint_speed']['largest']:.3f} rad/s",
     }
+    return heading(subject.name, ", ".join(words) or "every constraint kept", about, numbers, ok=report["ok"])
+
+
+def heading(name: str, verdict: str, about: str, numbers: Mapping[str, str], *, ok: bool) -> str:
+    """Return the title of a walk with its verdict, a line about it, and a tile for each number."""
+    tiles = "".join(f"<div class='tile'><span>{key}</span><b>{value}</b></div>" for key, value in numbers.items())
+    return (
+        f"<div><h1>{escape(name)}<span class='badge {'ok' if ok else 'violated'}'>{verdict}</span></h1>"
+        f"<p class='muted'>{escape(about)}</p><div class='tiles'>{tiles}</div></div>"
+    )
 
 
 def _all_numbers(subject: Subject) -> str:
@@ -177,24 +140,25 @@ def replay(names: Sequence[str], more: str = "") -> str:
     )
     speeds = "".join(f"<option>{v}</option>" for v in ("0.25", "0.5", "1", "2", "5", "10", "20", "50"))
     return (
-        f"<div class='two{' both' if len(names) > 1 else ''}'>{stages}</div>"
+        f"<h2>Replay</h2><div class='card'><div class='two{' both' if len(names) > 1 else ''}'>{stages}</div>"
         "<div class='bar'><button id='play'>Play</button>"
         "<input id='time' type='range' min='0' value='0' aria-label='time'><span id='clock'></span>"
         f"<label>speed × <select id='speed'>{speeds}</select></label></div>"
         "<p class='muted'>Drag to rotate, scroll to zoom, space to play. Red: centre of mass, its projection and "
         f"path; green: support polygon. {more}Click a curve to go to that time. The curves show the distance to the "
-        "bound (dashed).</p>"
+        "bound (dashed).</p></div>"
     )
 
 
 def _margins(subject: Subject) -> str:
     head, *rows = tables.distances(subject.report)
-    marked = [[_bad(cell) if cell.startswith("-") else cell for cell in row] for row in rows]
+    marked = [[bad(cell) if cell.startswith("-") else cell for cell in row] for row in rows]
     note = "<p class='muted'>[m], cylinders (sliding, com_cylinder) [m²], joints [rad]; kept if not negative.</p>"
     return table(head, marked, range(1, len(head))) + note
 
 
-def _bad(text: str) -> Markup:
+def bad(text: str) -> Markup:
+    """Return a cell in red."""
     return Markup(f"<span class='bad'>{escape(text)}</span>")
 
 
@@ -203,25 +167,18 @@ def _phases(subject: Subject) -> str:
     return table([name.replace("\n", " ") for name in head], rows, (1, 2, 3, 4, 5, 7, 8))
 
 
-def _figures(subjects: Sequence[Subject]) -> str:
-    out = ["<h2>Figures</h2>"]
-    for name, draw in FIGURES.items():
-        shown = []
-        for s in subjects:
-            if not fits(name, s.series):
-                continue
+def figures(walks: Sequence[Iterable[Drawn]]) -> str:
+    """Return the figures of one walk, or of two, those of the same name side by side."""
+    rows: dict[str, str] = {}
+    for walk in walks:
+        for name, figure, caption in walk:
             image = io.BytesIO()
             with drawing():
-                draw(s.series).savefig(image, format="svg")
-            text = base64.b64encode(image.getvalue()).decode()
-            caption = _CAPTIONS.get(name, name)
-            shown.append(
-                f"<figure><img alt='{escape(caption)}' src='data:image/svg+xml;base64,{text}'>"
-                f"<figcaption>{caption}</figcaption></figure>"
-            )
-        if shown:
-            out.append(f"<div class='two'>{''.join(shown)}</div>")
-    return "".join(out)
+                figure.savefig(image, format="svg")
+            source = f"data:image/svg+xml;base64,{base64.b64encode(image.getvalue()).decode()}"
+            shown = f"<figure><img alt='{escape(caption)}' src='{source}'><figcaption>{caption}</figcaption></figure>"
+            rows[name] = rows.get(name, "") + shown
+    return "<h2>Figures</h2>" + "".join(f"<div class='two'>{row}</div>" for row in rows.values())
 
 
 def _joints(subject: Subject) -> str:
@@ -256,21 +213,13 @@ def _tick_times(subject: Subject) -> str:
         f"<rect x='{12 * k}' y='{100 - 96 * n / counts.max():.1f}' width='10' height='{96 * n / counts.max():.1f}'/>"
         for k, n in enumerate(counts)
     )
-    text = ", ".join(f"{k} {v:.0f} µs" for k, v in _quantiles(micro).items())
+    text = f"median {np.median(micro):.0f} µs, 99 % {np.percentile(micro, 99):.0f} µs, at most {micro.max():.0f} µs"
     return (
         f"<p>Solver, {where} ({len(micro)}): {text}.</p>"
         "<svg viewBox='0 0 480 118' style='width:100%;max-width:640px'>"
         f"<g fill='#1f5fb4'>{bars}</g><text x='0' y='115' font-size='11' fill='#57606a'>0</text>"
         f"<text x='480' y='115' font-size='11' fill='#57606a' text-anchor='end'>{edges[-1]:.0f} µs</text></svg>"
     )
-
-
-def _quantiles(micro: Any) -> dict[str, float]:
-    return {
-        "median": float(np.median(micro)),
-        "99 %": float(np.percentile(micro, 99)),
-        "at most": float(micro.max()),
-    }
 
 
 def _faults(subject: Subject) -> str:

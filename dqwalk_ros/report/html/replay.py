@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import compose
@@ -15,24 +17,24 @@ from dqwalk_ros.report.metrics import Series
 from dqwalk_ros.report.scene import Scene, Shape, moment_of, shapes_of, tightest
 from dqwalk_ros.robot import Foot, RobotModel
 
-__all__ = ["FRAMES", "packed", "replay_data", "robot_data", "rounded"]
+__all__ = ["FRAMES", "packed", "replay_data", "robot_data", "walk_data"]
 
-Array = NDArray[np.float64]
 FRAMES = 2400
 """Number of frames of a walk; the replay interpolates between them."""
-_ROUND = 5
+_DIGITS = 7
+"""Digits of positions in JSON, to keep the file small."""
 
 
 def replay_data(series: Series) -> dict[str, Any]:
-    """Return plain data for `replay.js`; arrays of numbers as base64 of little-endian float32."""
+    """Return the data of a walk of phases; see `walk_data`."""
     trace, model = series.trace, series.trace.model
     starts = [span.start for span in series.spans]
     ticks = np.linspace(0, len(trace) - 1, min(FRAMES, len(trace))).astype(int)
     ticks = np.unique(np.concatenate([ticks, starts]))
-    scene, phases = Scene(trace.config, model), {}  # type: ignore[var-annotated]
+    scene, rebuilt = Scene(trace.config, model), {}  # type: ignore[var-annotated]
     root, com, curves, tight = [], [], {}, []  # type: ignore[var-annotated]
     for row, tick in enumerate(ticks.tolist()):
-        moment = moment_of(trace, tick, phases)
+        moment = moment_of(trace, tick, rebuilt)
         kin, found = scene.assess(moment)
         gauges = scene.gauges(moment.phase, found)
         root.append(compose(moment.x_odom_base, kin.pose(scene.root)))
@@ -40,34 +42,54 @@ def replay_data(series: Series) -> dict[str, Any]:
         tight.append(tightest(gauges).name)
         for gauge in gauges:
             if gauge.role != "held":
-                curve = curves.setdefault(gauge.name, {"unit": gauge.unit, "v": np.full(len(ticks), np.nan)})
-                curve["v"][row] = gauge.value
-    x = DQ(np.array(root))
-    began = float(trace.time[0])
-    prints = []
+                curves.setdefault(gauge.name, (gauge.unit, np.full(len(ticks), np.nan)))[1][row] = gauge.value
+    prints, phases = [], []
     for span in series.spans:
-        corners = DQ(span.record.x_odom_base).transform_point(model.soles[span.phase.base].corners)
-        start = float(trace.time[span.start])
-        prints.append({"t": start - began, "foot": span.phase.base.value, "c": [rounded(c) for c in corners]})
+        start, base = float(trace.time[span.start] - trace.time[0]), span.phase.base
+        prints.append((start, base, DQ(span.record.x_odom_base).transform_point(model.soles[base].corners)))
+        phases.append((start, span.phase.name, span.double, base))
+    return walk_data(
+        trace.config, model, trace.time[ticks] - trace.time[0], trace.q[ticks], np.array(root), np.array(com),
+        prints, phases, curves, tight,
+    )  # fmt: skip
+
+
+def walk_data(
+    config: Config,
+    model: RobotModel,
+    time: Array,
+    q: Array,
+    x_root: Array,
+    com: Array,
+    prints: Sequence[tuple[float, Foot, Array]],
+    phases: Sequence[tuple[float, str, bool, Foot]],
+    curves: Mapping[str, tuple[str, Array]],
+    tight: Sequence[str],
+) -> dict[str, Any]:
+    """Return plain data for `replay.js`; arrays of numbers as base64 of little-endian float32.
+
+    Parameters
+    ----------
+    time, q, x_root, com : ndarray, shapes (N,) [s], (N, n) [rad], (N, 8), (N, 3) [m]
+        Of each frame: time since the first one, joint angles, pose of the first body, centre of mass.
+    prints : sequence of (time, Foot, corners)
+        Each footprint with the time from which it is shown [s] and its corners (4, 3) [m].
+    phases : sequence of (time, name, double support, base foot)
+    curves : mapping of str to (unit, ndarray of shape (N,))
+    tight : sequence of str
+        Name of the curve that is marked in each frame.
+    """
     names = list(dict.fromkeys(tight))
     return {
-        **robot_data(trace.config, model),
-        "t": packed(trace.time[ticks] - trace.time[0]),
-        "q": packed(trace.q[ticks]),
-        "root": packed(np.concatenate([x.translation(), np.array(root)[:, :4]], axis=1)),
-        "com": packed(np.array(com)),
-        "prints": prints,
-        "phases": [
-            {
-                "name": span.phase.name,
-                "t": float(trace.time[span.start]) - began,
-                "double": span.double,
-                "base": span.phase.base.value,
-            }
-            for span in series.spans
-        ],
-        "curves": [{"name": name, "unit": c["unit"], "v": packed(c["v"])} for name, c in curves.items()],
-        "tight": {"names": names, "at": base64.b64encode(bytes(names.index(t) for t in tight)).decode()},
+        **robot_data(config, model),
+        "t": packed(time),
+        "q": packed(q),
+        "root": packed(np.concatenate([DQ(x_root).translation(), x_root[:, :4]], axis=1)),
+        "com": packed(com),
+        "prints": [{"t": t, "foot": foot.value, "c": [_rounded(c) for c in corners]} for t, foot, corners in prints],
+        "phases": [{"name": name, "t": t, "double": both, "base": base.value} for t, name, both, base in phases],
+        "curves": [{"name": name, "unit": unit, "v": packed(v)} for name, (unit, v) in curves.items()],
+        "tight": {"names": names, "at": base64.b64encode(bytes(names.index(name) for name in tight)).decode()},
     }
 
 
@@ -76,12 +98,12 @@ def robot_data(config: Config, model: RobotModel) -> dict[str, Any]:
     soles = {}
     for foot in Foot:
         frame = model.frames[model.soles[foot].frame]
-        corners = [rounded(DQ(frame.pose).transform_point(c)) for c in model.soles[foot].corners]
+        corners = [_rounded(DQ(frame.pose).transform_point(c)) for c in model.soles[foot].corners]
         soles[foot.value] = {"b": frame.body, "corners": corners}
     return {
         "robot": model.name,
         "bodies": [
-            {"parent": b.parent, "joint": b.joint, **_pose(b.origin), "axis": rounded(b.axis)} for b in model.bodies
+            {"parent": b.parent, "joint": b.joint, **_pose(b.origin), "axis": _rounded(b.axis)} for b in model.bodies
         ],
         "shapes": [
             {"b": s.body, "k": s.kind, **_size(s), "c": list(s.color), **_pose(s.pose)}
@@ -99,12 +121,12 @@ def _size(shape: Shape) -> dict[str, Any]:
 
 
 def _pose(x: Array) -> dict[str, list[float]]:
-    return {"p": rounded(DQ(x).translation()), "r": [float(v) for v in x[:4]]}
+    return {"p": _rounded(DQ(x).translation()), "r": [float(v) for v in x[:4]]}
 
 
-def rounded(values: Array) -> list[float]:
+def _rounded(values: Array) -> list[float]:
     """Return numbers for JSON, rounded to keep the file small."""
-    return [round(float(v), _ROUND + 2) for v in values]
+    return [round(float(v), _DIGITS) for v in values]
 
 
 def packed(values: NDArray[Any], kind: str = "<f4") -> str:

@@ -16,8 +16,8 @@ from urllib.parse import urlsplit
 import numpy as np
 import viser
 import websockets.asyncio.server
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ViewerError
 from dqwalk_ros.report.scene import COM, DIVERGENT, FOOT, Moment, Region, Scene, Shape, View, color_of
@@ -27,7 +27,6 @@ from dqwalk_ros.simulation import walk_type
 
 __all__ = ["HOST", "Page"]
 
-Array = NDArray[np.float64]
 
 HOST = "127.0.0.1"
 """The page is served to this machine only, because it has no password."""
@@ -50,7 +49,6 @@ class Page:
 
     Attributes
     ----------
-    server : viser.ViserServer
     history : History
         The margins over time, for the curves.
     shown : int
@@ -95,7 +93,6 @@ class Page:
         self.shown = 0
         self.total_steps = 0
         self._drawing: _Drawing | None = None
-        self._scene: Scene | None = None
         self._way: deque[Array] = deque(maxlen=6000)
         self._pictures: deque[float] = deque(maxlen=60)
         self._text_at = 0.0
@@ -105,11 +102,6 @@ class Page:
     def url(self) -> str:
         """Address of the page."""
         return f"http://{HOST}:{self.server.get_port()}"
-
-    @property
-    def watched(self) -> bool:
-        """Whether a browser is connected."""
-        return bool(self.server.get_clients())
 
     @property
     def rate(self) -> float:
@@ -125,12 +117,8 @@ class Page:
     def offer_push(self, push: Callable[[Array], None], impulse: float) -> None:
         """Add the controls that push a simulated robot.
 
-        Parameters
-        ----------
-        push : callable
-            Called with the impulse (3,) in the frame of the base sole [N s].
-        impulse : float
-            Default value; the slider ends at ten times this value [N s].
+        `push` is called with an impulse (3,) in the frame of the base sole [N s]. Its default is `impulse` [N s]; the
+        slider ends at ten times this value.
         """
         if self._push is not None:
             return
@@ -152,7 +140,6 @@ class Page:
         """Set the robot to be shown; with an opacity below 1 its interior is visible."""
         if self._drawing is not None:
             self.server.scene.remove_by_name("/robot")
-        self._scene = scene
         self.total_steps = walk_type(scene.config).phases(scene.config) // 2
         self._drawing = _Drawing(self.server, scene, opacity)
 
@@ -166,30 +153,24 @@ class Page:
             self._drawing.add_footprint(index, foot, x)
 
     def show(self, moment: Moment, *, way: Array | None = None, force: bool = False) -> View:
-        """Draw a moment.
+        """Draw a moment, and the path (N, 3) of the centre of mass, by default that of the moments shown so far.
 
-        Parameters
-        ----------
-        moment : Moment
-        way : ndarray, shape (N, 3), optional
-            Path of the centre of mass up to this moment; by default that of the moments shown so far.
-        force : bool
-            Update the panels, too, even if they were updated recently.
+        With `force` the panels are updated even if they were updated recently.
         """
-        assert self._scene is not None  # set_scene comes first
-        assert self._drawing is not None
-        view = self._scene.look(moment)
+        drawing = self._drawing
+        assert drawing is not None  # set_scene comes first
+        view = drawing.scene.look(moment)
         now = time.monotonic()
         with self.server.atomic():
             if self._live:
-                self._collect(view)
-            self._drawing.show(view)
+                self._collect(drawing, view)
+            drawing.show(view)
             if self.shown == 0:
                 camera = self.server.initial_camera
-                camera.position, camera.look_at = _home(self._scene, view)
+                camera.position, camera.look_at = _home(drawing.scene, view)
             if force or now - self._text_at >= _TEXT:
                 self._text_at = now
-                self._drawing.trail(np.array(self._way) if way is None else way, view.ground)
+                drawing.trail(np.array(self._way) if way is None else way, view.ground)
                 self._show_text(view)
         self.shown += 1
         self._pictures.append(now)
@@ -200,15 +181,14 @@ class Page:
         assert self._drawing is not None  # set_scene comes first
         self._drawing.point_ahead(view)
 
-    def _collect(self, view: View) -> None:
-        assert self._drawing is not None
+    def _collect(self, drawing: _Drawing, view: View) -> None:
         if self.history.times and view.moment.time < self.history.times[-1]:  # a new walk
             self._way.clear()
-            self._drawing.forget()
+            drawing.forget()
         self.history.add(view)
         self._way.append(view.com)
         foot = view.moment.phase.base
-        self._drawing.add_footprint(view.moment.index, foot, view.soles[foot])
+        drawing.add_footprint(view.moment.index, foot, view.soles[foot])
 
     def _show_text(self, view: View) -> None:
         steps = (view.moment.index + 1) // 2
@@ -293,18 +273,10 @@ def _place(x: Array) -> dict[str, Any]:
 
 
 class _Drawing:
-    """Draws the views of one robot into a viser scene.
+    """Draws the views of one robot into a viser scene; `opacity` is that of the robot's shapes."""
 
-    Parameters
-    ----------
-    server : viser.ViserServer
-    scene : Scene
-    opacity : float
-        Of the robot's shapes.
-    """
-
-    def __init__(self, server: viser.ViserServer, scene: Scene, opacity: float = 1.0) -> None:
-        self._scene, self._server, self._model = server.scene, server, scene.model
+    def __init__(self, server: viser.ViserServer, scene: Scene, opacity: float) -> None:
+        self.scene, self._model, self._scene = scene, scene.model, server.scene
         self._bodies = [self._scene.add_frame(f"/robot/{b}", show_axes=False) for b in range(len(self._model.bodies))]
         for number, shape in enumerate(scene.shapes):
             _add_shape(self._scene, f"/robot/{shape.body}/{number}", shape, opacity)
@@ -317,8 +289,6 @@ class _Drawing:
         self._regions: dict[str, tuple[Region, Any]] = {}
         self._footprints: dict[int, Any] = {}
         self._polygon: Array | None = None
-        self._phase = -1
-        self.follow: Array | None = None
 
     def show(self, view: View) -> None:
         """Draw a view."""

@@ -14,7 +14,6 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
@@ -22,6 +21,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.dual_quaternions import DQ
@@ -32,13 +32,12 @@ from dqwalk_ros.report.scene import Moment, Scene, moment_of
 from dqwalk_ros.report.viewer.page import FRAME, Page
 from dqwalk_ros.report.viewer.panels import History
 from dqwalk_ros.robot import Foot, load_model
-from dqwalk_ros.simulation import Trace, make_walk
+from dqwalk_ros.simulation import PhaseRecord, Trace
 from dqwalk_ros.state import State
-from dqwalk_ros.walk import Phase, PhaseKind
+from dqwalk_ros.walk import Phase
 
 __all__ = ["Feed", "Player"]
 
-Array = NDArray[np.float64]
 _SPEEDS = ("0.25", "0.5", "1", "2", "5", "10", "20", "50")
 _CURVE = 400
 """Points of each curve."""
@@ -49,14 +48,7 @@ _IDLE = 0.1
 
 
 class Player:
-    """Plays a walk on a page.
-
-    Parameters
-    ----------
-    page : Page
-    trace : Trace
-        With at least one state.
-    """
+    """Plays a walk, of at least one state, on a page."""
 
     def __init__(self, page: Page, trace: Trace) -> None:
         self._page, self._trace = page, trace
@@ -69,10 +61,10 @@ class Player:
         scene = Scene(trace.config, trace.model)
         page.set_scene(scene)
         history = History()
-        for tick in np.unique(np.linspace(0, len(trace) - 1, min(_CURVE, len(trace))).astype(int)).tolist():
+        for tick in _spread(trace, _CURVE).tolist():
             history.add(scene.look(moment_of(trace, tick, self._phases)))
         page.replay_of(history, _prints(trace))
-        self._way_ticks = np.unique(np.linspace(0, len(trace) - 1, min(_WAY, len(trace))).astype(int))
+        self._way_ticks = _spread(trace, _WAY)
         self._way = np.array([self._com(tick) for tick in self._way_ticks.tolist()])
         self._add_controls()
         self.show()
@@ -182,6 +174,11 @@ class Player:
     _slid_at = 0.0
 
 
+def _spread(trace: Trace, count: int) -> NDArray[np.intp]:
+    """Return some ticks of a walk, evenly spread."""
+    return np.unique(np.linspace(0, len(trace) - 1, min(count, len(trace))).astype(int))
+
+
 def _prints(trace: Trace) -> Iterator[tuple[int, Foot, Array]]:
     """Yield phase, foot and pose of every footprint, each position once."""
     seen: list[Array] = []
@@ -200,35 +197,8 @@ _STARTUP = 60.0
 """Longest time for the start of the page's process [s]."""
 
 
-@dataclass(frozen=True)
-class _Update:
-    """A state and its phase, small enough to be sent sixty times a second."""
-
-    time: float
-    q: Array
-    kind: PhaseKind
-    support: Foot
-    q_start: Array
-    swing_target: Array | None
-    index: int
-    began: float
-    x_odom_base: Array
-    solver: str
-    dq: Array | None
-
-
 class Feed:
     """Starts a page in another process and sends moments to it; moments that arrive too fast are dropped.
-
-    Parameters
-    ----------
-    config : Config
-    port : int, optional
-        As `Page`.
-
-    Attributes
-    ----------
-    url : str
 
     Raises
     ------
@@ -259,33 +229,17 @@ class Feed:
         if now < self._due or controller.phase_index < 0:
             return
         self._due = now + _PERIOD
-        phase, last = controller.phase, controller.last
-        solver = f"solved in {1e6 * last.solve_time:.0f} µs, {last.iterations} iterations; "
-        self._put(
-            _Update(
-                state.time,
-                state.q,
-                phase.kind,
-                phase.support,
-                phase.q_start,
-                phase.swing_target,
-                controller.phase_index,
-                controller.phase_time0,
-                controller.x_odom_base,
-                solver + f"active: {', '.join(last.active[:3]) or 'none'}",
-                state.dq,
-            )
-        )
+        last, active = controller.last, ", ".join(controller.last.active[:3]) or "none"
+        solver = f"solved in {1e6 * last.solve_time:.0f} µs, {last.iterations} iterations; active: {active}"
+        record = PhaseRecord.of(controller, 0, controller.phase_time0)  # much smaller than the phase
+        with contextlib.suppress(queue.Full):
+            self._queue.put_nowait((record, controller.phase_index, state, solver))
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def _put(self, update: Any) -> None:
-        with contextlib.suppress(queue.Full):
-            self._queue.put_nowait(update)
 
     def replay(self, bag: Path) -> None:
         """Replay the bag of the walk on the page."""
@@ -314,7 +268,7 @@ def _serve(updates: Any, parent: Any, config: Config, port: int | None) -> None:
     parent.send(page.url)
     scene = Scene(config, load_model(config.robot))
     page.set_scene(scene)
-    phases: dict[tuple[int, float], Phase] = {}
+    shown: tuple[int, float] | None = None
     while True:
         item = updates.get()
         with contextlib.suppress(queue.Empty):
@@ -322,16 +276,13 @@ def _serve(updates: Any, parent: Any, config: Config, port: int | None) -> None:
                 item = updates.get_nowait()
         if isinstance(item, str):
             break
-        began = time.monotonic()
-        key = item.index, item.began
-        if key not in phases:
-            walk = make_walk(config, scene.model)
-            phases = {key: walk.phase(item.kind, item.support, item.q_start, item.swing_target)}
-        phase = phases[key]
-        page.show(
-            Moment(item.time, item.q, phase, item.index, item.began, item.x_odom_base, phase.name, item.solver, item.dq)
-        )
-        time.sleep(max(0.0, FRAME - (time.monotonic() - began)))
+        drawn = time.monotonic()
+        record, index, state, solver = item
+        if shown != (index, record.time):
+            shown, phase = (index, record.time), record.phase(config, scene.model)
+        x, began = record.x_odom_base, record.time
+        page.show(Moment(state.time, state.q, phase, index, began, x, record.name, solver, state.dq))
+        time.sleep(max(0.0, FRAME - (time.monotonic() - drawn)))
     from dqwalk_ros.report import bag
 
     Player(page, bag.read(item)).run()
