@@ -18,7 +18,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -100,7 +100,6 @@ def run_walk(
 
     Parameters
     ----------
-    config : Config
     bag : path-like
         Folder that the recorder creates; it must not exist.
     plant : {"integrator", "physics", "poppy_as_built", "poppy"}
@@ -115,10 +114,6 @@ def run_walk(
         Folder for parameters and logs of the nodes; by default `log` beside the bag.
     domain : int, optional
         ROS domain; by default ``ROS_DOMAIN_ID`` if it is set, else one that no other walk on this machine uses.
-
-    Returns
-    -------
-    Outcome
     """
     bag = Path(bag)
     folder = Path(logs) if logs is not None else bag.parent / "log"
@@ -157,7 +152,7 @@ def run_walk(
             walk.show()
         processes.stop()
         reason = reason or _recording_error(processes, lockstep)
-        paces = [line["text"] for line in processes.said(node) if line.get("event") == "pace"]
+        pace = processes.reports[node].get("text", "")
     return Outcome(
         finished=not reason,
         reason=reason,
@@ -166,7 +161,7 @@ def run_walk(
         took=walk.took,
         bag=bag,
         logs=folder,
-        pace=paces[-1] if paces else "",
+        pace=pace,
     )
 
 
@@ -189,15 +184,14 @@ class _Progress:
         self._first: tuple[float, int] | None = None  # time and ticks of the first report
 
     def update(self) -> None:
-        """Read the new reports of the controller."""
-        now = time.monotonic()
-        for line in self._processes.said("controller"):
-            if line.get("event") != "walk":
-                continue
-            if line["ticks"] > self.last.get("ticks", -1):
-                self._last_progress = now
-            self._first = self._first or (now, line["ticks"])
-            self.last, self.took = line, now - self._first[0]
+        """Read the last report of the controller."""
+        line, now = self._processes.reports["controller"], time.monotonic()
+        if line is self.last or not line:
+            return
+        if line["ticks"] > self.last.get("ticks", -1):
+            self._last_progress = now
+        self._first = self._first or (now, line["ticks"])
+        self.last, self.took = line, now - self._first[0]
 
     def ended(self) -> str | None:
         """Return None during the walk, "" if it is finished, or the error that ended it."""
@@ -233,10 +227,10 @@ class _Progress:
 
 def _recording_error(processes: Processes, lockstep: bool) -> str:
     """Return the error of the finished recording, "" without one; missing messages are an error in lockstep only."""
-    recorded = [line for line in processes.said("recorder") if line.get("event") == "recorded"]
+    recorded = processes.reports["recorder"]
     if not recorded:
         return f"the recorder did not finish the bag: {processes.last_error('recorder')}"
-    missing = recorded[-1]["missing"]
+    missing = recorded["missing"]
     if lockstep and missing:
         return "the bag is incomplete: " + ", ".join(f"{n} of {name} are missing" for name, n in missing.items())
     return ""
@@ -268,13 +262,18 @@ class Processes:
         ROS domain; None: that of the environment.
     extra : mapping of str to str
         Additional environment variables.
+
+    Attributes
+    ----------
+    reports : dict of str to dict
+        The last report of each node on its standard output, a line of JSON; empty before the first.
     """
 
     def __init__(self, logs: Path, domain: int | None = None, extra: Mapping[str, str] | None = None) -> None:
         self._logs = logs
         self._environment = {**environment(domain), **(extra or {})}
         self._running: dict[str, subprocess.Popen[str]] = {}
-        self._reports: dict[str, list[dict[str, Any]]] = {}
+        self.reports: dict[str, dict[str, Any]] = {}
         self._readers: dict[str, threading.Thread] = {}
         self._reported = threading.Event()
 
@@ -301,15 +300,14 @@ class Processes:
                 env=self._environment,
                 start_new_session=True,  # Ctrl-C reaches this process only, which then ends the nodes in order
             )
-        self._running[name], self._reports[name] = process, []
-        self._readers[name] = threading.Thread(target=self._read, args=(process, self._reports[name]), daemon=True)
+        self._running[name], self.reports[name] = process, {}
+        self._readers[name] = threading.Thread(target=self._read, args=(name, process.stdout), daemon=True)
         self._readers[name].start()
 
-    def _read(self, process: subprocess.Popen[str], reports: list[dict[str, Any]]) -> None:
-        assert process.stdout is not None  # it is a pipe
-        for text in process.stdout:
+    def _read(self, name: str, output: Iterable[str]) -> None:
+        for text in output:
             with contextlib.suppress(json.JSONDecodeError):
-                reports.append(json.loads(text))
+                self.reports[name] = json.loads(text)
             self._reported.set()
         self._reported.set()
 
@@ -318,14 +316,8 @@ class Processes:
         self._reported.wait(timeout)
         self._reported.clear()
 
-    def said(self, name: str) -> Iterator[dict[str, Any]]:
-        """Yield the reports of a node on its standard output since the last call."""
-        reports = self._reports[name]
-        while reports:
-            yield reports.pop(0)
-
     def exit_code(self, name: str) -> int | None:
-        """Return the exit code of a node, None while it runs; after its end, all of its reports are available."""
+        """Return the exit code of a node, None while it runs; after its end, its last report is available."""
         code = self._running[name].poll()
         if code is not None:
             self._readers[name].join(1.0)

@@ -10,22 +10,21 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable
-from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from rclpy.publisher import Publisher
-from std_srvs.srv import Trigger
 
 from dqwalk_ros.errors import DqwalkError, QPError, StateError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
 from dqwalk_ros.nodes.safety import DuplicateStates, FaultCounter, StateGate
 from dqwalk_ros.robot import load_model
-from dqwalk_ros.topics import BODY_TOPICS, PHASE_LOG, TOPICS
+from dqwalk_ros.state import Command
 
-__all__ = ["AnsweringNode"]
+__all__ = ["AnsweringNode", "Fields"]
+
+Fields = dict[str, Any]
+"""A command: values (n,) by the field of JointState."""
 
 _PERIODS = 50
 """Number of periods from which the rate of the states is computed."""
@@ -40,46 +39,31 @@ class AnsweringNode(WalkNode):
     """A controller node: answers each valid state with a command, and stops the robot on a fault.
 
     In real time the stop command is sent once; in lockstep the plant does not move without a command.
-
-    Parameters
-    ----------
-    name : str
-    options : argparse.Namespace
-    gate : type of StateGate
-        Decides which states are accepted.
-    states : str
-        Name of the states in log messages.
-    stopping : str
-        Name of the stop command in log messages.
     """
 
-    _commands: Publisher
-    _still: Any
-    """The command that stops the robot."""
-    _sent: Any
-    """The last command that was published."""
+    gate: type[StateGate] = StateGate
+    """Decides which states are accepted."""
+    field, stopping = "velocity", "zero velocity"
+    """Field of a command that is zero when the robot stops, and the name of that command in log messages."""
+    states = awaited = "joint_states"
+    """Name of the states in log messages, and of all that is awaited at the start."""
+    what = "walk"
+    """Name of the status on /diagnostics."""
 
-    def __init__(
-        self,
-        name: str,
-        options: argparse.Namespace,
-        *,
-        gate: type[StateGate] = StateGate,
-        states: str = "joint_states",
-        stopping: str = "zero velocity",
-        **keywords: Any,
-    ) -> None:
+    def __init__(self, name: str, options: argparse.Namespace, **keywords: Any) -> None:
         super().__init__(name, options, **keywords)
         config = self.config
-        self._states, self._awaited, self._stopping = states, states, stopping
         self._model = load_model(config.robot)
         self._reader = ros.JointReader(self._model.joint_names)
         self._command_msg = ros.JointWriter(self._model.joint_names)
+        self._commands = self.advertise(self.claims)
+        self._still: Fields = {self.field: np.zeros(self._model.n)}
+        self._sent = self._still  # the last command
         self._problem = ""
         self._stamp = -1  # of the last state answered [ns]
         self._accepted = -1  # stamp of the last state accepted [ns]
         self._periods: deque[float] = deque(maxlen=_PERIODS)  # between states [s]
-        self._gate = gate(
+        self._gate = self.gate(
             self._model,
             config.dt,
             lambda: self.config.plant.command_timeout,
@@ -103,24 +87,16 @@ class AnsweringNode(WalkNode):
         """Whether the walk is under way; otherwise the robot stands still."""
         raise NotImplementedError
 
-    def _numbers(self, command: Any) -> NDArray[np.float64]:
-        """Return all numbers of a command that are published, to check that they are finite."""
-        raise NotImplementedError
-
-    def _publish_command(self) -> None:
-        """Publish `_sent` with the stamp of the last state answered."""
-        raise NotImplementedError
-
     def _fail(self, reason: str) -> None:
         """End the walk as failed."""
-        raise NotImplementedError
+        self._problem = reason
 
     def _done(self) -> None:
         """Log and publish how the walk ended; called once."""
         raise NotImplementedError
 
-    def _diagnose(self, level: str = "", message: str = "") -> None:
-        """Publish diagnostics; without a level, those of the walk."""
+    def _condition(self) -> tuple[str, str, dict[str, object]]:
+        """Return level, message and values for /diagnostics of a walk without a problem."""
         raise NotImplementedError
 
     # ------------------------------------------------------------------ states
@@ -128,13 +104,11 @@ class AnsweringNode(WalkNode):
     def _reject(self, error: StateError) -> None:
         """Log and count a state that was rejected; nothing else changes."""
         self._rejected += 1
-        self.get_logger().error(f"{self._states} rejected ({self._rejected} so far): {error}", **THROTTLE)
+        self.get_logger().error(f"{self.states} rejected ({self._rejected} so far): {error}", **THROTTLE)
         if self._gate.jumped and self._is_walking:
-            self._fail(self._gate.jumped.reason)
-            self._publish_zero()
-            self._done()
+            self._end(self._gate.jumped.reason)
         elif self._is_time_to_diagnose():
-            self._diagnose("ERROR", f"{self._states} rejected: {error}")
+            self._diagnose("ERROR", self._problem or f"{self.states} rejected: {error}")  # the cause of a fall stays
 
     def _is_new(self, stamp: int) -> bool:
         if self.lockstep:
@@ -167,22 +141,11 @@ class AnsweringNode(WalkNode):
         if self._ticks or not self.config.node.wait_for_recorder:
             return True
         ends = self.get_subscriptions_info_by_topic(self.resolve_topic_name("joint_states"))
-        gets_states = any(end.node_name == "recorder" for end in ends)
-        return gets_states and all(
-            ros.is_heard_by(self, offered, "recorder")
-            for offered in self.publishers
-            if offered.topic_name in self._recorded
-        )
-
-    @cached_property
-    def _recorded(self) -> set[str]:
-        """Topics that a recorder subscribes to; it records `phase` by its log."""
-        names = {topic.name for topic in (TOPICS | BODY_TOPICS).values()} - {"phase"} | {PHASE_LOG.name}
-        return {self.resolve_topic_name(name) for name in names}
+        return any(end.node_name == "recorder" for end in ends) and self.is_recorded()
 
     # ------------------------------------------------------------------ answers
 
-    def _guarded(self, step: Callable[[], Any]) -> Any | None:
+    def _guarded(self, step: Callable[[], Command]) -> Any | None:
         """Return the command of `step`, or None after an error; an error that is not tolerated ends the walk."""
         try:
             command = step()
@@ -200,10 +163,20 @@ class AnsweringNode(WalkNode):
             self._fail(f"internal error: {type(error).__name__}: {error}")
             return None
         self._failures.good()
-        if not np.isfinite(self._numbers(command)).all():
+        if not (np.isfinite(command.velocity).all() and (command.effort is None or np.isfinite(command.effort).all())):
             self._fail("internal error: the command is not finite")
             return None
         return command
+
+    def _publish_command(self) -> None:
+        """Publish the last command with the stamp of the last state answered."""
+        self._commands.publish(self._command_msg(self._stamp, **self._sent))
+
+    def _end(self, reason: str) -> None:
+        """End the walk as failed, and stop the robot."""
+        self._fail(reason)
+        self._publish_zero()
+        self._done()
 
     def _publish_zero(self) -> None:
         if not self.lockstep and self._stamp >= 0:
@@ -219,13 +192,13 @@ class AnsweringNode(WalkNode):
     def _check_timeout(self) -> None:
         """Stop the robot, once, if its states have timed out; in real time only, lockstep has no timeout."""
         if self._stamp < 0 and self._is_time_to_diagnose():
-            self._diagnose("WARN", f"waiting for {self._awaited}")
+            self._diagnose("WARN", f"waiting for {self.awaited}")
         if self.lockstep or self._stale or self._stamp < 0 or not self._gate.watchdog.silent:
             return
         self._stale = True
         self._publish_zero()
-        self.get_logger().warning(f"{self._states} timed out: commanding {self._stopping}", **THROTTLE)
-        self._diagnose("STALE", f"{self._states} timed out")
+        self.get_logger().warning(f"{self.states} timed out: commanding {self.stopping}", **THROTTLE)
+        self._diagnose("STALE", f"{self.states} timed out")
 
     def _check_plants(self) -> None:
         """Stand still while two plants publish the robot's state."""
@@ -248,18 +221,21 @@ class AnsweringNode(WalkNode):
         error = abs(period / dt - 1.0)
         text = f"joint_states arrive every {period:.4f} s, but dt is {dt:g} s: set dt to the period of the states"
         if self._is_walking and (period > _MAX_PERIOD * dt or (self.lockstep and error > 1e-3)):
-            self._fail(text)
-            self._publish_zero()
-            self._done()
+            self._end(text)
         elif error > _RATE_TOLERANCE and len(self._periods) == _PERIODS:
             self.get_logger().warning(text, throttle_duration_sec=30.0, throttle_time_source_type=STEADY)
 
-    # ------------------------------------------------------------------ responses and diagnostics
+    # ------------------------------------------------------------------ diagnostics
 
-    def _answer(self, response: Trigger.Response, success: bool, message: str) -> Trigger.Response:
-        self.get_logger().info(message)
-        response.success, response.message = success, message
-        return response
+    def _diagnose(self, level: str = "", message: str = "") -> None:
+        """Publish diagnostics; without a level, those of the walk."""
+        self._diagnosed = time.perf_counter()
+        of_walk, text, values = self._condition()
+        if not level:
+            trouble = self._problem or (f"two plants: {self._duplicates}" if self._duplicates else "")
+            level, message = "ERROR" if trouble or self._failures.count else of_walk, trouble or text
+        values = {"ticks": self._ticks, "states rejected": self._rejected, **values}
+        self.diagnose(self.what, self._model.name, level, message, values, max(self._stamp, 0))
 
     def _is_time_to_diagnose(self) -> bool:
         return time.perf_counter() - self._diagnosed >= 1.0 / self.config.monitor.rate

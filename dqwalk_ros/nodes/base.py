@@ -26,12 +26,11 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
-from dqwalk_ros.config import Config
+from dqwalk_ros.config import OF_RCLPY, Config
 from dqwalk_ros.errors import ConfigError, DqwalkError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes import parameters, wheels
-from dqwalk_ros.nodes.command_line import NODES
-from dqwalk_ros.topics import BODY_TOPICS, TOPICS, Topic
+from dqwalk_ros.topics import BODY_TOPICS, PHASE_LOG, TOPICS, Topic
 
 __all__ = ["STEADY", "THROTTLE", "WalkNode", "main"]
 
@@ -54,7 +53,6 @@ class WalkNode(Node):
 
     Parameters
     ----------
-    name : str
     options : argparse.Namespace
         From `command_line.parse`.
     **keywords
@@ -86,7 +84,7 @@ class WalkNode(Node):
             super().__init__(name, **keywords)
         except Exception as error:  # rclpy raises its own, undocumented types
             raise ConfigError(wheels.first_line(error)) from error
-        self.config: Config = parameters.declare(self, options.argv, NODES)
+        self.config: Config = parameters.declare(self, options.argv)
         self.add_on_set_parameters_callback(self._on_parameters)
         self._made = time.monotonic()
         self.done = Future()
@@ -101,7 +99,7 @@ class WalkNode(Node):
         return self.config.plant.lockstep
 
     def _on_parameters(self, wanted: Iterable[Parameter]) -> SetParametersResult:
-        changed = parameters.changes(list(wanted))
+        changed = {p.name: p.value for p in wanted if p.name.split(".")[0] not in OF_RCLPY}
         try:
             config = self.config.updated(changed)
             self.tune(config)
@@ -160,6 +158,18 @@ class WalkNode(Node):
         if self.uses_sim_time and not self.get_clock().now().nanoseconds:
             return "use_sim_time is set, but no node publishes /clock"
         return ""
+
+    def is_recorded(self) -> bool:
+        """Return whether the recorder has subscribed to every topic of this node that it records."""
+        names = {topic.name for topic in (TOPICS | BODY_TOPICS).values()} - {"phase"} | {PHASE_LOG.name}
+        recorded = {self.resolve_topic_name(name) for name in names}
+        return all(ros.is_heard_by(self, end, "recorder") for end in self.publishers if end.topic_name in recorded)
+
+    def answer(self, response: Any, success: bool, message: str) -> Any:
+        """Return the response of a Trigger or SetBool service, and log its message."""
+        self.get_logger().info(message)
+        response.success, response.message = success, message
+        return response
 
     def refuse_a_second(self) -> None:
         """Refuse to start if a node of this name is already running, because the same walk was launched twice.
@@ -247,10 +257,10 @@ def main(kind: Callable[[argparse.Namespace], WalkNode], options: argparse.Names
     node: WalkNode | None = None
     code = 1
     try:
-        stopped = wheels.init(options.argv)
+        signals = wheels.init(options.argv)
         node = made = kind(options)
         made.refuse_a_second()
-        wheels.spin(made, lambda: (stopped.is_set() or made.done.done()) and made.is_drained(), pause=made.pause)
+        wheels.spin(made, lambda: (signals or made.done.done()) and made.is_drained(), pause=made.pause)
         code = made.done.result() if made.done.done() else 0
     except DqwalkError as error:
         print(f"{options.argv[0]}: {error}", file=sys.stderr)

@@ -13,7 +13,6 @@ import time
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
@@ -24,7 +23,7 @@ from dqwalk_ros.errors import DqwalkError, StateError
 from dqwalk_ros.estimation.drive import DriveWatch
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.answering import AnsweringNode
+from dqwalk_ros.nodes.answering import AnsweringNode, Fields
 from dqwalk_ros.nodes.footsteps import FootstepInput
 from dqwalk_ros.nodes.inputs import InertialSensor, Steering
 from dqwalk_ros.nodes.odometry import Odometry
@@ -41,12 +40,9 @@ from dqwalk_ros.walk import PhaseKind
 
 __all__ = ["Controller", "Mode"]
 
-Array = NDArray[np.float64]
 
 _READY_DELAY = 0.3
 """Longest time until a plant reports on plant_ready that it holds [s]."""
-
-
 _REMEMBERED = 10.0
 """Time for which the last states are stored, to find the cause of a fall [s]."""
 
@@ -60,12 +56,6 @@ class Mode(enum.Enum):
     DONE = FINISHED
     FAILED = "failed"
     FALLEN = FALLEN
-
-
-def upright_axis(model: RobotModel) -> NDArray[np.float64]:
-    """Return the direction in the inertial sensor's frame that points up in the robot's zero posture, shape (3,)."""
-    kin = Kinematics(model, np.zeros(model.n), Foot.LEFT)
-    return np.array([kin.direction(model.imu, axis)[2] for axis in np.eye(3)])
 
 
 class Controller(AnsweringNode):
@@ -113,26 +103,22 @@ class Controller(AnsweringNode):
         super().__init__("controller", options, **keywords)
         config = self.config
         if config.plant.imu:
-            self._awaited = "joint_states and imu"
+            self.awaited = "joint_states and imu"
         warm_up(config, self._model)
         self._walk = make_controller(config, self._model)
-        self._upright = upright_axis(self._model)
+        zero = Kinematics(self._model, np.zeros(self._model.n), Foot.LEFT)  # in which the sensor's `_upright` points up
+        self._upright = np.array([zero.direction(self._model.imu, axis)[2] for axis in np.eye(3)])
         self._mode = Mode.WALKING if config.node.autostart else Mode.IDLE
-        self._published_config = config  # on walk_config
-        self._still = self._sent = Command(0.0, np.zeros(self._model.n))
         self._stamp0 = -1  # of the first state answered [ns]
         self._plant_ready = True
         self._contradictions = Contradictions(
-            self._model.joint_names, config.safety.contradiction, lambda: self.config.plant.command_timeout
+            self._model.joint_names, config.safety.contradiction, config.dt, lambda: self.config.plant.command_timeout
         )
         self._suspected, self._suspected_at = "", 0.0  # contradiction that was detected, and its time [s]
         self._lying = ""  # how far the pelvis leans, where that is too far
-        self._phase_index = self._phase_stamp = -1
-        self._decision = ""
         self._compute_time = 0.0  # from the last state in to its command out [s]
         self._reported = -float("inf")  # steady time [s]
 
-        self._commands = self.advertise("joint_velocity_commands")
         self._phases = PhasePublisher(self, self._model)
         self._odometry = Odometry(self, self._model)
         self._drive = DriveWatch(Drive.of(config, self._model))
@@ -143,7 +129,7 @@ class Controller(AnsweringNode):
         # In real time only the newest state is of use; in lockstep every state must arrive.
         self.listen(JointState, "joint_states", self._on_state, ros.stream(1, reliable=self.lockstep))
         self.create_subscription(Bool, "plant_ready", self._on_plant_ready, ros.latched())
-        self._imu = InertialSensor(self, self._model.imu_link, self._on_state) if config.plant.imu else None
+        self._imu = InertialSensor(self, self._model.imu_link, self._take) if config.plant.imu else None
         steered = not walk_type(config).phases(config)
         self._steering = Steering(self, self._walk) if steered else None
         self._footsteps = FootstepInput(self, self._walk, self._odometry) if steered else None
@@ -159,15 +145,17 @@ class Controller(AnsweringNode):
     # ------------------------------------------------------------------ the loop
 
     def _on_state(self, msg: JointState) -> None:
+        if not self._reader.is_foreign(msg):
+            self._plants.note(msg.name, ros.nanoseconds(msg.header.stamp))
+            self._take(msg)
+
+    def _take(self, msg: JointState) -> None:
+        """Answer a state; one that has waited for its imu message comes here twice."""
         began = time.perf_counter()
         stamp = ros.nanoseconds(msg.header.stamp)
-        if self._reader.is_foreign(msg):
-            return
-        self._plants.note(msg.name, stamp)
         try:
-            state: State | None = self._reader.state(msg)
-            if state is not None and self._imu is not None:
-                state = self._imu.join(msg, state)
+            read = self._reader.state(msg)
+            state = read if self._imu is None else self._imu.join(msg, read)
             if state is None or not self._is_new(stamp):
                 return
             self._look_for_a_fall(state)
@@ -182,7 +170,7 @@ class Controller(AnsweringNode):
         ready = self._plant_ready and not self._duplicates
         self._look_for_contradictions(state, ready)
         if self._mode is Mode.WALKING and ready and not self._suspected:
-            answer: Command | None = self._step(state, stamp)
+            answer: Fields | None = self._step(state, stamp)
         elif self.lockstep:
             answer = None  # no answer: simulated time stands still
         else:
@@ -202,7 +190,7 @@ class Controller(AnsweringNode):
     def _publish_odometry(self, stamp: int, state: State) -> None:
         """Publish the pose of the robot in the frame of the first phase, also before that phase has begun."""
         base, both, x_base = self._first_base, True, DQ(1.0)
-        if self._phase_index >= 0:
+        if self._has_begun:
             phase = self._walk.phase
             base, both, x_base = phase.base, phase.kind is not PhaseKind.SINGLE_SUPPORT, DQ(self._walk.x_odom_base)
         kin = Kinematics(self._model, state.q, base)
@@ -214,10 +202,7 @@ class Controller(AnsweringNode):
     def _is_walking(self) -> bool:
         return self._mode is Mode.WALKING
 
-    def _numbers(self, command: Command) -> Array:
-        return command.velocity if command.effort is None else np.concatenate([command.velocity, command.effort])
-
-    def _step(self, state: State, stamp: int) -> Command:
+    def _step(self, state: State, stamp: int) -> Fields:
         """Return the command for a state; zero velocity after an error."""
 
         def step() -> Command:
@@ -233,13 +218,8 @@ class Controller(AnsweringNode):
             self._recent.add(state, command, self._walk)
         if self._stamp0 < 0:
             self._stamp0 = stamp
-        if self._walk.phase_index != self._phase_index:
-            self._phase_index = self._walk.phase_index
+        if self._phases.follow(self._walk, stamp):
             self._begin_phase(stamp)
-        elif self._walk.phase.decision != self._decision:
-            self._decision = self._walk.phase.decision
-            self._phases.change(self._walk.phase, self._phase_stamp)
-            self.get_logger().info(self._decision)
         if self._walk.finished:
             self._mode = Mode.DONE
             return self._still
@@ -247,7 +227,7 @@ class Controller(AnsweringNode):
             foot, angle = self._walk.phase.base.value, math.degrees(lean)
             self._mode, self._problem = Mode.FALLEN, f"the robot falls: its {foot} sole leans by {angle:.0f} deg"
             return self._still
-        return command
+        return {"velocity": command.velocity, "effort": command.effort}
 
     def _look_for_a_fall(self, state: State) -> None:
         """End the walk if the pelvis leans too far: commands to a robot that lies on the floor only do damage.
@@ -274,7 +254,7 @@ class Controller(AnsweringNode):
             return
         if not self._suspected:
             leaning = self._walk.lean > 0.5 * self.config.safety.sole_tilt
-            self._suspected = self._contradictions.judge(state, self._sent.velocity, leaning=leaning)
+            self._suspected = self._contradictions.judge(state, self._sent["velocity"], leaning=leaning)
             self._suspected_at = state.time
         # a plant that does not receive the commands holds, and reports this a little later
         waits = 0.0 if self.lockstep else self.config.plant.command_timeout + _READY_DELAY
@@ -282,7 +262,8 @@ class Controller(AnsweringNode):
             self._fail(self._suspected)
 
     def _fail(self, reason: str) -> None:
-        self._mode, self._problem = Mode.FAILED, reason
+        super()._fail(reason)
+        self._mode = Mode.FAILED
 
     def _done(self) -> None:
         """Log and publish how the walk ended; called once."""
@@ -319,36 +300,37 @@ class Controller(AnsweringNode):
         if self._mode in (Mode.IDLE, Mode.PAUSED):
             self._mode = Mode.WALKING
             self._show_phase()
-            return self._answer(response, True, "walking")
+            return self.answer(response, True, "walking")
         if self._mode is Mode.WALKING:
-            return self._answer(response, True, "already walking")
+            return self.answer(response, True, "already walking")
         why = "it is over" if self._mode is Mode.DONE else f"it failed: {self._problem}"
-        return self._answer(response, False, f"this walk cannot continue, {why}; call ~/reset first")
+        return self.answer(response, False, f"this walk cannot continue, {why}; call ~/reset first")
 
     def _pause(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._mode is not Mode.WALKING:
-            return self._answer(response, self._mode is Mode.PAUSED, f"not walking: {self._mode.value}")
+            return self.answer(response, self._mode is Mode.PAUSED, f"not walking: {self._mode.value}")
         self._mode = Mode.PAUSED
         self._show_phase()
-        return self._answer(response, True, "paused: holding still; ~/start continues")
+        return self.answer(response, True, "paused: holding still; ~/start continues")
 
     def _stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._mode is not Mode.WALKING:
-            return self._answer(response, False, f"not walking: {self._mode.value}")
+            return self.answer(response, False, f"not walking: {self._mode.value}")
         try:
             self._walk.stop()
         except DqwalkError as error:
-            return self._answer(response, False, str(error))
-        return self._answer(response, True, "stopping: after the current step the feet are put together")
+            return self.answer(response, False, str(error))
+        return self.answer(response, True, "stopping: after the current step the feet are put together")
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._lying:
-            return self._answer(response, False, f"{self._lying}; put it on its feet first")
+            return self.answer(response, False, f"{self._lying}; put it on its feet first")
         self._walk.reset()
         self._odometry.restart()
         self._drive = DriveWatch(Drive.of(self.config, self._model))
         self._recent = self._new_recorder()
-        self._mode, self._problem, self._phase_index = Mode.IDLE, "", -1
+        self._phases.restart()
+        self._mode, self._problem = Mode.IDLE, ""
         self._stamp = self._stamp0 = -1
         self._sent = self._still
         self._gate.reset()
@@ -356,13 +338,9 @@ class Controller(AnsweringNode):
         self._suspected = ""
         self._failures.reset()
         self._show_phase()
-        return self._answer(response, True, "the next walk starts from the current posture of the robot; call ~/start")
+        return self.answer(response, True, "the next walk starts from the current posture of the robot; call ~/start")
 
     # ------------------------------------------------------------------ topics
-
-    def _publish_command(self) -> None:
-        msg = self._command_msg(self._stamp, velocity=self._sent.velocity, effort=self._sent.effort)
-        self._commands.publish(msg)
 
     def tune(self, config: Config) -> None:
         """Apply live parameters; those of the walk take effect at the next phase."""
@@ -371,60 +349,52 @@ class Controller(AnsweringNode):
         if any(now[name] != before[name] and not name.startswith(own) for name in now):
             self._walk.tune(config)
 
+    @property
+    def _has_begun(self) -> bool:
+        """Whether the walk has a phase."""
+        return self._stamp0 >= 0
+
+    @property
+    def _label(self) -> str:
+        """Name of the current phase, or of the mode."""
+        return self._walk.phase.name if self._mode is Mode.WALKING and self._has_begun else self._mode.value
+
     def _show_phase(self) -> None:
-        walking = self._mode is Mode.WALKING and self._phase_index >= 0
-        name = self._walk.phase.name if walking else self._mode.value
-        if name != Mode.WALKING.value:  # no phase is known before the first state
-            self._phases.show(name)
+        if self._label != Mode.WALKING.value:  # no phase is known before the first state
+            self._phases.show(self._label)
 
     def _begin_phase(self, stamp: int) -> None:
         phase = self._walk.phase
-        self._phase_stamp, self._decision = stamp, phase.decision
-        if self._walk.config is not self._published_config:
-            self._published_config = self._walk.config
-            self._phases.tune(self._published_config, stamp)
-        self._phases.begin(phase, stamp)
         if phase.kind is PhaseKind.SINGLE_SUPPORT:
             self._odometry.note_step()
         if self._footsteps is not None:
             self._footsteps.show()
-        self.get_logger().info(f"{(stamp - self._stamp0) * 1e-9:8.3f} s  phase {self._phase_index}: {phase.name}")
+        self.get_logger().info(f"{(stamp - self._stamp0) * 1e-9:8.3f} s  phase {self._walk.phase_index}: {phase.name}")
 
-    def _diagnose(self, level: str = "", message: str = "") -> None:
-        last = self._walk.last if self._phase_index >= 0 else None
-        values: dict[str, object] = {
-            "ticks": self._ticks,
-            "states rejected": self._rejected,
-            "states overtaken": self._gate.overtaken,
-        }
+    def _condition(self) -> tuple[str, str, dict[str, object]]:
+        last = self._walk.last if self._has_begun else None
+        values: dict[str, object] = {"states overtaken": self._gate.overtaken}
         if last is not None:
             values |= {"error": last.error, "solve time": last.solve_time, "iterations": last.iterations}
-            values["compute time"] = self._compute_time
-            values["active rows"] = ", ".join(last.active)
+            values |= {"compute time": self._compute_time, "active rows": ", ".join(last.active)}
         if self._steering is not None:
             values |= self._steering.values()
         if math.isfinite(self._drive.delay):
             values |= {"delay beyond told": self._drive.delay, "stiffness of told": self._drive.stiffness}
-        if not level:
-            trouble = self._problem or (f"two plants: {self._duplicates}" if self._duplicates else "")
-            drive = "; ".join(self._drive.warnings())
-            level = "ERROR" if trouble or self._failures.count else "WARN" if drive else "OK"
-            walking = self._mode is Mode.WALKING and self._phase_index >= 0
-            message = trouble or drive or (self._walk.phase.name if walking else self._mode.value)
-        self._diagnosed = time.perf_counter()
-        self.diagnose("walk", self._model.name, level, message, values, max(self._stamp, 0))
+        drive = "; ".join(self._drive.warnings())
+        return "WARN" if drive else "OK", drive or self._label, values
 
     def _report_progress(self, final: bool = False) -> None:
         now = time.perf_counter()
         if not (final or now - self._reported > 0.5):
             return
         self._reported = now
-        walking = self._phase_index >= 0
+        walking = self._has_begun
         self.report(
             "walk",
             mode=self._mode.value,
             phase=self._walk.phase.name if walking else "",
-            phase_index=self._phase_index,
+            phase_index=self._walk.phase_index,
             time=(self._stamp - self._stamp0) * 1e-9 if walking else 0.0,
             ticks=self._ticks,
             error=float(self._walk.last.error) if walking and self._walk.last else None,

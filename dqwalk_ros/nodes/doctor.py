@@ -1,11 +1,12 @@
 """The checks of `dqwalk doctor`: is the robot ready to walk? They use its topics while it stands, and move nothing.
 
-Each check is a function of the configuration, the model and the messages received. It returns whether it passed, and a
-text with the result; the text of a check that failed says what to do.
+Each check is a function of the configuration, the model and the messages received. It returns a text with the result,
+or raises a `Fault` that says what to do.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -16,13 +17,13 @@ from typing import Any
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from numpy.typing import NDArray
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Bool
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import StateError
@@ -34,7 +35,6 @@ from dqwalk_ros.robot import Foot, RobotModel
 
 __all__ = ["CHECKS", "Finding", "Heard", "examine", "listen"]
 
-Array = NDArray[np.float64]
 
 _RATE = 0.2
 """Largest relative error of the period of the states."""
@@ -114,148 +114,143 @@ class Finding:
         return f"{'  ' if self.ok else '! '}{self.what:22s} {self.text}"
 
 
-Check = Callable[[Config, RobotModel, Heard], tuple[bool, str]]
+class Fault(Exception):
+    """A check has failed; the text is its result, and what to do."""
 
 
-def check_states(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
+Check = Callable[[Config, RobotModel, Heard], str]
+
+
+def check_states(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that states arrive."""
     if not heard.states:
         publishers = ", ".join(heard.publishers) or "no node"
-        return False, (
+        raise Fault(
             f"none in {heard.seconds:g} s; publisher: {publishers}: start the driver, or the joint_state_broadcaster; "
             "check that ROS_DOMAIN_ID, namespace and ROS_AUTOMATIC_DISCOVERY_RANGE are the same here and there"
         )
-    return True, f"{len(heard.states)} in {heard.seconds:g} s from {', '.join(sorted(set(heard.publishers)))}"
+    return f"{len(heard.states)} in {heard.seconds:g} s from {', '.join(sorted(set(heard.publishers)))}"
 
 
-def check_joint_names(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
+def check_joint_names(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that every joint of the walk is measured."""
     try:
         heard.angles(model)
     except StateError as error:
-        return False, f"{error}: name the joints as {model.name} does, or lock them with robot.lock"
+        raise Fault(f"{error}: name the joints as {model.name} does, or lock them with robot.lock") from error
     velocities = ros.JointReader(model.joint_names).state(heard.states[-1][0]).dq
-    return True, f"all {model.n}" + (
+    return f"all {model.n}" + (
         "; no measured velocities, so they are computed by differences" if velocities is None else ""
     )
 
 
-def check_rate(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
+def check_rate(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that the states arrive once per dt."""
     stamps = np.unique([ros.nanoseconds(msg.header.stamp) for msg, _ in heard.states]) * 1e-9
     if len(stamps) < 10:
-        return False, f"only {len(stamps)} different stamps: the plant must give each state its own stamp"
+        raise Fault(f"only {len(stamps)} different stamps: the plant must give each state its own stamp")
     periods = np.diff(stamps)
     middle, late = float(np.median(periods)), float(np.percentile(periods, 99))
     text = f"{1.0 / middle:.1f} Hz, 99 % within {1e3 * late:.1f} ms"
     if abs(middle / config.dt - 1.0) > _RATE:
-        return (
-            False,
-            f"{text}; dt is {config.dt:g} s: set dt to {middle:.4g}, or the rate of the driver to {1 / config.dt:g}",
+        raise Fault(
+            f"{text}; dt is {config.dt:g} s: set dt to {middle:.4g}, or the rate of the driver to {1 / config.dt:g}"
         )
     if late > _LATE * config.dt:
-        return False, f"{text}: the bus or the machine is too slow; lower the rate and dt, give the loop a processor"
-    return True, text
+        raise Fault(f"{text}: the bus or the machine is too slow; lower the rate and dt, give the loop a processor")
+    return text
 
 
-def check_latency(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
+def check_latency(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check the time between stamp and receipt of a state; the delay of the command adds to it in the loop."""
     ages = [1e-9 * (at - ros.nanoseconds(msg.header.stamp)) for msg, at in heard.states]
     middle, late = float(np.median(ages)), float(np.percentile(ages, 99))
     text = f"{1e3 * middle:.1f} ms old on arrival, 99 % within {1e3 * late:.1f} ms"
     if not -0.01 <= middle <= config.plant.command_timeout:
-        return False, f"{text}: the clocks of two machines differ (chrony), or use_sim_time is wrong"
+        raise Fault(f"{text}: the clocks of two machines differ (chrony), or use_sim_time is wrong")
     assumed = config.servo.assumed_latency
     if middle > 0.5 * config.dt and assumed < middle:
-        return (
-            False,
+        raise Fault(
             f"{text}; the controller assumes {1e3 * assumed:g} ms: set servo.assumed_latency to the sum of this delay "
-            "and the command's",
+            "and the command's"
         )
-    return True, text
+    return text
 
 
-def check_limits(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
+def check_limits(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that every joint is inside its limits."""
     if outside := outside_limits(heard.angles(model), model, 0.01):
-        return (
-            False,
-            f"{outside} beyond a limit: calibrate the joint, or correct its sign (poppy.calibration, the URDF)",
-        )
-    return True, "all inside"
+        raise Fault(f"{outside} beyond a limit: calibrate the joint, or correct its sign (poppy.calibration, the URDF)")
+    return "all inside"
 
 
-def check_posture(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
+def check_posture(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that the robot stands in the first posture of the walk."""
     off = np.abs(heard.angles(model) - model.posture(config.standing.posture))
     k = int(off.argmax())
     text = f"{model.joint_names[k]} is furthest from the first pose, {off[k]:.2f} rad"
     if off[k] > _POSTURE:
-        return (
-            False,
-            f"{text}: bring the robot there first (~/activate of poppy_driver; a trajectory with ros2_control)",
-        )
-    return True, text
+        raise Fault(f"{text}: bring the robot there first (~/activate of poppy_driver; a trajectory with ros2_control)")
+    return text
 
 
-def check_soles(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
+def check_soles(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that the joint angles place both soles in one plane, as on a level floor."""
     kin = Kinematics(model, heard.angles(model), Foot.LEFT)
     x = DQ(kin.pose(kin.swing))
     height, lean = float(x.translation()[2]), math.acos(min(max(float(x.rotation_matrix()[2, 2]), -1.0), 1.0))
     text = f"right sole {1e3 * height:+.1f} mm and {math.degrees(lean):.1f} deg off the left one's plane"
     if abs(height) > _HEIGHT or lean > _LEVEL:
-        return False, f"{text}, computed from the joint angles: calibrate the legs with both soles flat on the floor"
-    return True, text
+        raise Fault(f"{text}, computed from the joint angles: calibrate the legs with both soles flat on the floor")
+    return text
 
 
-def check_inertial_sensor(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
+def check_inertial_sensor(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that the inertial sensor is upright and at rest, in the frame of its link."""
     if not config.plant.imu:
-        return True, "not used (plant.imu is false): no torque feed-forward, and a fall is not detected"
+        return "not used (plant.imu is false): no torque feed-forward, and a fall is not detected"
     if not heard.imus:
-        return False, "nothing on imu: start the sensor's broadcaster and remap its topic, or set plant.imu: false"
+        raise Fault("nothing on imu: start the sensor's broadcaster and remap its topic, or set plant.imu: false")
     msg = heard.imus[-1][0]
     if msg.header.frame_id not in ("", model.imu_link):
-        return False, f"its frame is '{msg.header.frame_id}', and robot.imu is '{model.imu_link}': they must agree"
+        raise Fault(f"its frame is '{msg.header.frame_id}', and robot.imu is '{model.imu_link}': they must agree")
     try:
         up, gyro, _ = ros.inertial_of(msg)
     except StateError as error:
-        return False, f"{error}: it must estimate an orientation (imu_filter_madgwick)"
+        raise Fault(f"{error}: it must estimate an orientation (imu_filter_madgwick)") from error
     kin = Kinematics(model, heard.angles(model), Foot.LEFT)
     lean = math.acos(min(max(float(kin.direction(model.imu, up)[2]), -1.0), 1.0))
     a = msg.linear_acceleration
     pull = math.sqrt(a.x**2 + a.y**2 + a.z**2)
     text = f"leans by {math.degrees(lean):.1f} deg, turns at {np.linalg.norm(gyro):.3f} rad/s, {pull:.2f} m/s^2"
     if lean > _UPRIGHT:
-        return False, f"{text}: it is mounted askew (the URDF's joint of '{model.imu_link}'), or the floor is"
+        raise Fault(f"{text}: it is mounted askew (the URDF's joint of '{model.imu_link}'), or the floor is")
     if np.linalg.norm(gyro) > _STILL or abs(pull - 9.81) > _GRAVITY:
-        return False, f"{text}: at rest it must measure no rotation and 9.81 m/s^2; calibrate it, check its units"
-    return True, text
+        raise Fault(f"{text}: at rest it must measure no rotation and 9.81 m/s^2; calibrate it, check its units")
+    return text
 
 
-def check_subscribers(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
+def check_subscribers(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that a node subscribes to the commands."""
     if not heard.subscribers:
-        return False, f"no node subscribes to {VELOCITY}: start poppy_driver, drive, or a plant"
-    return True, ", ".join(heard.subscribers)
+        raise Fault(f"no node subscribes to {VELOCITY}: start poppy_driver, drive, or a plant")
+    return ", ".join(heard.subscribers)
 
 
-def check_plant_ready(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
+def check_plant_ready(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that the plant accepts commands."""
     if heard.ready is False:
-        return (
-            False,
-            "plant_ready is false: call ~/activate of poppy_driver, or activate the controllers that drive uses",
+        raise Fault(
+            "plant_ready is false: call ~/activate of poppy_driver, or activate the controllers that drive uses"
         )
-    return True, "accepts commands" if heard.ready else "does not publish plant_ready"
+    return "accepts commands" if heard.ready else "does not publish plant_ready"
 
 
-def check_diagnostics(config: Config, model: RobotModel, heard: Heard) -> tuple[bool, str]:
+def check_diagnostics(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that no node reports an error on /diagnostics."""
     if heard.errors:
-        return False, "; ".join(f"{name}: {text}" for name, text in heard.errors.items())
-    return True, "no errors"
+        raise Fault("; ".join(f"{name}: {text}" for name, text in heard.errors.items()))
+    return "no errors"
 
 
 CHECKS: dict[str, Check] = {
@@ -277,14 +272,19 @@ _WITHOUT_STATES = ("states", "commands", "plant", "/diagnostics")
 
 
 def examine(config: Config, model: RobotModel, heard: Heard) -> Iterator[Finding]:
-    """Run the checks and yield their results."""
-    usable = True
+    """Run the checks and yield their results; messages with none of the robot's joints count only if all are such."""
+    reader, usable = ros.JointReader(model.joint_names), True
+    own = [(msg, at) for msg, at in heard.states if not reader.is_foreign(msg)]
+    heard = dataclasses.replace(heard, states=own or heard.states)
     for what, check in CHECKS.items():
         if usable or what in _WITHOUT_STATES:
-            ok, text = check(config, model, heard)
-            yield Finding(what, ok, text)
+            try:
+                finding = Finding(what, True, check(config, model, heard))
+            except Fault as fault:
+                finding = Finding(what, False, str(fault))
+            yield finding
             if what in ("states", "joints"):
-                usable = usable and ok
+                usable = usable and finding.ok
 
 
 def listen(config: Config, seconds: float, namespace: str = "") -> Heard:

@@ -9,16 +9,15 @@ from __future__ import annotations
 import argparse
 import array
 import dataclasses
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.errors import ConfigError, StateError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
@@ -29,7 +28,6 @@ from dqwalk_ros.servos import Drive, Servos
 
 __all__ = ["RobotDrive"]
 
-Array = NDArray[np.float64]
 
 _TOPICS = {
     ("float64_multi_array", "velocity"): "forward_velocity_controller/commands",
@@ -90,21 +88,31 @@ class RobotDrive(WalkNode):
         if config.plant.lockstep:
             raise ConfigError("'plant.lockstep' must be false: a robot does not wait for its command")
         self._model = load_model(config.robot)
-        self._output = Output(self, self._model.joint_names)
+        o, own = config.output, self._model.joint_names
+        if o.type == "joint_trajectory" and o.interface == "velocity":
+            raise ConfigError("'output.type' joint_trajectory needs 'output.interface' position")
+        self._joints = o.joints or own  # of the robot's controllers
+        if missing := [name for name in own if name not in self._joints]:
+            raise ConfigError(f"'output.joints' lacks {', '.join(missing)}, which the walk moves")
+        if len(set(self._joints)) < len(self._joints):
+            raise ConfigError("'output.joints' names a joint twice")
+        self._own = np.array([self._joints.index(name) for name in own])  # the joints of the walk among them
+        topic = o.topic or _TOPICS[o.type, o.interface]
+        self._output = self.create_publisher(_TYPES[o.type], topic, ros.stream(1))
         self._commands = CommandInput(self, self._model)
-        self._commands.able = False
-        self._reader = ros.JointReader(self._output.joints)
-        self._measured = self._rest = np.zeros(len(self._output.joints))  # now, and at the first command [rad]
+        self._commands.unable = "starting"
+        self._reader = ros.JointReader(self._joints)
+        self._measured = self._rest = np.zeros(len(self._joints))  # now, and at the first command [rad]
         self._stamp = self._moved = -1  # of the last state, and of the command that moved the robot last [ns]
         self._goals: Bus | None = None  # None before the first command
         self._commanded = np.zeros(self._model.n)  # angles at the end of the last command [rad]
-        self._reason = "starting"
         self._rejected = 0
         self.listen(JointState, "joint_states", self._on_state, ros.stream(1, reliable=False))
         self.create_subscription(JointState, VELOCITY, self._on_command, ros.stream(1))
         self.create_timer(_CHECK, self._check, clock=STEADY)
         self.create_timer(1.0 / config.monitor.rate, self._diagnose, clock=STEADY)
-        self.get_logger().info(f"{self._model.name}: {self._output.description}")
+        description = f"{len(self._joints)} joints on {self._output.topic_name}, {o.interface} as {o.type}"
+        self.get_logger().info(f"{self._model.name}: {description}")
 
     def _on_state(self, msg: JointState) -> None:
         if self._reader.is_foreign(msg):
@@ -132,13 +140,16 @@ class RobotDrive(WalkNode):
         self._commands.log_motion()
         if self._goals is not None and self._commands.gate.holding:
             self._send(0.0)
-        reason = "" if self._stamp >= 0 else "no joint_states yet"
-        reason = reason or self._output.trouble()
-        self._reason, self._commands.able = reason, not reason
+        self._commands.unable = ""
+        if self._stamp < 0:
+            self._commands.unable = "no joint_states yet"
+        elif not self._output.get_subscription_count():
+            topic = self._output.topic_name
+            self._commands.unable = f"no node subscribes to {topic}: is the robot's controller active?"
 
     def _send(self, dt: float) -> None:
         """Command the robot to move for `dt` [s] with the commanded velocities; with 0 to stay."""
-        model, gate, q = self._model, self._commands.gate, self._measured[self._output.own]
+        model, gate, q = self._model, self._commands.gate, self._measured[self._own]
         if self._goals is None:
             self._goals = self._make_goals(q)
             self._commanded, self._rest = q.copy(), self._measured.copy()
@@ -148,14 +159,28 @@ class RobotDrive(WalkNode):
         goals, _ = self._goals.output(1e-9 * self._stamp)
         if self.config.output.interface == "position":
             out = self._rest.copy()  # joints that the walk does not move stay where they were
-            out[self._output.own] = goals
+            out[self._own] = goals
         else:
             out, period = np.zeros_like(self._rest), self.config.dt
             if dt > 0.0:
                 v = np.clip((goals - self._commanded) / period, -model.velocity_max, model.velocity_max)
                 self._commanded = self._commanded + period * v
-                out[self._output.own] = v
-        self._output.publish(self._stamp, out)
+                out[self._own] = v
+        self._publish(out)
+
+    def _publish(self, values: Array) -> None:
+        """Publish commands of the joints (N,) [rad or rad/s] that answer the last state."""
+        o, data = self.config.output, array.array("d", values.tobytes())
+        if o.type == "float64_multi_array":
+            self._output.publish(Float64MultiArray(data=data))
+        elif o.type == "joint_trajectory":
+            after = Duration(seconds=self.config.dt).to_msg()
+            point = JointTrajectoryPoint(positions=data, time_from_start=after)
+            self._output.publish(JointTrajectory(joint_names=list(self._joints), points=[point]))  # stamp 0: at once
+        else:
+            msg = JointState(name=list(self._joints), **{o.interface: data})
+            msg.header.stamp = ros.time_msg(self._stamp)
+            self._output.publish(msg)
 
     def _make_goals(self, q: Array) -> Bus:
         """Return the integrator of the commands, from the angles q (n,) [rad]: a bus without delay and rounding."""
@@ -166,8 +191,6 @@ class RobotDrive(WalkNode):
 
     def _diagnose(self) -> None:
         level, text = self._commands.level()
-        if self._reason:
-            level, text = "WARN", self._reason
         values = {"states rejected": self._rejected, **self._commands.counts()}
         self.diagnose("plant", self._model.name, level, text, values, max(self._stamp, 0))
 
@@ -176,62 +199,3 @@ class RobotDrive(WalkNode):
         if self._goals is not None:
             self._commands.gate.hold()
             self._send(0.0)
-
-
-class Output:
-    """Publisher for the robot's controller, with the message type and the order of joints that it expects.
-
-    Parameters
-    ----------
-    node : WalkNode
-        Its parameters ``output`` define type, interface, topic and joints.
-    own : sequence of str
-        Joints of the walk.
-
-    Attributes
-    ----------
-    joints : tuple of str
-        Joints of the robot's controller.
-    own : ndarray of int, shape (n,)
-        Indices of the walk's joints among them.
-    description : str
-
-    Raises
-    ------
-    ConfigError
-        If ``output`` is invalid.
-    """
-
-    def __init__(self, node: WalkNode, own: Sequence[str]) -> None:
-        o = node.config.output
-        if o.type == "joint_trajectory" and o.interface == "velocity":
-            raise ConfigError("'output.type' joint_trajectory needs 'output.interface' position")
-        self.joints = o.joints or tuple(own)
-        if missing := [name for name in own if name not in self.joints]:
-            raise ConfigError(f"'output.joints' lacks {', '.join(missing)}, which the walk moves")
-        if len(set(self.joints)) < len(self.joints):
-            raise ConfigError("'output.joints' names a joint twice")
-        self.own = np.array([self.joints.index(name) for name in own])
-        self._type, self._field = o.type, o.interface
-        self._after = Duration(seconds=node.config.dt).to_msg()
-        self._publisher = node.create_publisher(_TYPES[o.type], o.topic or _TOPICS[o.type, o.interface], ros.stream(1))
-        self.description = f"{len(self.joints)} joints on {self._publisher.topic_name}, {o.interface} as {o.type}"
-
-    def trouble(self) -> str:
-        """Return why the robot does not receive commands; empty if it does."""
-        if self._publisher.get_subscription_count():
-            return ""
-        return f"no node subscribes to {self._publisher.topic_name}: is the robot's controller active?"
-
-    def publish(self, stamp: int, values: Array) -> None:
-        """Publish commands of the joints (N,) [rad or rad/s] that answer the state with a stamp [ns]."""
-        data = array.array("d", values.tobytes())
-        if self._type == "float64_multi_array":
-            self._publisher.publish(Float64MultiArray(data=data))
-        elif self._type == "joint_trajectory":
-            point = JointTrajectoryPoint(positions=data, time_from_start=self._after)
-            self._publisher.publish(JointTrajectory(joint_names=list(self.joints), points=[point]))  # stamp 0: at once
-        else:
-            msg = JointState(name=list(self.joints), **{self._field: data})
-            msg.header.stamp = ros.time_msg(stamp)
-            self._publisher.publish(msg)

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
-from numpy.typing import NDArray
 from std_msgs.msg import String
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import StateError
@@ -26,7 +25,6 @@ from dqwalk_ros.walk import PhaseKind
 
 __all__ = ["FootstepInput"]
 
-Array = NDArray[np.float64]
 
 _MAX_STEPS = 50
 """Most footsteps in one path: to check one takes some hundredths of a second."""
@@ -40,10 +38,8 @@ class FootstepInput:
 
     Parameters
     ----------
-    node : WalkNode
     controller : VelocityController
         Of a standing walk with gait.steps: 0.
-    odometry : Odometry
     """
 
     def __init__(self, node: WalkNode, controller: VelocityController, odometry: Odometry) -> None:

@@ -45,7 +45,6 @@ class InertialSensor:
 
     Parameters
     ----------
-    node : WalkNode
     frame : str
         Link of the sensor: messages in another frame are rejected.
     on_state : callable
@@ -95,7 +94,6 @@ class Steering:
 
     Parameters
     ----------
-    node : WalkNode
     controller : VelocityController
         Of a standing walk with gait.steps: 0.
     clock : callable
@@ -162,16 +160,14 @@ class CommandInput:
 
     Parameters
     ----------
-    node : WalkNode
-    model : RobotModel
     topic : str
         `VELOCITY`, or `EFFORT` for a plant that takes torques.
 
     Attributes
     ----------
     gate : CommandGate
-    able : bool
-        Whether the plant can execute commands; set by the plant.
+    unable : str
+        Why the plant cannot execute commands, although it does not refuse them; set by the plant.
     """
 
     def __init__(self, node: WalkNode, model: RobotModel, topic: str = VELOCITY) -> None:
@@ -180,9 +176,8 @@ class CommandInput:
         self._reader = ros.JointReader(model.joint_names)
         self._duplicates = DuplicatePublishers()
         self._publishers, self._resolved = 1, node.resolve_topic_name(topic)
-        self._forbidden = ""
+        self._forbidden = self.unable = ""
         self._moving = False
-        self.able = True
         self._published_ready: bool | None = None
         self._ready = node.create_publisher(Bool, "plant_ready", ros.latched()) if topic == VELOCITY else None
         node.create_timer(_CHECK, self._check, clock=STEADY)
@@ -190,6 +185,8 @@ class CommandInput:
 
     def forbid(self, reason: str) -> None:
         """Hold for a reason given by the plant; an empty reason allows motion again."""
+        if reason == self._forbidden:
+            return
         self._forbidden = reason
         self.gate.refused = reason or self.gate.refused
         self._check()
@@ -218,7 +215,7 @@ class CommandInput:
 
     def _publish_ready(self) -> None:
         """Publish whether commands are executed, so that the controller does not continue without the robot."""
-        ready = self.gate.ready and self.able
+        ready = self.gate.ready and not self.unable
         if self._ready is not None and not self._node.lockstep and ready is not self._published_ready:
             self._published_ready = ready
             self._ready.publish(Bool(data=ready))
@@ -279,9 +276,13 @@ class CommandInput:
 
     def level(self) -> tuple[str, str]:
         """Return level and text for /diagnostics."""
+        if self.unable:
+            return "WARN", self.unable
         if self.gate.refused:
             return "ERROR", f"holding: {self.gate.refused}"
         if self.gate.watchdog.silent:
+            if self._node.lockstep and not self.gate.rejected:  # simulated time stands still
+                return ("OK", "lockstep") if self.gate.watchdog.age < 2.0 else ("WARN", "waiting for a command")
             text = f"commands are ignored: {self.gate.ignored}" if self.gate.ignored else "no commands"
             return "ERROR" if self.gate.rejected else "WARN", f"holding: {text}"
         return "WARN" if self.gate.rejected else "OK", "moving"

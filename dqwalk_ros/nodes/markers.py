@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
@@ -17,7 +17,6 @@ from dqwalk_ros.walk import Phase
 
 __all__ = ["markers"]
 
-Array = NDArray[np.float64]
 _THIN = 0.002
 
 
@@ -27,9 +26,6 @@ def markers(stamp: int, config: Config, model: RobotModel, phase: Phase, kin: Ki
     Parameters
     ----------
     stamp : int [ns]
-    config : Config
-    model : RobotModel
-    phase : Phase
     kin : Kinematics
         Of that state, relative to the base sole of the phase.
     """

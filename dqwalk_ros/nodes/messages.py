@@ -13,13 +13,13 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped, WrenchStamped
-from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Imu, JointState
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import StateError
 from dqwalk_ros.nodes.safety import JointOrder
@@ -30,6 +30,7 @@ __all__ = [
     "JointReader",
     "JointWriter",
     "diagnostics",
+    "impulse",
     "imu",
     "inertial_of",
     "is_heard_by",
@@ -47,7 +48,6 @@ __all__ = [
     "wrench",
 ]
 
-Array = NDArray[np.float64]
 
 LEVELS = {"OK": DiagnosticStatus.OK, "WARN": DiagnosticStatus.WARN, "ERROR": DiagnosticStatus.ERROR}
 LEVELS["STALE"] = DiagnosticStatus.STALE
@@ -132,12 +132,7 @@ def joint_state(raw: bytes) -> JointState:
 
 
 class JointReader:
-    """Converts JointState messages to states and commands, in the order of the model's joints.
-
-    Parameters
-    ----------
-    joint_names : sequence of str
-    """
+    """Converts JointState messages to states and commands, in the order of the model's joints."""
 
     def __init__(self, joint_names: Sequence[str]) -> None:
         self._order = JointOrder(joint_names)
@@ -196,7 +191,6 @@ class JointWriter:
 
     Parameters
     ----------
-    joint_names : sequence of str
     frame : str
         The frame_id of the header.
     """
@@ -305,6 +299,21 @@ def wrench(stamp: int, frame: str, w: Array) -> WrenchStamped:
     f, t = msg.wrench.force, msg.wrench.torque
     f.x, f.y, f.z, t.x, t.y, t.z = w.tolist()
     return msg
+
+
+def impulse(msg: WrenchStamped, most: float) -> Array:
+    """Return the impulse (3,) of a push [N s]: its force times one second.
+
+    Raises
+    ------
+    StateError
+        If a component is not finite, or beyond `most` [N s].
+    """
+    f = msg.wrench.force
+    out = np.array([f.x, f.y, f.z])
+    if not np.abs(out).max() <= most:
+        raise StateError(f"{f.x:g}, {f.y:g}, {f.z:g} N s are beyond {most:.0f} N s, or not finite")
+    return out
 
 
 # ---------------------------------------------------------------------- diagnostics

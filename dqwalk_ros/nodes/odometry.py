@@ -15,9 +15,9 @@ from collections.abc import Callable
 import numpy as np
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry as OdometryMessage
-from numpy.typing import NDArray
 from rclpy.qos import QoSProfile
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.estimation.base import BaseEstimate, BaseEstimator
 from dqwalk_ros.kinematics import Kinematics
@@ -28,7 +28,6 @@ from dqwalk_ros.state import State
 
 __all__ = ["Odometry"]
 
-Array = NDArray[np.float64]
 
 _FIXED = 0.005
 """Standard deviation of height, roll and pitch [m, rad], which do not drift, and of velocities [m/s, rad/s]."""
@@ -42,11 +41,6 @@ class Odometry:
     """Publishes the pose of the base in odom, its velocity, and the covariances of both.
 
     A new walk starts from the last pose of the one before, so the pose in odom does not jump.
-
-    Parameters
-    ----------
-    node : WalkNode
-    model : RobotModel
     """
 
     def __init__(self, node: WalkNode, model: RobotModel) -> None:
@@ -91,7 +85,6 @@ class Odometry:
         ----------
         stamp : int
             Of the state [ns].
-        state : State
         kin : Kinematics
             At that state.
         x_base : DQ
@@ -151,10 +144,8 @@ class Odometry:
             return np.zeros(6)
         passed = 1e-9 * (t1 - t0)
         moved = x1.rotation_matrix().T @ (x1.translation() - x0.translation())
-        w, *xyz = (x0.conj() * x1).vec4()
-        axis = np.array(xyz) * math.copysign(1.0, w)
-        sine = float(np.linalg.norm(axis))
-        turned = axis * (2.0 * math.atan2(sine, abs(w)) / sine if sine > 0.0 else 0.0)
+        turn = x0.conj() * x1
+        turned = 2.0 * (turn if turn.vec4()[0] >= 0.0 else -turn).log().vec3()
         return np.concatenate([moved, turned]) / passed
 
     def _frames(self, stamp: int, x: DQ) -> list[TransformStamped]:

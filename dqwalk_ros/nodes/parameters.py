@@ -11,30 +11,27 @@ import difflib
 import itertools
 import math
 import pathlib
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import yaml
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 
 from dqwalk_ros.config import OF_RCLPY, Config, Spec, beside
 from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.nodes.command_line import NODES
 
-__all__ = ["changes", "declare"]
+__all__ = ["declare"]
 
 
-def declare(node: Node, argv: Sequence[str], nodes: Collection[str]) -> Config:
+def declare(node: Node, argv: Sequence[str]) -> Config:
     """Declare all parameters of the package on a node; return their values from the command line and parameter files.
 
     Parameters
     ----------
-    node : rclpy.node.Node
     argv : sequence of str
         Command line of the process, whose parameter files are checked for sections with misspelt names.
-    nodes : collection of str
-        Names of all nodes of this package.
 
     Raises
     ------
@@ -42,15 +39,16 @@ def declare(node: Node, argv: Sequence[str], nodes: Collection[str]) -> Config:
         For a misspelt name, a wrong type or a value out of bounds; the message names similar parameters.
     """
     log = node.get_logger()
+    overrides = node._parameter_overrides  # rclpy has no public access to all of them
     given = {
         name: () if parameter.value is None else parameter.value  # an empty list has no type
-        for name, parameter in node._parameter_overrides.items()  # rclpy has no public access to all of them
+        for name, parameter in overrides.items()
         if name.split(".")[0] not in OF_RCLPY
     }
-    for path in _parameter_files(argv):
+    files = [pathlib.Path(value) for key, value in itertools.pairwise(argv) if key == "--params-file"]
+    for path in files:
         sections = _sections_of(path)
-        _check_names(path, sections, nodes)
-        if any(sections.values()) and not any(node._parameter_overrides.keys() & names for names in sections.values()):
+        if any(sections.values()) and not any(overrides.keys() & names for names in sections.values()):
             found = ", ".join(f"'{section}'" for section in sections) or "none"
             log.warning(
                 f"{path}: no section applies to {node.get_fully_qualified_name()} (sections: {found}); "
@@ -62,17 +60,12 @@ def declare(node: Node, argv: Sequence[str], nodes: Collection[str]) -> Config:
     if foreign:
         log.info(f"ignoring parameters of other packages: {', '.join(foreign)}")
     config = Config.from_flat({name: value for name, value in given.items() if name not in foreign})
-    for path in _parameter_files(argv):
+    for path in files:
         config = beside(path, config)
     for name, value in config.flat().items():
         shown: Any = (list(value) or [""]) if isinstance(value, tuple) else value
         node.declare_parameter(name, shown, _DESCRIPTORS[name], ignore_override=True)
     return config
-
-
-def changes(parameters: Sequence[Parameter]) -> dict[str, Any]:
-    """Return the values of the parameters that belong to the schema, for `Config.updated`."""
-    return {p.name: p.value for p in parameters if p.name.split(".")[0] not in OF_RCLPY}
 
 
 def _is_foreign(name: str) -> bool:
@@ -104,50 +97,35 @@ _DESCRIPTORS = {spec.name: _descriptor(spec) for spec in Config.specs()}
 _SECTIONS = {name.split(".")[0] for name in _DESCRIPTORS}
 
 
-def _parameter_files(argv: Sequence[str]) -> Iterator[pathlib.Path]:
-    """Yield the parameter files of a command line."""
-    for key, value in itertools.pairwise(argv):
-        if key == "--params-file":
-            yield pathlib.Path(value)
-
-
 def _sections_of(path: pathlib.Path) -> dict[str, set[str]]:
     """Return the names of the parameters in each section of a parameter file.
 
     Raises
     ------
     ConfigError
-        If it cannot be read.
+        If it cannot be read, or the name of a section is similar to that of a node of this package.
     """
     try:
         tree = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
         raise ConfigError(f"cannot read '{path}': {' '.join(str(error).split())}") from error
     out: dict[str, set[str]] = {}
-
-    def walk(tree: Any, prefix: str) -> None:
-        for key, value in tree.items() if isinstance(tree, Mapping) else ():
-            if key == "ros__parameters":
-                out[prefix] = set(_names(value, ""))
-            else:
-                walk(value, f"{prefix}/{key}".replace("//", "/") if prefix else str(key))
-
-    walk(tree, "")
+    for keys in _keys(tree):
+        if "ros__parameters" in keys[:-1]:
+            at = keys.index("ros__parameters")
+            out.setdefault("/".join(keys[:at]).replace("//", "/"), set()).add(".".join(keys[at + 1 :]))
+    for section in out:
+        last = section.rpartition("/")[2]
+        close = difflib.get_close_matches(last, NODES, n=1, cutoff=0.8)
+        if close and last not in NODES:
+            raise ConfigError(f"{path}: the section '{section}' matches no node; did you mean '{close[0]}'?")
     return out
 
 
-def _names(tree: Any, prefix: str) -> Iterator[str]:
+def _keys(tree: Any, *above: str) -> Iterator[tuple[str, ...]]:
+    """Yield the keys that lead to each value."""
     for key, value in tree.items() if isinstance(tree, Mapping) else ():
         if isinstance(value, Mapping):
-            yield from _names(value, f"{prefix}{key}.")
+            yield from _keys(value, *above, str(key))
         else:
-            yield f"{prefix}{key}"
-
-
-def _check_names(path: pathlib.Path, sections: Collection[str], nodes: Collection[str]) -> None:
-    """Raise an error for a section whose name is similar to that of a node of this package."""
-    for section in sections:
-        last = section.rpartition("/")[2]
-        close = difflib.get_close_matches(last, nodes, n=1, cutoff=0.8)
-        if close and last not in nodes:
-            raise ConfigError(f"{path}: the section '{section}' matches no node; did you mean '{close[0]}'?")
+            yield *above, str(key)

@@ -13,12 +13,10 @@ from collections import deque
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Point32, PointStamped, PolygonStamped, PoseStamped
+from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
-from dqwalk_ros.config import Config
 from dqwalk_ros.errors import DqwalkError, StateError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.nodes import messages as ros
@@ -28,7 +26,7 @@ from dqwalk_ros.nodes.phases import PhaseLog
 from dqwalk_ros.report.metrics import support_polygon
 from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.robot import Foot, load_model
-from dqwalk_ros.topics import FINISHED, TOPICS
+from dqwalk_ros.topics import FINISHED
 
 __all__ = ["PhaseMonitor"]
 
@@ -68,12 +66,13 @@ class PhaseMonitor(WalkNode):
 
     def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
         super().__init__("phase_monitor", options, **keywords)
-        self._warm_up(self.config)
-        self._phases = PhaseLog(self.get_logger())
-        self._label = ""
-        self._next = -1  # earliest stamp of the next state to be evaluated [ns]
-        self._newest = 0
-        self._waiting: deque[tuple[float, int, bytes]] = deque()  # time of receipt [s], stamp [ns], message
+        with contextlib.suppress(DqwalkError):  # compile the kinematics before the walk begins
+            model = load_model(self.config.robot)
+            Kinematics(model, np.zeros(model.n), Foot.LEFT)
+        self._phases = PhaseLog(self)
+        self._newest = 0  # stamp of the last state that was or will be evaluated [ns]
+        self._next = -1  # earliest stamp of the next one [ns]
+        self._waiting: deque[tuple[float, int, JointState]] = deque()  # time of receipt [s], stamp [ns], message
         self._received = time.monotonic()
         self._rejected = 0
         self._pub = {
@@ -81,30 +80,12 @@ class PhaseMonitor(WalkNode):
             "support_polygon": self.create_publisher(PolygonStamped, "support_polygon", ros.stream(10)),
             "walk_markers": self.create_publisher(MarkerArray, "walk_markers", ros.stream(10)),
         }
-        for name, kind, callback in (
-            ("walk_config", String, lambda msg: self._phases.add_config(msg.data)),
-            ("robot_description", String, lambda msg: self._phases.add_description(msg.data)),
-            ("phase", String, self._on_phase),
-            ("phase_start", JointState, self._phases.add_start),
-            ("com_target", PointStamped, self._phases.add_target),
-            ("swing_target", PoseStamped, self._phases.add_target),
-        ):
-            self.create_subscription(kind, name, callback, ros.latched(TOPICS[name].depth))
         self.create_subscription(
             JointState, "joint_states", self._on_state, ros.stream(_DEPTH, reliable=False), raw=True
         )
         self.create_timer(0.1, self._check_timeout, clock=STEADY)
         self._timeout_published = 0.0  # steady time [s]
         self.get_logger().info("waiting for a walk")
-
-    def _warm_up(self, config: Config) -> None:
-        """Compile the kinematics before the walk begins."""
-        with contextlib.suppress(DqwalkError):
-            model = load_model(config.robot)
-            Kinematics(model, np.zeros(model.n), Foot.LEFT)
-
-    def _on_phase(self, msg: String) -> None:
-        self._label = msg.data
 
     # ------------------------------------------------------------------ the states
 
@@ -114,40 +95,54 @@ class PhaseMonitor(WalkNode):
         except StateError as error:
             self.get_logger().error(f"joint_states rejected: {error}", **THROTTLE)
             return
+        if self._newest <= stamp < self._next:
+            self._received = time.monotonic()
+            return
+        try:
+            msg = ros.joint_state(raw)
+        except StateError as error:
+            self._reject(stamp, error)
+            return
+        if self._is_foreign(msg):
+            return
         self._received = time.monotonic()
         if stamp < self._newest:  # the plant restarted, or its clock was set back
             self._phases.forget_after(stamp)
             self._waiting.clear()
-            self._next = -1
-        self._newest = stamp
-        if stamp >= self._next:
-            self._next = stamp + round(1e9 / self.config.monitor.rate)
-            self._waiting.append((self._received, stamp, raw))
-            self._evaluate_waiting()
+        self._newest, self._next = stamp, stamp + round(1e9 / self.config.monitor.rate)
+        self._waiting.append((self._received, stamp, msg))
+        self._evaluate_waiting()
+
+    def _is_foreign(self, msg: JointState) -> bool:
+        """Return whether a message has no joint of the robot, as far as that is known."""
+        return self._phases.reader is not None and self._phases.reader.is_foreign(msg)
+
+    def _reject(self, stamp: int, error: StateError) -> None:
+        self._rejected += 1
+        text = f"joint_states rejected ({self._rejected} so far): {error}"
+        self.get_logger().error(text, **THROTTLE)
+        self._publish_status(stamp, "ERROR", f"joint_states rejected: {error}", {})
 
     def _evaluate_waiting(self, *, all_of_them: bool = False) -> None:
         until = time.monotonic() - (_RESEND if self._phases.lockstep and not all_of_them else 0.0)
         while self._waiting and self._waiting[0][0] <= until:
-            _, stamp, raw = self._waiting.popleft()
-            self._evaluate(stamp, raw)
+            _, stamp, msg = self._waiting.popleft()
+            self._evaluate(stamp, msg)
 
-    def _evaluate(self, stamp: int, raw: bytes) -> None:
+    def _evaluate(self, stamp: int, msg: JointState) -> None:
         phase_at = self._phases.at(stamp)
-        if phase_at is None or self._phases.reader is None:
+        if phase_at is None or self._phases.reader is None or self._is_foreign(msg):
             return
         began, assess = phase_at
         try:
-            state = self._phases.reader.state(ros.joint_state(raw))
+            state = self._phases.reader.state(msg)
         except StateError as error:
-            self._rejected += 1
-            text = f"joint_states rejected ({self._rejected} so far): {error}"
-            self.get_logger().error(text, **THROTTLE)
-            self._publish_status(stamp, "ERROR", f"joint_states rejected: {error}", {})
+            self._reject(stamp, error)
             return
         kin = Kinematics(assess.model, state.q, assess.phase.base)
         found = assess(kin, 1e-9 * (stamp - began), self.config.monitor)
-        over = "/" not in self._label and not self._waiting
-        message = f"{self._label}; {found.message}" if over else found.message
+        over = "/" not in self._phases.label and not self._waiting
+        message = f"{self._phases.label}; {found.message}" if over else found.message
         self._publish_status(stamp, found.level, message, {"phase": assess.phase.name, **found.values})
         self._draw(stamp, assess, kin)
 
@@ -171,8 +166,8 @@ class PhaseMonitor(WalkNode):
         now = time.monotonic()
         if min(now - self._received, 2.0 * (now - self._timeout_published)) > _TIMEOUT and not self._waiting:
             self._timeout_published = now
-            label = f"{self._label}; " if self._label else ""
-            over = self._label in (FINISHED, "idle", "paused")
+            label = f"{self._phases.label}; " if self._phases.label else ""
+            over = self._phases.label in (FINISHED, "idle", "paused")
             self._publish_status(self._newest, "OK" if over else "STALE", f"{label}no joint_states", {})
 
     def _publish_status(self, stamp: int, level: str, message: str, values: dict[str, object]) -> None:

@@ -6,19 +6,20 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped
-from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from dqwalk_ros import provenance
 from dqwalk_ros.config import Config, from_yaml, since, to_yaml
+from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.errors import DqwalkError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode
 from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.robot import Foot, RobotModel, parse_model
 from dqwalk_ros.simulation import make_walk
-from dqwalk_ros.topics import PHASE_LOG
+from dqwalk_ros.topics import PHASE_LOG, TOPICS
 from dqwalk_ros.walk import Phase, PhaseKind, com_target
 
 __all__ = ["PhaseLog", "PhasePublisher"]
@@ -28,16 +29,11 @@ _KEPT = 100
 
 
 class PhasePublisher:
-    """Publishes the configuration of a walk and the start of each phase, from which a `PhaseLog` rebuilds the phases.
-
-    Parameters
-    ----------
-    node : WalkNode
-    model : RobotModel
-    """
+    """Publishes the configuration of a walk and the start of each phase, from which `PhaseLog` rebuilds it."""
 
     def __init__(self, node: WalkNode, model: RobotModel) -> None:
-        self._model = model
+        self._model, self._logger, self._config = model, node.get_logger(), node.config
+        self.restart()
         latched = {
             "walk_config": to_yaml(node.config),
             "walk_origin": provenance.to_text(provenance.here()),
@@ -56,73 +52,93 @@ class PhasePublisher:
         self._pub["phase"].publish(String(data=text))
         self._log.publish(String(data=text))
 
-    def tune(self, config: Config, stamp: int) -> None:
-        """Publish parameters that apply from the state with a stamp [ns] on."""
-        self._pub["walk_config"].publish(String(data=to_yaml(config, stamp)))
+    def restart(self) -> None:
+        """Forget the phases of the last walk."""
+        self._index = self._began = -1
+        self._decision = ""
 
-    def begin(self, phase: Phase, stamp: int) -> None:
-        """Publish a phase that begins at the state with a stamp [ns]; seconds as a float would not be exact."""
+    def follow(self, walk: VelocityController, stamp: int) -> bool:
+        """Publish what has changed at the state with a stamp [ns]; return whether a phase has begun."""
+        phase, before, self._decision = walk.phase, self._decision, walk.phase.decision
+        if walk.phase_index != self._index:
+            self._index, self._began = walk.phase_index, stamp
+            if walk.config is not self._config:
+                self._config = walk.config
+                self._pub["walk_config"].publish(String(data=to_yaml(walk.config, stamp)))
+            self._begin(phase)
+            return True
+        if phase.decision != before:  # the target of the swing foot, for the reason given
+            self._publish_target(phase)
+            self.show(phase.decision)
+            self._logger.info(phase.decision)
+        return False
+
+    def _begin(self, phase: Phase) -> None:
+        """Publish a phase, with the stamp of its first state; seconds as a float would not be exact."""
         model, frame = self._model, self._model.soles[phase.base].frame
-        start = ros.JointWriter(model.joint_names, frame)(stamp, position=phase.q_start)
+        start = ros.JointWriter(model.joint_names, frame)(self._began, position=phase.q_start)
         self._pub["phase_start"].publish(start)
         self._pub["support_foot"].publish(String(data=phase.support.value))
-        if phase.swing_target is not None:
-            self._pub["swing_target"].publish(ros.pose(stamp, frame, phase.swing_target))
-        else:
+        if phase.swing_target is None:
             goal = com_target(model, phase.kind, phase.base, phase.q_start)
-            self._pub["com_target"].publish(ros.point(stamp, frame, goal))
+            self._pub["com_target"].publish(ros.point(self._began, frame, goal))
+        self._publish_target(phase)
         self.show(phase.name)
 
-    def change(self, phase: Phase, stamp: int) -> None:
-        """Publish a changed target of the swing foot, and the reason; `stamp` [ns] is that of the phase's start."""
+    def _publish_target(self, phase: Phase) -> None:
         if phase.swing_target is not None:
             frame = self._model.soles[phase.base].frame
-            self._pub["swing_target"].publish(ros.pose(stamp, frame, phase.swing_target))
-        self.show(phase.decision)
+            self._pub["swing_target"].publish(ros.pose(self._began, frame, phase.swing_target))
 
 
 class PhaseLog:
-    """Finds the phase that a state belongs to, for messages in any order.
+    """Subscribes to the phases of a walk, and finds the phase that a state belongs to, for messages in any order.
 
     A phase is rebuilt from its start: the base sole is the frame of `phase_start`; with a `com_target` of the same
     stamp it is a double support, with a `swing_target` a single support.
-
-    Parameters
-    ----------
-    logger : rclpy logger
-        For messages that cannot be used.
 
     Attributes
     ----------
     config : Config or None
     model : RobotModel or None
     reader : JointReader or None
+    label : str
+        Last message of `phase`.
     """
 
-    def __init__(self, logger: RcutilsLogger) -> None:
-        self._logger = logger
+    def __init__(self, node: Node) -> None:
+        self._logger = node.get_logger()
         self.config: Config | None = None
         self.model: RobotModel | None = None
         self.reader: ros.JointReader | None = None
-        self._urdf = ""
+        self.label = self._urdf = ""
         self._starts: dict[int, JointState] = {}  # by stamp [ns]
         self._targets: dict[int, tuple[PhaseKind, Any]] = {}
         self._tuned: dict[int, Config] = {}
         self._assessors: dict[int, Assessor] = {}
+        for name, callback in {
+            "walk_config": self._on_config,
+            "robot_description": self._on_description,
+            "phase": self._on_phase,
+            "phase_start": self._on_start,
+            "com_target": self._on_target,
+            "swing_target": self._on_target,
+        }.items():
+            topic = TOPICS[name]
+            node.create_subscription(ros.message_type(topic.type), name, callback, ros.latched(topic.depth))
 
     @property
     def lockstep(self) -> bool:
         """Whether the walk is in lockstep."""
         return self.config is not None and self.config.plant.lockstep
 
-    def add_config(self, text: str) -> None:
-        """Process a message of `walk_config`."""
+    def _on_config(self, msg: String) -> None:
         try:
-            config = from_yaml(text, source="walk_config")
+            config = from_yaml(msg.data, source="walk_config")
         except DqwalkError as error:
             self._logger.error(str(error))
             return
-        if (stamp := since(text)) is not None:  # changed during the walk
+        if (stamp := since(msg.data)) is not None:  # changed during the walk
             _store(self._tuned, stamp, config)
             for began in [began for began in self._assessors if began >= stamp]:
                 del self._assessors[began]
@@ -131,9 +147,8 @@ class PhaseLog:
         self.config = config
         self._load()
 
-    def add_description(self, text: str) -> None:
-        """Process a message of `robot_description`."""
-        self._urdf = text
+    def _on_description(self, msg: String) -> None:
+        self._urdf = msg.data
         self._load()
 
     def _load(self) -> None:
@@ -148,12 +163,13 @@ class PhaseLog:
         self._assessors.clear()
         self._logger.info(f"received the walk of {self.model.name}, {self.model.n} joints")
 
-    def add_start(self, msg: JointState) -> None:
-        """Process a message of `phase_start`."""
+    def _on_phase(self, msg: String) -> None:
+        self.label = msg.data
+
+    def _on_start(self, msg: JointState) -> None:
         _store(self._starts, ros.nanoseconds(msg.header.stamp), msg)
 
-    def add_target(self, msg: PointStamped | PoseStamped) -> None:
-        """Process a message of `com_target` or `swing_target`."""
+    def _on_target(self, msg: PointStamped | PoseStamped) -> None:
         if isinstance(msg, PoseStamped):
             target = PhaseKind.SINGLE_SUPPORT, ros.pose_dq(msg)
         else:

@@ -14,20 +14,18 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
-from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from dqwalk_ros.config import Config
-from dqwalk_ros.errors import DqwalkError
+from dqwalk_ros.errors import DqwalkError, StateError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import STEADY, WalkNode
 from dqwalk_ros.nodes.inputs import VELOCITY, CommandInput
 from dqwalk_ros.nodes.safety import clamp_velocity
 from dqwalk_ros.plants import Plant
 from dqwalk_ros.plants.kinematic import KinematicPlant
-from dqwalk_ros.robot import Foot, RobotModel, load_model
+from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.state import Command
 from dqwalk_ros.topics import TOPICS, WORLD
 
@@ -52,14 +50,15 @@ class SimulatedPlant(WalkNode):
         super().__init__(name, options, **keywords)
         self.model = load_model(self.config.robot)
         self.dt = self.config.dt
-        self.plant = self.make_plant(self.config, self.model)
+        self.plant = self.make_plant()
         self.commands = CommandInput(self, self.model)
-        self.streams: dict[str, Publisher] = {"joint_states": self.advertise("joint_states")}
         self.ticks = 0
-        self._missed = 0
         self._stamp = 0  # of the state published last [ns]
+        self.trouble = ""  # what is wrong with the plant, which is an error
+        self._missed = 0
         self._published_at = time.monotonic()
         self._moved = self._now()
+        self._states = self.advertise("joint_states")
         self._state_msg = ros.JointWriter(self.model.joint_names)
         self._clock_topic = self.create_publisher(Clock, "/clock", ros.stream(10)) if self.config.plant.clock else None
         if self.lockstep:
@@ -77,13 +76,9 @@ class SimulatedPlant(WalkNode):
 
     # ------------------------------------------------------------------ defined by each plant
 
-    def make_plant(self, config: Config, model: RobotModel) -> Plant:
+    def make_plant(self) -> Plant:
         """Return the simulated plant."""
         raise NotImplementedError
-
-    def reference(self) -> NDArray[Any]:
-        """Return the angles (n,) from which a velocity moves the joints [rad], used to keep the joint limits."""
-        return self.plant.state.q
 
     def period(self, passed: float) -> float:
         """Return the time to move in real time, `passed` after the last tick [s].
@@ -96,39 +91,20 @@ class SimulatedPlant(WalkNode):
         """Return the stamp of a state in real time [ns]."""
         return int(self.get_clock().now().nanoseconds)
 
-    def move(self, command: Command, dt: float) -> bool:
-        """Move for `dt` [s]; return whether that succeeded."""
-        try:
-            self.plant.step(command, dt)
-        except DqwalkError as error:
-            self.get_logger().error(f"the plant failed: {error}")
-            self.stop(1)
-            return False
-        self.ticks += 1
-        return True
-
-    def publish(self, stamp: int, effort: NDArray[Any] | None = None) -> None:
-        """Publish the state with its stamp [ns], and the torques of the joints if they are known."""
+    def publish(self, effort: NDArray[Any] | None = None) -> None:
+        """Publish the state, and the torques of the joints if they are known."""
         if self._clock_topic is not None:
-            self._clock_topic.publish(Clock(clock=ros.time_msg(stamp)))
+            self._clock_topic.publish(Clock(clock=ros.time_msg(self._stamp)))
         state = self.plant.state
-        self.streams["joint_states"].publish(self._state_msg(stamp, position=state.q, velocity=state.dq, effort=effort))
-
-    def trouble(self) -> str:
-        """Return what is wrong with the plant, which is an error; empty if nothing is."""
-        return ""
+        self._states.publish(self._state_msg(self._stamp, position=state.q, velocity=state.dq, effort=effort))
 
     # ------------------------------------------------------------------ lockstep
 
     def _on_answer(self, msg: JointState) -> None:
         command = self.commands.take_answer(msg, self._stamp)
-        if command is None:
-            return
-        u = clamp_velocity(command.velocity, self.reference(), self.model, self.dt)
-        if self.move(Command(self._stamp * 1e-9, u, command.effort), self.dt):
-            self._stamp = round(self.ticks * self.dt * 1e9)
-            self._published_at = time.monotonic()
-            self.publish(self._stamp)
+        if command is not None:
+            u = clamp_velocity(command.velocity, self.plant.commanded, self.model, self.dt)
+            self._move(u, command.effort, self.dt)
 
     def _ask(self) -> None:
         """Publish the state again if no command has arrived."""
@@ -136,17 +112,16 @@ class SimulatedPlant(WalkNode):
         if now - self._published_at < (_ASK_AGAIN if self.ticks else _FIRST_ASK) or not self._may_begin():
             return
         self._published_at = now
-        self.publish(self._stamp)
+        self.publish()
 
     def _may_begin(self) -> bool:
         """Return whether monitor and recorder, if they are to be waited for, have subscribed to the states."""
         if self.ticks:
             return True
-        wanted, states = self.config.node, self.streams["joint_states"]
-        if wanted.wait_for_monitor and not ros.is_heard_by(self, states, "phase_monitor"):
+        wanted = self.config.node
+        if wanted.wait_for_monitor and not ros.is_heard_by(self, self._states, "phase_monitor"):
             return False
-        recorded = self.streams.values() if wanted.wait_for_recorder else ()
-        return all(ros.is_heard_by(self, offered, "recorder") for offered in recorded)
+        return not wanted.wait_for_recorder or self.is_recorded()
 
     # ------------------------------------------------------------------ real time
 
@@ -166,21 +141,28 @@ class SimulatedPlant(WalkNode):
             self._missed += int(passed / self.dt) - 1
         self.commands.log_motion()
         dt, gate = self.period(passed), self.commands.gate
-        u = gate.velocity(self.reference(), dt)
-        if self.move(Command(self._stamp * 1e-9, u, gate.effort), dt):
-            self._stamp = self.real_time()
-            self.publish(self._stamp)
+        self._move(gate.velocity(self.plant.commanded, dt), gate.effort, dt)
 
     # ------------------------------------------------------------------ both
 
+    def _move(self, velocity: NDArray[Any], effort: NDArray[Any] | None, dt: float) -> None:
+        """Move for `dt` [s], and publish the state."""
+        try:
+            self.plant.step(Command(self._stamp * 1e-9, velocity, effort), dt)
+        except DqwalkError as error:
+            self.get_logger().error(f"the plant failed: {error}")
+            self.stop(1)
+            return
+        self.ticks += 1
+        self._stamp = round(self.ticks * self.dt * 1e9) if self.lockstep else self.real_time()
+        self._published_at = time.monotonic()
+        self.publish()
+
     def _diagnose(self) -> None:
         level, text = self.commands.level()
-        if self.lockstep and level == "WARN":
-            waits = self.commands.gate.watchdog.age
-            level, text = ("OK", "lockstep") if waits < 2.0 else ("WARN", "waiting for a command")
         if time_trouble := self.time_trouble():
             self.get_logger().error(time_trouble, throttle_duration_sec=10.0, throttle_time_source_type=STEADY)
-        if trouble := time_trouble or self.trouble():
+        if trouble := time_trouble or self.trouble:
             level, text = "ERROR", trouble
         values = {"ticks": self.ticks, "periods missed": self._missed, **self.commands.counts()}
         self.diagnose("plant", self.model.name, level, text, values, self._stamp)
@@ -211,9 +193,9 @@ class Integrator(SimulatedPlant):
         super().__init__("integrator", options, **keywords)
         self.log_ready()
 
-    def make_plant(self, config: Config, model: RobotModel) -> Plant:
+    def make_plant(self) -> Plant:
         """Return joints that follow their commands exactly."""
-        return KinematicPlant(model, model.posture(config.standing.posture))
+        return KinematicPlant(self.model, self.model.posture(self.config.standing.posture))
 
 
 class Physics(SimulatedPlant):
@@ -256,10 +238,8 @@ class Physics(SimulatedPlant):
 
     def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
         super().__init__("physics", options, **keywords)
-        self.streams |= {name: self.advertise(name) for name in TOPICS if TOPICS[name].source == "physics"}
-        self._soles = {f"{foot.value}_foot_wrench": self.model.soles[foot].frame for foot in Foot}
+        self._streams = {name: self.advertise(name) for name in TOPICS if TOPICS[name].source == "physics"}
         self._true_angles = ros.JointWriter(self.model.joint_names)
-        self._fell = ""
         self._late: list[float] = []  # delay of each tick while commands arrive [s]
         self._stamp0 = self.get_clock().now().nanoseconds
         self._pushed_until = -1  # tick
@@ -273,16 +253,11 @@ class Physics(SimulatedPlant):
                 "both nodes the parameters of config/plants/physics.yaml, too"
             )
 
-    def make_plant(self, config: Config, model: RobotModel) -> Plant:
+    def make_plant(self) -> Plant:
         """Return the robot on its soles."""
         from dqwalk_ros.simulation import make_plant  # the integrator runs without the dependencies of physics
 
-        return make_plant("physics", config, model)
-
-    def reference(self) -> NDArray[Any]:
-        """Return the goal angles of the servos, from which velocities are integrated."""
-        commanded: NDArray[Any] = self.plant.commanded
-        return commanded
+        return make_plant("physics", self.config, self.model)
 
     def period(self, passed: float) -> float:
         """Return one period, however late the tick is."""
@@ -294,59 +269,47 @@ class Physics(SimulatedPlant):
         """Return the simulated time, counted from the time of the clock at the start [ns]."""
         return self._stamp0 + round(self.ticks * self.dt * 1e9)
 
-    def move(self, command: Command, dt: float) -> bool:
-        """Move for `dt` [s]; a push ends after its time."""
+    def publish(self, effort: NDArray[Any] | None = None) -> None:
+        """Publish the sensors before the state, because the controller needs them together with it."""
         if self.ticks == self._pushed_until:
             self.plant.push(np.zeros(3))
-        return super().move(command, dt)
-
-    def publish(self, stamp: int, effort: NDArray[Any] | None = None) -> None:
-        """Publish the sensors before the state, because the controller needs them together with it."""
-        streams = self.streams
-        others = (streams[name] for name in streams if name not in ("imu", "joint_states"))
+        stamp, streams = self._stamp, self._streams
+        others = (streams[name] for name in streams if name != "imu")
         truth = self.plant.truth if any(stream.get_subscription_count() for stream in others) else None
         streams["imu"].publish(ros.imu(stamp, self.model.imu_link, self.plant.inertial))
-        super().publish(stamp, None if truth is None else truth.effort)
+        super().publish(None if truth is None else truth.effort)
         if truth is not None:
             streams["true_base_pose"].publish(ros.pose(stamp, WORLD, truth.pelvis))
             streams["true_joint_states"].publish(self._true_angles(stamp, position=truth.q))
             for foot in Foot:
-                name = f"{foot.value}_foot_wrench"
-                streams[name].publish(ros.wrench(stamp, self._soles[name], truth.wrenches[foot]))
+                wrench = ros.wrench(stamp, self.model.soles[foot].frame, truth.wrenches[foot])
+                streams[f"{foot.value}_foot_wrench"].publish(wrench)
             if (cop := truth.cop) is not None:
                 streams["center_of_pressure"].publish(ros.point(stamp, WORLD, cop))
-        if self.plant.fallen and not self._fell:
-            self._fell = f"the robot fell at {self.ticks * self.dt:.2f} s; ~/reset puts it back on its feet"
-            self.get_logger().error(self._fell)
+        if self.plant.fallen and not self.trouble:
+            self.trouble = f"the robot fell at {self.ticks * self.dt:.2f} s; ~/reset puts it back on its feet"
+            self.get_logger().error(self.trouble)
             if self.is_child:  # a walk without a user who could call ~/reset
                 self.stop(1)
 
-    def trouble(self) -> str:
-        """Return that the robot has fallen."""
-        return self._fell
-
     def _on_push(self, msg: WrenchStamped) -> None:
-        """Take the force times one second as the impulse on the pelvis [N s], as the node `rigid` does."""
-        f = msg.wrench.force
-        impulse = np.array([f.x, f.y, f.z])
-        if not np.abs(impulse).max() <= self._max_impulse:
-            text = f"push rejected: {f.x:g}, {f.y:g}, {f.z:g} N s are beyond {self._max_impulse:.0f} N s, or not finite"
-            self.get_logger().error(text)
+        try:
+            impulse = ros.impulse(msg, self._max_impulse)
+        except StateError as error:
+            self.get_logger().error(f"push rejected: {error}")
             return
         self.plant.push(impulse / _PUSH)
         self._pushed_until = self.ticks + round(_PUSH / self.dt)
-        self.get_logger().info(f"pushed: {f.x:g}, {f.y:g}, {f.z:g} N s within {_PUSH:g} s")
+        self.get_logger().info("pushed: {:g}, {:g}, {:g} N s".format(*impulse) + f" within {_PUSH:g} s")
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self.lockstep:
             response.success, response.message = False, "lockstep time cannot be set back: restart the node"
             return response
-        self.plant = self.make_plant(self.config, self.model)
+        self.plant = self.make_plant()
         self.commands.gate.hold()
-        self._fell = ""
-        response.success, response.message = True, "the robot stands; the controller needs ~/reset and ~/start"
-        self.get_logger().info(response.message)
-        return response
+        self.trouble = ""
+        return self.answer(response, True, "the robot stands; the controller needs ~/reset and ~/start")
 
     def close(self) -> None:
         """Log the achieved rate and the delays of the ticks."""

@@ -89,7 +89,6 @@ class PoppyDriver(WalkNode):
         self._counts = {"ticks": 0, "periods missed": 0, "states withheld": 0}
         self._latencies: list[float] = []  # since the last diagnostics [s]
         self._lag = np.zeros(len(self._plant.names))  # largest since the last diagnostics [rad]
-        self._reason = "starting"
         self._states = self.advertise("joint_states")
         self._goals = self.create_publisher(JointState, "joint_goals", ros.stream(10))
         self.create_subscription(JointState, VELOCITY, self._on_command, ros.stream(1))
@@ -159,9 +158,7 @@ class PoppyDriver(WalkNode):
         if not reason and not plant.ready:
             reason = "moving to the first pose"
             self.get_logger().info(f"{reason}: {plant.left:.2f} rad left", **THROTTLE)
-        if reason != self._reason:
-            self._reason = reason
-            self._commands.forbid(reason)
+        self._commands.forbid(reason)
 
     def _on_activate(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         return self._switch(True, response)
@@ -198,7 +195,9 @@ class PoppyDriver(WalkNode):
         level, text = self._commands.level()
         if not faults and not plant.ready:
             level = "WARN"
-            text = f"moving to the first pose: {plant.left:.2f} rad left" if plant.active else self._reason
+            text = (
+                f"moving to the first pose: {plant.left:.2f} rad left" if plant.active else self._commands.gate.refused
+            )
         i = int(self._lag.argmax())
         values = {**self._counts, **self._commands.counts()}
         values |= {"lagging joint": plant.names[i], "lag": float(self._lag[i]), "oldest angle": plant.age}

@@ -15,7 +15,7 @@ import numpy as np
 from geometry_msgs.msg import TwistStamped, WrenchStamped
 from sensor_msgs.msg import JointState
 
-from dqwalk_ros.errors import DqwalkError, PlantError
+from dqwalk_ros.errors import DqwalkError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import STEADY, WalkNode
 from dqwalk_ros.nodes.inputs import EFFORT, CommandInput
@@ -71,12 +71,11 @@ class Rigid(WalkNode):
         self._pelvis = config.robot.pelvis
         self._command: BodyCommand | None = None
         self._stamp, self._ticks, self._published_at = 0, 0, -float("inf")
-        self._wait = config.node.wait_for_recorder
         self._pushes: list[WrenchStamped] = []  # to be applied before the next state
         streams = ("joint_states", "base_pose", "base_twist", "left_wrench", "right_wrench", "push_applied")
         self._pub = {name: self.advertise(name) for name in streams}
         self.create_subscription(JointState, EFFORT, self._on_command, ros.stream(10))
-        self.create_subscription(WrenchStamped, "push", self._on_push, ros.stream(10))
+        self.create_subscription(WrenchStamped, "push", self._pushes.append, ros.stream(10))
         self.create_timer(self._dt, self._on_period, clock=STEADY)
         self.create_timer(1.0 / config.monitor.rate, self._diagnose, clock=STEADY)
         mode = "lockstep" if self.lockstep else f"at most {1.0 / self._dt:g} Hz"
@@ -88,7 +87,7 @@ class Rigid(WalkNode):
             return  # only the first command of a state is used; after a timeout the controller also sends zero torque
         effort = clamp_effort(command.effort, self._model)
         now = self._ticks * self._dt
-        self._command = BodyCommand(
+        body = BodyCommand(
             now,
             np.zeros(len(effort)),
             acceleration=np.zeros(6 + len(effort)),
@@ -97,42 +96,35 @@ class Rigid(WalkNode):
             landing=self._stepping.landing(now, self._dt),
         )
         if self.lockstep:
-            self._step()
-
-    def _on_push(self, msg: WrenchStamped) -> None:
-        """Store a push, to be applied between this period and the next."""
-        self._pushes.append(msg)
+            self._step(body)
+        else:
+            self._command = body  # of the next period
 
     def _apply_pushes(self) -> None:
-        """Apply the impulse of each push, its force times one second [N s]; (S23) contains no moments."""
+        """Apply the impulse of each push; (S23) contains no moments."""
         log = self.get_logger()
         for msg in self._pushes:
-            f = msg.wrench.force
             try:
-                if not np.abs([f.x, f.y, f.z]).max() <= self._max_impulse:
-                    most = f"{self._max_impulse:.0f} N s"
-                    raise PlantError(f"{f.x:g}, {f.y:g}, {f.z:g} N s are beyond {most}, or not finite")
-                self._plant.push([f.x, f.y, f.z])
+                impulse = ros.impulse(msg, self._max_impulse)
+                self._plant.push(impulse)
             except DqwalkError as error:
                 log.error(f"push rejected: {error}")
                 continue
             msg.header.stamp, msg.header.frame_id = ros.time_msg(self._stamp), ODOM
             self._pub["push_applied"].publish(msg)
-            log.info(f"pushed: {f.x:g}, {f.y:g}, {f.z:g} N s")
+            log.info("pushed: {:g}, {:g}, {:g} N s".format(*impulse))
         self._pushes.clear()
 
     def _on_period(self) -> None:
         if not self.lockstep:
             self._commands.log_motion()
         if self._command is not None:
-            self._step()
+            self._step(self._command)
         elif time.monotonic() - self._published_at > _ASK_AGAIN and self._may_begin():
             self._publish()
 
-    def _step(self) -> None:
-        command, self._command = self._command, None
-        if command is None:
-            return
+    def _step(self, command: BodyCommand) -> None:
+        self._command = None
         try:
             self._plant.step(command, self._dt)
         except DqwalkError as error:
@@ -149,10 +141,7 @@ class Rigid(WalkNode):
 
     def _may_begin(self) -> bool:
         """Return whether the walk may begin: with a recorder, once it has subscribed to every message."""
-        if self._ticks or not self._wait:
-            return True
-        streams = ("joint_states", "base_pose", "base_twist", "left_wrench", "right_wrench")
-        return all(ros.is_heard_by(self, self._pub[name], "recorder") for name in streams)
+        return bool(self._ticks) or not self.config.node.wait_for_recorder or self.is_recorded()
 
     def _publish(self) -> None:
         s = self._plant.state
@@ -167,8 +156,5 @@ class Rigid(WalkNode):
 
     def _diagnose(self) -> None:
         level, text = self._commands.level()
-        if self.lockstep and level == "WARN" and not self._commands.gate.rejected:  # waiting is normal
-            waits = self._commands.gate.watchdog.age
-            level, text = ("OK", "lockstep") if waits < 2.0 else ("WARN", "waiting for a command")
         counts = {"ticks": self._ticks, **self._commands.counts()}
         self.diagnose("plant", self._model.name, level, text, counts, self._stamp)

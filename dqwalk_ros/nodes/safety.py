@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.errors import StateError, listed
 from dqwalk_ros.robot import RobotModel
 from dqwalk_ros.state import State
@@ -35,7 +36,6 @@ __all__ = [
     "outside_limits",
 ]
 
-Array = NDArray[np.float64]
 Clock = Callable[[], float]
 
 
@@ -43,14 +43,6 @@ class JointOrder:
     """Sorts values that have joint names into the order of the model's joints.
 
     Joints that the model does not have are ignored. Any other mismatch rejects the whole message.
-
-    Parameters
-    ----------
-    joint_names : sequence of str
-
-    Attributes
-    ----------
-    joints : frozenset of str
     """
 
     def __init__(self, joint_names: Sequence[str]) -> None:
@@ -169,10 +161,6 @@ class DuplicatePublishers:
 
     Two different nodes are reported at once. Two publishers of the same name may be a node and its killed predecessor,
     which the middleware lists for another 20 s; they are reported when both are still listed after `ghost`.
-
-    Parameters
-    ----------
-    clock : callable
     """
 
     ghost = 25.0
@@ -254,9 +242,11 @@ class DuplicateStates:
 def outside_limits(q: Array, model: RobotModel, slack: float) -> str:
     """Return the joints beyond their limits by more than `slack` [rad], and by how much; empty if there are none."""
     beyond = np.maximum(model.q_min - q, q - model.q_max)
-    if (beyond <= slack).all():
-        return ""
-    return ", ".join(f"{model.joint_names[i]} by {beyond[i]:.3g} rad" for i in np.flatnonzero(~(beyond <= slack)))
+    return _by(model, beyond, ~(beyond <= slack))
+
+
+def _by(model: RobotModel, angles: Array, which: NDArray[np.bool_]) -> str:
+    return ", ".join(f"{model.joint_names[i]} by {angles[i]:.3g} rad" for i in np.flatnonzero(which))
 
 
 def clamp_velocity(u: Array, q: Array, model: RobotModel, dt: float) -> Array:
@@ -271,7 +261,6 @@ def clamp_velocity(u: Array, q: Array, model: RobotModel, dt: float) -> Array:
         Commanded velocities [rad/s], finite.
     q : ndarray, shape (n,)
         [rad]
-    model : RobotModel
     dt : float
         Duration of the motion [s].
     """
@@ -292,7 +281,6 @@ class StateGate:
 
     Parameters
     ----------
-    model : RobotModel
     dt : float
         Period of the states [s].
     timeout : callable
@@ -303,15 +291,14 @@ class StateGate:
         Consecutive jumps after which every state is rejected until `reset`.
     by_stamp : bool
         In lockstep: time is measured by the stamps, not by the steady clock.
-    clock : callable
 
     Attributes
     ----------
     watchdog : Watchdog
         Fed by accepted states only.
     jumped : FaultCounter
-    overtaken, rejected : int
-        Number of states ignored because of their stamp, and rejected because of their values.
+    overtaken : int
+        Number of states ignored because of their stamp.
     """
 
     def __init__(
@@ -329,7 +316,7 @@ class StateGate:
         self._timeout = timeout
         self.watchdog = Watchdog(timeout, clock)
         self.jumped = FaultCounter(jumps)
-        self.overtaken = self.rejected = 0
+        self.overtaken = 0
         self._q: Array | None = None
         self._stamp = -1
         self._passed = 0.0  # from the last accepted state to the first jump after it [s]
@@ -354,9 +341,9 @@ class StateGate:
             names the joints.
         """
         if self.jumped:
-            raise self._refusal(self.jumped.reason)
+            raise StateError(self.jumped.reason)
         if outside := outside_limits(q, self._model, self._outside):
-            raise self._refusal(f"outside the joint limits: {outside} ({self._outside:g} rad are tolerated)")
+            raise StateError(f"outside the joint limits: {outside} ({self._outside:g} rad are tolerated)")
         if self._q is not None:
             passed = (stamp - self._stamp) * 1e-9
             if not self._by_stamp:  # a stamp may be wrong; the time of receipt bounds the error
@@ -367,13 +354,8 @@ class StateGate:
             self._passed = passed
             reach = self._model.velocity_max * (max(passed, 0.0) + self._dt)
             moved = np.abs(q - self._q)
-            if not (moved <= reach).all():
-                far = np.flatnonzero(~(moved <= reach))
-                names = ", ".join(f"{self._model.joint_names[i]} by {moved[i]:.3g} rad" for i in far)
-                why = f"a jump that the velocity limits do not allow: {names}"
-                if self.jumped.fault(f"{why}; {self.jumped.limit} in a row, rejecting all states until ~/reset"):
-                    why = self.jumped.reason
-                raise self._refusal(why)
+            if far := _by(self._model, moved, ~(moved <= reach)):
+                raise self._jump(f"a jump that the velocity limits do not allow: {far}")
         self.jumped.good()
         self._q, self._stamp = q, stamp
         self.watchdog.feed()
@@ -384,9 +366,10 @@ class StateGate:
         self._q, self._stamp = None, -1
         self.watchdog.starve()
 
-    def _refusal(self, why: str) -> StateError:
-        self.rejected += 1
-        return StateError(why)
+    def _jump(self, why: str) -> StateError:
+        """Count a jump and return its error."""
+        latched = self.jumped.fault(f"{why}; {self.jumped.limit} in a row, rejecting all states until ~/reset")
+        return StateError(self.jumped.reason if latched else why)
 
 
 class BodyGate(StateGate):
@@ -426,19 +409,16 @@ class BodyGate(StateGate):
             If a number is not finite, a velocity is too large, or joints or base jumped.
         """
         if not all(np.isfinite(part).all() for part in (q, dq, place, v_base)):
-            raise self._refusal("a number is not finite")
+            raise StateError("a number is not finite")
         if not (np.abs(dq) <= self._model.velocity_max).all():
             joint = int(np.argmax(np.abs(dq) / self._model.velocity_max))
-            raise self._refusal(f"{self._model.joint_names[joint]} turns at {dq[joint]:.3g} rad/s")
+            raise StateError(f"{self._model.joint_names[joint]} turns at {dq[joint]:.3g} rad/s")
         if not (np.abs(v_base[:3]).max() <= self.speed and np.abs(v_base[3:]).max() <= self.turn):
-            raise self._refusal(f"the base moves at {np.abs(v_base[:3]).max():.3g} m/s")
+            raise StateError(f"the base moves at {np.abs(v_base[:3]).max():.3g} m/s")
         if self._place is not None and not self.jumped:
             moved = float(np.linalg.norm(place - self._place))
             if not moved <= self.speed * (max((stamp - self._stamp) * 1e-9, 0.0) + self._dt):
-                why = f"the base jumped by {moved:.3g} m"
-                if self.jumped.fault(f"{why}; {self.jumped.limit} jumps in a row, rejecting all states until ~/reset"):
-                    why = self.jumped.reason
-                raise self._refusal(why)
+                raise self._jump(f"the base jumped by {moved:.3g} m")
         self.accept(stamp, q)
         self._place = place
 
@@ -449,11 +429,16 @@ class Contradictions:
     The difference between measured and expected motion is integrated with a decay. The sag of servos and the bias of a
     gyroscope stay small in this sum; an angle that is frozen, has slipped or drifts does not.
 
+    Between two states that are further apart than two periods, states were lost, or the plant was late. In the first
+    case it moved all the time; in the second for two periods only, because no plant makes up for lost time. Only motion
+    outside these two limits counts.
+
     Parameters
     ----------
-    joint_names : sequence of str
     limit : float
         Largest sum [rad].
+    period : float
+        Period of the states [s].
     timeout : callable
         Returns the timeout of the states [s].
     """
@@ -461,8 +446,8 @@ class Contradictions:
     memory = 10.0, 1.0
     """Time constants of the decay, of the joints and of the vertical [s]."""
 
-    def __init__(self, joint_names: Sequence[str], limit: float, timeout: Callable[[], float]) -> None:
-        self._names, self._limit, self._timeout = joint_names, limit, timeout
+    def __init__(self, joint_names: Sequence[str], limit: float, period: float, timeout: Callable[[], float]) -> None:
+        self._names, self._limit, self._period, self._timeout = joint_names, limit, period, timeout
         self.forget()
 
     def forget(self) -> None:
@@ -475,7 +460,6 @@ class Contradictions:
 
         Parameters
         ----------
-        state : State
         commanded : ndarray, shape (n,)
             Velocities commanded since the previous state [rad/s].
         leaning : bool
@@ -487,7 +471,9 @@ class Contradictions:
             self.forget()
             self._before = state
             return ""
-        self._off = math.exp(-passed / self.memory[0]) * (self._off + state.q - before.q - passed * commanded)
+        moved, most, least = state.q - before.q, passed * commanded, min(passed, 2.0 * self._period) * commanded
+        beyond = moved - np.clip(moved, np.minimum(least, most), np.maximum(least, most))
+        self._off = math.exp(-passed / self.memory[0]) * (self._off + beyond)
         if (worst := np.abs(self._off)).max() > (0.5 * self._limit if leaning else self._limit):
             k = int(worst.argmax())
             return (
@@ -512,10 +498,8 @@ class CommandGate:
 
     Parameters
     ----------
-    model : RobotModel
     timeout : callable
         Returns the timeout of the commands, after which the plant holds [s].
-    clock : callable
 
     Attributes
     ----------

@@ -10,13 +10,11 @@ import argparse
 import contextlib
 from typing import Any
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PointStamped, PoseStamped, WrenchStamped
-from numpy.typing import NDArray
+from geometry_msgs.msg import PoseStamped, WrenchStamped
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import DqwalkError, StateError
 from dqwalk_ros.kinematics import Kinematics, compose
@@ -26,12 +24,10 @@ from dqwalk_ros.nodes.phases import PhaseLog
 from dqwalk_ros.report.scene import Moment, Scene
 from dqwalk_ros.report.viewer.page import FRAME, Page
 from dqwalk_ros.robot import RobotModel
-from dqwalk_ros.topics import TOPICS
 from dqwalk_ros.walk import Phase
 
 __all__ = ["Viewer"]
 
-Array = NDArray[np.float64]
 
 _PUSH = 0.1
 """Default impulse of the push buttons, per mass of the robot [m/s]."""
@@ -72,9 +68,8 @@ class Viewer(WalkNode):
     def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
         super().__init__("viewer", options, **keywords)
         self.page = Page(options.port)
-        self._phases = PhaseLog(self.get_logger())
+        self._phases = PhaseLog(self)
         self._shown: RobotModel | None = None
-        self._label = ""
         self._phase: Phase | None = None
         self._index = -1
         self._began = -1  # [ns]
@@ -86,15 +81,6 @@ class Viewer(WalkNode):
         self._solver = ""
         self._impulse = 0.0  # default of the push buttons [N s]
         self._push = self.create_publisher(WrenchStamped, "push", ros.stream(10))
-        for name, kind, callback in (
-            ("walk_config", String, self._on_config),
-            ("robot_description", String, self._on_description),
-            ("phase", String, self._on_phase),
-            ("phase_start", JointState, self._phases.add_start),
-            ("com_target", PointStamped, self._phases.add_target),
-            ("swing_target", PoseStamped, self._phases.add_target),
-        ):
-            self.create_subscription(kind, name, callback, ros.latched(TOPICS[name].depth))
         self.create_subscription(PoseStamped, "true_base_pose", self._on_simulated, ros.stream(1, reliable=False))
         newest = ros.stream(1, reliable=False)
         self.create_subscription(JointState, "joint_states", self._on_state, newest)
@@ -105,29 +91,21 @@ class Viewer(WalkNode):
 
     # ------------------------------------------------------------------ configuration and phases
 
-    def _on_config(self, msg: String) -> None:
-        self._phases.add_config(msg.data)
-        self._load()
-
-    def _on_description(self, msg: String) -> None:
-        self._phases.add_description(msg.data)
-        self._load()
-
-    def _load(self) -> None:
+    def _load(self) -> bool:
+        """Show the robot of the topics; return whether it is known."""
         config, model = self._phases.config, self._phases.model
-        if config is None or model is None or model is self._shown:
-            return
-        try:
-            self.page.set_scene(Scene(config, model))
+        if config is None or model is None:
+            return False
+        if model is not self._shown:
+            try:
+                self.page.set_scene(Scene(config, model))
+            except DqwalkError as error:
+                self.get_logger().error(str(error), **THROTTLE)
+                return False
             self._impulse = round(_PUSH * model.mass, 2)
-        except DqwalkError as error:
-            self.get_logger().error(str(error))
-            return
-        self._shown = model
-        self._restart()
-
-    def _on_phase(self, msg: String) -> None:
-        self._label = msg.data
+            self._shown = model
+            self._restart()
+        return True
 
     def _restart(self) -> None:
         self._phase, self._index, self._began = None, -1, -1
@@ -159,7 +137,8 @@ class Viewer(WalkNode):
     # ------------------------------------------------------------------ the states
 
     def _on_state(self, msg: JointState) -> None:
-        self._state = msg
+        if self._phases.reader is None or not self._phases.reader.is_foreign(msg):
+            self._state = msg
 
     def _on_pose(self, msg: PoseStamped) -> None:
         """Compute the pose in odom of the first phase received from one pelvis pose; then unsubscribe."""
@@ -183,8 +162,9 @@ class Viewer(WalkNode):
         self._push.publish(msg)
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
+        own = f"{self.get_namespace()}/controller:".lstrip("/")
         for status in msg.status:
-            if status.name.startswith("controller:"):
+            if status.name.startswith(own):
                 values = {pair.key: pair.value for pair in status.values}
                 if "iterations" not in values:
                     self._solver = status.message
@@ -198,29 +178,28 @@ class Viewer(WalkNode):
         """Draw the newest state."""
         msg, self._state = self._state, None
         model, reader = self._phases.model, self._phases.reader
-        if msg is None or model is None or model is not self._shown or reader is None:
+        if not self._load() or msg is None or model is None or reader is None:
             return
         stamp = ros.nanoseconds(msg.header.stamp)
         if not self._follow(stamp) or self._phase is None:
             return
         try:
             state = reader.state(msg)
-            q = state.q
         except StateError as error:
             self.get_logger().error(f"joint_states rejected: {error}", **THROTTLE)
             return
         if self._odometry is not None:
-            pelvis = Kinematics(model, q, self._phase.base).pose(model.pelvis)
+            pelvis = Kinematics(model, state.q, self._phase.base).pose(model.pelvis)
             self._states = {**dict(list(self._states.items())[-50:]), stamp: pelvis}
         self.page.show(
             Moment(
                 time=1e-9 * (stamp - self._origin),
-                q=q,
+                q=state.q,
                 phase=self._phase,
                 index=self._index,
                 began=1e-9 * (self._began - self._origin),
                 x_odom_base=self._x_odom_base,
-                label=self._label,
+                label=self._phases.label,
                 solver=self._solver,
                 dq=state.dq,
             )

@@ -42,42 +42,27 @@ _END = 5.0
 """Deadline for the shutdown of the middleware [s]."""
 
 
-class StopRequest:
-    """A flag that a signal handler sets.
+def init(argv: Sequence[str]) -> list[int]:
+    """Initialise rclpy; return a list that fills with the signals received.
 
-    It has no lock: a second signal can interrupt the handler of the first, and would wait forever for the lock of a
-    `threading.Event`.
-    """
-
-    _is_set = False
-
-    def set(self, *_: object) -> None:
-        """Set the flag; takes the arguments of a signal handler."""
-        self._is_set = True
-
-    def is_set(self) -> bool:
-        """Return whether a signal was received."""
-        return self._is_set
-
-
-def init(argv: Sequence[str]) -> StopRequest:
-    """Initialise rclpy; return a flag that SIGINT and SIGTERM set, and SIGHUP where it is not ignored (nohup).
+    These are SIGINT and SIGTERM, and SIGHUP where it is not ignored (nohup). A list has no lock: a second
+    signal can interrupt the handler of the first, and would wait forever for the lock of a `threading.Event`.
 
     Raises
     ------
     ConfigError
         For invalid ROS arguments, or missing security keys.
     """
-    stopped = StopRequest()
+    received: list[int] = []
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(find_share("config", "fastdds.xml")))
     hangs_up = signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN
     for number in (signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hangs_up else [])):
-        signal.signal(number, stopped.set)
+        signal.signal(number, lambda number, frame: received.append(number))
     try:
         rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy raises its own, undocumented types
         raise ConfigError(first_line(error)) from error
-    return stopped
+    return received
 
 
 def first_line(error: BaseException) -> str:
@@ -90,7 +75,6 @@ def spin(node: Node, until: Callable[[], bool], *, pause: float = 0.0) -> None:
 
     Parameters
     ----------
-    node : rclpy.node.Node
     until : callable
         Called after each event; true ends the spinning.
     pause : float
@@ -134,7 +118,6 @@ class TimerWaker(threading.Thread):
 
     Parameters
     ----------
-    node : rclpy.node.Node
     executor : rclpy.executors.Executor
         Woken at each check.
     """

@@ -7,22 +7,20 @@ and the stamp from which each target applies are published as well, so that a re
 from __future__ import annotations
 
 import argparse
-import time
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import to_yaml
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import StateError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.answering import AnsweringNode
-from dqwalk_ros.nodes.inputs import EFFORT
 from dqwalk_ros.nodes.safety import BodyGate
 from dqwalk_ros.provenance import here, to_text
 from dqwalk_ros.topics import ODOM
@@ -32,10 +30,9 @@ from dqwalk_ros.whole_body.hierarchy import Answer
 
 __all__ = ["WholeBodyController"]
 
-Array = NDArray[np.float64]
 
 _PARTS = 20
-"""Most messages of each kind that wait for the other messages of their state."""
+"""Most states of which messages are missing."""
 _AT_REST = 0.05
 """Largest velocity of a robot at rest, which a walk starts from [m/s, rad/s]."""
 _DAY = 86_400_000_000_000
@@ -74,19 +71,20 @@ class WholeBodyController(AnsweringNode):
     """
 
     claims = "joint_effort_commands"
+    gate = BodyGate
+    field, stopping = "effort", "zero torque"
+    states = awaited = "body state"
+    what = "balance"
 
     def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
-        name, states = "whole_body_controller", "body state"
-        super().__init__(name, options, gate=BodyGate, states=states, stopping="zero torque", **keywords)
+        super().__init__("whole_body_controller", options, **keywords)
         model = self._model
         self._controller = core.WholeBodyController(self.config, model)
         self._effort_max = np.minimum(model.effort_max, self.config.whole_body.effort)
-        self._still = self._sent = self._answered = np.zeros(model.n)  # torques [N m]
+        self._answered = self._still  # the last command that answers a state
         self._begin: int | None = None  # stamp at which the walk began [ns]
         self._last: Answer | None = None  # of the hierarchy
-        self._joints: dict[int, JointState] = {}
-        self._poses: dict[int, Array] = {}
-        self._twists: dict[int, Array] = {}
+        self._parts: dict[int, dict[str, Any]] = {}  # of incomplete states, by stamp [ns]
         self._targets_rejected = self._missed = 0
         self._new_target: Array | None = None  # not applied to a state yet
         latched = {
@@ -94,7 +92,6 @@ class WholeBodyController(AnsweringNode):
             "walk_origin": to_text(here()),
             "robot_description": model.urdf,
         }
-        self._commands = self.advertise(EFFORT)
         self._applied = self.advertise("hand_target_applied")
         for name, text in latched.items():
             self.advertise(name).publish(String(data=text))
@@ -112,36 +109,32 @@ class WholeBodyController(AnsweringNode):
             return
         stamp = ros.nanoseconds(msg.header.stamp)
         self._plants.note(msg.name, stamp)
-        self._part(self._joints, stamp, msg)
+        self._part(stamp, joints=msg)
 
     def _on_pose(self, msg: PoseStamped) -> None:
         p, r = msg.pose.position, msg.pose.orientation
-        pose = np.array([p.x, p.y, p.z, r.w, r.x, r.y, r.z])
-        self._part(self._poses, ros.nanoseconds(msg.header.stamp), pose)
+        self._part(ros.nanoseconds(msg.header.stamp), pose=np.array([p.x, p.y, p.z, r.w, r.x, r.y, r.z]))
 
     def _on_twist(self, msg: TwistStamped) -> None:
         v, w = msg.twist.linear, msg.twist.angular
-        self._part(self._twists, ros.nanoseconds(msg.header.stamp), np.array([v.x, v.y, v.z, w.x, w.y, w.z]))
+        self._part(ros.nanoseconds(msg.header.stamp), twist=np.array([v.x, v.y, v.z, w.x, w.y, w.z]))
 
-    def _part(self, parts: dict[int, Any], stamp: int, part: Any) -> None:
+    def _part(self, stamp: int, **part: Any) -> None:
         """Store one message of the state with a stamp, and answer the state once it is complete."""
-        parts[stamp] = part
-        while len(parts) > _PARTS:  # of incomplete states
-            del parts[min(parts)]
-        every = (self._joints, self._poses, self._twists)
-        if not all(stamp in kept for kept in every):
+        parts = self._parts.setdefault(stamp, {})
+        parts |= part
+        if len(parts) < 3:
+            while len(self._parts) > _PARTS:
+                del self._parts[min(self._parts)]
             return
-        joints, pose, twist = (kept[stamp] for kept in every)
-        for kept in every:
-            for old in [key for key in kept if key <= stamp]:
-                del kept[old]
+        self._parts = {other: kept for other, kept in self._parts.items() if other > stamp}
         if stamp == self._stamp and not (self._problem or self._duplicates):  # the plant published it again
             self._sent = self._answered
             self._publish_command()
             return
         try:
             if self._is_new(stamp):
-                state = self._state(stamp, joints, pose, twist)
+                state = self._state(stamp, **parts)
                 self._note(stamp)
                 if self._may_answer():
                     self._on_state(stamp, state)
@@ -185,8 +178,8 @@ class WholeBodyController(AnsweringNode):
         if not (self._problem or self._duplicates):
             command: BodyCommand | None = self._guarded(lambda: self._controller.step(state, self.config.dt))
             if command is not None:
-                self._stamp, self._answered = stamp, np.clip(command.effort, -self._effort_max, self._effort_max)
-                self._sent = self._answered
+                effort = np.clip(command.effort, -self._effort_max, self._effort_max)
+                self._stamp, self._sent, self._answered = stamp, {"effort": effort}, {"effort": effort}
                 if self._new_target is not None:
                     self._applied.publish(ros.pose(stamp, ODOM, DQ.from_pose(self._new_target).vec8()))
                     self._new_target = None
@@ -203,15 +196,6 @@ class WholeBodyController(AnsweringNode):
     @property
     def _is_walking(self) -> bool:
         return not self._problem
-
-    def _numbers(self, command: BodyCommand) -> Array:
-        return command.effort
-
-    def _publish_command(self) -> None:
-        self._commands.publish(self._command_msg(self._stamp, effort=self._sent))
-
-    def _fail(self, reason: str) -> None:
-        self._problem = reason
 
     def _done(self) -> None:
         self.get_logger().error(f"the walk failed; sending no more torques: {self._problem}")
@@ -236,24 +220,17 @@ class WholeBodyController(AnsweringNode):
         self._stamp, self._sent = -1, self._still
         self._gate.reset()
         self._failures.reset()
-        return self._answer(response, True, "the next walk starts from the current posture, without a target")
+        return self.answer(response, True, "the next walk starts from the current posture, without a target")
 
-    def _diagnose(self, level: str = "", message: str = "") -> None:
-        values: dict[str, Any] = {
-            "ticks": self._ticks,
-            "states rejected": self._rejected,
+    def _condition(self) -> tuple[str, str, dict[str, object]]:
+        values: dict[str, object] = {
             "targets rejected": self._targets_rejected,
             "capturability missed": self._missed,
         }
-        last = self._last
-        if last is not None:
+        if (last := self._last) is not None:
             values |= {"capturability": last.residual, "solve time": last.solve_time, "solver": last.method}
-        if not level:
-            trouble = self._problem or (f"two plants: {self._duplicates}" if self._duplicates else "")
-            level, message = ("ERROR", trouble) if trouble else ("OK", "in balance")
-            if self._failures.count:
-                level, message = "ERROR", trouble or "no command for the last state"
-            elif not trouble and last is not None and last.residual > 1e-6:
-                level, message = "WARN", "cannot stop within the preview"
-        self._diagnosed = time.perf_counter()
-        self.diagnose("balance", self._model.name, level, message, values, max(self._stamp, 0))
+        if self._failures.count:
+            return "ERROR", "no command for the last state", values
+        if last is not None and last.residual > 1e-6:
+            return "WARN", "cannot stop within the preview", values
+        return "OK", "in balance", values

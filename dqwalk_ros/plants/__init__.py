@@ -7,15 +7,14 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.state import Command, State
 
-__all__ = ["Inertial", "Plant", "Truth", "World", "orientation_of", "tilt", "upward"]
-
-Array = NDArray[np.float64]
+__all__ = ["Inertial", "Plant", "Truth", "orientation_of", "tilt", "upward"]
 
 
 class Plant(ABC):
@@ -31,6 +30,11 @@ class Plant(ABC):
         """Execute a command for one period `dt` [s] and return the state after it."""
 
     @property
+    def commanded(self) -> Array:
+        """Angles to which commanded velocities are added, shape (n,) [rad]: goals of servos, else the measured."""
+        return self.state.q
+
+    @property
     def truth(self) -> Truth | None:
         """Ground truth of a simulator; None if it is not available."""
         return None
@@ -40,23 +44,14 @@ class Plant(ABC):
         """Measurements of the inertial sensor; None without such a sensor."""
         return None
 
+    def push(self, force: ArrayLike) -> None:
+        """Push the pelvis of a simulated robot with `force` (3,) [N] in world axes until the next call."""
+        raise NotImplementedError
+
     @property
     def fallen(self) -> bool:
         """Whether the robot lies on the ground."""
         return False
-
-
-class World(Plant):
-    """A simulator with contact dynamics, in which the robot can be pushed and can fall."""
-
-    @property
-    @abstractmethod
-    def truth(self) -> Truth:
-        """Ground truth."""
-
-    @abstractmethod
-    def push(self, force: ArrayLike) -> None:
-        """Push the pelvis with `force` (3,) [N] in world axes until the next call."""
 
 
 @dataclass(frozen=True)

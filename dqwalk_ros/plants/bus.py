@@ -11,15 +11,13 @@ import math
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.compiled import jit
 from dqwalk_ros.config import ServoConfig
 from dqwalk_ros.servos import Drive, Servos
 
 __all__ = ["Bus"]
-
-Array = NDArray[np.float64]
 
 
 class Bus:
@@ -27,8 +25,6 @@ class Bus:
 
     Parameters
     ----------
-    config : ServoConfig
-    servos : Servos
     drive : Drive
         Assumed model of the servos.
     q : ndarray, shape (n,)

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ModelError, PlantError
@@ -22,7 +23,6 @@ from dqwalk_ros.urdf import Urdf
 
 __all__ = ["Camera", "add_scenery"]
 
-Array = NDArray[np.float64]
 _GREY = (0.7, 0.72, 0.75, 1.0)
 
 
@@ -31,8 +31,6 @@ class Camera:
 
     Parameters
     ----------
-    config : Config
-    model : RobotModel
     width, height : int
         Size of the pictures [pixels].
     azimuth, elevation : float
@@ -118,12 +116,7 @@ class Camera:
 
 
 def add_scenery(spec: Any) -> None:
-    """Add a sky, lines on the floor and a light with shadows, without effect on the physics.
-
-    Parameters
-    ----------
-    spec : mujoco.MjSpec
-    """
+    """Add a sky, lines on the floor and a light with shadows, without effect on the physics."""
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.45] * 3, [0.6] * 3
     kind, built = mujoco.mjtTexture, mujoco.mjtBuiltin
     spec.add_texture(

@@ -23,7 +23,6 @@ from dqwalk_ros.errors import PlantError
 
 __all__ = ["ERROR_BITS", "FULL_TORQUE", "TYPES", "Bus", "Clock", "Registers", "ServoType", "find_port", "open_port"]
 
-Array = NDArray[np.float64]
 Clock = Callable[[], float]
 
 

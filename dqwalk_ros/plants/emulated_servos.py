@@ -25,7 +25,6 @@ class EmulatedServo:
     ----------
     number : int
         Id of the servo.
-    kind : ServoType
     degrees : float
         Initial angle [deg].
     """
@@ -72,7 +71,6 @@ class EmulatedServos:
 
     Parameters
     ----------
-    servos : sequence of EmulatedServo
     clock : callable
         Monotonic time [s].
     """

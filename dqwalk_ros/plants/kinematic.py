@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dqwalk_ros.errors import PlantError
 from dqwalk_ros.plants import Plant
@@ -14,15 +14,12 @@ from dqwalk_ros.state import Command, State
 
 __all__ = ["KinematicPlant"]
 
-Array = NDArray[np.float64]
-
 
 class KinematicPlant(Plant):
     """Integrates joint velocities with Euler's method, as section 5 does.
 
     Parameters
     ----------
-    model : RobotModel
     q0 : array_like, shape (n,), optional
         Initial joint angles [rad]; zero by default.
     time0 : float

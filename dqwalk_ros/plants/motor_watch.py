@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import PoppyConfig
 from dqwalk_ros.plants.dynamixel import ERROR_BITS, Bus
 
 __all__ = ["JUMPS", "Measured", "MotorWatch", "Part"]
 
-Array = NDArray[np.float64]
 
 JUMPS = 3
 """Number of consecutive implausible angles after which the joint is reported to have jumped."""
@@ -65,8 +65,6 @@ class MotorWatch:
     ----------
     names : sequence of str
         The N joints.
-    parts : list of Part
-    config : PoppyConfig
     max_age : float
         Age above which angles are not used [s].
 
@@ -108,7 +106,6 @@ class MotorWatch:
         ----------
         now : float
             Time of the buses' clock [s].
-        measured : Measured
         goal : ndarray, shape (N,), optional
             Goals of the servos [rad]; None if the torque is off.
         gain : ndarray of int, shape (N,)

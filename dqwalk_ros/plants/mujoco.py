@@ -8,30 +8,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import PlantError
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.plants import Inertial, Truth, World, upward
+from dqwalk_ros.plants import Inertial, Plant, Truth, upward
 from dqwalk_ros.plants.bus import Bus
 from dqwalk_ros.plants.sensors import Reading, Sensors
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.servos import Drive, Servos
 from dqwalk_ros.state import Command, State
-from dqwalk_ros.statics import gravity_torques
-
-GRAVITY = 9.80665
-"""[m/s^2]"""
+from dqwalk_ros.statics import GRAVITY, gravity_torques
 
 __all__ = ["PhysicsPlant", "build", "held_torques", "robot_spec"]
 
-Array = NDArray[np.float64]
 
 _THICK = 0.008
 """Thickness of the boxes of the soles [m]."""
@@ -42,13 +40,11 @@ _SOLID = [0.95, 0.99, 0.0005, 0.5, 2.0]
 _NO_ACCELERATION = np.zeros(3)
 
 
-class PhysicsPlant(World):
+class PhysicsPlant(Plant):
     """The robot with position servos in MuJoCo.
 
     Parameters
     ----------
-    config : Config
-    model : RobotModel
     q0 : array_like, shape (n,), optional
         Initial joint angles, with both soles on the ground, or held by its root [rad]; zero by default.
     servos : Servos, optional
@@ -159,7 +155,7 @@ class PhysicsPlant(World):
     def inertial(self) -> Inertial:
         """Measurements of the inertial sensor."""
         r = self._reading
-        return Inertial(r.orientation, r.gyro, self._acceleration() if self._sensors.exact else r.acceleration)
+        return replace(r, acceleration=self._acceleration()) if self._sensors.exact else r
 
     @property
     def fallen(self) -> bool:
@@ -181,7 +177,7 @@ class PhysicsPlant(World):
         q, dq = self._qpos[self._qadr], self._qvel[self._vadr]
         # the acceleration of an exact sensor is computed only when `inertial` is read
         acceleration = _NO_ACCELERATION if self._sensors.exact else self._acceleration()
-        r = self._reading = self._sensors.measure(time, Reading(q, dq, orientation, turning[:3], acceleration))
+        r = self._reading = self._sensors.measure(time, Reading(orientation, turning[:3], acceleration, q, dq))
         felt = None if self._sensors.exact else r.acceleration
         return State(time, r.q, r.dq, upward(*r.orientation.tolist()), r.gyro, felt)
 
@@ -230,7 +226,6 @@ def robot_spec(
 
     Parameters
     ----------
-    model : RobotModel
     friction : float
         Friction coefficient of soles and floor.
     contact_time : float
@@ -291,8 +286,6 @@ def build(
 
     Parameters
     ----------
-    config : Config
-    model : RobotModel
     servos : Servos, optional
         As ``servo`` describes them without it.
     scenery : callable, optional
@@ -338,7 +331,6 @@ def held_torques(model: RobotModel, mass_scale: float, q: Array, dq: Array, ddq:
 
     Parameters
     ----------
-    model : RobotModel
     mass_scale : float
         Masses and inertias are multiplied by this.
     q, dq, ddq : ndarray, shape (N, n)
@@ -416,8 +408,5 @@ def _add_rubble(spec: Any, height: float, seed: int) -> None:
 
 def _level(config: Config) -> Array:
     """Return the orientation (4,) of the floor, which is the simulation's world frame, relative to the level."""
-    c, out = config.physics, np.empty(4)
-    ahead = [math.cos(0.5 * c.slope), 0.0, -math.sin(0.5 * c.slope), 0.0]
-    aside = [math.cos(0.5 * c.slope_side), math.sin(0.5 * c.slope_side), 0.0, 0.0]
-    mujoco.mju_mulQuat(out, np.array(ahead), np.array(aside))
-    return out
+    c = config.physics
+    return (DQ.rotation_about(-c.slope, [0.0, 1.0, 0.0]) * DQ.rotation_about(c.slope_side, [1.0, 0.0, 0.0])).vec4()

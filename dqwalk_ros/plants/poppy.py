@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dqwalk_ros import strict_yaml
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import PoppyConfig, find_share
 from dqwalk_ros.errors import ConfigError, PlantError
 from dqwalk_ros.plants import Plant
@@ -32,7 +32,6 @@ from dqwalk_ros.state import Command, State
 
 __all__ = ["Motor", "PoppyPlant", "load_motors", "open_buses", "register_speed"]
 
-Array = NDArray[np.float64]
 
 MIN_SPEED = 1.4
 """Least speed: two units of 0.684 deg/s of the servo's speed register [deg/s]. A speed of less than half a unit is
@@ -154,7 +153,6 @@ class PoppyPlant(Plant):
     ----------
     model : RobotModel
         Model whose joints are commanded; the other joints move to their first pose and hold it.
-    config : PoppyConfig
     max_age : float
         Age above which angles are not used [s].
     posture : ndarray, shape (n,), optional

@@ -7,44 +7,28 @@ from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import SensorsConfig
 from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.plants import Inertial
 
 __all__ = ["Reading", "Sensors"]
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
-class Reading:
-    """Measurements of all sensors at one time.
+class Reading(Inertial):
+    """Measurements of all sensors at one time: joint angles and velocities `q`, `dq` (n,) [rad, rad/s], and `Inertial`.
 
-    Attributes
-    ----------
-    q, dq : ndarray, shape (n,)
-        Joint angles and velocities [rad, rad/s].
-    orientation : ndarray, shape (4,)
-        Orientation of the inertial sensor in a level world, a unit quaternion, real part first.
-    gyro, acceleration : ndarray, shape (3,)
-        Angular velocity and specific force in the sensor's frame [rad/s, m/s^2].
+    The orientation of the inertial sensor is that in a level world.
     """
 
     q: Array
     dq: Array
-    orientation: Array
-    gyro: Array
-    acceleration: Array
 
 
 class Sensors:
-    """Computes measurements from the true values.
-
-    Parameters
-    ----------
-    config : SensorsConfig
-    """
+    """Computes measurements from the true values."""
 
     def __init__(self, config: SensorsConfig) -> None:
         self._config = c = config
