@@ -21,15 +21,15 @@ from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "test"))
 
 import numpy as np
-import yaml
 
 from benchmark.timing import machine
-from dqwalk_ros.config import Config, find_share, load, to_yaml
+from dqwalk_ros.config import Config, find_share, from_yaml, load
 from dqwalk_ros.plants.dynamixel import TYPES
 from dqwalk_ros.plants.poppy import load_motors
-from dqwalk_ros.runner import Processes, private_domain
+from dqwalk_ros.runner import private_domain
 
 FAST = {"gait.step_length": 0.02, "task.eta": 0.5, "ssp.threshold": 0.02}
 """A cycle in 70 s instead of five minutes."""
@@ -41,18 +41,9 @@ PERIODS = 5
 
 def config_for(full: bool) -> Config:
     """Return the paper's walk with the parameters of the plant, combined as in the launch file."""
-    plant = yaml.safe_load(find_share("config/plants", "poppy.yaml").read_text(encoding="utf-8"))
-    values = flat(plant["/**"]["ros__parameters"])
+    plant = from_yaml(find_share("config/plants", "poppy.yaml").read_text(encoding="utf-8"), onto=load("paper"))
     own = {"poppy.dummy": True, "poppy.activate": True, "node.autostart": True, "node.exit_when_done": True}
-    return load("paper").updated({**values, **({} if full else FAST), **own})
-
-
-def flat(tree: Any, prefix: str = "") -> dict[str, Any]:
-    """Return the values of a tree by their dotted names."""
-    if not isinstance(tree, dict):
-        return {prefix: tree}
-    parts = (flat(value, f"{prefix}.{key}" if prefix else str(key)) for key, value in tree.items())
-    return {name: value for part in parts for name, value in part.items()}
+    return plant.updated({**({} if full else FAST), **own})
 
 
 def bare_loop(period: float, stop: Any, answer: Any) -> None:
@@ -65,73 +56,34 @@ def bare_loop(period: float, stop: Any, answer: Any) -> None:
     answer.send(times)
 
 
-class Listener:
-    """A node that stores the messages of the others."""
-
-    def __init__(self, domain: int) -> None:
-        import rclpy
-        from diagnostic_msgs.msg import DiagnosticArray
-        from rclpy.context import Context
-        from rclpy.executors import SingleThreadedExecutor
-        from rclpy.node import Node
-        from rclpy.qos import DurabilityPolicy, QoSProfile
-        from sensor_msgs.msg import JointState
-        from std_msgs.msg import String
-
-        self._context = Context()
-        rclpy.init(context=self._context, domain_id=domain)
-        self.node = Node("listener", context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
-        deep = QoSProfile(depth=10_000)
-        latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.got: dict[str, list[Any]] = {}
-        for name, kind, profile in (
-            ("joint_states", JointState, deep),
-            ("joint_goals", JointState, deep),
-            ("phase", String, latched),
-            ("/diagnostics", DiagnosticArray, deep),
-        ):
-            box = self.got.setdefault(name.strip("/"), [])
-            self.node.create_subscription(kind, name, box.append, profile)
-
-    def spin(self) -> None:
-        """Handle a message; wait for it at most 0.2 s."""
-        self._executor.spin_once(timeout_sec=0.2)
-
-    def close(self) -> None:
-        """Destroy the node."""
-        self.node.destroy_node()
-        self._executor.shutdown()
-        self._context.try_shutdown()
-
-
 def walked(config: Config, timeout: float) -> tuple[dict[str, list[Any]], np.ndarray, str]:
     """Walk; return the messages by topic, the times of a bare loop [s], and the last log line of the controller."""
+    from live import Live
+    from rclpy.qos import QoSProfile
+    from sensor_msgs.msg import JointState
+
     spawn = multiprocessing.get_context("spawn")
     stop, (mine, other) = spawn.Event(), spawn.Pipe()
     loop = spawn.Process(target=bare_loop, args=(1.0 / config.poppy.rate, stop, other), daemon=True)
     with tempfile.TemporaryDirectory() as folder, private_domain() as domain:
-        params = Path(folder) / "params.yaml"
-        params.write_text(to_yaml(config), encoding="utf-8")
-        listener = Listener(domain)
+        live = Live(Path(folder), domain, config, name="listener")
+        goals = live.got.setdefault("joint_goals", [])
+        live.node.create_subscription(JointState, "joint_goals", goals.append, QoSProfile(depth=1000))
         loop.start()
         try:
-            with Processes(Path(folder), domain) as processes:
-                for name in ("poppy_driver", "phase_monitor", "controller"):
-                    processes.start(name, ["--ros-args", "--params-file", str(params)])
-                deadline = time.monotonic() + timeout
-                while processes.exit_code("controller") is None and time.monotonic() < deadline:
-                    listener.spin()
-                    if processes.exit_code("poppy_driver") is not None:
-                        raise SystemExit(f"the driver ended: {processes.last_error('poppy_driver')}")
-                end = processes.last_error("controller")
+            for name in ("poppy_driver", "phase_monitor", "controller"):
+                live.start(name)
+            code = live.processes.exit_code
+            live.until(lambda: code("controller") is not None or code("poppy_driver") is not None, timeout, "")
+            if code("poppy_driver") is not None:
+                raise SystemExit(f"the driver ended: {live.processes.last_error('poppy_driver')}")
+            end = live.processes.last_error("controller")
             stop.set()
             times = mine.recv() if mine.poll(10.0) else []
         finally:
             stop.set()
-            listener.close()
-    return listener.got, np.array(times), end
+            live.close()
+    return live.got, np.array(times), end
 
 
 def periods(times: np.ndarray) -> str:
@@ -161,7 +113,7 @@ def report(config: Config, got: dict[str, list[Any]], bare: np.ndarray, end: str
     q = np.degrees([list(states[s].position) for s in stamps])
     goal = np.degrees([list(goals[s].position) for s in stamps])
     names = list(states[stamps[0]].name)
-    phases = [m.data for m in got["phase"]]
+    phases = [m.data for m in got["phase_log"]]
     finished = "finished" in phases
     phases = [name for name in phases if "/" in name]
     at = 1e-9 * np.array(stamps)

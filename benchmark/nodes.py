@@ -41,9 +41,8 @@ class Plant:
     send: Callable[[int, np.ndarray], None]
     spin: Callable[[float], None]
     n: int
-    answers: dict[int, tuple[float, np.ndarray]] = field(
-        default_factory=dict
-    )  # by stamp: time of receipt [s], velocity
+    # by stamp: time of receipt [s], velocity
+    answers: dict[int, tuple[float, np.ndarray]] = field(default_factory=dict)
     computed: list[float] = field(default_factory=list)  # compute times that the controller reports [s]
 
     def spent(self) -> float:

@@ -20,9 +20,9 @@ from typing import Any
 from benchmark.timing import machine, table  # first: it sets the number of threads
 from dqwalk_ros.adopt import adopt
 from dqwalk_ros.adopt.trial import first_walks
-from dqwalk_ros.config import find_share, from_yaml, load
+from dqwalk_ros.cli.options import overlaid
+from dqwalk_ros.config import Config, load
 from dqwalk_ros.errors import DqwalkError
-from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report import analyse, report
 from dqwalk_ros.robot import load_model
 from dqwalk_ros.simulation import make_controller, make_plant, simulate
@@ -35,12 +35,8 @@ def row(path: Path, out: Path) -> list[Any]:
     *_, (last, cure) = first_walks(found, {})
     took = time.perf_counter() - began
     config = load(out / "robot.yaml")
-    physics = from_yaml(find_share("config/plants", "physics.yaml").read_text(encoding="utf-8"), onto=config)
     model = load_model(config.robot)
-    walked = report(analyse(simulate(make_controller(physics, model), make_plant("physics", physics, model))))
-    paper = load(out / "paper.yaml")
-    legs = load_model(paper.robot)
-    whole = report(analyse(simulate(make_controller(paper, legs), KinematicPlant(legs))))
+    walked, whole = walk(config, "physics"), walk(load(out / "paper.yaml"), "kinematic")
     ground = walked["physics"]
     return [
         path.stem,
@@ -58,13 +54,17 @@ def row(path: Path, out: Path) -> list[Any]:
     ]
 
 
+def walk(config: Config, plant: str) -> dict[str, Any]:
+    """Walk on a plant and return the report."""
+    config = overlaid(config, plant) if plant == "physics" else config
+    model = load_model(config.robot)
+    return report(analyse(simulate(make_controller(config, model), make_plant(plant, config, model))))
+
+
 def dynamic_speed(folder: Path) -> str:
     """Return the mean speed over three metres of an adopted robot's dynamic walk [m/s]."""
-    physics = find_share("config/plants", "physics.yaml").read_text(encoding="utf-8")
-    config = from_yaml(physics, onto=load(folder / "dynamic.yaml"))
-    config = config.updated({"gait.steps": math.ceil(3.0 / config.gait.step_length) + 8})
-    model = load_model(config.robot)
-    walked = report(analyse(simulate(make_controller(config, model), make_plant("physics", config, model))))
+    config = load(folder / "dynamic.yaml")
+    walked = walk(config.updated({"gait.steps": math.ceil(3.0 / config.gait.step_length) + 8}), "physics")
     if not (walked["ok"] and walked["walk"]["finished"]):
         return "-"
     return f"{walked['physics']['way'] / walked['walk']['duration']:.3f}"

@@ -12,7 +12,6 @@ import argparse
 import contextlib
 import os
 import re
-import signal
 import subprocess
 import sys
 import tempfile
@@ -27,7 +26,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "test"))
 
 import numpy as np
-from browser import chromium, dark_share, picture
+from browser import address, chromium, dark_share, picture, running
 from recorded import short_config, short_walk
 
 from benchmark.timing import machine, table
@@ -42,21 +41,6 @@ SIZE = {"width": 1000, "height": 500}
 MIDDLE = slice(350, 670)
 """Size of the browser window, and the columns of its picture between the panels [pixels]."""
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
-
-
-@contextlib.contextmanager
-def viewing(path: Path) -> Iterator[tuple[str, float]]:
-    """Run ``dqwalk view``; yield the address and the time when it was started."""
-    began = time.monotonic()
-    words = [sys.executable, "-m", "dqwalk_ros.cli", "view", str(path), "--port", "0"]
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT)
-    assert process.stdout is not None  # it is a pipe
-    try:
-        yield next(m.group() for line in process.stdout if (m := re.search(r"http://[\d.:]+", line))), began
-    finally:
-        process.send_signal(signal.SIGINT)
-        process.stdout.close()
-        process.wait(20)
 
 
 def until_seen(page: Any, timeout: float = 60.0) -> float:
@@ -75,7 +59,8 @@ def opening(folder: Path, rounds: int = 5) -> None:
     times = []
     with chromium(folder, **SIZE) as page:
         for _ in range(rounds):
-            with viewing(path) as (url, began):
+            began = time.monotonic()
+            with running("-m", "dqwalk_ros.cli", "view", path, "--port", 0) as (url, _):
                 printed = time.monotonic()
                 page.goto(url)
                 loaded = time.monotonic()
@@ -103,12 +88,7 @@ def walking(folder: Path, config: Config) -> Iterator[str]:
 def viewer(processes: Processes, params: Path) -> str:
     """Start the viewer; return the address of its page."""
     processes.start("viewer", ["--port", "0", "--ros-args", "--params-file", str(params)])
-    deadline = time.monotonic() + 60.0
-    while not (found := re.search(r"http://[\d.:]+", processes.log("viewer"))):
-        if time.monotonic() > deadline or processes.exit_code("viewer") is not None:
-            raise SystemExit(f"no page: {processes.last_error('viewer')}")
-        time.sleep(0.05)
-    return found.group()
+    return address(processes)
 
 
 def smoothness(folder: Path, seconds: float = 15.0) -> None:

@@ -39,18 +39,13 @@ class Watched:
 
     Attributes
     ----------
-    first, last : dict of str to (float, int)
-        Resident set [MB] and open files of each node.
+    samples : dict of float to dict of str to (float, int)
+        Resident set [MB] and open files of each node, by the time since the first sample [s].
     """
 
     def __init__(self, quiet: bool) -> None:
-        self._progress = Progress(quiet=quiet)
-        self._began = 0.0
-        self._due = 0.0
-        self.first: dict[str, tuple[float, int]] = {}
-        self.last: dict[str, tuple[float, int]] = {}
-        self.at: list[float] = []
-        self.curve: list[dict[str, float]] = []
+        self._progress, self._began, self._due = Progress(quiet=quiet), 0.0, 0.0
+        self.samples: dict[float, dict[str, tuple[float, int]]] = {}
 
     def __call__(self, fraction: float, text: str) -> None:
         """Take a sample every two seconds; the progress callback of `run_walk`."""
@@ -61,11 +56,7 @@ class Watched:
         self._began, self._due = self._began or now, now + 2.0
         found = sample()
         if len(found) == 4:
-            self.last = found
-            if not self.first and now - self._began >= FIRST:
-                self.first = found
-            self.at.append(now - self._began)
-            self.curve.append({name: memory for name, (memory, _) in found.items()})
+            self.samples[now - self._began] = found
 
     def close(self) -> None:
         """End the line of the progress."""
@@ -138,33 +129,26 @@ def main() -> int:
 
 def report(watched: Watched, outcome: Any, config: Config) -> bool:
     """Print growth and missing messages; return whether both are within their limits."""
-    if not watched.first:
+    times, samples = list(watched.samples), list(watched.samples.values())
+    first = next((found for at, found in watched.samples.items() if at >= FIRST), None)
+    if first is None:
         print(f"the walk ended before {FIRST:.0f} s: nothing to compare")
         return False
     rows, ok = [], bool(outcome.finished)
-    for name, (memory, files) in watched.last.items():
-        memory0, files0 = watched.first[name]
-        most = max(at[name] for at in watched.curve)
-        half = watched.curve[len(watched.curve) // 2][name]
+    for name, (memory, files) in samples[-1].items():
+        (memory0, files0), half = first[name], samples[len(samples) // 2][name][0]
+        most = max(found[name][0] for found in samples)
         ok &= memory - memory0 < GROWTH and files <= files0
         sizes = (f"{memory0:.1f}", f"{half:.1f}", f"{memory:.1f}", f"{memory - memory0:+.1f}", f"{most:.1f}")
         rows.append([name, *sizes, f"{files0}", f"{files}"])
-    head = [
-        "node",
-        "after 1 min [MB]",
-        "half way [MB]",
-        "at the end [MB]",
-        "growth [MB]",
-        "most [MB]",
-        "files, 1 min",
-        "files, end",
-    ]
+    head = ["node", "after 1 min [MB]", "half way [MB]", "at the end [MB]", "growth [MB]", "most [MB]"]
+    head += ["files, 1 min", "files, end"]
     print("\n" + table(head, rows))
     size = sum(file.stat().st_size for file in outcome.bag.iterdir()) / 1e6
     for topic, (count, missing) in gaps(outcome.bag, round(config.dt * 1e9)).items():
         ok &= missing == 0 and count >= outcome.ticks
         print(f"{topic}: {count} messages, {missing} missing")
-    print(f"bag of {size:.0f} MB; {watched.at[-1] / 60.0:.1f} min of the clock\n{'flat' if ok else 'NOT flat'}")
+    print(f"bag of {size:.0f} MB; {times[-1] / 60.0:.1f} min of the clock\n{'flat' if ok else 'NOT flat'}")
     return ok
 
 

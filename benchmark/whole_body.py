@@ -6,17 +6,13 @@ time on one idle core.
 
 from __future__ import annotations
 
-import os
-
-for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[_name] = "1"  # before numpy is loaded
-
 import argparse
 import time
 from dataclasses import replace
 
 import numpy as np
 
+from benchmark.timing import table  # first: it sets the number of threads
 from dqwalk_ros.config import load
 from dqwalk_ros.robot import load_model
 from dqwalk_ros.whole_body import SCENARIOS, WholeBodyController, follow
@@ -42,10 +38,9 @@ def main() -> None:
         methods += walked.method
         print(f"{scenario.name}: {len(walked.time)} ticks {walked.note}", flush=True)
     spent = 1e3 * np.vstack(times)
-    print(f"\n{'CPU time [ms]':<14}{'mean':>8}{'median':>8}{'p95':>8}{'p99':>8}{'max':>8}")
-    for stage, column in zip(STAGES, spent.T, strict=True):
-        values = [column.mean(), *np.percentile(column, [50, 95, 99]), column.max()]
-        print(f"{stage:<14}" + "".join(f"{value:8.2f}" for value in values))
+    columns = [[column.mean(), *np.percentile(column, [50, 95, 99]), column.max()] for column in spent.T]
+    rows = [[stage, *(f"{value:.2f}" for value in values)] for stage, values in zip(STAGES, columns, strict=True)]
+    print("\n" + table(["CPU time [ms]", "mean", "median", "p95", "p99", "max"], rows))
     shares = ", ".join(f"{name} {100.0 * methods.count(name) / len(methods):.1f} %" for name in dict.fromkeys(methods))
     print(f"{shares}; {100.0 * (spent[:, 3] > 5.0).mean():.2f} % of the ticks above 5 ms\n{PAPER}")
 
