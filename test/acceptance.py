@@ -16,14 +16,16 @@ import numpy as np
 from exactness import Answers, checked_walk, condensed_difference, infeasible, model_difference
 from joblib import Parallel, delayed, parallel_config
 
-from dqwalk_ros.cli.body import write_results
-from dqwalk_ros.cli.options import Output
+from dqwalk_ros.cli.options import Report
 from dqwalk_ros.cli.progress import Progress
+from dqwalk_ros.cli.results import write_report
 from dqwalk_ros.config import Config, load
 from dqwalk_ros.report import bag
+from dqwalk_ros.report.figures import reaching
 from dqwalk_ros.robot import load_model
+from dqwalk_ros.text_table import aligned
 from dqwalk_ros.whole_body import PAPER_TIMES, SCENARIOS, Scenario, WholeBodyController, WholeBodyTrace
-from dqwalk_ros.whole_body.demands import KEPT, Demand, aligned, checks, spread, summary
+from dqwalk_ros.whole_body.demands import KEPT, Demand, checks, spread, summary
 from dqwalk_ros.whole_body.experiments import Walk
 from dqwalk_ros.whole_body.trace import MARGINS
 
@@ -202,7 +204,7 @@ def render(demands: Sequence[Demand]) -> str:
         word = "ok" if demand.ok else "NOT OK" if demand.must else "aim not reached"
         rows.append(("" if demand.topic == topic else demand.topic, demand.name, demand.bound, demand.got, word))
         topic = demand.topic
-    lines = aligned(rows)
+    lines = aligned(rows).splitlines()
     must, aims = [one for one in demands if one.must], [one for one in demands if not one.must]
     met, reached = sum(one.ok for one in must), sum(one.ok for one in aims)
     total = f"{met} of {len(must)} demands met, {reached} of {len(aims)} aims reached"
@@ -234,8 +236,8 @@ def main() -> int:
     bags = [args.out / "bag_1", args.out / "bag_2"]
     for walked, path in zip(both, bags, strict=True):
         bag.write_body(walked, path, overwrite=True)
-    output = Output(args.out, force=True, formats=("png",), figures=True, quiet=False)
-    write_results(output, args.out, report, both, bags)
+    output = Report(out=args.out, formats=("png",), figures=True)
+    write_report(output, report, "", reaching.drawn(both), more=bags)
     return 0 if all(one.ok for one in demands if one.must) else 1
 
 

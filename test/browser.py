@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +17,8 @@ from typing import Any
 import numpy as np
 from matplotlib.image import imread
 from playwright.sync_api import sync_playwright
+
+from dqwalk_ros.runner import Processes
 
 FLAGS = (
     "--no-sandbox",
@@ -22,8 +29,36 @@ FLAGS = (
     "--disable-sync",
     "--no-first-run",
 )
+URL = r"http://127\.0\.0\.1:\d+"
 PICTURES = Path(os.environ.get("DQWALK_PICTURES", "results/pictures"))
 """Folder for the pictures of the tests."""
+
+
+@contextmanager
+def running(*words) -> Iterator[tuple[str, subprocess.Popen]]:
+    """Run a program that prints the address of its page; yield that and its process."""
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parent.parent), "PYTHONUNBUFFERED": "1"}
+    process = subprocess.Popen([sys.executable, *map(str, words)], stdout=subprocess.PIPE, text=True, env=environment)
+    try:
+        url = next(m.group() for line in process.stdout if (m := re.search(URL, line)))
+        yield url, process
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.stdout.close()
+        try:
+            process.wait(20)
+        except subprocess.TimeoutExpired:  # an interrupted walk shows its page until a second signal
+            process.send_signal(signal.SIGINT)
+            process.wait(20)
+
+
+def address(processes: Processes) -> str:
+    """Return the address of the page of the node ``viewer``, when it has logged it."""
+    deadline = time.monotonic() + 60.0
+    while not (found := re.search(URL, processes.log("viewer"))):
+        assert time.monotonic() < deadline, processes.last_error("viewer")
+        time.sleep(0.05)
+    return found.group()
 
 
 @contextmanager

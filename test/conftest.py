@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import declared
 import pytest
@@ -12,23 +14,34 @@ import robots
 
 from dqwalk_ros.config import Config, load
 from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.runner import private_domain
 
 # a background job of a script ignores SIGINT, and one of nohup SIGHUP, and a started process inherits this
 for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
     if signal.getsignal(number) is signal.SIG_IGN:
         signal.signal(number, handler)
 
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
 
 SLOWEST = (
-    *("test_nodes", "test_study", "test_runner", "test_walk", "test_driver", "test_bag", "test_cli"),
-    *("test_html_report", "test_damaged_bags", "test_analysis", "test_poppy_faults", "test_identify", "test_viewer"),
-    *("test_kinematics", "test_startup", "test_interoperability", "test_physics_nodes", "test_two_robots"),
+    *("test_nodes", "test_runner", "test_study", "test_damaged_bags", "test_whole_body_nodes", "test_bag", "test_cli"),
+    *("test_driver", "test_causes", "test_physics_nodes", "test_walk", "test_standing", "test_adopt", "test_viewer"),
+    *("test_html_report", "test_identify", "test_startup", "test_strangers", "test_restart", "test_two_robots"),
 )
 """Files that take longest, longest first. They are started first, so that all workers of pytest-xdist end together."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
     config.option.loadscopereorder = False  # pytest-xdist would start the files with the most tests first
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile the package once, before pytest-xdist starts its workers."""
+    if getattr(session.config.option, "numprocesses", None):
+        import warm
+
+        warm.compile_all()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -72,3 +85,44 @@ def foot(request: pytest.FixtureRequest) -> Foot:
 def robot(request: pytest.FixtureRequest) -> RobotModel:
     """Each robot in turn."""
     return robots.ROBOTS[request.param]()
+
+
+@pytest.fixture
+def domain() -> Iterator[int]:
+    """A ROS domain that no other test uses."""
+    with private_domain() as number:
+        yield number
+
+
+@pytest.fixture
+def make(tmp_path: Path, domain: int) -> Iterator[Any]:
+    """A function that makes nodes in the process of the test; see `inside.Inside`."""
+    from inside import Inside
+
+    made: list[Inside] = []
+
+    def make(name: str, config: Config | str, *own: str, ros: tuple[str, ...] = ()) -> Inside:
+        made.append(Inside(name, config, tmp_path, *own, ros=ros, domain=domain))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+
+
+@pytest.fixture
+def nodes(tmp_path: Path, domain: int) -> Iterator[Callable[..., Any]]:
+    """A function of a configuration that returns a `live.Live`, whose nodes are processes."""
+    from live import Live
+
+    made: list[Live] = []
+
+    def start(config: Config, name: str = "test") -> Live:
+        folder = tmp_path / name
+        folder.mkdir()
+        made.append(Live(folder, domain, config, name=name))
+        return made[-1]
+
+    yield start
+    for one in reversed(made):
+        one.close()

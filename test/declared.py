@@ -1,4 +1,4 @@
-"""Packages without a rosdep key, which package.xml cannot declare and which may be missing in `colcon test`.
+"""Packages that may be missing: ROS, and those without a rosdep key, which package.xml cannot declare.
 
 A test that needs one of them is skipped if it is not installed. As a pytest plugin (``-p declared``) this file makes
 all of them unimportable, so that the tests run as on such a machine.
@@ -7,6 +7,7 @@ all of them unimportable, so that the tests run as on such a machine.
 from __future__ import annotations
 
 import importlib.abc
+import importlib.util
 import sys
 from collections.abc import Iterator
 from typing import Any
@@ -22,11 +23,13 @@ OPTIONAL = frozenset(
 
 
 def missing(error: BaseException | None) -> str:
-    """Return the missing optional package that caused an error; empty if it has another cause."""
+    """Return which missing package caused an error; empty if it has another cause."""
     while error is not None:
         name = (getattr(error, "name", None) or "").partition(".")[0]
         if isinstance(error, ModuleNotFoundError) and name in OPTIONAL:
-            return name
+            return f"{name}, which has no rosdep key"
+        if name.endswith(("rclpy", "_msgs", "_srvs")) and importlib.util.find_spec("rclpy") is None:
+            return "ROS 2: source one, or pip install '.[ros]'"
         error = error.__cause__ or error.__context__
     return ""
 
@@ -39,7 +42,7 @@ class Module(pytest.Module):
             return super()._getobj()
         except self.CollectError as error:
             if name := missing(error):
-                pytest.skip(f"needs {name}, which has no rosdep key", allow_module_level=True)
+                pytest.skip(f"needs {name}", allow_module_level=True)
             raise
 
 
@@ -49,7 +52,7 @@ def skip_where_missing() -> Iterator[None]:
         return (yield)
     except Exception as error:
         if name := missing(error):
-            pytest.skip(f"needs {name}, which has no rosdep key")
+            pytest.skip(f"needs {name}")
         raise
 
 

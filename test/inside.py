@@ -7,19 +7,23 @@ from __future__ import annotations
 
 import copy
 import importlib
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from dqwalk_ros.config import Config, to_yaml
+from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.command_line import NODES, parse
-from dqwalk_ros.runner import private_domain
+from dqwalk_ros.plants import Inertial, Plant
+from dqwalk_ros.robot import RobotModel
+from dqwalk_ros.state import Command
 
 
 class Log:
@@ -98,6 +102,22 @@ class Inside:
         (subscription,) = (s for s in self.node.subscriptions if s.topic_name == name)
         subscription.callback(msg)
 
+    def exchange(
+        self, plant: Plant, model: RobotModel, stamp: float, q: Any = None, inertial: Inertial | None = None
+    ) -> np.ndarray:
+        """Send a controller the state of a plant, and the plant its command; return the velocities [rad/s].
+
+        Wrong measurements can be given by `q` and `inertial`.
+        """
+        now, inertial = plant.state, inertial or plant.inertial
+        if inertial is not None:
+            self.send("imu", ros.imu(round(stamp * 1e9), model.imu, inertial))
+        self.send("joint_states", state(model.joint_names, now.q if q is None else q, stamp, velocity=now.dq))
+        answer = self.got["joint_velocity_commands"][-1]
+        velocity, effort = np.array(answer.velocity), np.array(answer.effort) if answer.effort else None
+        plant.step(Command(stamp, velocity, effort), self.node.config.dt)
+        return velocity
+
     def tick(self) -> None:
         """Call the callback of every timer once."""
         for timer in list(self.node.timers):
@@ -122,21 +142,12 @@ class Inside:
             context.try_shutdown()
 
 
-@contextmanager
-def inside(folder: Path) -> Iterator[Any]:
-    """Yield a function that makes nodes in a separate ROS domain; close all of them at the end."""
-    made: list[Inside] = []
-    with private_domain() as domain:
-
-        def make(name: str, config: Config | str, *own: str, ros: tuple[str, ...] = ()) -> Inside:
-            made.append(Inside(name, config, folder, *own, ros=ros, domain=domain))
-            return made[-1]
-
-        try:
-            yield make
-        finally:
-            for one in made:
-                one.close()
+def until(happened: Callable[[], Any], timeout: float = 20.0) -> None:
+    """Wait until something has happened, such as the discovery of a node."""
+    deadline = time.monotonic() + timeout
+    while not happened():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 def state(names: Any, q: Any, stamp: float, **fields: Any) -> JointState:

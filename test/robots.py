@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
@@ -62,6 +63,17 @@ def mirrored(model: RobotModel) -> RobotModel:
     frames = {name: Frame(frame.body, pose * frame.pose) for name, frame in model.frames.items()}
     soles = {foot.other: dataclasses.replace(sole, center=reflect * sole.center) for foot, sole in model.soles.items()}
     return dataclasses.replace(model, bodies=bodies, frames=MappingProxyType(frames), soles=MappingProxyType(soles))
+
+
+def edited(folder: Path, source: Path, *changes: tuple[str, str]) -> Path:
+    """Write a URDF that is edited by regular expressions; return its path."""
+    text = source.read_text(encoding="utf-8")
+    for pattern, replacement in changes:
+        text, hits = re.subn(pattern, replacement, text, flags=re.DOTALL)
+        assert hits, pattern
+    path = folder / "edited.urdf"
+    path.write_text(text, encoding="utf-8")
+    return path
 
 
 def configurations(model: RobotModel, count: int, seed: int = 0) -> np.ndarray:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from robots import edited
 
 from dqwalk_ros import cli
 from dqwalk_ros.adopt import Adoption, adopt
@@ -29,16 +30,6 @@ SMALL, SMALLER = DATA / "small_humanoid.urdf", DATA / "smaller_humanoid.urdf"
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> Adoption:
     return adopt(SMALL, tmp_path_factory.mktemp("small"))
-
-
-def edited(tmp_path: Path, source: Path, *changes: tuple[str, str]) -> Path:
-    text = source.read_text()
-    for pattern, replacement in changes:
-        text, hits = re.subn(pattern, replacement, text, flags=re.DOTALL)
-        assert hits, pattern
-    path = tmp_path / "edited.urdf"
-    path.write_text(text)
-    return path
 
 
 def test_anatomy_is_detected(small: Adoption) -> None:
@@ -152,7 +143,10 @@ def test_config_check_loads_the_robot(small: Adoption, capsys: pytest.CaptureFix
     assert cli.main(["config", path, "--check", "--set", "robot.urdf=/nonexistent.urdf"]) == 2
 
 
-def test_a_small_robot_walks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_small_robot_walks(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dqwalk_ros.adopt.trial._STEPS", 2)
     assert cli.main(["adopt", str(SMALLER), "--out", str(tmp_path), "--yes", "--quiet"]) == 0
     out = capsys.readouterr().out
     assert re.search(r"kinematic: walked 0\.\d", out)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import copy
 import dataclasses
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -16,7 +14,7 @@ from dqwalk_ros import report as reporting
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.geometry import ConvexPolygon
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.report.figures import FIGURES, FORMATS, figure7, figure8, figure9, fits, top_view
+from dqwalk_ros.report.figures import drawn, figure7, figure8, figure9, top_view
 from dqwalk_ros.report.figures.style import thinned
 from dqwalk_ros.report.metrics import hull_margin, pelvis_in_odom
 from dqwalk_ros.robot import Foot
@@ -125,8 +123,7 @@ def test_paper_margin_is_the_smallest_distance(trace, series):
 
 def test_the_com_is_continuous_in_odom(series):
     step = np.linalg.norm(np.diff(series.com_odom, axis=0), axis=1)
-    assert step.max() < 1e-3
-    assert step[[span.start - 1 for span in series.spans[1:]]].max() < 1e-3
+    assert step.max() < 0.04 * series.trace.config.dt
 
 
 def test_true_margin_in_double_support_uses_the_convex_hull(series):
@@ -134,8 +131,9 @@ def test_true_margin_in_double_support_uses_the_convex_hull(series):
     trace = series.trace
     for span in (span for span in series.spans if span.double):
         for tick in (span.start, span.end - 1):
-            base, other = series.corners(tick)
-            alone = [ConvexPolygon.hull(corners).distance(series.com[tick]) for corners in (base, other)]
+            base, other = (trace.model.soles[foot].corners for foot in (span.phase.base, span.phase.base.other))
+            there = DQ(series.end[tick]).transform_point(other)
+            alone = [ConvexPolygon.hull(corners).distance(series.com[tick]) for corners in (base, there)]
             assert series.true_margin[tick] >= max(alone) - 1e-12
     assert trace.model.soles[Foot.LEFT].length == pytest.approx(0.0934)
     assert series.urdf_margin is not None  # the sole of paper.yaml differs from the one of the URDF
@@ -472,8 +470,8 @@ def two_cycles(trace):
 def test_figures_are_saved_in_every_format(series, tmp_path, monkeypatch):
     from matplotlib.image import imread
 
-    monkeypatch.setattr("dqwalk_ros.report.figures.FIGURES", {"figure8": figure8})
-    files = reporting.save(series, tmp_path / "new" / "folder", FORMATS)
+    monkeypatch.setattr("dqwalk_ros.report.figures.FIGURES", {"figure8": (figure8, "")})
+    files = reporting.save(series, tmp_path / "new" / "folder", ("png", "pdf", "svg"))
     assert [file.name for file in files] == ["figure8.png", "figure8.pdf", "figure8.svg"]
     assert files[0].read_bytes()[:4] == b"\x89PNG"
     assert files[1].read_bytes()[:4] == b"%PDF"
@@ -497,9 +495,7 @@ def test_figures_of_a_walk_that_ends_in_its_first_phase(trace, n):
     )
     series = reporting.analyse(part)
     assert names(reporting.report(series)) == {"finished"}
-    for name, draw in FIGURES.items():
-        if fits(name, series):
-            assert draw(series).get_axes()
+    assert all(figure.get_axes() for _, figure, _ in drawn(series))
 
 
 def test_report_and_figures_of_a_single_support_phase_only(trace):
@@ -519,9 +515,7 @@ def test_report_and_figures_of_a_single_support_phase_only(trace):
     report = reporting.report(series)
     assert names(report) == {"finished"}
     assert "single_support/left (stopped)" in reporting.render(report)
-    for name, draw in FIGURES.items():
-        if fits(name, series):
-            assert draw(series).get_axes()
+    assert all(figure.get_axes() for _, figure, _ in drawn(series))
 
 
 def test_thinning_keeps_every_peak():
@@ -534,11 +528,6 @@ def test_thinning_keeps_every_peak():
     assert (thin_x[0], thin_x[-1]) == (0.0, 59_999.0)
     assert np.all(np.diff(thin_x) > 0)
     assert set(zip(thin_x, thin_y, strict=True)) <= set(zip(x, y, strict=True))
-
-
-def test_a_report_does_not_import_matplotlib():
-    code = "import sys, dqwalk_ros.report as a; a.report, a.analyse, a.render; sys.exit('matplotlib' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_phase_kinds_match_their_names(series):

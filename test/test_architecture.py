@@ -12,9 +12,11 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "dqwalk_ros"
 
 LAYERS = (
+    "arrays",
     "errors",
     "provenance",
     "strict_yaml",
+    "text_table",
     "topics",
     "config",
     "compiled",
@@ -132,29 +134,3 @@ def test_public_names_have_docstrings(file):
     for node in tree.body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
             assert ast.get_docstring(node), f"{node.name} has no docstring"
-
-
-def test_a_walk_of_phases_is_recorded_and_reported_without_extras():
-    """``make walk`` installs none of the extras."""
-    import subprocess
-    import sys
-
-    used = ("report.bag", "report.html.page", "report.figures.paper", "cli.report", "cli.walk", "cli.results", "runner")
-    optional = ("mujoco", "viser", "pinocchio", "daqp", "distributed", "pyarrow", "trimesh")
-    code = "import sys\n" + "".join(f"import dqwalk_ros.{name}\n" for name in used)
-    code += f"print([name for name in {optional!r} if name in sys.modules])"
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
-    assert out.stdout.strip() == "[]"
-
-
-def test_the_core_needs_neither_ros_nor_extras():
-    """Importing the core imports none of the optional packages."""
-    import subprocess
-    import sys
-
-    optional = ("rclpy", "mujoco", "viser", "pypot", "pinocchio", "daqp", "matplotlib")
-    core = ("controller", "plants.kinematic", "simulation")
-    code = "import sys\n" + "".join(f"import dqwalk_ros.{name}\n" for name in core)
-    code += f"print([name for name in {optional!r} if name in sys.modules])"
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
-    assert out.stdout.strip() == "[]"

@@ -49,38 +49,40 @@ def vfi_rows(row, kin):
 
 
 def hold_rows(row, kin):
-    """Return the equalities, made linearly independent by their singular values."""
+    """Return an equality, made linearly independent by its singular values, and its right-hand side as last column."""
     E, e = vfi_rows(row, kin)
     e = np.maximum(e, -row.return_speed)
     U, s, V = np.linalg.svd(E, full_matrices=False)
     kept = s > DEPENDENT * s[0]
-    return (s * kept)[:, None] * V, np.where(kept, U.T @ e, 0.0)
-
-
-def defined(phase, kin):
-    """Return (U6) as in the paper, from errors, distances and Jacobians."""
-    n = kin.q.size
-    H, c = phase.damping**2 * np.eye(n), np.zeros(n)
-    for task in phase.tasks:
-        J = task.jacobian(kin)
-        H += task.weight * J.T @ J
-        c += task.weight * phase.eta * J.T @ task.error(kin)
-
-    def stacked(rows):
-        parts = [vfi_rows(row, kin) for row in rows]
-        return np.concatenate([np.empty((0, n)), *(G for G, _ in parts)]), np.concatenate([[], *(h for _, h in parts)])
-
-    above, below = phase.limits
-    upper, lower = -vfi_rows(above, kin)[1], vfi_rows(below, kin)[1]
-    return H, c, *stacked(phase.equalities), *stacked(phase.inequalities), lower, upper
+    return np.c_[(s * kept)[:, None] * V, np.where(kept, U.T @ e, 0.0)]
 
 
 def assert_equal(phase, kin):
-    problem = problem_at(phase, kin, DT)
-    names = ("H", "c", "E", "e", "G", "h", "lower", "upper")
-    for name, exact in zip(names, defined(phase, kin), strict=True):
-        np.testing.assert_allclose(getattr(problem, name), exact, rtol=1e-12, atol=1e-12, err_msg=name)
-    assert len(problem.names) == problem.e.size + problem.h.size + 2 * kin.q.size
+    """Compare the program with (U6) as in the paper, from errors, rates, distances and Jacobians."""
+    problem, n = problem_at(phase, kin, DT), kin.q.size
+    H, c = phase.damping**2 * np.eye(n), np.zeros(n)
+    for task in phase.tasks:
+        J, s = task.jacobian(kin), np.concatenate([kin.value(feature) for feature in task.watches])
+        H += task.weight * J.T @ J
+        c -= task.weight * J.T @ task.rate(s, task.error(kin), kin.elapsed, phase.eta)
+    G = np.concatenate([np.c_[vfi_rows(row, kin)] for row in phase.inequalities])
+    above, below = phase.limits
+    pairs = {
+        "H": (problem.H, H),
+        "c": (problem.c, c),
+        "G, h": (np.c_[problem.G, problem.h], G),
+        "upper": (problem.upper, -vfi_rows(above, kin)[1]),
+        "lower": (problem.lower, vfi_rows(below, kin)[1]),
+    }
+    for name, (ours, exact) in pairs.items():
+        np.testing.assert_allclose(ours, exact, rtol=1e-11, atol=1e-12, err_msg=name)
+    # equalities are the same up to an orthogonal transformation
+    ours = np.c_[problem.E, problem.e]
+    exact = np.concatenate([np.empty((0, n + 1)), *(hold_rows(row, kin) for row in phase.equalities)])
+    np.testing.assert_allclose(ours.T @ ours, exact.T @ exact, rtol=1e-9, atol=1e-11)
+    assert np.count_nonzero(np.abs(ours).max(axis=1)) == np.count_nonzero(np.abs(exact).max(axis=1))
+    assert len(problem.names) == problem.e.size + problem.h.size + 2 * n
+    return problem
 
 
 @pytest.mark.parametrize(("kind", "foot"), KINDS)
@@ -194,24 +196,7 @@ def test_rows_of_the_standing_walk_match_their_definition(kind, foot):
         up = np.array([*(0.1 * rng.normal(size=2)), 1.0])
         q = q_start + 0.1 * rng.normal(size=model.n)
         kin = Kinematics(model, q, phase.base, up / np.linalg.norm(up), elapsed)
-        problem = problem_at(phase, kin, DT)
-        H, c = phase.damping**2 * np.eye(model.n), np.zeros(model.n)
-        for task in phase.tasks:
-            J = task.jacobian(kin)
-            H += task.weight * J.T @ J
-            s = np.concatenate([kin.value(feature) for feature in task.watches])
-            c -= task.weight * J.T @ task.rate(s, task.error(kin), elapsed, phase.eta)
-        np.testing.assert_allclose(problem.H, H, rtol=1e-11, atol=1e-12)
-        np.testing.assert_allclose(problem.c, c, rtol=1e-11, atol=1e-12)
-        for ours, rows in ((np.c_[problem.G, problem.h], phase.inequalities),):
-            exact = np.concatenate([np.c_[vfi_rows(row, kin)] for row in rows])
-            np.testing.assert_allclose(ours, exact, rtol=1e-11, atol=1e-12)
-        if phase.equalities:  # the same rows up to an orthogonal transformation
-            ours, exact = np.c_[problem.E, problem.e], np.c_[hold_rows(phase.equalities[0], kin)]
-            np.testing.assert_allclose(ours.T @ ours, exact.T @ exact, rtol=1e-9, atol=1e-11)
-            assert np.count_nonzero(np.abs(ours).max(axis=1)) == np.count_nonzero(np.abs(exact).max(axis=1))
-        for bound, limit, sign in ((problem.upper, phase.limits[0], -1.0), (problem.lower, phase.limits[1], 1.0)):
-            np.testing.assert_allclose(sign * bound, vfi_rows(limit, kin)[1], rtol=1e-12)
+        problem = assert_equal(phase, kin)
         assert np.abs(problem.upper).max() > 0.5 >= -problem.upper.min()
         e = phase.tasks[0].error(kin)
         assert phase.error(kin) == pytest.approx(np.linalg.norm(e), rel=1e-11)

@@ -14,11 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
-
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from inside import inside, state
+from inside import state
 from rclpy.serialization import serialize_message
 
 from dqwalk_ros.cli.options import overlaid
@@ -34,12 +31,6 @@ PAPER = load("paper").updated({"dt": 0.02})
 MODEL = load_model(PAPER.robot)
 GARBAGE = [b"", b"\x00", b"\x00\x01\x00\x00", bytes(11), b"\x00\x01\x00\x00" + struct.pack("<iI", 1, 0) + b"\xff" * 40]
 """The last one has a valid stamp."""
-
-
-@pytest.fixture
-def make(tmp_path: Path) -> Iterator[Any]:
-    with inside(tmp_path) as made:
-        yield made
 
 
 def serialized_state(stamp: float) -> bytes:
@@ -179,10 +170,7 @@ def test_a_reset_of_the_simulated_robot_ends_the_walk(make: Any) -> None:
         if k == 500:
             assert node.got["phase"][-1].data.startswith("single_support")
             plant = make_plant("physics", config, model)
-        node.send("imu", ros.imu(round((1.0 + k * config.dt) * 1e9), model.imu, plant.inertial))
-        node.send("joint_states", state(model.joint_names, plant.state.q, 1.0 + k * config.dt))
-        u = np.array(node.got["joint_velocity_commands"][-1].velocity)
-        plant.step(Command(k * config.dt, u), config.dt)
+        u = node.exchange(plant, model, 1.0 + k * config.dt)
     assert node.got["phase"][-1].data == "failed"
     assert not u.any()
     assert not plant.fallen

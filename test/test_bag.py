@@ -158,7 +158,7 @@ def test_diagnostics_have_their_rate_and_all_distances(path, trace):
     content = storage.load(path, lambda topic, kind: topic == "/diagnostics").columns["/diagnostics"]
     found = [messages.unpack(raw, content.type) for raw in content.raws]
     stamps = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in found])
-    assert np.diff(stamps).max() <= 1.0 / trace.config.monitor.rate + 1e-9
+    assert np.diff(stamps).max() <= 1.0 / trace.config.monitor.rate + trace.config.dt
     assert len(found) <= (trace.time[-1] - trace.time[0]) * trace.config.monitor.rate + len(trace.phases) + 1
     values = {pair.key: pair.value for pair in found[0].status[0].values}
     assert float(values["distance/tip_plane"]) > 0.0
@@ -244,7 +244,7 @@ def test_commands_are_matched_by_stamp(trace, path, tmp_path):
 
     def edit(topic, time, m):
         if topic == "/joint_velocity_commands":
-            if m.header.stamp.nanosec == 500_000_000:
+            if m.header.stamp.nanosec == 480_000_000:
                 return None
             time += 40_000_000
         return time, m
@@ -252,7 +252,7 @@ def test_commands_are_matched_by_stamp(trace, path, tmp_path):
     back = bag.read(rewrite(path, tmp_path / "b", edit=edit))
     lost = ~np.isfinite(back.u).all(axis=1)
     assert lost.any()
-    np.testing.assert_allclose(back.time[lost] % 1.0, 0.5)
+    np.testing.assert_allclose(back.time[lost] % 1.0, 0.48)
     np.testing.assert_array_equal(back.u[~lost], trace.u[~lost])
     np.testing.assert_array_equal(back.q, trace.q)
     assert f"{lost.sum()} of {len(back.time)} states have no command" in back.notes
@@ -281,22 +281,36 @@ def test_a_recording_that_starts_late(trace, path, tmp_path):
     assert any("is missing" in note for note in back.notes)
 
 
-def test_states_after_the_walk_are_left_out(trace, path, tmp_path):
-    """A plant continues to publish states after the end of the walk."""
-    store, end = storage.typestore(), round(trace.time[-1] * 1e9)
-    standing = messages.pack_joint_states(
-        end + np.arange(1, 11) * 5_000_000, trace.model.joint_names, position=np.tile(trace.q[-1], (10, 1))
-    )
-    longer = tmp_path / "longer"
-    with Reader(path) as reader, Writer(longer, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+def test_states_before_and_after_the_walk_are_left_out(trace, path, tmp_path):
+    """A plant publishes states while it waits for the walk, and continues after its end."""
+
+    def edit(topic, time, m):
+        if (header := getattr(m, "header", None)) is not None:
+            header.stamp.sec += 1
+        return time + 1_000_000_000, m
+
+    def standing(q, stamps):
+        positions = np.tile(q, (len(stamps), 1))
+        return stamps, messages.pack_joint_states(stamps, trace.model.joint_names, position=positions)
+
+    later = rewrite(path, tmp_path / "later", edit=edit)
+    end, step = round(trace.time[-1] * 1e9) + 1_000_000_000, 5_000_000
+    before = standing(np.zeros(trace.model.n), np.arange(0, 1_000_000_000, step))
+    after = standing(trace.q[-1], end + step * np.arange(1, 11))
+    with Reader(later) as reader, Writer(tmp_path / "b", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        store = storage.typestore()
         out = {c.topic: writer.add_connection(c.topic, c.msgtype, typestore=store) for c in reader.connections}
-        for c, time, raw in reader.messages():
-            writer.write(out[c.topic], time, raw)
-        for k, raw in enumerate(standing, 1):
-            writer.write(out["/joint_states"], end + 5_000_000 * k, raw)
-    back = bag.read(longer)
-    assert_same(trace, back)
-    assert back.notes == ()
+        walk = [(out[c.topic], time, raw) for c, time, raw in reader.messages()]
+        rest = [
+            [(out["/joint_states"], int(stamp), raw) for stamp, raw in zip(*part, strict=True)]
+            for part in (before, after)
+        ]
+        for message in (*rest[0], *walk, *rest[1]):
+            writer.write(*message)
+    back = bag.read(tmp_path / "b")
+    np.testing.assert_array_equal(back.q, trace.q)
+    np.testing.assert_array_equal(back.u, trace.u)
+    assert back.notes == ("200 states before the first phase are left out",)
 
 
 def test_a_failed_walk_is_noted(path, tmp_path):
@@ -308,34 +322,6 @@ def test_a_failed_walk_is_noted(path, tmp_path):
     back = bag.read(rewrite(path, tmp_path / "b", edit=edit))
     assert back.finished is False
     assert "the walk failed: a phase could not end by its rule" in back.notes
-
-
-def test_states_before_the_walk_are_left_out(trace, path, tmp_path):
-    shift = 1_000_000_000
-
-    def edit(topic, time, m):
-        header = getattr(m, "header", None)
-        if header is not None:
-            header.stamp.sec += 1
-        return time + shift, m
-
-    later = rewrite(path, tmp_path / "later", edit=edit)
-    store = storage.typestore()
-    waiting = messages.pack_joint_states(
-        np.arange(0, shift, 5_000_000), trace.model.joint_names, position=np.zeros((200, trace.model.n))
-    )
-    queue = [store.deserialize_cdr(raw, "sensor_msgs/msg/JointState") for raw in waiting]
-    both = tmp_path / "both"
-    with Reader(later) as reader, Writer(both, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        out = {c.topic: writer.add_connection(c.topic, c.msgtype, typestore=store) for c in reader.connections}
-        for m in queue:
-            raw = store.serialize_cdr(m, "sensor_msgs/msg/JointState")
-            writer.write(out["/joint_states"], m.header.stamp.sec * 10**9 + m.header.stamp.nanosec, raw)
-        for c, time, raw in reader.messages():
-            writer.write(out[c.topic], time, raw)
-    back = bag.read(both)
-    np.testing.assert_array_equal(back.q, trace.q)
-    assert "200 states before the first phase are left out" in back.notes
 
 
 def test_after_a_reset_the_last_run_is_read(trace, path, tmp_path):
@@ -394,14 +380,6 @@ def test_a_single_file_of_a_bag_can_be_read(trace, path):
 
 
 # ---------------------------------------------------------------------- damaged bags
-
-
-def test_a_bag_without_metadata_can_be_read(trace, path, tmp_path):
-    shutil.copytree(path, tmp_path / "b")
-    (tmp_path / "b/metadata.yaml").unlink()
-    back = bag.read(tmp_path / "b")
-    assert_same(trace, back)
-    assert any("metadata.yaml is missing" in note for note in back.notes)
 
 
 @pytest.mark.parametrize("source", ["path", "plain"])

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import re
 import signal
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import chromium, dark_share, picture
+from browser import address, chromium, dark_share, picture, running
 from recorded import SHORT, short_config, short_walk
 
 from dqwalk_ros import cli
@@ -36,24 +32,6 @@ def path(tmp_path_factory):
     path = tmp_path_factory.mktemp("bag") / "walk"
     bag.write(short_walk(), path)
     return path
-
-
-@contextmanager
-def running(*words) -> Iterator[tuple[str, subprocess.Popen]]:
-    """Run a program that prints the address of its page; yield that and its process."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
-    process = subprocess.Popen([sys.executable, *map(str, words)], stdout=subprocess.PIPE, text=True, env=environment)
-    try:
-        url = next(m.group() for line in process.stdout if (m := re.search(r"http://127\.0\.0\.1:\d+", line)))
-        yield url, process
-    finally:
-        process.send_signal(signal.SIGINT)
-        process.stdout.close()
-        try:
-            process.wait(20)
-        except subprocess.TimeoutExpired:  # an interrupted walk shows its page until a second signal
-            process.send_signal(signal.SIGINT)
-            process.wait(20)
 
 
 def status(page) -> str:
@@ -147,36 +125,24 @@ def test_a_simulation_is_shown_while_it_runs(tmp_path):
         assert page.errors == []
 
 
-def test_a_walk_in_ros_is_shown_live(tmp_path):
-    from live import Live
-
-    from dqwalk_ros.runner import private_domain
-
+def test_a_walk_in_ros_is_shown_live(nodes, tmp_path):
     config = short_config(**{"gait.cycles": 50, "plant.lockstep": False})
-    with private_domain() as domain:
-        live = Live(tmp_path, domain, config)
-        try:
-            live.start("viewer", "--port", "0")
-            live.start("phase_monitor")
-            live.start("integrator")
-            live.start("controller")
-            deadline = time.monotonic() + 60.0
-            while not (found := re.search(r"http://127\.0\.0\.1:\d+", live.processes.log("viewer"))):
-                assert time.monotonic() < deadline, live.logs()
-                live.spin(0.2)
-            with chromium(tmp_path, **SIZE) as page:
-                page.goto(found.group())
-                until(page, "time >= 0 && status.includes('iterations')")
-                first, then = page.inner_html("[data-dqwalk=margins]"), seconds(page)
-                assert then < 200.0  # time of the walk, not time of day
-                until(page, "time > then + 0.5 && margins !== first", then=then, first=first)
-                until_drawn(page, "live", robot_seen)
-                assert page.errors == []
-            # it waits at first, and software WebGL can keep the plant from the processor for 0.1 s
-            wrong = {s.message for s in live.statuses("controller") if s.level != b"\x00"}
-            assert all("timed out" in text or text == "waiting for joint_states" for text in wrong), wrong
-        finally:
-            live.close()
+    live = nodes(config)
+    live.start("viewer", "--port", "0")
+    live.start("phase_monitor")
+    live.start("integrator")
+    live.start("controller")
+    with chromium(tmp_path, **SIZE) as page:
+        page.goto(address(live.processes))
+        until(page, "time >= 0 && status.includes('iterations')")
+        first, then = page.inner_html("[data-dqwalk=margins]"), seconds(page)
+        assert then < 200.0  # time of the walk, not time of day
+        until(page, "time > then + 0.5 && margins !== first", then=then, first=first)
+        until_drawn(page, "live", robot_seen)
+        assert page.errors == []
+    # it waits at first, and software WebGL can keep the plant from the processor for 0.1 s
+    wrong = {s.message for s in live.statuses("controller") if s.level != b"\x00"}
+    assert all("timed out" in text or text == "waiting for joint_states" for text in wrong), wrong
 
 
 def test_a_report_replays_offline(path, tmp_path):

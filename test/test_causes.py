@@ -22,7 +22,7 @@ from dqwalk_ros.robot import load_model
 from dqwalk_ros.simulation import Recorder, Trace, closed_loop, make_controller, make_plant, simulate
 from dqwalk_ros.stability import Finding, longest_delay
 
-CONFIG = overlaid(load("poppy"), "physics").updated({"gait.steps": 4})
+CONFIG = overlaid(load("poppy"), "physics").updated({"gait.steps": 4, "gait.recover": ""})
 MODEL = load_model(CONFIG.robot)
 
 

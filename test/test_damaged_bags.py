@@ -218,7 +218,7 @@ def solver(text):
     ids=lambda value: value if isinstance(value, str) else getattr(value, "__name__", ""),
 )
 def test_impossible_values_give_at_most_one_line(path, tmp_path, capsys, monkeypatch, topic, change, sentence):
-    monkeypatch.setattr("dqwalk_ros.report.html.page.FIGURES", {})
+    monkeypatch.setattr("dqwalk_ros.report.figures.FIGURES", {})
     html = ["--html"] if topic == "/diagnostics" else []
     code, report = reported(edited(path, tmp_path / "b", topic, change), tmp_path / "out", *html)
     said = capsys.readouterr().err

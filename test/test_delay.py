@@ -9,7 +9,7 @@ import dqwalk_ros as dq
 from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.estimation.delay import CommandHistory
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, make_walk
+from dqwalk_ros.simulation import make_controller, make_walk
 from dqwalk_ros.state import State
 from dqwalk_ros.studies import robustness
 
@@ -90,15 +90,3 @@ def test_servo_damping_is_fed_forward() -> None:
 def test_walks_with_soft_delayed_servos(changes: dict[str, float]) -> None:
     found = robustness.walk(CONFIG.updated({"gait.steps": 2, "qp.solver": "daqp"}), 0, changes)
     assert found.stood, found.reason
-
-
-def test_poppy_as_built_walks() -> None:
-    path = dq.config.find_share("config/plants", "poppy_as_built.yaml")
-    config = dq.config.from_yaml(path.read_text(encoding="utf-8"), onto=CONFIG)
-    config = config.updated({"gait.steps": 3, "qp.solver": "daqp", "sensors.seed": 1})
-    plant = make_plant("physics", config, MODEL)
-    controller = make_controller(config, MODEL)
-    for _ in closed_loop(controller, plant):
-        pass
-    assert controller.finished
-    assert not plant.fallen

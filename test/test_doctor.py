@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
-
 from inside import state
-from live import Live
 from sensor_msgs.msg import Imu
 
 from dqwalk_ros.cli import main
@@ -21,7 +17,6 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.doctor import CHECKS, Heard, examine
 from dqwalk_ros.plants import Inertial
 from dqwalk_ros.robot import load_model
-from dqwalk_ros.runner import private_domain
 
 CONFIG = load("poppy").updated({"plant.imu": True})
 MODEL = load_model(CONFIG.robot)
@@ -52,6 +47,12 @@ def test_a_ready_robot_passes_all_checks() -> None:
     findings = list(examine(CONFIG, MODEL, robot()))
     assert [finding.what for finding in findings] == list(CHECKS)
     assert all(finding.ok for finding in findings), failed_checks(robot())
+
+
+def test_the_states_of_a_gripper_are_ignored() -> None:
+    heard = robot()
+    fingers = [(state(["finger"], [0.1], EPOCH + 0.003 * k), round((EPOCH + 1.0) * 1e9)) for k in range(300)]
+    assert not failed_checks(replace(heard, states=[*heard.states, *fingers]))
 
 
 def bent(joint: str, angle: float) -> np.ndarray:
@@ -95,22 +96,17 @@ def test_faults_are_reported_with_a_remedy(fault: str) -> None:
     assert check == next(iter(found))  # no other check fails before it
 
 
-def test_doctor_with_live_nodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any) -> None:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    with private_domain() as domain:
-        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
-        arguments = ["doctor", "--plant", "integrator", "--seconds", "1", "--set", "plant.imu=false"]
-        with monkeypatch.context() as shorter:
-            shorter.setattr("dqwalk_ros.nodes.doctor._DISCOVERY", 1.0)
-            assert main(arguments) == 1
-        assert "start the driver" in capfd.readouterr().out
-        live = Live(tmp_path, domain, CONFIG)
-        try:
-            live.start("integrator")
-            live.until(lambda: len(live.got["joint_states"]) > 20, 60.0, "states")
-            main(arguments)
-        finally:
-            live.close()
+def test_doctor_with_live_nodes(nodes: Any, domain: int, monkeypatch: pytest.MonkeyPatch, capfd: Any) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    arguments = ["doctor", "--plant", "integrator", "--seconds", "1", "--set", "plant.imu=false"]
+    with monkeypatch.context() as shorter:
+        shorter.setattr("dqwalk_ros.nodes.doctor._DISCOVERY", 1.0)
+        assert main(arguments) == 1
+    assert "start the driver" in capfd.readouterr().out
+    live = nodes(CONFIG)
+    live.start("integrator")
+    live.until(lambda: len(live.got["joint_states"]) > 20, 60.0, "states")
+    main(arguments)
     output = capfd.readouterr().out
     assert "  joints                 all 15" in output
     assert "  soles  " in output

@@ -176,12 +176,6 @@ def test_from_matrix_near_every_branch(start, size):
         same(x.norm(), 1.0)
 
 
-@given(directions(), st.floats(-np.pi, np.pi))
-def test_from_matrix_of_random_rotations(axis, angle):
-    rotation = Rotation.from_rotvec(angle * axis).as_matrix()
-    np.testing.assert_allclose(DQ.from_matrix(rotation).rotation_matrix(), rotation, atol=1e-14)
-
-
 # ---------------------------------------------------------------------- transformed points
 
 

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
-
-from inside import inside, state
+from inside import state, until
 from ros2_control import EXTRA, ControllerManager
 from std_msgs.msg import Bool, Float64MultiArray
 
@@ -29,13 +24,6 @@ NAMES = MODEL.joint_names
 POSTURE = MODEL.posture(POPPY.standing.posture)
 DT = POPPY.dt
 TOPIC = {kind: f"forward_{kind}_controller/commands" for kind in ("position", "velocity")}
-
-
-@pytest.fixture
-def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    with inside(tmp_path) as made:
-        yield made
 
 
 # ---------------------------------------------------------------------- walks
@@ -121,10 +109,7 @@ def test_no_output_before_the_topic_has_a_subscriber(make: Any) -> None:
     assert "no node subscribes to /forward_position_controller/commands" in one.got["diagnostics"][-1].status[0].message
     robot = one.foreign_node("controller_manager")
     robot.create_subscription(Float64MultiArray, TOPIC["position"], lambda _: None, 1)
-    deadline = time.monotonic() + 20.0
-    while len(one.got["plant_ready"]) < 2 and time.monotonic() < deadline:
-        one.tick()
-        time.sleep(0.01)
+    until(lambda: one.tick() or len(one.got["plant_ready"]) > 1)
     assert one.got["plant_ready"][-1].data
 
 
@@ -209,46 +194,35 @@ def test_closing_the_drive_stops_the_robot(make: Any) -> None:
 
 
 @pytest.mark.long
-def test_the_robot_stops_after_the_controller_process_is_killed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_robot_stops_after_the_controller_process_is_killed(nodes: Any) -> None:
     """With a forward controller that repeats its last command; prints how long the motion continued."""
     import signal
 
-    from live import Live
-
-    from dqwalk_ros.runner import private_domain
-
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     config = load("paper").updated({"dt": 0.02, "output.interface": "velocity"})
     names = load_model(config.robot).joint_names
-    with private_domain() as domain:
-        live = Live(tmp_path, domain, config)
-        q, output, at = np.zeros(len(names)), [np.zeros(len(names))], [0.0]
+    live = nodes(config)
+    q, output, at = np.zeros(len(names)), [np.zeros(len(names))], [0.0]
 
-        def take(msg: Float64MultiArray) -> None:
-            output[0], at[0] = np.array(msg.data), time.monotonic()
+    def take(msg: Float64MultiArray) -> None:
+        output[0], at[0] = np.array(msg.data), time.monotonic()
 
-        def update() -> None:
-            q[:] += 0.02 * output[0]
-            live.publish_state(list(names), q, time.time())
+    def update() -> None:
+        q[:] += 0.02 * output[0]
+        live.publish_state(list(names), q, time.time())
 
-        try:
-            live.node.create_subscription(Float64MultiArray, TOPIC["velocity"], take, 1)
-            live.node.create_timer(0.02, update)
-            live.start("drive")
-            live.start("controller")
-            live.until(lambda: np.abs(output[0]).max() > 1e-3, 120.0, "motion")
-            live.spin(2.0)
-            live.processes.signal("controller", signal.SIGKILL)
-            killed, before = time.monotonic(), q.copy()
-            live.until(lambda: not output[0].any(), 20.0, "the end of the motion")
-            print(f"motion ended {at[0] - killed:.3f} s after the kill, {np.abs(q - before).max():.4f} rad further")
-            live.spin(1.0)
-            assert not output[0].any()
-            assert live.processes.exit_code("drive") is None
-        finally:
-            live.close()
+    live.node.create_subscription(Float64MultiArray, TOPIC["velocity"], take, 1)
+    live.node.create_timer(0.02, update)
+    live.start("drive")
+    live.start("controller")
+    live.until(lambda: np.abs(output[0]).max() > 1e-3, 120.0, "motion")
+    live.spin(2.0)
+    live.processes.signal("controller", signal.SIGKILL)
+    killed, before = time.monotonic(), q.copy()
+    live.until(lambda: not output[0].any(), 20.0, "the end of the motion")
+    print(f"motion ended {at[0] - killed:.3f} s after the kill, {np.abs(q - before).max():.4f} rad further")
+    live.spin(1.0)
+    assert not output[0].any()
+    assert live.processes.exit_code("drive") is None
 
 
 # ---------------------------------------------------------------------- rejected states and parameters

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import dqwalk_ros as dq
-from dqwalk_ros.config import find_share, from_yaml
+from dqwalk_ros.cli.options import overlaid
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.estimation.base import BaseEstimator
 from dqwalk_ros.kinematics import Kinematics
@@ -23,8 +23,8 @@ MODEL = dq.load_model(POPPY.robot)
 
 def errors(steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Simulate a walk as built, with a slip of 2 mm per step; return errors (N, 9) and their NEES (N,)."""
-    text = find_share("config/plants", "poppy_as_built.yaml").read_text(encoding="utf-8")
-    config = from_yaml(text, onto=POPPY).updated({"gait.steps": steps, "qp.solver": "daqp", "sensors.seed": seed})
+    changes = {"gait.steps": steps, "qp.solver": "daqp", "sensors.seed": seed}
+    config = overlaid(POPPY, "poppy_as_built").updated(changes)
     plant, controller = make_plant("physics", config, MODEL), make_controller(config, MODEL)
     estimator, random = BaseEstimator(config, MODEL), np.random.default_rng(seed)
     world, found, nees, slipped = None, [], [], 0
@@ -57,6 +57,7 @@ def errors(steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
         )  # fmt: skip
         nees.append(found[-1] @ np.linalg.solve(estimate.covariance, found[-1]))
     assert controller.finished
+    assert not plant.fallen
     return np.array(found), np.array(nees)
 
 

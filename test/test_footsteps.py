@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +13,6 @@ from dqwalk_ros.errors import StateError
 from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.simulation import make_plant
 from dqwalk_ros.standing.walk import StandingWalk
-from dqwalk_ros.state import Command
 
 QUICK = {"standing.transfer_duration": 0.5, "standing.swing_duration": 0.5, "node.robot_description": False}
 CONFIG = load("poppy").updated({"gait.steps": 0, "plant.command_timeout": 10.0, **QUICK})
@@ -63,14 +60,10 @@ class KinematicRobot:
         self.ticks = 0
 
     def until(self, wanted: str, max_ticks: int = 4000) -> list[str]:
-        from inside import state
-
         statuses = self.node.got["footstep_status"]
         while not (statuses and statuses[-1].data.startswith(wanted)):
             assert self.ticks < max_ticks, [msg.data for msg in statuses]
-            self.node.send("joint_states", state(MODEL.joint_names, self.plant.state.q, 1.0 + self.ticks * CONFIG.dt))
-            sent = self.node.got["joint_velocity_commands"][-1]
-            self.plant.step(Command(0.0, np.array(sent.velocity)), CONFIG.dt)
+            self.node.exchange(self.plant, MODEL, 1.0 + self.ticks * CONFIG.dt)
             self.ticks += 1
         return [msg.data for msg in statuses]
 
@@ -92,13 +85,8 @@ class KinematicRobot:
 
 
 @pytest.fixture
-def robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[KinematicRobot]:
-    pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
-    from inside import inside
-
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    with inside(tmp_path) as make:
-        yield KinematicRobot(make)
+def robot(make: Any) -> KinematicRobot:
+    return KinematicRobot(make)
 
 
 def test_footsteps_in_odom_are_walked(robot: KinematicRobot) -> None:

@@ -67,13 +67,6 @@ def test_solutions_satisfy_the_karush_kuhn_tucker_conditions(seed: int, fixed: i
     assert residual < 1e-6 * max(1.0, float(np.linalg.norm(gradient)))
 
 
-@settings(deadline=None, max_examples=30)
-@given(st.integers(0, 2**32 - 1))
-def test_solutions_match_clarabel(seed: int) -> None:
-    h = random_hierarchy(seed)
-    assert HierarchySolver().solve(h).x == pytest.approx(clarabel_solution(h, 1e-10), abs=1e-6)
-
-
 def test_the_active_set_is_warm_started() -> None:
     solver = HierarchySolver()
     first, second = (solver.solve(random_hierarchy(1)) for _ in range(2))

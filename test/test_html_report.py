@@ -42,7 +42,7 @@ def one_figure(monkeypatch):
         figure.subplots().plot(series.time, series.error)
         return figure
 
-    monkeypatch.setattr("dqwalk_ros.report.html.page.FIGURES", {"figure9": simple})
+    monkeypatch.setattr("dqwalk_ros.report.figures.FIGURES", {"figure9": (simple, "Figure 9")})
 
 
 @pytest.fixture(scope="module")

@@ -23,6 +23,8 @@ COUNT = 100
 TOLERANCE = 1e-6
 OFFSET = np.array([0.03, -0.02, 0.05])
 V = np.array([0.36, 0.48, 0.8])
+TILTED = np.array([0.05, -0.08, np.sqrt(1.0 - 0.05**2 - 0.08**2)])
+"""The vertical in the frame of a tilted sole."""
 
 
 # ---------------------------------------------------------------------- Kinematics
@@ -120,6 +122,7 @@ def examples(model, foot):
         "dt": 0.005,
         "ComPath.start": np.array([0.01, 0.02]),
         "feature": CenterOfMassOnGround(),
+        "A": np.array([[1.0, 0.0], [0.5, 2.0]]),
         "Follow.target": Target(np.array([0.01, 0.02]), np.array([0.1, 0.0])),
         "FollowPose.target": Target(np.array([*target.translation(), *target.vec8()[:4]]), np.zeros(6)),
         # the CoM, so that more than one branch of a constraint on points is tested
@@ -141,27 +144,30 @@ def example(cls, model, foot):
     return cls(**values)
 
 
+def on_a_tilted_sole(q, foot):
+    """The kinematics 0.4 s after the beginning of a phase."""
+    return Kinematics(legs(), q, foot, TILTED, 0.4)
+
+
 @pytest.mark.parametrize("cls", subclasses(Task), ids=lambda cls: cls.__name__)
 def test_tasks(cls, foot):
-    robot = legs()
-    task = example(cls, robot, foot)
-    for q in configurations(robot, COUNT, seed=22):
-        J = task.jacobian(Kinematics(robot, q, foot))
-        expected = central_difference(lambda q: task.error(Kinematics(robot, q, foot)), q)
-        assert J.shape == (task.error(Kinematics(robot, q, foot)).size, robot.n)
+    task = example(cls, legs(), foot)
+    for q in configurations(legs(), COUNT, seed=22):
+        J = task.jacobian(on_a_tilted_sole(q, foot))
+        expected = central_difference(lambda q: task.error(on_a_tilted_sole(q, foot)), q)
+        assert J.shape == (task.error(on_a_tilted_sole(q, foot)).size, legs().n)
         np.testing.assert_allclose(J, expected, rtol=0, atol=TOLERANCE)
 
 
 @pytest.mark.parametrize("cls", subclasses(Constraint), ids=lambda cls: cls.__name__)
 def test_constraints(cls, foot):
-    robot = legs()
-    constraint = example(cls, robot, foot)
-    for q in configurations(robot, COUNT, seed=23):
-        kin = Kinematics(robot, q, foot)
+    constraint = example(cls, legs(), foot)
+    for q in configurations(legs(), COUNT, seed=23):
+        kin = on_a_tilted_sole(q, foot)
         J, d = constraint.jacobian(kin), constraint.distance(kin)
-        expected = central_difference(lambda q: constraint.distance(Kinematics(robot, q, foot)), q)
-        assert J.shape == (d.size, robot.n)
-        assert len(constraint.row_names(robot.joint_names)) == d.size
+        expected = central_difference(lambda q: constraint.distance(on_a_tilted_sole(q, foot)), q)
+        assert J.shape == (d.size, legs().n)
+        assert len(constraint.row_names(legs().joint_names)) == d.size
         np.testing.assert_allclose(J, expected, rtol=0, atol=TOLERANCE * max(1.0, np.abs(J).max()))
 
 

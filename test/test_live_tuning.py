@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from dqwalk_ros.config import Config, from_yaml, load, since, to_yaml
@@ -14,7 +12,6 @@ from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.report import bag
 from dqwalk_ros.robot import load_model
 from dqwalk_ros.simulation import make_controller, make_plant, simulate
-from dqwalk_ros.state import Command
 
 QUICK = {"standing.transfer_duration": 0.4, "standing.swing_duration": 0.4, "gait.steps": 2}
 CONFIG = load("poppy").updated({"plant.command_timeout": 10.0, **QUICK})
@@ -64,18 +61,7 @@ def test_tuning_a_paper_walk_is_refused() -> None:
 # ---------------------------------------------------------------------- nodes
 
 
-@pytest.fixture
-def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
-    from inside import inside
-
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    with inside(tmp_path) as made:
-        yield made
-
-
 def test_param_set_is_logged_published_and_used_from_the_next_phase(make: Any) -> None:
-    from inside import state
     from rclpy.parameter import Parameter
     from std_msgs.msg import String
 
@@ -88,8 +74,7 @@ def test_param_set_is_logged_published_and_used_from_the_next_phase(make: Any) -
         return one.node.set_parameters([Parameter(name, value=value)])[0]
 
     for k in range(400):
-        one.send("joint_states", state(MODEL.joint_names, plant.state.q, 1.0 + k * CONFIG.dt))
-        plant.step(Command(0.0, np.array(one.got["joint_velocity_commands"][-1].velocity)), CONFIG.dt)
+        one.exchange(plant, MODEL, 1.0 + k * CONFIG.dt)
         if k == 10:
             assert put("gait.step_height", 0.03).successful
             assert not put("gait.step_height", 3.0).successful

@@ -3,40 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
-
 from geometry_msgs.msg import Twist
-from inside import inside, state
 from nav_msgs.msg import Odometry
 from test_interoperability import subscribed
 
 from dqwalk_ros.cli.options import overlaid
 from dqwalk_ros.config import load
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.robot import load_model
 from dqwalk_ros.simulation import make_plant
-from dqwalk_ros.state import Command
 
 SETTINGS = {"gait.steps": 0, "plant.command_timeout": 10.0, "qp.solver": "daqp"}
 CONFIG = overlaid(load("poppy"), "physics").updated(SETTINGS)
 MODEL = load_model(CONFIG.robot)
 NEAR, WITHIN = 0.02, 0.05
 """A goal counts as reached at the first distance by odometry; its true distance must be below the second [m]."""
-
-
-@pytest.fixture
-def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    with inside(tmp_path) as made:
-        yield made
 
 
 def velocity(odom: Odometry, goal: np.ndarray) -> Twist:
@@ -59,11 +44,8 @@ def drive(make: Any, goals: list[tuple[float, float]]) -> list[tuple[float, floa
     left, out, tick, first = list(goals), [], 0, None
     try:
         while left:
-            stamp = 1.0 + tick * CONFIG.dt
-            controller.send("imu", ros.imu(round(stamp * 1e9), MODEL.imu, plant.inertial))
-            controller.send("joint_states", state(MODEL.joint_names, plant.state.q, stamp, velocity=plant.state.dq))
-            sent = controller.got["joint_velocity_commands"].pop()
-            plant.step(Command(0.0, np.array(sent.velocity), np.array(sent.effort)), CONFIG.dt)
+            controller.exchange(plant, MODEL, 1.0 + tick * CONFIG.dt)
+            controller.got["joint_velocity_commands"].clear()
             assert not plant.fallen, (tick * CONFIG.dt, out)
             tick += 1
             if not controller.got["odom"]:

@@ -33,6 +33,14 @@ def test_every_node_is_installed() -> None:
     (listed,) = re.findall(r"^NODES = \((.*?)\)", (ROOT / "setup.py").read_text(), re.M | re.S)
     assert sorted(re.findall(r'"(\w+)"', listed)) == sorted(NODES)
     assert sorted(file.name for file in (ROOT / "scripts").iterdir()) == sorted(NODES)
+    for name in NODES:
+        script = ROOT / "scripts" / name
+        assert script.stat().st_mode & 0o111, f"{script} cannot be executed"
+        assert "sys.exit(script())" in script.read_text(encoding="utf-8")
+    # the node is that of the name of the file
+    how = {"cwd": ROOT, "env": os.environ | {"PYTHONPATH": str(ROOT)}, "capture_output": True, "text": True}
+    shown = subprocess.run([sys.executable, script, "--help"], **how, check=True).stdout
+    assert shown.startswith(f"usage: dqwalk_{name} ")
 
 
 def test_package_xml_declares_what_the_nodes_import() -> None:

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
-
 from geometry_msgs.msg import PointStamped, PoseStamped, Twist, Vector3, WrenchStamped
 from live import Live
 from rclpy.qos import QoSProfile
@@ -24,7 +20,7 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.inputs import InertialSensor, Steering
 from dqwalk_ros.report import bag
 from dqwalk_ros.robot import Foot, load_model
-from dqwalk_ros.runner import private_domain, run_walk
+from dqwalk_ros.runner import run_walk
 from dqwalk_ros.simulation import make_controller, make_plant, simulate
 from dqwalk_ros.state import State
 from dqwalk_ros.topics import TOPICS
@@ -34,13 +30,6 @@ DEEP = QoSProfile(depth=10_000)
 pytestmark = pytest.mark.xdist_group("physics_nodes")
 
 
-@pytest.fixture
-def domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    with private_domain() as number:
-        yield number
-
-
 def listen(live: Live, kind: Any, topic: str) -> dict[int, Any]:
     """Return a dictionary that collects the messages of a topic by stamp [ns]."""
     got: dict[int, Any] = {}
@@ -48,40 +37,38 @@ def listen(live: Live, kind: Any, topic: str) -> dict[int, Any]:
     return got
 
 
-def test_a_physics_walk_in_lockstep_equals_that_of_one_process(tmp_path: Path, domain: int) -> None:
+def test_a_physics_walk_in_lockstep_equals_that_of_one_process(nodes: Any) -> None:
     # more steps than are compared, and the nodes wait for this one: the result does not depend on the load
     values = {"plant.lockstep": True, "gait.steps": 100, "node.wait_for_recorder": True}
-    live = Live(tmp_path, domain, CONFIG.updated(values), name="recorder")
-    try:
-        for topic in TOPICS.values():  # as a recorder does
-            profile = ros.latched(topic.depth) if topic.latched else DEEP
-            live.node.create_subscription(ros.message_type(topic.type), topic.name, lambda _: None, profile)
-        states, commands = listen(live, JointState, "joint_states"), listen(live, JointState, "joint_velocity_commands")
-        imus, bases = listen(live, Imu, "imu"), listen(live, PoseStamped, "true_base_pose")
-        wrenches = {foot: listen(live, WrenchStamped, f"{foot.value}_foot_wrench") for foot in Foot}
-        pressures = listen(live, PointStamped, "center_of_pressure")
-        live.start("physics")
-        live.start("controller")
-        live.until(lambda: len(commands) > 320, 120.0, "320 ticks")
-        pushes = live.node.create_publisher(WrenchStamped, "push", 1)
-        live.until(pushes.get_subscription_count, 20.0, "the subscription to push")
-        push = WrenchStamped()
-        push.wrench.force.z = float("nan")
-        pushes.publish(push)
-        live.until(lambda: "push rejected" in live.processes.log("physics"), 20.0, "the rejection")
+    live = nodes(CONFIG.updated(values), name="recorder")
+    for topic in TOPICS.values():  # as a recorder does
+        profile = ros.latched(topic.depth) if topic.latched else DEEP
+        live.node.create_subscription(ros.message_type(topic.type), topic.name, lambda _: None, profile)
+    states, commands = listen(live, JointState, "joint_states"), listen(live, JointState, "joint_velocity_commands")
+    imus, bases = listen(live, Imu, "imu"), listen(live, PoseStamped, "true_base_pose")
+    wrenches = {foot: listen(live, WrenchStamped, f"{foot.value}_foot_wrench") for foot in Foot}
+    pressures = listen(live, PointStamped, "center_of_pressure")
+    live.start("physics")
+    live.start("controller")
+    live.until(lambda: len(commands) > 320, 120.0, "320 ticks")
+    pushes = live.node.create_publisher(WrenchStamped, "push", 1)
+    live.until(pushes.get_subscription_count, 20.0, "the subscription to push")
+    push = WrenchStamped()
+    push.wrench.force.z = float("nan")
+    pushes.publish(push)
+    live.until(lambda: "push rejected" in live.processes.log("physics"), 20.0, "the rejection")
 
-        def largest_load() -> float:
-            left, right = wrenches.values()
-            return max(left[at].wrench.force.z + right[at].wrench.force.z for at in left.keys() & right.keys())
+    def largest_load() -> float:
+        left, right = wrenches.values()
+        return max(left[at].wrench.force.z + right[at].wrench.force.z for at in left.keys() & right.keys())
 
-        weight = 9.81 * load_model(live.config.robot).mass
-        assert largest_load() < 1.4 * weight
-        push.wrench.force.z = -4.0  # 40 N for 0.1 s: visible in every part of a step
-        pushes.publish(push)
-        live.until(lambda: largest_load() > 1.5 * weight, 60.0, "the push in the contact forces")
-        assert "pushed: 0, 0, -4 N s" in live.processes.log("physics")
-    finally:
-        live.close()
+    weight = 9.81 * load_model(live.config.robot).mass
+    assert largest_load() < 1.4 * weight
+    push.wrench.force.z = -4.0  # 40 N for 0.1 s: visible in every part of a step
+    pushes.publish(push)
+    live.until(lambda: largest_load() > 1.5 * weight, 60.0, "the push in the contact forces")
+    assert "pushed: 0, 0, -4 N s" in live.processes.log("physics")
+    live.processes.stop()
     config = live.config
     model = load_model(config.robot)
     controller, plant = make_controller(config, model), make_plant("physics", config, model)
@@ -250,34 +237,31 @@ def test_a_physics_walk_through_ros_is_recorded_and_reported(tmp_path: Path) -> 
 
 @pytest.mark.long
 @pytest.mark.timeout(600)
-def test_cmd_vel_steers_and_its_timeout_puts_the_feet_together(tmp_path: Path, domain: int) -> None:
-    live = Live(tmp_path, domain, CONFIG.updated({"plant.lockstep": True, "gait.steps": 0}))
-    try:
-        twists = live.node.create_publisher(Twist, "cmd_vel", 1)
-        live.start("physics")
-        live.start("controller")
-        live.until(lambda: "stance/left" in live.phases(), 120.0, "the first stance")
-        live.spin(2.0)
-        assert live.phase == "stance/left"  # no velocity is requested
-        asked = Twist()
-        asked.linear.x, asked.angular.z = 10.0, 0.1
+def test_cmd_vel_steers_and_its_timeout_puts_the_feet_together(nodes: Any) -> None:
+    live = nodes(CONFIG.updated({"plant.lockstep": True, "gait.steps": 0}))
+    twists = live.node.create_publisher(Twist, "cmd_vel", 1)
+    live.start("physics")
+    live.start("controller")
+    live.until(lambda: "stance/left" in live.phases(), 120.0, "the first stance")
+    live.spin(2.0)
+    assert live.phase == "stance/left"  # no velocity is requested
+    asked = Twist()
+    asked.linear.x, asked.angular.z = 10.0, 0.1
 
-        def step() -> bool:
-            twists.publish(asked)
-            live.spin(0.1)
-            return sum(phase.startswith("single_support") for phase in live.phases()) >= 2
+    def step() -> bool:
+        twists.publish(asked)
+        live.spin(0.1)
+        return sum(phase.startswith("single_support") for phase in live.phases()) >= 2
 
-        live.until(step, 120.0, "two steps")
-        assert "limited by the reach of the legs" in live.processes.log("controller")
-        live.until(lambda: live.phase.startswith("stance"), 120.0, "the feet together")
-        live.spin(2.0)
-        assert live.phase.startswith("stance")
-        assert "cmd_vel timed out" in live.processes.log("controller")
-        assert live.call("controller/stop").success
-        live.until(lambda: live.phase == "finished", 60.0, "the end")
-        assert "fell at" not in live.processes.log("physics")
-    finally:
-        live.close()
+    live.until(step, 120.0, "two steps")
+    assert "limited by the reach of the legs" in live.processes.log("controller")
+    live.until(lambda: live.phase.startswith("stance"), 120.0, "the feet together")
+    live.spin(2.0)
+    assert live.phase.startswith("stance")
+    assert "cmd_vel timed out" in live.processes.log("controller")
+    assert live.call("controller/stop").success
+    live.until(lambda: live.phase == "finished", 60.0, "the end")
+    assert "fell at" not in live.processes.log("physics")
 
 
 @pytest.mark.long

@@ -11,7 +11,6 @@ from robots import legs
 from walks import paper_walk, problem_at
 
 from dqwalk_ros.config import load
-from dqwalk_ros.errors import QPError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.qp import Problem, make_solver
 from dqwalk_ros.robot import Foot
@@ -117,17 +116,3 @@ def test_a_distant_bound_that_becomes_active_is_respected(far):
     solution = make_solver("clarabel").solve(problem)
     np.testing.assert_allclose(solution.u, exact(problem), rtol=1e-9)
     assert solution.residuals(problem).largest < 1e-9
-
-
-def test_rows_in_conflict_are_named():
-    problem = example_problem()
-    k = problem.names.index("ground")
-    rows = [*range(problem.equalities), k, *range(problem.equalities, len(problem.w))]
-    w = problem.w[rows]
-    w[problem.equalities] += 0.1
-    names = (*problem.names[: problem.e.size], "ceiling", *problem.names[problem.e.size :])
-    clash = dataclasses.replace(problem, W=problem.W[rows], w=w, equalities=problem.equalities + 1, names=names)
-    with pytest.raises(QPError, match="no solution") as caught:
-        make_solver("clarabel").solve(clash)
-    assert caught.value.status.endswith("Infeasible")
-    assert {"ground", "ceiling"} <= set(caught.value.rows)

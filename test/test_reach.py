@@ -18,7 +18,6 @@ from dqwalk_ros.errors import BagError
 from dqwalk_ros.report import bag
 from dqwalk_ros.report.figures.reaching import reactions, walk_from_above
 from dqwalk_ros.report.figures.studies import pushes_figure
-from dqwalk_ros.robot import load_model
 from dqwalk_ros.studies import torso_pushes
 from dqwalk_ros.studies.pushes import Limit
 from dqwalk_ros.whole_body import (
@@ -26,22 +25,17 @@ from dqwalk_ros.whole_body import (
     Scenario,
     WholeBodyController,
     WholeBodyTrace,
-    follow,
     retrace,
 )
 from dqwalk_ros.whole_body.demands import checks, render_checks, summary
-from dqwalk_ros.whole_body.rigid_plant import RigidPlant
+from dqwalk_ros.whole_body.experiments import Walk, walk
 from dqwalk_ros.whole_body.scenario import fitted
 
 
 @cache
 def walked() -> WholeBodyTrace:
-    config = load("whole_body")
-    model = load_model(config.robot)
-    controller = WholeBodyController(config, model)
     targets = ((0.0, (0.6, -0.4, 0.9)), (0.7, (0.6, -0.2, 0.9)))  # the second jump is in mid-swing
-    scenario = Scenario("Test 1", 1.0, targets, ((0.8, (0.0, 5.0, 0.0)),))
-    return follow(controller, RigidPlant(model, controller.start, pushed="chest"), scenario)
+    return walk(load("whole_body"), Walk(Scenario("Test 1", 1.0, targets, ((0.8, (0.0, 5.0, 0.0)),))))
 
 
 def test_satisfied_requirements_are_reported() -> None:
@@ -233,12 +227,12 @@ def test_all_mandatory_requirements_are_met(tmp_path: Path, monkeypatch: pytest.
 def test_the_largest_push_is_found_by_bisection(monkeypatch: pytest.MonkeyPatch) -> None:
     hits = []
 
-    def walk(config, wanted):  # falls from 21.3 N s on
+    def falling(config, wanted):  # falls from 21.3 N s on
         ((when, impulse),) = wanted.scenario.pushes
         hits.append((when, *impulse))
         return replace(walked(), note="" if np.linalg.norm(impulse) < 21.3 else "fell at 3 s")
 
-    monkeypatch.setattr(torso_pushes, "walk", walk)
+    monkeypatch.setattr(torso_pushes, "walk", falling)
     point = {"moment": "physics", "direction": np.radians(135.0)}
     found = torso_pushes.limit(load("whole_body"), 1.5, 1.0, 0, point)
     assert (found.survived, found.failed, found.reason) == (21.0, 22.0, "fell at 3 s")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 import signal
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -84,29 +84,19 @@ def test_a_foot_in_the_air_is_put_down_first(support: Foot) -> None:
 
 
 @pytest.mark.long
-def test_a_new_controller_continues_the_walk_in_mid_swing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_new_controller_continues_the_walk_in_mid_swing(nodes: Any) -> None:
     """Through ROS, in real time; the old one is killed."""
-    pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
-    from live import Live
-
-    from dqwalk_ros.runner import private_domain
-
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    with private_domain() as domain:
-        live = Live(tmp_path, domain, CONFIG("poppy_as_built").updated({"gait.steps": 100}))
-        try:
-            live.start("physics")
-            live.start("controller")
-            live.until(lambda: live.phase == "single_support/right", 120.0, "the second swing")
-            began = live.stamp()
-            live.until(lambda: live.stamp() > began + 0.7, 20.0, "its middle")
-            live.processes.signal("controller", signal.SIGKILL)
-            live.processes.wait("controller", 10.0)
-            seen = len(live.phases())
-            live.start("controller")
-            live.until(lambda: sum("support/" in p for p in live.phases()[seen:]) >= 5, 120.0, "two more steps")
-            walked = [p for p in live.phases()[seen:] if "support/" in p]
-            assert walked[:2] == ["single_support/right", "double_support/left"]
-            assert "fell" not in live.processes.log("physics")
-        finally:
-            live.close()
+    live = nodes(CONFIG("poppy_as_built").updated({"gait.steps": 100}))
+    live.start("physics")
+    live.start("controller")
+    live.until(lambda: live.phase == "single_support/right", 120.0, "the second swing")
+    began = live.stamp()
+    live.until(lambda: live.stamp() > began + 0.7, 20.0, "its middle")
+    live.processes.signal("controller", signal.SIGKILL)
+    live.processes.wait("controller", 10.0)
+    seen = len(live.phases())
+    live.start("controller")
+    live.until(lambda: sum("support/" in p for p in live.phases()[seen:]) >= 5, 120.0, "two more steps")
+    walked = [p for p in live.phases()[seen:] if "support/" in p]
+    assert walked[:2] == ["single_support/right", "double_support/left"]
+    assert "fell" not in live.processes.log("physics")

@@ -127,7 +127,7 @@ def test_states_of_a_walk_are_accepted(model: RobotModel, clock: FakeClock) -> N
         assert gate.is_new(k * PERIOD)
         gate.accept(k * PERIOD, 0.9 * DT * k * np.minimum(model.velocity_max, 0.5 * model.q_max / (100 * DT)))
         clock.now += DT
-    assert gate.rejected == gate.overtaken == 0
+    assert gate.overtaken == 0
 
 
 def test_a_spike_is_rejected_and_does_not_feed_the_watchdog(model: RobotModel, clock: FakeClock) -> None:
@@ -143,7 +143,6 @@ def test_a_spike_is_rejected_and_does_not_feed_the_watchdog(model: RobotModel, c
     assert gate.watchdog.silent
     gate.accept(2 * PERIOD, zero)  # valid; the spike had no effect
     assert not gate.watchdog.silent
-    assert gate.rejected == 1
 
 
 def test_half_a_radian_between_two_ticks_is_a_jump(model: RobotModel, clock: FakeClock) -> None:
@@ -503,7 +502,6 @@ def test_an_invalid_body_state_is_rejected_and_changes_nothing(what: str, value:
     with pytest.raises(StateError, match=why):
         gate.accept_body(PERIOD, **wrong)
     gate.accept_body(2 * PERIOD, **state)
-    assert gate.rejected == 1
 
 
 def test_velocity_changes_by_a_push_are_accepted() -> None:

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import ast
-import importlib
 import importlib.util
 import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
 
-from dqwalk_ros.config import find_share, load, to_yaml
-from dqwalk_ros.nodes.command_line import NODES, parse
+from dqwalk_ros.config import find_share, load
+from dqwalk_ros.nodes.command_line import NODES
 
 ROOT = Path(__file__).resolve().parent.parent
 WAYS = ("publish", "subscribe", "reply", "request")
@@ -68,72 +68,40 @@ def test_every_node_has_an_enclave_and_the_operator_may_call_every_service() -> 
     assert rights["operator"]["request"] == ours
 
 
-@pytest.mark.parametrize(
-    "group",
-    [
-        ("controller", "physics", "pilot"),
-        ("integrator", "drive", "phase_monitor", "poppy_driver", "recorder", "viewer"),
-        ("whole_body_controller", "rigid"),
-    ],
-    ids="+".join,
-)
+OWN = {"recorder": ["--bag", "bag"], "viewer": ["--port", "0"], "pilot": ["--cmd-vel", "0.01,0,0,1"]}
+PAPER = load("paper").updated({"dt": 0.02, "poppy.dummy": True})
+STEERED = load("poppy").updated({"dt": 0.02, "gait.steps": 0, "plant.imu": True})
+CONFIGS = dict.fromkeys(("controller", "physics", "pilot"), STEERED)
+CONFIGS |= dict.fromkeys(("whole_body_controller", "rigid"), load("whole_body"))
+
+
+@pytest.mark.parametrize("name", NODES)
 def test_nodes_use_exactly_the_rights_of_the_policy(
-    group: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, make: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The publishers, subscriptions, services and clients of each node, started in this process."""
-    pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
-    import rclpy
-    from rclpy.context import Context
+    monkeypatch.chdir(tmp_path)
+    node, expected = make(name, CONFIGS.get(name, PAPER), *OWN.get(name, [])).node, policy()[name]
+    found = {
+        "publish": node.get_publisher_names_and_types_by_node(name, "/"),
+        "subscribe": node.get_subscriber_names_and_types_by_node(name, "/"),
+        "reply": node.get_service_names_and_types_by_node(name, "/"),
+        "request": node.get_client_names_and_types_by_node(name, "/"),
+    }
+    does = {way: {topic for topic, _ in names} for way, names in found.items()}
+    if importlib.util.find_spec("tf2_msgs") is None and name == "controller":
+        expected["publish"] -= {"/tf", "/tf_static"}  # the wheels of ROS have no tf2_msgs
+    if name == "recorder":  # it subscribes to them as soon as they are published
+        from dqwalk_ros.nodes.recorder import OTHERS
 
-    from dqwalk_ros.runner import private_domain
-
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    paper = load("paper").updated({"dt": 0.02, "poppy.dummy": True})
-    steered = load("poppy").updated({"dt": 0.02, "gait.steps": 0, "plant.imu": True})
-    config = {"rigid": load("whole_body"), "pilot": steered}.get(group[-1], paper)
-    expected = policy()
-    with private_domain() as domain:
-        context = Context()
-        rclpy.init(context=context, domain_id=domain)
-        try:
-            for name in group:
-                params = tmp_path / f"{name}.yaml"
-                params.write_text(to_yaml(config))
-                own = {
-                    "recorder": ["--bag", str(tmp_path / "bag")],
-                    "viewer": ["--port", "0"],
-                    "pilot": ["--cmd-vel", "0.01,0,0,1"],
-                }.get(name, [])
-                ros = ["--ros-args", "--params-file", str(params)]
-                module, _, kind = NODES[name].partition(".")
-                made = getattr(importlib.import_module(f"dqwalk_ros.nodes.{module}"), kind)
-                node = made(parse(name, [*own, *ros]), context=context, cli_args=ros, use_global_arguments=False)
-                try:
-                    found = {
-                        "publish": node.get_publisher_names_and_types_by_node(name, "/"),
-                        "subscribe": node.get_subscriber_names_and_types_by_node(name, "/"),
-                        "reply": node.get_service_names_and_types_by_node(name, "/"),
-                        "request": node.get_client_names_and_types_by_node(name, "/"),
-                    }
-                    does = {way: {topic for topic, _ in names} for way, names in found.items()}
-                    if importlib.util.find_spec("tf2_msgs") is None and name == "controller":
-                        expected[name]["publish"] -= {"/tf", "/tf_static"}  # the wheels of ROS have no tf2_msgs
-                    if name == "recorder":  # it subscribes to them as soon as they are published
-                        from dqwalk_ros.nodes.recorder import OTHERS
-
-                        expected[name]["subscribe"] -= {resolved(topic, name) for topic in OTHERS}
-                        does["subscribe"] -= {"/rosout"}
-                    assert does == expected[name], name
-                finally:
-                    node.close()
-                    node.destroy_node()
-        finally:
-            context.try_shutdown()
+        expected["subscribe"] -= {resolved(topic, name) for topic in OTHERS}
+        does["subscribe"] -= {"/rosout"}
+    node.close()
+    assert does == expected
 
 
 def test_a_secured_node_does_not_start_without_its_keys(tmp_path: Path) -> None:
     """It logs the reason and exits with code 2."""
-    pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
     from dqwalk_ros.runner import environment, private_domain
 
     secured = {

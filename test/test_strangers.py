@@ -5,18 +5,12 @@ from __future__ import annotations
 import signal
 import tempfile
 import threading
-import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
-
-from inside import inside, state
-from live import Live
+from inside import state, until
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
@@ -25,29 +19,15 @@ from dqwalk_ros.config import load
 from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.robot import load_model
-from dqwalk_ros.runner import private_domain
 
 CONFIG = load("paper").updated({"dt": 0.02})
 MODEL = load_model(CONFIG.robot)
-
-
-@pytest.fixture
-def make(tmp_path: Path) -> Iterator[Any]:
-    with inside(tmp_path) as made:
-        yield made
 
 
 def command(stamp: int, speed: float) -> Any:
     msg = state(MODEL.joint_names, [], 0.0, velocity=np.full(MODEL.n, speed))
     msg.header.stamp.sec, msg.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
     return msg
-
-
-def until(happened: Any, timeout: float = 20.0) -> None:
-    deadline = time.monotonic() + timeout
-    while not happened():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def test_commands_of_a_second_controller_are_ignored_from_the_first(make: Any) -> None:
@@ -106,32 +86,24 @@ def test_an_excessive_push_is_rejected(make: Any, impulse: float) -> None:
     assert not plant.node.plant.data.xfrc_applied.any()
 
 
-def test_a_node_that_already_runs_does_not_start_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_node_that_already_runs_does_not_start_again(nodes: Any) -> None:
     """Also on a busy machine; a killed node does not prevent the start."""
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    with private_domain() as domain:
-        live = Live(tmp_path, domain, CONFIG)
-        (tmp_path / "second").mkdir()
-        second = Live(tmp_path / "second", domain, CONFIG, name="other")
+    live, second = nodes(CONFIG), nodes(CONFIG, name="other")
 
-        def one_more_state() -> None:
-            begun = live.stamp()
-            live.until(lambda: live.stamp() > begun + 0.2, 60.0, "a state")
+    def one_more_state() -> None:
+        begun = live.stamp()
+        live.until(lambda: live.stamp() > begun + 0.2, 60.0, "a state")
 
-        try:
-            live.start("integrator")
-            one_more_state()
-            second.start("integrator")
-            assert second.processes.wait("integrator", 60.0) == 2
-            assert "/integrator is already running" in second.processes.log("integrator")
-            one_more_state()
-            live.processes.signal("integrator", signal.SIGKILL)
-            live.processes.wait("integrator", 10.0)
-            second.start("integrator")
-            one_more_state()
-        finally:
-            second.close()
-            live.close()
+    live.start("integrator")
+    one_more_state()
+    second.start("integrator")
+    assert second.processes.wait("integrator", 60.0) == 2
+    assert "/integrator is already running" in second.processes.log("integrator")
+    one_more_state()
+    live.processes.signal("integrator", signal.SIGKILL)
+    live.processes.wait("integrator", 10.0)
+    second.start("integrator")
+    one_more_state()
 
 
 def test_a_node_that_runs_on_another_machine_is_detected(
@@ -147,7 +119,7 @@ def test_a_node_that_runs_on_another_machine_is_detected(
 
     def publish() -> None:
         while not over.wait(0.02):
-            first.node.publish(0)
+            first.node.publish()
 
     thread = threading.Thread(target=publish)
     thread.start()

@@ -127,7 +127,7 @@ def test_results_do_not_depend_on_the_scheduler(small, tmp_path):
     one = walk_all(study, tmp_path / "one")
     assert walk_all(study, tmp_path / "two", jobs=2) == one
     with LocalCluster(
-        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, processes=True
+        n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, processes=True
     ) as cluster:
         assert walk_all(study, tmp_path / "dask", scheduler=cluster.scheduler_address) == one
     table = parquet.read_table(tmp_path / "one" / "walks.parquet").to_pylist()
@@ -199,7 +199,7 @@ def test_the_walk_of_a_damaged_line_is_repeated(tmp_path, line):
     store = Store(path, "me", POINTS, Number)
     assert store.done == {0: Number(0.0), 2: Number(4.0)}
     again = []
-    done = run(square, POINTS, store, progress=lambda count, total, last: again.append(last.square))
+    done = run(square, store, progress=lambda count, total, last: again.append(last.square))
     store.close()
     assert sorted(again) == [1.0, 9.0, 16.0]
     assert [done[k].square for k in range(5)] == [0.0, 1.0, 4.0, 9.0, 16.0]
@@ -233,7 +233,7 @@ def _fill(path: Path) -> None:
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     points = POINTS * 20
     try:
-        run(square, points, Store(path, "me", points, Number))
+        run(square, Store(path, "me", points, Number))
     except StudyError as error:
         sys.exit(0 if "cannot read and write" in str(error) else 2)
     sys.exit(3)
@@ -247,7 +247,7 @@ def test_a_full_disk_is_an_error_and_loses_no_outcome(tmp_path):
     assert process.exitcode == 0
     store = Store(path, "me", POINTS * 20, Number)
     assert len(store.done) > 3
-    assert len(run(square, POINTS * 20, store)) == 100
+    assert len(run(square, store)) == 100
     store.close()
 
 
@@ -276,7 +276,7 @@ def test_robustness_samples_cells_and_counts_failures():
     drawn = robustness.cells(axes, sample=4, seed=1)
     assert drawn == robustness.cells(axes, sample=4, seed=1)
     assert len(drawn) == 4
-    done = [robustness.Cell(values, k > 0, 1.0, 3, "" if k else "fell") for k, values in enumerate(drawn)]
+    done = [(values, robustness.Outcome(k > 0, 1.0, 3, "" if k else "fell")) for k, values in enumerate(drawn)]
     text = table(done, axes)
     assert text.startswith("3 of 4 cells stood (4 of the 6 combinations were walked)")
     assert "failed at" in text
@@ -298,7 +298,8 @@ def test_the_assumed_latency_can_be_wrong():
 def test_robustness_as_built_varies_gain_and_seed():
     axes = robustness.axes_of(overlaid(POPPY, "poppy_as_built"))
     assert len(robustness.cells(axes)) == 40
-    done = [robustness.Cell({"servo.p_gain": 255.0, "sensors.seed": k}, True, 1.0, 3, "", 0.001 * k) for k in range(3)]
+    values = [{"servo.p_gain": 255.0, "sensors.seed": k} for k in range(3)]
+    done = [(one, robustness.Outcome(True, 1.0, 3, "", 0.001 * k)) for k, one in enumerate(values)]
     assert "loaded sole: 0.06 degrees" in table(done, axes)
 
 
@@ -307,8 +308,8 @@ def test_a_robot_with_weak_servos_falls(tmp_path):
     values = {"servo.stiffness": 8.0, "servo.assumed_stiffness": 0.0, "standing.balance": 0.0}
     config = POPPY.updated({"gait.steps": 1})
     (cell,) = robustness.walk_all(config, [values], tmp_path)
-    assert not cell.stood
-    assert cell.reason
+    assert not cell[1].stood
+    assert cell[1].reason
     assert robustness.walk_all(config, [values], tmp_path) == [cell]  # from the file
     with pytest.raises(ConfigError, match="another study"):
         robustness.walk_all(config.updated({"gait.steps": 2}), [values], tmp_path)

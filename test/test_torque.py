@@ -10,7 +10,7 @@ import pytest
 from dqwalk_ros.config import load
 from dqwalk_ros.errors import PlantError
 from dqwalk_ros.robot import load_model
-from dqwalk_ros.whole_body import SCENARIOS, Scenario, WholeBodyController, WholeBodyTrace, follow
+from dqwalk_ros.whole_body import SCENARIOS, Scenario, WholeBodyController, WholeBodyTrace, experiments
 from dqwalk_ros.whole_body.torque_plant import TorquePlant
 
 CONFIG = load("whole_body")
@@ -18,8 +18,7 @@ MODEL = load_model(CONFIG.robot)
 
 
 def walk(scenario: Scenario) -> WholeBodyTrace:
-    controller = WholeBodyController(CONFIG, MODEL)
-    return follow(controller, TorquePlant(MODEL, controller.start, pushed="chest"), scenario)
+    return experiments.walk(CONFIG, experiments.Walk(scenario, plant="physics"))
 
 
 def test_the_robot_walks_on_compliant_ground() -> None:

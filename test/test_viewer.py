@@ -279,7 +279,7 @@ def test_control_values_of_a_wrong_type_are_ignored(page, trace, value):
     player._speed = SimpleNamespace(value=value)
     player.toggle()
     pictures = page.shown
-    player.run(going=lambda: page.shown < pictures + 2)
+    player.run(going=lambda: page.shown < pictures + 1)
 
 
 def test_bag_names_are_escaped(page):

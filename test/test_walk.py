@@ -66,13 +66,6 @@ def test_each_swing_lands_five_centimetres_ahead(first, flat, cycles):
             assert np.arccos(min(1.0, up[2])) < 2e-3  # and flat
 
 
-@each_walk
-def test_no_distance_falls_below_its_bound(first, flat, cycles):
-    for part in paper_segments(first, flat, cycles):
-        for name, d in part.distances.items():
-            assert d.min() >= -TOLERANCE, f"{part.phase.name}: {name} {d.min():.3g}"
-
-
 def groenwall(part: Segment, name: str, dt: float) -> np.ndarray:
     """Return (1 - eta dt)^k d_0 for every tick and row."""
     d = {**part.distances, **part.equalities}[name]
@@ -81,9 +74,10 @@ def groenwall(part: Segment, name: str, dt: float) -> np.ndarray:
 
 @each_walk
 def test_distances_satisfy_groenwalls_inequality(first, flat, cycles):
-    """No distance decreases faster than its rate allows, and equalities converge at their rate."""
+    """No distance falls below its bound or faster than its rate allows; equalities converge at their rate."""
     for part in paper_segments(first, flat, cycles):
         for name, d in part.distances.items():
+            assert d.min() >= -TOLERANCE, f"{part.phase.name}: {name} {d.min():.3g}"
             excess = (d - groenwall(part, name, 0.005)).min()
             assert excess >= -TOLERANCE, f"{part.phase.name}: {name} {excess:.3g}"
         for name, d in part.equalities.items():
@@ -92,40 +86,11 @@ def test_distances_satisfy_groenwalls_inequality(first, flat, cycles):
 
 
 @each_walk
-def test_the_end_tip_is_on_the_ground(first, flat, cycles):
-    """Within 2e-5 m, two seconds after the start of each double support."""
-    for part in paper_segments(first, flat, cycles):
-        if part.phase.kind is PhaseKind.DOUBLE_SUPPORT:
-            assert np.abs(part.equalities["ground"][part.time >= 2.0]).max() < 2e-5
-
-
-@each_walk
-def test_double_support_ends_with_the_com_inside_the_support_cylinder(first, flat, cycles):
-    trace = paper_walk(first, flat, cycles)
-    for part in paper_segments(first, flat, cycles):
-        if part.phase.kind is PhaseKind.DOUBLE_SUPPORT:
-            kin = Kinematics(trace.model, trace.q[part.ticks[-1]], part.phase.support)
-            center = trace.model.soles[part.phase.support].center
-            assert np.hypot(*(kin.com - center)[:2]) < trace.config.ssp.com_radius
-
-
-@each_walk
 def test_joint_limits_are_never_crossed(first, flat, cycles):
     trace = paper_walk(first, flat, cycles)
     assert (trace.q >= trace.model.q_min).all()
     assert (trace.q <= trace.model.q_max).all()
     assert np.abs(trace.u[:-1]).max() <= trace.model.velocity_max.min()
-
-
-@each_walk
-def test_poses_keep_unit_norm(first, flat, cycles):
-    trace = paper_walk(first, flat, cycles)
-    for part in paper_segments(first, flat, cycles):
-        for tick in part.ticks[::100]:
-            kin = Kinematics(trace.model, trace.q[tick], part.phase.base)
-            for frame in (kin.swing, trace.model.pelvis):
-                x = DQ(kin.pose(frame))
-                np.testing.assert_allclose((x * x.conj()).vec8(), [1, 0, 0, 0, 0, 0, 0, 0], rtol=0, atol=1e-12)
 
 
 @each_walk

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from exactness import clarabel_solution, infeasible
+from exactness import checked_walk
 
 from dqwalk_ros.config import load
 from dqwalk_ros.errors import ConfigError, ModelError, PlantError, StateError
@@ -21,6 +21,7 @@ from dqwalk_ros.whole_body import (
 )
 from dqwalk_ros.whole_body.dynamics import Multibody
 from dqwalk_ros.whole_body.equations import friction_edges, joint_bounds
+from dqwalk_ros.whole_body.experiments import Walk, walk
 from dqwalk_ros.whole_body.objectives import FrameOutsideSphere, FramePosition
 from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 
@@ -29,33 +30,10 @@ MODEL = load_model(CONFIG.robot)
 TARGET = ((0.0, (1.2, -0.8, 0.9)),)
 
 
-def walk(scenario: Scenario, changes: dict | None = None, **options) -> WholeBodyTrace:
-    config = CONFIG.updated({f"whole_body.{key}": value for key, value in (changes or {}).items()})
-    controller = WholeBodyController(config, MODEL, **options)
-    return follow(controller, RigidPlant(MODEL, controller.start, pushed=config.whole_body.torso), scenario)
-
-
 @cache
 def reached() -> WholeBodyTrace:
     """Return a walk in place until a target appears during a swing, at 0.8 s."""
-    return walk(Scenario("short", 2.0, ((0.8, TARGET[0][1]),)))
-
-
-@cache
-def problems() -> tuple:
-    """Return every 20th hierarchy of a short walk with a push, with its solution and layout."""
-    controller = WholeBodyController(CONFIG, MODEL)
-    plant = RigidPlant(MODEL, controller.start, pushed="chest")
-    controller.reach(TARGET[0][1])
-    found = []
-    for tick in range(120):
-        if tick == 100:
-            plant.push([0.0, 10.0, 0.0])
-        command = controller.step(plant.state, CONFIG.dt)
-        if tick % 20 == 10 or tick in (100, 101):
-            found.append((controller.last.problem, controller.last.answer, controller.last.scene.layout))
-        plant.step(command, CONFIG.dt)
-    return tuple(found)
+    return walk(CONFIG, Walk(Scenario("short", 2.0, ((0.8, TARGET[0][1]),))))
 
 
 def assert_limits(walked: WholeBodyTrace) -> None:
@@ -69,19 +47,11 @@ def assert_limits(walked: WholeBodyTrace) -> None:
 
 
 def test_every_solution_is_exact() -> None:
-    """Levels 1 and 2 hold to 1e-8, and the accelerations equal those of Clarabel to 1e-3 rad/s^2."""
-    for h, answer, layout in problems():
-        assert h.violation(answer.x).max() < 1e-8
-        assert answer.x[: layout.nv] == pytest.approx(clarabel_solution(h)[: layout.nv], abs=1e-3)
-
-
-def test_infeasible_balance_keeps_level_one() -> None:
-    """A capture point 0.6 m ahead cannot be reached in two steps: the residual of (S14) is the smallest possible."""
-    far = infeasible(CONFIG, MODEL)
-    assert far.method == "level 2 relaxed"
-    assert far.level1 < 1e-7
-    assert far.residual == pytest.approx(far.least, abs=1e-6)
-    assert far.residual > 0.05
+    """Levels 1 and 2 hold to 1e-8, and the accelerations equal those of Clarabel to 1e-3 rad/s^2; with a push."""
+    _, answers = checked_walk(CONFIG, Walk(Scenario("short", 0.65, TARGET, ((0.495, (0.0, 10.0, 0.0)),))))
+    assert answers.sampled >= 6
+    assert max(answers.equality, answers.inequality) < 1e-8
+    assert answers.acceleration < 1e-3
 
 
 def test_the_robot_walks_towards_the_target() -> None:
@@ -139,14 +109,14 @@ def test_a_push_obeys_the_law_of_impact() -> None:
 
 def test_without_the_balance_level_the_robot_falls() -> None:
     """Negative control: without the second level the robot falls within two seconds."""
-    walked = walk(Scenario("no balance", 2.0, TARGET), {"capturability": False})
+    walked = walk(CONFIG, Walk(Scenario("no balance", 2.0, TARGET), {"whole_body.capturability": False}))
     assert not walked.stood
     assert walked.time[-1] < 2.0
 
 
 @cache
 def in_place() -> WholeBodyTrace:
-    return walk(Scenario("in place", 1.35))
+    return walk(CONFIG, Walk(Scenario("in place", 1.35)))
 
 
 def test_without_a_target_the_robot_walks_in_place() -> None:
@@ -160,7 +130,7 @@ def test_without_a_target_the_robot_walks_in_place() -> None:
 def test_the_hand_avoids_an_obstacle() -> None:
     """A user-defined distance: the hand avoids a sphere on its path."""
     scenario = Scenario("obstacle", 0.7, ((0.0, (0.45, -0.35, 0.9)),))
-    free = walk(scenario)
+    free = walk(CONFIG, Walk(scenario))
     at = int(0.45 / CONFIG.dt)
     center = free.hand[at] + [0.0, 0.01, 0.0]
     sphere = FrameOutsideSphere(name="ball", frame="R_hand", center=center, radius=0.06, eta=20.0)
@@ -169,7 +139,8 @@ def test_the_hand_avoids_an_obstacle() -> None:
         return float(np.linalg.norm(walked.hand - sphere.center, axis=1).min() - sphere.radius)
 
     assert clearance(free) < -0.04
-    kept = walk(scenario, distances=[sphere])
+    controller = WholeBodyController(CONFIG, MODEL, distances=[sphere])
+    kept = follow(controller, RigidPlant(MODEL, controller.start, pushed="chest"), scenario)
     assert kept.stood
     assert clearance(kept) > -1e-3
 
@@ -245,9 +216,7 @@ def test_a_state_requires_all_fields() -> None:
 def test_the_mirrored_walk_is_the_mirror_image() -> None:
     """Started on the other foot, the walk makes the mirrored steps."""
     right = [(t, place) for t, place in in_place().footholds() if t < 1.3]
-    config = CONFIG.updated({"gait.first_support": "left"})
-    controller = WholeBodyController(config, MODEL)
-    left = follow(controller, RigidPlant(MODEL, controller.start, pushed="chest"), Scenario("left first", 1.3))
+    left = walk(CONFIG, Walk(Scenario("left first", 1.3), {"gait.first_support": "left"}))
     for (t0, p0), (t1, p1) in zip(right, left.footholds(), strict=True):
         assert t0 == t1
         # the right arm is free and the left is not, so the mirror is not perfect
@@ -257,7 +226,7 @@ def test_the_mirrored_walk_is_the_mirror_image() -> None:
 @pytest.mark.long
 def test_a_push_beyond_reach_degrades_gracefully() -> None:
     """A push of 25 N s violates (S14); level 1 holds for as long as the robot does not fall."""
-    walked = walk(Scenario("hard", 3.5, TARGET, ((2.5, (0.0, 25.0, 0.0)),)))
+    walked = walk(CONFIG, Walk(Scenario("hard", 3.5, TARGET, ((2.5, (0.0, 25.0, 0.0)),))))
     missed = walked.residual > 1e-6
     assert missed.any()
     up = missed & (walked.violation == 0.0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import math
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,8 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
-from inside import inside, state
-from live import Live
+from inside import state
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -25,7 +23,6 @@ from dqwalk_ros.errors import QPError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.report import bag
 from dqwalk_ros.robot import load_model
-from dqwalk_ros.runner import private_domain
 from dqwalk_ros.whole_body import BodyCommand, BodyState, WholeBodyController, retrace
 from dqwalk_ros.whole_body import controller as core
 from dqwalk_ros.whole_body.demands import checks
@@ -35,20 +32,12 @@ ROOT = Path(__file__).resolve().parent.parent
 CONFIG = load("whole_body").updated({"plant.lockstep": True, "node.wait_for_recorder": True})
 
 
-@pytest.fixture
-def live(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    with private_domain() as domain:
-        made = Live(tmp_path, domain, CONFIG)
-        yield made
-        made.close()
-
-
-def test_a_walk_over_topics_equals_that_of_one_process_and_is_recorded(live: Live, tmp_path: Path) -> None:
+def test_a_walk_over_topics_equals_that_of_one_process_and_is_recorded(nodes: Any, tmp_path: Path) -> None:
     """The torques are equal at each tick; a target is set and moved, and a push applied.
 
     The walk solved again from the bag has the same torques, so each target and push is recorded at the right state.
     """
+    live = nodes(CONFIG)
     efforts: dict[int, JointState] = {}
     twists: list[TwistStamped] = []
     profile = QoSProfile(depth=1000)
@@ -133,12 +122,6 @@ def test_a_walk_over_topics_equals_that_of_one_process_and_is_recorded(live: Liv
 
 REAL = load("whole_body")
 MODEL = load_model(REAL.robot)
-
-
-@pytest.fixture
-def make(tmp_path: Path) -> Iterator[Any]:
-    with inside(tmp_path) as made:
-        yield made
 
 
 def send_state(node: Any, stamp: float, body: BodyState, **changed: Any) -> None:
@@ -363,7 +346,3 @@ def test_the_launch_file_starts_installed_nodes() -> None:
     calls = [n for n in ast.walk(ast.parse(text)) if isinstance(n, ast.Call) and getattr(n.func, "id", "") == "node"]
     started = {call.args[0].value for call in calls}
     assert started == {"whole_body_controller", "rigid", "recorder"}
-    for name in started:
-        script = ROOT / "scripts" / name
-        assert script.stat().st_mode & 0o111
-        assert f'main("{name}"' in script.read_text(encoding="utf-8")
