@@ -18,7 +18,7 @@ from typing import Any
 import numba
 from numba.core import event
 
-__all__ = ["jit"]
+__all__ = ["COMPILING", "jit"]
 
 
 def _cache_folder() -> pathlib.Path:
@@ -36,6 +36,10 @@ if "NUMBA_CACHE_DIR" not in os.environ:
     numba.config.CACHE_DIR = str(_cache_folder())  # type: ignore[attr-defined]
 
 
+COMPILING = "compiling for this machine; this takes about a minute and is done only once"
+"""Message of a process that finds no machine code in the cache."""
+
+
 class _CompilationNotice(event.Listener):
     """Logs one warning at the first compilation of a process; loading a function from the cache is no compilation."""
 
@@ -45,9 +49,7 @@ class _CompilationNotice(event.Listener):
         """Log the warning, once."""
         if not self._logged:
             self._logged = True
-            logging.getLogger("dqwalk_ros").warning(
-                "compiling for this machine; this takes about a minute and is done only once"
-            )
+            logging.getLogger("dqwalk_ros").warning(COMPILING)
 
     def on_end(self, event: Any) -> None:
         """Do nothing."""

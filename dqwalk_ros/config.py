@@ -31,6 +31,7 @@ from dqwalk_ros import strict_yaml
 from dqwalk_ros.errors import ConfigError
 
 __all__ = [
+    "SHIPPED",
     "Config",
     "DspConfig",
     "DynamicConfig",
@@ -695,6 +696,10 @@ def find_share(folder: str, name: str) -> pathlib.Path:
     raise ConfigError(f"no file '{name}' in {folder}/ of this package; looked in {', '.join(map(str, roots))}")
 
 
+SHIPPED = ("paper", "poppy", "poppy_dynamic", "whole_body")
+"""Names of the configurations in ``config/``."""
+
+
 def load(source: str | os.PathLike[str]) -> Config:
     """Read a configuration: a path, or the name of a shipped one (``"paper"``).
 
@@ -707,6 +712,8 @@ def load(source: str | os.PathLike[str]) -> Config:
     if not path.is_file():
         if path.suffix or len(path.parts) > 1:
             raise ConfigError(f"no configuration file '{path}'")
+        if str(path) not in SHIPPED:
+            raise ConfigError(f"no configuration '{path}': neither a file nor one of {', '.join(SHIPPED)}")
         path = find_share("config", f"{path}.yaml")
     return beside(path, from_yaml(strict_yaml.read_text(path), source=str(path)))
 

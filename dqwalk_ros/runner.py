@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
+from dqwalk_ros.compiled import COMPILING
 from dqwalk_ros.config import Config, to_yaml
 from dqwalk_ros.simulation import walk_type
 from dqwalk_ros.standing.course import Course
@@ -214,7 +215,9 @@ class _Progress:
         if self._progress is None:
             return
         if self._first is None:
-            self._progress(0.0, f"starting the nodes, {time.monotonic() - self._began:.0f} s")
+            compiling = COMPILING in self._processes.log("controller")
+            what = COMPILING if compiling else "starting the nodes"
+            self._progress(0.0, f"{what}, {time.monotonic() - self._began:.0f} s")
             return
         line = self.last
         done = line["time"] / self._duration if self._duration else line["phase_index"] / self._phases

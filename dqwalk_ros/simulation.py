@@ -218,6 +218,8 @@ def simulate(
         if plant.fallen:
             recorder.note(f"the robot fell in {controller.phase.name} at {state.time:.2f} s")
     except DqwalkError as error:
+        if controller.phase_index < 0:  # there is nothing to record
+            raise
         recorder.note(str(error))
         recorder.add(plant.state, None, controller, plant)
     except KeyboardInterrupt:

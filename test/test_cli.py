@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -63,6 +65,8 @@ def test_help_contains_examples(command, capsys):
         (["report"], "Missing argument 'BAG'; `dqwalk report --help`"),
         (["simulate", "--format", "gif"], "png, pdf or svg"),
         (["movie", "bag", "--between", "1,2,3"], "2 numbers"),
+        (["movie", "bag", "--between", "5,2"], "in their order"),
+        (["view", "bag", "--port", "99999"], "99999 is not in the range 0<=x<=65535"),
     ],
 )
 def test_wrong_arguments_give_one_line_and_exit_code_2(arguments, expected, capsys):
@@ -117,6 +121,10 @@ def test_the_output_of_config_can_be_loaded(capsys, tmp_path):
     ("arguments", "expected"),
     [
         (["config", "nowhere.yaml"], "nowhere.yaml"),
+        (["config", "popy"], "one of paper, poppy, poppy_dynamic, whole_body"),
+        (["config", "paper", "--section", "gait"], "leave out CONFIG"),
+        (["simulate", "--cmd-vel", "0.1,0,0,5"], "gait.steps=0"),
+        (["walk", "--config", "poppy", "--set", "gait.steps=4", "--cmd-vel", "0.1,0,0,5"], "gait.steps=0"),
         (["config", "paper", "--set", "ssp.com_radios=0.04"], "did you mean 'ssp.com_radius'"),
         (["config", "paper", "--set", "ssp.com_radius=wide"], "must be a number"),
         (["config", "paper", "--set", "ssp.com_radius=7"], "must be a number in [0.0001, 1], got 7"),
@@ -243,6 +251,19 @@ def test_a_violated_constraint_gives_exit_code_1_and_the_reason(tmp_path, capsys
     assert "l_knee_y" in shown
 
 
+def test_the_folder_of_results_is_not_a_bag_but_contains_it(walked, capsys):
+    out, _ = walked
+    assert cli.main(["report", str(out)]) == 1
+    assert f"did you mean '{out}/bag'?" in capsys.readouterr().err
+
+
+def test_a_missing_walk_to_compare_is_an_error_before_any_result(walked, tmp_path, capsys):
+    out, _ = walked
+    assert cli.main(["report", f"{out}/bag", "--compare", f"{tmp_path}/none", "--out", f"{tmp_path}/r"]) == 1
+    assert is_one_line(capsys.readouterr().err)
+    assert not (tmp_path / "r").exists()
+
+
 @pytest.mark.parametrize("make", ["nothing", "empty", "text"])
 def test_report_of_an_invalid_bag_prints_one_line(tmp_path, make, capsys):
     path = tmp_path / "b"
@@ -342,3 +363,10 @@ def test_progress_shows_fraction_text_and_time_left(capsys):
     with Progress(quiet=True) as bar:
         bar(0.5, "never")
     assert capsys.readouterr().err == ""
+
+
+def test_a_log_message_does_not_continue_the_line_of_the_progress_bar(capsys):
+    with Progress() as bar:
+        bar(0.5, "single_support/left")
+        logging.getLogger("dqwalk_ros").warning("compiling")
+    assert "compiling" in re.split(r"[\r\n]", capsys.readouterr().err)

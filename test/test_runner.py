@@ -15,6 +15,7 @@ import psutil
 import pytest
 from live import SHORT
 
+from dqwalk_ros.compiled import COMPILING
 from dqwalk_ros.config import load
 from dqwalk_ros.report import bag
 from dqwalk_ros.runner import environment, private_domain, run_walk
@@ -136,6 +137,22 @@ def test_progress_is_shown_and_a_suspended_recorder_loses_no_messages(tmp_path: 
     fractions = [fraction for fraction, _ in shown]
     assert min(fractions) >= 0.0
     assert max(fractions) > 0.5
+
+
+def test_the_first_start_on_a_machine_says_that_it_compiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Said(Exception):
+        pass
+
+    def progress(fraction: float, text: str) -> None:
+        if text.startswith(COMPILING):
+            raise Said
+        assert "phase" not in text
+
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    with pytest.raises(Said):
+        run_walk(load("paper").updated(SHORT), tmp_path / "bag", progress=progress)
+    assert not children()
 
 
 def test_private_domains_are_not_shared() -> None:

@@ -53,7 +53,8 @@ examples:
   dqwalk doctor                             is this robot ready to walk?
   dqwalk config                             every parameter with its unit, range and meaning
 
-exit code: 0 success; 1 the walk failed or violated a constraint; 2 wrong arguments or configuration
+exit code: 0 success; 1 the walk failed or violated a constraint, or a file cannot be read or written; 2 wrong
+arguments or configuration
 """
 
 

@@ -36,6 +36,8 @@ def config(config: str | None, section: str | None, check: bool, changes: tuple[
     """
     from dqwalk_ros.config import Config, to_yaml
 
+    if config is not None and section is not None:
+        raise ConfigError("--section belongs to the list of all parameters; leave out CONFIG")
     if config is not None:
         made = config_of(config, changes)
         if not check:

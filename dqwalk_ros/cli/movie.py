@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import click
@@ -14,8 +15,8 @@ __all__ = ["movie"]
 
 @command("""
 examples:
-  MUJOCO_GL=egl dqwalk movie walk/bag --out walk.gif --speed 4
-  MUJOCO_GL=egl dqwalk movie walk/bag --out strip.png --strip 9 --between 0,7.5
+  dqwalk movie walk/bag --out walk.gif --speed 4
+  dqwalk movie walk/bag --out strip.png --strip 9 --between 0,7.5
 """)
 @bag_argument
 @namespace_option
@@ -43,12 +44,16 @@ def movie(
 ) -> int:
     """Draw a recorded walk as a movie or a strip of pictures.
 
-    MuJoCo draws the robot with the visual shapes of its URDF; on a machine without a display set MUJOCO_GL=egl (or
-    osmesa). Bags of walks in physics contain the true pose of the pelvis; for others it is that of odometry.
+    MuJoCo draws the robot with the visual shapes of its URDF; without a display it uses EGL, or what MUJOCO_GL says
+    (osmesa). Bags of walks in physics contain the true pose of the pelvis; for others it is that of odometry.
     Needs dqwalk_ros[sim].
     """
     if out.suffix.lower() not in (".gif", ".webp", ".png"):
         raise ConfigError(f"--out needs a .gif, a .webp, or a .png for a strip, not '{out}'")
+    if between is not None and not between[0] < between[1]:
+        raise ConfigError(f"--between needs two times in their order, not {between[0]:g},{between[1]:g}")
+    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        os.environ.setdefault("MUJOCO_GL", "egl")  # before MuJoCo is imported
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.report import bag as bags
     from dqwalk_ros.report.movie import save_movie, save_strip

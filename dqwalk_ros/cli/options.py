@@ -93,7 +93,12 @@ bag_argument = click.argument("bag", type=click.Path(path_type=Path))
 namespace_option = click.option(
     "--namespace", metavar="NAME", help="Namespace of the robot, if the bag contains several."
 )
-port_option = click.option("--port", type=int, help="Port of the page; 0: any.  [default: 8080, or the next free one]")
+port_option = click.option(
+    "--port",
+    metavar="N",
+    type=click.IntRange(0, 65535),
+    help="Port of the page; 0: any.  [default: 8080 or the next]",
+)
 set_option = click.option(
     "--set",
     "changes",
@@ -135,7 +140,8 @@ def walk_options(plants: Sequence[str], about: str) -> Option:
             "course",
             metavar="X,Y,TURN,S",
             multiple=True,
-            help="Steer a standing walk: forward, left [m/s], turn [rad/s], duration [s]; then the next one, or stop.",
+            help="Steer a standing or dynamic walk: ahead, left [m/s], turn [rad/s], duration [s]; then the next one, "
+            "or stop.",
         ),
         plant_option(plants, plants[0], about),
     ]
@@ -262,6 +268,7 @@ def config_of(
         If any of them is invalid.
     """
     from dqwalk_ros.config import load
+    from dqwalk_ros.simulation import walk_type
 
     values: dict[str, Any] = {"gait.steps": 0} if course else {}
     values |= parse_overrides(changes)
@@ -269,7 +276,10 @@ def config_of(
     made = load(config)
     if plant in ("physics", "poppy_as_built", "ros2_control", "poppy"):
         made = overlaid(made, plant)
-    return put_on(made, params).updated(values, source="command line")
+    made = put_on(made, params).updated(values, source="command line")
+    if course and walk_type(made).phases(made):
+        raise ConfigError("--cmd-vel steers a standing or dynamic walk, such as --config poppy, with gait.steps=0")
+    return made
 
 
 def put_on(config: Config, files: Sequence[Path]) -> Config:

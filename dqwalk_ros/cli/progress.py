@@ -6,6 +6,7 @@ import sys
 from typing import Any, Self
 
 from tqdm import tqdm
+from tqdm.contrib.logging import logging_redirect_tqdm
 
 __all__ = ["Progress"]
 
@@ -24,10 +25,13 @@ class Progress:
         )
 
     def __enter__(self) -> Self:
+        self._above = logging_redirect_tqdm()  # log messages are printed above the bar
+        self._above.__enter__()
         return self
 
     def __exit__(self, *_: Any) -> None:
         self._bar.close()
+        self._above.__exit__(None, None, None)
 
     def __call__(self, fraction: float, text: str = "") -> None:
         """Show the fraction done and some text."""

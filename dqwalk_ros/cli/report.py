@@ -54,11 +54,12 @@ def report(
             raise ConfigError("--compare and --csv are not available for whole-body walks")
         return _body(bag, namespace, output, html=html, as_json=as_json)
     series = _series(bag, namespace)
+    other = _series(compare, namespace) if compare else None
     found = write_results(series, output, as_json=as_json)
     extra = []
     try:
         if html or compare:
-            extra.append(_html(bag, compare, namespace, series, found, output.folder))
+            extra.append(_html(bag, compare, series, other, found, output.folder))
         if csv:
             extra.append(_csv(series, output.folder))
     except OSError as error:
@@ -104,7 +105,7 @@ def _series(path: Path, namespace: str | None) -> Series:
 
 
 def _html(
-    path: Path, compare: Path | None, namespace: str | None, series: Series, found: dict[str, Any], out: Path
+    path: Path, compare: Path | None, series: Series, other: Series | None, found: dict[str, Any], out: Path
 ) -> Path:
     """Write the page, of one walk or of two, and return its file."""
     from dqwalk_ros import report as reporting
@@ -112,8 +113,7 @@ def _html(
     from dqwalk_ros.report.bag.messages import diagnostics_of
 
     subjects = [html.Subject(_name(path), series, found, diagnostics_of(path))]
-    if compare:
-        other = _series(compare, namespace)
+    if compare and other:
         subjects.append(html.Subject(_name(compare), other, reporting.report(other), diagnostics_of(compare)))
     file = out / "report.html"
     html.write(subjects, file)

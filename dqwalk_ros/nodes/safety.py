@@ -171,7 +171,7 @@ class DuplicatePublishers:
         self._doubled = float("inf")
 
     def judge(self, names: Sequence[str]) -> str:
-        """Return the names of duplicate publishers, empty if there are none; `names` has one entry per publisher."""
+        """Return the names of duplicate publishers, or ``""``; `names` has one entry per publisher."""
         unknown = any(name.endswith(_UNKNOWN) for name in names)  # discovered, its node not yet
         if len(set(names)) > 1 or (len(names) > 1 and unknown):
             return ", ".join(sorted(set(names)))
@@ -240,7 +240,7 @@ class DuplicateStates:
 
 
 def outside_limits(q: Array, model: RobotModel, slack: float) -> str:
-    """Return the joints beyond their limits by more than `slack` [rad], and by how much; empty if there are none."""
+    """Return the joints beyond their limits by more than `slack` [rad], and by how much; ``""`` without any."""
     beyond = np.maximum(model.q_min - q, q - model.q_max)
     return _by(model, beyond, ~(beyond <= slack))
 

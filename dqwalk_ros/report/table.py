@@ -88,8 +88,8 @@ def numbers(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     lines.append(("unit-norm error", f"{walk['unit_norm_error']:.1e}"))
     if (solve := report["solve_time"]) is not None:
         lines.append(("solve time", ", ".join(f"{key} {1e6 * value:.0f} us" for key, value in solve.items())))
-    if walk["unanswered"]:
-        lines.append(("unanswered", f"{walk['unanswered']} states without a command"))
+    if count := walk["unanswered"]:
+        lines.append(("unanswered", f"{count} state{'s' if count > 1 else ''} without a command"))
     lines += [("note", note) for note in report["notes"]]
     return lines
 

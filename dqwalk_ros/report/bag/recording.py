@@ -132,7 +132,7 @@ def _columns_of(
         if len(whole) > 1:
             raise BagError(f"'{path}' holds the walks of {len(whole)} robots; choose a namespace: {listed(whole)}")
     columns = {name: content.columns[key] for name in wanted if (key := f"{prefix}/{name}") in content.columns}
-    missing = [name for name in required if name not in columns]
+    missing = [f"{prefix}/{name}".strip("/") for name in required if name not in columns]
     if missing:
         have = listed(content.topics) or "none"
         raise BagError(f"'{path}' is not a walk: it has no messages on {', '.join(missing)}; its topics are {have}")

@@ -178,7 +178,7 @@ class Column:
     raws: list[bytes] = field(default_factory=list)
 
     def since(self, place: int) -> Column:
-        """Return the messages from a position in the bag on; if there are none, the last one before it."""
+        """Return the messages from a position in the bag on, or the last message of all if none is that late."""
         first = next((i for i, order in enumerate(self.order) if order >= place), max(len(self.order) - 1, 0))
         return Column(self.type, self.times[first:], self.order[first:], self.raws[first:])
 
@@ -214,7 +214,8 @@ def load(path: str | os.PathLike[str], wanted: Callable[[str, str], bool]) -> Co
         raise BagError(f"no bag at '{path}'")
     files = _files(path)
     if not files:
-        raise BagError(f"'{path}' is not a rosbag2: it contains no .mcap or .db3 file")
+        inside = f"; did you mean '{path / 'bag'}'?" if (path / "bag").is_dir() else ""
+        raise BagError(f"'{path}' is not a rosbag2: it contains no .mcap or .db3 file{inside}")
     columns: dict[str, Column] = {}
     topics: dict[str, str] = {}
     notes: list[str] = []
