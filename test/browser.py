@@ -30,6 +30,8 @@ FLAGS = (
     "--no-first-run",
 )
 URL = r"http://127\.0\.0\.1:\d+"
+PATIENCE = 120_000
+"""Timeout for a change of the page [ms]: on two busy cores a picture may take seconds."""
 PICTURES = Path(os.environ.get("DQWALK_PICTURES", "results/pictures"))
 """Folder for the pictures of the tests."""
 
@@ -89,7 +91,7 @@ def picture(page: Any, name: str) -> np.ndarray:
     """Take a picture, save it in `PICTURES`, and return it, shape (height, width, 3), 0 to 1."""
     PICTURES.mkdir(parents=True, exist_ok=True)
     path = PICTURES / f"{name}.png"
-    page.screenshot(path=str(path))
+    page.screenshot(path=str(path), timeout=PATIENCE)
     return np.asarray(imread(path))[..., :3]
 
 
