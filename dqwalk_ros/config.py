@@ -121,8 +121,8 @@ class GaitConfig:
     walk: str = _par("", "class of your own walk, as MODULE:CLASS, in place of gait.style (docs/tutorial.md)")
     recover: str = _par(
         "",
-        "standing: dynamic walk whose steps catch what the soles cannot bear, a name such as poppy_dynamic or a path; "
-        "empty: none",
+        "standing: dynamic walk whose steps catch what the soles cannot bear, a name such as poppy_dynamic, or a file "
+        "relative to that of the configuration; empty: none",
     )
     first_support: Literal["left", "right"] = _par("left", "foot of the first single support")
     cycles: int = _par(1, "paper: number of walking cycles of four phases each (Fig. 1)", "", 1, 100000)
@@ -719,9 +719,10 @@ def load(source: str | os.PathLike[str]) -> Config:
 
 
 def beside(path: pathlib.Path, config: Config) -> Config:
-    """Return `config` with an absolute path of its URDF, which is given relative to the configuration file `path`."""
-    urdf = path.parent / config.robot.urdf
-    return config.updated({"robot.urdf": str(urdf.resolve())}) if config.robot.urdf and urdf.is_file() else config
+    """Return `config` with absolute paths of the files that it names relative to its own file `path`."""
+    named = {"robot.urdf": config.robot.urdf, "gait.recover": config.gait.recover}
+    found = {name: path.parent / file for name, file in named.items() if file and (path.parent / file).is_file()}
+    return config.updated({name: str(file.resolve()) for name, file in found.items()}) if found else config
 
 
 def from_yaml(text: str, *, source: str = "text", onto: Config | None = None) -> Config:

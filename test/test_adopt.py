@@ -22,6 +22,7 @@ from dqwalk_ros.errors import ModelError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.simulation import make_controller, make_plant, simulate
+from dqwalk_ros.studies.pushes import Push, pushed
 
 DATA = Path(__file__).parent / "data"
 SMALL, SMALLER = DATA / "small_humanoid.urdf", DATA / "smaller_humanoid.urdf"
@@ -69,6 +70,7 @@ def test_files_are_found_from_any_working_directory(
     monkeypatch.chdir(tmp_path)
     for name in ("robot.yaml", "paper.yaml"):
         assert load_model(load(small.folder / name).robot).joint_names == small.model.joint_names
+    assert make_controller(load(small.folder / "robot.yaml"), small.model)  # with the steps of dynamic.yaml
     text = (small.folder / "robot.yaml").read_text()
     values = [line for line in text.splitlines() if re.match(r"\s+\w+: \S", line)]
     assert all("  # " in line for line in values), "every value has its reason in a comment"
@@ -179,6 +181,13 @@ def test_values_given_by_the_user_are_in_both_walks_unless_they_concern_the_step
     assert standing.standing.swing_duration == 2.0
     assert dynamic.gait.step_length > 0.03
     assert dynamic.standing.swing_duration < 0.5
+
+
+def test_the_standing_walk_catches_a_push_by_steps_of_the_dynamic_walk(small: Adoption) -> None:
+    config = small.config.updated({"qp.solver": "daqp"})
+    push = Push("left", -0.5 * math.pi, 1.4)  # in mid-step, towards the swing foot
+    assert pushed(config, push) == ""
+    assert pushed(config.updated({"gait.recover": ""}), push)
 
 
 @pytest.mark.long

@@ -141,7 +141,7 @@ def test_invalid_files_are_rejected_with_the_line(name):
 def test_missing_and_unreadable_files(tmp_path):
     with pytest.raises(ConfigError, match=r"no configuration file '.*nowhere.yaml'"):
         load(tmp_path / "nowhere.yaml")
-    with pytest.raises(ConfigError, match=r"no file 'papre.yaml' in config/"):
+    with pytest.raises(ConfigError, match=r"no configuration 'papre': neither a file nor one of paper"):
         load("papre")
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00\x80")
     with pytest.raises(ConfigError, match=r"cannot read|not YAML"):

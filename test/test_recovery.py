@@ -13,6 +13,7 @@ pytest.importorskip("mujoco", reason="needs the extra sim")
 import dqwalk_ros as dq
 from dqwalk_ros.cli.options import overlaid
 from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.dynamic.recovery import RecoveringWalk
 from dqwalk_ros.dynamic.swing import Swing
 from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.report import analyse, bag, report
@@ -76,11 +77,21 @@ def test_without_a_push_the_walk_is_the_same() -> None:
 def test_the_steps_must_be_those_of_a_dynamic_walk() -> None:
     with pytest.raises(ConfigError, match=r"gait\.style must be dynamic, not standing"):
         make_controller(CONFIG.updated({"gait.recover": "poppy"}), MODEL)
-    with pytest.raises(ConfigError, match=r"no file 'nothing\.yaml'"):
+    with pytest.raises(ConfigError, match="no configuration 'nothing'"):
         make_controller(CONFIG.updated({"gait.recover": "nothing"}), MODEL)
     # a recorded walk is read without the file
     recorded = StandingWalk(CONFIG.updated({"gait.recover": "nothing"}), MODEL)
     assert recorded.phase(PhaseKind.STANCE, Foot.LEFT, recorded.posture).kind is PhaseKind.STANCE
+
+
+def test_a_tuned_parameter_also_applies_to_the_steps_unless_they_have_their_own() -> None:
+    tuned = {"gait.step_height": 0.03, "standing.swing_duration": 2.0}
+    walk = RecoveringWalk(CONFIG, MODEL)
+    before = walk._steps.config
+    walk.tune(CONFIG.updated(tuned))
+    assert before.gait.step_height == 0.02
+    assert walk._steps.config == before.updated({"gait.step_height": 0.03})
+    assert walk._steps.footsteps.config is walk._steps.config
 
 
 def test_a_foot_in_the_air_descends_from_where_it_is() -> None:

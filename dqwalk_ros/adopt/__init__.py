@@ -152,9 +152,10 @@ def adopt(
             f"middle is {1e3 * deviation:.0f} mm"
         )
     numbers = Numbers.of(model, anatomy, standing, [q for q, _ in single])
-    about = robot_entries(model, anatomy, robot.lock, soles, "the joints that walk")
+    about = robot_entries(model, anatomy, robot.lock, soles, "those that walk")
     entries = [*about, *parameters(numbers)]
     entries = changed(entries, changes or {}, "given by --set")
+    write_dynamic(folder, numbers, entries, changes or {})
     write_yaml(folder / "robot.yaml", entries, f"{urdf.name}, adopted from {path.name}: the standing walk.")
     paper = [*about, *paper_parameters(numbers)]
     write_yaml(folder / "paper.yaml", paper, f"{urdf.name}, adopted from {path.name}: the walk of Urban & Adorno.")
@@ -167,7 +168,6 @@ def adopt(
         folder, config, model, anatomy, numbers, tuple(entries), evidence,
         tuple(dict.fromkeys((*urdf.repairs, *model.repairs))), tuple(check(config, model)),
     )  # fmt: skip
-    write_dynamic(found, entries, changes or {})
     (folder / "adopt.json").write_text(json.dumps(_json(found, path), indent=1) + "\n", encoding="utf-8")
     return found
 
@@ -223,24 +223,26 @@ def changed(entries: Sequence[Entry], changes: Mapping[str, Any], reason: str) -
     return kept + [Entry(key, value, reason) for key, value in changes.items() if key not in known]
 
 
-def write_dynamic(found: Adoption, entries: Sequence[Entry], given: Mapping[str, Any]) -> None:
+def write_dynamic(folder: pathlib.Path, numbers: Numbers, entries: Sequence[Entry], given: Mapping[str, Any]) -> None:
     """Write the configuration of the dynamic walk, ``dynamic.yaml``.
 
     Parameters
     ----------
-    found : Adoption
+    folder : path
+    numbers : Numbers
     entries : sequence of Entry
         Parameters of the standing walk.
     given : dict of str to value
         Parameters given by the user. Those of the standing walk's own steps and durations are not used.
     """
     damping = next(entry.value for entry in entries if entry.what == "servo.damping")
-    new = {entry.what: entry for entry in dynamic_parameters(found.numbers, damping)}
+    new = {entry.what: entry for entry in dynamic_parameters(numbers, damping)}
     common = ("dynamic.", "servo.", "qp.")
-    own = {key: value for key, value in given.items() if key not in new or key.startswith(common)}
-    merged = [new.pop(entry.what, entry) for entry in entries] + list(new.values())
-    title = f"{found.model.name}: the dynamic walk (docs/dynamic.md)."
-    write_yaml(found.folder / "dynamic.yaml", changed(merged, own, "given by --set"), title)
+    only = "gait.recover"  # of the standing walk
+    own = {k: v for k, v in given.items() if (k not in new or k.startswith(common)) and k != only}
+    merged = [new.pop(entry.what, entry) for entry in entries if entry.what != only] + list(new.values())
+    title = f"{numbers.model.name}: the dynamic walk (docs/dynamic.md)."
+    write_yaml(folder / "dynamic.yaml", changed(merged, own, "given by --set"), title)
 
 
 def _align_root(urdf: Urdf, anatomy: Anatomy) -> None:

@@ -151,9 +151,7 @@ def robot_entries(
         Entry("robot.pelvis", anatomy.pelvis, "link that carries both legs"),
         *(Entry(f"robot.{k.value}_sole", soles[k], found[k].source, found[k].confidence) for k in Foot),
         Entry("robot.imu", anatomy.imu or anatomy.pelvis, sensor),
-        Entry(
-            "robot.lock", list(lock) or [""], f"all joints except {free}; with an angle if zero is outside the limits"
-        ),
+        Entry("robot.lock", list(lock) or [""], f"all joints but {free}; with an angle if zero is outside the limits"),
         Entry("robot.sole_length", rounded(sole.length, 4), "largest rectangle in the foot"),
         Entry("robot.sole_width", rounded(sole.width, 4), "largest rectangle in the foot"),
     ]
@@ -241,6 +239,7 @@ def parameters(numbers: Numbers) -> list[Entry]:
         ),
         Entry("gait.most_turn", 0.1 if yaw else 0.0, "the hips yaw" if yaw else "no hip yaws"),
         Entry("gait.phase_timeout", rounded(4.0 * max(n.transfer, swing) + 4.0), "four times a phase"),
+        Entry("gait.recover", "dynamic.yaml", "whose steps catch pushes that one sole cannot bear"),
         Entry("task.eta", 2.0, "as for every robot"),
         Entry("task.damping", 0.03, "as for every robot"),
         Entry("task.posture_weight", 0.0002, "as for every robot"),

@@ -64,7 +64,8 @@ def draw(config: Config, model: RobotModel, path: pathlib.Path) -> None:
             ax.set_aspect("equal")
             ax.autoscale_view()
             ax.set_title(title)
-            ax.set_xlabel("xy"[right] + " [m]")
+            ax.set_xlabel("xyz"[right] + " [m]")
+            ax.set_ylabel("xyz"[up] + " [m]")
         figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8.0)
         figure.savefig(path)
 

@@ -91,7 +91,7 @@ def first_walks(
             again = walk(cured, load_model(cured.robot), plant, _STEPS, progress)
             yield again, ", ".join(names)
             if again.stood:
-                write_dynamic(found, entries, given)
+                write_dynamic(found.folder, found.numbers, entries, given)
                 break
         else:
             write_yaml(file, found.entries, f"{model.name}: the standing walk.")
@@ -124,6 +124,7 @@ def walk(config: Config, model: RobotModel, plant: str, steps: int, progress: Ca
         An error of the walk is its `note`.
     """
     changed = config.updated({"gait.cycles": 1} if config.gait.style == "paper" else {"gait.steps": steps})
+    changed = changed.updated({"gait.recover": ""})  # the walk has to stand by itself
     if plant == "physics":
         changed = from_yaml(find_share("config/plants", "physics.yaml").read_text(encoding="utf-8"), onto=changed)
     try:

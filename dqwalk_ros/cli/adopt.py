@@ -88,6 +88,8 @@ def adopt(
             print(f"repaired: {len(found.repairs) - _SHOWN} more, listed in {out / 'adopt.json'}")
         print(adopting.table(found))
     draw(found.config, found.model, out / "robot.png")
+    if not quiet:
+        print(f"wrote {', '.join(str(file) for file in sorted(out.iterdir()))}; look at robot.png first")
     page = _page(found, port) if view else None
     unsure = [e.what for e in found.anatomy.evidence if e.what == "ahead" and e.confidence == "guess"]
     if unsure and not yes:
@@ -125,10 +127,10 @@ def _walk(found: Adoption, given: dict[str, object], *, quiet: bool) -> int:
     last = None
     with Progress(quiet=quiet) as bar:
         for result, cure in first_walks(found, given, bar):
-            print(f"{result}" + (f" {'cured by' if result.stood else 'in spite of'}: {cure}" if cure else ""))
+            bar.print(f"{result}" + (f" {'cured by' if result.stood else 'in spite of'}: {cure}" if cure else ""))
             last = result
         if last is not None and last.stood:
-            print(fast := dynamic_walk(found, bar))
+            bar.print(str(fast := dynamic_walk(found, bar)))
     if last is None or not last.stood:
         print("no cure helped")
         return 1

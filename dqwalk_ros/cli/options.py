@@ -308,7 +308,7 @@ def overlaid(config: Config, plant: str) -> Config:
 
 
 def parse_overrides(pairs: Sequence[str]) -> dict[str, Any]:
-    """Return ``{key: value}`` from texts ``key=value``; a value is parsed as YAML.
+    """Return ``{key: value}`` from texts ``key=value``; a value is parsed as YAML, an empty one is the empty text.
 
     Raises
     ------
@@ -322,5 +322,5 @@ def parse_overrides(pairs: Sequence[str]) -> dict[str, Any]:
         key, equals, text = pair.partition("=")
         if not equals or not key.strip():
             raise ConfigError(f"--set needs KEY=VALUE, such as gait.step_length=0.04, not {pair[:80]!r}")
-        values[key.strip()] = strict_yaml.read(text, source=f"--set {key.strip()[:80]}")
+        values[key.strip()] = strict_yaml.read(text, source=f"--set {key.strip()[:80]}") if text.strip() else ""
     return values

@@ -33,6 +33,10 @@ class Progress:
         self._bar.close()
         self._above.__exit__(None, None, None)
 
+    def print(self, text: str) -> None:
+        """Print a line on standard output, above the bar."""
+        self._bar.write(text)
+
     def __call__(self, fraction: float, text: str = "") -> None:
         """Show the fraction done and some text."""
         self._bar.set_description_str(text, refresh=False)

@@ -92,6 +92,11 @@ class RecoveringWalk(StandingWalk):
     def _steps(self) -> _Steps:
         return _Steps(steps_config(self.config), self.model)  # a recorded walk is rebuilt without them
 
+    def tune(self, config: Config) -> None:
+        """Replace the parameters, for the steps those that they share with the standing walk."""
+        super().tune(config)
+        self._steps.tune(_with_steps(config, self._steps.config))
+
     @property
     def current(self) -> Config:
         """Configuration of the current phase."""
@@ -184,6 +189,11 @@ def steps_config(config: Config) -> Config:
         raise ConfigError(
             f"gait.recover is '{config.gait.recover}'; its gait.style must be dynamic, not {dynamic.gait.style}"
         )
+    return _with_steps(config, dynamic)
+
+
+def _with_steps(config: Config, dynamic: Config) -> Config:
+    """Return `config` with the sections of `dynamic` that apply while steps catch a push."""
     taken = {name: value for name, value in dynamic.flat().items() if name.split(".")[0] in _TAKEN}
     own = {"standing.posture": config.standing.posture, "servo.assumed_lead": dynamic.servo.assumed_lead}
     return config.updated({**taken, **own, "gait.style": "dynamic", "gait.recover": "", "gait.steps": 0})
