@@ -94,6 +94,10 @@ REFUSED = {
     "point feet": ((r'<box size="0.1265 0.0825 0.0132"/>', '<box size="0.01 0.01 0.0132"/>'), "points or edges"),
     "one leg": ((r'name="r_knee" type="revolute"', 'name="r_knee" type="fixed"'), "mirror each other"),
     "truncated": ((r"</robot>", ""), "not XML"),
+    "missing meshes": (
+        (r"<(box|cylinder|sphere) [^>]*/>", '<mesh filename="package://no/a.stl"/>'),
+        "--package-path",
+    ),
 }
 
 

@@ -66,7 +66,6 @@ def test_help_contains_examples(command, capsys):
         (["simulate", "--format", "gif"], "png, pdf or svg"),
         (["movie", "bag", "--between", "1,2,3"], "2 numbers"),
         (["movie", "bag", "--between", "5,2"], "in their order"),
-        (["view", "bag", "--port", "99999"], "99999 is not in the range 0<=x<=65535"),
     ],
 )
 def test_wrong_arguments_give_one_line_and_exit_code_2(arguments, expected, capsys):

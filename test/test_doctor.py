@@ -49,6 +49,11 @@ def test_a_ready_robot_passes_all_checks() -> None:
     assert all(finding.ok for finding in findings), failed_checks(robot())
 
 
+def test_a_simulation_behind_real_time_is_no_fault() -> None:
+    assert "latency" in failed_checks(robot(age=0.2))
+    assert not failed_checks(robot(age=0.2, simulated=True))
+
+
 def test_the_states_of_a_gripper_are_ignored() -> None:
     heard = robot()
     fingers = [(state(["finger"], [0.1], EPOCH + 0.003 * k), round((EPOCH + 1.0) * 1e9)) for k in range(300)]

@@ -152,8 +152,9 @@ def test_in_lockstep_a_state_waits_for_the_imu_of_its_stamp() -> None:
 def test_in_real_time_the_newest_imu_message_is_used_until_too_old() -> None:
     node = NodeStub()
     sensor = InertialSensor(node, "imu", lambda _: None)
+    assert sensor.join(*state_at(0)) is None
     with pytest.raises(StateError, match="no message yet"):
-        sensor.join(*state_at(0))
+        sensor.join(*state_at(200_000_000))
     node.imu(imu_at(1_000_000_000))
     joined = sensor.join(*state_at(1_050_000_000))
     assert joined is not None

@@ -295,6 +295,8 @@ def test_the_page_listens_on_this_machine_only(trace):
             with socket.socket() as probe:
                 probe.settimeout(0.5)
                 assert probe.connect_ex((address, port)) != 0
+        with pytest.raises(ViewerError, match="ports are 0 to 65535"):
+            Page(99_999)
         with pytest.raises(ViewerError, match=r"port \d+ is in use.*--port"):
             Page(port)
     finally:

@@ -162,9 +162,8 @@ def _find_legs(skeleton: Skeleton, points: Points, given: tuple[str, str]) -> tu
         if found is not None:
             lowest[body] = float(found[:, 2].min())
     if not any(lowest.get(body) is not None for body in skeleton.joints):
-        raise ModelError(
-            "no moving part has a shape that can be read, so the soles are unknown: give --left and --right"
-        )
+        how = f"{points.lacking}: give --package-path" if points.lacking else ": give --left and --right"
+        raise ModelError(f"no moving part has a shape that can be read, so the soles are unknown{how}")
     floor = min(lowest.values())
     top = max(pose[2, 3] for pose in map(skeleton.pose, skeleton.urdf.links))
     height = max(top - floor, 1e-3)

@@ -96,7 +96,7 @@ namespace_option = click.option(
 port_option = click.option(
     "--port",
     metavar="N",
-    type=click.IntRange(0, 65535),
+    type=int,
     help="Port of the page; 0: any.  [default: 8080 or the next]",
 )
 set_option = click.option(

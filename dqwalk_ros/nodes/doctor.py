@@ -70,6 +70,8 @@ class Heard:
         Value of plant_ready; None if it is not published.
     publishers, subscribers : tuple of str
         Nodes that publish joint_states, and that subscribe to the commands.
+    simulated : bool
+        Whether the plant is a simulation, whose stamps count its own time.
     """
 
     seconds: float
@@ -79,6 +81,7 @@ class Heard:
     ready: bool | None = None
     publishers: tuple[str, ...] = ()
     subscribers: tuple[str, ...] = ()
+    simulated: bool = False
 
     def angles(self, model: RobotModel) -> Array:
         """Return the angles (n,) of the last state [rad].
@@ -166,6 +169,8 @@ def check_latency(config: Config, model: RobotModel, heard: Heard) -> str:
     ages = [1e-9 * (at - ros.nanoseconds(msg.header.stamp)) for msg, at in heard.states]
     middle, late = float(np.median(ages)), float(np.percentile(ages, 99))
     text = f"{1e3 * middle:.1f} ms old on arrival, 99 % within {1e3 * late:.1f} ms"
+    if heard.simulated:
+        return f"the simulation is {1e3 * middle:.1f} ms behind real time"
     if not -0.01 <= middle <= config.plant.command_timeout:
         raise Fault(f"{text}: the clocks of two machines differ (chrony), or use_sim_time is wrong")
     assumed = config.servo.assumed_latency

@@ -41,7 +41,7 @@ class InertialSensor:
     """Adds the inertial sensor's message to the state of the joints.
 
     In lockstep a state waits for the imu message with the same stamp. In real time the newest message is used, if its
-    stamp is within ``plant.command_timeout`` of the state's.
+    stamp is within ``plant.command_timeout`` of the state's; the first one may arrive as late as that.
 
     Parameters
     ----------
@@ -55,6 +55,7 @@ class InertialSensor:
         self._node, self._frame, self._on_state = node, frame, on_state
         self._newest: Imu | None = None
         self._waiting: JointState | None = None
+        self._first: int | None = None  # stamp of the first state, until there is a measurement [ns]
         node.listen(Imu, "imu", self._on_imu, ros.stream(1, reliable=node.lockstep))
 
     def _on_imu(self, msg: Imu) -> None:
@@ -65,7 +66,7 @@ class InertialSensor:
             self._on_state(waiting)
 
     def join(self, msg: JointState, state: State) -> State | None:
-        """Return a state with the newest measurement; None in lockstep if that has not arrived yet.
+        """Return a state with the newest measurement; None if that has not arrived yet.
 
         Raises
         ------
@@ -78,6 +79,10 @@ class InertialSensor:
                 self._waiting = msg
                 return None
         elif newest is None:
+            stamp = ros.nanoseconds(msg.header.stamp)
+            self._first = stamp if self._first is None else self._first
+            if 1e-9 * (stamp - self._first) <= self._node.config.plant.command_timeout:
+                return None  # the node has just started
             raise StateError("imu: no message yet (plant.imu is true)")
         else:
             age = 1e-9 * abs(ros.nanoseconds(msg.header.stamp) - ros.nanoseconds(newest.header.stamp))

@@ -244,8 +244,10 @@ def _free(port: int | None) -> int:
     Raises
     ------
     ViewerError
-        If the requested port is in use.
+        If the requested port is in use, or there is no such port.
     """
+    if port is not None and not 0 <= port <= 65535:
+        raise ViewerError(f"there is no port {port}; ports are 0 to 65535, 0 for any")
     for candidate in (port,) if port is not None else (*range(PORT, PORT + 20), 0):
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
