@@ -8,7 +8,8 @@ import numpy as np
 
 from dqwalk_ros.constraints import Constraint
 from dqwalk_ros.kinematics import CenterOfMass
-from dqwalk_ros.walk import PaperWalk
+from dqwalk_ros.robot import Foot
+from dqwalk_ros.walk import PaperWalk, PhaseKind
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -29,3 +30,25 @@ class HighWalk(PaperWalk):
         phase = super().both_feet(kind, support, q_start)
         high = ComAbove(name="com_above", eta=5.0, height=0.25)
         return dataclasses.replace(phase, inequalities=(*phase.inequalities, high))
+
+
+@dataclasses.dataclass(frozen=True)
+class Lasts:
+    """Ends a phase after some time [s]."""
+
+    duration: float
+
+    def is_over(self, error, elapsed):
+        return elapsed >= self.duration
+
+
+class StandingFirst(PaperWalk):
+    """The paper's walk, which begins with a short stance."""
+
+    def following(self, phase):
+        return (PhaseKind.STANCE, Foot.LEFT, None) if phase is None else super().following(phase)
+
+    def both_feet(self, kind, support, q_start):
+        phase = super().both_feet(kind, support, q_start)
+        stance = kind is PhaseKind.STANCE
+        return dataclasses.replace(phase, kind=kind, rule=Lasts(0.1)) if stance else phase

@@ -47,6 +47,14 @@ def test_the_page_shows_the_constraint(walked):
     assert "com_above" in [gauge.name for gauge in view.gauges]
 
 
+def test_a_phase_of_its_own_is_judged_by_its_own_rule():
+    config = CONFIG.updated({"gait.walk": "own_walk:StandingFirst"})
+    trace = simulate(make_controller(config, MODEL), KinematicPlant(MODEL), max_time=0.2)
+    assert [phase.name for phase in trace.phases] == ["stance/left", "double_support/left"]
+    found = report(analyse(trace))
+    assert "foot's centre" not in str(found["violations"])  # a stance does not transfer the CoM
+
+
 @pytest.mark.parametrize("name", ["own_walk", "own_walk:LowWalk", "nowhere:HighWalk", "own_walk:ComAbove", ":"])
 def test_an_unknown_walk_class_is_refused(name):
     with pytest.raises(ConfigError, match=r"gait\.walk is"):

@@ -24,7 +24,7 @@ from dqwalk_ros.report.causes import causes
 from dqwalk_ros.report.metrics import FALLEN, Ending, Ground, Series, Span, left_of, support_polygon
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.statics import GRAVITY
-from dqwalk_ros.walk import Phase
+from dqwalk_ros.walk import Phase, PhaseKind
 
 __all__ = ["Assessment", "Assessor", "Violation", "report", "violations"]
 
@@ -222,7 +222,8 @@ def _of_a_phase(series: Series, span: Span) -> Iterator[Violation]:
         return
     last, standing = min(span.end, len(series.time) - 1), config.gait.style != "paper"
     radius, threshold = config.ssp.com_radius, config.standing.swing_threshold if standing else config.ssp.threshold
-    if span.double and not standing and ending.com_to_axis > radius:
+    transfers = span.phase.kind is PhaseKind.DOUBLE_SUPPORT
+    if transfers and not standing and ending.com_to_axis > radius:
         far = f"{1e3 * ending.com_to_axis:.1f} mm from the foot's centre, {1e3 * radius:.1f} mm are allowed"
         yield _broken(series, "end/cylinder", last, ending.com_to_axis, radius, f"ended with the CoM {far}", name)
     if span.phase.swing_target is None:

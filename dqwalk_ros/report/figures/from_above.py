@@ -150,7 +150,8 @@ def _draw_step(
     ax.plot(*_way(way), color=_COLOR[swing], linewidth=1.3, linestyle=":", zorder=5)
     at = (float(way[-1, 0]), float(way[-1, 1]))
     text: dict[str, Any] = {"fontsize": 10, "fontweight": "bold", "zorder": 8, "ha": "center", "va": "center"}
-    ax.annotate(str(number), at, color=_COLOR[swing], **text)
+    beside = (0.0, 10.0 if swing is Foot.LEFT else -10.0)  # [points], outwards, where the CoM does not go
+    ax.annotate(str(number), at, beside, textcoords="offset points", color=_COLOR[swing], **text)
     if last:
         landed = _in_odom(series, span, span.end - 1, swing, soles)
         _patch(ax, landed, _COLOR[swing], _COLOR[swing] + "12", linewidth=1.4, zorder=3)
