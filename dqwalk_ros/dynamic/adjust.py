@@ -8,11 +8,13 @@ foot without ankle roll joint cannot compensate, is small, and the position such
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from dqwalk_ros.arrays import Array
+from dqwalk_ros.compiled import jit
 from dqwalk_ros.config import DynamicConfig
 from dqwalk_ros.dynamic.plan import Pressed, before
 
@@ -85,15 +87,22 @@ def left_over(step: Step, xi: Array, elapsed: float, left: Array) -> tuple[Array
     displacement : ndarray, shape (k, 2)
         Displacement of the planned end by the change of the landing time [m].
     """
-    grown = np.exp(np.multiply.outer(left, step.omega))
-    end = np.tile(step.landing + step.offset, (len(left), 1))
-    sooner = step.duration - elapsed - left
-    shorter = np.exp(-step.omega[0] * sooner)  # an earlier landing shortens the step
-    moved = (shorter - 1.0) * (end[:, 0] - step.z[0])
-    end[:, 0] += moved
-    needed = (xi * grown - end) / (grown - 1.0)  # xi' = w (xi - z) with constant z
-    over = (needed - np.clip(needed, step.low, step.high)) * (grown - 1.0)
-    return over, np.column_stack([moved, np.zeros_like(moved)])
+    over, moved = np.empty((len(left), 2)), np.zeros((len(left), 2))
+    end = step.landing + step.offset
+    _left_over(step.z, end, step.omega, step.low, step.high, xi, step.duration - elapsed, left, over, moved)
+    return over, moved
+
+
+@jit
+def _left_over(z, end, omega, low, high, xi, planned, left, over, moved):  # type: ignore[no-untyped-def]
+    """Fill `over` and `moved` (k, 2) of `left_over`; `planned` is the planned time until the landing [s]."""
+    for k in range(left.shape[0]):
+        shorter = math.exp(-omega[0] * (planned - left[k]))  # an earlier landing shortens the step
+        moved[k, 0] = (shorter - 1.0) * (end[0] - z[0])
+        for i in range(2):
+            grown = math.exp(left[k] * omega[i])
+            needed = (xi[i] * grown - (end[i] + moved[k, i])) / (grown - 1.0)  # xi' = w (xi - z) with constant z
+            over[k, i] = (needed - min(max(needed, low[i]), high[i])) * (grown - 1.0)
 
 
 def adjusted(

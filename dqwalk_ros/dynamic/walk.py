@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from dqwalk_ros.arrays import Array
+from dqwalk_ros.compiled import jit
 from dqwalk_ros.config import Config
 from dqwalk_ros.constraints import Constraint
 from dqwalk_ros.dual_quaternions import DQ
@@ -103,7 +104,7 @@ class DynamicWalk(StandingWalk):
     def __init__(self, config: Config, model: RobotModel) -> None:
         super().__init__(config, model)
         self._step_now = np.zeros(3)  # length, side and turn of the current step
-        delay = Drive.of(config, model).delay
+        self._mass, delay = model.mass, Drive.of(config, model).delay
         self._advance = max(delay - config.dt, 0.0)
         self._gain = config.standing.balance / (1.0 + delay / _LATE)
         self._threshold = config.dynamic.catch_beyond * (1.0 + delay / _TOLERANT)
@@ -116,7 +117,7 @@ class DynamicWalk(StandingWalk):
         self._pushed = False
         self._descends = False  # whether the swing foot of the next single support is in the air already
         self._targets: dict[str, Target] = {}
-        self._legs = np.empty(0, dtype=np.intp)  # joints between the base sole and the pelvis
+        self._legs = np.zeros(model.n, dtype=np.bool_)  # whether a joint is between the base sole and the pelvis
 
     @staticmethod
     def phases(config: Config) -> int:
@@ -292,7 +293,7 @@ class DynamicWalk(StandingWalk):
             place, velocity, acceleration = flight.swing.step(t, flight.rule.duration - self._advance)
             self._targets["swing"].set(place, velocity)
             z[0] += self.pendulum.swing * acceleration[0]
-        self._pressure = z = self._inside(z)
+        self._pressure = z = _inside(z, *self._support, self.config.standing.pressure_margin)
         a = omega**2 * (c - z)  # acceleration of the pendulum
         self._force = GRAVITY * up + np.array([a[0], a[1], -(a @ up[:2]) / up[2]])
         self._targets["com"].set(self._com, omega * (self._xi - self._com))
@@ -397,7 +398,7 @@ class DynamicWalk(StandingWalk):
                     self._course = Rest(self._xi, start, rule.duration, omega)
         self._support = ConvexPolygon.hull(corners).edges()
         tree = kin.tree
-        self._legs = np.flatnonzero(tree.moves[tree.frames[self.model.pelvis][0]])
+        self._legs = tree.moves[tree.frames[self.model.pelvis][0]]
 
     def _flight_course(self, phase: Phase, kin: Kinematics, rule: Timed, base: Array) -> Pressed:
         """Initialize a single support and return its course."""
@@ -443,31 +444,16 @@ class DynamicWalk(StandingWalk):
         d, side = self.config.dynamic, 1.0 if foot is Foot.LEFT else -1.0
         return stands.points(self.model.soles[foot].center[:2] + np.array([d.aim_ahead, -side * d.aim_inside]))
 
-    def _inside(self, z: Array) -> Array:
-        """Return `z` (2,) [m] moved into the support polygon, shrunk by ``standing.pressure_margin``."""
-        n, edge = self._support
-        for _ in range(6):
-            short = np.maximum(edge + self.config.standing.pressure_margin - n @ z, 0.0)
-            if not short.any():
-                break
-            k = int(np.argmax(short))
-            z = z + short[k] * n[k]
-        return z
-
     def effort(self, phase: Phase, kin: Kinematics, state: State) -> Array:
         """Return the feedforward torques for a ground reaction force through the zero-moment point, shape (n,) [N m].
 
         The joints between the base sole and the pelvis carry the ground reaction force less the weight of the links
         below them: the support leg hardly moves, so the inertial forces act above it.
         """
-        m, f, up = self.model.mass, self._force, kin.up
+        m, f, up = self._mass, self._force, kin.up
         both = phase.kind is not PhaseKind.SINGLE_SUPPORT
         tau = ground_torques(kin, m * f, self._pressure, both=both)
-        line, moment = kin.lines[:, :3], kin.lines[:, 3:]
-        z, a = np.array([*self._pressure, 0.0]), f - GRAVITY * up
-        # (l x z + m).f - (l x c + m).(g up), and (l x z).f = l.(z x f)
-        through = line @ (_cross(z, f) - _cross(kin.com, GRAVITY * up)) + moment @ a
-        tau[self._legs] += m * (through - a @ kin.com_jacobian)[self._legs]
+        tau += m * _of_legs(kin.lines, kin.com, kin.com_jacobian, self._legs, self._pressure, f, GRAVITY * up)
         return tau
 
 
@@ -477,7 +463,26 @@ def along_ground(v: Array, up: Array) -> Array:
     return along
 
 
-def _cross(a: Array, b: Array) -> Array:
-    """Return a x b of vectors (3,), in a tenth of the time of ``numpy.cross``."""
-    (x, y, z), (u, v, w) = a.tolist(), b.tolist()
-    return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
+@jit
+def _inside(z, n, edge, margin):  # type: ignore[no-untyped-def]
+    """Return `z` (2,) moved into the polygon with inward normals n (m, 2) and offsets (m,), shrunk by a margin [m]."""
+    for _ in range(6):
+        short = np.maximum(edge + margin - n @ z, 0.0)
+        if not short.any():
+            break
+        k = np.argmax(short)
+        z = z + short[k] * n[k]
+    return z
+
+
+@jit
+def _of_legs(lines, com, J_com, legs, pressure, force, weight):  # type: ignore[no-untyped-def]
+    """Return the torques per mass by which the joints `legs` (n,) carry more than others, shape (n,) [N m/kg].
+
+    These are moved by the zero-moment point z instead of the CoM c, on which a = f - g up acts: with (l x z).f =
+    l.(z x f), (l x z + m).f - (l x c + m).(g up) - a.J_CoM.
+    """
+    z, a = np.array([pressure[0], pressure[1], 0.0]), force - weight
+    moment = np.cross(z, force) - np.cross(com, weight)
+    tau = lines @ np.concatenate((moment, a)) - a @ J_com
+    return np.where(legs, tau, 0.0)
