@@ -32,8 +32,9 @@ from dqwalk_ros.constraints import (
     vfi,
 )
 from dqwalk_ros.kinematics import Kinematics, Observer
+from dqwalk_ros.paths import ComPath, SwingPath, follow_com_path, follow_swing_path
 from dqwalk_ros.qp import Problem, objective
-from dqwalk_ros.tasks import ComOverFoot, FramePose, Task, pose_difference
+from dqwalk_ros.tasks import ComOverFoot, FramePose, Posture, Task, pose_difference
 
 __all__ = ["Assembly", "Evaluation"]
 
@@ -110,21 +111,27 @@ class Evaluation:
         return out
 
 
-CYLINDER, WALL, HELD, POSE = range(4)
-_KINDS: dict[type, int] = {PointInCylinder: CYLINDER, PointInsideWall: WALL, FrameHeld: HELD, FramePose: POSE}
+_AFFINE_TASKS = ComOverFoot, Posture
+CYLINDER, WALL, HELD, POSE, COM_PATH, SWING_PATH = range(6)
+_KINDS: dict[type, int] = {
+    PointInCylinder: CYLINDER, PointInsideWall: WALL, FrameHeld: HELD, FramePose: POSE, ComPath: COM_PATH,
+    SwingPath: SWING_PATH,
+}  # fmt: skip
+_MOST_PARAMETERS = 17
 
 
 @jit
 def _stack(  # type: ignore[no-untyped-def]
-    items, parameters, A, b, A_limits, b_limits, eta, q, s, values, gradients, rates, limit_distances
+    items, parameters, A, b, A_limits, b_limits, eta, q, elapsed, s, values, gradients, rates, limit_distances
 ):
     """Fill values and gradients of all rows, rates of the tasks' rows, and the distances from the joint limits.
 
     Affine rows are A s - b. `items` (k, 4) lists the tasks and constraints of the classes in `_KINDS`: kind, first row,
-    first column, and column after the last one; `parameters` (k, 8) are their constants.
+    first column, and column after the last one; `parameters` (k, 17) are their constants.
     """
     values[:] = A @ s - b
     gradients[:] = A
+    rates[:] = -eta * values[: rates.shape[0]]  # of (U6)
     limit_distances[:] = A_limits @ q - b_limits  # (U12), (U13)
     for k in range(items.shape[0]):
         kind, row, begin, end = items[k]
@@ -135,9 +142,16 @@ def _stack(  # type: ignore[no-untyped-def]
             values[row], gradients[row, begin:end] = inside_wall(part, a)
         elif kind == HELD:
             values[row : row + 6], gradients[row : row + 6, begin:end] = pose_error(part, a[:3], a[3:7], 1.0)
+        elif kind == POSE:
+            rows = slice(row, row + 8)
+            values[rows], gradients[rows, begin:end] = pose_difference(part, a[:8])
+            rates[rows] = -eta * values[rows]  # of (U6)
+        elif kind == COM_PATH:
+            rows = slice(row, row + 2)
+            values[rows], gradients[rows, begin:end], rates[rows] = follow_com_path(part, a, elapsed, eta)
         else:
-            values[row : row + 8], gradients[row : row + 8, begin:end] = pose_difference(part, a)
-    rates[:] = -eta * values[: rates.shape[0]]  # of (U6)
+            rows = slice(row, row + 6)
+            values[rows], gradients[rows, begin:end], rates[rows] = follow_swing_path(part, a, elapsed)
 
 
 @jit
@@ -229,22 +243,23 @@ class Assembly:
         self._A, self._b = np.zeros(shape), np.zeros(shape[0])
         compiled: list[tuple[int, int, int, int]] = []
         parameters: list[Array] = []
-        self._uncompiled: list[tuple[Task | Constraint, slice, slice]] = []
-        self._own_rate: list[tuple[Task, slice, slice]] = []
+        self._tasks: list[tuple[Task, slice, slice]] = []  # those that are not compiled
+        self._constraints: list[tuple[Constraint, slice, slice]] = []
         for item, row, column in zip(stacked, rows, columns, strict=True):
             if isinstance(item, Affine) and type(item).value is Affine.value:
                 self._A[row, column], self._b[row] = item.A, item.b
-            elif type(item) is ComOverFoot:
-                self._A[row, column] = item.value(s[column], 0.0)[1]
+            elif isinstance(item, Task) and type(item) in _AFFINE_TASKS:
+                at_zero, self._A[row, column] = item.value(np.zeros(column.stop - column.start), 0.0)
+                self._b[row] = -at_zero
             elif type(item) in _KINDS:
                 compiled.append((_KINDS[type(item)], row.start, column.start, column.stop))
-                parameters.append(np.resize(item.parameters, 8))
+                parameters.append(np.resize(item.parameters, _MOST_PARAMETERS))
+            elif isinstance(item, Task):
+                self._tasks.append((item, row, column))
             else:
-                self._uncompiled.append((item, row, column))
-            if isinstance(item, Task) and type(item).rate is not Task.rate:
-                self._own_rate.append((item, row, column))
+                self._constraints.append((item, row, column))
         self._items = np.array(compiled, dtype=np.int64).reshape(-1, 4)
-        self._parameters = np.array(parameters).reshape(-1, 8)
+        self._parameters = np.array(parameters).reshape(-1, _MOST_PARAMETERS)
 
     def __call__(self, kin: Kinematics) -> Evaluation:
         """Return errors, distances and gradients for the joint angles and the elapsed time of `kin`."""
@@ -252,17 +267,15 @@ class Assembly:
         values, gradients = np.empty(self._b.shape), np.empty(self._A.shape)
         rates, limit_distances = np.empty(self._task_rows), np.empty(self._b_limits.shape)
         _stack(
-            self._items, self._parameters, self._A, self._b, self._A_limits, self._b_limits, self._eta, kin.q, s,
-            values, gradients, rates, limit_distances,
+            self._items, self._parameters, self._A, self._b, self._A_limits, self._b_limits, self._eta, kin.q,
+            kin.elapsed, s, values, gradients, rates, limit_distances,
         )  # fmt: skip
-        for item, rows, columns in self._uncompiled:
-            if isinstance(item, Task):
-                values[rows], gradients[rows, columns] = item.value(s[columns], kin.elapsed)
-                rates[rows] = -self._eta * values[rows]
-            else:
-                values[rows], gradients[rows, columns] = item.value(s[columns])
-        for task, rows, columns in self._own_rate:
-            rates[rows] = task.rate(s[columns], values[rows], kin.elapsed, self._eta)
+        for task, rows, columns in self._tasks:
+            part = s[columns]
+            e, gradients[rows, columns] = task.value(part, kin.elapsed)
+            values[rows], rates[rows] = e, task.rate(part, e, kin.elapsed, self._eta)
+        for constraint, rows, columns in self._constraints:
+            values[rows], gradients[rows, columns] = constraint.value(s[columns])
         e = values[: self._first]
         return Evaluation(self, values, gradients, J_features, rates, limit_distances, math.sqrt(e @ e))
 

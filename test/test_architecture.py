@@ -31,6 +31,7 @@ LAYERS = (
     "kinematics",
     "constraints",
     "tasks",
+    "paths",
     "qp",
     "assembly",
     "statics",

@@ -14,10 +14,10 @@ from dqwalk_ros.cli.footsteps import reached
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ConfigError, PlantError
 from dqwalk_ros.kinematics import CenterOfMassOnGround, Kinematics, Point
+from dqwalk_ros.paths import ComPath, SwingPath, com_path
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.simulation import make_controller, make_plant, make_walk, simulate
 from dqwalk_ros.standing.balance import Balance, com_velocity
-from dqwalk_ros.standing.paths import ComPath, SwingPath, com_path
 from dqwalk_ros.standing.walk import StandingWalk
 from dqwalk_ros.state import Command, State
 from dqwalk_ros.statics import gravity_torques, ground_torques

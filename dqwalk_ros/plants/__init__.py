@@ -54,7 +54,7 @@ class Plant(ABC):
         return False
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True, eq=False)
 class Inertial:
     """Measurements of the inertial sensor.
 

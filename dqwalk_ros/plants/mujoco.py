@@ -123,7 +123,7 @@ class PhysicsPlant(Plant):
                 mujoco.mj_step(mj, data, steps - 1)
             mujoco.mj_step1(mj, data)
             left, now = left - steps, data.time
-        if not math.isfinite(self._qpos.sum()):
+        if not math.isfinite(self._qpos.dot(self._qpos)):
             raise PlantError("the simulation is not finite any more")
         self._ticks += 1
         self._state = self._measured()
@@ -165,7 +165,7 @@ class PhysicsPlant(Plant):
     def _checked(self, values: Array, what: str) -> Array:
         """Return `values` as an array (n,); raise PlantError if the size is wrong or a number is not finite."""
         values = np.asarray(values, dtype=np.float64)
-        if values.shape != self._shape or not math.isfinite(values.sum()):
+        if values.shape != self._shape or not math.isfinite(values.dot(values)):
             raise PlantError(f"the command must have {self.model.n} finite {what}, got {values}")
         return values
 

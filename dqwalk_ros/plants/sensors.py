@@ -16,7 +16,7 @@ from dqwalk_ros.plants import Inertial
 __all__ = ["Reading", "Sensors"]
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True, eq=False)
 class Reading(Inertial):
     """Measurements of all sensors at one time: joint angles and velocities `q`, `dq` (n,) [rad, rad/s], and `Inertial`.
 

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.paths import ComPath, com_path
 from dqwalk_ros.report.metrics import Series, hull_margin, support_polygon
 from dqwalk_ros.servos import Servos
 from dqwalk_ros.stability import Finding, divergent_component, longest_delay, servo_findings
-from dqwalk_ros.standing.paths import ComPath, com_path
 from dqwalk_ros.statics import GRAVITY
 
 __all__ = ["causes", "lost"]

@@ -15,7 +15,7 @@ from dqwalk_ros.compiled import jit
 from dqwalk_ros.config import Config
 from dqwalk_ros.constraints import ComInsideEdges
 from dqwalk_ros.kinematics import Kinematics, _point, compose, direction, support_tree
-from dqwalk_ros.standing.paths import ComPath, com_path
+from dqwalk_ros.paths import ComPath, com_path
 from dqwalk_ros.state import State
 from dqwalk_ros.statics import GRAVITY, borne_by_other, gravity_torques
 from dqwalk_ros.walk import Phase, PhaseKind
@@ -63,13 +63,12 @@ class Balance:
         """
         if self._path is None:
             return gravity_torques(kin, both=self._both)
-        v = np.zeros(3)
-        if state.dq is not None:
-            gyro = _NONE if state.gyro is None else state.gyro
-            v = com_velocity(kin.com, kin.com_jacobian, kin.lines, kin.poses, *self._imu, state.dq, gyro)
+        dq, gyro = state.dq, state.gyro
+        if dq is None:
+            dq, gyro = np.zeros(kin.q.shape), None
         tau: Array = _torques(
-            kin.com, kin.com_jacobian, kin.lines, kin.poses, kin.up, v, kin.elapsed, *self._path_parameters,
-            *self._goals, *self._edges, *self._gains, self._both, *self._soles,
+            kin.com, kin.com_jacobian, kin.lines, kin.poses, kin.up, *self._imu, dq, _NONE if gyro is None else gyro,
+            kin.elapsed, *self._path_parameters, *self._goals, *self._edges, *self._gains, self._both, *self._soles,
         )  # fmt: skip
         return tau
 
@@ -94,10 +93,11 @@ def com_velocity(com, J_com, lines, poses, imu, x_imu, moves, dq, gyro):  # type
 
 @jit
 def _torques(  # type: ignore[no-untyped-def]
-    com, J_com, lines, poses, up, v, elapsed, start, duration, over, offsets, n, d, k, margin, mass, both,
-    center, other_center, half, other, x_other, moves,
+    com, J_com, lines, poses, up, imu, x_imu, moves_imu, dq, gyro, elapsed, start, duration, over, offsets, n, d, k,
+    margin, mass, both, center, other_center, half, other, x_other, moves,
 ):  # fmt: skip
     """Return the joint torques (n,) [N m] of `Balance`."""
+    v = com_velocity(com, J_com, lines, poses, imu, x_imu, moves_imu, dq, gyro)
     goals = np.zeros(2 + 3 * over.shape[0])
     for j in range(over.shape[0]):
         goals[2 + 3 * j : 5 + 3 * j] = _point(poses[over[j]], offsets[j])

@@ -21,10 +21,10 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import PhaseError
 from dqwalk_ros.geometry import ConvexPolygon, Plane
 from dqwalk_ros.kinematics import Kinematics, Point
+from dqwalk_ros.paths import ComPath, SwingPath
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.standing.balance import Balance
 from dqwalk_ros.standing.footsteps import Footsteps, flat
-from dqwalk_ros.standing.paths import ComPath, SwingPath
 from dqwalk_ros.state import State
 from dqwalk_ros.tasks import Posture, Task
 from dqwalk_ros.walk import Phase, PhaseKind, Rule, Walk, joint_limits, pelvis_height

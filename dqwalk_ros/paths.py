@@ -1,4 +1,4 @@
-"""Path-following tasks of the standing walk: the CoM from foot to foot, and the swing sole over a via point."""
+"""Tasks that follow a path in time: the CoM from foot to foot, and the swing sole over a via point."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import CenterOfMassOnGround, Feature, Point, Rotation
 from dqwalk_ros.tasks import Task
 
-__all__ = ["ComPath", "SwingPath", "com_path"]
+__all__ = ["ComPath", "SwingPath", "com_path", "follow_com_path", "follow_swing_path"]
 
 
 @jit
@@ -41,10 +41,16 @@ def com_path(s, start, elapsed, duration):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _com_rate(s, e, start, elapsed, duration, eta, saturation):  # type: ignore[no-untyped-def]
-    """Return the velocity of the path less eta times the saturated error e, shape (2,) [m/s]."""
-    _, velocity, _ = com_path(s, start, elapsed, duration)
-    return velocity - eta * min(1.0, saturation / max(math.sqrt(e @ e), 1e-12)) * e
+def follow_com_path(s, a, elapsed, eta):  # type: ignore[no-untyped-def]
+    """Return the offset (2,) of the CoM from its path [m], its gradient, and its desired rate (2,) [m/s].
+
+    `s` are the coordinates as in `com_path`, and `a` (4,) the parameters of `ComPath`. The rate is the velocity of the
+    path less eta times the saturated offset. The gradient neglects the motion of the goal: the phase holds the feet.
+    """
+    place, velocity, _ = com_path(s, a[:2], elapsed, a[2])
+    e, gradient = s[:2] - place, np.zeros((2, s.shape[0]))
+    gradient[0, 0] = gradient[1, 1] = 1.0
+    return e, gradient, velocity - eta * min(1.0, a[3] / max(math.sqrt(e @ e), 1e-12)) * e
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,27 +82,29 @@ class ComPath(Task):
         return (CenterOfMassOnGround(), *self.over)
 
     @cached_property
-    def _gradient(self) -> Array:
-        # the motion of the goal is neglected in the gradient: the phase holds the feet at rest
-        return np.eye(2, 2 + 3 * len(self.over))
+    def parameters(self) -> Array:
+        """Start [m], duration and saturation, shape (4,)."""
+        return np.array([*self.start, self.duration, self.saturation])
 
     def value(self, s: Array, elapsed: float) -> tuple[Array, Array]:
         """Offset of the CoM from its path, shape (2,) [m]."""
-        place, _, _ = com_path(s, self.start, elapsed, self.duration)
-        return s[:2] - place, self._gradient
+        e, gradient, _ = follow_com_path(s, self.parameters, elapsed, 0.0)
+        return e, gradient
 
     def rate(self, s: Array, e: Array, elapsed: float, eta: float) -> Array:
         """Return the desired e': the velocity of the path minus the saturated error times eta, shape (2,) [m/s]."""
-        back: Array = _com_rate(s, e, self.start, elapsed, self.duration, eta, self.saturation)
+        back: Array = follow_com_path(s, self.parameters, elapsed, eta)[2]
         return back
 
 
 @jit
-def _swing_path(elapsed, duration, height, start, way, r_start, half_turn):  # type: ignore[no-untyped-def]
+def _swing_path(a, elapsed):  # type: ignore[no-untyped-def]
     """Return position (3,), orientation (4,) and velocity, linear and angular (6,), of a sole on its path.
 
-    The horizontal motion takes place in the middle 80 % of the time, so that lift-off and landing are vertical.
+    `a` (17,) are the parameters of `SwingPath`. The horizontal motion takes place in the middle 80 % of the time, so
+    that lift-off and landing are vertical.
     """
+    start, way, r_start, half_turn, height, duration = a[:3], a[3:6], a[6:10], a[10:13], a[13], a[14]
     s = min(max(elapsed / duration, 0.0), 1.0)
     place, slope, _ = _minimum_jerk((s - 0.1) / 0.8)
     bump, rise = 64.0 * (s * (1.0 - s)) ** 3, 192.0 * (s * (1.0 - s)) ** 2 * (1.0 - 2.0 * s)
@@ -111,18 +119,16 @@ def _swing_path(elapsed, duration, height, start, way, r_start, half_turn):  # t
 
 
 @jit
-def _swing_error(s, path, lever):  # type: ignore[no-untyped-def]
-    """Return the error (6,) of a sole with the coordinates s (7,) from its path, and the gradient (6, 7)."""
-    p, r, _ = _swing_path(*path)
-    return pose_error(s, p, r, lever)
+def follow_swing_path(s, a, elapsed):  # type: ignore[no-untyped-def]
+    """Return the error (6,) of a sole from its path [m], its gradient, and its desired rate (6,) [m/s].
 
-
-@jit
-def _swing_rate(e, path, lever, convergence):  # type: ignore[no-untyped-def]
-    """Return the velocity of the path, angles times `lever`, less `convergence` times the error e, shape (6,) [m/s]."""
-    _, _, velocity = _swing_path(*path)
-    velocity[3:] *= lever
-    return velocity - convergence * e
+    `s` (7,) are the coordinates of the sole, and `a` (17,) the parameters of `SwingPath`. The rate is the velocity of
+    the path, angles times the lever, less the convergence times the error.
+    """
+    p, r, velocity = _swing_path(a, elapsed)
+    e, gradient = pose_error(s, p, r, a[16])
+    velocity[3:] *= a[16]
+    return e, gradient, velocity - a[15] * e
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,20 +166,25 @@ class SwingPath(Task):
         return (Point(self.frame), Rotation(self.frame))
 
     @cached_property
-    def _ends(self) -> tuple[Array, Array, Array, Array]:
-        """Start (3,) [m], displacement (3,) [m], orientation at the start (4,), and half the rotation vector (3,)."""
+    def parameters(self) -> Array:
+        """Start and displacement [m], orientation at the start, half the rotation vector, and four numbers, (17,).
+
+        The numbers are height, duration, convergence and lever.
+        """
         a, b = DQ(self.start), DQ(self.goal)
         turn = b.P() * a.P().conj()
         half = (turn if turn.vec4()[0] >= 0.0 else -turn).log().vec3()
-        return a.translation(), b.translation() - a.translation(), self.start[:4].copy(), half.copy()
+        p, r = a.translation(), self.start[:4]
+        return np.array(
+            [*p, *(b.translation() - p), *r, *half, self.height, self.duration, self.convergence, self.lever]
+        )
 
     def value(self, s: Array, elapsed: float) -> tuple[Array, Array]:
         """Error from the path, shape (6,) [m]."""
-        e, gradient = _swing_error(s, (elapsed, self.duration, self.height, *self._ends), self.lever)
+        e, gradient, _ = follow_swing_path(s, self.parameters, elapsed)
         return e, gradient
 
     def rate(self, s: Array, e: Array, elapsed: float, eta: float) -> Array:
         """Return the desired e': the velocity of the path minus the error times `convergence`, shape (6,) [m/s]."""
-        path = elapsed, self.duration, self.height, *self._ends
-        back: Array = _swing_rate(e, path, self.lever, self.convergence)
+        back: Array = follow_swing_path(s, self.parameters, elapsed)[2]
         return back
