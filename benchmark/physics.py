@@ -6,6 +6,7 @@ python -m benchmark.physics [--ticks 2000]
 from __future__ import annotations
 
 import argparse
+import itertools
 import time
 
 import mujoco
@@ -18,15 +19,17 @@ from dqwalk_ros.robot import load_model
 from dqwalk_ros.simulation import make_controller
 
 CHUNK = 100
+WALKS = {"poppy": 0.015, "poppy_dynamic": 0.1}
+"""Configuration of each walk, and its speed [m/s]."""
 
 
-def walk(solver: str, ticks: int) -> tuple[float, float, float]:
+def walk(name: str, solver: str, ticks: int) -> tuple[float, float, float]:
     """Return the CPU time per tick [us] of the engine alone, the plant, and the controller."""
-    config = load("poppy").updated({"qp.solver": solver, "gait.steps": 0})
+    config = load(name).updated({"qp.solver": solver, "gait.steps": 0})
     model = load_model(config.robot)
     controller = make_controller(config, model)
     plant = PhysicsPlant(config, model, model.posture(config.standing.posture))
-    controller.steer(0.015, 0.0, 0.0)
+    controller.steer(WALKS[name], 0.0, 0.0)
     again, steps = mujoco.MjData(plant.mj), round(config.dt / plant.mj.opt.timestep)
     state = plant.state
     spent = np.zeros((0, 3))
@@ -59,11 +62,16 @@ def main() -> None:
     args = parser.parse_args()
     print(f"{machine()}\n")
     rows = []
-    for solver in ("clarabel", "daqp"):
-        engine, plant, controller = walk(solver, args.ticks)
+    for name, solver in itertools.product(WALKS, ("clarabel", "daqp")):
+        engine, plant, controller = walk(name, solver, args.ticks)
         loop = plant + controller
-        rows.append([solver, *(f"{x:.0f}" for x in (engine, plant, controller, loop)), f"{loop / engine:.2f}"])
-    print(table(["solver", "engine [us]", "plant [us]", "controller [us]", "loop [us]", "loop / engine"], rows))
+        rows.append([name, solver, *(f"{x:.0f}" for x in (engine, plant, controller, loop)), f"{loop / engine:.2f}"])
+    print(
+        table(
+            ["configuration", "solver", "engine [us]", "plant [us]", "controller [us]", "loop [us]", "loop / engine"],
+            rows,
+        )
+    )
     print("\nmedians of CPU time per tick; the engine is mj_step on the same controls, the plant contains it")
 
 
