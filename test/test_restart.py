@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import math
 import signal
 from typing import Any
 
@@ -81,6 +82,16 @@ def test_a_foot_in_the_air_is_put_down_first(support: Foot) -> None:
         kind, stands, target = walk.beginning(Kinematics(model, q, Foot.LEFT))
         assert (kind, stands) == (PhaseKind.SINGLE_SUPPORT, bent.other)
         assert DQ(target).translation()[2] == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("degrees", [-6.0, 6.0])
+def test_no_foot_is_in_the_air_on_a_slope_to_the_side(degrees: float) -> None:
+    config = CONFIG("physics")
+    model = load_model(config.robot)
+    walk, slope = make_walk(config, model), math.radians(degrees)
+    up = [0.0, math.sin(slope), math.cos(slope)]
+    kind, *_ = walk.beginning(Kinematics(model, walk.posture, Foot.LEFT, up))
+    assert kind is PhaseKind.DOUBLE_SUPPORT
 
 
 @pytest.mark.long

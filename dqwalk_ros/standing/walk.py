@@ -36,7 +36,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 _JOINT_RETURN = 0.5
 """Largest speed at which a joint beyond its limit is required to return [rad/s]."""
 _LIFTED = 0.004
-"""Height difference of the soles above which the higher one is in the air [m]."""
+"""Height of a sole above the plane of the other one from which on it is in the air [m]."""
 
 
 class StandingWalk(Walk):
@@ -167,10 +167,11 @@ class StandingWalk(Walk):
             for foot, sole in self.model.soles.items()
         }
         support = min(height, key=lambda foot: height[foot])
-        if height[support.other] - height[support] <= _LIFTED:
+        kin, other = Kinematics(self.model, kin.q, support), self.model.soles[support.other]
+        # above the plane of the lower sole, because on a slope to the side the soles differ in height
+        if min(float(kin.point(other.frame, corner)[2]) for corner in other.corners) <= _LIFTED:
             return self.following(None)
-        below = Kinematics(self.model, kin.q, support).pose(self.model.soles[support.other].frame)
-        return PhaseKind.SINGLE_SUPPORT, support, self.footsteps.reachable(support, flat(below))
+        return PhaseKind.SINGLE_SUPPORT, support, self.footsteps.reachable(support, flat(kin.pose(other.frame)))
 
     def restarts(self, phase: Phase) -> float | None:
         """Return ``standing.transfer_duration`` in double support, None in single support.
