@@ -15,6 +15,7 @@ import psutil
 import pytest
 from live import SHORT
 
+from dqwalk_ros import cli
 from dqwalk_ros.compiled import COMPILING
 from dqwalk_ros.config import load
 from dqwalk_ros.report import bag
@@ -137,6 +138,14 @@ def test_progress_is_shown_and_a_suspended_recorder_loses_no_messages(tmp_path: 
     fractions = [fraction for fraction, _ in shown]
     assert min(fractions) >= 0.0
     assert max(fractions) > 0.5
+
+
+def test_an_exercise_that_failed_is_not_to_be_identified(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    robot = ["exercise", "--plant", "poppy", "--set", f"poppy.lower_port={tmp_path}/nothing", "--out", str(tmp_path)]
+    assert cli.main(robot) == 1
+    output = capsys.readouterr()
+    assert "the lower bus cannot be opened" in output.err
+    assert "next:" not in output.out
 
 
 def test_the_first_start_on_a_machine_says_that_it_compiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

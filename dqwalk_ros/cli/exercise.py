@@ -93,5 +93,5 @@ def exercise(
     if reason:
         print(f"dqwalk: {reason}", file=sys.stderr)
     if not quiet:
-        print(f"wrote {out / 'bag'}; next: dqwalk identify {out / 'bag'}")
+        print(f"wrote {out / 'bag'}" + ("" if reason else f"; next: dqwalk identify {out / 'bag'}"))
     return 1 if reason else 0
