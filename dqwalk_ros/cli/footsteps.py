@@ -63,7 +63,7 @@ def footsteps(config: str, support: str, changes: tuple[str, ...]) -> int:
             ahead, aside, turn, off, angle = reached(steps, foot, *one)
             value = math.degrees(one[2]) if "turn" in name else 1e3 * (one[0] or one[1])
             numbers = 1e3 * ahead, 1e3 * aside, math.degrees(turn), 1e3 * off, math.degrees(angle)
-            rows.append([f"{value:.0f}", *(f"{number:.1f}" for number in numbers)])
+            rows.append([f"{value:.0f}", *(f"{number:z.1f}" for number in numbers)])
         head = (name, "reached: ahead [mm]", "aside [mm]", "turn [deg]", "off by [mm]", "[deg]")
         print(aligned(rows, head, right=range(len(head))) + "\n")
     return 0

@@ -267,8 +267,9 @@ def _comparison(subjects: Sequence[Subject]) -> str:
     )
     names = [escape(s.name) for s in subjects]
     return (
-        f"<h2>Side by side</h2><div class='two'><div class='card'><table><tr><th></th><th class=n>{names[0]}</th>"
-        f"<th class=n>{names[1]}</th></tr>{rows}</table></div><div class='card scroll'>{config}</div></div>"
+        f"<h2>Side by side</h2><div class='card scroll'><table class=wraps><tr><th></th><th class=n>{names[0]}</th>"
+        f"<th class=n>{names[1]}</th></tr>{rows}</table></div>"
+        f"<h2>Parameters that differ</h2><div class='card scroll'>{config}</div>"
     )
 
 

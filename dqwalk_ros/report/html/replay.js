@@ -191,7 +191,8 @@
       for (const foot of ["left", "right"]) corners[foot] = this.soles[foot].corners.map((c) => at(bodies[this.soles[foot].b], c));
       const feet = phase.double ? [...corners.left, ...corners.right] : corners[phase.base];
       const ground = corners[phase.base].reduce((a, c) => a + c[2] / 4, 0);
-      return { bodies, com, ground, hull: hullOf(feet), phase, top: Math.max(...bodies.map((b) => b.p[2])) };
+      const drawn = this.shapes.map((s) => joined(bodies[s.b], s)); // a body's frame may be far below its shapes
+      return { bodies, com, ground, hull: hullOf(feet), phase, top: Math.max(...[...bodies, ...drawn].map((x) => x.p[2])) };
     }
   }
   const hullOf = (points) => {
