@@ -343,9 +343,11 @@ def test_pushes_scale_with_the_robot():
 
 
 def test_limits_of_pushes_are_saved_and_printed(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(
-        pushes, "pushed", lambda config, push: "fell" if push.impulse > 0.8 + 0.1 * push.direction else ""
-    )
+    def pushed(config, push):
+        assert config.servo.assumed_damping == 0.02  # of config/plants/physics.yaml, as with `dqwalk simulate`
+        return "fell" if push.impulse > 0.8 + 0.1 * push.direction else ""
+
+    monkeypatch.setattr(pushes, "pushed", pushed)
     command = ["pushes", "--moment", "standing", "--directions", "4", "--jobs", "1", "--quiet", "--out", str(tmp_path)]
     assert cli.main(command) == 0
     shown = capsys.readouterr().out

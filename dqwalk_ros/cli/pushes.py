@@ -76,7 +76,7 @@ def pushes(
     from dqwalk_ros.robot import load_model
     from dqwalk_ros.studies import pushes as study
 
-    made = config_of(config, changes)
+    made = config_of(config, changes, plant="physics")
     if made.gait.style == "paper":
         raise ConfigError(f"pushes need a standing or a dynamic walk; gait.style of '{config}' is {made.gait.style}")
     moments = study.MOMENTS if moment == "all" else (moment,)
