@@ -148,6 +148,7 @@ def test_an_exercise_that_failed_is_not_to_be_identified(tmp_path: Path, capsys:
     assert "next:" not in output.out
 
 
+@pytest.mark.long
 def test_the_first_start_on_a_machine_says_that_it_compiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Said(Exception):
         pass
