@@ -188,7 +188,7 @@ def test_values_given_by_the_user_are_in_both_walks_unless_they_concern_the_step
 
 
 def test_the_standing_walk_catches_a_push_by_steps_of_the_dynamic_walk(small: Adoption) -> None:
-    config = small.config.updated({"qp.solver": "daqp"})
+    config = overlaid(small.config, "physics").updated({"qp.solver": "daqp"})
     push = Push("left", -0.5 * math.pi, 1.4)  # in mid-step, towards the swing foot
     assert pushed(config, push) == ""
     assert pushed(config.updated({"gait.recover": ""}), push)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
-from dqwalk_ros.config import Config, find_share, from_yaml, load, to_yaml
+from dqwalk_ros.config import SHIPPED, Config, find_share, from_yaml, load, to_yaml
 from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.robot import Foot
@@ -215,3 +216,9 @@ def test_records_are_frozen(paper):
     with pytest.raises(dataclasses.FrozenInstanceError):
         paper.task.eta = 3.0
     assert hash(paper) == hash(load("paper"))
+
+
+def test_every_shipped_configuration_is_named() -> None:
+    files = {path.stem: path for path in (Path(__file__).parent.parent / "config").glob("*.yaml")}
+    walks = {name for name, path in files.items() if "robot:" in path.read_text(encoding="utf-8")}
+    assert set(SHIPPED) == walks

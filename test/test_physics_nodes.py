@@ -150,11 +150,12 @@ def test_in_lockstep_a_state_waits_for_the_imu_of_its_stamp() -> None:
 
 
 def test_in_real_time_the_newest_imu_message_is_used_until_too_old() -> None:
-    node = NodeStub()
-    sensor = InertialSensor(node, "imu", lambda _: None)
+    node, now = NodeStub(), [10.0]
+    sensor = InertialSensor(node, "imu", lambda _: None, clock=lambda: now[0])
     assert sensor.join(*state_at(0)) is None
+    now[0] += 0.2
     with pytest.raises(StateError, match="no message yet"):
-        sensor.join(*state_at(200_000_000))
+        sensor.join(*state_at(0))  # by the time of receipt: the stamps may stand still
     node.imu(imu_at(1_000_000_000))
     joined = sensor.join(*state_at(1_050_000_000))
     assert joined is not None

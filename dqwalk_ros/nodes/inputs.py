@@ -41,7 +41,7 @@ class InertialSensor:
     """Adds the inertial sensor's message to the state of the joints.
 
     In lockstep a state waits for the imu message with the same stamp. In real time the newest message is used, if its
-    stamp is within ``plant.command_timeout`` of the state's; the first one may arrive as late as that.
+    stamp is within ``plant.command_timeout`` of the state's; the first one may arrive that long after the first state.
 
     Parameters
     ----------
@@ -49,13 +49,21 @@ class InertialSensor:
         Link of the sensor: messages in another frame are rejected.
     on_state : callable
         Called again with a state that had to wait for its imu message.
+    clock : callable
+        Steady time [s].
     """
 
-    def __init__(self, node: WalkNode, frame: str, on_state: Callable[[JointState], None]) -> None:
-        self._node, self._frame, self._on_state = node, frame, on_state
+    def __init__(
+        self,
+        node: WalkNode,
+        frame: str,
+        on_state: Callable[[JointState], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._node, self._frame, self._on_state, self._clock = node, frame, on_state, clock
         self._newest: Imu | None = None
         self._waiting: JointState | None = None
-        self._first: int | None = None  # stamp of the first state, until there is a measurement [ns]
+        self._first = math.inf  # time of receipt of the first state [s]
         node.listen(Imu, "imu", self._on_imu, ros.stream(1, reliable=node.lockstep))
 
     def _on_imu(self, msg: Imu) -> None:
@@ -79,9 +87,9 @@ class InertialSensor:
                 self._waiting = msg
                 return None
         elif newest is None:
-            stamp = ros.nanoseconds(msg.header.stamp)
-            self._first = stamp if self._first is None else self._first
-            if 1e-9 * (stamp - self._first) <= self._node.config.plant.command_timeout:
+            now = self._clock()
+            self._first = min(self._first, now)
+            if now - self._first <= self._node.config.plant.command_timeout:
                 return None  # the node has just started
             raise StateError("imu: no message yet (plant.imu is true)")
         else:
