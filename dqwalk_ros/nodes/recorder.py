@@ -28,7 +28,7 @@ __all__ = ["OTHERS", "Recorder", "WalkTime"]
 _DEPTH = 50_000
 """Depth of the queues: minutes of real time, most of a minute of lockstep at full speed."""
 _FLUSH = 1.0
-"""Period of writing to the disk [s]: a recorder that is killed loses at most the messages of this time."""
+"""Period of writing to the disk [s]; a recorder that is killed loses up to two, as `TimerWaker` resets late timers."""
 _DISCOVERY = 0.5
 """Period of the search for new topics [s]."""
 _DRAIN = {True: 6.0, False: 0.5}
