@@ -25,7 +25,7 @@ from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import from_yaml, load, to_yaml
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.errors import DqwalkError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.safety import DuplicateStates
@@ -197,12 +197,18 @@ def test_a_file_for_other_nodes_only_is_accepted_with_a_warning(make: Any) -> No
 
 
 @pytest.mark.parametrize(
-    ("key", "meant"),
-    [("gate.step_length", "gait.step_length"), ("gait.step_lenght", "gait.step_length"), ("gait.foo", "unknown")],
+    ("text", "expected"),
+    [
+        ("/**: {ros__parameters: {gate.step_length: 0.04}}", "did you mean 'gait.step_length'"),
+        ("/**: {ros__parameters: {gait.step_lenght: 0.04}}", "did you mean 'gait.step_length'"),
+        ("/**: {ros__parameters: {gait.foo: 0.04}}", "unknown"),
+        ("/**/controler: {ros__parameters: {dt: 0.01}}", "did you mean 'controller'"),
+        ("/**: {ros__parameters: {robot: {urdf: nothing.urdf}}}", r"nothing\.urdf"),
+    ],
 )
-def test_a_misspelt_key_is_an_error(make: Any, key: str, meant: str) -> None:
-    with pytest.raises(ConfigError, match=meant):
-        make("controller", f"/**:\n  ros__parameters:\n    {key}: 0.04\n")
+def test_a_misspelt_name_is_an_error(make: Any, text: str, expected: str) -> None:
+    with pytest.raises(DqwalkError, match=expected):
+        make("controller", text)
 
 
 # ---------------------------------------------------------------------- odometry and frames

@@ -1,22 +1,26 @@
-"""The nodes as real processes over DDS, each test in its own ROS domain; no timing is asserted tightly."""
+"""The nodes as real processes over DDS, each test in its own ROS domain, and the checks of one node's inputs."""
 
 from __future__ import annotations
 
+import itertools
+import math
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
 
-from live import LATCHED, SHORT, Live
-from sensor_msgs.msg import JointState
+from inside import state
+from live import SHORT, Live
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
 
-from dqwalk_ros.config import Config, load, to_yaml
+from dqwalk_ros.config import load, to_yaml
 from dqwalk_ros.nodes.command_line import NODES
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report import bag
@@ -25,30 +29,11 @@ from dqwalk_ros.runner import environment, private_domain, run_walk
 from dqwalk_ros.simulation import make_controller, simulate
 from dqwalk_ros.topics import TOPICS
 
-Make = Callable[..., Live]
+PAPER = load("paper")
+MODEL = load_model(PAPER.robot)
+NAMES, ZERO = MODEL.joint_names, np.zeros(MODEL.n)
 LONG = {**SHORT, "task.eta": 0.3, "ssp.threshold": 1e-3}
 """Five times as many ticks as `SHORT`, so that a fast machine can be stopped in the middle."""
-
-
-@pytest.fixture
-def live(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Make]:
-    """Make `Live` with parameters, ended after the test."""
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    made: list[Live] = []
-    with private_domain() as domain:
-
-        def make(**values: object) -> Live:
-            config = load("paper").updated({key.replace("__", "."): v for key, v in values.items()})
-            made.append(Live(tmp_path, domain, config))
-            return made[-1]
-
-        yield make
-        for one in made:
-            one.close()
-
-
-def names_of(config: Config) -> list[str]:
-    return list(load_model(config.robot).joint_names)
 
 
 # ---------------------------------------------------------------------- lockstep
@@ -57,9 +42,8 @@ def names_of(config: Config) -> list[str]:
 @pytest.mark.parametrize("walks", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_lockstep_walk_equals_that_of_one_process(tmp_path: Path, walks: int) -> None:
     """Every time, and with a complete bag."""
-    config = load("paper").updated(SHORT)
-    model = load_model(config.robot)
-    expected = simulate(make_controller(config, model), KinematicPlant(model))
+    config = PAPER.updated(SHORT)
+    expected = simulate(make_controller(config, MODEL), KinematicPlant(MODEL))
     assert expected.finished
     for path in [tmp_path / str(k) / "bag" for k in range(walks)]:
         outcome = run_walk(config, path)
@@ -104,8 +88,8 @@ def check_bag_is_complete(path: Path, period: int) -> None:
 
 
 @pytest.mark.long
-def test_a_bag_of_a_late_recorder_is_a_walk(live: Make, tmp_path: Path) -> None:
-    one = live(plant__lockstep=True, **{key.replace(".", "__"): value for key, value in LONG.items()})
+def test_a_bag_of_a_late_recorder_is_a_walk(nodes: Any, tmp_path: Path) -> None:
+    one = nodes(PAPER.updated({**LONG, "plant.lockstep": True}))
     walk = [f"{kind}_support/{foot}" for foot in ("left", "right") for kind in ("double", "single")]
     one.start("integrator")
     one.start("controller")
@@ -140,8 +124,8 @@ def at_rest(one: Live) -> bool:
     return not one.config.plant.lockstep or after.header.stamp == before.header.stamp
 
 
-def test_pause_stops_the_simulated_time_in_lockstep(live: Make) -> None:
-    one = live(plant__lockstep=True)
+def test_pause_stops_the_simulated_time_in_lockstep(nodes: Any) -> None:
+    one = nodes(PAPER.updated({"plant.lockstep": True}))
     one.start("integrator")
     one.start("controller")
     one.until_ready("controller/pause")
@@ -157,8 +141,8 @@ def test_pause_stops_the_simulated_time_in_lockstep(live: Make) -> None:
 # ---------------------------------------------------------------------- real time
 
 
-def test_a_real_time_walk_follows_the_clock(live: Make) -> None:
-    one = live(monitor__rate=20.0)
+def test_a_real_time_walk_follows_the_clock(nodes: Any) -> None:
+    one = nodes(PAPER.updated({"monitor.rate": 20.0}))
     for name in ("integrator", "controller", "phase_monitor"):
         one.start(name)
     one.until(lambda: "double_support/left" in one.phases(), 60.0, "the first phase")
@@ -177,113 +161,103 @@ def test_a_real_time_walk_follows_the_clock(live: Make) -> None:
     one.until(lambda: at_rest(one), 20.0, "the robot standing still")
 
 
-def test_services_start_pause_and_reset(live: Make) -> None:
-    one = live(node__autostart=False)
-    began: list[JointState] = []
-    one.node.create_subscription(JointState, "phase_start", began.append, LATCHED)
-    one.start("integrator")
-    one.start("controller")
-    one.until(lambda: len(one.got["joint_velocity_commands"]) > 20, 60.0, "commands")
-    one.until(lambda: one.phase == "idle", 10.0, "an idle controller")
-    assert one.speeds().max() == 0.0
-
-    assert one.call("controller/start").success
-    one.until(lambda: one.phase == "double_support/left" and one.speed_of() > 0.0, 10.0, "walking")
-    assert one.call("controller/pause").success
-    one.until(lambda: one.phase == "paused" and one.speed_of(5) == 0.0, 10.0, "standing still")
-    assert one.call("controller/start").success
-    one.until(lambda: one.phase == "double_support/left" and one.speed_of() > 0.0, 10.0, "going on")
-    assert one.call("controller/reset").success
-    one.until(lambda: one.phase == "idle" and one.speed_of(5) == 0.0, 10.0, "the reset")
-    assert not one.call("controller/pause").success
-    assert one.call("controller/start").success
-    one.until(lambda: one.phase == "double_support/left", 10.0, "walking again")
-    answered = one.got["joint_velocity_commands"]
-
-    def stamps(messages: list[JointState]) -> set[tuple[int, int]]:
-        return {(m.header.stamp.sec, m.header.stamp.nanosec) for m in messages}
-
-    one.until(lambda: len(began) == 2 and stamps(began) <= stamps(answered), 20.0, "phases that began at a state")
+# ---------------------------------------------------------------------- one node, called directly
 
 
-def test_an_invalid_state_is_rejected_and_the_walk_continues(live: Make) -> None:
-    one = live(plant__command_timeout=10.0)
-    names = names_of(one.config)
-    one.start("controller")
-    one.until(lambda: one.node.count_subscribers("joint_states") > 1, 60.0, "the controller")
-    zero = np.zeros(len(names))
+def test_services_start_pause_and_reset(make: Any) -> None:
+    one = make("controller", PAPER.updated({"node.autostart": False}))
+    plant, ticks = KinematicPlant(MODEL), itertools.count()
 
-    def answer_to(stamp: float) -> bool:
-        return any(
-            round(m.header.stamp.sec + m.header.stamp.nanosec * 1e-9, 3) == stamp
-            for m in one.got["joint_velocity_commands"]
-        )
+    def succeeds(service: str) -> bool:
+        return bool(one.call(service, Trigger.Request()).success)
 
-    def accepted(stamp: float, *, order: list[int] | None = None, extra: bool = False) -> None:
-        index = order or list(range(len(names)))
-        shown = [names[i] for i in index] + (["head_z"] if extra else [])
+    def moves(phase: str) -> bool:
+        """Send a few states; check the published phase, and return whether the last command moves the robot."""
+        for _ in range(5):
+            u = one.exchange(plant, MODEL, 1.0 + PAPER.dt * next(ticks))
+        assert one.got["phase"][-1].data == phase
+        return bool(u.any())
 
-        def answered() -> bool:  # best effort: a message may be lost
-            one.publish_state(shown, np.zeros(len(shown)), stamp)
-            one.spin(0.1)
-            return answer_to(stamp)
-
-        one.until(answered, 20.0, f"an answer to {stamp}")
-
-    accepted(1.0)
-    nan, inf = zero.copy(), zero.copy()
-    nan[3], inf[0] = np.nan, -np.inf
-    for stamp, (shown, q, dq, expected) in enumerate(
-        [
-            (names, nan, (), f"not a finite position: {names[3]}"),
-            (names, inf, (), f"not a finite position: {names[0]}"),
-            (names[1:], zero[1:], (), f"joints missing: {names[0]}"),
-            (["wrong", *names[1:]], zero, (), f"joints missing: {names[0]}; it has wrong"),
-            ([*names, names[2]], [*zero, 0.0], (), f"joints named twice: {names[2]}"),
-            (names, zero[1:], (), "numbers in 'position'"),
-            (names, zero, zero[1:], "numbers in 'velocity'"),
-            ([], [], (), "joints missing"),
-        ],
-        start=2,
-    ):
-
-        def rejected(
-            shown: object = shown, q: object = q, dq: object = dq, expected: str = expected, at: int = stamp
-        ) -> bool:
-            one.publish_state(shown, q, float(at), dq)
-            one.spin(0.1)
-            return any(expected in s.message and s.level == b"\x02" for s in one.statuses("controller"))
-
-        one.until(rejected, 20.0, expected)
-        assert not answer_to(float(stamp))
-    assert "joint_states rejected" in one.processes.log("controller")
-    accepted(20.0)
-    accepted(21.0, order=list(reversed(range(len(names)))))
-    accepted(22.0, extra=True)
-
-
-def test_an_invalid_command_causes_no_motion(live: Make) -> None:
-    from rclpy.qos import QoSProfile
-
-    one = live(plant__lockstep=True)
-    names = names_of(one.config)
-    commands = one.node.create_publisher(JointState, "joint_velocity_commands", QoSProfile(depth=10))
-    one.start("integrator")
-    one.until(lambda: one.got["joint_states"], 60.0, "the first state")
-    one.until(lambda: commands.get_subscription_count() > 1, 10.0, "the integrator")
-    bad = JointState(name=names, velocity=[float("nan")] * len(names))
-    commands.publish(bad)
-    one.until(lambda: "joint_velocity_commands rejected" in one.processes.log("integrator"), 10.0, "the rejection")
-    late = JointState(name=names, velocity=[1.0] * len(names))
-    late.header.stamp.sec = 7
-    commands.publish(late)
-    one.spin(1.0)
-    assert {m.header.stamp.nanosec for m in one.got["joint_states"]} == {0}
-    commands.publish(JointState(name=names, velocity=[1.0] * len(names)))
-    one.until(lambda: one.stamp() > 0.0, 10.0, "the next state")
-    np.testing.assert_allclose(
-        np.array(one.last("joint_states").position) - one.got["joint_states"][0].position, one.config.dt, atol=1e-12
+    assert not moves("idle")
+    assert succeeds("start")
+    assert moves("double_support/left")
+    assert succeeds("pause")
+    assert not moves("paused")
+    assert succeeds("start")
+    assert moves("double_support/left")
+    assert succeeds("reset")
+    assert not moves("idle")
+    assert not succeeds("pause")
+    assert succeeds("start")
+    assert moves("double_support/left")
+    began, answered = (
+        [(msg.header.stamp.sec, msg.header.stamp.nanosec) for msg in one.got[topic]]
+        for topic in ("phase_start", "joint_velocity_commands")
     )
+    assert len(began) == 2
+    assert set(began) <= set(answered)
+
+
+INVALID_STATES = [
+    (NAMES, np.where(np.arange(MODEL.n) == 3, np.nan, 0.0), (), f"not a finite position: {NAMES[3]}"),
+    (NAMES, np.where(np.arange(MODEL.n) == 0, -np.inf, 0.0), (), f"not a finite position: {NAMES[0]}"),
+    (NAMES[1:], ZERO[1:], (), f"joints missing: {NAMES[0]}"),
+    (["wrong", *NAMES[1:]], ZERO, (), f"joints missing: {NAMES[0]}; it has wrong"),
+    ([*NAMES, NAMES[2]], [*ZERO, 0.0], (), f"joints named twice: {NAMES[2]}"),
+    (NAMES, ZERO[1:], (), "numbers in 'position'"),
+    (NAMES, ZERO, ZERO[1:], "numbers in 'velocity'"),
+    ([], [], (), "joints missing"),
+]
+"""Names, angles and velocities, and why they are rejected."""
+
+
+def test_an_invalid_state_is_rejected_and_the_next_one_is_answered(make: Any) -> None:
+    one = make("controller", PAPER.updated({"node.autostart": False, "plant.command_timeout": 10.0}))
+    answers, stamps = one.got["joint_velocity_commands"], itertools.count(1)
+
+    def is_answered(names: Any, q: Any, dq: Any = ()) -> bool:
+        before = len(answers)
+        one.send("joint_states", state(names, q, next(stamps), velocity=dq))
+        return len(answers) > before
+
+    for names, q, dq, why in INVALID_STATES:
+        one.node._diagnosed = -math.inf
+        assert not is_answered(names, q, dq)
+        status = one.got["diagnostics"][-1].status[0]
+        assert status.level == b"\x02"
+        assert why in status.message
+        assert is_answered(NAMES, ZERO)
+    assert "joint_states rejected" in one.log
+    assert is_answered(NAMES[::-1], ZERO)
+    assert is_answered([*NAMES, "head_z"], [*ZERO, 0.0])
+
+
+def test_an_invalid_command_causes_no_motion(make: Any) -> None:
+    one = make("integrator", PAPER.updated({"plant.lockstep": True}))
+    one.node.publish()
+    states = one.got["joint_states"]
+    one.send("joint_velocity_commands", state(NAMES, [], 0.0, velocity=ZERO + np.nan))
+    assert "joint_velocity_commands rejected" in one.log
+    one.send("joint_velocity_commands", state(NAMES, [], 7.0, velocity=ZERO + 1.0))  # not the stamp of the state
+    assert len(states) == 1
+    one.send("joint_velocity_commands", state(NAMES, [], 0.0, velocity=ZERO + 1.0))
+    np.testing.assert_allclose(np.subtract(states[1].position, states[0].position), PAPER.dt, atol=1e-12)
+
+
+def test_parameters_are_described_and_live_ones_can_be_set(make: Any) -> None:
+    one = make("integrator", to_yaml(PAPER).replace("step_width: 0.0", "step_width: 0"))  # an integer for a float
+    length, foot = one.node.describe_parameters(["gait.step_length", "gait.first_support"])
+    assert "[m]" in length.description
+    assert length.floating_point_range[0].to_value == 0.5
+    assert length.read_only
+    assert "left, right" in foot.additional_constraints
+
+    def can_be_set(name: str, value: float) -> bool:
+        return bool(one.node.set_parameters([Parameter(name, value=value)])[0].successful)
+
+    assert can_be_set("plant.command_timeout", 0.2)
+    assert not can_be_set("plant.command_timeout", -1.0)
+    assert not can_be_set("gait.step_length", 0.01)
 
 
 # ---------------------------------------------------------------------- start and end
@@ -301,9 +275,8 @@ SIGNALLED = ["controller", "integrator", "phase_monitor", "poppy_driver", "recor
         *(pytest.param(name, signal.SIGTERM, marks=pytest.mark.long) for name in SIGNALLED if name != "integrator"),
     ],
 )
-def test_a_signal_ends_a_node_without_a_traceback(live: Make, name: str, number: signal.Signals) -> None:
-    no_motors = {"dt": 0.02, "poppy.dummy": True} if name == "poppy_driver" else {}
-    one = live(**no_motors)
+def test_a_signal_ends_a_node_without_a_traceback(nodes: Any, name: str, number: signal.Signals) -> None:
+    one = nodes(PAPER.updated({"dt": 0.02, "poppy.dummy": True} if name == "poppy_driver" else {}))
     one.start(name, *(["--bag", str(one.params.parent / "bag")] if name == "recorder" else []))
     one.until_started(name)
     one.processes.signal(name, number)
@@ -311,26 +284,9 @@ def test_a_signal_ends_a_node_without_a_traceback(live: Make, name: str, number:
     assert "Traceback" not in one.processes.log(name)
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("/**: {ros__parameters: {gait: {step_lenght: 0.04}}}", "did you mean 'gait.step_length'"),
-        pytest.param(
-            "/**: {ros__parameters: {gait: {step_length: far}}}",
-            "'gait.step_length' must be a number in [-0.5, 0.5], got",
-            marks=pytest.mark.long,
-        ),
-        (
-            "/**: {ros__parameters: {gait: {step_length: 99.0}}}",
-            "'gait.step_length' must be a number in [-0.5, 0.5], got 99.0",
-        ),
-        ("/**/controler: {ros__parameters: {dt: 0.01}}", "did you mean 'controller'"),
-        ("/**: {ros__parameters: {robot: {urdf: nothing.urdf}}}", "nothing.urdf"),
-    ],
-)
-def test_invalid_parameters_end_a_node_with_exit_code_2(tmp_path: Path, text: str, expected: str) -> None:
+def test_invalid_parameters_end_a_node_with_exit_code_2(tmp_path: Path) -> None:
     file = tmp_path / "params.yaml"
-    file.write_text(text)
+    file.write_text("/**: {ros__parameters: {gait: {step_lenght: 0.04}}}")
     with private_domain() as domain:
         done = subprocess.run(
             [sys.executable, "-m", "dqwalk_ros.nodes", "controller", "--ros-args", "--params-file", str(file)],
@@ -341,38 +297,8 @@ def test_invalid_parameters_end_a_node_with_exit_code_2(tmp_path: Path, text: st
             check=False,
         )
     assert done.returncode == 2, done.stderr
-    assert expected in done.stderr
+    assert "did you mean 'gait.step_length'" in done.stderr
     assert "Traceback" not in done.stderr
-
-
-def test_parameters_are_described_and_live_ones_can_be_set(live: Make) -> None:
-    from rcl_interfaces.msg import Parameter, ParameterValue
-    from rcl_interfaces.srv import DescribeParameters, SetParameters
-
-    one = live(plant__lockstep=True)
-    one.params.write_text(to_yaml(one.config).replace("step_width: 0.0", "step_width: 0"))  # an integer for a float
-    one.start("integrator")
-    describe = one.node.create_client(DescribeParameters, "integrator/describe_parameters")
-    change = one.node.create_client(SetParameters, "integrator/set_parameters")
-    one.until(lambda: describe.service_is_ready() and change.service_is_ready(), 60.0, "the parameter services")
-
-    future = describe.call_async(DescribeParameters.Request(names=["gait.step_length", "gait.first_support"]))
-    one.until(future.done, 10.0, "the description")
-    length, foot = future.result().descriptors
-    assert "[m]" in length.description
-    assert length.floating_point_range[0].to_value == 0.5
-    assert length.read_only
-    assert "left, right" in foot.additional_constraints
-
-    def set_to(name: str, value: float) -> object:
-        parameter = Parameter(name=name, value=ParameterValue(type=3, double_value=value))
-        done = change.call_async(SetParameters.Request(parameters=[parameter]))
-        one.until(done.done, 10.0, "the answer")
-        return done.result().results[0]
-
-    assert set_to("plant.command_timeout", 0.2).successful
-    assert not set_to("plant.command_timeout", -1.0).successful
-    assert not set_to("gait.step_length", 0.01).successful
 
 
 @pytest.mark.parametrize("name", NODES)
