@@ -7,18 +7,23 @@ from __future__ import annotations
 
 import copy
 import random
+import signal
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
-from live import Live
+from live import SHORT, Live
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
-from dqwalk_ros.config import Config
+from dqwalk_ros.config import load
+
+QUICK = {**SHORT, "dt": 0.02, "dsp.eta_ground": 25.0, "gait.cycles": 1000, "monitor.tolerance": 1e-3}
+"""A walk that lasts longer than its tests."""
+BUSY = 2.0
+"""Allowed time for a reaction that takes 0.1 s on an idle machine [s]: this one may be heavily loaded."""
 
 Policy = Callable[[JointState], Iterator[tuple[float, JointState]]]
 """A message -> pairs of delay [s] and message."""
@@ -85,6 +90,13 @@ def changing(change: Callable[[JointState], None]) -> Policy:
 class Chaos(Live):
     """Controller, integrator and monitor, with relays between the first two.
 
+    Parameters
+    ----------
+    values : mapping of str to value
+        Changes of the configuration.
+    **environment : str
+        Additional environment variables of the nodes.
+
     Attributes
     ----------
     on_states, on_commands : Policy
@@ -93,8 +105,8 @@ class Chaos(Live):
         Time of receipt of each state of the plant [s], and its angles [rad].
     """
 
-    def __init__(self, folder: Path, domain: int, config: Config, environment: Mapping[str, str] | None = None) -> None:
-        super().__init__(folder, domain, config, environment)
+    def __init__(self, folder: Path, domain: int, values: Mapping[str, object], **environment: str) -> None:
+        super().__init__(folder, domain, load("paper").updated({**QUICK, **values}), environment)
         self.on_states: Policy = passing
         self.on_commands: Policy = passing
         self.moved: list[tuple[float, np.ndarray]] = []
@@ -105,6 +117,13 @@ class Chaos(Live):
         self.node.create_subscription(JointState, "joint_states", self._state, deep)
         self.node.create_subscription(JointState, "commands_out", self._command, deep)
         self.node.create_timer(0.005, self._send_delayed)
+
+    def close(self) -> None:
+        """Stop all nodes, also those that a test has frozen."""
+        for name in self.processes.names:
+            if self.processes.exit_code(name) is None:
+                self.processes.signal(name, signal.SIGCONT)
+        super().close()
 
     def _state(self, msg: JointState) -> None:
         assert np.isfinite(msg.position).all(), "the plant published a state that is not finite"
@@ -197,8 +216,3 @@ class Chaos(Live):
 def row(fault: str, reaction: str, seconds: float | None, outcome: str) -> None:
     """Add a line to the table."""
     ROWS.append((fault, reaction, "" if seconds is None else f"{seconds:.2f} s", outcome))
-
-
-@pytest.fixture
-def table() -> list[tuple[str, str, str, str]]:
-    return ROWS

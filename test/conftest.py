@@ -112,15 +112,15 @@ def make(tmp_path: Path, domain: int) -> Iterator[Any]:
 
 @pytest.fixture
 def nodes(tmp_path: Path, domain: int) -> Iterator[Callable[..., Any]]:
-    """A function of a configuration that returns a `live.Live`, whose nodes are processes."""
+    """A function of a configuration that returns a `live.Live`, or another kind of it, whose nodes are processes."""
     from live import Live
 
     made: list[Live] = []
 
-    def start(config: Config, name: str = "test") -> Live:
+    def start(config: Config, name: str = "test", kind: type[Live] = Live) -> Live:
         folder = tmp_path / name
         folder.mkdir()
-        made.append(Live(folder, domain, config, name=name))
+        made.append(kind(folder, domain, config, name=name))
         return made[-1]
 
     yield start

@@ -14,7 +14,7 @@ import struct
 import subprocess
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -23,18 +23,12 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
 
 from builtin_interfaces.msg import Time
-from chaos import Chaos, row
-from live import SHORT
+from chaos import BUSY, Chaos, row
 from rosgraph_msgs.msg import Clock
 
-from dqwalk_ros.config import load
 from dqwalk_ros.runner import private_domain
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(300), pytest.mark.xdist_group("chaos")]
-
-CONFIG = {**SHORT, "dt": 0.02, "dsp.eta_ground": 25.0, "gait.cycles": 1000, "monitor.tolerance": 1e-3}
-BUSY = 2.0
-"""Allowed time for a reaction that takes 0.1 s on an idle machine [s]: this one may be heavily loaded."""
 
 
 def stepped_clock(folder: Path) -> Path:
@@ -47,18 +41,11 @@ def stepped_clock(folder: Path) -> Path:
 
 
 @contextmanager
-def walking(folder: Path, environment: dict[str, str], *plant: str) -> Iterator[Chaos]:
-    patch = pytest.MonkeyPatch()
-    patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    with private_domain() as domain:
-        one = Chaos(folder, domain, load("paper").updated(CONFIG), environment)
-        try:
-            one.start_relayed("integrator", *plant)
-            one.start_relayed("controller")
-            yield one
-        finally:
-            one.close()
-            patch.undo()
+def walking(folder: Path, *plant: str, **environment: str) -> Iterator[Chaos]:
+    with private_domain() as domain, closing(Chaos(folder, domain, {}, **environment)) as one:
+        one.start_relayed("integrator", *plant)
+        one.start_relayed("controller")
+        yield one
 
 
 def disturbance(one: Chaos, since: float) -> float:
@@ -79,8 +66,7 @@ def set_clock(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Chaos,
         def set_to(seconds: int) -> None:
             page[:] = struct.pack("=q", seconds * 1_000_000_000)
 
-        environment = {"LD_PRELOAD": str(stepped_clock(folder)), "STEPPED_CLOCK": str(offset)}
-        with walking(folder, environment) as one:
+        with walking(folder, LD_PRELOAD=str(stepped_clock(folder)), STEPPED_CLOCK=str(offset)) as one:
             one.until_walking(120.0)
             yield one, set_to
 
@@ -111,7 +97,7 @@ def test_step_of_the_system_clock(set_clock: tuple[Chaos, Callable[[int], None]]
 
 def test_simulated_time_steps_back_and_stops(tmp_path: Path) -> None:
     """The plant takes its stamps from /clock, which steps back by 100 s; later it stops and continues."""
-    with walking(tmp_path, {}, "use_sim_time:=true") as one:
+    with walking(tmp_path, "use_sim_time:=true") as one:
         clock = one.node.create_publisher(Clock, "/clock", 10)
         offset, stopped = [1000.0 - time.monotonic()], [0.0]
 

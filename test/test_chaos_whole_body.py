@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +14,6 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 from dqwalk_ros.config import load
-from dqwalk_ros.runner import private_domain
 
 pytestmark = pytest.mark.long
 
@@ -24,8 +21,8 @@ pytestmark = pytest.mark.long
 class Body(Live):
     """Controller and rigid plant; records pelvis poses and torques."""
 
-    def __init__(self, folder: Path, domain: int) -> None:
-        super().__init__(folder, domain, load("whole_body").updated({"monitor.rate": 10.0}))
+    def __init__(self, *args: Any, **keywords: Any) -> None:
+        super().__init__(*args, **keywords)
         self.pelvis: list[PoseStamped] = []
         self.torques: list[JointState] = []
         deep = QoSProfile(depth=1000)
@@ -51,23 +48,15 @@ class Body(Live):
 
     def until_holding(self) -> None:
         """Wait until the plant holds, and check that simulated time does not advance."""
-        self.until(lambda: "holding" in (getattr(self.status("rigid"), "message", "")), 20.0, "the plant holding")
+        self.until(lambda: "holding" in getattr(self.status("rigid"), "message", ""), 20.0, "the plant holding")
         then = self.now
         self.spin(0.7)
         assert self.now <= then + 1e-9
 
 
-@pytest.fixture
-def walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    with private_domain() as domain:
-        body = Body(tmp_path, domain)
-        body.until_walked()
-        yield body
-        body.close()
-
-
-def test_frozen_and_killed_nodes_and_excessive_pushes(walk: Body) -> None:
+def test_frozen_and_killed_nodes_and_excessive_pushes(nodes: Any) -> None:
+    walk = nodes(load("whole_body").updated({"monitor.rate": 10.0}), kind=Body)
+    walk.until_walked()
     walk.processes.signal("whole_body_controller", signal.SIGSTOP)
     walk.until_holding()
     walk.processes.signal("whole_body_controller", signal.SIGCONT)
@@ -75,7 +64,7 @@ def test_frozen_and_killed_nodes_and_excessive_pushes(walk: Body) -> None:
     row("body: controller SIGSTOP, SIGCONT", "the plant holds", None, "continues")
 
     walk.processes.signal("rigid", signal.SIGSTOP)
-    walk.until(lambda: walk.status("whole_body_controller").level == b"\x03", 20.0, "STALE")
+    walk.until(lambda: getattr(walk.status("whole_body_controller"), "level", None) == b"\x03", 20.0, "STALE")
     walk.until(lambda: not any(walk.torques[-1].effort), 5.0, "zero torque")
     walk.processes.signal("rigid", signal.SIGCONT)
     walk.until_walked()

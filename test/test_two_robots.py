@@ -41,6 +41,7 @@ def test_a_robot_walks_on_when_another_is_killed(nodes: Any) -> None:
 
     watcher.until(stands, 30.0, "left standing still")
     commands["right"].clear()
+    watcher.until(lambda: states["right"], 30.0, "a state of right")
     at = np.array(states["right"][-1].position)
     watcher.until(lambda: len(commands["right"]) > 50 and moves("right"), 30.0, "right walking on")
     assert np.abs(np.array(states["right"][-1].position) - at).max() > 0.0

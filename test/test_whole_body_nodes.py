@@ -78,7 +78,7 @@ def test_a_walk_over_topics_equals_that_of_one_process_and_is_recorded(nodes: An
     live.until(lambda: "pushed: 0, 4, 0 N s" in live.processes.log("rigid"), 20.0, "the push")
 
     def jump() -> bool:  # within one tick, much larger than in walking
-        speeds = np.array([[t.twist.linear.x, t.twist.linear.y, t.twist.linear.z] for t in twists[at - 1 :]])
+        speeds = np.array([[t.twist.linear.x, t.twist.linear.y, t.twist.linear.z] for t in twists[max(at - 1, 0) :]])
         return len(speeds) > 1 and bool(np.linalg.norm(np.diff(speeds, axis=0), axis=1).max() > 0.05)
 
     live.until(jump, 30.0, "a jump of the velocity")
