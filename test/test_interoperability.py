@@ -69,7 +69,7 @@ def test_a_gripper_on_joint_states_does_not_stop_the_walk(make: Any, with_imu: b
     plant = Node("plant", context=one.context)
     plant.create_publisher(type(state(NAMES, ZERO, 0.0)), "joint_states", 1)
     deadline = time.monotonic() + 20.0
-    while len(ros.other_publishers(one.node, "joint_states")) < 2 and time.monotonic() < deadline:
+    while len(ros.publishers_of(one.node, "joint_states")) < 2 and time.monotonic() < deadline:
         time.sleep(0.01)
     try:
         for batch in range(4):

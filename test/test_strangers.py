@@ -114,7 +114,7 @@ def test_a_node_that_runs_on_another_machine_is_detected(
     first.node.refuse_a_second()
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     second.node.refuse_a_second()  # the first one publishes nothing: it may be dead
-    until(lambda: ros.other_publishers(second.node, "joint_states") == ("/integrator", "/integrator"))
+    until(lambda: ros.publishers_of(second.node, "joint_states") == ("/integrator", "/integrator"))
     over = threading.Event()
 
     def publish() -> None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from dqwalk_ros.errors import DqwalkError, QPError, StateError
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
+from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.safety import DuplicateStates, FaultCounter, StateGate
 from dqwalk_ros.robot import load_model
 from dqwalk_ros.state import Command
@@ -77,8 +77,8 @@ class AnsweringNode(WalkNode):
         self._stale = False
         self._ticks = self._rejected = 0
         self._diagnosed = -float("inf")  # steady time [s]
-        self.create_timer(0.02, self._check_timeout, clock=STEADY)
-        self.create_timer(0.25, self._check_plants, clock=STEADY)
+        self.create_timer(0.02, self._check_timeout)
+        self.create_timer(0.25, self._check_plants)
 
     # ------------------------------------------------------------------ defined by each controller
 
@@ -104,7 +104,7 @@ class AnsweringNode(WalkNode):
     def _reject(self, error: StateError) -> None:
         """Log and count a state that was rejected; nothing else changes."""
         self._rejected += 1
-        self.get_logger().error(f"{self.states} rejected ({self._rejected} so far): {error}", **THROTTLE)
+        self.get_logger().error(f"{self.states} rejected ({self._rejected} so far): {error}", **throttled())
         if self._gate.jumped and self._is_walking:
             self._end(self._gate.jumped.reason)
         elif self._is_time_to_diagnose():
@@ -118,7 +118,7 @@ class AnsweringNode(WalkNode):
                 self.get_logger().error(
                     f"the plant restarted at {stamp * 1e-9:.3f} s, this walk is at {self._stamp * 1e-9:.3f} s: "
                     "call ~/reset",
-                    **THROTTLE,
+                    **throttled(),
                 )
             return stamp > self._stamp
         if not self._gate.is_new(stamp):
@@ -153,7 +153,7 @@ class AnsweringNode(WalkNode):
             if self._failures.fault(str(error)):
                 self._fail(f"{error} ({self._failures.limit} times in a row)")
             else:
-                self.get_logger().error(f"standing still for a tick: {error}", **THROTTLE)
+                self.get_logger().error(f"standing still for a tick: {error}", **throttled())
             return None
         except DqwalkError as error:
             self._fail(str(error))
@@ -197,12 +197,12 @@ class AnsweringNode(WalkNode):
             return
         self._stale = True
         self._publish_zero()
-        self.get_logger().warning(f"{self.states} timed out: commanding {self.stopping}", **THROTTLE)
+        self.get_logger().warning(f"{self.states} timed out: commanding {self.stopping}", **throttled())
         self._diagnose("STALE", f"{self.states} timed out")
 
     def _check_plants(self) -> None:
         """Stand still while two plants publish the robot's state."""
-        duplicates = self._plants.judge(ros.other_publishers(self, "joint_states"))
+        duplicates = self._plants.judge(ros.publishers_of(self, "joint_states"))
         log = self.get_logger()
         if duplicates != self._duplicates:
             self._duplicates = duplicates
@@ -210,7 +210,7 @@ class AnsweringNode(WalkNode):
             log.error(text) if duplicates else log.info("one plant again: continuing")
         self._check_rate()
         if trouble := self.time_trouble():
-            log.error(trouble, throttle_duration_sec=10.0, throttle_time_source_type=STEADY)
+            log.error(trouble, **throttled(10.0))
             self._diagnose("ERROR", trouble)
 
     def _check_rate(self) -> None:
@@ -223,7 +223,7 @@ class AnsweringNode(WalkNode):
         if self._is_walking and (period > _MAX_PERIOD * dt or (self.lockstep and error > 1e-3)):
             self._end(text)
         elif error > _RATE_TOLERANCE and len(self._periods) == _PERIODS:
-            self.get_logger().warning(text, throttle_duration_sec=30.0, throttle_time_source_type=STEADY)
+            self.get_logger().warning(text, **throttled(30.0))
 
     # ------------------------------------------------------------------ diagnostics
 

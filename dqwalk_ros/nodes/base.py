@@ -24,6 +24,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.task import Future
+from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 
 from dqwalk_ros.config import OF_RCLPY, Config
@@ -32,12 +33,7 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes import parameters, wheels
 from dqwalk_ros.topics import BODY_TOPICS, PHASE_LOG, TOPICS, Topic
 
-__all__ = ["STEADY", "THROTTLE", "WalkNode", "main"]
-
-STEADY = wheels.STEADY
-
-THROTTLE = {"throttle_duration_sec": 2.0, "throttle_time_source_type": STEADY}
-"""For a message that could be logged at every tick: ``self.get_logger().error(text, **THROTTLE)``."""
+__all__ = ["WalkNode", "main", "throttled"]
 
 _DISCOVERED, _HEARD = 0.4, 1.5
 """Time to discover other nodes, and to receive a message of one that is running [s]: in lockstep a plant that waits
@@ -120,6 +116,10 @@ class WalkNode(Node):
             If they cannot be applied now.
         """
 
+    def create_timer(self, *args: Any, **keywords: Any) -> Timer:
+        """Create a timer as rclpy does, but by default on the steady clock (`wheels.STEADY`)."""
+        return super().create_timer(*args, **{"clock": wheels.STEADY, **keywords})
+
     def advertise(self, topic: Topic | str) -> Publisher:
         """Create the publisher of a topic, with the type and the quality of service given in `dqwalk_ros.topics`."""
         if isinstance(topic, str):
@@ -193,7 +193,7 @@ class WalkNode(Node):
             if not self._within(_HEARD, self._is_locked):
                 raise runs
         known_at = self._made + _DISCOVERED
-        if not self._within(known_at - time.monotonic(), lambda: ros.other_publishers(self, topic).count(me) > 1):
+        if not self._within(known_at - time.monotonic(), lambda: ros.publishers_of(self, topic).count(me) > 1):
             return
         heard = self.create_subscription(JointState, topic, lambda msg: None, ros.stream(1, reliable=False), raw=True)
         try:
@@ -235,6 +235,11 @@ class WalkNode(Node):
         deadline = time.monotonic() + _ACKNOWLEDGED[self.lockstep]
         for publisher in self.publishers:
             publisher.wait_for_all_acked(Duration(seconds=max(deadline - time.monotonic(), 0.0)))
+
+
+def throttled(seconds: float = 2.0) -> dict[str, Any]:
+    """Return the keywords of a log message that could be repeated at every tick: ``error(text, **throttled())``."""
+    return {"throttle_duration_sec": seconds, "throttle_time_source_type": wheels.STEADY}
 
 
 def main(kind: Callable[[argparse.Namespace], WalkNode], options: argparse.Namespace) -> int:

@@ -329,7 +329,7 @@ def listen(config: Config, seconds: float, namespace: str = "") -> Heard:
             executor.spin_once(timeout_sec=min(left, 0.1))
             if heard.states and not started:
                 started, end = True, time.monotonic() + seconds
-        heard.publishers = ros.other_publishers(node, "joint_states")
+        heard.publishers = ros.publishers_of(node, "joint_states")
         ends = node.get_subscriptions_info_by_topic(node.resolve_topic_name(VELOCITY))
         heard.subscribers = tuple(sorted({end.node_name for end in ends} - {"recorder", "viewer", "phase_monitor"}))
         executor.shutdown()

@@ -20,7 +20,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.errors import ConfigError, StateError
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
+from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.inputs import VELOCITY, CommandInput
 from dqwalk_ros.plants.bus import Bus
 from dqwalk_ros.robot import load_model
@@ -109,8 +109,8 @@ class RobotDrive(WalkNode):
         self._rejected = 0
         self.listen(JointState, "joint_states", self._on_state, ros.stream(1, reliable=False))
         self.create_subscription(JointState, VELOCITY, self._on_command, ros.stream(1))
-        self.create_timer(_CHECK, self._check, clock=STEADY)
-        self.create_timer(1.0 / config.monitor.rate, self._diagnose, clock=STEADY)
+        self.create_timer(_CHECK, self._check)
+        self.create_timer(1.0 / config.monitor.rate, self._diagnose)
         description = f"{len(self._joints)} joints on {self._output.topic_name}, {o.interface} as {o.type}"
         self.get_logger().info(f"{self._model.name}: {description}")
 
@@ -121,7 +121,7 @@ class RobotDrive(WalkNode):
             self._measured = self._reader.state(msg).q
         except StateError as error:
             self._rejected += 1
-            self.get_logger().error(f"joint_states rejected ({self._rejected} so far): {error}", **THROTTLE)
+            self.get_logger().error(f"joint_states rejected ({self._rejected} so far): {error}", **throttled())
             return
         self._stamp = ros.nanoseconds(msg.header.stamp)
 

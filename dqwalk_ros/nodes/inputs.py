@@ -19,7 +19,7 @@ from std_msgs.msg import Bool
 
 from dqwalk_ros.errors import StateError
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
+from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.safety import CommandGate, DuplicatePublishers, Watchdog
 from dqwalk_ros.robot import RobotModel
 from dqwalk_ros.state import Command, State
@@ -125,7 +125,7 @@ class Steering:
             node.listen(TwistStamped, "cmd_vel", lambda msg: self._on_twist(msg.twist), ros.stream(1))
         else:
             node.listen(Twist, "cmd_vel", self._on_twist, ros.stream(1))
-        node.create_timer(_CHECK_TYPES, self._check_types, clock=STEADY)
+        node.create_timer(_CHECK_TYPES, self._check_types)
 
     def _check_types(self) -> None:
         """Log an error about a publisher whose messages cannot be received, because they are of the other type."""
@@ -134,13 +134,13 @@ class Steering:
         ends = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name("cmd_vel"))
         if names := [end.node_name for end in ends if end.topic_type == other]:
             text = f"cmd_vel of {', '.join(names)} is a {other}: set node.stamped_cmd_vel to {str(not stamped).lower()}"
-            self._node.get_logger().error(text, throttle_duration_sec=10.0, throttle_time_source_type=STEADY)
+            self._node.get_logger().error(text, **throttled(10.0))
 
     def _on_twist(self, msg: Twist) -> None:
         asked = (msg.linear.x, msg.linear.y, msg.angular.z)
         if not all(map(math.isfinite, asked)):
             self.rejected += 1
-            self._node.get_logger().error(f"cmd_vel rejected ({self.rejected} so far): not finite", **THROTTLE)
+            self._node.get_logger().error(f"cmd_vel rejected ({self.rejected} so far): not finite", **throttled())
             return
         self._asked = asked
         self._watchdog.feed()
@@ -193,7 +193,7 @@ class CommandInput:
         self._moving = False
         self._published_ready: bool | None = None
         self._ready = node.create_publisher(Bool, "plant_ready", ros.latched()) if topic == VELOCITY else None
-        node.create_timer(_CHECK, self._check, clock=STEADY)
+        node.create_timer(_CHECK, self._check)
         node.add_on_set_parameters_callback(self._on_parameters)
 
     def forbid(self, reason: str) -> None:
@@ -215,7 +215,7 @@ class CommandInput:
 
     def _check(self) -> None:
         """Hold while two controllers send commands."""
-        names = ros.other_publishers(self._node, self._topic)
+        names = ros.publishers_of(self._node, self._topic)
         duplicates = self._duplicates.judge(names)
         if not duplicates and self.gate.contradicted:
             duplicates = ", ".join(names)
@@ -242,7 +242,7 @@ class CommandInput:
         except StateError as error:
             self.gate.rejected += 1
             text = f"{self._topic} rejected ({self.gate.rejected} so far): {error}"
-            self._node.get_logger().error(text, **THROTTLE)
+            self._node.get_logger().error(text, **throttled())
             return None
 
     def take(self, msg: JointState, now: int) -> bool:
@@ -258,7 +258,7 @@ class CommandInput:
         if self.gate.accept(stamp, command.velocity, now, command.effort, clock=clock):
             return True
         text = f"{self._topic} ignored ({self.gate.late} so far): {self.gate.ignored}"
-        self._node.get_logger().warning(text, **THROTTLE)
+        self._node.get_logger().warning(text, **throttled())
         return False
 
     def take_answer(self, msg: JointState, now: int) -> Command | None:

@@ -38,9 +38,9 @@ __all__ = [
     "latched",
     "message_type",
     "nanoseconds",
-    "other_publishers",
     "point",
     "pose",
+    "publishers_of",
     "stamp_of",
     "status",
     "stream",
@@ -70,11 +70,10 @@ def message_type(name: str) -> Any:
     return getattr(importlib.import_module(f"{package}.msg"), kind)
 
 
-def other_publishers(node: Node, topic: str, own: Sequence[str] = ()) -> tuple[str, ...]:
-    """Return the names of the nodes that publish a topic, except those in `own`; one entry per publisher."""
+def publishers_of(node: Node, topic: str) -> tuple[str, ...]:
+    """Return the names of the nodes that publish a topic, one entry per publisher."""
     ends = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
-    names = [f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends]
-    return tuple(sorted(name for name in names if name not in own))
+    return tuple(sorted(f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends))
 
 
 def is_heard_by(node: Node, offered: Publisher, name: str) -> bool:

@@ -20,7 +20,7 @@ from visualization_msgs.msg import MarkerArray
 from dqwalk_ros.errors import DqwalkError, StateError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
+from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.markers import markers
 from dqwalk_ros.nodes.phases import PhaseLog
 from dqwalk_ros.report.metrics import support_polygon
@@ -83,7 +83,7 @@ class PhaseMonitor(WalkNode):
         self.create_subscription(
             JointState, "joint_states", self._on_state, ros.stream(_DEPTH, reliable=False), raw=True
         )
-        self.create_timer(0.1, self._check_timeout, clock=STEADY)
+        self.create_timer(0.1, self._check_timeout)
         self._timeout_published = 0.0  # steady time [s]
         self.get_logger().info("waiting for a walk")
 
@@ -93,7 +93,7 @@ class PhaseMonitor(WalkNode):
         try:
             stamp = ros.stamp_of(raw)
         except StateError as error:
-            self.get_logger().error(f"joint_states rejected: {error}", **THROTTLE)
+            self.get_logger().error(f"joint_states rejected: {error}", **throttled())
             return
         if self._newest <= stamp < self._next:
             self._received = time.monotonic()
@@ -120,7 +120,7 @@ class PhaseMonitor(WalkNode):
     def _reject(self, stamp: int, error: StateError) -> None:
         self._rejected += 1
         text = f"joint_states rejected ({self._rejected} so far): {error}"
-        self.get_logger().error(text, **THROTTLE)
+        self.get_logger().error(text, **throttled())
         self._publish_status(stamp, "ERROR", f"joint_states rejected: {error}", {})
 
     def _evaluate_waiting(self, *, all_of_them: bool = False) -> None:

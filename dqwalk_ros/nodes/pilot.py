@@ -15,7 +15,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.base import STEADY, WalkNode
+from dqwalk_ros.nodes.base import WalkNode
 from dqwalk_ros.standing.course import Course
 
 __all__ = ["Pilot"]
@@ -57,7 +57,7 @@ class Pilot(WalkNode):
         self._twists = self.create_publisher(Twist, "cmd_vel", ros.stream(1))
         self._stopping = self.create_client(Trigger, "controller/stop")
         self.create_subscription(JointState, "joint_states", self._on_state, ros.stream(1, reliable=False))
-        self.create_timer(_PERIOD, self._steer, clock=STEADY)
+        self.create_timer(_PERIOD, self._steer)
         self.get_logger().info(f"a course of {self._course.duration:g} s in {len(self._course.legs)} leg(s)")
 
     def _on_state(self, msg: JointState) -> None:

@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger
 
 from dqwalk_ros.errors import DqwalkError, StateError
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.base import STEADY, WalkNode
+from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.inputs import VELOCITY, CommandInput
 from dqwalk_ros.nodes.safety import clamp_velocity
 from dqwalk_ros.plants import Plant
@@ -63,11 +63,11 @@ class SimulatedPlant(WalkNode):
         self._clock_topic = self.create_publisher(Clock, "/clock", ros.stream(10)) if self.config.plant.clock else None
         if self.lockstep:
             self.listen(JointState, VELOCITY, self._on_answer, ros.stream(1))
-            self.create_timer(_FIRST_ASK, self._ask, clock=STEADY)
+            self.create_timer(_FIRST_ASK, self._ask)
         else:
             self.listen(JointState, VELOCITY, self._on_command, ros.stream(1))
-            self.create_timer(self.dt, self._on_period, clock=STEADY)
-        self.create_timer(1.0 / self.config.monitor.rate, self._diagnose, clock=STEADY)
+            self.create_timer(self.dt, self._on_period)
+        self.create_timer(1.0 / self.config.monitor.rate, self._diagnose)
 
     def log_ready(self) -> None:
         """Log robot and mode when the node is ready."""
@@ -161,7 +161,7 @@ class SimulatedPlant(WalkNode):
     def _diagnose(self) -> None:
         level, text = self.commands.level()
         if time_trouble := self.time_trouble():
-            self.get_logger().error(time_trouble, throttle_duration_sec=10.0, throttle_time_source_type=STEADY)
+            self.get_logger().error(time_trouble, **throttled(10.0))
         if trouble := time_trouble or self.trouble:
             level, text = "ERROR", trouble
         values = {"ticks": self.ticks, "periods missed": self._missed, **self.commands.counts()}

@@ -13,7 +13,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from dqwalk_ros.errors import ConfigError, PlantError
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
+from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.inputs import VELOCITY, CommandInput
 from dqwalk_ros.plants.poppy import PoppyPlant
 from dqwalk_ros.robot import load_model
@@ -95,8 +95,8 @@ class PoppyDriver(WalkNode):
         self.create_subscription(String, "phase", self._on_phase, ros.stream(1))
         self.create_service(Trigger, "~/activate", self._on_activate)
         self.create_service(SetBool, "~/compliant", self._on_compliant)
-        self.create_timer(self._period, self._on_period, clock=STEADY)
-        self.create_timer(1.0 / config.monitor.rate, self._diagnose, clock=STEADY)
+        self.create_timer(self._period, self._on_period)
+        self.create_timer(1.0 / config.monitor.rate, self._diagnose)
         self.get_logger().info(f"{self._hardware}: {len(self._plant.names)} motors at {config.poppy.rate:g} Hz")
         if config.poppy.activate:
             self._plant.activate()
@@ -157,7 +157,7 @@ class PoppyDriver(WalkNode):
             reason = "the torque is off: call ~/activate"
         if not reason and not plant.ready:
             reason = "moving to the first pose"
-            self.get_logger().info(f"{reason}: {plant.left:.2f} rad left", **THROTTLE)
+            self.get_logger().info(f"{reason}: {plant.left:.2f} rad left", **throttled())
         self._commands.forbid(reason)
 
     def _on_activate(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -19,7 +19,7 @@ from rosbags.rosbag2 import WriterError
 
 from dqwalk_ros.errors import StateError
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
+from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.report.bag.storage import connect, flush, open_writer
 from dqwalk_ros.topics import BODY_TOPICS, PHASE_LOG, TOPICS, Topic
 
@@ -126,8 +126,8 @@ class Recorder(WalkNode):
         for name, topic in (_ALL | {"phase": PHASE_LOG}).items():
             self._subscribe(topic.name, name, topic)
         self._discover_others()
-        self.create_timer(_FLUSH, self._flush, clock=STEADY)
-        self.create_timer(_DISCOVERY, self._discover_others, clock=STEADY)
+        self.create_timer(_FLUSH, self._flush)
+        self.create_timer(_DISCOVERY, self._discover_others)
         self.get_logger().info(f"recording to {self._path}")
 
     def _subscribe(self, topic_name: str, name: str, topic: Topic) -> None:
@@ -154,7 +154,7 @@ class Recorder(WalkNode):
             try:
                 own = ros.stamp_of(raw)
             except StateError as error:
-                self.get_logger().error(f"{name} not recorded: {error}", **THROTTLE)
+                self.get_logger().error(f"{name} not recorded: {error}", **throttled())
                 return
             if name in self._last:
                 if raw == self._last_raw.get(name):

@@ -17,7 +17,7 @@ from sensor_msgs.msg import JointState
 
 from dqwalk_ros.errors import DqwalkError
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.base import STEADY, WalkNode
+from dqwalk_ros.nodes.base import WalkNode
 from dqwalk_ros.nodes.inputs import EFFORT, CommandInput
 from dqwalk_ros.nodes.safety import BodyGate, clamp_effort
 from dqwalk_ros.robot import Foot, load_model
@@ -76,8 +76,8 @@ class Rigid(WalkNode):
         self._pub = {name: self.advertise(name) for name in streams}
         self.create_subscription(JointState, EFFORT, self._on_command, ros.stream(10))
         self.create_subscription(WrenchStamped, "push", self._pushes.append, ros.stream(10))
-        self.create_timer(self._dt, self._on_period, clock=STEADY)
-        self.create_timer(1.0 / config.monitor.rate, self._diagnose, clock=STEADY)
+        self.create_timer(self._dt, self._on_period)
+        self.create_timer(1.0 / config.monitor.rate, self._diagnose)
         mode = "lockstep" if self.lockstep else f"at most {1.0 / self._dt:g} Hz"
         self.get_logger().info(f"{model.name}: {model.n} joints, rigid, {mode}")
 

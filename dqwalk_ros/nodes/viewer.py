@@ -19,7 +19,7 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import DqwalkError, StateError
 from dqwalk_ros.kinematics import Kinematics, compose
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.base import STEADY, THROTTLE, WalkNode
+from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.phases import PhaseLog
 from dqwalk_ros.report.scene import Moment, Scene
 from dqwalk_ros.report.viewer.page import FRAME, Page
@@ -86,7 +86,7 @@ class Viewer(WalkNode):
         self.create_subscription(JointState, "joint_states", self._on_state, newest)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, ros.stream(10))
         self._odometry: Any = self.create_subscription(PoseStamped, "base_pose", self._on_pose, ros.stream(1))
-        self.create_timer(FRAME, self._show, clock=STEADY)
+        self.create_timer(FRAME, self._show)
         self.get_logger().info(f"the page is {self.page.url}")
 
     # ------------------------------------------------------------------ configuration and phases
@@ -100,7 +100,7 @@ class Viewer(WalkNode):
             try:
                 self.page.set_scene(Scene(config, model))
             except DqwalkError as error:
-                self.get_logger().error(str(error), **THROTTLE)
+                self.get_logger().error(str(error), **throttled())
                 return False
             self._impulse = round(_PUSH * model.mass, 2)
             self._shown = model
@@ -186,7 +186,7 @@ class Viewer(WalkNode):
         try:
             state = reader.state(msg)
         except StateError as error:
-            self.get_logger().error(f"joint_states rejected: {error}", **THROTTLE)
+            self.get_logger().error(f"joint_states rejected: {error}", **throttled())
             return
         if self._odometry is not None:
             pelvis = Kinematics(model, state.q, self._phase.base).pose(model.pelvis)
