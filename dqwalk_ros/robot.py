@@ -176,15 +176,18 @@ class RobotModel:
             chain.append(body)
         return chain[::-1]
 
-    def posture(self, entries: Sequence[str], key: str = "standing.posture") -> Array:
-        """Return the joint angles given by entries JOINT=RADIANS, shape (n,) [rad]; other joints are at zero.
+    def posture(self, entries: Sequence[str]) -> Array:
+        """Return the joint angles of ``standing.posture``, shape (n,) [rad]; joints without an entry are at zero.
 
-        In JOINT, '*' matches any text.
+        Parameters
+        ----------
+        entries : sequence of str
+            JOINT=RADIANS, where '*' in JOINT matches any text.
 
         Raises
         ------
         ConfigError
-            If an entry has another form or matches no moving joint; the message names the parameter `key`.
+            If an entry has another form or matches no moving joint.
         """
         q = np.zeros(self.n)
         for entry in entries:
@@ -193,9 +196,10 @@ class RobotModel:
             try:
                 angle = float(text)
             except ValueError:
-                raise ConfigError(f"{key} has '{entry}'; it must be JOINT=RADIANS") from None
+                raise ConfigError(f"standing.posture has '{entry}'; it must be JOINT=RADIANS") from None
             if not hits:
-                raise ConfigError(f"{key} names '{name}'; the joints are {', '.join(self.joint_names)}")
+                known = ", ".join(self.joint_names)
+                raise ConfigError(f"standing.posture names '{name}'; the joints are {known}")
             q[hits] = angle
         return q
 
@@ -244,7 +248,7 @@ def load_model(config: RobotConfig) -> RobotModel:
     return _model(Urdf.load(find_urdf(config.urdf)), config, published=False)
 
 
-def parse_model(text: str, config: RobotConfig, source: str = "robot_description") -> RobotModel:
+def parse_model(text: str, config: RobotConfig) -> RobotModel:
     """Return the model of a URDF text that was published or recorded: of a full robot, or `RobotModel.urdf`.
 
     Joints that `config` drops or locks may already be removed or fixed in it.
@@ -252,9 +256,9 @@ def parse_model(text: str, config: RobotConfig, source: str = "robot_description
     Raises
     ------
     ModelError
-        As `load_model`; `source` is the name of the text in messages.
+        As `load_model`.
     """
-    return _model(Urdf(text, source), config, published=True)
+    return _model(Urdf(text, "robot_description"), config, published=True)
 
 
 def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:

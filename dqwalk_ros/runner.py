@@ -18,7 +18,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -263,8 +263,6 @@ class Processes:
         Folder for the files ``NAME.log``.
     domain : int, optional
         ROS domain; None: that of the environment.
-    extra : mapping of str to str
-        Additional environment variables.
 
     Attributes
     ----------
@@ -272,9 +270,8 @@ class Processes:
         The last report of each node on its standard output, a line of JSON; empty before the first.
     """
 
-    def __init__(self, logs: Path, domain: int | None = None, extra: Mapping[str, str] | None = None) -> None:
-        self._logs = logs
-        self._environment = {**environment(domain), **(extra or {})}
+    def __init__(self, logs: Path, domain: int | None = None) -> None:
+        self._logs, self._environment = logs, environment(domain)
         self._running: dict[str, subprocess.Popen[str]] = {}
         self.reports: dict[str, dict[str, Any]] = {}
         self._readers: dict[str, threading.Thread] = {}

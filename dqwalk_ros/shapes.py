@@ -108,16 +108,14 @@ class Shapes:
         return Surface(vertices @ pose[:3, :3].T + pose[:3, 3], faces, shape.color, what)
 
 
-def meshes_of(urdf: Urdf, near: pathlib.Path, most: int = 60_000) -> list[tuple[str, Surface]]:
+_MOST = 60_000
+"""Largest number of triangles of a robot."""
+
+
+def meshes_of(urdf: Urdf, near: pathlib.Path) -> list[tuple[str, Surface]]:
     """Return the visual shapes of a robot that are not in `PRIMITIVES`, each with the name of its link.
 
-    Parameters
-    ----------
-    urdf : Urdf
-    near : path
-        Path of the robot description.
-    most : int
-        Approximate limit of the total number of triangles, to which meshes are simplified.
+    `near` is the path of the robot description. Meshes with more than `_MOST` triangles in all are simplified.
     """
     shapes = Shapes(urdf, near)
     found = [
@@ -127,7 +125,7 @@ def meshes_of(urdf: Urdf, near: pathlib.Path, most: int = 60_000) -> list[tuple[
         if shape.kind not in PRIMITIVES and (surface := shapes.surface(link, shape)) is not None
     ]
     full, cell = found, 0.5e-3
-    while sum(len(surface.faces) for _, surface in found) > most:
+    while sum(len(surface.faces) for _, surface in found) > _MOST:
         cell *= 2.0
         found = [(name, _simplified(surface, cell)) for name, surface in full]
     return found

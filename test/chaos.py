@@ -94,8 +94,6 @@ class Chaos(Live):
     ----------
     values : mapping of str to value
         Changes of the configuration.
-    **environment : str
-        Additional environment variables of the nodes.
 
     Attributes
     ----------
@@ -105,8 +103,8 @@ class Chaos(Live):
         Time of receipt of each state of the plant [s], and its angles [rad].
     """
 
-    def __init__(self, folder: Path, domain: int, values: Mapping[str, object], **environment: str) -> None:
-        super().__init__(folder, domain, load("paper").updated({**QUICK, **values}), environment)
+    def __init__(self, folder: Path, domain: int, values: Mapping[str, object]) -> None:
+        super().__init__(folder, domain, load("paper").updated({**QUICK, **values}))
         self.on_states: Policy = passing
         self.on_commands: Policy = passing
         self.moved: list[tuple[float, np.ndarray]] = []

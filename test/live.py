@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -43,16 +43,9 @@ class Live:
         Received messages by topic: phase_log, joint_states, joint_velocity_commands, diagnostics.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        domain: int,
-        config: Config,
-        environment: Mapping[str, str] | None = None,
-        name: str = "test",
-    ) -> None:
+    def __init__(self, folder: Path, domain: int, config: Config, name: str = "test") -> None:
         self.config = config
-        self.processes = Processes(folder, domain, environment)
+        self.processes = Processes(folder, domain)
         self.params = folder / "params.yaml"
         self.params.write_text(to_yaml(config), encoding="utf-8")
         self._context = Context()

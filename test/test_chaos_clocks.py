@@ -41,8 +41,8 @@ def stepped_clock(folder: Path) -> Path:
 
 
 @contextmanager
-def walking(folder: Path, *plant: str, **environment: str) -> Iterator[Chaos]:
-    with private_domain() as domain, closing(Chaos(folder, domain, {}, **environment)) as one:
+def walking(folder: Path, *plant: str) -> Iterator[Chaos]:
+    with private_domain() as domain, closing(Chaos(folder, domain, {})) as one:
         one.start_relayed("integrator", *plant)
         one.start_relayed("controller")
         yield one
@@ -61,12 +61,19 @@ def set_clock(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Chaos,
     offset = folder / "offset"
     offset.write_bytes(bytes(8))
 
-    with offset.open("r+b") as file, mmap.mmap(file.fileno(), 8) as page:
+    library = stepped_clock(folder)
+    with (
+        offset.open("r+b") as file,
+        mmap.mmap(file.fileno(), 8) as page,
+        pytest.MonkeyPatch.context() as environment,
+    ):
+        environment.setenv("LD_PRELOAD", str(library))
+        environment.setenv("STEPPED_CLOCK", str(offset))
 
         def set_to(seconds: int) -> None:
             page[:] = struct.pack("=q", seconds * 1_000_000_000)
 
-        with walking(folder, LD_PRELOAD=str(stepped_clock(folder)), STEPPED_CLOCK=str(offset)) as one:
+        with walking(folder) as one:
             one.until_walking(120.0)
             yield one, set_to
 

@@ -24,6 +24,10 @@ from dqwalk_ros.urdf import Urdf
 __all__ = ["Camera", "add_scenery"]
 
 _GREY = (0.7, 0.72, 0.75, 1.0)
+_AZIMUTH, _ELEVATION = 130.0, -12.0
+"""Direction of view [degrees]."""
+_DISTANCE = 1.4
+"""Distance of the camera from the robot [m]."""
 
 
 class Camera:
@@ -33,10 +37,6 @@ class Camera:
     ----------
     width, height : int
         Size of the pictures [pixels].
-    azimuth, elevation : float
-        Direction of view [degrees].
-    distance : float
-        Distance of the camera from the robot [m].
 
     Raises
     ------
@@ -44,17 +44,7 @@ class Camera:
         If OpenGL rendering is not available.
     """
 
-    def __init__(
-        self,
-        config: Config,
-        model: RobotModel,
-        width: int = 360,
-        height: int = 480,
-        *,
-        azimuth: float = 130.0,
-        elevation: float = -12.0,
-        distance: float = 1.4,
-    ) -> None:
+    def __init__(self, config: Config, model: RobotModel, width: int, height: int) -> None:
         self._model = model
         seen = Urdf(model.urdf, model.name)
         try:
@@ -87,7 +77,7 @@ class Camera:
         self._shown = mujoco.MjvOption()
         self._shown.geomgroup[0] = 0  # what collides
         self._look = mujoco.MjvCamera()
-        self._look.azimuth, self._look.elevation, self._look.distance = azimuth, elevation, distance
+        self._look.azimuth, self._look.elevation, self._look.distance = _AZIMUTH, _ELEVATION, _DISTANCE
         try:
             self._renderer = mujoco.Renderer(self._mj, height, width)
         except Exception as error:  # the exceptions depend on the OpenGL platform

@@ -111,6 +111,8 @@ _INSPECTED: Final = 20
 """Number of bytes from `TORQUE_ENABLE` up to the temperature."""
 _SYNC_READ: Final = 0x84
 """Instruction of the USB2AX adapter, which reads the servos one after the other and replies for all of them."""
+_TIMEOUT: Final = 0.01
+"""Timeout of a reply, in addition to the transmission time of its bytes [s]."""
 _GIVE_UP: Final = 3
 """Number of consecutive servos without an answer after which a cycle is aborted."""
 _REOPEN: Final = 1.0
@@ -148,15 +150,13 @@ class Registers:
     at: float
 
 
-def open_port(name: str, timeout: float = 0.01) -> Any:
+def open_port(name: str) -> Any:
     """Open a serial port at 1 Mbaud for exclusive use.
 
     Parameters
     ----------
     name : str
         Name of the port, such as ``/dev/ttyACM0``.
-    timeout : float
-        Timeout of a reply, in addition to the transmission time of its bytes [s].
 
     Returns
     -------
@@ -191,7 +191,7 @@ def open_port(name: str, timeout: float = 0.01) -> Any:
             return 1e3 * time.monotonic()
 
         def setPacketTimeout(self, packet_length: int) -> None:
-            self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + 1e3 * timeout)
+            self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + 1e3 * _TIMEOUT)
 
         def readPort(self, length: int) -> bytes:
             over = self.getTimeSinceStart() > self.packet_timeout

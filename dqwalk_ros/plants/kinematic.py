@@ -22,8 +22,6 @@ class KinematicPlant(Plant):
     ----------
     q0 : array_like, shape (n,), optional
         Initial joint angles [rad]; zero by default.
-    time0 : float
-        Initial time [s].
 
     Raises
     ------
@@ -31,13 +29,13 @@ class KinematicPlant(Plant):
         If `q0` does not fit the model or is not finite.
     """
 
-    def __init__(self, model: RobotModel, q0: ArrayLike | None = None, time0: float = 0.0) -> None:
+    def __init__(self, model: RobotModel, q0: ArrayLike | None = None) -> None:
         q = np.zeros(model.n) if q0 is None else np.array(q0, dtype=np.float64)
         if q.shape != (model.n,) or not np.isfinite(q).all():
             raise PlantError(f"the first state must have {model.n} finite angles, got {q}")
         self._limit = model.velocity_max
-        self._time0, self._periods = time0, 0
-        self._state = State(time0, q, np.zeros(model.n))
+        self._periods = 0
+        self._state = State(0.0, q, np.zeros(model.n))
 
     @property
     def state(self) -> State:
@@ -58,5 +56,5 @@ class KinematicPlant(Plant):
         u = np.minimum(np.maximum(u, -self._limit), self._limit)
         self._periods += 1
         # time is computed from the number of periods: a sum would accumulate rounding errors
-        self._state = State(self._time0 + self._periods * dt, q + dt * u, u)
+        self._state = State(self._periods * dt, q + dt * u, u)
         return self._state

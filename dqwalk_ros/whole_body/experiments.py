@@ -144,9 +144,7 @@ def walk(config: Config, wanted: Walk, progress: Progress | None = None) -> Whol
 # ---------------------------------------------------------------------- recorded walks
 
 
-def retrace(
-    log: BodyLog, *, clock: Callable[[], float] = time.perf_counter, progress: Progress | None = None
-) -> tuple[WholeBodyTrace, float]:
+def retrace(log: BodyLog, *, progress: Progress | None = None) -> tuple[WholeBodyTrace, float]:
     """Solve the problem of the controller again for each recorded state.
 
     Forces and torques of the returned trace are the recorded ones. The preview, the residual of (S14) and the times are
@@ -164,7 +162,7 @@ def retrace(
         If the problem of the first state cannot be solved.
     """
     plant = _RecordedPlant(log)
-    controller = WholeBodyController(log.config, log.model, clock=clock)
+    controller = WholeBodyController(log.config, log.model)
     return follow(controller, plant, log.scenario, progress=progress), plant.off
 
 

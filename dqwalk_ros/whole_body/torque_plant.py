@@ -22,6 +22,10 @@ from dqwalk_ros.whole_body.rigid_plant import BodyPlant
 __all__ = ["TorquePlant"]
 
 
+_STEP = 0.001
+"""Time step of the engine [s]."""
+_FRICTION = 0.9
+"""Friction coefficient of soles and ground."""
 _SOFT = 0.005
 """Time constant of the contacts [s]."""
 _PUSH = 0.05
@@ -38,18 +42,12 @@ class TorquePlant(BodyPlant):
         Initial state.
     pushed : str
         The link that pushes act on.
-    timestep : float
-        Time step of the engine [s].
-    friction : float
-        Friction coefficient of soles and ground.
     """
 
-    def __init__(
-        self, model: RobotModel, state: BodyState, *, pushed: str, timestep: float = 0.001, friction: float = 0.9
-    ) -> None:
+    def __init__(self, model: RobotModel, state: BodyState, *, pushed: str) -> None:
         super().__init__(state)
-        spec = robot_spec(model, friction=friction, contact_time=_SOFT)
-        spec.option.timestep = timestep
+        spec = robot_spec(model, friction=_FRICTION, contact_time=_SOFT)
+        spec.option.timestep = _STEP
         self._mj = spec.compile()
         self._data: Any = mujoco.MjData(self._mj)
         joints = [self._mj.joint(name) for name in model.joint_names]
@@ -65,7 +63,7 @@ class TorquePlant(BodyPlant):
     def _move(self, command: BodyCommand, time: float, dt: float) -> None:
         d = self._data
         d.qfrc_applied[self._vadr] = command.effort
-        for _ in range(max(1, round(dt / self._mj.opt.timestep))):
+        for _ in range(max(1, round(dt / _STEP))):
             self._pushes = [(end, force) for end, force in self._pushes if d.time < end - 1e-9]
             d.xfrc_applied[self._pushed, :3] = sum((force for _, force in self._pushes), np.zeros(3))
             mujoco.mj_step(self._mj, d)
