@@ -15,7 +15,6 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.geometry import ConvexPolygon
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.report.figures import drawn, figure7, figure8, figure9, top_view
-from dqwalk_ros.report.figures.style import thinned
 from dqwalk_ros.report.metrics import hull_margin, pelvis_in_odom
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.simulation import PhysicsRecord
@@ -516,18 +515,6 @@ def test_report_and_figures_of_a_single_support_phase_only(trace):
     assert names(report) == {"finished"}
     assert "single_support/left (stopped)" in reporting.render(report)
     assert all(figure.get_axes() for _, figure, _ in drawn(series))
-
-
-def test_thinning_keeps_every_peak():
-    rng = np.random.default_rng(0)
-    x, y = np.arange(60_000.0), rng.normal(size=60_000)
-    y[12_345], y[54_321] = 50.0, -50.0
-    thin_x, thin_y = thinned(x, y)
-    assert len(thin_x) < 2500
-    assert {12_345.0, 54_321.0} <= set(thin_x)
-    assert (thin_x[0], thin_x[-1]) == (0.0, 59_999.0)
-    assert np.all(np.diff(thin_x) > 0)
-    assert set(zip(thin_x, thin_y, strict=True)) <= set(zip(x, y, strict=True))
 
 
 def test_phase_kinds_match_their_names(series):

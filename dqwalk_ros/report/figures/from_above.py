@@ -27,7 +27,6 @@ from dqwalk_ros.report.figures.style import (
     name_phases,
     new_figure,
     set_time_limits,
-    thinned,
 )
 from dqwalk_ros.report.metrics import Ground, Series, Span, urdf_soles
 from dqwalk_ros.report.verdict import TILT
@@ -51,13 +50,6 @@ def _patch(ax: Axes, corners: Array, edge: str, face: str = "none", **looks: Any
 def _ring(ax: Axes, center: Array, radius: float, zorder: int) -> None:
     looks: dict[str, Any] = {"fill": False, "edgecolor": RED, "linestyle": DASHED, "linewidth": 1.2}
     ax.add_patch(Circle((float(center[0]), float(center[1])), radius, zorder=zorder, **looks))
-
-
-def _way(way: Array) -> tuple[Array, Array]:
-    """Return x and y of some thousand points of a path."""
-    step = max(1, len(way) // 3000)
-    at = np.unique(np.append(np.arange(0, len(way), step), len(way) - 1))
-    return way[at, 0], way[at, 1]
 
 
 def _soles_legend() -> list[Any]:
@@ -127,7 +119,7 @@ def _draw_footsteps(ax: Axes, series: Series, own: Mapping[Foot, Sole] | None) -
         _draw_step(ax, series, span, own, number, last=span is singles[-1])
     halo = [Stroke(linewidth=4.2, foreground="white"), Normal()]
     com = series.com_odom[np.isfinite(series.com_odom).all(axis=1)]
-    ax.plot(*_way(com), color=INK, linewidth=2.0, zorder=6, path_effects=halo)
+    ax.plot(com[:, 0], com[:, 1], color=INK, linewidth=2.0, zorder=6, path_effects=halo)
     for tick, fill in ((0, "white"), (-1, INK)):
         ax.plot(*com[tick, :2], "o", color=fill, markeredgecolor=INK, markersize=6, zorder=7)
     _finish(ax, "A   Footsteps and centre of mass", "forward, x [m]", "to the left, y [m]", "datalim")
@@ -147,7 +139,7 @@ def _draw_step(
     if series.trace.config.gait.style == "paper":
         _ring(ax, x_base.transform_point(soles[base].center), series.trace.config.ssp.com_radius, zorder=4)
     way = (x_base * DQ(series.end[span.ticks])).transform_point(soles[swing].center)
-    ax.plot(*_way(way), color=_COLOR[swing], linewidth=1.3, linestyle=":", zorder=5)
+    ax.plot(way[:, 0], way[:, 1], color=_COLOR[swing], linewidth=1.3, linestyle=":", zorder=5)
     at = (float(way[-1, 0]), float(way[-1, 1]))
     text: dict[str, Any] = {"fontsize": 10, "fontweight": "bold", "zorder": 8, "ha": "center", "va": "center"}
     beside = (0.0, 10.0 if swing is Foot.LEFT else -10.0)  # [points], outwards, where the CoM does not go
@@ -166,7 +158,7 @@ def _draw_margins(ax: Axes, series: Series) -> None:
     if series.urdf_margin is not None:
         curves.append((series.urdf_margin, _ORANGE, "convex hull of the soles of the URDF"))
     for values, color, label in curves:
-        ax.plot(*thinned(series.time, 1e3 * values), color=color, label=label)
+        ax.plot(series.time, 1e3 * values, color=color, label=label)
     ax.axhline(0.0, color=RED, linestyle=DASHED, linewidth=1.3)
     low, high = ax.get_ylim()
     ax.set_ylim(low - 0.02 * (high - low), high + 0.36 * (high - low))
@@ -225,8 +217,8 @@ def _draw_ground(ax: Axes, series: Series, of: Ground) -> None:
                 _patch(ax, corners, _COLOR[foot], _COLOR[foot] + "1c", linewidth=1.0, zorder=2)
     if of.circle is not None:
         _ring(ax, of.circle.center, of.circle.radius, zorder=3)
-    ax.plot(*_way(of.physics.cop), color=_ORANGE, linewidth=0.8, alpha=0.85, zorder=4)
-    ax.plot(*_way(of.com), color=INK, linewidth=1.6, zorder=5)
+    ax.plot(of.physics.cop[:, 0], of.physics.cop[:, 1], color=_ORANGE, linewidth=0.8, alpha=0.85, zorder=4)
+    ax.plot(of.com[:, 0], of.com[:, 1], color=INK, linewidth=1.6, zorder=5)
     ax.plot(*of.stands[:, :2].T, "o", color=GREY, markersize=2.5, zorder=6)
     _finish(ax, "A   True motion from above", "x [m]", "y [m]", "box")
 
@@ -238,7 +230,7 @@ def _draw_over_time(axes: list[Axes], series: Series, of: Ground) -> None:
     for ax, values, color in zip(axes, (1e3 * of.cop_margin, tilt), (_ORANGE, INK), strict=True):
         if len(series.spans) <= _MANY:
             mark_phases(ax, series)
-        ax.plot(*thinned(series.time, values), color=color, linewidth=1.1)
+        ax.plot(series.time, values, color=color, linewidth=1.1)
         set_time_limits(ax, series)
     axes[0].axhline(0.0, color=RED, linestyle=DASHED, linewidth=1.2)
     axes[0].set_ylabel("margin [mm]")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -9,7 +10,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patheffects import withStroke
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.report.figures.style import (
@@ -22,7 +22,6 @@ from dqwalk_ros.report.figures.style import (
     name_phases,
     new_figure,
     set_time_limits,
-    thinned,
     tone,
 )
 from dqwalk_ros.report.metrics import Series, Span
@@ -62,58 +61,17 @@ def _time_response(series: Series, panels: Sequence[_Panel], axes: Sequence[Axes
     """Draw panels over the time since the beginning of each phase."""
     curves = _curves(series, double)
     for letter, panel, ax in zip("ABCDEFGH", panels, axes, strict=False):
-        low, high = np.inf, -np.inf
         for span, color, _ in curves:
-            x, y = thinned(series.time[span.ticks] - series.time[span.start], panel.values[span.ticks])
-            ax.plot(x, y, color=color)
-            if np.isfinite(y).any():
-                low, high = min(low, float(np.nanmin(y))), max(high, float(np.nanmax(y)))
+            ax.plot(series.time[span.ticks] - series.time[span.start], panel.values[span.ticks], color=color)
         if panel.bound is not None:
-            ax.axhline(panel.bound, color=RED, linestyle=DASHED, linewidth=1.3)
-            low, high = min(low, panel.bound), max(high, panel.bound)
-        if np.isfinite(low):
-            room = 0.08 * (high - low) or 0.05 * abs(high) or 1.0
-            ax.set_ylim(low - room, high + room)
+            bound = ax.axhline(panel.bound, color=RED, linestyle=DASHED, linewidth=1.3)
+            ax.legend([bound], [panel.bound_label], loc="best", labelcolor=RED, fontsize=8)
+        ax.margins(y=0.08)
         ax.set_xlim(left=0.0)
-        ax.margins(x=0.01)
-        if panel.bound is not None:
-            _name_bound(ax, panel.bound, panel.bound_label)
         ax.set_title(f"{letter}   {panel.title}")
         ax.set_ylabel(panel.label)
     for ax in axes[-3:]:
         ax.set_xlabel(f"time since the {'double' if double else 'single'} support began [s]")
-
-
-def _name_bound(ax: Axes, bound: float, label: str) -> None:
-    """Write the name of a bound beside its line, where it covers the fewest points of the curves."""
-    (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
-    inside = 1 if bound < 0.5 * (low + high) else -1  # above the line or below it
-    places = [(side, way) for way in (inside, -inside) for side in ("right", "left")]
-
-    def crowd(place: tuple[str, int]) -> int:
-        side, way = place
-        edges = (left + 0.55 * (right - left), right) if side == "right" else (left, left + 0.45 * (right - left))
-        reach = sorted((bound + 0.004 * way * (high - low), bound + 0.09 * way * (high - low)))
-        count = 0
-        for line in ax.get_lines():
-            x, y = (np.asarray(values) for values in line.get_data())
-            count += int(np.count_nonzero((x > edges[0]) & (x < edges[1]) & (y > reach[0]) & (y < reach[1])))
-        return count + 10_000 * (not low < reach[0] < reach[1] < high)
-
-    side, way = min(places, key=crowd)
-    ax.annotate(
-        label,
-        (1.0 if side == "right" else 0.0, bound),
-        xycoords=("axes fraction", "data"),
-        xytext=(-3 if side == "right" else 4, 3 * way),
-        textcoords="offset points",
-        ha=side,
-        va="bottom" if way > 0 else "top",
-        color=RED,
-        fontsize=8,
-        path_effects=[withStroke(linewidth=2.5, foreground="white")],
-        zorder=5,
-    )
 
 
 def _supports(series: Series, panels: Sequence[_Panel], height: float, title: str, *, double: bool) -> Figure:
@@ -125,8 +83,7 @@ def _supports(series: Series, panels: Sequence[_Panel], height: float, title: st
     if len(curves) > 6:
         curves = curves[:2] + curves[-2:]
     handles = [Line2D([], [], color=color, label=label) for _, color, label in curves]
-    handles.append(Line2D([], [], color=RED, linestyle=DASHED, linewidth=1.3, label="bound"))
-    fig.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 3), fontsize=9)
+    fig.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=9)
     return fig
 
 
@@ -195,9 +152,8 @@ def figure9(series: Series) -> Figure:
     names = model.joint_names
     left = [i for i, name in enumerate(names) if name.startswith("l_")]
     right = [i for i, name in enumerate(names) if name.startswith("r_")]
-    others = [i for i in range(model.n) if i not in left + right]
-    order = [i for pair in zip(left, right, strict=False) for i in pair] if len(left) == len(right) else [*left, *right]
-    order += others
+    pairs = [i for pair in itertools.zip_longest(left, right) for i in pair if i is not None]
+    order = [*pairs, *(i for i in range(model.n) if i not in pairs)]
     rows = (len(order) + 1) // 2
     fig = new_figure(11.0, 1.55 * rows + 1.3)
     grid = fig.subplots(rows, 2, sharex=True, squeeze=False)
@@ -220,7 +176,7 @@ def _joint(ax: Axes, series: Series, i: int) -> None:
     q = np.degrees(series.trace.q[:, i])
     low, high = np.degrees([model.q_min[i], model.q_max[i]])
     mark_phases(ax, series)
-    ax.plot(*thinned(series.time, q), color=BLUE)
+    ax.plot(series.time, q, color=BLUE)
     for limit in (low, high):
         ax.axhline(limit, color=RED, linestyle=DASHED, linewidth=1.2)
     room = 0.1 * (high - low)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import LogFormatter, MaxNLocator
 
-from dqwalk_ros.report.figures.style import BLUE, DASHED, GREEN, GREY, INK, RED, Drawn, drawing, new_figure, thinned
+from dqwalk_ros.report.figures.style import BLUE, DASHED, GREEN, GREY, INK, RED, Drawn, drawing, new_figure
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.whole_body.preview import Stepping
 from dqwalk_ros.whole_body.trace import WholeBodyTrace
@@ -95,12 +95,12 @@ def reactions(walked: WholeBodyTrace) -> Figure:
     for axis, ax in enumerate(panels):
         dotted = (0, (1, 1.5))
         ax.plot(walked.time, walked.target[:, axis], color=RED, linestyle=dotted, linewidth=1.8, label="target [m]")
-        ax.plot(*thinned(walked.time, walked.hand[:, axis]), color=BLUE, linestyle=DASHED, label="hand [m]")
+        ax.plot(walked.time, walked.hand[:, axis], color=BLUE, linestyle=DASHED, label="hand [m]")
         ax.plot(walked.time, walked.support[:, axis], color=GREEN, linewidth=1.4, label="support foot [m]")
         single = np.where(walked.single, walked.landing[:, axis], np.nan)
         ax.plot(walked.time, single, color=GREEN, linewidth=0.9, alpha=0.55, label="its next position [m]")
         velocity = walked.com_velocity[:, axis]
-        ax.plot(*thinned(walked.time, velocity), color=INK, linewidth=1.1, label="CoM velocity [m/s]")
+        ax.plot(walked.time, velocity, color=INK, linewidth=1.1, label="CoM velocity [m/s]")
         ax.set(ylabel="[m], [m/s]", title=f"({'ab'[axis]}) along {'xy'[axis]}")
         ax.set_xlim(0.0, walked.time[-1])
     panels[-1].set_xlabel("time [s]")

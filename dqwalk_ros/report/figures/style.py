@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure  # not pyplot: no global state, no display
 
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.report.metrics import Series
 
 __all__ = [
@@ -29,7 +27,6 @@ __all__ = [
     "name_phases",
     "new_figure",
     "set_time_limits",
-    "thinned",
     "tone",
 ]
 
@@ -58,13 +55,13 @@ _STYLE: Any = {
     "lines.linewidth": 1.7,
     "lines.solid_capstyle": "round",
     "legend.frameon": False,
+    "path.simplify_threshold": 0.5,  # [pixels]
     "svg.fonttype": "none",
     "pdf.fonttype": 42,
     "savefig.dpi": 160,
     "savefig.facecolor": "white",
 }
 DASHED = (0, (5, 3))
-_MOST_POINTS = 1500
 
 
 @contextmanager
@@ -98,20 +95,6 @@ def save(drawn: Iterable[Drawn], folder: str | os.PathLike[str], formats: Sequen
                 figure.savefig(files[-1])
             figure.set_layout_engine("none")  # compute the layout only once
     return files
-
-
-def thinned(x: Array, y: Array) -> tuple[Array, Array]:
-    """Return the smallest and the largest point of each of some hundred slices of a curve, and its ends."""
-    size = len(x) // (_MOST_POINTS // 2)
-    if size < 2:
-        return x, y
-    whole = len(x) // size * size
-    rows = y[:whole].reshape(-1, size)
-    first = np.arange(0, whole, size)
-    with np.errstate(invalid="ignore"):
-        filled = np.nan_to_num(rows, nan=0.0)
-    at = np.unique(np.concatenate([[0, len(x) - 1], first + filled.argmin(axis=1), first + filled.argmax(axis=1)]))
-    return x[at], y[at]
 
 
 def tone(color: str, cycle: int, cycles: int) -> tuple[float, float, float]:
