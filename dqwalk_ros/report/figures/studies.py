@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
@@ -26,8 +27,8 @@ _MARGIN = "margin/paper"
 
 
 @drawing()
-def study_figure(rows: Sequence[Mapping[str, Any]], names: Sequence[str], units: Mapping[str, str]) -> Any:
-    """Draw the walks of a study; return a matplotlib figure.
+def study_figure(rows: Sequence[Mapping[str, Any]], names: Sequence[str], units: Mapping[str, str]) -> Figure:
+    """Draw the walks of a study.
 
     Parameters
     ----------
@@ -41,50 +42,55 @@ def study_figure(rows: Sequence[Mapping[str, Any]], names: Sequence[str], units:
     """
     numbers = [name for name in names if all(_is_number(row[name]) for row in rows)]
     others = [name for name in names if name not in numbers]
+    x, *more = numbers or ["walk"]
     panels: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
         panels.setdefault(", ".join(f"{name.split('.')[-1]}: {_text(row[name])}" for name in others), []).append(row)
     figure = new_figure(1.4 + 3.6 * len(panels), 3.6)
     axes = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
-    margins = [1e3 * row[_MARGIN] for row in rows if row["finished"]]
-    most = max(map(abs, margins), default=1.0) or 1.0
-    points = None
+    most = max((abs(1e3 * row[_MARGIN]) for row in rows if row["finished"]), default=0.0) or 1.0
     for axis, (title, some) in zip(axes, panels.items(), strict=True):
-        done = [row for row in some if row["finished"]]
-        failed = [row for row in some if not row["finished"]]
+        done, failed = ([row for row in some if row["finished"] is finished] for finished in (True, False))
+        if more:
+            _draw_map(axis, x, more[0], done, failed, most)
+        else:
+            _draw_margins(axis, x, done, failed)
+        axis.set(xlabel=_label(x, units), ylabel=_label(more[0], units) if more else "least margin of the CoM [mm]")
         share = f"{len(done)} of {len(some)} finished"
         axis.set_title(f"{title}\n{share}" if title else share)
-        if len(numbers) > 1:
-            x, y = numbers[:2]
-            colour = [1e3 * row[_MARGIN] for row in done]
-            points = axis.scatter(
-                [r[x] for r in done], [r[y] for r in done], c=colour, s=34, cmap="viridis", vmin=0, vmax=most
-            )
-            axis.scatter([r[x] for r in failed], [r[y] for r in failed], c=RED, marker="x", s=26, label="failed")
-            axis.set_ylabel(_label(y, units))
-        else:
-            x = numbers[0] if numbers else "walk"
-            for key, tone, label in (
-                (_MARGIN, BLUE, "to the paper's planes and cylinder"),
-                ("margin/true", GREEN, "to the edge of the soles"),
-            ):
-                axis.plot([r[x] for r in done], [1e3 * r[key] for r in done], "o-", color=tone, ms=4, label=label)
-            low = min([0.0, *(1e3 * r[k] for r in done for k in (_MARGIN, "margin/true"))])
-            axis.plot([r[x] for r in failed], [low] * len(failed), "x", color=RED, ms=7, label="did not finish")
-            axis.axhline(0.0, color=GREY, lw=0.8)
-            axis.set_ylabel("least margin of the CoM [mm]")
-        axis.set_xlabel(_label(x, units))
         axis.locator_params(axis="x", nbins=5)
         axis.label_outer()
-    handles: dict[str, Any] = {}
-    for axis in axes:
-        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
-            handles.setdefault(label, handle)
-    if handles:
-        figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=len(handles))
-    if points is not None:
-        figure.colorbar(points, ax=list(axes), label="least margin to the paper's planes [mm]")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    if more:
+        figure.colorbar(axes[0].collections[0], ax=list(axes), label="least margin to the paper's planes [mm]")
     return figure
+
+
+def _draw_map(
+    axis: Axes, x: str, y: str, done: list[Mapping[str, Any]], failed: list[Mapping[str, Any]], most: float
+) -> None:
+    """Draw the walks as points over two parameters, with the margin as colour, up to `most` [mm]."""
+    margins = _column(done, _MARGIN, 1e3)
+    axis.scatter(_column(done, x), _column(done, y), c=margins, s=34, cmap="viridis", vmin=0, vmax=most)
+    axis.scatter(_column(failed, x), _column(failed, y), c=RED, marker="x", s=26, label="failed")
+
+
+def _draw_margins(axis: Axes, x: str, done: list[Mapping[str, Any]], failed: list[Mapping[str, Any]]) -> None:
+    """Draw both margins over one parameter."""
+    low = 0.0
+    for key, tone, label in (
+        (_MARGIN, BLUE, "to the paper's planes and cylinder"),
+        ("margin/true", GREEN, "to the edge of the soles"),
+    ):
+        margins = _column(done, key, 1e3)
+        axis.plot(_column(done, x), margins, "o-", color=tone, ms=4, label=label)
+        low = min([low, *margins])
+    axis.plot(_column(failed, x), [low] * len(failed), "x", color=RED, ms=7, label="did not finish")
+    axis.axhline(0.0, color=GREY, lw=0.8)
+
+
+def _column(rows: Sequence[Mapping[str, Any]], key: str, scale: float = 1.0) -> list[float]:
+    return [scale * row[key] for row in rows]
 
 
 def _is_number(value: Any) -> bool:
@@ -124,26 +130,24 @@ def robustness_figure(done: Sequence[Cell], axes: Mapping[str, Sequence[float]],
 
     Cells that fell show the number of their steps, of the `steps` of a whole walk.
     """
-    panels = list(axes.get(_PANEL, (float("nan"),)))
-    across = [name for name in axes if name in _COLUMNS]
-    down = [name for name in axes if name not in (*_COLUMNS, _PANEL)][::-1]
-    columns = list(itertools.product(*(axes[name] for name in across)))
-    rows = list(itertools.product(*(axes[name] for name in down)))
+    groups = (
+        [name for name in axes if name == _PANEL],
+        [name for name in axes if name not in (*_COLUMNS, _PANEL)][::-1],
+        [name for name in axes if name in _COLUMNS],
+    )
+    panels, rows, columns = (list(itertools.product(*(axes[name] for name in names))) for names in groups)
     known = {frozenset(values.items()): end for values, end in done}
     shade = LinearSegmentedColormap.from_list("fell", _FELL)
     fig = new_figure(1.9 + len(panels) * (0.9 + 0.24 * len(columns)), 1.5 + 0.26 * len(rows))
     plots = fig.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     for ax, panel in zip(plots, panels, strict=True):
-        stood = walked = 0
+        ends = []
         for (r, row), (c, column) in itertools.product(enumerate(rows), enumerate(columns)):
-            values = dict(zip(down, row, strict=True)) | dict(zip(across, column, strict=True))
-            if _PANEL in axes:
-                values[_PANEL] = panel
-            end = known.get(frozenset(values.items()))
+            values = zip(itertools.chain(*groups), (*panel, *row, *column), strict=True)
+            end = known.get(frozenset(values))
             color: Any = "#eef1f4"
             if end is not None:
-                walked += 1
-                stood += end.stood
+                ends.append(end)
                 color = GREEN if end.stood else shade(min(end.steps / max(steps, 1), 1.0))
             ax.add_patch(Rectangle((c, r), 1.0, 1.0, facecolor=color, edgecolor="white", linewidth=1.2))
             if end is not None and not end.stood:
@@ -151,29 +155,26 @@ def robustness_figure(done: Sequence[Cell], axes: Mapping[str, Sequence[float]],
         ax.set(xlim=(0, len(columns)), ylim=(len(rows), 0))
         ax.grid(visible=False)
         ax.spines[["left", "bottom"]].set_visible(False)
-        ax.tick_params(length=0)
-        ax.set_xticks(np.arange(len(columns)) + 0.5, [_joined(across, column) for column in columns], rotation=90)
-        ax.set_yticks(np.arange(len(rows)) + 0.5, [_joined(down, row) for row in rows])
-        ax.tick_params(labelsize=7.0)
-        name = _described(_PANEL, panel) if _PANEL in axes else "all"
-        ax.set_title(f"{name}: {stood} of {walked}", fontsize=9.5)
-    fig.suptitle(
-        f"{sum(end.stood for _, end in done)} of {len(done)} cells stood after {steps} steps",
-        fontsize=12, fontweight="bold", color=INK,
-    )  # fmt: skip
+        ax.tick_params(length=0, labelsize=7.0)
+        ax.set_xticks(np.arange(len(columns)) + 0.5, [_described(groups[2], one) for one in columns], rotation=90)
+        ax.set_yticks(np.arange(len(rows)) + 0.5, [_described(groups[1], one) for one in rows])
+        title = _described(groups[0], panel) or "all"
+        ax.set_title(f"{title}: {sum(end.stood for end in ends)} of {len(ends)}", fontsize=9.5)
+    stood = sum(end.stood for _, end in done)
+    title = f"{stood} of {len(done)} cells stood after {steps} steps"
+    fig.suptitle(title, fontsize=12, fontweight="bold", color=INK)
     fig.supxlabel(
         "green: stood; red: fell or stopped, with the number of steps; grey: not simulated", fontsize=8, color=GREY
     )
     return fig
 
 
-def _described(name: str, value: float) -> str:
-    word, form, scale, shift = _WORD.get(name, (name, "{:g}", 1.0, 0.0))
-    return f"{word} {form.format(scale * value + shift)}"
-
-
-def _joined(names: Sequence[str], values: Sequence[float]) -> str:
-    return ", ".join(_described(name, value) for name, value in zip(names, values, strict=True))
+def _described(names: Sequence[str], values: Sequence[float]) -> str:
+    words = []
+    for name, value in zip(names, values, strict=True):
+        word, form, scale, shift = _WORD.get(name, (name, "{:g}", 1.0, 0.0))
+        words.append(f"{word} {form.format(scale * value + shift)}")
+    return ", ".join(words)
 
 
 # ---------------------------------------------------------------------- pushes
