@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import http
 import io
-import socket
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -57,12 +56,18 @@ class Page:
     Raises
     ------
     ViewerError
-        If the port is in use.
+        If the port is in use, or there is no such port.
     """
 
     def __init__(self, port: int | None = None) -> None:
+        if port is not None and not 0 <= port <= 65535:
+            raise ViewerError(f"there is no port {port}; ports are 0 to 65535, 0 for any")
+        wanted = PORT if port is None else port
         with contextlib.redirect_stdout(io.StringIO()), _local_only():  # viser prints a banner
-            self.server = viser.ViserServer(host=HOST, port=_free(port), label="dqwalk", verbose=False)
+            self.server = viser.ViserServer(host=HOST, port=wanted, label="dqwalk", verbose=False)
+        if port and self.server.get_port() != port:  # viser takes the next free one
+            self.close()
+            raise ViewerError(f"port {port} is in use on this machine; choose another with --port, or 0 for any")
         gui = self.server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium", brand_color=(31, 95, 180))
         gui.set_panel_label("dqwalk")
@@ -236,27 +241,6 @@ def _local_only() -> Iterator[None]:
         yield
     finally:
         websockets.asyncio.server.serve = serve  # type: ignore[misc]
-
-
-def _free(port: int | None) -> int:
-    """Return a free port.
-
-    Raises
-    ------
-    ViewerError
-        If the requested port is in use, or there is no such port.
-    """
-    if port is not None and not 0 <= port <= 65535:
-        raise ViewerError(f"there is no port {port}; ports are 0 to 65535, 0 for any")
-    for candidate in (port,) if port is not None else (*range(PORT, PORT + 20), 0):
-        with socket.socket() as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind((HOST, candidate))
-            except OSError:
-                continue
-            return int(probe.getsockname()[1])
-    raise ViewerError(f"port {port} is in use on this machine; choose another with --port, or 0 for any")
 
 
 # ---------------------------------------------------------------------- the drawing

@@ -57,7 +57,7 @@ class Player:
         self._first, self._last = float(trace.time[0]), float(trace.time[-1])
         self._at = self._first
         self._moved = threading.Event()
-        self._changed_at = 0.0
+        self._changed_at = self._slid_at = 0.0
         scene = Scene(trace.config, trace.model)
         page.set_scene(scene)
         history = History()
@@ -170,8 +170,6 @@ class Player:
         if now - self._changed_at > 0.3 and (not self.playing or now - self._slid_at > 0.1):
             self._slid_at = now
             self._slider.value = self._at  # type: ignore[misc]
-
-    _slid_at = 0.0
 
 
 def _spread(trace: Trace, count: int) -> NDArray[np.intp]:
