@@ -19,6 +19,8 @@ __all__ = ["frames", "save_movie", "save_strip"]
 Image = NDArray[np.uint8]
 Progress = Callable[[float, str], None]
 """Called with the fraction done and a line of text."""
+_MOVIE, _STRIP = (360, 400), (240, 400)
+"""Width and height of the pictures of a movie and of a strip [pixels]."""
 
 
 def frames(trace: Trace, times: Array, width: int, height: int, progress: Progress | None = None) -> Iterator[Image]:
@@ -52,18 +54,16 @@ def save_movie(
     *,
     speed: float = 2.0,
     rate: float = 12.5,
-    width: int = 360,
-    height: int = 400,
     progress: Progress | None = None,
 ) -> None:
     """Write the walk as an animated picture, a .gif or a .webp.
 
-    The speed is relative to real time, the rate in pictures per second, the size in pixels.
+    The speed is relative to real time, the rate in pictures per second.
     """
     from PIL import Image as pillow
 
     times = np.arange(trace.time[0], trace.time[-1] + 1e-9, speed / rate)
-    made = [pillow.fromarray(one) for one in frames(trace, times, width, height, progress)]
+    made = [pillow.fromarray(one) for one in frames(trace, times, *_MOVIE, progress)]
     options: dict[str, Any] = {"quality": 70, "method": 4}
     if Path(path).suffix.lower() == ".gif":
         palette = made[len(made) // 2].quantize(64)
@@ -78,16 +78,14 @@ def save_strip(
     *,
     count: int = 8,
     between: tuple[float, float] | None = None,
-    width: int = 240,
-    height: int = 400,
     progress: Progress | None = None,
 ) -> None:
     """Write some pictures of the walk side by side, evenly spread over it, or `between` two times [s]."""
     from PIL import Image as pillow
 
     first, last = between or (float(trace.time[0]), float(trace.time[-1]))
-    gap = np.full((height, 4, 3), 255, dtype=np.uint8)
-    made = frames(trace, np.linspace(first, last, count), width, height, progress)
+    gap = np.full((_STRIP[1], 4, 3), 255, dtype=np.uint8)
+    made = frames(trace, np.linspace(first, last, count), *_STRIP, progress)
     row = [part for one in made for part in (one, gap)][:-1]
     pillow.fromarray(np.concatenate(row, axis=1)).quantize(128).save(path, optimize=True)
 

@@ -233,12 +233,12 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
     )
 
 
-def read_orientations(path: str | os.PathLike[str], *, namespace: str | None = None) -> Array:
+def read_orientations(path: str | os.PathLike[str]) -> Array:
     """Return the recorded orientations of the inertial sensor, unit quaternions (m, 4), real part first.
 
     Without a sensor m is zero. Errors are those of `read`.
     """
-    columns = open_recording(path, namespace, TOPICS, REQUIRED).columns
+    columns = open_recording(path, None, TOPICS, REQUIRED).columns
     seen = np.concatenate([np.zeros((0, 4)), *(table.numbers[:, :4] for table in tables(columns.get("imu")))])
     out: Array = seen[np.abs(np.linalg.norm(seen, axis=1) - 1.0) < _UNIT][:, [3, 0, 1, 2]]
     return out
