@@ -33,8 +33,6 @@ class FoundSole:
         Centre of the sole in the frame of the link, with x forward and z up.
     length, width : float
         Size of the rectangle [m].
-    outline : ndarray, shape (k, 2)
-        Convex hull of the points of the foot in the plane of the sole [m].
     source : str
         How the sole was found.
     confidence : str
@@ -45,7 +43,6 @@ class FoundSole:
     pose: Array
     length: float
     width: float
-    outline: Array
     source: str
     confidence: str
 
@@ -65,15 +62,7 @@ def find_soles(
 ) -> dict[Foot, FoundSole]:
     """Return the soles, of equal size on both sides.
 
-    Parameters
-    ----------
-    skeleton : Skeleton
-        With x forward and z up.
-    points : Points
-    legs : dict of Foot to tuple of str
-        Joints from the hip to the ankle.
-    leg : float
-        Length of a leg [m].
+    The axes of the skeleton are x forward and z up, `legs` are the joints from hip to ankle, `leg` is their length [m].
 
     Raises
     ------
@@ -103,12 +92,15 @@ def _sole(skeleton: Skeleton, points: Points, ankle: str, leg: float) -> FoundSo
     x /= np.linalg.norm(x)
     axes = np.array([x, np.cross(normal, x), normal])  # rows: forward, left and up axis of the sole
     flat = (near - level) @ axes.T
-    x0, x1, y0, y1 = _rectangle(flat[:, :2])
+    try:
+        hull = ConvexHull(flat[:, :2])
+    except QhullError:
+        raise ModelError(f"this biped stands on points or edges: the foot '{foot}' has no flat area") from None
+    x0, x1, y0, y1 = _rectangle(hull)
     center = level + np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.0]) @ axes
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = axes.T, center
     tilt = math.degrees(math.acos(min(1.0, normal[2])))
-    hull = ConvexHull(flat[:, :2])
     share = (x1 - x0) * (y1 - y0) / hull.volume
     source = f"largest rectangle within the lowest points of the {which.removesuffix('s')} shapes"
     if tilt > 0.0:
@@ -118,7 +110,6 @@ def _sole(skeleton: Skeleton, points: Points, ankle: str, leg: float) -> FoundSo
         np.linalg.inv(skeleton.pose(foot)) @ pose,
         float(x1 - x0),
         float(y1 - y0),
-        flat[hull.vertices, :2],
         source,
         "sure" if share > 0.7 and which == "collisions" else "likely",
     )
@@ -151,21 +142,14 @@ def plane_below(p: Array) -> tuple[Array, Array]:
     return normal, p[np.argmin(p @ normal)]
 
 
-def _rectangle(p: Array) -> tuple[float, float, float, float]:
-    """Return x0, x1, y0, y1 of the largest axis-aligned rectangle in the convex hull of points (N, 2)."""
-    try:
-        corners = p[ConvexHull(p).vertices]
-    except QhullError:
-        middle = p.mean(axis=0)
-        return middle[0], middle[0], middle[1], middle[1]
-    xs = np.linspace(corners[:, 0].min(), corners[:, 0].max(), 241)
-    low, high = np.full(len(xs), np.inf), np.full(len(xs), -np.inf)
-    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        inside = (xs >= min(a[0], b[0]) - 1e-12) & (xs <= max(a[0], b[0]) + 1e-12)
-        share = (xs[inside] - a[0]) / (b[0] - a[0]) if abs(b[0] - a[0]) > 1e-12 else np.zeros(inside.sum())
-        for y in ((a[1] + share * (b[1] - a[1])),) if abs(b[0] - a[0]) > 1e-12 else (a[1] + share, b[1] + share):
-            low[inside] = np.minimum(low[inside], y)
-            high[inside] = np.maximum(high[inside], y)
+def _rectangle(hull: ConvexHull) -> tuple[float, float, float, float]:
+    """Return x0, x1, y0, y1 of the largest axis-aligned rectangle in a convex hull in the plane."""
+    xs = np.linspace(hull.min_bound[0], hull.max_bound[0], 241)
+    a, b, c = hull.equations.T[:, :, None]  # edges a x + b y + c = 0, positive outside
+    with np.errstate(divide="ignore", invalid="ignore"):
+        y = -(a * xs + c) / b  # of each edge at each x
+    low = np.where(b < -1e-9, y, -np.inf).max(axis=0)
+    high = np.where(b > 1e-9, y, np.inf).min(axis=0)
     bottom, top = np.maximum(low[:, None], low), np.minimum(high[:, None], high)
     area = np.maximum(top - bottom, 0.0) * np.maximum(xs - xs[:, None], 0.0)
     i, j = np.unravel_index(int(np.argmax(area)), area.shape)
