@@ -55,8 +55,6 @@ class Anatomy:
         Links at the ends of the arms; empty for a robot without arms.
     waist : tuple of str
         Joints between the pelvis and the torso.
-    toes : tuple of str
-        Joints within the feet.
     leg : float
         Height of the hips above the soles [m].
     evidence : tuple of Entry
@@ -72,7 +70,6 @@ class Anatomy:
     imu: str
     hands: dict[Foot, str]
     waist: tuple[str, ...]
-    toes: tuple[str, ...]
     leg: float
     evidence: tuple[Entry, ...]
 
@@ -87,18 +84,8 @@ def find_anatomy(
 ) -> Anatomy:
     """Find the parts of a biped.
 
-    Parameters
-    ----------
-    urdf : Urdf
-    shapes : Shapes
-    left, right : str
-        Links of the feet; empty to find them.
-    forward : str
-        Forward axis of the root link, ``+x``, ``-x``, ``+y`` or ``-y``; empty to find it.
-
-    Returns
-    -------
-    Anatomy
+    `left` and `right` are the links of the feet, `forward` is the forward axis of the root link, ``+x``, ``-x``, ``+y``
+    or ``-y``; they are found if empty.
 
     Raises
     ------
@@ -223,10 +210,8 @@ def _without_duplicates(skeleton: Skeleton, feet: list[str], height: float) -> l
 def _branches(skeleton: Skeleton, a: str, b: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the joints of two chains after their last common joint."""
     first, second = skeleton.way(a), skeleton.way(b)
-    k = 0
-    while k < min(len(first), len(second)) and first[k] == second[k]:
-        k += 1
-    return first[k:], second[k:]
+    common = sum(joint in second for joint in first)  # a joint has one way to the root
+    return first[common:], second[common:]
 
 
 def _mirrored(skeleton: Skeleton, a: Sequence[str], b: Sequence[str]) -> bool:
@@ -301,39 +286,24 @@ def _anatomy(
         else Entry("inertial sensor", pelvis, "pelvis: no link is named like an inertial sensor", "guess"),
     ]
     return Anatomy(
-        yaw @ up, legs, kinds, soles, pelvis, torso, imu, hands, waist, toes, float(hip[2] - ground),
+        yaw @ up, legs, kinds, soles, pelvis, torso, imu, hands, waist, float(hip[2] - ground),
         tuple(entry for entry in evidence if entry.value),
     )  # fmt: skip
 
 
 def _side_vote(skeleton: Skeleton, one: Sequence[str], two: Sequence[str]) -> int:
     """Return 1 if by its names `one` is the left leg, -1 if it is the right leg, 0 if the names do not differ so."""
-    votes = 0
     joints = skeleton.urdf.joints
-    names = [(a, b) for a, b in zip(one, two, strict=True)]
+    names = list(zip(one, two, strict=True))
     names += [(joints[a].child, joints[b].child) for a, b in names]
-    for a, b in names:
-        letters = _difference(a, b)
-        if letters is not None:
-            first, second = letters
-            if first.startswith("l") and second.startswith("r"):
-                votes += 1
-            elif first.startswith("r") and second.startswith("l"):
-                votes -= 1
-    return int(np.sign(votes))
+    return int(np.sign(sum(_is_left_of(a, b) - _is_left_of(b, a) for a, b in names)))
 
 
-def _difference(a: str, b: str) -> tuple[str, str] | None:
-    """Return the lower-case parts in which two names differ, if these mean left and right; otherwise None."""
-    start = 0
-    while start < min(len(a), len(b)) and a[start] == b[start]:
-        start += 1
-    end = 0
-    while end < min(len(a), len(b)) - start and a[-1 - end] == b[-1 - end]:
-        end += 1
-    first, second = a[start : len(a) - end].lower(), b[start : len(b) - end].lower()
-    pairs = {("l", "r"), ("left", "right"), ("lef", "righ"), ("lft", "rgt"), ("lt", "rt")}
-    return (first, second) if (first, second) in pairs or (second, first) in pairs else None
+def _is_left_of(a: str, b: str) -> bool:
+    """Return whether a name becomes another one if a word or letter for left in it is replaced by that for right."""
+    a, b = a.lower(), b.lower()
+    sides = (("left", "right"), ("lft", "rgt"), ("l", "r"))
+    return any(a[: m.start()] + right + a[m.end() :] == b for left, right in sides for m in re.finditer(left, a))
 
 
 def _find_forward(
