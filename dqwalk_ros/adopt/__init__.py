@@ -108,10 +108,6 @@ def adopt(
     changes : dict of str to value, optional
         Parameters that replace the derived ones.
 
-    Returns
-    -------
-    Adoption
-
     Raises
     ------
     ModelError
@@ -224,16 +220,9 @@ def changed(entries: Sequence[Entry], changes: Mapping[str, Any], reason: str) -
 
 
 def write_dynamic(folder: pathlib.Path, numbers: Numbers, entries: Sequence[Entry], given: Mapping[str, Any]) -> None:
-    """Write the configuration of the dynamic walk, ``dynamic.yaml``.
+    """Write ``dynamic.yaml``, the configuration of the dynamic walk, from the `entries` of the standing walk.
 
-    Parameters
-    ----------
-    folder : path
-    numbers : Numbers
-    entries : sequence of Entry
-        Parameters of the standing walk.
-    given : dict of str to value
-        Parameters given by the user. Those of the standing walk's own steps and durations are not used.
+    Of the parameters `given` by the user, those of the standing walk's own steps and durations are not used.
     """
     damping = next(entry.value for entry in entries if entry.what == "servo.damping")
     new = {entry.what: entry for entry in dynamic_parameters(numbers, damping)}

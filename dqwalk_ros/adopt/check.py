@@ -32,16 +32,7 @@ _TORQUE = 1.3
 def check(config: Config, model: RobotModel) -> list[Finding]:
     """Return the parameters that do not fit the robot; an empty list if all fit.
 
-    Parameters
-    ----------
-    config : Config
-    model : RobotModel
-        The robot of `config`.
-
-    Returns
-    -------
-    list of Finding
-        Problems of posture and soles; for a standing walk without such problems, those of CoM, servos and torques.
+    Posture and soles are checked; for a standing walk without such problems, also CoM, servos and torques.
     """
     q = model.posture(config.standing.posture)
     found = [*_posture(config, model, q), *_soles(config, model, q)]

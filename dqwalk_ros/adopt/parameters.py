@@ -283,13 +283,8 @@ def parameters(numbers: Numbers) -> list[Entry]:
 def dynamic_parameters(numbers: Numbers, damping: float) -> list[Entry]:
     """Return the parameters of the dynamic walk that differ from the standing walk.
 
-    They are those of ``config/poppy_dynamic.yaml``, with lengths scaled by the leg and times by its square root.
-
-    Parameters
-    ----------
-    numbers : Numbers
-    damping : float
-        ``servo.damping`` [s].
+    They are those of ``config/poppy_dynamic.yaml``, with lengths scaled by the leg and times by its square root;
+    `damping` is ``servo.damping`` [s].
     """
     size = numbers.leg / REFERENCE
     slow = math.sqrt(size)

@@ -29,16 +29,7 @@ _VIEWS = {"from the side": (0, 2, -1.0, 1), "from the front": (1, 2, 1.0, 0), "f
 
 
 def draw(config: Config, model: RobotModel, path: pathlib.Path) -> None:
-    """Draw the robot in the initial posture of its walk in three views.
-
-    Parameters
-    ----------
-    config : Config
-    model : RobotModel
-        The robot of `config`.
-    path : Path
-        File of the picture; its suffix is the format.
-    """
+    """Draw the robot in the initial posture of its walk in three views; the suffix of the file is its format."""
     from matplotlib.collections import PolyCollection
 
     kin = Kinematics(model, model.posture(config.standing.posture), Foot.LEFT)

@@ -57,22 +57,16 @@ class Standing:
 
 
 def stand(model: RobotModel, anatomy: Anatomy, width: float, bent: float = _BENT) -> Standing:
-    """Find the standing posture.
+    """Find the standing posture, with the knees in front of the legs if there is such a posture.
 
     Parameters
     ----------
     model : RobotModel
         Model with the soles of `anatomy`, whose root link has x forward and z up.
-    anatomy : Anatomy
     width : float
         Lateral distance of the soles' centres [m].
     bent : float
         Distance of hip and ankle as a fraction of the straight leg.
-
-    Returns
-    -------
-    Standing
-        With the knees in front of the legs if there is such a posture.
 
     Raises
     ------

@@ -57,23 +57,11 @@ class Trial:
 def first_walks(
     found: Adoption, given: Mapping[str, Any], progress: Callable[[float, str], None] = lambda *_: None
 ) -> Iterator[tuple[Trial, str]]:
-    """Walk in kinematics, then in physics; after a fall in physics try `cures` and write those that help.
+    """Walk in kinematics, then in physics; after a fall in physics try `cures` until one helps.
 
-    Parameters
-    ----------
-    found : Adoption
-        The adopted robot; its ``robot.yaml`` is rewritten if a cure helps.
-    given : dict of str to value
-        Parameters that no cure changes.
-    progress : callable, optional
-        Called with the completed fraction of the current walk, and a line of text.
-
-    Yields
-    ------
-    Trial
-        The walk with the derived parameters, and the one after each cure.
-    str
-        The cures applied; empty for the derived parameters.
+    Yields each walk and a description of the cures applied to it, empty for the derived parameters. ``robot.yaml`` is
+    rewritten if a cure helps; no cure changes the parameters `given` by the user. The progress is called with the
+    fraction of the present walk and a line of text.
     """
     config, model, file = found.config, found.model, found.folder / "robot.yaml"
     for plant in ("kinematic", "physics"):
@@ -105,23 +93,9 @@ def dynamic_walk(found: Adoption, progress: Callable[[float, str], None] = lambd
 
 
 def walk(config: Config, model: RobotModel, plant: str, steps: int, progress: Callable[[float, str], None]) -> Trial:
-    """Walk some steps, or one cycle of the paper's walk, on a plant.
+    """Walk some steps, or one cycle of the paper's walk, on the plant ``kinematic`` or ``physics``.
 
-    Parameters
-    ----------
-    config : Config
-    model : RobotModel
-    plant : str
-        ``kinematic`` or ``physics``.
-    steps : int
-        Number of steps.
-    progress : callable
-        Called with the completed fraction and a line of text.
-
-    Returns
-    -------
-    Trial
-        An error of the walk is its `note`.
+    An error of the walk is the `note` of the result.
     """
     changed = config.updated({"gait.cycles": 1} if config.gait.style == "paper" else {"gait.steps": steps})
     changed = changed.updated({"gait.recover": ""})  # the walk has to stand by itself
@@ -144,23 +118,9 @@ def _distance(trace: Trace) -> float:
 
 
 def cures(config: Config, numbers: Numbers, found: Sequence[Finding]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield changes that may prevent a fall, each together with all previous ones.
+    """Yield changes that may prevent a fall: a description, and the values of it and of all changes before it.
 
-    Changes for the causes of the fall are first, in the order of the causes.
-
-    Parameters
-    ----------
-    config : Config
-    numbers : Numbers
-    found : sequence of Finding
-        Causes of the fall.
-
-    Yields
-    ------
-    str
-        Description of the last change.
-    dict of str to value
-        The changed parameters.
+    Changes for the causes `found` are first, in their order.
     """
     servo, standing = config.servo, config.standing
     stiffness = rounded(8.0 * numbers.mgh)
