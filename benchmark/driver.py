@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "test"))
 import numpy as np
 
 from benchmark.timing import machine
-from dqwalk_ros.config import Config, find_share, from_yaml, load
+from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.plants.dynamixel import TYPES
 from dqwalk_ros.plants.poppy import load_motors
 from dqwalk_ros.runner import private_domain
@@ -41,9 +41,8 @@ PERIODS = 5
 
 def config_for(full: bool) -> Config:
     """Return the paper's walk with the parameters of the plant, combined as in the launch file."""
-    plant = from_yaml(find_share("config/plants", "poppy.yaml").read_text(encoding="utf-8"), onto=load("paper"))
     own = {"poppy.dummy": True, "poppy.activate": True, "node.autostart": True, "node.exit_when_done": True}
-    return plant.updated({**({} if full else FAST), **own})
+    return overlaid(load("paper"), "poppy").updated({**({} if full else FAST), **own})
 
 
 def bare_loop(period: float, stop: Any, answer: Any) -> None:

@@ -20,8 +20,7 @@ from typing import Any
 from benchmark.timing import machine, table  # first: it sets the number of threads
 from dqwalk_ros.adopt import adopt
 from dqwalk_ros.adopt.trial import first_walks
-from dqwalk_ros.cli.options import overlaid
-from dqwalk_ros.config import Config, load
+from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.errors import DqwalkError
 from dqwalk_ros.report import analyse, report
 from dqwalk_ros.robot import load_model

@@ -31,7 +31,7 @@ import numpy as np
 
 from benchmark.timing import machine, table  # first: it sets the number of threads
 from dqwalk_ros.adopt import adopt
-from dqwalk_ros.config import Config, find_share, from_yaml, load
+from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import DqwalkError
 from dqwalk_ros.kinematics import Kinematics
@@ -286,8 +286,7 @@ def dynamic_config(folder: Path, steps: int, longer: float = 1.0) -> Config:
 
 def on_physics(path: Path, steps: int) -> Config:
     """Return a configuration for the physics plant."""
-    physics = find_share("config/plants", "physics.yaml").read_text(encoding="utf-8")
-    return from_yaml(physics, onto=load(path)).updated({"gait.steps": steps, "qp.solver": "daqp"})
+    return overlaid(load(path), "physics").updated({"gait.steps": steps, "qp.solver": "daqp"})
 
 
 def ours(name: str, config: Config) -> Walker:

@@ -20,7 +20,7 @@ import pathlib
 import re
 import sys
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
@@ -60,6 +60,8 @@ __all__ = [
     "find_share",
     "from_yaml",
     "load",
+    "overlaid",
+    "put_on",
     "since",
     "to_yaml",
 ]
@@ -750,6 +752,26 @@ def from_yaml(text: str, *, source: str = "text", onto: Config | None = None) ->
                 config.updated({name: value}, source=f"{source}, line {line}")
             raise
     return config
+
+
+def put_on(config: Config, files: Iterable[pathlib.Path]) -> Config:
+    """Return a configuration with the parameters of files applied, one after the other.
+
+    Raises
+    ------
+    ConfigError
+        If a file is missing or cannot be used.
+    """
+    for path in files:
+        if not path.is_file():
+            raise ConfigError(f"no parameter file '{path}'")
+        config = from_yaml(strict_yaml.read_text(path), source=str(path), onto=config)
+    return config
+
+
+def overlaid(config: Config, plant: str) -> Config:
+    """Return a configuration with the parameters of ``config/plants/NAME.yaml`` applied."""
+    return put_on(config, [find_share("config/plants", f"{plant}.yaml")])
 
 
 def _flattened(tree: Mapping[Any, Any], prefix: str, source: str) -> dict[str, Any]:

@@ -15,8 +15,7 @@ from robots import edited
 from dqwalk_ros import cli
 from dqwalk_ros.adopt import Adoption, adopt
 from dqwalk_ros.adopt.check import check
-from dqwalk_ros.cli.options import overlaid
-from dqwalk_ros.config import load
+from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.kinematics import Kinematics

@@ -18,8 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from inside import state
 from rclpy.serialization import serialize_message
 
-from dqwalk_ros.cli.options import overlaid
-from dqwalk_ros.config import load
+from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.errors import PlantError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.report.bag.storage import load as load_bag

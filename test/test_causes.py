@@ -13,8 +13,7 @@ pytest.importorskip("mujoco", reason="needs the extra sim")
 
 from dqwalk_ros import cli
 from dqwalk_ros.adopt.trial import cures
-from dqwalk_ros.cli.options import overlaid
-from dqwalk_ros.config import Config, load
+from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.plants import orientation_of, upward
 from dqwalk_ros.report import analyse, html, report
 from dqwalk_ros.report.causes import causes

@@ -11,8 +11,7 @@ from inside import state, until
 from ros2_control import EXTRA, ControllerManager
 from std_msgs.msg import Bool, Float64MultiArray
 
-from dqwalk_ros.cli.options import overlaid
-from dqwalk_ros.config import load
+from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.robot import load_model

@@ -12,8 +12,7 @@ import pytest
 
 import dqwalk_ros as dq
 from dqwalk_ros import strict_yaml
-from dqwalk_ros.cli.options import overlaid
-from dqwalk_ros.config import find_share
+from dqwalk_ros.config import find_share, overlaid
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.dynamic.adjust import Step, adjusted, left_over, transfer_time
 from dqwalk_ros.dynamic.pendulum import angular_momentum

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import dqwalk_ros as dq
-from dqwalk_ros.cli.options import overlaid
+from dqwalk_ros.config import overlaid
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.estimation.base import BaseEstimator
 from dqwalk_ros.kinematics import Kinematics

@@ -10,8 +10,7 @@ import pytest
 from inside import state
 from std_srvs.srv import Trigger
 
-from dqwalk_ros.cli.options import overlaid
-from dqwalk_ros.config import load
+from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.plants import Inertial, upward
 from dqwalk_ros.robot import load_model

@@ -11,8 +11,7 @@ import pytest
 import dqwalk_ros as dq
 from dqwalk_ros import cli
 from dqwalk_ros.cli.identify import table
-from dqwalk_ros.cli.options import overlaid
-from dqwalk_ros.config import Config, from_yaml
+from dqwalk_ros.config import Config, from_yaml, overlaid
 from dqwalk_ros.errors import BagError, ConfigError
 from dqwalk_ros.identification import fit
 from dqwalk_ros.identification.exercise import exercise_config, limbs, path_of

@@ -13,8 +13,7 @@ import pytest
 from inside import state
 from std_msgs.msg import Bool
 
-from dqwalk_ros.cli.options import overlaid
-from dqwalk_ros.config import load
+from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.nodes.safety import Contradictions
 from dqwalk_ros.plants import Inertial, upward

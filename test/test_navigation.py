@@ -11,8 +11,7 @@ from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 from test_interoperability import subscribed
 
-from dqwalk_ros.cli.options import overlaid
-from dqwalk_ros.config import load
+from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.robot import load_model
 from dqwalk_ros.simulation import make_plant

@@ -13,8 +13,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu, JointState
 
 from dqwalk_ros import report as reporting
-from dqwalk_ros.cli.options import overlaid
-from dqwalk_ros.config import load
+from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.errors import StateError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.inputs import InertialSensor, Steering

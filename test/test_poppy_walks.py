@@ -9,8 +9,7 @@ import pytest
 from dynamixel_bus import MOTORS, Memory
 
 import dqwalk_ros as dq
-from dqwalk_ros.cli.options import overlaid
-from dqwalk_ros.config import Config
+from dqwalk_ros.config import Config, overlaid
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.plants import Inertial, Plant, Truth
 from dqwalk_ros.plants.bus import Bus

@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("mujoco", reason="needs the extra sim")
 
 import dqwalk_ros as dq
-from dqwalk_ros.cli.options import overlaid
+from dqwalk_ros.config import overlaid
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.dynamic.recovery import RecoveringWalk
 from dqwalk_ros.dynamic.swing import Swing

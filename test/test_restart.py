@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dqwalk_ros.cli.options import overlaid
-from dqwalk_ros.config import load
+from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.plants import Plant

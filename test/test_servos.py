@@ -11,8 +11,7 @@ import pytest
 
 import dqwalk_ros as dq
 from dqwalk_ros import report as reporting
-from dqwalk_ros.cli.options import overlaid
-from dqwalk_ros.config import SensorsConfig
+from dqwalk_ros.config import SensorsConfig, overlaid
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.plants import upward

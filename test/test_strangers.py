@@ -76,7 +76,7 @@ def test_the_command_timeout_can_only_be_lowered_while_the_robot_moves(make: Any
 def test_an_excessive_push_is_rejected(make: Any, impulse: float) -> None:
     from geometry_msgs.msg import WrenchStamped
 
-    from dqwalk_ros.cli.options import overlaid
+    from dqwalk_ros.config import overlaid
 
     plant = make("physics", overlaid(load("poppy"), "physics"))
     msg = WrenchStamped()

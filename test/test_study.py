@@ -19,9 +19,8 @@ from distributed import LocalCluster
 from pyarrow import parquet
 
 from dqwalk_ros import cli
-from dqwalk_ros.cli.options import overlaid
 from dqwalk_ros.cli.robustness import table
-from dqwalk_ros.config import load
+from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.errors import ConfigError, PlantError, StudyError
 from dqwalk_ros.studies import pushes, read, robustness, walk_all
 from dqwalk_ros.studies.bisection import largest

@@ -10,7 +10,7 @@ import numpy as np
 
 from dqwalk_ros.adopt import Adoption, changed, write_dynamic, write_yaml
 from dqwalk_ros.adopt.parameters import Numbers, rounded
-from dqwalk_ros.config import Config, find_share, from_yaml, load
+from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import DqwalkError
 from dqwalk_ros.report.causes import causes
@@ -100,7 +100,7 @@ def walk(config: Config, model: RobotModel, plant: str, steps: int, progress: Ca
     changed = config.updated({"gait.cycles": 1} if config.gait.style == "paper" else {"gait.steps": steps})
     changed = changed.updated({"gait.recover": ""})  # the walk has to stand by itself
     if plant == "physics":
-        changed = from_yaml(find_share("config/plants", "physics.yaml").read_text(encoding="utf-8"), onto=changed)
+        changed = overlaid(changed, plant)
     try:
         controller, body = make_controller(changed, model), make_plant(plant, changed, model)
         trace = simulate(controller, body, progress=lambda done, text: progress(done, f"{plant}: {text}"))

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Many", "Output", "Report", "bag_argument", "command", "config_of", "config_option", "folder_option",
     "force_option", "format_option", "jobs_option", "many_options", "namespace_option", "numbers", "output_options",
-    "overlaid", "params_option", "parse_overrides", "plant_option", "port_option", "put_on", "quiet_option",
-    "set_option", "walk_options",
+    "params_option", "parse_overrides", "plant_option", "port_option", "quiet_option", "set_option", "walk_options",
 ]  # fmt: skip
 
 Function = Callable[..., Any]
@@ -267,7 +266,7 @@ def config_of(
     ConfigError
         If any of them is invalid.
     """
-    from dqwalk_ros.config import load
+    from dqwalk_ros.config import load, overlaid, put_on
     from dqwalk_ros.simulation import walk_type
 
     values: dict[str, Any] = {"gait.steps": 0} if course else {}
@@ -280,31 +279,6 @@ def config_of(
     if course and walk_type(made).phases(made):
         raise ConfigError("--cmd-vel steers a standing or dynamic walk, such as --config poppy, with gait.steps=0")
     return made
-
-
-def put_on(config: Config, files: Sequence[Path]) -> Config:
-    """Return a configuration with the parameters of files applied.
-
-    Raises
-    ------
-    ConfigError
-        If a file is missing or cannot be used.
-    """
-    from dqwalk_ros import strict_yaml
-    from dqwalk_ros.config import from_yaml
-
-    for path in files:
-        if not path.is_file():
-            raise ConfigError(f"no parameter file '{path}'")
-        config = from_yaml(strict_yaml.read_text(path), source=str(path), onto=config)
-    return config
-
-
-def overlaid(config: Config, plant: str) -> Config:
-    """Return a configuration with the parameters of ``config/plants/NAME.yaml`` applied."""
-    from dqwalk_ros.config import find_share, from_yaml
-
-    return from_yaml(find_share("config/plants", f"{plant}.yaml").read_text(encoding="utf-8"), onto=config)
 
 
 def parse_overrides(pairs: Sequence[str]) -> dict[str, Any]:

@@ -31,8 +31,8 @@ def replay(bag: Path, params: tuple[Path, ...], quiet: bool) -> int:
     """Compare a simulated robot with identified servos with the recording of an exercise; print the joint errors."""
     import numpy as np
 
-    from dqwalk_ros.cli.options import put_on
     from dqwalk_ros.cli.progress import Progress
+    from dqwalk_ros.config import put_on
     from dqwalk_ros.identification.replay import replay as run
     from dqwalk_ros.report.bag import read
     from dqwalk_ros.text_table import aligned
