@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from dqwalk_ros.cli.options import bag_argument, command, namespace_option, numbers, quiet_option
+from dqwalk_ros.cli.options import Numbers, bag_argument, command, namespace_option, quiet_option
 from dqwalk_ros.errors import ConfigError
 
 __all__ = ["movie"]
@@ -30,7 +30,7 @@ examples:
 @click.option("--speed", type=click.FloatRange(0.0, min_open=True), default=2.0, help="Relative to real time.")
 @click.option("--rate", type=click.FloatRange(0.0, min_open=True), default=12.5, help="Pictures per second.")
 @click.option("--strip", metavar="N", type=click.IntRange(1), default=8, help="Pictures of a strip.")
-@click.option("--between", metavar="A,B", callback=numbers(2), help="First and last time of a strip [s]; default: all.")
+@click.option("--between", metavar="A,B", type=Numbers(2), help="First and last time of a strip [s]; default: all.")
 @quiet_option
 def movie(
     bag: Path,

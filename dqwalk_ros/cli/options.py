@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from dqwalk_ros.config import Config
 
 __all__ = [
-    "Many", "Output", "Report", "bag_argument", "command", "config_of", "config_option", "folder_option",
-    "force_option", "format_option", "jobs_option", "many_options", "namespace_option", "numbers", "output_options",
+    "Many", "Numbers", "Output", "Report", "bag_argument", "command", "config_of", "config_option", "folder_option",
+    "force_option", "format_option", "jobs_option", "many_options", "namespace_option", "output_options",
     "params_option", "parse_overrides", "plant_option", "port_option", "quiet_option", "set_option", "walk_options",
 ]  # fmt: skip
 
@@ -39,24 +39,23 @@ def _with(options: Sequence[Option], function: Function) -> Function:
     return functools.reduce(lambda made, option: option(made), reversed(options), function)
 
 
-def numbers(count: int) -> Callable[[click.Context, click.Parameter, Any], Any]:
-    """Return a callback that parses `count` numbers separated by commas."""
+class Numbers(click.ParamType):  # type: ignore[type-arg]
+    """Type of an option whose value is `count` numbers separated by commas."""
 
-    def read(text: str) -> tuple[float, ...]:
+    name = "numbers"
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+        """Return the numbers."""
         try:
-            out = tuple(float(part) for part in text.split(","))
+            found = tuple(map(float, value.split(",")))
         except ValueError:
-            out = ()
-        if len(out) != count or not all(map(math.isfinite, out)):
-            raise click.BadParameter(f"expected {count} numbers separated by commas, not {text!r}")
-        return out
-
-    def callback(_: click.Context, option: click.Parameter, value: Any) -> Any:
-        if option.multiple:
-            return tuple(map(read, value))
-        return None if value is None else read(value)
-
-    return callback
+            found = ()
+        if len(found) != self.count or not all(map(math.isfinite, found)):
+            self.fail(f"expected {self.count} numbers separated by commas, not {value!r}", param, ctx)
+        return found
 
 
 def _formats(_: click.Context, __: click.Parameter, text: str) -> tuple[str, ...]:
@@ -246,20 +245,8 @@ def config_of(
 ) -> Config:
     """Return the configuration that the options of a command describe.
 
-    Parameters
-    ----------
-    config : str
-        Name or path.
-    changes : sequence of str
-        Of --set.
-    plant : str
-        Name of a plant, whose ``config/plants/NAME.yaml`` is applied.
-    params : sequence of Path
-        Of --params.
-    course : sequence of str
-        Of --cmd-vel; with a course the walk takes steps until its end.
-    also : mapping of str to value, optional
-        Values of options that stand for a parameter; None for options that were not given.
+    They are --config, --set, --plant, --params and --cmd-vel, in this order; with a course the walk takes steps until
+    its end. `also` are the values of options that stand for a parameter, None for those that were not given.
 
     Raises
     ------

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import click
 
 from dqwalk_ros.cli.options import (
+    Numbers,
     Report,
     command,
     config_of,
     config_option,
     jobs_option,
-    numbers,
     output_options,
     plant_option,
     set_option,
@@ -69,10 +69,8 @@ examples:
 @jobs_option
 @plant_option(["rigid", "physics", "both"], "rigid", "physics: MuJoCo, torque-controlled.")
 @click.option("--paper-times", is_flag=True, help="The target jumps at 4 and 8 s (paper), not as in the thesis.")
-@click.option(
-    "--target", metavar="X,Y,Z", callback=numbers(3), help="One target of the hand instead of the test's [m]."
-)
-@click.option("--push", metavar="T,X,Y,Z", callback=numbers(4), multiple=True, help="Another push [s, N s].")
+@click.option("--target", metavar="X,Y,Z", type=Numbers(3), help="One target of the hand instead of the test's [m].")
+@click.option("--push", metavar="T,X,Y,Z", type=Numbers(4), multiple=True, help="Another push [s, N s].")
 @click.option("--duration", metavar="S", type=float, help="Duration instead of the test's 14 s.")
 @set_option
 @output_options("reach")
