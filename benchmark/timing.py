@@ -22,6 +22,8 @@ from typing import Any
 
 import numpy as np
 
+from dqwalk_ros import provenance
+
 __all__ = ["Times", "interleaved", "machine", "table"]
 
 
@@ -92,12 +94,6 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def machine(packages: Sequence[str] = ("numpy", "numba", "clarabel", "daqp")) -> str:
     """Return the processor, the load and the versions, in one line."""
-    name = platform.processor() or platform.machine()
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as info:
-            name = next(line.partition(":")[2].strip() for line in info if line.startswith("model name"))
-    except (OSError, StopIteration):
-        pass
     versions = [f"Python {platform.python_version()}"]
     for package in packages:
         try:
@@ -105,4 +101,4 @@ def machine(packages: Sequence[str] = ("numpy", "numba", "clarabel", "daqp")) ->
         except metadata.PackageNotFoundError:
             versions.append(f"{package} missing")
     load = os.getloadavg()[0]
-    return f"{name}, {os.cpu_count()} cores, load {load:.1f}; {', '.join(versions)}"
+    return f"{provenance.machine()['processor']}, load {load:.1f}; {', '.join(versions)}"
