@@ -143,23 +143,16 @@ def _find_legs(skeleton: Skeleton, points: Points, given: tuple[str, str]) -> tu
                 f"'{given[0]}' and '{given[1]}' cannot be the feet: they are not the ends of two chains of joints"
             )
         return a, b
-    lowest: dict[str, float] = {}
-    for body, links in skeleton.bodies.items():
-        found, _ = points.of(skeleton, links)
-        if found is not None:
-            lowest[body] = float(found[:, 2].min())
-    if not any(lowest.get(body) is not None for body in skeleton.joints):
+    places = {body: points.of(skeleton, links)[0] for body, links in skeleton.bodies.items()}
+    lowest = {body: float(p[:, 2].min()) for body, p in places.items() if p is not None}
+    if not lowest.keys() & skeleton.joints.keys():
         how = f"{points.lacking}: give --package-path" if points.lacking else ": give --left and --right"
         raise ModelError(f"no moving part has a shape that can be read, so the soles are unknown{how}")
     floor = min(lowest.values())
     top = max(pose[2, 3] for pose in map(skeleton.pose, skeleton.urdf.links))
     height = max(top - floor, 1e-3)
     near = {body for body, z in lowest.items() if z < floor + _NEAR_FLOOR * height}
-    feet = []
-    for body in sorted(near - {""}, key=lambda body: (lowest[body], body)):
-        way = skeleton.way(body)
-        if not (len(way) > 1 and _is_toe(skeleton, way[-2], body, lowest, floor, height)):
-            feet.append(body)
+    feet = [body for body in near - {""} if not _is_toe(skeleton, body, lowest, floor, height)]
     feet = [body for body in feet if not any(body in skeleton.way(other)[:-1] for other in feet)]
     feet = _without_duplicates(skeleton, feet, height)
     if len(feet) > 2 and all(len(skeleton.way(body)) < 3 for body in feet):
@@ -190,8 +183,11 @@ def _find_legs(skeleton: Skeleton, points: Points, given: tuple[str, str]) -> tu
     return pairs[0]
 
 
-def _is_toe(skeleton: Skeleton, foot: str, body: str, lowest: dict[str, float], floor: float, height: float) -> bool:
+def _is_toe(skeleton: Skeleton, body: str, lowest: dict[str, float], floor: float, height: float) -> bool:
     """Return whether a body is the toe of a foot: both touch the ground, and the joint between them is low."""
+    if len(skeleton.way(body)) < 2:
+        return False
+    foot = skeleton.way(body)[-2]
     way = skeleton.place(body) - skeleton.place(foot)
     stands = lowest.get(foot, math.inf) < lowest[body] + _TOUCHES * height
     low = skeleton.place(body)[2] < floor + 2.0 * _NEAR_FLOOR * height

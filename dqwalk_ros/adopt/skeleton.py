@@ -58,12 +58,7 @@ class Skeleton:
 
     def __init__(self, urdf: Urdf, turn: Array | None = None) -> None:
         self.urdf = urdf
-        # a joint that a limb mimics cannot move independently
-        coupled = {
-            joint.mimic
-            for joint in urdf.joints.values()
-            if joint.mimic and _moved_by(urdf, joint.child, joint.mimic) > 1
-        }
+        coupled = _coupled(urdf)
         self.joints = {
             joint.name: joint
             for joint in urdf.joints.values()
@@ -124,21 +119,21 @@ class Skeleton:
         return sum(parts, np.zeros(3)) / total if total else np.zeros(3)
 
 
-def _moved_by(urdf: Urdf, link: str, leader: str) -> int:
-    """Return the number of joints that a link carries; 0 if the joint `leader` carries the link."""
-    above = urdf.joints[leader].child if leader in urdf.joints else ""
-    count, waiting = 0, [link]
-    for name in waiting:
-        for joint in urdf.child_joints(name):
-            count += joint.moves and not joint.mimic
-            waiting.append(joint.child)
-    at = link
-    carriers = {joint.child: joint.parent for joint in urdf.joints.values()}
-    while at in carriers:
-        if at == above:
-            return 0
-        at = carriers[at]
-    return count
+def _coupled(urdf: Urdf) -> set[str]:
+    """Return the joints that another limb mimics, which cannot move independently of it."""
+    joints = urdf.joints.values()
+    carrier = {joint.child: joint for joint in joints}
+
+    def above(link: str) -> set[str]:
+        joint = carrier.get(link)
+        return set() if joint is None else {joint.name} | above(joint.parent)
+
+    moving = [above(joint.parent) for joint in joints if joint.moves and not joint.mimic]
+    return {
+        joint.mimic
+        for joint in joints
+        if joint.mimic and joint.mimic not in above(joint.child) and sum(joint.name in way for way in moving) > 1
+    }
 
 
 class Points:
