@@ -18,7 +18,6 @@ from dqwalk_ros.report.figures import drawn, figure7, figure8, figure9, top_view
 from dqwalk_ros.report.metrics import hull_margin, pelvis_in_odom
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.simulation import PhysicsRecord
-from dqwalk_ros.walk import PhaseKind
 
 RED = "#d1242f"
 
@@ -515,9 +514,3 @@ def test_report_and_figures_of_a_single_support_phase_only(trace):
     assert names(report) == {"finished"}
     assert "single_support/left (stopped)" in reporting.render(report)
     assert all(figure.get_axes() for _, figure, _ in drawn(series))
-
-
-def test_phase_kinds_match_their_names(series):
-    for span in series.spans:
-        assert span.double is (span.phase.kind is PhaseKind.DOUBLE_SUPPORT)
-        assert span.phase.name.startswith(span.phase.kind.value)

@@ -263,19 +263,6 @@ def test_a_missing_walk_to_compare_is_an_error_before_any_result(walked, tmp_pat
     assert not (tmp_path / "r").exists()
 
 
-@pytest.mark.parametrize("make", ["nothing", "empty", "text"])
-def test_report_of_an_invalid_bag_prints_one_line(tmp_path, make, capsys):
-    path = tmp_path / "b"
-    if make == "empty":
-        path.mkdir()
-    if make == "text":
-        path.write_text("no bag")
-    assert cli.main(["report", str(path)]) == 1
-    output = capsys.readouterr().err
-    assert is_one_line(output), output
-    assert str(path) in output
-
-
 def test_a_step_too_long_fails_with_a_reason_and_a_bag(tmp_path, capsys):
     too_long = ["--set", "gait.step_length=0.2", "--set", "gait.phase_timeout=20", "--no-figures"]
     assert cli.main(["simulate", *FAST, *too_long, "--out", str(tmp_path / "w")]) == 1

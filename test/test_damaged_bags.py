@@ -59,18 +59,6 @@ def test_a_bag_without_metadata_is_reported(path, tmp_path):
     assert "metadata.yaml is missing: the recorder was not shut down properly" in report["notes"]
 
 
-@pytest.mark.parametrize("whole", [True, False], ids=["folder", "one file"])
-def test_a_truncated_recording_is_reported(trace, path, tmp_path, whole):
-    shutil.copytree(path, tmp_path / "b")
-    (tmp_path / "b/metadata.yaml").unlink()
-    os.truncate(tmp_path / "b/walk.mcap", 150_000)
-    code, report = reported(tmp_path / "b" if whole else tmp_path / "b/walk.mcap", tmp_path / "out")
-    assert code == 1
-    assert report["walk"]["finished"] is False
-    assert report["walk"]["ticks"] > 0.3 * len(trace)
-    assert any("is damaged or cut off" in note for note in report["notes"])
-
-
 def test_trailing_zeros_of_a_recording_are_not_read(path, tmp_path):
     """A preallocated, sparse file after a power failure: 6 GB of zeros."""
     data = (path / "walk.mcap").read_bytes()

@@ -107,7 +107,6 @@ def test_views_match_the_walk(trace):
         double = record.kind is PhaseKind.DOUBLE_SUPPORT
         assert names == ({"sliding", "tip_plane", "back_plane", "pelvis"} if double else {"com_cylinder", "pelvis"})
         assert (view.target is None) == double
-        assert view.tightest.value == min((g for g in view.gauges if g.role == "kept"), key=lambda g: g.share).value
 
 
 def test_the_distance_at_the_boundary_of_a_region_is_zero(trace):
