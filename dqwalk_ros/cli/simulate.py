@@ -14,7 +14,6 @@ from dqwalk_ros.cli.options import Report, command, output_options, port_option,
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config
     from dqwalk_ros.controller import VelocityController
-    from dqwalk_ros.report.viewer.player import Feed
 
 __all__ = ["simulate"]
 
@@ -58,7 +57,12 @@ def simulate(config: Config, course: tuple[str, ...], plant: str, view: bool, po
     controller = simulation.make_controller(config, model)
     body = simulation.make_plant(plant, config, model)
     with contextlib.ExitStack() as stack:
-        feed = stack.enter_context(_page(config, port)) if view else None
+        feed = None
+        if view:
+            from dqwalk_ros.report.viewer.player import Feed
+
+            feed = stack.enter_context(Feed(config, port))
+            print(f"{feed.url} shows the walk", flush=True)
         done, begin = _Fraction(controller), body.state.time
 
         def before_step(time: float) -> None:
@@ -85,15 +89,6 @@ def simulate(config: Config, course: tuple[str, ...], plant: str, view: bool, po
             print(f"{feed.url} plays the walk until Ctrl-C", flush=True)
             feed.wait()
     return 0 if trace.finished and report["ok"] else 1
-
-
-def _page(config: Config, port: int | None) -> Feed:
-    """Return a page in its own process."""
-    from dqwalk_ros.report.viewer.player import Feed
-
-    feed = Feed(config, port)
-    print(f"{feed.url} shows the walk", flush=True)
-    return feed
 
 
 class _Fraction:

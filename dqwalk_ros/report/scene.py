@@ -7,7 +7,7 @@ the same shapes and the same `View`.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, singledispatch
 from pathlib import Path
 
@@ -287,30 +287,21 @@ class View:
     error: float
     divergent: Array | None = None
 
-    @property
-    def tightest(self) -> Gauge:
-        """The inequality with the least share left."""
-        return tightest(self.gauges)
-
 
 def tightest(gauges: Iterable[Gauge]) -> Gauge:
     """Return the inequality with the least share left."""
     return min((g for g in gauges if g.role == "kept"), key=lambda gauge: gauge.share)
 
 
-@dataclass
 class Scene:
     """Turns moments of one walk into views."""
 
-    config: Config
-    model: RobotModel
-    _assess: Assessor | None = field(default=None, repr=False)
-    _links: tuple[str, ...] = field(default=(), repr=False)
-
-    def __post_init__(self) -> None:
+    def __init__(self, config: Config, model: RobotModel) -> None:
+        self.config, self.model = config, model
+        self._assess: Assessor | None = None
         identity = DQ(1.0).vec8()
-        links = {f.body: name for name, f in self.model.frames.items() if np.array_equal(f.pose, identity)}
-        self._links = tuple(links[body] for body in range(len(self.model.bodies)))
+        links = {f.body: name for name, f in model.frames.items() if np.array_equal(f.pose, identity)}
+        self._links = tuple(links[body] for body in range(len(model.bodies)))
 
     @cached_property
     def shapes(self) -> tuple[Shape, ...]:

@@ -19,7 +19,7 @@ import websockets.asyncio.server
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ViewerError
-from dqwalk_ros.report.scene import COM, DIVERGENT, FOOT, Moment, Region, Scene, Shape, View, color_of
+from dqwalk_ros.report.scene import COM, DIVERGENT, FOOT, Moment, Region, Scene, Shape, View, color_of, tightest
 from dqwalk_ros.report.viewer.panels import TIGHT, History, margins_html, status_html
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.simulation import walk_type
@@ -378,7 +378,7 @@ class _Drawing:
         for name, (_, handle) in self._regions.items():
             if handle.visible != (name in present):
                 handle.visible = name in present
-        tight = view.tightest.name
+        tight = tightest(view.gauges).name
         for found in view.regions:
             if found.name not in self._regions:
                 self._regions[found.name] = (found, self._add_region(found))

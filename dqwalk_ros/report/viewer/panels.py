@@ -6,7 +6,7 @@ from html import escape
 
 import numpy as np
 
-from dqwalk_ros.report.scene import COM, FOOT, Gauge, Rgb, View, color_of
+from dqwalk_ros.report.scene import COM, FOOT, Gauge, Rgb, View, color_of, tightest
 from dqwalk_ros.robot import Foot
 
 __all__ = ["TIGHT", "History", "margins_html", "status_html"]
@@ -56,9 +56,9 @@ def margins_html(view: View, history: History) -> str:
     now = {gauge.name: gauge for gauge in view.gauges if gauge.role != "held"}
     rows = history.rows[:: max(1, len(history.rows) // 60)]
     names = sorted({*now, *(name for row in rows for name in row)}, key=_order)
-    tightest = view.tightest.name
+    tight = tightest(view.gauges).name
     first, last = history.span(view.moment.time)
-    parts = [_row(name, now.get(name), name == tightest, history, (first, last), view.moment.time) for name in names]
+    parts = [_row(name, now.get(name), name == tight, history, (first, last), view.moment.time) for name in names]
     held = [gauge for gauge in view.gauges if gauge.role == "held"]
     tail = ""
     if held:
