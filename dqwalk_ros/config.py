@@ -31,40 +31,12 @@ from dqwalk_ros import strict_yaml
 from dqwalk_ros.errors import ConfigError
 
 __all__ = [
-    "SHIPPED",
-    "Config",
-    "DspConfig",
-    "DynamicConfig",
-    "EstimationConfig",
-    "GaitConfig",
-    "JointsConfig",
-    "MonitorConfig",
-    "NodeConfig",
-    "OdometryConfig",
-    "OutputConfig",
-    "PelvisConfig",
-    "PhysicsConfig",
-    "PlantConfig",
-    "PoppyConfig",
-    "QpConfig",
-    "RobotConfig",
-    "SafetyConfig",
-    "SensorsConfig",
-    "ServoConfig",
-    "Spec",
-    "SspConfig",
-    "StandingConfig",
-    "TaskConfig",
-    "WholeBodyConfig",
-    "beside",
-    "find_share",
-    "from_yaml",
-    "load",
-    "overlaid",
-    "put_on",
-    "since",
-    "to_yaml",
-]
+    "SHIPPED", "Config", "DspConfig", "DynamicConfig", "EstimationConfig", "GaitConfig", "JointsConfig",
+    "MonitorConfig", "NodeConfig", "OdometryConfig", "OutputConfig", "PelvisConfig", "PhysicsConfig", "PlantConfig",
+    "PoppyConfig", "QpConfig", "RobotConfig", "SafetyConfig", "SensorsConfig", "ServoConfig", "Spec", "SspConfig",
+    "StandingConfig", "TaskConfig", "WholeBodyConfig", "beside", "find_share", "from_yaml", "load", "overlaid",
+    "put_on", "since", "to_yaml",
+]  # fmt: skip
 
 OF_RCLPY = ("use_sim_time", "qos_overrides", "start_type_description_service")
 """Parameters that rclpy declares for every node; ``ros2 param dump`` writes them, `from_yaml` ignores them."""
