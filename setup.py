@@ -44,7 +44,6 @@ TEST = [
     *STUDY,
     *VIEW,
     *SIM,
-    "dqrobotics>=23.4.0a0",  # published as pre-releases only
     "hypothesis>=6.80",
     "pin>=2.7",
     "playwright>=1.40",

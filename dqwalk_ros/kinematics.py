@@ -407,10 +407,6 @@ class Kinematics:
         d: Array = direction(self.pose(frame), v)
         return d
 
-    def pose_jacobian(self, frame: str) -> Array:
-        """J with vec8(x') = J q', shape (8, n); for the other sole it is J_swing of section 3.4."""
-        return self.jacobian(Pose(frame))
-
     def angular_jacobian(self, frame: str) -> Array:
         """Jacobian of the angular velocity of a frame, in axes of the base frame, shape (3, n)."""
         return np.where(self.tree.moves[self.tree.frames[frame][0]], self.lines[:, :3].T, 0.0)
@@ -488,7 +484,7 @@ class Rotation(Feature):
 
 @dataclass(frozen=True)
 class Pose(Feature):
-    """The pose x of a frame; coordinates vec8(x), (8,)."""
+    """The pose x of a frame; coordinates vec8(x), (8,). The Jacobian for the other sole is J_swing of section 3.4."""
 
     frame: str
     kind, size = _POSE, 8

@@ -16,7 +16,7 @@ import pytest
 
 OPTIONAL = frozenset(
     {
-        *("daqp", "distributed", "dqrobotics", "mink", "mujoco", "pin", "pink", "pinocchio", "placo", "playwright"),
+        *("daqp", "distributed", "mink", "mujoco", "pin", "pink", "pinocchio", "placo", "playwright"),
         *("pyarrow", "quadprog", "qpsolvers", "viser", "trimesh", "collada", "yourdfpy"),
     }
 )

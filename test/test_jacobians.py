@@ -15,7 +15,7 @@ from dqwalk_ros.constraints import Constraint
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.dynamic.tasks import Target
 from dqwalk_ros.geometry import ConvexPolygon, Cylinder, Line, Plane
-from dqwalk_ros.kinematics import CenterOfMass, CenterOfMassOnGround, Direction, Kinematics, Point, Rotation
+from dqwalk_ros.kinematics import CenterOfMass, CenterOfMassOnGround, Direction, Kinematics, Point, Pose, Rotation
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.tasks import Task
 
@@ -50,7 +50,7 @@ def test_kinematics(robot, foot):
         kin = Kinematics(robot, q, foot)
         parts = [kin.com_jacobian]
         for name in frames:
-            parts += [kin.pose_jacobian(name), kin.point_jacobian(name, OFFSET), kin.jacobian(Direction(name, V))]
+            parts += [kin.jacobian(Pose(name)), kin.point_jacobian(name, OFFSET), kin.jacobian(Direction(name, V))]
         return np.concatenate(parts)
 
     for q in configurations(robot, COUNT, seed=20):

@@ -1,4 +1,4 @@
-"""Kinematics compared with dual quaternions from the pelvis, with `dqrobotics` and with `pin`."""
+"""Kinematics compared with dual quaternions from the pelvis, and with `pin`."""
 
 from __future__ import annotations
 
@@ -6,19 +6,15 @@ import os
 import subprocess
 import sys
 
-import dqrobotics as other_dq
 import numpy as np
 import pinocchio as pin
 import pytest
-from dqrobotics.robot_modeling import DQ_SerialManipulatorDH
 from robots import biped12, central_difference, configurations, legs, mirrored, poppy
 
 from dqwalk_ros.config import RobotConfig
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.kinematics import Kinematics, Point
+from dqwalk_ros.kinematics import Kinematics, Point, Pose
 from dqwalk_ros.robot import load_model
-
-X, Y, Z = np.eye(3)
 
 
 def from_root(model, q):
@@ -85,7 +81,7 @@ def partial_com_jacobian(model, kin, index):
     """(3): vec8(x_c') = H8-(x_ci) J_i q', reduced to the translation as in section 2.2."""
     name, com = frame_on(model, index)
     x_ci = DQ.from_pose(com)
-    J = x_ci.haminus8() @ kin.pose_jacobian(name)
+    J = x_ci.haminus8() @ kin.jacobian(Pose(name))
     x = DQ(kin.pose(name)) * x_ci
     # p = 2 D(x) P(x)*, so p' = 2 D(x') P(x)* + 2 D(x) P(x')*
     columns = [(2.0 * (DQ(c).D() * x.P().conj() + x.D() * DQ(c).P().conj())).vec4()[1:] for c in J.T]
@@ -116,7 +112,7 @@ def test_the_base_is_at_rest(robot, foot):
     kin = Kinematics(robot, q, foot)
     sole = robot.soles[foot].frame
     assert_equal_up_to_sign(kin.pose(sole), [1, 0, 0, 0, 0, 0, 0, 0], 1e-14)
-    assert not kin.pose_jacobian(sole).any()
+    assert not kin.jacobian(Pose(sole)).any()
     assert not kin.jacobian(Point(sole, np.ones(3))).any()
 
 
@@ -130,84 +126,6 @@ def test_mirror_image(robot, foot):
         np.testing.assert_allclose(other.com_jacobian, reflect[:, None] * kin.com_jacobian, atol=1e-13)
         for name in robot.frames:
             np.testing.assert_allclose(other.point(name), reflect * kin.point(name), atol=1e-13)
-
-
-# ---------------------------------------------------------------------- against dqrobotics
-
-
-def dq_chain(model, foot):
-    """Return the chain from one sole to the other in `dqrobotics`, and the indices of its joints."""
-    body = model.frames[model.soles[foot].frame].body
-    start, end = body, model.frames[model.soles[foot.other].frame].body
-    up, down = [], []
-    while model.bodies[start].parent >= 0:
-        up.append(start)
-        start = model.bodies[start].parent
-    while model.bodies[end].parent >= 0:
-        down.append(end)
-        end = model.bodies[end].parent
-
-    def rotation_to(axis):
-        """Return the rotation from z to the axis."""
-        v = np.cross(Z, axis)
-        if np.linalg.norm(v) < 1e-9:
-            return DQ.rotation_about(0.0 if axis[2] > 0.0 else np.pi, X)
-        return DQ.rotation_about(np.arctan2(np.linalg.norm(v), axis[2]), v / np.linalg.norm(v))
-
-    before = DQ(model.frames[model.soles[foot].frame].pose).conj()
-    links, joints = [], []
-
-    def joint(axis, index):
-        nonlocal before
-        z = rotation_to(axis)
-        one = DQ_SerialManipulatorDH(np.zeros((5, 1)))
-        one.set_reference_frame(other_dq.DQ((before * z).vec8()))
-        one.set_effector(other_dq.DQ(z.conj().vec8()))
-        links.append(one)
-        joints.append(index)
-        before = DQ(1.0)
-
-    for b in up:  # reversed: from child to parent a joint turns about the negative axis
-        joint(-model.bodies[b].axis, model.bodies[b].joint)
-        before = before * DQ(model.bodies[b].origin).conj()
-    for b in reversed(down):
-        before = before * DQ(model.bodies[b].origin)
-        joint(model.bodies[b].axis, model.bodies[b].joint)
-    last = model.bodies[down[0]].axis
-    links[-1].set_effector(
-        other_dq.DQ((rotation_to(last).conj() * DQ(model.frames[model.soles[foot.other].frame].pose)).vec8())
-    )
-    return links, joints
-
-
-def dq_forward(links, q):
-    """Pose and pose Jacobian of a chain of one-joint robots, with the operators of `dqrobotics`."""
-    poses = [link.fkm(np.array([angle])) for link, angle in zip(links, q, strict=True)]
-    before = [other_dq.DQ([1.0])]
-    for x in poses:
-        before.append(before[-1] * x)
-    after = [other_dq.DQ([1.0])]
-    for x in reversed(poses):
-        after.append(x * after[-1])
-    after.reverse()
-    columns = [
-        before[i].hamiplus8() @ after[i + 1].haminus8() @ np.asarray(link.pose_jacobian(np.array([angle])))
-        for i, (link, angle) in enumerate(zip(links, q, strict=True))
-    ]
-    return np.asarray(before[-1].vec8()), np.concatenate([np.reshape(c, (8, 1)) for c in columns], axis=1)
-
-
-def test_swing_pose_and_jacobian_agree_with_dqrobotics(robot, foot):
-    links, joints = dq_chain(robot, foot)
-    for q in configurations(robot, 100, seed=7):
-        kin = Kinematics(robot, q, foot)
-        x, J = kin.pose(kin.swing), kin.pose_jacobian(kin.swing)
-        theirs, J_theirs = dq_forward(links, q[joints])
-        sign = 1.0 if theirs[:4] @ x[:4] >= 0.0 else -1.0
-        np.testing.assert_allclose(sign * theirs, x, atol=1e-9)
-        np.testing.assert_allclose(sign * J_theirs, J[:, joints], atol=1e-9)
-        rest = np.setdiff1d(np.arange(robot.n), joints)
-        assert not J[:, rest].any()
 
 
 # ---------------------------------------------------------------------- against pinocchio
@@ -279,14 +197,14 @@ PLAIN = """
 import sys, numpy as np
 sys.path.insert(0, "test")
 from robots import legs, configurations
-from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.kinematics import Kinematics, Pose
 from dqwalk_ros.robot import Foot
 import numba
 out = []
 for q in configurations(legs(), 3, seed=10):
     for foot in Foot:
         k = Kinematics(legs(), q, foot)
-        out += [k.com, k.com_jacobian, k.lines, k.pose(k.swing), k.pose_jacobian(k.swing), k.point_jacobian("pelvis")]
+        out += [k.com, k.com_jacobian, k.lines, k.pose(k.swing), k.jacobian(Pose(k.swing)), k.point_jacobian("pelvis")]
 print(int(numba.config.DISABLE_JIT), *(x.hex() for a in out for x in a.ravel().tolist()))
 """
 

@@ -11,7 +11,7 @@ from walks import problem_at
 
 from dqwalk_ros.config import load
 from dqwalk_ros.constraints import vfi
-from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.kinematics import Kinematics, Pose
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.walk import PaperWalk, PhaseKind
 
@@ -102,7 +102,7 @@ def test_rows_of_single_support(foot):
         assert rows["pelvis"][1] == pytest.approx(-200.0 * (kin.point("pelvis")[2] - 0.2), abs=1e-12)
         x = kin.pose(kin.swing)
         assert x[:4] @ x_d[:4] > 0.0
-        J = kin.pose_jacobian(kin.swing)
+        J = kin.jacobian(Pose(kin.swing))
         np.testing.assert_allclose(problem.H, J.T @ J + 0.1**2 * np.eye(10), atol=1e-15)
         np.testing.assert_allclose(problem.c, 0.05 * J.T @ (x - x_d), atol=1e-15)
         assert problem.e.size == 0
