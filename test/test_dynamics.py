@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from exactness import model_difference
 
 from dqwalk_ros.config import load
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ModelError
-from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.whole_body.dynamics import Multibody, rotation_error
 
@@ -28,17 +28,10 @@ def body() -> Multibody:
     return Multibody(MODEL, FRAMES)
 
 
-@pytest.mark.parametrize("frame", FRAMES)
-def test_frames_and_com_match_the_dual_quaternions(body: Multibody, frame: str) -> None:
-    """Poses of all links and CoM agree with Pinocchio to 1e-10."""
-    x_base, q, v = state()
-    d = body.at(x_base, q, v)
-    kin = Kinematics(MODEL, q, Foot.LEFT)
-    x_sole = DQ(x_base) * DQ(kin.pose("pelvis")).conj()  # the left sole in the world
-    pose = x_sole * DQ(kin.pose(frame))
-    assert d.frames[frame].position == pytest.approx(pose.translation(), abs=1e-10)
-    assert d.frames[frame].rotation == pytest.approx(pose.rotation_matrix(), abs=1e-10)
-    assert d.com == pytest.approx(x_sole.transform_point(kin.com), abs=1e-10)
+def test_forces_and_places_match_newton_and_the_dual_quaternions() -> None:
+    forces, places = model_difference(MODEL)
+    assert forces < 1e-10
+    assert places < 1e-10
 
 
 def test_jacobians_and_drifts_are_derivatives(body: Multibody) -> None:

@@ -51,14 +51,10 @@ def rig(model: RobotModel, config: Config) -> Rig:
 # ---------------------------------------------------------------------- the table
 
 
-def test_the_table_has_the_25_motors_of_the_urdf() -> None:
+def test_the_25_motors_and_their_limits_are_those_of_the_urdf() -> None:
     whole = load_model(Config().robot)
     assert set(MOTORS) == set(whole.joint_names)
     assert len(MOTORS) == 25
-
-
-def test_limits_of_all_25_motors_are_those_of_the_urdf() -> None:
-    whole = load_model(Config().robot)
     for name, low, high in zip(whole.joint_names, whole.q_min, whole.q_max, strict=True):
         np.testing.assert_allclose(MOTORS[name].limits, np.degrees([low, high]), atol=1e-6, err_msg=name)
 
@@ -464,8 +460,3 @@ def test_a_whole_walking_cycle_with_emulated_servos(rig: Rig) -> None:
         assert (state.q >= model.q_min - 1e-3).all()
     assert controller.finished
     assert worst < 0.05
-
-
-def test_the_configurations_of_plants_are_found() -> None:
-    for plant in ("integrator", "poppy"):
-        assert load(str(find_share("config/plants", f"{plant}.yaml")))
