@@ -15,7 +15,7 @@ from poppy_rig import DT, MAX_AGE, Rig
 from dqwalk_ros.config import Config, find_share, load
 from dqwalk_ros.errors import ConfigError, PlantError
 from dqwalk_ros.plants.dynamixel import TYPES
-from dqwalk_ros.plants.poppy import MIN_SPEED, PoppyPlant, load_motors, open_buses, register_speed
+from dqwalk_ros.plants.poppy import MIN_SPEED, Motor, PoppyPlant, load_motors, open_buses, register_speed
 from dqwalk_ros.robot import RobotModel, load_model
 from dqwalk_ros.simulation import make_controller
 from dqwalk_ros.state import Command, State
@@ -94,42 +94,48 @@ def test_mirrored_limits_agree() -> None:
         )  # hip_y: built 1 to 3 off
 
 
+MOTOR = {"id": "1", "type": "MX-28", "bus": "lower", "direct": "true", "offset": "0", "raw": "[0, 1]"}
+
+
+def read_table(folder: Path, *motors: dict[str, str]) -> list[Motor]:
+    """Return the motors m0, m1, ... of a table with these entries."""
+    entries = ["{" + ", ".join(f"{key}: {value}" for key, value in motor.items()) + "}" for motor in motors]
+    path = folder / "motors.yaml"
+    path.write_text("motors:\n" + "".join(f"  m{k}: {entry}\n" for k, entry in enumerate(entries)), encoding="utf-8")
+    return list(load_motors(str(path)).values())
+
+
 @pytest.mark.parametrize(
-    ("text", "expected"),
+    ("changes", "expected"),
     [
-        ("motors: {}", "expected 'motors"),
-        ("x: 1", "expected 'motors"),
-        ("motors:\n  a: {id: 1}", "line 2: motor 'a' needs id, type"),
-        (
-            "motors:\n  a: {id: 1, type: MX-28, bus: lower, direct: true, offset: 0, raw: [1, 0]}",
-            "raw: \\[lower, upper\\]",
-        ),
-        ("motors:\n  a: {id: 1, type: MX-28, bus: lower, direct: true, offset: .nan, raw: [0, 1]}", "in degrees"),
-        ("motors:\n  a: {id: 1, type: X, bus: lower, direct: true, offset: 0, raw: [0, 1]}", "a type of MX-28"),
-        ("motors:\n  a: {id: 1, type: MX-28, bus: lower, direct: 3, offset: 0, raw: [0, 1]}", "true or false"),
-        ("motors:\n  a: {id: 253, type: MX-28, bus: lower, direct: true, offset: 0, raw: [0, 1]}", "a unique id"),
-        ("motors:\n  a: {id: -1, type: MX-28, bus: lower, direct: true, offset: 0, raw: [0, 1]}", "a unique id"),
-        ("motors:\n  a: {id: 1, type: MX-28, bus: lower, direct: true, offset: 0, raw: [1, 1]}", "raw: "),
-        ("motors:\n  a: {id: 1, type: MX-28, bus: lower, direct: true, offset: 361, raw: [0, 1]}", "in degrees"),
-        ("motors:\n  a: {id: 1, type: MX-28, bus: lower, direct: true, offset: 0, raw: [0, 1, 2]}", "raw: "),
+        ({"type": "X"}, "the type must be one of MX-28"),
+        ({"type": "null"}, r"\$\.type"),
+        ({"direct": "3"}, "`bool`.*direct"),
+        ({"id": "253"}, "<= 252.*id"),
+        ({"id": "-1"}, ">= 0.*id"),
+        ({"id": "1"}, "another motor has the id 1"),
+        ({"offset": ".nan"}, "offset"),
+        ({"offset": "361"}, "360.*offset"),
+        ({"raw": "[1, 0]"}, r"\[lower, upper\]"),
+        ({"raw": "[1, 1]"}, r"\[lower, upper\]"),
+        ({"raw": "[0, 1, 2]"}, "length 2.*raw"),
+        ({"gain": "1"}, "gain"),
     ],
 )
-def test_an_invalid_motor_table_is_refused(tmp_path: Path, text: str, expected: str) -> None:
-    path = tmp_path / "motors.yaml"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(ConfigError, match=expected):
-        load_motors(str(path))
+def test_an_invalid_motor_is_refused(tmp_path: Path, changes: dict[str, str], expected: str) -> None:
+    with pytest.raises(ConfigError, match=f"line 3: motor 'm1': .*{expected}"):
+        read_table(tmp_path, MOTOR, {**MOTOR, "id": "2", **changes})
+
+
+def test_a_table_without_motors_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="expected 'motors"):
+        read_table(tmp_path)
 
 
 def test_the_extreme_values_of_a_motor_table_are_accepted(tmp_path: Path) -> None:
-    path = tmp_path / "motors.yaml"
-    path.write_text(
-        "motors:\n"
-        "  a: {id: 0, type: MX-28, bus: lower, direct: true, offset: -360, raw: [-360, 360]}\n"
-        "  b: {id: 252, type: MX-28, bus: lower, direct: true, offset: 360, raw: [0, 1]}\n",
-        encoding="utf-8",
-    )
-    assert [motor.id for motor in load_motors(str(path)).values()] == [0, 252]
+    first = {**MOTOR, "id": "0", "offset": "-360", "raw": "[-360, 360]"}
+    motors = read_table(tmp_path, first, {**MOTOR, "id": "252", "offset": "360"})
+    assert [motor.id for motor in motors] == [0, 252]
 
 
 # ---------------------------------------------------------------------- speeds, stiffness

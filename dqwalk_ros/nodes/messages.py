@@ -49,10 +49,6 @@ __all__ = [
 ]
 
 
-LEVELS = {"OK": DiagnosticStatus.OK, "WARN": DiagnosticStatus.WARN, "ERROR": DiagnosticStatus.ERROR}
-LEVELS["STALE"] = DiagnosticStatus.STALE
-
-
 def stream(depth: int = 1, *, reliable: bool = True) -> QoSProfile:
     """Return the quality of service of a topic that is published periodically."""
     reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
@@ -319,9 +315,10 @@ def impulse(msg: WrenchStamped, most: float) -> Array:
 
 
 def status(name: str, hardware: str, level: str, message: str, values: Mapping[str, object]) -> DiagnosticStatus:
-    """Return one status [REP-107]; numbers are written with all digits, so that plotting tools can read them."""
+    """Return one status [REP-107] of the level OK, WARN, ERROR or STALE; numbers are written with all digits."""
     pairs = [KeyValue(key=key, value=repr(float(v)) if isinstance(v, float) else str(v)) for key, v in values.items()]
-    return DiagnosticStatus(level=LEVELS[level], name=name, hardware_id=hardware, message=message, values=pairs)
+    found = getattr(DiagnosticStatus, level)
+    return DiagnosticStatus(level=found, name=name, hardware_id=hardware, message=message, values=pairs)
 
 
 def diagnostics(stamp: int, *entries: DiagnosticStatus) -> DiagnosticArray:

@@ -12,11 +12,11 @@ import math
 import time
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 
 from dqwalk_ros import strict_yaml
@@ -46,8 +46,10 @@ _ARRIVAL = 3.0
 """Time in which the joints must reach the first pose after their goals [s]."""
 
 
-@dataclass(frozen=True)
-class Motor:
+_Degrees = Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]
+
+
+class Motor(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One servo.
 
     Attributes
@@ -69,12 +71,12 @@ class Motor:
     """
 
     name: str
-    id: int
+    id: Annotated[int, msgspec.Meta(ge=0, le=252)]
     type: str
     bus: str
     direct: bool
-    offset: float
-    raw: tuple[float, float]
+    offset: _Degrees
+    raw: tuple[_Degrees, _Degrees]
 
     def user(self, raw: float) -> float:
         """Return the joint angle for a servo angle [deg]."""
@@ -115,28 +117,18 @@ def load_motors(source: str) -> dict[str, Motor]:
     out: dict[str, Motor] = {}
     for name, entry in table.items():
         try:
-            out[str(name)] = _motor(str(name), entry, {motor.id for motor in out.values()})
-        except ValueError as error:
+            motor = msgspec.convert({"name": str(name), **entry}, Motor)
+            if motor.type not in TYPES:
+                raise ValueError(f"the type must be one of {', '.join(TYPES)}")
+            if not motor.raw[0] < motor.raw[1]:
+                raise ValueError("raw must be [lower, upper]")
+            if motor.id in (other.id for other in out.values()):
+                raise ValueError(f"another motor has the id {motor.id}")
+        except (TypeError, ValueError) as error:
             line = strict_yaml.line_of(text, ("motors", str(name)))
-            raise ConfigError(f"{path}, line {line}: motor '{name}' {error}") from error
+            raise ConfigError(f"{path}, line {line}: motor '{name}': {error}") from error
+        out[motor.name] = motor
     return out
-
-
-def _motor(name: str, entry: Any, taken: set[int]) -> Motor:
-    """Return the motor of an entry of the table; raise ValueError with the requirement that the entry violates."""
-    try:
-        numbers = {"raw": tuple(map(float, entry["raw"])), "offset": float(entry["offset"])}
-        motor = Motor(name=name, **{**entry, **numbers})
-    except (TypeError, KeyError, ValueError) as error:
-        raise ValueError(f"needs id, type, bus, direct, offset and raw: {error}") from error
-    bounded = all(abs(x) <= 360.0 for x in (motor.offset, *motor.raw))
-    if len(motor.raw) != 2 or not bounded or not motor.raw[0] < motor.raw[1]:
-        raise ValueError(f"must have raw: [lower, upper] and an offset in degrees, got {motor.raw}")
-    if motor.type not in TYPES or not isinstance(motor.direct, bool):
-        raise ValueError(f"must have direct: true or false and a type of {', '.join(TYPES)}")
-    if not isinstance(motor.id, int) or not 0 <= motor.id <= 252 or motor.id in taken:
-        raise ValueError(f"must have a unique id between 0 and 252, got {motor.id!r}")
-    return motor
 
 
 def register_speed(speed: float, highest: float) -> float:
