@@ -150,21 +150,11 @@ class Controller(AnsweringNode):
             self._take(msg)
 
     def _take(self, msg: JointState) -> None:
-        """Answer a state; one that has waited for its imu message comes here twice."""
+        """Answer a state if it is accepted; one that has waited for its imu message comes here twice."""
         began = time.perf_counter()
         stamp = ros.nanoseconds(msg.header.stamp)
-        try:
-            read = self._reader.state(msg)
-            state = read if self._imu is None else self._imu.join(msg, read)
-            if state is None or not self._is_new(stamp):
-                return
-            self._look_for_a_fall(state)
-            self._gate.accept(stamp, state.q)
-        except StateError as error:
-            self._reject(error)
-            return
-        self._note(stamp)
-        if not self._may_answer():
+        state = self._accepted(msg, stamp)
+        if state is None or not self._may_answer():
             return
         before = self._mode
         ready = self._plant_ready and not self._duplicates
@@ -186,6 +176,21 @@ class Controller(AnsweringNode):
         elif self._is_time_to_diagnose():
             self._diagnose()
         self._report_progress()
+
+    def _accepted(self, msg: JointState, stamp: int) -> State | None:
+        """Return the state of a message; None if it waits for its imu message, is old, or is rejected."""
+        try:
+            read = self._reader.state(msg)
+            state = read if self._imu is None else self._imu.join(msg, read)
+            if state is None or not self._is_new(stamp):
+                return None
+            self._look_for_a_fall(state)
+            self._gate.accept(stamp, state.q)
+        except StateError as error:
+            self._reject(error)
+            return None
+        self._note(stamp)
+        return state
 
     def _publish_odometry(self, stamp: int, state: State) -> None:
         """Publish the pose of the robot in the frame of the first phase, also before that phase has begun."""
