@@ -81,11 +81,11 @@ class Robot(Live):
         before = self.buses.of(KNEE).joint(KNEE).word(GOAL)
         self.until(lambda: abs(self.buses.of(KNEE).joint(KNEE).word(GOAL) - before) > 20, timeout, "a goal that moves")
 
-    def check_still(self, seconds: float = 0.5) -> None:
-        """Check that no goal changes."""
+    def is_still(self, seconds: float = 0.5) -> bool:
+        """Return whether no goal changes for a time [s]."""
         before = self.goals()
         self.spin(seconds)
-        assert self.goals() == before
+        return self.goals() == before
 
     def until_error(self, text: str, timeout: float = 10.0) -> None:
         """Wait until a status of the driver is ERROR and contains a text."""
@@ -153,7 +153,7 @@ def stamp(msg: JointState) -> float:
 def test_angles_are_published_and_nothing_moves_before_activate(robot: Robot) -> None:
     robot.until(lambda: len(robot.got["joint_states"]) > 50, 60.0, "states")
     assert robot.torques() == {0}
-    robot.until(lambda: robot.ready is False, 5.0, "plant_ready: false")
+    robot.until(lambda: robot.ready is False, 20.0, "plant_ready: false")
     robot.until(
         lambda: any("the torque is off: call ~/activate" in s.message for s in robot.statuses("poppy_driver")),
         5.0,
@@ -161,14 +161,14 @@ def test_angles_are_published_and_nothing_moves_before_activate(robot: Robot) ->
     )
     state = robot.got["joint_states"][-1]
     assert state.position[state.name.index(KNEE)] == pytest.approx(0.349, abs=0.002)
-    robot.check_still()
+    assert robot.is_still()
     robot.activate()
     assert robot.torques() == {1}
     assert robot.set_compliant(True).success
     assert robot.torques() == {0}
-    robot.until(lambda: robot.ready is False, 5.0, "plant_ready: false")
+    robot.until(lambda: robot.ready is False, 20.0, "plant_ready: false")
     robot.got["joint_states"].clear()
-    robot.until(lambda: len(robot.got["joint_states"]) > 10, 5.0, "states while the torque is off")
+    robot.until(lambda: len(robot.got["joint_states"]) > 10, 20.0, "states while the torque is off")
 
 
 def test_the_latency_of_the_goals_is_published(walking: Robot) -> None:
@@ -208,9 +208,9 @@ def test_old_angles_are_not_published(walking: Robot, fault: str) -> None:
     begin(walking, walking.buses.servos["lower"])
     began = time.time()
     walking.until_error(text)
-    walking.check_still(1.5)  # longer than an outage after which the motion resumes
+    assert walking.is_still(1.5)  # longer than an outage after which the motion resumes
     assert max(map(stamp, walking.got["joint_states"]), default=0.0) <= began + 0.02
-    walking.until(lambda: walking.ready is False, 5.0, "plant_ready: false")
+    walking.until(lambda: walking.ready is False, 20.0, "plant_ready: false")
     walking.clear_faults()
     walking.until(lambda: walking.call("poppy_driver/activate").success, 10.0, "the torque")
     walking.until(lambda: walking.ready, 30.0, "the first pose")
@@ -236,9 +236,8 @@ def test_a_motor_fault_holds_the_robot(walking: Robot, fault: str) -> None:
     begin, text = MOTOR_FAULTS[fault]
     begin(walking.buses.servos["lower"])
     walking.until_error(text)
-    walking.spin(0.2)
-    walking.check_still()
-    walking.until(lambda: walking.ready is False, 5.0, "plant_ready: false")
+    walking.until(walking.is_still, 20.0, "goals that stay")  # the goal of a blocked joint is reset first
+    walking.until(lambda: walking.ready is False, 20.0, "plant_ready: false")
     walking.buses.servos["lower"].joint(KNEE).write(LOAD, bytes(2))
 
 
@@ -249,7 +248,7 @@ def test_a_hot_motor_prevents_switching_the_torque_on(walking: Robot) -> None:
     answer = walking.set_compliant(False)
     assert not answer.success
     assert "l_knee_y is at 70 degC, too hot" in answer.message
-    walking.check_still()
+    assert walking.is_still()
     assert walking.torques() == {0}
 
 
@@ -259,7 +258,7 @@ def test_the_torque_is_switched_off_after_a_fall(walking: Robot) -> None:
     phase.publish(String(data="fallen"))
     walking.until(lambda: walking.torques() == {0}, 10.0, "the torque off")
     walking.node.destroy_publisher(phase)
-    walking.until(lambda: walking.ready is False, 5.0, "plant_ready: false")
+    walking.until(lambda: walking.ready is False, 20.0, "plant_ready: false")
 
 
 def test_two_drivers_do_not_share_a_port(walking: Robot, tmp_path: Path) -> None:

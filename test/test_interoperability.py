@@ -89,7 +89,7 @@ def test_a_gripper_on_joint_states_does_not_stop_the_walk(make: Any, with_imu: b
 
 def moved(make: Any, stamp_of: Any) -> tuple[Any, float]:
     """Send commands with such stamps to an integrator in real time; return it and its largest angle [rad]."""
-    one = make("integrator", PAPER.updated({"plant.command_timeout": 0.1}))
+    one = make("integrator", PAPER.updated({"plant.command_timeout": 1.0}))
     (period, *_) = [t for t in one.node.timers if t.timer_period_ns == round(DT * 1e9)]
     for _ in range(20):
         period.callback()
