@@ -153,7 +153,7 @@ class Controller(AnsweringNode):
         """Answer a state if it is accepted; one that has waited for its imu message comes here twice."""
         began = time.perf_counter()
         stamp = ros.nanoseconds(msg.header.stamp)
-        state = self._accepted(msg, stamp)
+        state = self._checked(msg, stamp)
         if state is None or not self._may_answer():
             return
         before = self._mode
@@ -177,7 +177,7 @@ class Controller(AnsweringNode):
             self._diagnose()
         self._report_progress()
 
-    def _accepted(self, msg: JointState, stamp: int) -> State | None:
+    def _checked(self, msg: JointState, stamp: int) -> State | None:
         """Return the state of a message; None if it waits for its imu message, is old, or is rejected."""
         try:
             read = self._reader.state(msg)
