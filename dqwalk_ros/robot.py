@@ -13,7 +13,6 @@ import math
 import pathlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -155,10 +154,6 @@ class RobotModel:
     urdf: str = field(repr=False)
     repairs: tuple[str, ...] = ()
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Support pickling, for use in other processes: read-only views of mappings cannot be pickled."""
-        return _unpickled, (vars(self) | {"frames": dict(self.frames), "soles": dict(self.soles)},)
-
     @property
     def n(self) -> int:
         """Number of joints."""
@@ -214,12 +209,6 @@ class RobotModel:
         return sum(body.mass for body in self.bodies)
 
 
-def _unpickled(values: dict[str, Any]) -> RobotModel:
-    """Return a model from the values that `RobotModel.__reduce__` pickles."""
-    views = {name: MappingProxyType(values[name]) for name in ("frames", "soles")}
-    return RobotModel(**(values | views))
-
-
 def find_urdf(urdf: str) -> pathlib.Path:
     """Return the path of a URDF: `urdf` itself if it is a file, or the file of this name in urdf/.
 
@@ -268,54 +257,45 @@ def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
     if not sum(link.mass for link in urdf.links.values()) > 0.0:
         raise ModelError(f"{urdf.source}: the robot has no mass, so it has no centre of mass")
     urdf.give_mass()
-    feet = {}
-    for foot in Foot:
-        key = f"{foot.value}_sole"
-        feet[foot], xyz, rpy = (getattr(config, key + end) for end in ("", "_xyz", "_rpy"))
-        if any((*xyz, *rpy)) and feet[foot] in urdf.links:
-            placed = f"{feet[foot]}_placed"
-            if placed not in urdf.links:
-                urdf.add_frame(placed, feet[foot], Origin(xyz, rpy))
-            feet[foot] = placed
-    links = urdf.links
+    feet = {foot: _sole_frame(urdf, config, foot) for foot in Foot}
     imu = config.imu or config.pelvis
-    if published and imu == "imu" and imu not in links:  # older recordings name this link even if it does not exist
+    if published and imu == "imu" and imu not in urdf.links:  # older recordings name it even if it does not exist
         imu = config.pelvis
-    for key, name in (
-        ("pelvis", config.pelvis),
-        ("left_sole", feet[Foot.LEFT]),
-        ("right_sole", feet[Foot.RIGHT]),
-        ("imu", imu),
-    ):
-        if name not in links:
+    named = {"pelvis": config.pelvis, "left_sole": feet[Foot.LEFT], "right_sole": feet[Foot.RIGHT], "imu": imu}
+    for key, name in named.items():
+        if name not in urdf.links:
             raise ModelError(f"{urdf.source}: robot.{key} names the link '{name}', which is not there or was dropped")
     tree = _tree(urdf)
-    mounted = imu
+    frames, mounted = tree["frames"], imu
     if any(config.imu_rpy):
-        mounted, link = f"{imu}_mounted", tree["frames"][imu]
-        turned = (DQ(link.pose) * _pose(Origin((0.0, 0.0, 0.0), config.imu_rpy))).vec8()
-        tree["frames"] = MappingProxyType({**tree["frames"], mounted: Frame(link.body, turned)})
-    if len({tree["frames"][name].body for name in feet.values()}) == 1:
-        named = f"'{feet[Foot.LEFT]}' and '{feet[Foot.RIGHT]}'"
+        mounted, turn = f"{imu}_mounted", _pose(Origin(rpy=config.imu_rpy))
+        frames[mounted] = Frame(frames[imu].body, (DQ(frames[imu].pose) * turn).vec8())
+    if len({frames[name].body for name in feet.values()}) == 1:
         raise ModelError(
-            f"{urdf.source}: no joint moves the soles {named} against each other; name two with robot.left_sole and "
-            "robot.right_sole, and lock fewer joints"
+            f"{urdf.source}: no joint moves the soles '{feet[Foot.LEFT]}' and '{feet[Foot.RIGHT]}' against each other; "
+            "name two with robot.left_sole and robot.right_sole, and lock fewer joints"
         )
     return RobotModel(
         name=urdf.name,
         **tree,
-        soles=MappingProxyType(
-            {
-                foot: _sole(config, links[name], links[getattr(config, f"{foot.value}_sole")], tree, urdf.source)
-                for foot, name in feet.items()
-            }
-        ),
+        soles={foot: _sole(urdf, config, foot, name, tree) for foot, name in feet.items()},
         pelvis=config.pelvis,
         imu=mounted,
         imu_link=imu,
         urdf=urdf.text(),
         repairs=tuple(urdf.repairs),
     )
+
+
+def _sole_frame(urdf: Urdf, config: RobotConfig, foot: Foot) -> str:
+    """Return the link of a sole, or the frame on it that the configuration describes, which is added."""
+    name, xyz, rpy = (getattr(config, f"{foot.value}_sole{end}") for end in ("", "_xyz", "_rpy"))
+    if name not in urdf.links or not any((*xyz, *rpy)):
+        return str(name)
+    placed = f"{name}_placed"
+    if placed not in urdf.links:  # a `RobotModel.urdf` has it already
+        urdf.add_frame(placed, name, Origin(xyz, rpy))
+    return placed
 
 
 def _locked(urdf: Urdf, config: RobotConfig, published: bool) -> dict[str, float]:
@@ -382,7 +362,7 @@ def _tree(urdf: Urdf) -> dict[str, Any]:
         "velocity_max": np.array([joint.velocity for joint in moving]),
         "effort_max": np.array([joint.effort for joint in moving]),
         "bodies": tuple(bodies),
-        "frames": MappingProxyType(frames),
+        "frames": frames,
     }
 
 
@@ -398,20 +378,20 @@ def _range(lower: float, upper: float) -> tuple[float, float]:
     return (upper - math.tau if math.isinf(lower) else lower), (lower + math.tau if math.isinf(upper) else upper)
 
 
-def _sole(config: RobotConfig, link: Link, foot: Link, tree: Mapping[str, Any], source: str) -> Sole:
-    """Return the sole with the frame `link`; the default of its size is the collision box of the link `foot`."""
-    frame = tree["frames"][link.name]
+def _sole(urdf: Urdf, config: RobotConfig, foot: Foot, name: str, tree: Mapping[str, Any]) -> Sole:
+    """Return the sole with the frame `name`; the default of its size is the collision box of its link."""
+    link, frame = urdf.links[getattr(config, f"{foot.value}_sole")], tree["frames"][name]
     center = np.zeros(3)
     length, width = config.sole_length, config.sole_width
-    box = next((shape for shape in foot.collisions if shape.kind == "box"), None)
+    box = next((shape for shape in link.collisions if shape.kind == "box"), None)
     if not (length and width):
         if box is None:
             raise ModelError(
-                f"{source}: link '{foot.name}' has no collision box; give robot.sole_length and sole_width"
+                f"{urdf.source}: link '{link.name}' has no collision box; give robot.sole_length and sole_width"
             )
         length, width = length or box.size[0], width or box.size[1]
-    if box is not None and link is foot:
+    if box is not None and name == link.name:
         center[:2] = box.origin.xyz[:2]
     if config.sole_center == "foot_com":
         center[:2] = DQ(frame.pose).conj().transform_point(tree["bodies"][frame.body].com)[:2]
-    return Sole(link.name, center, length, width)
+    return Sole(name, center, length, width)

@@ -6,7 +6,6 @@ import dataclasses
 import re
 from functools import cache
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -62,7 +61,7 @@ def mirrored(model: RobotModel) -> RobotModel:
     )
     frames = {name: Frame(frame.body, pose * frame.pose) for name, frame in model.frames.items()}
     soles = {foot.other: dataclasses.replace(sole, center=reflect * sole.center) for foot, sole in model.soles.items()}
-    return dataclasses.replace(model, bodies=bodies, frames=MappingProxyType(frames), soles=MappingProxyType(soles))
+    return dataclasses.replace(model, bodies=bodies, frames=frames, soles=soles)
 
 
 def edited(folder: Path, source: Path, *changes: tuple[str, str]) -> Path:

@@ -36,10 +36,6 @@ def test_only_late_timers_are_reset_and_the_executor_is_always_woken() -> None:
     assert {name: timer.resets for name, timer in timers.items()} == {**dict.fromkeys(timers, 0), "late": 1}
 
 
-def test_stop_before_start_has_no_effect() -> None:
-    TimerWaker(SimpleNamespace(timers=()), None).stop()  # type: ignore[arg-type]
-
-
 def test_signals_in_quick_succession_do_not_block_the_handler() -> None:
     """A handler that takes a lock is interrupted by the next signal while it holds the lock."""
     code = (

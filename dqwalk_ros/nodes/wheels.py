@@ -12,7 +12,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import faulthandler
 import gc
 import os
@@ -144,5 +143,4 @@ class TimerWaker(threading.Thread):
     def stop(self) -> None:
         """Stop the thread; to be called before the node is destroyed."""
         self._stopped.set()
-        with contextlib.suppress(RuntimeError):  # it was not started
-            self.join(1.0)
+        self.join(1.0)
