@@ -7,8 +7,8 @@ optional goal: the authors' figures on another robot, or a time that depends on 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,8 +41,26 @@ _HARD: dict[str, tuple[float, float, dict[str, float]]] = {
 """Time [s] and impulse [N s] of a push to the left, and changed parameters."""
 
 
-def _at_most(name: str, value: float, most: float, unit: str = "", **more: Any) -> Demand:
-    return Demand(name, value, unit, f"<= {most:g}", value <= most, **more)
+@dataclass(frozen=True)
+class Requirement(Demand):
+    """A demand under a topic; `must` is False for an aim."""
+
+    topic: str = ""
+    must: bool = True
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """The entry in report.json."""
+        given = {"topic": self.topic, "what": self.name, "asked": self.bound}
+        return given | {"got": self.got, "ok": self.ok, "must": self.must}
+
+
+def _under(topic: str, demands: Iterable[Demand]) -> list[Requirement]:
+    return [Requirement(**{**vars(demand), "topic": topic}) for demand in demands]
+
+
+def _at_most(name: str, value: float, most: float, unit: str = "", **more: Any) -> Requirement:
+    return Requirement(name, value, unit, f"<= {most:g}", value <= most, **more)
 
 
 def walks() -> dict[str, Walk]:
@@ -63,7 +81,7 @@ def walks() -> dict[str, Walk]:
     return found
 
 
-def unit_demands(config: Config) -> list[Demand]:
+def unit_demands(config: Config) -> list[Requirement]:
     """Check the equations without a walk."""
     model = load_model(config.robot)
     mass = WholeBodyController(config, model).point_mass
@@ -85,10 +103,10 @@ def unit_demands(config: Config) -> list[Demand]:
             abs(far.residual - far.least) <= 1e-5 < far.least,
         ),
     ]
-    return [replace(demand, topic="equations") for demand in found]
+    return _under("equations", found)
 
 
-def judge(walked: Mapping[str, WholeBodyTrace], answers: Answers) -> list[Demand]:
+def judge(walked: Mapping[str, WholeBodyTrace], answers: Answers) -> list[Requirement]:
     """Check the walks of `walks`, and the solutions of Tests 1 and 2."""
     one, two = walked["1"], walked["2"]
     found = {"1": checks(one), "2": checks(two, [walked["2 without 0"], walked["2 without 1"]])}
@@ -96,20 +114,20 @@ def judge(walked: Mapping[str, WholeBodyTrace], answers: Answers) -> list[Demand
     rows = _answers(answers)
     for key in ("1", "paper", "2"):
         topic = walked[key].scenario.name
-        rows += [replace(check, topic=topic) for check in found[key] if check.bound and not _every_tick(check)]
+        rows += _under(topic, (check for check in found[key] if check.bound and not _every_tick(check)))
         rows += _aims(topic, found[key])
     both = [check for key in ("1", "2") for check in found[key] if _every_tick(check)]
     for name in dict.fromkeys(check.name for check in both):
         worst = max if name.startswith("ticks") else min
         tightest = worst((check for check in both if check.name == name), key=lambda check: check.value)
-        rows.append(replace(tightest, topic="every tick of both"))
+        rows += _under("every tick of both", [tightest])
     rows += _in_place(walked["in place"])
     rows += [_stands("robust", name, walked[name], kept=True) for name in _HARD]
     for name in ("no level 2", "no level 2, in place"):
         w = walked[name]
         end = w.note.partition(":")[0] or "stood"
         falls = w.note.startswith("fell")
-        rows.append(Demand(w.scenario.name, end, "", "falls within 2 s", falls, topic="negative"))
+        rows.append(Requirement(w.scenario.name, end, "", "falls within 2 s", falls, topic="negative"))
     return rows + _times([one, two])
 
 
@@ -117,7 +135,7 @@ def _every_tick(check: Demand) -> bool:
     return check.name.startswith(("least ", "ticks "))
 
 
-def _answers(seen: Answers) -> list[Demand]:
+def _answers(seen: Answers) -> list[Requirement]:
     topic, ticks = "answers", f"{seen.ticks} ticks"
     return [
         _at_most(f"equality residual of {ticks} of Tests 1 and 2", seen.equality, 1e-6, topic=topic),
@@ -126,16 +144,16 @@ def _answers(seen: Answers) -> list[Demand]:
     ]
 
 
-def _aim(name: str, value: float, aimed: float, unit: str, topic: str, *, at_least: bool = False) -> Demand:
+def _aim(name: str, value: float, aimed: float, unit: str, topic: str, *, at_least: bool = False) -> Requirement:
     """Return an optional goal, and by how much it is missed."""
     lacks = aimed - value if at_least else value - aimed
     got = f"{value:.4g} {unit}" + (f", lacks {lacks:.2g}" if lacks > 0.0 else "")
-    return Demand(
+    return Requirement(
         name, got, "", f"{'>=' if at_least else '<='} {aimed:g} {unit}", lacks <= 0.0, topic=topic, must=False
     )
 
 
-def _aims(topic: str, found: Sequence[Demand]) -> list[Demand]:
+def _aims(topic: str, found: Sequence[Demand]) -> list[Requirement]:
     """Return the authors' figures as optional goals; 0.10 m where theirs is at least that."""
     rows = []
     for check in found:
@@ -147,7 +165,7 @@ def _aims(topic: str, found: Sequence[Demand]) -> list[Demand]:
     return rows
 
 
-def _in_place(w: WholeBodyTrace) -> list[Demand]:
+def _in_place(w: WholeBodyTrace) -> list[Requirement]:
     topic = "in place, 8 s"
     places = np.array([place for _, place in w.footholds()])
     drift = float(np.abs(places[2:] - places[:-2]).max()) if len(places) > 2 else float("nan")
@@ -160,9 +178,11 @@ def _in_place(w: WholeBodyTrace) -> list[Demand]:
         _at_most("a foot's place from one of its steps to the next, at most [m]", drift, 0.06, topic=topic),
         _at_most("CoM off its height, at most [m]", float(np.abs(w.height_error).max()), 1e-3, topic=topic),
         _at_most("torso off upright, at most [rad]", float(w.tilt.max()), 0.02, topic=topic),
-        Demand("lateral speed of the CoM, at most", speed, "m/s", "0.2 to 0.45", 0.2 <= speed <= 0.45, topic=topic),
-        Demand("ticks that miss capturability (S14)", missed, "", "0", missed == 0, topic=topic),
-        Demand(
+        Requirement(
+            "lateral speed of the CoM, at most", speed, "m/s", "0.2 to 0.45", 0.2 <= speed <= 0.45, topic=topic
+        ),
+        Requirement("ticks that miss capturability (S14)", missed, "", "0", missed == 0, topic=topic),
+        Requirement(
             "CoP, forces, torques, joints, steps: least distance to a limit",
             f"{least[tightest]:.2g} ({tightest.removesuffix('_margin')})",
             "",
@@ -173,12 +193,12 @@ def _in_place(w: WholeBodyTrace) -> list[Demand]:
     ]
 
 
-def _times(walked: Sequence[WholeBodyTrace]) -> list[Demand]:
+def _times(walked: Sequence[WholeBodyTrace]) -> list[Requirement]:
     spent = 1e3 * np.vstack([w.times for w in walked])
     solve, tick, topic = spread(spent[:, 2]), spread(spent[:, 3]), "CPU time, Tests 1, 2"
 
-    def below(name: str, value: float, most: float) -> Demand:
-        return Demand(name, f"{value:.2f} ms", "", f"< {most:g} ms", value < most, topic=topic)
+    def below(name: str, value: float, most: float) -> Requirement:
+        return Requirement(name, f"{value:.2f} ms", "", f"< {most:g} ms", value < most, topic=topic)
 
     return [
         below("solution, mean (the paper's: 0.92 ms, 2012)", solve["mean"], 0.92),
@@ -188,15 +208,15 @@ def _times(walked: Sequence[WholeBodyTrace]) -> list[Demand]:
     ]
 
 
-def _stands(topic: str, name: str, w: WholeBodyTrace, *, kept: bool = False) -> Demand:
+def _stands(topic: str, name: str, w: WholeBodyTrace, *, kept: bool = False) -> Requirement:
     """Check whether the robot stands, and with `kept` whether it also keeps every limit."""
     end = f"stood {w.time[-1] + w.config.dt:.1f} s" if w.stood else w.note
     broken = [name for name, values in w.margins.items() if kept and values.min() < KEPT[name]]
     asked = "stands, limits kept" if kept else "stands"
-    return Demand(name, ", beyond ".join([end, *broken]), "", asked, w.stood and not broken, topic=topic)
+    return Requirement(name, ", beyond ".join([end, *broken]), "", asked, w.stood and not broken, topic=topic)
 
 
-def render(demands: Sequence[Demand]) -> str:
+def render(demands: Sequence[Requirement]) -> str:
     """Return the table of all demands, and the number of those that are met."""
     rows = [("", "", "asked", "got", "")]
     topic = ""

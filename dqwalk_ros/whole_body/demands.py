@@ -52,9 +52,6 @@ class Demand:
         Whether the bound is met.
     authors : float or None
         The authors' value.
-    topic : str
-    must : bool
-        True for a requirement, False for a goal, often the authors' value on another robot.
     """
 
     name: str
@@ -63,25 +60,11 @@ class Demand:
     bound: str = ""
     ok: bool = True
     authors: float | None = None
-    topic: str = ""
-    must: bool = True
 
     @property
     def got(self) -> str:
         """Value and unit."""
         return self.value if isinstance(self.value, str) else f"{self.value:.4g} {self.unit}".strip()
-
-    @property
-    def row(self) -> dict[str, Any]:
-        """The entry in report.json."""
-        return {
-            "topic": self.topic,
-            "what": self.name,
-            "asked": self.bound,
-            "got": self.got,
-            "ok": self.ok,
-            "must": self.must,
-        }
 
 
 def checks(walked: WholeBodyTrace, without: Sequence[WholeBodyTrace] = ()) -> list[Demand]:
