@@ -39,21 +39,14 @@ def declare(node: Node, argv: Sequence[str]) -> Config:
         For a misspelt name, a wrong type or a value out of bounds; the message names similar parameters.
     """
     log = node.get_logger()
-    overrides = node._parameter_overrides  # rclpy has no public access to all of them
     given = {
         name: () if parameter.value is None else parameter.value  # an empty list has no type
-        for name, parameter in overrides.items()
+        for name, parameter in node._parameter_overrides.items()  # rclpy has no public access to all of them
         if name.split(".")[0] not in OF_RCLPY
     }
     files = [pathlib.Path(value) for key, value in itertools.pairwise(argv) if key == "--params-file"]
     for path in files:
-        sections = _sections_of(path)
-        if any(sections.values()) and not any(overrides.keys() & names for names in sections.values()):
-            found = ", ".join(f"'{section}'" for section in sections) or "none"
-            log.warning(
-                f"{path}: no section applies to {node.get_fully_qualified_name()} (sections: {found}); "
-                "'/**' applies to every node"
-            )
+        _check_sections(path, node)
     if not given:
         log.warning("no parameters given, using the defaults: is --ros-args --params-file missing?")
     foreign = [name for name in given if _is_foreign(name)]
@@ -66,6 +59,17 @@ def declare(node: Node, argv: Sequence[str]) -> Config:
         shown: Any = (list(value) or [""]) if isinstance(value, tuple) else value
         node.declare_parameter(name, shown, _DESCRIPTORS[name], ignore_override=True)
     return config
+
+
+def _check_sections(path: pathlib.Path, node: Node) -> None:
+    """Log a warning if a parameter file has parameters, but none for a node; for errors see `_sections_of`."""
+    sections = _sections_of(path)
+    if any(sections.values()) and not any(node._parameter_overrides.keys() & names for names in sections.values()):
+        found = ", ".join(f"'{section}'" for section in sections)
+        node.get_logger().warning(
+            f"{path}: no section applies to {node.get_fully_qualified_name()} (sections: {found}); "
+            "'/**' applies to every node"
+        )
 
 
 def _is_foreign(name: str) -> bool:
