@@ -45,8 +45,9 @@ class Rig:
         self.plant = self.opened()
 
     def opened(self) -> PoppyPlant:
-        memory = self.memory
-        return PoppyPlant(self.model, self.config.poppy, MAX_AGE, buses=memory.buses, clock=memory.clock, each=map)
+        memory, posture = self.memory, np.zeros(self.model.n)
+        own = {"buses": memory.buses, "clock": memory.clock, "each": map}
+        return PoppyPlant(self.model, self.config.poppy, MAX_AGE, posture, **own)
 
     def tick(self, u: float = 0.0, effort: float | None = None) -> float:
         """Execute one period; return the time that the plant took [s]."""

@@ -15,7 +15,7 @@ from poppy_rig import DT, MAX_AGE, Rig
 from dqwalk_ros.config import Config, find_share, load
 from dqwalk_ros.errors import ConfigError, PlantError
 from dqwalk_ros.plants.dynamixel import TYPES
-from dqwalk_ros.plants.poppy import MIN_SPEED, Motor, PoppyPlant, load_motors, open_buses, register_speed
+from dqwalk_ros.plants.poppy import MIN_SPEED, Motor, PoppyPlant, load_motors, register_speed
 from dqwalk_ros.robot import RobotModel, load_model
 from dqwalk_ros.simulation import make_controller
 from dqwalk_ros.state import Command, State
@@ -436,12 +436,12 @@ def test_one_period_suffices_for_all_motors(model: RobotModel, config: Config, s
 def test_missing_ports_are_refused(model: RobotModel, config: Config, port: str, expected: str) -> None:
     own = config.updated({"poppy.lower_port": port, "poppy.upper_port": port})
     with pytest.raises(PlantError, match=expected):
-        PoppyPlant(model, own.poppy, MAX_AGE)
+        PoppyPlant(model, own.poppy, MAX_AGE, np.zeros(model.n))
 
 
 def test_dummy_servos_can_be_read_and_activated(model: RobotModel, config: Config) -> None:
     own = config.updated({"poppy.dummy": True})
-    plant = PoppyPlant(model, own.poppy, MAX_AGE, buses=open_buses(load_motors("poppy"), own.poppy))
+    plant = PoppyPlant(model, own.poppy, MAX_AGE, np.zeros(model.n))
     assert plant.measured.q[plant.names.index("l_hip_y")] == pytest.approx(math.radians(-2.0), abs=0.001)
     plant.activate()
     assert plant.active

@@ -147,9 +147,8 @@ class PoppyPlant(Plant):
         Model whose joints are commanded; the other joints move to their first pose and hold it.
     max_age : float
         Age above which angles are not used [s].
-    posture : ndarray, shape (n,), optional
-        First pose of the joints of the model [rad]; zero by default, and zero for the other joints. It is clipped to
-        the limits of the joints.
+    posture : ndarray, shape (n,)
+        First pose of the joints of the model [rad]; zero for the other joints. It is clipped to the limits.
     buses : mapping of str to Bus, optional
         By the name of the bus in the table of motors; `open_buses` by default.
     clock : callable
@@ -187,7 +186,7 @@ class PoppyPlant(Plant):
         model: RobotModel,
         config: PoppyConfig,
         max_age: float,
-        posture: Array | None = None,
+        posture: Array,
         *,
         buses: Mapping[str, Bus] | None = None,
         clock: Clock = time.monotonic,
@@ -207,10 +206,7 @@ class PoppyPlant(Plant):
         self._low, self._high = np.radians(low - self._zero), np.radians(high - self._zero)
         self._low[:n] = np.maximum(self._low[:n], model.q_min)
         self._high[:n] = np.minimum(self._high[:n], model.q_max)
-        first = np.zeros(every)
-        if posture is not None:
-            first[:n] = posture
-        self._first = np.clip(first, self._low, self._high)
+        self._first = np.clip(np.concatenate([posture, np.zeros(every - n)]), self._low, self._high)
         self._fastest = np.radians([kind.free_speed for kind in types])
         with_gain = np.array([kind.has_gain for kind in types]) & (config.p_gain > 0)
         self._gain = np.where(with_gain, config.p_gain, -1)
