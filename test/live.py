@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
@@ -90,17 +88,6 @@ class Live:
         """Return the logs of all nodes."""
         return "\n".join(f"--- {name}\n{self.processes.log(name)}" for name in self.processes.names)
 
-    @cached_property
-    def states(self) -> Any:
-        """A publisher of joint_states, created on first use because two plants are a fault."""
-        return self.node.create_publisher(JointState, "joint_states", QoSProfile(depth=10))
-
-    def publish_state(self, names: list[str], q: Any, stamp: float, dq: Any = ()) -> None:
-        """Publish a state in place of the plant; `stamp` [s]."""
-        msg = JointState(name=list(names), position=[float(x) for x in q], velocity=[float(x) for x in dq])
-        msg.header.stamp.sec, msg.header.stamp.nanosec = divmod(round(stamp * 1e9), 1_000_000_000)
-        self.states.publish(msg)
-
     def call(self, service: str) -> Trigger.Response:
         """Call a Trigger service."""
         self.until_ready(service)
@@ -121,10 +108,6 @@ class Live:
     def phases(self) -> list[str]:
         """Return the published phases."""
         return [msg.data for msg in self.got["phase_log"]]
-
-    def speeds(self) -> Any:
-        """Return the largest joint speed of each command, shape (N,) [rad/s]."""
-        return np.array([max(map(abs, msg.velocity)) for msg in self.got["joint_velocity_commands"]])
 
     # The last message of a topic; before the first one a value that no test waits for.
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from inside import state, until
 from ros2_control import EXTRA, ControllerManager
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 
 from dqwalk_ros.config import load, overlaid
@@ -207,8 +208,9 @@ def test_the_robot_stops_after_the_controller_process_is_killed(nodes: Any) -> N
 
     def update() -> None:
         q[:] += 0.02 * output[0]
-        live.publish_state(list(names), q, time.time())
+        states.publish(state(names, q, time.time()))
 
+    states = live.node.create_publisher(JointState, "joint_states", 10)
     live.node.create_subscription(Float64MultiArray, TOPIC["velocity"], take, 1)
     live.node.create_timer(0.02, update)
     live.start("drive")
