@@ -13,12 +13,9 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 
+import chaos
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
-
-import chaos
 from chaos import BUSY, Chaos, row
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters

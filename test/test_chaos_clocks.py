@@ -19,9 +19,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
-
 from builtin_interfaces.msg import Time
 from chaos import BUSY, Chaos, row
 from rosgraph_msgs.msg import Clock

@@ -15,9 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
-pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
-
 from dynamixel_bus import LOAD, MOTORS, TEMPERATURE, VOLTAGE, FaultyServos, Terminals, angle_of
 from live import LATCHED, Live
 from rclpy.qos import QoSProfile

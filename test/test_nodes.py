@@ -12,9 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy", reason="needs ROS 2: source one, or pip install '.[ros]'")
-
 from inside import state
 from live import SHORT, Live
 from rclpy.parameter import Parameter
