@@ -564,7 +564,6 @@ class Spec:
     type : type
         ``bool``, ``int``, ``float``, ``str`` or ``tuple``.
     default : bool, int, float, str or tuple
-    unit, meaning : str
     low, high : float or None
         Closed bounds.
     live : bool

@@ -314,7 +314,6 @@ class Kinematics:
 
     Parameters
     ----------
-    model : RobotModel
     q : array_like, shape (n,)
         Joint angles [rad].
     base : Foot
@@ -501,13 +500,7 @@ class JointAngles(Feature):
 
 
 class Observer:
-    """Computes the stacked coordinates of features, and their Jacobian.
-
-    Parameters
-    ----------
-    features : sequence of Feature
-    tree : SupportTree
-    """
+    """Computes the stacked coordinates of features, and their Jacobian."""
 
     def __init__(self, features: Sequence[Feature], tree: SupportTree) -> None:
         self._n = tree.moves.shape[1]

@@ -117,7 +117,6 @@ class RobotModel:
 
     Attributes
     ----------
-    name : str
     joint_names : tuple of str
         Names of the n joints that move, parents before children.
     q_min, q_max, velocity_max, effort_max : ndarray, shape (n,)

@@ -104,7 +104,6 @@ class Finding:
     ----------
     what : str
         Name of the check.
-    ok : bool
     text : str
         The result; if the check failed, also what to do.
     """

@@ -98,7 +98,6 @@ class BodyTick:
     ----------
     scene : Scene
         Dynamics, stance and preview.
-    problem : Hierarchy
     answer : Answer
         Solution of the problem.
     wrenches : mapping of Foot to Wrench
@@ -124,7 +123,6 @@ class WholeBodyController:
 
     Parameters
     ----------
-    config : Config
     model : RobotModel
         A robot whose ankles pitch and roll.
     objectives : sequence of Objective
@@ -263,7 +261,6 @@ class WholeBodyController:
 
         Parameters
         ----------
-        state : BodyState
         dt : float
             Period until the next state [s].
 

@@ -42,10 +42,8 @@ class Demand:
 
     Attributes
     ----------
-    name : str
     value : float or str
         Measured value.
-    unit : str
     bound : str
         Required bound; empty without a requirement.
     ok : bool
@@ -72,7 +70,6 @@ def checks(walked: WholeBodyTrace, without: Sequence[WholeBodyTrace] = ()) -> li
 
     Parameters
     ----------
-    walked : WholeBodyTrace
     without : sequence of WholeBodyTrace
         For each push of the scenario, the same walk without this push.
     """

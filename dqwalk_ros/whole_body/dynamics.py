@@ -95,7 +95,6 @@ class Multibody:
 
     Parameters
     ----------
-    model : RobotModel
     frames : iterable of str
         Links whose motion is computed.
 

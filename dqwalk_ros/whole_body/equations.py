@@ -80,13 +80,10 @@ class Scene:
 
     Attributes
     ----------
-    dynamics : Dynamics
-    mass : PointMass
     weight : float
         m g [N].
     stance : tuple of FrameMotion
         Soles on the ground.
-    preview : Preview
     support : ndarray, shape (2,)
         Position of the foot that landed last, from which P is measured [m].
     swing : Swing or None

@@ -120,7 +120,6 @@ class Walk:
 
     Attributes
     ----------
-    scenario : Scenario
     changes : mapping of str to value
         Changes of the configuration, such as ``{"whole_body.friction": 0.4}``.
     plant : str

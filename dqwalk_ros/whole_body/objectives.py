@@ -27,8 +27,6 @@ class Objective(ABC):
 
     Attributes
     ----------
-    name : str
-    weight : float
     kp : float
         Stiffness [1/s^2]; the damping is critical, 2 sqrt(kp).
     """
@@ -62,7 +60,6 @@ class FramePosition(Objective):
 
     Attributes
     ----------
-    frame : str
     target : ndarray, shape (3,)
         Position in the world [m].
     saturation : float
@@ -95,7 +92,6 @@ class FrameOrientation(Objective):
 
     Attributes
     ----------
-    frame : str
     target : ndarray, shape (3, 3), optional
         Rotation matrix in the world; by default the identity.
     """
@@ -151,7 +147,6 @@ class Distance(ABC):
 
     Attributes
     ----------
-    name : str
     eta : float
         [1/s]
     """
@@ -188,7 +183,6 @@ class FrameOutsideSphere(Distance):
 
     Attributes
     ----------
-    frame : str
     center : ndarray, shape (3,)
         Centre in the world [m].
     radius : float

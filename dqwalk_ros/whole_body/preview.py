@@ -204,9 +204,6 @@ def previewed(
 
     Parameters
     ----------
-    config : WholeBodyConfig
-    stepping : Stepping
-    mass : PointMass
     time : float
         [s]
     com : ndarray, shape (2,) or (3,)

@@ -91,7 +91,6 @@ class RigidPlant(BodyPlant):
 
     Parameters
     ----------
-    model : RobotModel
     state : BodyState
         Initial state.
     pushed : str

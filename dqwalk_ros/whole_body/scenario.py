@@ -22,7 +22,6 @@ class Scenario:
 
     Attributes
     ----------
-    name : str
     duration : float
         [s]
     targets : tuple of (float, tuple)

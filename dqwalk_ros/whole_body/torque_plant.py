@@ -37,7 +37,6 @@ class TorquePlant(BodyPlant):
 
     Parameters
     ----------
-    model : RobotModel
     state : BodyState
         Initial state.
     pushed : str

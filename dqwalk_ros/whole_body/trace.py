@@ -51,8 +51,6 @@ class BodyLog:
 
     Attributes
     ----------
-    config : Config
-    model : RobotModel
     scenario : Scenario
         Targets and pushes, at the times at which they took effect.
     states : tuple of BodyState
@@ -84,9 +82,6 @@ class WholeBodyTrace:
 
     Attributes
     ----------
-    scenario : Scenario
-    config : Config
-    model : RobotModel
     time : ndarray, shape (N,)
         Times of the states [s].
     q, dq, x_base, v_base : ndarray, shapes (N, n), (N, n), (N, 8), (N, 6)
@@ -177,13 +172,7 @@ class WholeBodyTrace:
 
 
 class Collector:
-    """Collects a `WholeBodyTrace`, one control period after the other.
-
-    Parameters
-    ----------
-    controller : WholeBodyController
-    scenario : Scenario
-    """
+    """Collects a `WholeBodyTrace`, one control period after the other."""
 
     def __init__(self, controller: WholeBodyController, scenario: Scenario) -> None:
         self._controller, self._scenario = controller, scenario
