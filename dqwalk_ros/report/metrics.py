@@ -226,6 +226,16 @@ class Series:
         return self.distances.get(name, np.full(len(self.time), np.nan))
 
     @cached_property
+    def soles(self) -> dict[Foot, Array]:
+        """Pose of each sole in odom, shape (N, 8)."""
+        out = {foot: np.full((len(self.time), 8), np.nan) for foot in Foot}
+        for span in self.spans:
+            x, base = DQ(span.record.x_odom_base), span.phase.base
+            out[base][span.ticks] = x.vec8()
+            out[base.other][span.ticks] = (x * DQ(self.end[span.ticks])).vec8()
+        return out
+
+    @cached_property
     def com_odom(self) -> Array:
         """Centre of mass in odom [m], shape (N, 3)."""
         return self._over_spans((3,), lambda span: DQ(span.record.x_odom_base).transform_point(self.com[span.ticks]))

@@ -380,7 +380,8 @@ def _walk(series: Series, phases: list[dict[str, Any]]) -> dict[str, Any]:
     trace = series.trace
     landings = [phase["landing"] for phase in phases if "landing" in phase]
     joint = int(np.argmin(series.joint_margin.min(axis=0)))
-    way = _between_the_feet(series, len(series.time) - 1) - _between_the_feet(series, 0)
+    stands = [DQ(x[[0, -1]]).transform_point(trace.model.soles[foot].center) for foot, x in series.soles.items()]
+    way = np.diff(np.mean(stands, axis=0), axis=0)[0]  # of the middle of the soles
     ahead = np.array([DQ(span.record.x_odom_base).rotation_matrix()[:, 0] for span in series.spans])
     yaw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))  # of the base soles, unwrapped
     return {
@@ -388,7 +389,7 @@ def _walk(series: Series, phases: list[dict[str, Any]]) -> dict[str, Any]:
         "duration": float(series.time[-1] - series.time[0]),
         "ticks": len(series.time),
         "steps": len(landings),
-        "distance": float(np.linalg.norm(way)),
+        "distance": float(np.linalg.norm(way[:2])),
         "forward": float(way[0]),
         "lateral": float(way[1]),
         "turned": float(yaw[-1] - yaw[0]),
@@ -402,15 +403,6 @@ def _walk(series: Series, phases: list[dict[str, Any]]) -> dict[str, Any]:
         "unit_norm_error": _unit_norm_error(series),
         "unanswered": int(np.count_nonzero(~np.isfinite(trace.u).all(axis=1))),
     }
-
-
-def _between_the_feet(series: Series, tick: int) -> Array:
-    """Return the midpoint of the soles in odom, shape (2,) [m]."""
-    span = series.spans[int(series.span_of[tick])]
-    x, soles, base = DQ(span.record.x_odom_base), series.trace.model.soles, span.phase.base
-    there = (x * DQ(series.end[tick])).transform_point(soles[base.other].center)
-    middle: Array = 0.5 * (x.transform_point(soles[base].center) + there)[:2]
-    return middle
 
 
 def _physics(series: Series, of: Ground) -> dict[str, Any]:

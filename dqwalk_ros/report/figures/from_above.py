@@ -42,6 +42,11 @@ _MANY = 50
 """Number of phases above which they are not marked in the time series of physics."""
 
 
+def _corners(x: Array, sole: Sole) -> Array:
+    """Return the corners (4, 2) [m] of a sole at the pose `x` (8,)."""
+    return DQ(x).transform_point(sole.corners)[:, :2]
+
+
 def _patch(ax: Axes, corners: Array, edge: str, face: str = "none", **looks: Any) -> None:
     """Draw a sole or another polygon (m, 2)."""
     ax.add_patch(Polygon(corners, facecolor=face, edgecolor=edge, **looks))
@@ -98,21 +103,13 @@ def top_view(series: Series) -> Figure:
     return fig
 
 
-def _in_odom(series: Series, span: Span, tick: int, foot: Foot, soles: Mapping[Foot, Sole]) -> Array:
-    """Return the corners of a sole at a tick, shape (4, 2) [m]."""
-    x = DQ(span.record.x_odom_base)
-    if foot is not span.phase.base:
-        x = x * DQ(series.end[tick])
-    return x.transform_point(soles[foot].corners)[:, :2]
-
-
 def _draw_footsteps(ax: Axes, series: Series, own: Mapping[Foot, Sole] | None) -> None:
-    soles, first = series.trace.model.soles, series.spans[0]
+    soles, places = series.trace.model.soles, series.soles
     for foot in Foot:  # initial stance
-        _patch(ax, _in_odom(series, first, first.start, foot, soles), GREY, linestyle=":", linewidth=1.2, zorder=2)
+        _patch(ax, _corners(places[foot][0], soles[foot]), GREY, linestyle=":", linewidth=1.2, zorder=2)
     for span in series.spans:
         if span.double:
-            corners = np.concatenate([_in_odom(series, span, span.end - 1, foot, soles) for foot in Foot])
+            corners = np.concatenate([_corners(places[foot][span.end - 1], soles[foot]) for foot in Foot])
             _patch(ax, ConvexPolygon.hull(corners).vertices, _HULL_EDGE, _HULL, linewidth=0.8, zorder=1)
     singles = [span for span in series.spans if not span.double]
     for number, span in enumerate(singles, 1):
@@ -130,22 +127,20 @@ def _draw_step(
 ) -> None:
     """Draw the support sole, its cylinder, the path of the swing foot, and the last landing."""
     soles, base, swing = series.trace.model.soles, span.phase.base, span.phase.base.other
-    x_base, color = DQ(span.record.x_odom_base), _COLOR[base]
-    stance = _in_odom(series, span, span.start, base, soles)
-    _patch(ax, stance, color, color + "26", linewidth=1.4, zorder=3)
+    stance, color = series.soles[base][span.start], _COLOR[base]
+    _patch(ax, _corners(stance, soles[base]), color, color + "26", linewidth=1.4, zorder=3)
     if own is not None:
-        real = _in_odom(series, span, span.start, base, own)
-        _patch(ax, real, _ORANGE, linewidth=1.0, alpha=0.6, zorder=3)
+        _patch(ax, _corners(stance, own[base]), _ORANGE, linewidth=1.0, alpha=0.6, zorder=3)
     if series.trace.config.gait.style == "paper":
-        _ring(ax, x_base.transform_point(soles[base].center), series.trace.config.ssp.com_radius, zorder=4)
-    way = (x_base * DQ(series.end[span.ticks])).transform_point(soles[swing].center)
+        _ring(ax, DQ(stance).transform_point(soles[base].center), series.trace.config.ssp.com_radius, zorder=4)
+    way = DQ(series.soles[swing][span.ticks]).transform_point(soles[swing].center)
     ax.plot(way[:, 0], way[:, 1], color=_COLOR[swing], linewidth=1.3, linestyle=":", zorder=5)
     at = (float(way[-1, 0]), float(way[-1, 1]))
     text: dict[str, Any] = {"fontsize": 10, "fontweight": "bold", "zorder": 8, "ha": "center", "va": "center"}
     beside = (0.0, 10.0 if swing is Foot.LEFT else -10.0)  # [points], outwards, where the CoM does not go
     ax.annotate(str(number), at, beside, textcoords="offset points", color=_COLOR[swing], **text)
     if last:
-        landed = _in_odom(series, span, span.end - 1, swing, soles)
+        landed = _corners(series.soles[swing][span.end - 1], soles[swing])
         _patch(ax, landed, _COLOR[swing], _COLOR[swing] + "12", linewidth=1.4, zorder=3)
 
 
@@ -213,7 +208,7 @@ def _draw_ground(ax: Axes, series: Series, of: Ground) -> None:
     for index, span in enumerate(series.spans):
         if span.double:
             for foot in tuple(Foot) if index == 0 else (span.phase.base.other,):
-                corners = DQ(of.soles[foot][span.start]).transform_point(soles[foot].corners)[:, :2]
+                corners = _corners(of.soles[foot][span.start], soles[foot])
                 _patch(ax, corners, _COLOR[foot], _COLOR[foot] + "1c", linewidth=1.0, zorder=2)
     if of.circle is not None:
         _ring(ax, of.circle.center, of.circle.radius, zorder=3)
