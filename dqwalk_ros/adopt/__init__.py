@@ -148,7 +148,7 @@ def adopt(
             f"middle is {1e3 * deviation:.0f} mm"
         )
     numbers = Numbers.of(model, anatomy, standing, [q for q, _ in single])
-    about = robot_entries(model, anatomy, robot.lock, soles, "those that walk")
+    about = robot_entries(model, anatomy, robot.lock, "those that walk")
     entries = [*about, *parameters(numbers)]
     entries = changed(entries, changes or {}, "given by --set")
     write_dynamic(folder, numbers, entries, changes or {})
@@ -263,8 +263,7 @@ def _write_whole_body(folder: pathlib.Path, urdf: Urdf, robot: RobotConfig, numb
     lock = _lock(urdf, legs | set(anatomy.waist) | {joint for arm in arms.values() for joint in arm})
     model = load_model(replace(robot, lock=lock))
     standing = stand(model, anatomy, numbers.apart, bent=_CROUCH)
-    names = {foot: model.soles[foot].frame for foot in Foot}
-    about = robot_entries(model, anatomy, lock, names, "legs, waist and arms")
+    about = robot_entries(model, anatomy, lock, "legs, waist and arms")
     entries = [*about, *whole_body_parameters(model, standing, numbers, arms)]
     write_yaml(folder / "whole_body.yaml", entries, f"{urdf.name}, adopted from {source}: Sherikov et al.")
 

@@ -140,16 +140,14 @@ def rounded(value: float, digits: int = 3) -> float:
 # ---------------------------------------------------------------------- the files
 
 
-def robot_entries(
-    model: RobotModel, anatomy: Anatomy, lock: Sequence[str], soles: dict[Foot, str], free: str
-) -> list[Entry]:
+def robot_entries(model: RobotModel, anatomy: Anatomy, lock: Sequence[str], free: str) -> list[Entry]:
     """Return the parameters of the section ``robot``; `free` describes the joints that are not in `lock`."""
     sole, found = model.soles[Foot.LEFT], anatomy.soles
     sensor = "inertial sensor" if anatomy.imu else "no link is named like an inertial sensor"
     return [
         Entry("robot.urdf", "robot.urdf", "repaired, with frames of the soles, in the folder of this file"),
         Entry("robot.pelvis", anatomy.pelvis, "link that carries both legs"),
-        *(Entry(f"robot.{k.value}_sole", soles[k], found[k].source, found[k].confidence) for k in Foot),
+        *(Entry(f"robot.{k.value}_sole", model.soles[k].frame, found[k].source, found[k].confidence) for k in Foot),
         Entry("robot.imu", anatomy.imu or anatomy.pelvis, sensor),
         Entry("robot.lock", list(lock) or [""], f"all joints but {free}; with an angle if zero is outside the limits"),
         Entry("robot.sole_length", rounded(sole.length, 4), "largest rectangle in the foot"),

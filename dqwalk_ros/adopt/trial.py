@@ -64,26 +64,27 @@ def first_walks(
     fraction of the present walk and a line of text.
     """
     config, model, file = found.config, found.model, found.folder / "robot.yaml"
-    for plant in ("kinematic", "physics"):
-        first = walk(config, model, plant, _STEPS, progress)
-        yield first, ""
-        if first.stood:
-            continue
-        names: list[str] = []
-        for what, values in cures(config, found.numbers, first.causes) if plant == "physics" else ():
-            names.append(what)
-            kept = {key: value for key, value in values.items() if key not in given}
-            entries = changed(found.entries, kept, f"changed after a fall: {', '.join(names)}")
-            write_yaml(file, entries, f"{model.name}: the standing walk, changed after a fall.")
-            cured = load(file)
-            again = walk(cured, load_model(cured.robot), plant, _STEPS, progress)
-            yield again, ", ".join(names)
-            if again.stood:
-                write_dynamic(found.folder, found.numbers, entries, given)
-                break
-        else:
-            write_yaml(file, found.entries, f"{model.name}: the standing walk.")
+    names: list[str] = []
+    first = walk(config, model, "kinematic", _STEPS, progress)
+    yield first, ""
+    if not first.stood:
+        return
+    first = walk(config, model, "physics", _STEPS, progress)
+    yield first, ""
+    if first.stood:
+        return
+    for what, values in cures(config, found.numbers, first.causes):
+        names.append(what)
+        kept = {key: value for key, value in values.items() if key not in given}
+        entries = changed(found.entries, kept, f"changed after a fall: {', '.join(names)}")
+        write_yaml(file, entries, f"{model.name}: the standing walk, changed after a fall.")
+        cured = load(file)
+        again = walk(cured, load_model(cured.robot), "physics", _STEPS, progress)
+        yield again, ", ".join(names)
+        if again.stood:
+            write_dynamic(found.folder, found.numbers, entries, given)
             return
+    write_yaml(file, found.entries, f"{model.name}: the standing walk.")
 
 
 def dynamic_walk(found: Adoption, progress: Callable[[float, str], None] = lambda *_: None) -> Trial:
