@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from dqwalk_ros import load, load_model, make_controller, simulate
 from dqwalk_ros.config import Config
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report.bag.storage import typestore
-from dqwalk_ros.simulation import Trace
+from dqwalk_ros.simulation import PhaseRecord, Trace
 
 SHORT = {"dt": 0.04, "task.eta": 0.4, "dsp.eta_ground": 20.0, "ssp.threshold": 4e-3, "dsp.stall_rate": 1e-3}
 """Eight times as fast as the paper; Euler integration at this speed needs the higher `dsp.eta_ground`."""
@@ -29,6 +31,20 @@ def short_walk() -> Trace:
     config = short_config()
     model = load_model(config.robot)
     return simulate(make_controller(config, model), KinematicPlant(model))
+
+
+def part(trace: Trace, ticks: slice, phases: Sequence[PhaseRecord]) -> Trace:
+    """Return some states of a walk and the given phases; it is not finished."""
+    series = {name: getattr(trace, name)[ticks] for name in ("time", "q", "u", "solve_time")}
+    return replace(trace, phases=tuple(phases), finished=False, **series)
+
+
+def repeated(trace: Trace, times: int) -> Trace:
+    """Return the walk, which begins at zero, several times in succession, for figures and times only."""
+    n, dt = len(trace), trace.config.dt
+    series = {name: np.concatenate([getattr(trace, name)] * times) for name in ("q", "u", "solve_time")}
+    phases = [replace(r, start=r.start + k * n, time=r.time + k * n * dt) for k in range(times) for r in trace.phases]
+    return replace(trace, time=dt * np.arange(times * n), phases=tuple(phases), **series)
 
 
 Edit = Callable[[str, int, Any], tuple[int, Any] | None]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import json
 
 import numpy as np
 import pytest
-from recorded import short_walk
+from recorded import part, repeated, short_walk
 
 from dqwalk_ros import report as reporting
 from dqwalk_ros.dual_quaternions import DQ
@@ -169,12 +168,12 @@ def test_power_is_torque_times_velocity(trace):
         q=trace.q,
         effort=effort,
     )
-    part = dataclasses.replace(trace, physics=known)
-    ground, angle = reporting.analyse(part).ground, trace.q[:, joint]
+    series = reporting.analyse(dataclasses.replace(trace, physics=known))
+    ground, angle = series.ground, trace.q[:, joint]
     rises = np.maximum(np.diff(angle), 0.0).sum()
     assert np.trapezoid(ground.work, trace.time) == pytest.approx(torque * rises, rel=0.02)
     assert np.trapezoid(ground.power, trace.time) == pytest.approx(torque * np.abs(np.diff(angle)).sum(), rel=0.02)
-    energy = reporting.report(reporting.analyse(part))["physics"]["energy"]
+    energy = reporting.report(series)["physics"]["energy"]
     assert energy["positive"] == pytest.approx(ground.work.mean())
     assert energy["cost_of_transport"] > 0.0
 
@@ -260,27 +259,18 @@ def test_solve_times(trace):
 
 def test_report_of_an_unfinished_walk(trace, report):
     """The recorded part is evaluated; the only violation is that the walk did not finish."""
-    n = trace.phases[2].start - 50
-    part = modified_report(
-        trace,
-        time=trace.time[:n],
-        q=trace.q[:n],
-        u=trace.u[:n],
-        solve_time=trace.solve_time[:n],
-        phases=trace.phases[:2],
-        finished=False,
-    )
-    assert part["ok"] is False
-    (violation,) = part["violations"]
+    stopped = modified_report(part(trace, slice(trace.phases[2].start - 50), trace.phases[:2]))
+    assert stopped["ok"] is False
+    (violation,) = stopped["violations"]
     assert violation["what"] == "finished"
     assert "single_support/left" in violation["message"]
-    assert "OK: " not in reporting.render(part)
-    assert part["walk"]["finished"] is False
-    assert part["walk"]["steps"] == 0
-    assert part["walk"]["landing_error"] is None
-    assert [phase["ended"] for phase in part["phases"]] == [True, False]
-    assert "landing" not in part["phases"][1]
-    assert part["phases"][0] == report["phases"][0]
+    assert "OK: " not in reporting.render(stopped)
+    assert stopped["walk"]["finished"] is False
+    assert stopped["walk"]["steps"] == 0
+    assert stopped["walk"]["landing_error"] is None
+    assert [phase["ended"] for phase in stopped["phases"]] == [True, False]
+    assert "landing" not in stopped["phases"][1]
+    assert stopped["phases"][0] == report["phases"][0]
 
 
 def test_states_without_a_command(trace):
@@ -442,27 +432,12 @@ def test_later_cycles_are_drawn_lighter(trace):
     """Two cycles: four curves, with lighter colours in the second cycle."""
     from matplotlib.colors import rgb_to_hsv, to_rgb
 
-    long = two_cycles(trace)
-    ax = figure7(reporting.analyse(long)).get_axes()[0]
+    ax = figure7(reporting.analyse(repeated(trace, 2))).get_axes()[0]
     curves = lines_of(ax, dashed=False)[::-1]
     assert len(curves) == 4
     shade = [rgb_to_hsv(to_rgb(line.get_color()))[1] for line in curves]
     assert shade[2] < 0.6 * shade[0]
     assert shade[3] < 0.6 * shade[1]
-
-
-def two_cycles(trace):
-    """Return the walk repeated once, for drawing only."""
-    n, shift = len(trace.time), trace.time[-1] + trace.config.dt
-    later = [dataclasses.replace(copy.copy(r), start=r.start + n, time=r.time + shift) for r in trace.phases]
-    return dataclasses.replace(
-        trace,
-        time=np.concatenate([trace.time, trace.time + shift]),
-        q=np.tile(trace.q, (2, 1)),
-        u=np.tile(trace.u, (2, 1)),
-        solve_time=np.tile(trace.solve_time, 2),
-        phases=(*trace.phases, *later),
-    )
 
 
 def test_figures_are_saved_in_every_format(series, tmp_path, monkeypatch):
@@ -482,16 +457,7 @@ def test_figures_are_saved_in_every_format(series, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("n", [1, 40])
 def test_figures_of_a_walk_that_ends_in_its_first_phase(trace, n):
-    part = dataclasses.replace(
-        trace,
-        time=trace.time[:n],
-        q=trace.q[:n],
-        u=trace.u[:n],
-        solve_time=trace.solve_time[:n],
-        phases=trace.phases[:1],
-        finished=False,
-    )
-    series = reporting.analyse(part)
+    series = reporting.analyse(part(trace, slice(n), trace.phases[:1]))
     assert names(reporting.report(series)) == {"finished"}
     assert all(figure.get_axes() for _, figure, _ in drawn(series))
 
@@ -499,17 +465,8 @@ def test_figures_of_a_walk_that_ends_in_its_first_phase(trace, n):
 def test_report_and_figures_of_a_single_support_phase_only(trace):
     """A recording that starts late and ends early."""
     record, end = trace.phases[1], trace.phases[2].start
-    ticks = slice(record.start, end)
-    part = dataclasses.replace(
-        trace,
-        time=trace.time[ticks],
-        q=trace.q[ticks],
-        u=trace.u[ticks],
-        solve_time=trace.solve_time[ticks],
-        phases=(dataclasses.replace(record, start=0),),
-        finished=False,
-    )
-    series = reporting.analyse(part)
+    phases = [dataclasses.replace(record, start=0)]
+    series = reporting.analyse(part(trace, slice(record.start, end), phases))
     report = reporting.report(series)
     assert names(report) == {"finished"}
     assert "single_support/left (stopped)" in reporting.render(report)

@@ -12,7 +12,7 @@ from html import escape
 
 import numpy as np
 import pytest
-from recorded import rewrite, short_config, short_walk
+from recorded import repeated, rewrite, short_config, short_walk
 
 from dqwalk_ros import cli, load, load_model, make_controller, report, simulate
 from dqwalk_ros.config import to_yaml
@@ -186,21 +186,7 @@ def test_repeated_faults_are_listed_once(path, tmp_path):
 def test_a_report_of_ten_minutes_is_fast(tmp_path):
     """120 000 states need less than 20 s of CPU time and 1 GiB of memory."""
     trace = short_walk()
-    times = -(-120_000 // len(trace))
-    phases = [
-        dataclasses.replace(r, start=r.start + k * len(trace), time=r.time + k * len(trace) * trace.config.dt)
-        for k in range(times)
-        for r in trace.phases
-    ]
-    long = dataclasses.replace(
-        trace,
-        time=np.arange(times * len(trace)) * trace.config.dt,
-        q=np.tile(trace.q, (times, 1)),
-        u=np.tile(trace.u, (times, 1)),
-        solve_time=np.tile(trace.solve_time, times),
-        phases=tuple(phases),
-    )
-    bag.write(long, tmp_path / "long")
+    bag.write(repeated(trace, -(-120_000 // len(trace))), tmp_path / "long")
     began = time.process_time()
     cli.main(["report", str(tmp_path / "long"), "--html", "--quiet", "--out", str(tmp_path / "out")])
     assert time.process_time() - began < 20.0
