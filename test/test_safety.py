@@ -145,14 +145,6 @@ def test_a_spike_is_rejected_and_does_not_feed_the_watchdog(model: RobotModel, c
     assert not gate.watchdog.silent
 
 
-def test_half_a_radian_between_two_ticks_is_a_jump(model: RobotModel, clock: FakeClock) -> None:
-    gate = gate_of(model, clock)
-    gate.accept(0, np.zeros(model.n))
-    clock.now += DT
-    with pytest.raises(StateError, match="jump"):
-        gate.accept(PERIOD, np.full(model.n, 0.05) + 0.45 * np.eye(model.n)[2])
-
-
 def test_consecutive_jumps_latch_until_reset(model: RobotModel, clock: FakeClock) -> None:
     gate = gate_of(model, clock, jumps=3)
     zero, far = np.zeros(model.n), 0.4 * np.eye(model.n)[1] * np.sign(model.q_max[1] + model.q_min[1])
@@ -295,7 +287,8 @@ def test_ignored_commands_do_not_feed_the_watchdog(model: RobotModel, clock: Fak
     for _ in range(30):
         clock.now += DT
         gate.accept(50 * PERIOD, u, 100 * PERIOD)
-    assert gate.late >= 20
+    assert gate.late == 30
+    assert gate.holding
 
 
 def test_after_the_clock_is_set_back_the_plant_holds_for_one_timeout(model: RobotModel, clock: FakeClock) -> None:

@@ -31,9 +31,10 @@ from dqwalk_ros.nodes.phases import PhasePublisher
 from dqwalk_ros.nodes.safety import Contradictions
 from dqwalk_ros.report.causes import causes
 from dqwalk_ros.report.metrics import analyse
-from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.report.scene import beginning
+from dqwalk_ros.robot import Foot
 from dqwalk_ros.servos import Drive
-from dqwalk_ros.simulation import Recorder, make_controller, make_walk, walk_type, warm_up
+from dqwalk_ros.simulation import Recorder, make_controller, walk_type, warm_up
 from dqwalk_ros.state import Command, State
 from dqwalk_ros.topics import FALLEN, FINISHED
 from dqwalk_ros.walk import PhaseKind
@@ -123,7 +124,7 @@ class Controller(AnsweringNode):
         self._odometry = Odometry(self, self._model)
         self._drive = DriveWatch(Drive.of(config, self._model))
         self._recent = self._new_recorder()
-        self._first_base = first_base(config, self._model)
+        self._first_base = beginning(config, self._model).phase.base  # its sole is the frame odom
         self._show_phase()
 
         # In real time only the newest state is of use; in lockstep every state must arrive.
@@ -405,12 +406,3 @@ class Controller(AnsweringNode):
             error=float(self._walk.last.error) if walking and self._walk.last else None,
             reason=self._problem,
         )
-
-
-def first_base(config: Config, model: RobotModel) -> Foot:
-    """Return the foot whose sole is the frame odom: the base of the first phase."""
-    walk = make_walk(config, model)
-    following = walk.following(None)
-    assert following is not None  # every walk has a phase
-    kind, support, target = following
-    return walk.phase(kind, support, walk.posture, target).base
