@@ -448,7 +448,7 @@ class _Reader:
         pose = _origin(element).matrix
         moments = element.find("inertia")
         keys = ("xx", "xy", "xz", "yy", "yz", "zz")
-        xx, xy, xz, yy, yz, zz = (_float(moments, f"i{key}", 0.0) if moments is not None else 0.0 for key in keys)
+        xx, xy, xz, yy, yz, zz = (_float(moments, f"i{key}", 0.0) for key in keys)
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         (a, b, c), axes = np.linalg.eigh(inertia)
         if not (a > _LEAST_MOMENT and a + b >= c * (1.0 - _ROUNDING)):
@@ -493,8 +493,8 @@ class _Reader:
             plain,
             axis=vector if length == 1.0 else vector / length,
             mimic=mimic.get("joint", "") if mimic is not None else "",
-            multiplier=_float(mimic, "multiplier", 1.0) if mimic is not None else 1.0,
-            offset=_float(mimic, "offset", 0.0) if mimic is not None else 0.0,
+            multiplier=_float(mimic, "multiplier", 1.0),
+            offset=_float(mimic, "offset", 0.0),
         )
         return self._limited(joint, element.find("limit"), where)
 
@@ -606,7 +606,7 @@ def _about(axis: Array, angle: float) -> Array:
 def _float(
     element: ElementTree.Element | None, key: str, absent: float | None = None, *, unbounded: bool = False
 ) -> float:
-    """Return the number in the attribute `key`, or `absent` if there is no such attribute."""
+    """Return the number in the attribute `key`, or `absent` if there is no such element or attribute."""
     word = element.get(key, "").strip() if element is not None else ""
     if not word and absent is not None:
         return absent
