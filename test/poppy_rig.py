@@ -7,13 +7,23 @@ from collections.abc import Callable
 import numpy as np
 from dynamixel_bus import Memory
 
-from dqwalk_ros.config import Config
+from dqwalk_ros.config import load
 from dqwalk_ros.plants.poppy import PoppyPlant
-from dqwalk_ros.robot import RobotModel
+from dqwalk_ros.robot import load_model
 from dqwalk_ros.state import Command
 
 DT = 0.02
 MAX_AGE = 0.1
+WALK = {
+    "dt": DT,
+    "gait.step_length": 0.02,
+    "task.eta": 1.0,
+    "dsp.stall_rate": 3e-3,
+    "dsp.eta_ground": 25.0,
+    "ssp.threshold": 0.02,
+}
+CONFIG = load("paper").updated(WALK)
+MODEL = load_model(CONFIG.robot)
 
 
 class Rig:
@@ -21,8 +31,6 @@ class Rig:
 
     Parameters
     ----------
-    model : RobotModel
-    config : Config
     sync_read : bool
     angles : dict of str to float
         Initial angles of joints [deg].
@@ -32,15 +40,12 @@ class Rig:
 
     def __init__(
         self,
-        model: RobotModel,
-        config: Config,
         *,
         sync_read: bool = True,
         angles: dict[str, float] | None = None,
         settings: dict[str, object] | None = None,
     ) -> None:
-        self.model = model
-        self.config = config.updated(settings or {})
+        self.model, self.config = MODEL, CONFIG.updated(settings or {})
         self.memory = Memory(sync_read=sync_read, **(angles or {}))
         self.plant = self.opened()
 

@@ -10,40 +10,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dynamixel_bus import MOTORS
-from poppy_rig import DT, MAX_AGE, Rig
+from poppy_rig import CONFIG, DT, MAX_AGE, MODEL, Rig
 
-from dqwalk_ros.config import Config, find_share, load
+from dqwalk_ros.config import Config, find_share
 from dqwalk_ros.errors import ConfigError, PlantError
 from dqwalk_ros.plants.dynamixel import TYPES
 from dqwalk_ros.plants.poppy import MIN_SPEED, Motor, PoppyPlant, load_motors, register_speed
-from dqwalk_ros.robot import RobotModel, load_model
+from dqwalk_ros.robot import load_model
 from dqwalk_ros.simulation import make_controller
 from dqwalk_ros.state import Command, State
 
-WALK = {
-    "dt": 0.02,
-    "gait.step_length": 0.02,
-    "task.eta": 1.0,
-    "dsp.stall_rate": 3e-3,
-    "dsp.eta_ground": 25.0,
-    "ssp.threshold": 0.02,
-}
-
-
-@pytest.fixture(scope="module")
-def model() -> RobotModel:
-    return load_model(load("paper").robot)
-
-
-@pytest.fixture(scope="module")
-def config() -> Config:
-    return load("paper").updated(WALK)
-
 
 @pytest.fixture
-def rig(model: RobotModel, config: Config) -> Rig:
+def rig() -> Rig:
     """A robot in its first pose."""
-    rig = Rig(model, config)
+    rig = Rig()
     rig.settle()
     return rig
 
@@ -62,7 +43,7 @@ def test_the_25_motors_and_their_limits_are_those_of_the_urdf() -> None:
 MIRRORED = ["hip_x", "hip_z", "hip_y", "knee_y", "ankle_y", "shoulder_y", "shoulder_x", "arm_z", "elbow_y"]
 
 
-def test_a_mirrored_pose_is_mirrored_in_the_servos(model: RobotModel, config: Config) -> None:
+def test_a_mirrored_pose_is_mirrored_in_the_servos() -> None:
     """_y turns alike on both sides, _x and _z oppositely; orientation and offset then give the servo angle.
 
     The expected raw angles are written out from the wiring, not computed by the code under test.
@@ -165,8 +146,8 @@ def test_a_servo_is_fast_enough_for_its_command_and_its_error(rig: Rig) -> None:
     assert speed == pytest.approx(math.degrees(1.5 * u + error / DT), abs=1.0)
 
 
-def test_no_servo_receives_an_unlimited_speed(model: RobotModel, config: Config) -> None:
-    rig = Rig(model, config, angles={"l_knee_y": 40.0})
+def test_no_servo_receives_an_unlimited_speed() -> None:
+    rig = Rig(angles={"l_knee_y": 40.0})
     speeds = []
     for name in MOTORS:
         servo = rig.memory.servo(name)
@@ -184,7 +165,7 @@ def test_no_servo_receives_an_unlimited_speed(model: RobotModel, config: Config)
     rig.plant.close()
     assert len(speeds) > 1000
     assert min(speeds) >= 1
-    assert max(speeds) <= config.poppy.max_speed / 0.666 + 1.0
+    assert max(speeds) <= CONFIG.poppy.max_speed / 0.666 + 1.0
 
 
 @pytest.mark.parametrize(
@@ -225,8 +206,8 @@ def test_a_state_does_not_change_later(rig: Rig) -> None:
 # ---------------------------------------------------------------------- start and stop
 
 
-def test_nothing_is_written_before_activate(model: RobotModel, config: Config) -> None:
-    rig = Rig(model, config, angles={"l_knee_y": 40.0})
+def test_nothing_is_written_before_activate() -> None:
+    rig = Rig(angles={"l_knee_y": 40.0})
     rig.run(1.0)
     sent = [packet for servos in rig.memory.servos.values() for packet in servos.requests]
     assert len(sent) > 100
@@ -236,8 +217,8 @@ def test_nothing_is_written_before_activate(model: RobotModel, config: Config) -
     assert rig.plant.measured.q[rig.plant.names.index("l_knee_y")] == pytest.approx(math.radians(40.0), abs=0.001)
 
 
-def test_a_robot_in_its_first_pose_is_not_ready_before_activate(model: RobotModel, config: Config) -> None:
-    rig = Rig(model, config)
+def test_a_robot_in_its_first_pose_is_not_ready_before_activate() -> None:
+    rig = Rig()
     rig.run(0.5)
     assert not rig.plant.ready
 
@@ -260,8 +241,8 @@ def test_angles_are_fresh_up_to_their_maximum_age(rig: Rig) -> None:
     assert not rig.plant.fresh, "the oldest angle counts"
 
 
-def test_nothing_moves_when_the_torque_is_switched_on(model: RobotModel, config: Config) -> None:
-    rig = Rig(model, config, angles={"l_knee_y": 40.0, "r_elbow_y": -70.0})
+def test_nothing_moves_when_the_torque_is_switched_on() -> None:
+    rig = Rig(angles={"l_knee_y": 40.0, "r_elbow_y": -70.0})
     before = rig.plant.measured.q.copy()
     rig.plant.activate()
     for name, q in zip(rig.plant.names, before, strict=True):
@@ -270,19 +251,19 @@ def test_nothing_moves_when_the_torque_is_switched_on(model: RobotModel, config:
         assert rig.memory.angle(name) == pytest.approx(q, abs=3e-3), name
 
 
-def test_the_motion_to_the_first_pose_is_slow(model: RobotModel, config: Config) -> None:
-    rig = Rig(model, config, angles={"l_knee_y": 40.0, "r_knee_y": 10.0, "r_elbow_y": -70.0})
+def test_the_motion_to_the_first_pose_is_slow() -> None:
+    rig = Rig(angles={"l_knee_y": 40.0, "r_knee_y": 10.0, "r_elbow_y": -70.0})
     rig.plant.activate()
     began = rig.memory.clock.now
     while not rig.plant.ready:
         before = np.array([rig.memory.angle(name) for name in rig.plant.names])
         rig.tick(5.0)  # for any command
         moved = np.abs(np.array([rig.memory.angle(name) for name in rig.plant.names]) - before)
-        assert moved.max() <= 2.0 * config.poppy.start_speed * DT + 0.003
+        assert moved.max() <= 2.0 * CONFIG.poppy.start_speed * DT + 0.003
         assert rig.memory.clock.now < began + 20.0
     took = rig.memory.clock.now - began
-    assert took >= math.radians(70.0) / config.poppy.start_speed - config.poppy.start_tolerance - DT
-    assert np.abs(rig.plant.measured.q).max() < config.poppy.start_tolerance
+    assert took >= math.radians(70.0) / CONFIG.poppy.start_speed - CONFIG.poppy.start_tolerance - DT
+    assert np.abs(rig.plant.measured.q).max() < CONFIG.poppy.start_tolerance
 
 
 def test_a_robot_without_torque_receives_no_goals(rig: Rig) -> None:
@@ -316,9 +297,9 @@ def test_goals_stay_inside_the_limits_and_near_the_measured_angles(rig: Rig) -> 
         assert (np.abs(goal - q) <= rig.config.poppy.max_lead + 1e-9).all()
 
 
-def test_calibration_moves_the_zero_of_a_joint(model: RobotModel, config: Config) -> None:
+def test_calibration_moves_the_zero_of_a_joint() -> None:
     """With the calibration -3, a servo angle of -3 degrees is a joint angle of zero."""
-    rig = Rig(model, config, angles={"l_hip_y": -3.0}, settings={"poppy.calibration": ["l_hip_y=-3"]})
+    rig = Rig(angles={"l_hip_y": -3.0}, settings={"poppy.calibration": ["l_hip_y=-3"]})
     i = rig.plant.names.index("l_hip_y")
     assert rig.plant.measured.q[i] == pytest.approx(0.0, abs=1e-3)
     rig.settle()
@@ -327,13 +308,11 @@ def test_calibration_moves_the_zero_of_a_joint(model: RobotModel, config: Config
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("zero", [10.0, -10.0])
-def test_a_calibration_does_not_move_the_limits_of_a_servo(
-    model: RobotModel, config: Config, zero: float, side: float
-) -> None:
-    rig = Rig(model, config, settings={"poppy.calibration": [f"r_ankle_y={zero}"]})
+def test_a_calibration_does_not_move_the_limits_of_a_servo(zero: float, side: float) -> None:
+    rig = Rig(settings={"poppy.calibration": [f"r_ankle_y={zero}"]})
     rig.settle()
     k, low, high = rig.plant.names.index("r_ankle_y"), *MOTORS["r_ankle_y"].limits
-    u = np.zeros(model.n)
+    u = np.zeros(MODEL.n)
     u[k] = side
     reached = []
     for _ in range(150):
@@ -345,16 +324,14 @@ def test_a_calibration_does_not_move_the_limits_of_a_servo(
     assert (max(reached) > high - 1.0 - abs(zero)) if side > 0.0 else (min(reached) < low + 1.0 + abs(zero))
 
 
-def test_a_joint_whose_limits_exclude_zero_has_its_first_pose_at_the_nearest_limit(
-    model: RobotModel, config: Config, tmp_path: Path
-) -> None:
+def test_a_joint_whose_limits_exclude_zero_has_its_first_pose_at_the_nearest_limit(tmp_path: Path) -> None:
     text = find_share("config/motors", "poppy.yaml").read_text(encoding="utf-8")
     path = tmp_path / "motors.yaml"
     path.write_text(re.sub(r"(r_elbow_y:.*?raw: )\[.*?\]", r"\1[20.0, 90.0]", text), encoding="utf-8")
     low, high = load_motors(str(path))["r_elbow_y"].limits
     nearest = low if low > 0.0 else high
     assert abs(nearest) > 10.0
-    rig = Rig(model, config, angles={"r_elbow_y": 0.5 * (low + high)}, settings={"poppy.motors": str(path)})
+    rig = Rig(angles={"r_elbow_y": 0.5 * (low + high)}, settings={"poppy.motors": str(path)})
     rig.settle()
     k = rig.plant.names.index("r_elbow_y")
     assert math.degrees(rig.plant.measured.q[k]) == pytest.approx(nearest, abs=0.5 + math.degrees(0.1))
@@ -363,8 +340,8 @@ def test_a_joint_whose_limits_exclude_zero_has_its_first_pose_at_the_nearest_lim
     assert rig.plant.left < 0.01
 
 
-def test_the_distance_from_the_first_pose_is_that_of_the_farthest_joint(model: RobotModel, config: Config) -> None:
-    rig = Rig(model, config, angles={"l_knee_y": 40.0, "r_elbow_y": -70.0})
+def test_the_distance_from_the_first_pose_is_that_of_the_farthest_joint() -> None:
+    rig = Rig(angles={"l_knee_y": 40.0, "r_elbow_y": -70.0})
     rig.tick()
     assert rig.plant.left == pytest.approx(math.radians(70.0), abs=0.01)
 
@@ -375,23 +352,23 @@ def test_a_period_of_zero_sends_no_goals(rig: Rig) -> None:
     np.testing.assert_array_equal(rig.plant.goal, goals)
 
 
-def test_a_gain_of_zero_leaves_the_gains_of_the_servos(model: RobotModel, config: Config) -> None:
-    rig = Rig(model, config, settings={"poppy.p_gain": 0})
+def test_a_gain_of_zero_leaves_the_gains_of_the_servos() -> None:
+    rig = Rig(settings={"poppy.p_gain": 0})
     rig.settle()
     assert {rig.memory.servo(name).memory[28] for name in MOTORS} == {32}
     rig.run(1.0)
     assert not rig.plant.watch.faults
 
 
-def test_the_largest_calibration_is_45_degrees(model: RobotModel, config: Config) -> None:
-    rig = Rig(model, config, settings={"poppy.calibration": ["l_hip_y=45", "r_hip_y=-45"]})
+def test_the_largest_calibration_is_45_degrees() -> None:
+    rig = Rig(settings={"poppy.calibration": ["l_hip_y=45", "r_hip_y=-45"]})
     assert math.degrees(rig.plant.measured.q[rig.plant.names.index("l_hip_y")]) == pytest.approx(-45.0, abs=0.1)
 
 
 @pytest.mark.parametrize("entry", ["l_hip_y", "l_hip_y=x", "nobody=1", "l_hip_y=45.1", "l_hip_y=nan"])
-def test_an_invalid_calibration_is_refused(model: RobotModel, config: Config, entry: str) -> None:
+def test_an_invalid_calibration_is_refused(entry: str) -> None:
     with pytest.raises(ConfigError, match=r"poppy\.calibration"):
-        Rig(model, config, settings={"poppy.calibration": [entry]})
+        Rig(settings={"poppy.calibration": [entry]})
 
 
 @pytest.mark.parametrize("u", [math.nan, math.inf])
@@ -418,8 +395,8 @@ def test_velocities_are_differences_of_angles(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("sync_read", [True, False])
-def test_one_period_suffices_for_all_motors(model: RobotModel, config: Config, sync_read: bool) -> None:
-    rig = Rig(model, config, sync_read=sync_read)
+def test_one_period_suffices_for_all_motors(sync_read: bool) -> None:
+    rig = Rig(sync_read=sync_read)
     rig.settle()
     took = [rig.tick(0.1) for _ in range(100)]
     assert max(took) < DT  # both buses one after the other; the driver reads them in parallel
@@ -433,15 +410,15 @@ def test_one_period_suffices_for_all_motors(model: RobotModel, config: Config, s
         ("auto", r"the lower bus cannot be opened \(port auto\): no port with the motors 11, 12.*is it plugged in"),
     ],
 )
-def test_missing_ports_are_refused(model: RobotModel, config: Config, port: str, expected: str) -> None:
-    own = config.updated({"poppy.lower_port": port, "poppy.upper_port": port})
+def test_missing_ports_are_refused(port: str, expected: str) -> None:
+    own = CONFIG.updated({"poppy.lower_port": port, "poppy.upper_port": port})
     with pytest.raises(PlantError, match=expected):
-        PoppyPlant(model, own.poppy, MAX_AGE, np.zeros(model.n))
+        PoppyPlant(MODEL, own.poppy, MAX_AGE, np.zeros(MODEL.n))
 
 
-def test_dummy_servos_can_be_read_and_activated(model: RobotModel, config: Config) -> None:
-    own = config.updated({"poppy.dummy": True})
-    plant = PoppyPlant(model, own.poppy, MAX_AGE, np.zeros(model.n))
+def test_dummy_servos_can_be_read_and_activated() -> None:
+    own = CONFIG.updated({"poppy.dummy": True})
+    plant = PoppyPlant(MODEL, own.poppy, MAX_AGE, np.zeros(MODEL.n))
     assert plant.measured.q[plant.names.index("l_hip_y")] == pytest.approx(math.radians(-2.0), abs=0.001)
     plant.activate()
     assert plant.active
@@ -450,19 +427,18 @@ def test_dummy_servos_can_be_read_and_activated(model: RobotModel, config: Confi
 
 def test_a_whole_walking_cycle_with_emulated_servos(rig: Rig) -> None:
     """The walk finishes within all limits, and measured angles stay within 0.05 rad of the goals."""
-    config, model, plant = rig.config, rig.model, rig.plant
-    controller = make_controller(config, model)
-    worst, state = 0.0, State(0.0, plant.measured.q[: model.n])
+    plant, controller = rig.plant, make_controller(CONFIG, MODEL)
+    worst, state = 0.0, State(0.0, plant.measured.q[: MODEL.n])
     for k in range(20_000):
-        command = controller.step(state, config.dt)
+        command = controller.step(state, CONFIG.dt)
         if controller.finished:
             break
-        plant.step(command, config.dt)
+        plant.step(command, CONFIG.dt)
         rig.memory.clock.now += 0.01
         assert not plant.watch.faults
-        state = State((k + 1) * config.dt, plant.measured.q[: model.n].copy())
-        worst = max(worst, float(np.abs(state.q - plant.goal[: model.n]).max()))
-        assert (state.q <= model.q_max + 1e-3).all()
-        assert (state.q >= model.q_min - 1e-3).all()
+        state = State((k + 1) * CONFIG.dt, plant.measured.q[: MODEL.n].copy())
+        worst = max(worst, float(np.abs(state.q - plant.goal[: MODEL.n]).max()))
+        assert (state.q <= MODEL.q_max + 1e-3).all()
+        assert (state.q >= MODEL.q_min - 1e-3).all()
     assert controller.finished
     assert worst < 0.05

@@ -8,12 +8,10 @@ import random
 import numpy as np
 import pytest
 from dynamixel_bus import BUSES, LOAD, MOTORS, TEMPERATURE, VOLTAGE, FaultyServos, Memory
-from poppy_rig import DT, MAX_AGE, Rig
+from poppy_rig import CONFIG, DT, MAX_AGE, MODEL, Rig
 
-from dqwalk_ros.config import Config, load
 from dqwalk_ros.errors import PlantError
 from dqwalk_ros.plants.dynamixel import GAIN, TORQUE_ENABLE, TORQUE_LIMIT, TYPES
-from dqwalk_ros.robot import RobotModel, load_model
 
 KNEE = MOTORS["l_knee_y"].id
 READ, SYNC_WRITE = 2, 0x83
@@ -21,20 +19,10 @@ STEP = 0.003
 """Two encoder steps of an MX, and more than half a step of an AX, which the head has [rad]."""
 
 
-@pytest.fixture(scope="module")
-def model() -> RobotModel:
-    return load_model(load("paper").robot)
-
-
-@pytest.fixture(scope="module")
-def config() -> Config:
-    return load("paper").updated({"dt": DT})
-
-
 @pytest.fixture(params=[True, False], ids=["read at once", "read one by one"])
-def rig(model: RobotModel, config: Config, request: pytest.FixtureRequest) -> Rig:
+def rig(request: pytest.FixtureRequest) -> Rig:
     """A robot in its first pose."""
-    rig = Rig(model, config, sync_read=request.param)
+    rig = Rig(sync_read=request.param)
     rig.settle()
     return rig
 
@@ -184,11 +172,9 @@ def test_a_single_wrong_angle_causes_no_motion(rig: Rig, angle: float) -> None:
 
 
 @pytest.mark.parametrize(("beyond", "jumps"), [(0.5, 0), (2.0, 1)])
-def test_the_limit_of_a_plausible_angle_is_the_motion_at_full_speed(
-    model: RobotModel, config: Config, beyond: float, jumps: int
-) -> None:
+def test_the_limit_of_a_plausible_angle_is_the_motion_at_full_speed(beyond: float, jumps: int) -> None:
     """An MX-28 turns by 6.6 degrees in a period of 20 ms; 13 encoder steps, 1.1 degrees, more are tolerated."""
-    rig = Rig(model, config)
+    rig = Rig()
     rig.settle()
     rig.memory.of("l_knee_y").slip = {KNEE: TYPES["MX-28"].free_speed * DT + beyond}
     rig.tick()
@@ -245,8 +231,8 @@ def test_a_hot_motor_prevents_activation(rig: Rig) -> None:
     assert not rig.plant.active
 
 
-def test_a_hot_motor_stops_the_motion_to_the_first_pose(model: RobotModel, config: Config) -> None:
-    rig = Rig(model, config, angles={"l_knee_y": 60.0})
+def test_a_hot_motor_stops_the_motion_to_the_first_pose() -> None:
+    rig = Rig(angles={"l_knee_y": 60.0})
     rig.plant.activate()
     rig.run(0.5)
     rig.memory.servo("r_hip_y").memory[TEMPERATURE] = 75
@@ -318,8 +304,8 @@ def test_a_motor_at_full_load_is_reported_as_blocked(rig: Rig) -> None:
     check_holds(rig)
 
 
-def test_a_joint_blocked_before_the_first_pose_is_an_error(model: RobotModel, config: Config) -> None:
-    rig = Rig(model, config, angles={"l_knee_y": 60.0})
+def test_a_joint_blocked_before_the_first_pose_is_an_error() -> None:
+    rig = Rig(angles={"l_knee_y": 60.0})
     rig.plant.activate()
     rig.run(0.3)
     rig.memory.servo("l_knee_y").blocked = True
@@ -330,9 +316,9 @@ def test_a_joint_blocked_before_the_first_pose_is_an_error(model: RobotModel, co
     assert not rig.plant.ready
 
 
-def test_a_first_pose_not_reached_within_tolerance_is_an_error(model: RobotModel, config: Config) -> None:
+def test_a_first_pose_not_reached_within_tolerance_is_an_error() -> None:
     """A soft joint under load stops near the pose, but outside the tolerance."""
-    rig = Rig(model, config, angles={"l_knee_y": 60.0})
+    rig = Rig(angles={"l_knee_y": 60.0})
     rig.plant.activate()
     rig.until(lambda: rig.memory.angle("l_knee_y") < 0.13, 10.0)
     rig.memory.servo("l_knee_y").blocked = True
@@ -345,7 +331,7 @@ def test_a_first_pose_not_reached_within_tolerance_is_an_error(model: RobotModel
 
 
 @pytest.mark.parametrize("sync_read", [True, False])
-def test_a_lost_reply_at_activation_leaves_no_torque_off(model: RobotModel, config: Config, sync_read: bool) -> None:
+def test_a_lost_reply_at_activation_leaves_no_torque_off(sync_read: bool) -> None:
     """For any lost reply, the torque is on in all motors afterwards."""
 
     def started(lost: int) -> int:
@@ -353,7 +339,7 @@ def test_a_lost_reply_at_activation_leaves_no_torque_off(model: RobotModel, conf
         for servos in memory.servos.values():
             servos.drop_reply = lambda packet: next(count) == lost
         rig = Rig.__new__(Rig)
-        rig.model, rig.config, rig.memory = model, config, memory
+        rig.model, rig.config, rig.memory = MODEL, CONFIG, memory
         rig.plant = rig.opened()
         rig.plant.activate()
         assert all(memory.torque(name) for name in MOTORS), lost
@@ -364,8 +350,8 @@ def test_a_lost_reply_at_activation_leaves_no_torque_off(model: RobotModel, conf
         started(lost)
 
 
-def test_a_torque_that_does_not_switch_on_is_an_error(model: RobotModel, config: Config) -> None:
-    rig = Rig(model, config)
+def test_a_torque_that_does_not_switch_on_is_an_error() -> None:
+    rig = Rig()
     servo = rig.memory.servo("l_knee_y")
     write = servo.write
     servo.write = lambda address, data: None if address == TORQUE_ENABLE else write(address, data)
@@ -376,8 +362,8 @@ def test_a_torque_that_does_not_switch_on_is_an_error(model: RobotModel, config:
 
 
 @pytest.mark.parametrize("address", [GAIN, 30, TORQUE_LIMIT])
-def test_a_motor_that_cannot_be_set_up_is_an_error(model: RobotModel, config: Config, address: int) -> None:
-    rig = Rig(model, config, angles={"l_knee_y": 40.0})
+def test_a_motor_that_cannot_be_set_up_is_an_error(address: int) -> None:
+    rig = Rig(angles={"l_knee_y": 40.0})
     servo = rig.memory.servo("l_knee_y")
     write = servo.write
     servo.write(30, (1000).to_bytes(2, "little"))
@@ -388,24 +374,24 @@ def test_a_motor_that_cannot_be_set_up_is_an_error(model: RobotModel, config: Co
     assert not any(rig.memory.torque(name) for name in MOTORS)
 
 
-def test_a_motor_of_another_type_is_refused(model: RobotModel, config: Config) -> None:
-    rig = Rig(model, config)
+def test_a_motor_of_another_type_is_refused() -> None:
+    rig = Rig()
     rig.plant.close()
     rig.memory.servo("l_knee_y").write(0, (310).to_bytes(2, "little"))
     with pytest.raises(PlantError, match=r"l_knee_y \(14\) is model 310, not an MX-28"):
         rig.opened()
 
 
-def test_motors_that_are_missing_at_start_are_named(model: RobotModel, config: Config) -> None:
-    rig = Rig(model, config)
+def test_motors_that_are_missing_at_start_are_named() -> None:
+    rig = Rig()
     rig.plant.close()
     rig.memory.of("l_knee_y").silent = {KNEE, KNEE + 1}
     with pytest.raises(PlantError, match=r"l_knee_y \(14, lower bus\) does not answer, l_ankle_y \(15.*robot on"):
         rig.opened()
 
 
-def test_a_motor_without_a_valid_angle_at_start_is_named(model: RobotModel, config: Config) -> None:
-    rig = Rig(model, config, sync_read=False)
+def test_a_motor_without_a_valid_angle_at_start_is_named() -> None:
+    rig = Rig(sync_read=False)
     rig.plant.close()
     rig.memory.of("l_knee_y").drop_reply = lambda packet: packet[2] == KNEE and packet[4] == READ and packet[5] > 0
     with pytest.raises(PlantError, match=r"no valid angle from l_knee_y$"):
@@ -414,10 +400,8 @@ def test_a_motor_without_a_valid_angle_at_start_is_named(model: RobotModel, conf
 
 @pytest.mark.parametrize("torque_off", [True, False])
 @pytest.mark.parametrize("fault", [None, *BUS])
-def test_close_releases_the_bus_and_leaves_the_torque_as_configured(
-    model: RobotModel, config: Config, torque_off: bool, fault: str | None
-) -> None:
-    rig = Rig(model, config, settings={"poppy.torque_off_at_end": torque_off})
+def test_close_releases_the_bus_and_leaves_the_torque_as_configured(torque_off: bool, fault: str | None) -> None:
+    rig = Rig(settings={"poppy.torque_off_at_end": torque_off})
     rig.settle()
     closed = []
     for part in rig.plant.parts:
@@ -547,11 +531,9 @@ class RandomFaults:
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("seed", [*range(6), *(pytest.param(k, marks=pytest.mark.long) for k in range(6, 100))])
-def test_random_faults_cause_neither_stale_angles_nor_runaway_goals(
-    model: RobotModel, config: Config, seed: int
-) -> None:
+def test_random_faults_cause_neither_stale_angles_nor_runaway_goals(seed: int) -> None:
     """Ten seconds of faults in any order; a stopped robot is activated again at random times."""
-    rig = Rig(model, config, sync_read=bool(seed % 2))
+    rig = Rig(sync_read=bool(seed % 2))
     rig.settle()
     sequence, injected = RandomFaults(rig, seed), []
     end, due = rig.memory.clock.now + 10.0, rig.memory.clock.now + 0.5
