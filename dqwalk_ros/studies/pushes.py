@@ -184,21 +184,10 @@ def every_limit(
     force: bool = False,
     **options: Any,
 ) -> list[Limit]:
-    """Find a limit for every moment and each of some evenly spread directions.
+    """Find a limit for every moment and each of some evenly spread directions, by a task such as `limit`.
 
-    Parameters
-    ----------
-    task : callable
-        Finds one limit, such as `limit`.
-    settings : tuple
-        Everything besides the point that affects its outcome; first the configuration.
-    out : Path
-        Folder of ``limits.jsonl``.
-    moments : sequence of str
-    force : bool
-        Discard earlier results.
-    **options
-        As `runner.run`.
+    The settings are everything besides the point that affects an outcome, first the configuration. Limits are kept in
+    ``limits.jsonl`` of a folder, unless `force` discards earlier ones; other options are those of `runner.run`.
     """
     points = [{"moment": m, "direction": 2.0 * math.pi * k / directions} for m in moments for k in range(directions)]
     key = digest(settings[0], points, *settings[1:])
