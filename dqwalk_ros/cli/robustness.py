@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import statistics
 from collections import Counter
 from collections.abc import Sequence
@@ -23,13 +22,12 @@ from dqwalk_ros.cli.options import (
     set_option,
 )
 from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.text_table import without_numbers
 
 if TYPE_CHECKING:
     from dqwalk_ros.studies.robustness import Cell
 
 __all__ = ["robustness", "table"]
-
-_NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
 
 
 @command("""
@@ -120,7 +118,7 @@ def table(done: Sequence[Cell], axes: dict[str, tuple[float, ...]]) -> str:
             if part:
                 lines.append(f"  {name + ' = ' + format(value, 'g'):28s} {sum(part):3d} of {len(part):3d}")
     fallen = [(values, end) for values, end in done if not end.stood]
-    reasons = Counter(_NUMBER.sub("#", end.reason) for _, end in fallen)
+    reasons = Counter(without_numbers(end.reason) for _, end in fallen)
     if reasons:
         lines += ["", "why the others did not:", *(f"  {count:3d} x {why}" for why, count in reasons.most_common()), ""]
     for values, end in fallen:

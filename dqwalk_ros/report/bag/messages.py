@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import copy
 import os
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
@@ -21,6 +20,7 @@ from dqwalk_ros.arrays import Array
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import BagError
 from dqwalk_ros.report.bag.storage import Column, load, typestore
+from dqwalk_ros.text_table import without_numbers
 
 __all__ = [
     "Fault", "JointStates", "Status", "Table", "aligned", "at_stamps", "diagnostics", "diagnostics_of", "faults",
@@ -438,7 +438,6 @@ def faults(statuses: list[Status]) -> list[Fault]:
     same: dict[tuple[str, str, str], list[Status]] = {}
     for status in statuses:
         if status.level != "OK":
-            text = re.sub(r"[-+.\d]+(e[-+]?\d+)?", "#", status.message)
-            same.setdefault((status.name, status.level, text), []).append(status)
+            same.setdefault((status.name, status.level, without_numbers(status.message)), []).append(status)
     found = [Fault(s[0].name, s[0].level, s[0].message, s[0].time, s[-1].time, len(s)) for s in same.values()]
     return sorted(found, key=lambda fault: (_WORST.index(fault.level), fault.first))
