@@ -88,9 +88,18 @@ def test_a_backward_facing_root_link_is_detected(tmp_path: Path) -> None:
     assert "against it: x of the root link" in ahead.source
 
 
+@pytest.mark.parametrize("names", [("left_", "right_"), ("Lft", "Rgt")])
+def test_words_for_left_and_right_tell_the_sides(names: tuple[str, str], tmp_path: Path) -> None:
+    path = edited(tmp_path, SMALL, (r'"l_', f'"{names[0]}'), (r'"r_', f'"{names[1]}'))
+    found = adopt(path, tmp_path / "out").anatomy
+    assert found.legs[Foot.LEFT][0] == f"{names[0]}hip_yaw"
+    assert "the names of left and right" in next(e for e in found.evidence if e.what == "ahead").source
+
+
 REFUSED = {
     "no shapes": ((r"<visual>.*?</visual>|<collision>.*?</collision>", ""), "no moving part has a shape"),
     "point feet": ((r'<box size="0.1265 0.0825 0.0132"/>', '<box size="0.01 0.01 0.0132"/>'), "points or edges"),
+    "edges": ((r'<box size="0.1265 0.0825 0.0132"/>', '<box size="0.1265 1e-30 0.0132"/>'), "has no flat area"),
     "one leg": ((r'name="r_knee" type="revolute"', 'name="r_knee" type="fixed"'), "mirror each other"),
     "truncated": ((r"</robot>", ""), "not XML"),
     "missing meshes": (
