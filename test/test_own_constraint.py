@@ -8,7 +8,7 @@ import pytest
 from dqwalk_ros import KinematicPlant, Kinematics, load, load_model, make_controller, simulate
 from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.report import analyse, report
-from dqwalk_ros.report.scene import Scene, moment_of
+from dqwalk_ros.report.scene import Moments, Scene
 from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.simulation import make_walk
 
@@ -43,7 +43,7 @@ def test_the_report_and_the_monitor_evaluate_the_constraint(walked):
 
 def test_the_page_shows_the_constraint(walked):
     _, trace = walked
-    view = Scene(CONFIG, MODEL).look(moment_of(trace, 20, {}))
+    view = Scene(CONFIG, MODEL).look(Moments(trace).at(20))
     assert "com_above" in [gauge.name for gauge in view.gauges]
 
 

@@ -23,7 +23,7 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ViewerError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.report.html.replay import robot_data
-from dqwalk_ros.report.scene import Scene, beginning, moment_of, shapes_of
+from dqwalk_ros.report.scene import Moments, Scene, beginning, shapes_of
 from dqwalk_ros.report.viewer.page import HOST, Page
 from dqwalk_ros.report.viewer.panels import History, margins_html, status_html
 from dqwalk_ros.report.viewer.player import Player
@@ -44,9 +44,9 @@ def page():
 
 
 def views(trace, count=40):
-    scene, phases = Scene(trace.config, trace.model), {}
+    scene, moments = Scene(trace.config, trace.model), Moments(trace)
     for tick in np.linspace(0, len(trace) - 1, count).astype(int).tolist():
-        yield tick, scene.look(moment_of(trace, tick, phases))
+        yield tick, scene.look(moments.at(tick))
 
 
 def test_shapes_match_the_urdf(trace):
@@ -255,7 +255,7 @@ def test_the_push_buttons_apply_pushes(page):
 
 def test_the_divergent_component_is_ahead_of_the_com_by_its_velocity(trace):
     """By v/w with w^2 = g/h; at rest it is above the centre of mass."""
-    scene, moment = Scene(trace.config, trace.model), moment_of(trace, 200, {})
+    scene, moment = Scene(trace.config, trace.model), Moments(trace).at(200)
     view = scene.look(moment)
     still = scene.look(replace(moment, dq=np.zeros_like(moment.q)))
     np.testing.assert_allclose(still.divergent[:2], view.com[:2], atol=1e-6)
@@ -264,7 +264,7 @@ def test_the_divergent_component_is_ahead_of_the_com_by_its_velocity(trace):
     v = (later.com - view.com)[:2] / dt
     assert np.linalg.norm(v) > 1e-4
     np.testing.assert_allclose(view.divergent[:2], view.com[:2] + v * np.sqrt(view.com[2] / 9.80665), atol=1e-6)
-    assert scene.look(moment_of(trace, 0, {})).divergent is None
+    assert scene.look(Moments(trace).at(0)).divergent is None
 
 
 @pytest.mark.parametrize("value", ["abc", float("nan"), 1e308, None, [1], {}])

@@ -37,7 +37,7 @@ from dqwalk_ros.urdf import Urdf
 from dqwalk_ros.walk import Phase
 
 __all__ = [
-    "Gauge", "Moment", "Region", "Scene", "Shape", "View", "beginning", "moment_of", "region", "shapes_of", "tightest",
+    "Gauge", "Moment", "Moments", "Region", "Scene", "Shape", "View", "beginning", "region", "shapes_of", "tightest",
 ]  # fmt: skip
 
 Rgb = tuple[int, int, int]
@@ -374,22 +374,30 @@ def beginning(config: Config, model: RobotModel) -> Moment:
     return Moment(0.0, walk.posture, phase, 0, 0.0, DQ(1.0).vec8(), label=phase.name)
 
 
-def moment_of(trace: Trace, tick: int, phases: dict[int, Phase], label: str = "", solver: str = "") -> Moment:
-    """Return a tick of a recorded walk; `phases` is a cache of the rebuilt phases, by index."""
-    starts = [record.start for record in trace.phases]
-    index = max(int(np.searchsorted(starts, tick, side="right")) - 1, 0)
-    record = trace.phases[index]
-    if index not in phases:
-        phases[index] = record.phase(trace.config, trace.model)
-    passed = float(trace.time[tick] - trace.time[tick - 1]) if tick > 0 else 0.0
-    return Moment(
-        time=float(trace.time[tick]),
-        q=trace.q[tick],
-        phase=phases[index],
-        index=index,
-        began=record.time,
-        x_odom_base=record.x_odom_base,
-        label=label or record.name,
-        solver=solver,
-        dq=(trace.q[tick] - trace.q[tick - 1]) / passed if passed > 0.0 else None,
-    )
+class Moments:
+    """The moments of a recorded walk, whose phases are rebuilt once each."""
+
+    def __init__(self, trace: Trace) -> None:
+        self._trace = trace
+        self._starts = [record.start for record in trace.phases]
+        self._phases: dict[int, Phase] = {}
+
+    def at(self, tick: int, label: str = "", solver: str = "") -> Moment:
+        """Return the moment of a tick; its label is by default the name of the phase."""
+        trace = self._trace
+        index = max(int(np.searchsorted(self._starts, tick, side="right")) - 1, 0)
+        record = trace.phases[index]
+        if index not in self._phases:
+            self._phases[index] = record.phase(trace.config, trace.model)
+        passed = float(trace.time[tick] - trace.time[tick - 1]) if tick > 0 else 0.0
+        return Moment(
+            time=float(trace.time[tick]),
+            q=trace.q[tick],
+            phase=self._phases[index],
+            index=index,
+            began=record.time,
+            x_odom_base=record.x_odom_base,
+            label=label or record.name,
+            solver=solver,
+            dq=(trace.q[tick] - trace.q[tick - 1]) / passed if passed > 0.0 else None,
+        )

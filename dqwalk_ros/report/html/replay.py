@@ -14,7 +14,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import compose
 from dqwalk_ros.report.metrics import Series
-from dqwalk_ros.report.scene import Scene, Shape, moment_of, shapes_of, tightest
+from dqwalk_ros.report.scene import Moments, Scene, Shape, shapes_of, tightest
 from dqwalk_ros.robot import Foot, RobotModel
 
 __all__ = ["FRAMES", "packed", "replay_data", "robot_data", "walk_data"]
@@ -31,10 +31,10 @@ def replay_data(series: Series) -> dict[str, Any]:
     starts = [span.start for span in series.spans]
     ticks = np.linspace(0, len(trace) - 1, min(FRAMES, len(trace))).astype(int)
     ticks = np.unique(np.concatenate([ticks, starts]))
-    scene, rebuilt = Scene(trace.config, model), {}  # type: ignore[var-annotated]
+    scene, moments = Scene(trace.config, model), Moments(trace)
     root, com, curves, tight = [], [], {}, []  # type: ignore[var-annotated]
     for row, tick in enumerate(ticks.tolist()):
-        moment = moment_of(trace, tick, rebuilt)
+        moment = moments.at(tick)
         kin, found = scene.assess(moment)
         gauges = scene.gauges(moment.phase, found)
         root.append(compose(moment.x_odom_base, kin.pose(scene.root)))

@@ -28,13 +28,12 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import DqwalkError, ViewerError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.qp import make_solver
-from dqwalk_ros.report.scene import Moment, Scene, moment_of
+from dqwalk_ros.report.scene import Moment, Moments, Scene
 from dqwalk_ros.report.viewer.page import FRAME, Page
 from dqwalk_ros.report.viewer.panels import History
 from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.simulation import PhaseRecord, Trace
 from dqwalk_ros.state import State
-from dqwalk_ros.walk import Phase
 
 __all__ = ["Feed", "Player"]
 
@@ -52,7 +51,7 @@ class Player:
 
     def __init__(self, page: Page, trace: Trace) -> None:
         self._page, self._trace = page, trace
-        self._phases: dict[int, Phase] = {}
+        self._moments = Moments(trace)
         self._solver = make_solver(trace.config.qp.solver)
         self._first, self._last = float(trace.time[0]), float(trace.time[-1])
         self._at = self._first
@@ -62,7 +61,7 @@ class Player:
         page.set_scene(scene)
         history = History()
         for tick in _spread(trace, _CURVE).tolist():
-            history.add(scene.look(moment_of(trace, tick, self._phases)))
+            history.add(scene.look(self._moments.at(tick)))
         page.replay_of(history, _prints(trace))
         self._way_ticks = _spread(trace, _WAY)
         self._way = np.array([self._com(tick) for tick in self._way_ticks.tolist()])
@@ -70,7 +69,7 @@ class Player:
         self.show()
 
     def _com(self, tick: int) -> Array:
-        moment = moment_of(self._trace, tick, self._phases)
+        moment = self._moments.at(tick)
         kin = Kinematics(self._trace.model, moment.q, moment.phase.base)
         return DQ(moment.x_odom_base).transform_point(kin.com)
 
@@ -128,13 +127,13 @@ class Player:
         """Draw the current time."""
         tick = min(int(np.searchsorted(self._trace.time, self._at)), len(self._trace) - 1)
         over = "finished" if self._trace.finished and tick == len(self._trace) - 1 else ""
-        moment = moment_of(self._trace, tick, self._phases, over, self._solved(tick))
+        moment = self._moments.at(tick, over, self._solved(tick))
         way = self._way[: int(np.searchsorted(self._way_ticks, tick)) + 1]
         self._page.show(moment, way=way, force=not self.playing)
 
     def _solved(self, tick: int) -> str:
         """Solve the quadratic program of a tick again; return iterations and active constraints."""
-        moment = moment_of(self._trace, tick, self._phases)
+        moment = self._moments.at(tick)
         try:
             kin = Kinematics(self._trace.model, moment.q, moment.phase.base)
             limit = self._trace.model.velocity_max
