@@ -31,10 +31,11 @@ from dqwalk_ros.config import OF_RCLPY, Config
 from dqwalk_ros.errors import ConfigError, DqwalkError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes import parameters, wheels
-from dqwalk_ros.topics import BODY_TOPICS, PHASE_LOG, TOPICS, Topic
+from dqwalk_ros.topics import BODY_TOPICS, PHASE_LOG, TOPICS
 
 __all__ = ["WalkNode", "main", "throttled"]
 
+_TOPICS = TOPICS | BODY_TOPICS | {PHASE_LOG.name: PHASE_LOG}
 _DISCOVERED, _HEARD = 0.4, 1.5
 """Time to discover other nodes, and to receive a message of one that is running [s]: in lockstep a plant that waits
 for a command publishes twice a second. A node that is shutting down has the same time to end."""
@@ -120,10 +121,9 @@ class WalkNode(Node):
         """Create a timer as rclpy does, but by default on the steady clock (`wheels.STEADY`)."""
         return super().create_timer(*args, **{"clock": wheels.STEADY, **keywords})
 
-    def advertise(self, topic: Topic | str) -> Publisher:
+    def advertise(self, name: str) -> Publisher:
         """Create the publisher of a topic, with the type and the quality of service given in `dqwalk_ros.topics`."""
-        if isinstance(topic, str):
-            topic = (TOPICS | BODY_TOPICS)[topic]
+        topic = _TOPICS[name]
         profile = ros.latched(topic.depth) if topic.latched else ros.stream(topic.depth)
         overrides = None if topic.latched else QoSOverridingOptions.with_default_policies()
         kind = ros.message_type(topic.type)
@@ -161,7 +161,7 @@ class WalkNode(Node):
 
     def is_recorded(self) -> bool:
         """Return whether the recorder has subscribed to every topic of this node that it records."""
-        names = {topic.name for topic in (TOPICS | BODY_TOPICS).values()} - {"phase"} | {PHASE_LOG.name}
+        names = {topic.name for topic in _TOPICS.values()} - {"phase"}  # of which it records `phase_log`
         recorded = {self.resolve_topic_name(name) for name in names}
         return all(ros.is_heard_by(self, end, "recorder") for end in self.publishers if end.topic_name in recorded)
 

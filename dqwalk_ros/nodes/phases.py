@@ -19,7 +19,7 @@ from dqwalk_ros.nodes.base import WalkNode
 from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.robot import Foot, RobotModel, parse_model
 from dqwalk_ros.simulation import make_walk
-from dqwalk_ros.topics import PHASE_LOG, TOPICS
+from dqwalk_ros.topics import TOPICS
 from dqwalk_ros.walk import Phase, PhaseKind, com_target
 
 __all__ = ["PhaseLog", "PhasePublisher"]
@@ -43,7 +43,7 @@ class PhasePublisher:
             del latched["robot_description"]
         names = ("phase", "phase_start", "support_foot", "swing_target", "com_target", *latched)
         self._pub = {name: node.advertise(name) for name in names}
-        self._log = node.advertise(PHASE_LOG)
+        self._log = node.advertise("phase_log")
         for name, text in latched.items():
             self._pub[name].publish(String(data=text))
 
