@@ -13,7 +13,11 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from rclpy.publisher import Publisher
+from std_msgs.msg import String
 
+from dqwalk_ros import provenance
+from dqwalk_ros.config import to_yaml
 from dqwalk_ros.errors import DqwalkError, QPError, StateError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
@@ -79,6 +83,16 @@ class AnsweringNode(WalkNode):
         self._diagnosed = -float("inf")  # steady time [s]
         self.create_timer(0.02, self._check_timeout)
         self.create_timer(0.25, self._check_plants)
+
+    def _publish_description(self) -> Publisher:
+        """Publish configuration, versions and robot, also for late subscribers; return the publisher of the first."""
+        texts = {"walk_config": to_yaml(self.config), "walk_origin": provenance.to_text(provenance.here())}
+        if self.config.node.robot_description:
+            texts["robot_description"] = self._model.urdf
+        publishers = {name: self.advertise(name) for name in texts}
+        for name, text in texts.items():
+            publishers[name].publish(String(data=text))
+        return publishers["walk_config"]
 
     # ------------------------------------------------------------------ defined by each controller
 

@@ -120,7 +120,7 @@ class Controller(AnsweringNode):
         self._compute_time = 0.0  # from the last state in to its command out [s]
         self._reported = -float("inf")  # steady time [s]
 
-        self._phases = PhasePublisher(self, self._model)
+        self._phases = PhasePublisher(self, self._model, self._publish_description())
         self._odometry = Odometry(self, self._model)
         self._drive = DriveWatch(Drive.of(config, self._model))
         self._recent = self._new_recorder()

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from dqwalk_ros import provenance
 from dqwalk_ros.config import Config, from_yaml, since, to_yaml
 from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.errors import DqwalkError
@@ -29,28 +29,19 @@ _KEPT = 100
 
 
 class PhasePublisher:
-    """Publishes the configuration of a walk and the start of each phase, from which `PhaseLog` rebuilds it."""
+    """Publishes the start of each phase, and on `configurations` changed parameters, for `PhaseLog`."""
 
-    def __init__(self, node: WalkNode, model: RobotModel) -> None:
+    def __init__(self, node: WalkNode, model: RobotModel, configurations: Publisher) -> None:
         self._model, self._logger, self._config = model, node.get_logger(), node.config
+        self._configurations = configurations
         self.restart()
-        latched = {
-            "walk_config": to_yaml(node.config),
-            "walk_origin": provenance.to_text(provenance.here()),
-            "robot_description": model.urdf,
-        }
-        if not node.config.node.robot_description:
-            del latched["robot_description"]
-        names = ("phase", "phase_start", "support_foot", "swing_target", "com_target", *latched)
+        names = ("phase", "phase_log", "phase_start", "support_foot", "swing_target", "com_target")
         self._pub = {name: node.advertise(name) for name in names}
-        self._log = node.advertise("phase_log")
-        for name, text in latched.items():
-            self._pub[name].publish(String(data=text))
 
     def show(self, text: str) -> None:
         """Publish the name of the current phase or mode, such as ``double_support/left`` or ``idle``."""
         self._pub["phase"].publish(String(data=text))
-        self._log.publish(String(data=text))
+        self._pub["phase_log"].publish(String(data=text))
 
     def restart(self) -> None:
         """Forget the phases of the last walk."""
@@ -64,7 +55,7 @@ class PhasePublisher:
             self._index, self._began = walk.phase_index, stamp
             if walk.config is not self._config:
                 self._config = walk.config
-                self._pub["walk_config"].publish(String(data=to_yaml(walk.config, stamp)))
+                self._configurations.publish(String(data=to_yaml(walk.config, stamp)))
             self._begin(phase)
             return True
         if phase.decision != before:  # the target of the swing foot, for the reason given

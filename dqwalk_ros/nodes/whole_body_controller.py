@@ -12,17 +12,14 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from dqwalk_ros.arrays import Array
-from dqwalk_ros.config import to_yaml
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import StateError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.answering import AnsweringNode
 from dqwalk_ros.nodes.safety import BodyGate
-from dqwalk_ros.provenance import here, to_text
 from dqwalk_ros.topics import ODOM
 from dqwalk_ros.whole_body import controller as core
 from dqwalk_ros.whole_body.controller import BodyCommand, BodyState
@@ -87,14 +84,8 @@ class WholeBodyController(AnsweringNode):
         self._parts: dict[int, dict[str, Any]] = {}  # of incomplete states, by stamp [ns]
         self._targets_rejected = self._missed = 0
         self._new_target: Array | None = None  # not applied to a state yet
-        latched = {
-            "walk_config": to_yaml(self.config),
-            "walk_origin": to_text(here()),
-            "robot_description": model.urdf,
-        }
         self._applied = self.advertise("hand_target_applied")
-        for name, text in latched.items():
-            self.advertise(name).publish(String(data=text))
+        self._publish_description()
         self.create_subscription(JointState, "joint_states", self._on_joints, ros.stream(10))
         self.create_subscription(PoseStamped, "base_pose", self._on_pose, ros.stream(10))
         self.create_subscription(TwistStamped, "base_twist", self._on_twist, ros.stream(10))
