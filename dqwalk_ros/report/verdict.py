@@ -24,7 +24,7 @@ from dqwalk_ros.report.causes import causes
 from dqwalk_ros.report.metrics import FALLEN, Ending, Ground, Series, Span, left_of, support_polygon
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.statics import GRAVITY
-from dqwalk_ros.walk import Phase, PhaseKind
+from dqwalk_ros.walk import Phase
 
 __all__ = ["Assessment", "Assessor", "Violation", "report", "violations"]
 
@@ -201,7 +201,7 @@ def _settled_height(series: Series, span: Span) -> tuple[float | None, int]:
 
 def _of_a_phase(series: Series, span: Span) -> Iterator[Violation]:
     """Yield the violations of a phase."""
-    config, tolerance, name = series.trace.config, series.trace.config.monitor.tolerance, span.phase.name
+    tolerance, name = series.trace.config.monitor.tolerance, span.phase.name
     for row in span.phase.constraints:
         d = series.distances[row.name][span.ticks]
         at = int(np.nanargmin(d))
@@ -218,24 +218,27 @@ def _of_a_phase(series: Series, span: Span) -> Iterator[Violation]:
         if height is not None and abs(height) > allowed:
             text = f"the end foot's tip is {1e3 * height:.3f} mm off the ground"
             yield _broken(series, "ground", tick, height, allowed, text, name)
-    if (ending := span.ending) is None:
-        return
-    last, standing = min(span.end, len(series.time) - 1), config.gait.style != "paper"
-    radius, threshold = config.ssp.com_radius, config.standing.swing_threshold if standing else config.ssp.threshold
-    transfers = span.phase.kind is PhaseKind.DOUBLE_SUPPORT
-    if transfers and not standing and ending.com_to_axis > radius:
+    if span.ending is not None:
+        yield from _of_an_ending(series, span, span.ending)
+
+
+def _of_an_ending(series: Series, span: Span, ending: Ending) -> Iterator[Violation]:
+    """Yield the violations at the end of a phase: the rules of the paper's phases, and a landing beside the target."""
+    config, name, last = series.trace.config, span.phase.name, min(span.end, len(series.time) - 1)
+    paper, lands = config.gait.style == "paper", span.phase.swing_target is not None
+    radius, threshold = config.ssp.com_radius, config.ssp.threshold if paper else config.standing.swing_threshold
+    if paper and span.double and ending.com_to_axis > radius:
         far = f"{1e3 * ending.com_to_axis:.1f} mm from the foot's centre, {1e3 * radius:.1f} mm are allowed"
         yield _broken(series, "end/cylinder", last, ending.com_to_axis, radius, f"ended with the CoM {far}", name)
-    if span.phase.swing_target is None:
-        return
-    if not standing and ending.error >= threshold:
+    if paper and lands and ending.error >= threshold:
         text = f"ended with an error of {ending.error:.3g}, not below {threshold:g}"
         yield _broken(series, "end/error", last, ending.error, threshold, text, name)
-    miss = _landing(span, ending)["error"]
-    physics = standing and series.ground is not None
-    allowed = LANDING * float(series.com[0, 2]) if physics else LANDING_TOLERANCE * threshold
-    if miss > allowed:
-        yield _broken(series, "landing", last, miss, allowed, f"landed {1e3 * miss:.2f} mm from its target", name)
+    if lands:
+        miss = _landing(span, ending)["error"]
+        physics = not paper and series.ground is not None
+        allowed = LANDING * float(series.com[0, 2]) if physics else LANDING_TOLERANCE * threshold
+        if miss > allowed:
+            yield _broken(series, "landing", last, miss, allowed, f"landed {1e3 * miss:.2f} mm from its target", name)
 
 
 def _of_the_walk(series: Series) -> Iterator[Violation]:
