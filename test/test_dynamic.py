@@ -15,6 +15,7 @@ from dqwalk_ros import strict_yaml
 from dqwalk_ros.config import find_share, overlaid
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.dynamic.adjust import Step, adjusted, left_over, transfer_time
+from dqwalk_ros.dynamic.ground import Ground, turned
 from dqwalk_ros.dynamic.pendulum import angular_momentum
 from dqwalk_ros.dynamic.plan import Pressed, Rest, single_supports
 from dqwalk_ros.dynamic.swing import Swing
@@ -24,6 +25,8 @@ from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.report import analyse, bag, report
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, simulate
+from dqwalk_ros.standing.footsteps import Footprint
+from dqwalk_ros.studies.pushes import Push, pushed
 from dqwalk_ros.walk import PhaseKind
 
 CONFIG = dq.load("poppy_dynamic")
@@ -209,7 +212,7 @@ def test_a_robot_that_is_held_does_not_wait_for_ever() -> None:
 
 def test_a_push_towards_the_swing_foot_is_caught_on_the_spot() -> None:
     """The foot lands early and throws the robot back; without a longer double support it fell."""
-    config = CONFIG.updated({"gait.step_length": 0.0, "gait.steps": 4})
+    config = overlaid(CONFIG, "physics").updated({"gait.step_length": 0.0, "gait.steps": 4})
     controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
 
     def push(time: float) -> None:  # in the middle of the second step, in support on the right foot
@@ -240,6 +243,78 @@ def test_a_swing_lands_at_a_changed_goal_and_time() -> None:
     assert np.abs(path[-1, 3:]).max() < 1e-3
     assert np.abs(slope - 0.5 * (path[1:, 3:] + path[:-1, 3:]))[np.arange(448) != 199].max() < 0.02
     assert path[:, 2].max() == pytest.approx(0.02, abs=0.002)
+
+
+# ---------------------------------------------------------------------- the ground
+
+
+def random_vertical(random: np.random.Generator) -> np.ndarray:
+    """Return the vertical in axes of a sole that is inclined by some degrees."""
+    up = np.array([0.1, 0.1, 1.0]) * [*random.uniform(-1.0, 1.0, 2), 1.0]
+    return up / np.linalg.norm(up)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_sole_that_tips_leaves_the_swing_foot_at_its_height_above_the_ground(seed: int) -> None:
+    """Up to the dead zone of 0.5 degrees."""
+    random = np.random.default_rng(seed)
+    flat, up = random_vertical(random), random_vertical(random)
+    tip = Ground(flat, math.radians(0.5)).tip(up)
+    seen = DQ(tip).Ad(DQ([0.0, *flat])).vec3()  # the vertical, as far as the sole is taken to have tipped
+    angle = math.acos(flat @ up)
+    assert math.acos(flat @ seen) == pytest.approx(angle - math.radians(0.5))
+    assert math.acos(seen @ up) == pytest.approx(math.radians(0.5))
+    p, r = random.normal(size=3), random.normal(size=4)
+    moved = turned(tip, np.array([*p, *r / np.linalg.norm(r)]))
+    assert seen @ moved[:3] == pytest.approx(flat @ p)
+    before, after = DQ(r).P().normalized().conj().Ad(DQ([0.0, *flat])), DQ(moved[3:]).conj().Ad(DQ([0.0, *seen]))
+    assert after.vec3() == pytest.approx(before.vec3())  # the vertical in axes of the swing sole
+    assert Ground(flat, math.radians(0.5)).tip(flat) == pytest.approx(DQ(1.0).vec8())
+
+
+def test_the_ground_is_inclined_as_the_soles_are_in_the_mean() -> None:
+    random = np.random.default_rng(0)
+    slope = random_vertical(random)
+    ground = Ground(np.array([0.0, 0.0, 1.0]), 1e-3)
+    turn = Footprint(0.1 + 0.2j, np.exp(0.3j))  # of the previous sole in the axes of the next
+    for k in range(4000):
+        if k % 100 == 99:
+            ground.change_base(turn)
+            slope = DQ(turn.pose).P().Ad(DQ([0.0, *slope])).vec3()
+        ground.observe(slope + 0.02 * random.normal(size=3), 0.005)
+    assert ground.tip(slope) == pytest.approx(DQ(1.0).vec8(), abs=2e-3)
+
+
+def test_a_push_that_tips_the_sole_outwards_is_caught_on_the_spot() -> None:
+    """A swing foot that landed in the plane of the tipped sole bore no weight, and the robot fell."""
+    config = overlaid(CONFIG, "physics").updated({"gait.step_length": 0.0, "qp.solver": "daqp"})
+    assert not pushed(config, Push("left", 0.5 * math.pi, 0.4))
+
+
+@pytest.mark.long
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize(
+    ("length", "latency", "least", "impulses"),
+    [
+        (0.0, 0.0, 0.55, (0.3, 0.4, 0.45, 0.5, 0.55)),
+        (0.05, 0.0, 0.5, (0.3, 0.4, 0.5, 0.55)),
+        (0.05, 0.02, 0.3, (0.25, 0.3, 0.4)),
+    ],
+)
+def test_pushes_of_every_direction_at_every_part_of_a_step(
+    length: float, latency: float, least: float, impulses: tuple[float, ...]
+) -> None:
+    """Impulses up to `least` [N s] must be survived; the others are only printed."""
+    changes = {"gait.step_length": length, "servo.latency": latency, "servo.assumed_latency": latency}
+    config = overlaid(CONFIG, "physics").updated({**changes, "qp.solver": "daqp"})
+    parts, angles = (0.1, 0.25, 0.5, 0.75), 0.25 * math.pi * np.arange(8)
+    points = [(foot, part, float(angle)) for foot in ("left", "right") for part in parts for angle in angles]
+    for impulse in impulses:
+        fell = [p for p in points if pushed(config, Push(p[0], p[2], impulse, part=p[1]))]
+        where = "".join(f"; {foot} foot, {part}, {math.degrees(angle):.0f} degrees" for foot, part, angle in fell)
+        stood = len(points) - len(fell)
+        print(f"\n{2.0 * length:g} m/s, {1e3 * latency:g} ms, {impulse} N s: {stood} of {len(points)} stood{where}")
+        assert impulse > least or not fell
 
 
 # ---------------------------------------------------------------------- tasks

@@ -20,6 +20,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.constraints import Constraint
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.dynamic.adjust import Step, adjusted, left_over, transfer_time
+from dqwalk_ros.dynamic.ground import Ground, turned
 from dqwalk_ros.dynamic.pendulum import Pendulum
 from dqwalk_ros.dynamic.plan import Course, Pressed, Rest, single_supports
 from dqwalk_ros.dynamic.swing import Swing
@@ -47,6 +48,11 @@ _LATE = 0.05
 """Delay at which the feedback gain is halved [s]."""
 _TOLERANT = 0.02
 """Delay at which the error threshold of the step adjustment is doubled [s]."""
+_UNSURE, _UNSURE_LATE = math.radians(0.3), math.radians(40.0)
+"""Inclination up to which a sole is not taken to tip [rad], and its increase by the delay beyond one period [rad/s].
+
+Without it a walk with sensor noise and a delay of 40 ms falls.
+"""
 _RESIDUAL, _YIELD = 0.002, 0.1
 """Error [m] above which the path of the CoM approaches the measured CoM, and the fraction of this at each state."""
 _CONFIRMED = 3
@@ -108,10 +114,12 @@ class DynamicWalk(StandingWalk):
         self._advance = max(delay - config.dt, 0.0)
         self._gain = config.standing.balance / (1.0 + delay / _LATE)
         self._threshold = config.dynamic.catch_beyond * (1.0 + delay / _TOLERANT)
+        self._unsure = _UNSURE + _UNSURE_LATE * self._advance
         self._known: Phase | None = None
         self._time = -math.inf
         self._com = self._xi = self._smooth = np.zeros(2)
         self._force, self._pressure = GRAVITY * _UP, np.zeros(2)
+        self._ground: Ground
         self._course: Course
         self._flight: _Flight | None = None
         self._pushed = False
@@ -273,8 +281,10 @@ class DynamicWalk(StandingWalk):
             self._com = self._com + dt * omega * (self._xi - self._com)  # c' = w (xi - c)
         else:
             dt, self._com, self._xi = 0.0, c, c + v / omega if self._descends else c
+            self._ground = Ground(up, self._unsure)
         if phase is not self._known:
             self._begin(phase, kin)
+        self._ground.observe(up, dt)
         assert isinstance(phase.rule, Timed)
         t = kin.elapsed + phase.rule.begun
         xi = c + v / omega
@@ -291,7 +301,7 @@ class DynamicWalk(StandingWalk):
         z = z + (1.0 + self._gain) * (xi - self._xi)
         if flight is not None:  # the foot must be on the ground before the weight is transferred
             place, velocity, acceleration = flight.swing.step(t, flight.rule.duration - self._advance)
-            self._targets["swing"].set(place, velocity)
+            self._targets["swing"].set(turned(self._ground.tip(up), place), velocity)
             z[0] += self.pendulum.swing * acceleration[0]
         self._pressure = z = _inside(z, *self._support, self.config.standing.pressure_margin)
         a = omega**2 * (c - z)  # acceleration of the pendulum
@@ -375,6 +385,7 @@ class DynamicWalk(StandingWalk):
         before, self._known = self._known, phase
         other = Footprint.of(kin.pose(kin.swing))
         if before is not None and before.base is not phase.base:  # transform from the previous base sole
+            self._ground.change_base(other)
             self._com, self._xi = other.points(self._com), other.points(self._xi)
             self._smooth, self._pressure = other.points(self._smooth), other.points(self._pressure)
         self._targets = {task.name: task.target for task in phase.tasks if isinstance(task, Follow | FollowPose)}
@@ -413,7 +424,8 @@ class DynamicWalk(StandingWalk):
             low=sole.center[:2] - half, high=sole.center[:2] + half, reach=np.array([d.catch_length, d.catch_side]),
         )  # fmt: skip
         descends, self._descends = self._descends, False
-        swing = Swing(kin.pose(kin.swing), target, self.config.gait.step_height, rule.duration if descends else 0.0)
+        start = (DQ(self._ground.tip(kin.up)).conj() * DQ(kin.pose(kin.swing))).vec8()
+        swing = Swing(start, target, self.config.gait.step_height, rule.duration if descends else 0.0)
         rule.begun = swing.begun
         # after an adjusted step, the next step is adjusted from its beginning
         self._flight = _Flight(rule, course, step, swing, swing.goal, lost=_CONFIRMED if self._pushed else 0)
