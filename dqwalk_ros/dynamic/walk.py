@@ -48,8 +48,8 @@ _LATE = 0.05
 """Delay at which the feedback gain is halved [s]."""
 _TOLERANT = 0.02
 """Delay at which the error threshold of the step adjustment is doubled [s]."""
-_UNSURE, _UNSURE_LATE = math.radians(0.3), math.radians(40.0)
-"""Inclination up to which a sole is not taken to tip [rad], and its increase by the delay beyond one period [rad/s].
+_UNSURE = math.radians(60.0)
+"""Inclination up to which a sole is not taken to tip, per delay beyond one period [rad/s].
 
 Without it a walk with sensor noise and a delay of 40 ms falls.
 """
@@ -114,7 +114,7 @@ class DynamicWalk(StandingWalk):
         self._advance = max(delay - config.dt, 0.0)
         self._gain = config.standing.balance / (1.0 + delay / _LATE)
         self._threshold = config.dynamic.catch_beyond * (1.0 + delay / _TOLERANT)
-        self._unsure = _UNSURE + _UNSURE_LATE * self._advance
+        self._unsure = _UNSURE * self._advance
         self._known: Phase | None = None
         self._time = -math.inf
         self._com = self._xi = self._smooth = np.zeros(2)
