@@ -24,7 +24,7 @@ from dqwalk_ros.report.causes import causes
 from dqwalk_ros.report.metrics import FALLEN, Ending, Ground, Series, Span, left_of, support_polygon
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.statics import GRAVITY
-from dqwalk_ros.walk import Phase
+from dqwalk_ros.walk import Phase, PhaseKind
 
 __all__ = ["Assessment", "Assessor", "Violation", "report", "violations"]
 
@@ -227,7 +227,8 @@ def _of_an_ending(series: Series, span: Span, ending: Ending) -> Iterator[Violat
     config, name, last = series.trace.config, span.phase.name, min(span.end, len(series.time) - 1)
     paper, lands = config.gait.style == "paper", span.phase.swing_target is not None
     radius, threshold = config.ssp.com_radius, config.ssp.threshold if paper else config.standing.swing_threshold
-    if paper and span.double and ending.com_to_axis > radius:
+    transfers = span.phase.kind is PhaseKind.DOUBLE_SUPPORT  # unlike a stance
+    if paper and transfers and ending.com_to_axis > radius:
         far = f"{1e3 * ending.com_to_axis:.1f} mm from the foot's centre, {1e3 * radius:.1f} mm are allowed"
         yield _broken(series, "end/cylinder", last, ending.com_to_axis, radius, f"ended with the CoM {far}", name)
     if paper and lands and ending.error >= threshold:
