@@ -101,6 +101,7 @@ def read_table(folder: Path, *motors: dict[str, str]) -> list[Motor]:
         ({"raw": "[1, 1]"}, r"\[lower, upper\]"),
         ({"raw": "[0, 1, 2]"}, "length 2.*raw"),
         ({"gain": "1"}, "gain"),
+        ({"name": "m0"}, "name"),
     ],
 )
 def test_an_invalid_motor_is_refused(tmp_path: Path, changes: dict[str, str], expected: str) -> None:

@@ -117,7 +117,7 @@ def load_motors(source: str) -> dict[str, Motor]:
     out: dict[str, Motor] = {}
     for name, entry in table.items():
         try:
-            motor = msgspec.convert({"name": str(name), **entry}, Motor)
+            motor = msgspec.convert(dict(name=str(name), **entry), Motor)
             if motor.type not in TYPES:
                 raise ValueError(f"the type must be one of {', '.join(TYPES)}")
             if not motor.raw[0] < motor.raw[1]:
