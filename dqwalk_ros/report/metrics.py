@@ -275,6 +275,12 @@ class Series:
         return out
 
     @cached_property
+    def least_joint_margin(self) -> Array:
+        """The smallest `joint_margin` of all joints [rad], shape (N,)."""
+        out: Array = self.joint_margin.min(axis=1)
+        return out
+
+    @cached_property
     def paper_margin(self) -> Array:
         """Distance of the CoM to the boundary of the paper's support region, positive inside [m].
 

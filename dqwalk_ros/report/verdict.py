@@ -377,7 +377,7 @@ def _margins(series: Series, ticks: slice = slice(None)) -> dict[str, dict[str, 
     for name, values in known.items():
         if (outside := np.flatnonzero(values[ticks] < 0.0)).size:
             out[name]["outside_from"] = float(series.time[ticks][outside[0]])
-    return out | {"joints": _least(series, series.joint_margin.min(axis=1), ticks)}
+    return out | {"joints": _least(series, series.least_joint_margin, ticks)}
 
 
 def _walk(series: Series, phases: list[dict[str, Any]]) -> dict[str, Any]:

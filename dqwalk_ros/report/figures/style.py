@@ -111,11 +111,12 @@ def set_time_limits(ax: Axes, series: Series) -> None:
 
 def mark_phases(ax: Axes, series: Series) -> None:
     """Shade double support and put a dashed line at every change of phase."""
-    for span in series.spans:
-        if span.double:
-            ax.axvspan(series.time[span.start], series.time[span.end - 1], color="#f1f4f7", zorder=0, linewidth=0)
-    for span in series.spans[1:]:
-        ax.axvline(series.time[span.start], color=GREY, linestyle=(0, (3, 3)), linewidth=0.9)
+    spans, time = series.spans, series.time
+    begin = [float(time[span.start]) for span in spans]
+    shaded = [(a, float(time[span.end - 1]) - a) for a, span in zip(begin, spans, strict=True) if span.double]
+    whole: dict[str, Any] = {"transform": ax.get_xaxis_transform()}  # from the bottom to the top, 0 to 1
+    ax.broken_barh(shaded, (0.0, 1.0), color="#f1f4f7", zorder=0, linewidth=0, **whole)
+    ax.vlines(begin[1:], 0.0, 1.0, color=GREY, linestyle=(0, (3, 3)), linewidth=0.9, zorder=2, **whole)
 
 
 def name_phases(ax: Axes, series: Series) -> None:
