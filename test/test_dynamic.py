@@ -26,6 +26,7 @@ from dqwalk_ros.report import analyse, bag, report
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, simulate
 from dqwalk_ros.standing.footsteps import Footprint
+from dqwalk_ros.state import State
 from dqwalk_ros.studies.pushes import Push, pushed
 from dqwalk_ros.walk import PhaseKind
 
@@ -282,6 +283,54 @@ def test_the_ground_is_inclined_as_the_soles_are_in_the_mean() -> None:
             slope = DQ(turn.pose).P().Ad(DQ([0.0, *slope])).vec3()
         ground.observe(slope + 0.02 * random.normal(size=3), 0.005)
     assert ground.tip(slope) == pytest.approx(DQ(1.0).vec8(), abs=2e-3)
+
+
+def still(time: float, q: np.ndarray, up: np.ndarray) -> State:
+    return State(time, q, dq=np.zeros(MODEL.n), up=up, gyro=np.zeros(3))
+
+
+def swing_target(config: dq.Config, q: np.ndarray, before: np.ndarray, up: np.ndarray, ticks: int) -> np.ndarray:
+    """Return the target of the left foot after some states in support on the right one, position and quaternion.
+
+    In the double support before it the vertical is `before` in axes of the left sole, then `up` in those of the right.
+    """
+    walk = DynamicWalk(config, MODEL)
+    both = walk.phase(PhaseKind.DOUBLE_SUPPORT, Foot.RIGHT, q)
+    walk.observe(both, Kinematics(MODEL, q, Foot.LEFT, before, 0.0), still(1.0, q, before))
+    stands = Footprint.of(Kinematics(MODEL, q, Foot.RIGHT).pose(MODEL.soles[Foot.LEFT].frame))
+    phase = walk.phase(PhaseKind.SINGLE_SUPPORT, Foot.RIGHT, q, stands.pose)
+    for k in range(ticks + 1):
+        kin = Kinematics(MODEL, q, Foot.RIGHT, up, config.dt * k)
+        phase = walk.observe(phase, kin, still(1.0 + config.dt * (k + 1), q, up))
+    (target,) = (task.target for task in phase.tasks if isinstance(task, FollowPose))
+    return target.place
+
+
+def inclined(degrees: float) -> np.ndarray:
+    """Return the vertical in axes of a sole that is inclined about its x axis."""
+    return np.array([0.0, math.sin(math.radians(degrees)), math.cos(math.radians(degrees))])
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.04])
+def test_the_swing_foot_leaves_a_tipped_sole_and_lands_on_the_ground(latency: float) -> None:
+    """With a delay only if the sole tips by more than 60 degrees/s times it, here 2.25 degrees."""
+    changes = {"servo.latency": latency, "servo.assumed_latency": latency, "dynamic.catch": False}
+    config, q = CONFIG.updated(changes), MODEL.posture(CONFIG.standing.posture)
+    stands, up = Kinematics(MODEL, q, Foot.RIGHT).point(MODEL.soles[Foot.LEFT].frame), inclined(2.0)
+    begun, landed = (swing_target(config, q, inclined(0.0), up, ticks)[:3] for ticks in (0, 80))
+    assert begun == pytest.approx(stands, abs=2e-4)
+    assert up @ landed == pytest.approx(up @ stands if latency else 0.0, abs=1e-3)  # 3.3 mm above the ground
+
+
+def test_the_ground_stays_as_it_is_when_the_base_changes_to_a_turned_foot() -> None:
+    """On a slope the sole does not tip, although the vertical has other coordinates in its axes."""
+    config, q = CONFIG.updated({"dynamic.catch": False}), MODEL.posture(CONFIG.standing.posture)
+    q[MODEL.joint_names.index("l_hip_z")] = 0.4
+    turn = Footprint.of(Kinematics(MODEL, q, Foot.RIGHT).pose(MODEL.soles[Foot.LEFT].frame))
+    before = inclined(6.0)
+    up = DQ(turn.pose).P().Ad(DQ([0.0, *before])).vec3()
+    assert np.linalg.norm(up - before) > 0.03
+    assert swing_target(config, q, before, up, 80)[2] == pytest.approx(0.0, abs=2e-4)
 
 
 def test_a_push_that_tips_the_sole_outwards_is_caught_on_the_spot() -> None:
