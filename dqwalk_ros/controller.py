@@ -17,6 +17,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ConfigError, PhaseError, QPError, StateError
 from dqwalk_ros.estimation.delay import CommandHistory
+from dqwalk_ros.estimation.vertical import filtered_vertical
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.qp import Problem, Solution, explained, lead_back, make_solver
 from dqwalk_ros.robot import Foot, RobotModel
@@ -198,7 +199,7 @@ class VelocityController:
             self._begin_next_phase(state)
         elif (held := state.time - self._last_time - self.config.plant.command_timeout) > 0.0:
             self._resume(state, held)
-        state = self._with_velocity(state)
+        state = self._estimated(state)
         kin, now = self._evaluate(state)
         self._last_time = state.time
         while not self.finished and self._is_over(now, state.time):
@@ -217,15 +218,14 @@ class VelocityController:
             self._history.add(state.time, u, dt)
         return Command(state.time, u, self._effort(kin, state, u))
 
-    def _with_velocity(self, state: State) -> State:
-        """Return the state with joint velocities, from the difference to the last state if they are not measured."""
-        before, self._last_state = self._last_state, state
-        if state.dq is not None or before is None:
-            return state
-        passed = state.time - before.time
-        if not 0.0 < passed <= self.config.plant.command_timeout:
-            return state
-        return dataclasses.replace(state, dq=(state.q - before.q) / passed)
+    def _estimated(self, state: State) -> State:
+        """Return the state with filtered vertical, and with joint velocities, by differences if not measured."""
+        before = self._last_state
+        if before is not None and 0.0 < (passed := state.time - before.time) <= self.config.plant.command_timeout:
+            dq = state.dq if state.dq is not None else (state.q - before.q) / passed
+            state = dataclasses.replace(state, dq=dq, up=filtered_vertical(before, state))
+        self._last_state = state
+        return state
 
     def _effort(self, kin: Kinematics, state: State, u: Array) -> Array | None:
         """Return the feedforward torques (n,) [N m], including lead and damping; None without an inertial sensor."""

@@ -12,9 +12,11 @@ import dqwalk_ros as dq
 from dqwalk_ros.config import overlaid
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.estimation.base import BaseEstimator
+from dqwalk_ros.estimation.vertical import filtered_vertical
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.simulation import closed_loop, make_controller, make_plant
+from dqwalk_ros.state import State
 from dqwalk_ros.walk import PhaseKind
 
 POPPY = dq.load("poppy")
@@ -99,3 +101,51 @@ def test_an_unloaded_sole_is_not_used_as_a_contact() -> None:
         beside = kin.com_on_ground[1] / kin.point(kin.swing)[1]
         held = BaseEstimator(POPPY, MODEL).update(0.0, kin, *still, both=True).contacts
         assert held == (set(Foot) if kin is middle else {Foot.LEFT if beside < 0.1 else Foot.RIGHT})
+
+
+def verticals(omega: np.ndarray, *, noise: float = 0.0, bias: float = 0.0, states: int = 2000) -> np.ndarray:
+    """Return true and filtered verticals (N, 2, 3) of a sensor that turns with omega sin(t) [rad/s]."""
+    dt, random, R, before, out = 0.005, np.random.default_rng(1), np.eye(3), None, []
+    size, axis = np.linalg.norm(omega), DQ(np.array([0.0, *omega, 0.0, 0.0, 0.0, 0.0]))
+    for k in range(states):
+        half = 0.5 * size * (1.0 - math.cos(k * dt))
+        turn = math.sin(half) / max(size, 1e-12) * axis.vec8()[1:4]
+        R = DQ.from_pose(np.zeros(3), [math.cos(half), *turn]).rotation_matrix()
+        up = R[2] + noise * random.normal(size=3)
+        measured = State(k * dt, np.zeros(1), up=up / np.linalg.norm(up), gyro=omega * math.sin(k * dt) + bias)
+        vertical = measured.up if before is None else filtered_vertical(before, measured)
+        before = State(measured.time, measured.q, up=vertical, gyro=measured.gyro)
+        out.append([R[2], vertical])
+    return np.array(out)
+
+
+@pytest.mark.parametrize("omega", np.eye(3))
+def test_the_filtered_vertical_has_no_lag(omega):
+    true, filtered = verticals(omega).swapaxes(0, 1)
+    assert np.ptp(true, axis=0).max() > 0.1 or omega[2]
+    np.testing.assert_allclose(filtered, true, atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(filtered, axis=1), 1.0, atol=1e-12)
+
+
+def test_noise_of_the_vertical_is_reduced_and_a_bias_of_the_gyroscope_turns_it_by_little():
+    """White noise remains to sqrt(dt / 2T) = 0.16 of it, and a bias b causes an error of T b, with T = 0.1 s."""
+    true, noisy = verticals(np.zeros(3), noise=0.004).swapaxes(0, 1)
+    assert np.std((noisy - true)[100:, :2]) == pytest.approx(0.16 * 0.004, rel=0.15)
+    true, biased = verticals(np.zeros(3), bias=np.array([0.02, 0.0, 0.0])).swapaxes(0, 1)
+    assert np.linalg.norm(biased[-1] - true[-1]) == pytest.approx(0.1 * 0.02, rel=0.01)
+
+
+def test_a_sensor_without_angular_velocity_is_not_filtered():
+    up = np.array([0.0, 0.6, 0.8])
+    before = State(0.0, np.zeros(1), up=np.array([0.0, 0.0, 1.0]))
+    assert filtered_vertical(before, State(0.005, np.zeros(1), up=up)) is up
+    assert filtered_vertical(before, State(0.005, np.zeros(1))) is None
+
+
+def test_the_vertical_is_the_measured_one_after_a_gap():
+    """A robot may be turned by hand while no state arrives."""
+    controller = make_controller(POPPY, MODEL)
+    q, leaning, gap = controller.walk.posture, [math.sin(0.1), 0.0, math.cos(0.1)], 1.2 * POPPY.plant.command_timeout
+    for time, up in ((0.0, [0.0, 0.0, 1.0]), (POPPY.dt, [0.0, 0.0, 1.0]), (POPPY.dt + gap, leaning)):
+        controller.step(State(time, q, np.zeros(MODEL.n), np.array(up), np.zeros(3)), POPPY.dt)
+    assert controller.lean == pytest.approx(0.1, abs=0.02)
