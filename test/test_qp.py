@@ -1,4 +1,4 @@
-"""The quadratic programs of whole walks: Karush-Kuhn-Tucker conditions, and comparison with an exact solution."""
+"""The residuals and the error messages of a quadratic program; `test_walk.py` has the programs of a whole walk."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-import quadprog
 from robots import legs
-from walks import paper_walk, problem_at
+from walks import exact, problem_at
 
 from dqwalk_ros.config import load
 from dqwalk_ros.kinematics import Kinematics
@@ -18,55 +17,6 @@ from dqwalk_ros.simulation import make_walk
 from dqwalk_ros.walk import PhaseKind
 
 DT = 0.005
-WALKS = [
-    pytest.param("left", True, 25, id="left-flat"),
-    *(
-        pytest.param(first, flat, 1, marks=pytest.mark.long, id=name)
-        for first in ("left", "right")
-        for flat, name in ((True, f"{first}-flat-all"), (False, f"{first}-literal-all"))
-    ),
-]
-"""First support foot, flat feet or the literal (8), and the interval between tested quadratic programs."""
-
-
-def exact(problem: Problem) -> np.ndarray:
-    """Goldfarb and Idnani's dual active-set method, on the problem in units of its own gradient."""
-    s = np.abs(problem.c).max() / np.abs(problem.H).max()
-    n = problem.c.size
-    A = np.concatenate([problem.E, problem.G, -np.eye(n), np.eye(n)])
-    b = np.concatenate([problem.e, problem.h, -problem.upper, problem.lower]) / s
-    H = problem.H / np.abs(problem.H).max()
-    c = problem.c / np.abs(problem.c).max()
-    return s * quadprog.solve_qp(H, -c, A.T.copy(), b, problem.e.size)[0]
-
-
-@pytest.mark.timeout(1800)
-@pytest.mark.parametrize(("first", "flat", "every"), WALKS)
-def test_solutions_along_a_walk_are_exact(first, flat, every):
-    """KKT residuals are below 1e-9, and the exact solution agrees to 1e-9; every program of a phase's first second."""
-    trace = paper_walk(first, flat)
-    solver = make_solver("clarabel")
-    starts = [record.start for record in trace.phases]
-    worst, deviation, count, limit = 0.0, 0.0, 0, trace.model.velocity_max
-    for record, end in zip(trace.phases, [*starts[1:], len(trace) - 1], strict=True):
-        phase = make_walk(trace.config, trace.model).phase(
-            record.kind, record.support, record.q_start, record.swing_target
-        )
-        for tick in [*range(record.start, record.start + 200), *range(record.start + 200, end, every)]:
-            problem = problem_at(phase, Kinematics(trace.model, trace.q[tick], phase.base), DT, limit)
-            solution = solver.solve(problem)
-            worst = max(worst, solution.residuals(problem).largest)
-            u = exact(problem)
-            deviation = max(deviation, np.abs(solution.u - u).max() / np.abs(u).max())
-            # and the walk used this solution
-            np.testing.assert_allclose(solution.u, trace.u[tick], rtol=0, atol=1e-9 * np.abs(u).max())
-            count += 1
-    assert count > 2000
-    assert worst < 1e-9
-    assert deviation < 1e-9
-
-
-# ---------------------------------------------------------------------- residuals and error messages
 
 
 def example_problem():

@@ -1,15 +1,17 @@
-"""Whole walks with the paper's gains, compared with the figures of section 5 and with Groenwall's bounds."""
+"""Whole walks with the paper's gains: figures of section 5, Groenwall's bounds, exact solutions of their programs."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from recorded import short_config, short_walk
 from robots import biped12, biped12_config, legs, mirrored
-from walks import Segment, paper_segments, paper_walk, segments, walk
+from walks import Segment, exact, paper_segments, paper_walk, problem_at, segments, walk
 
 from dqwalk_ros.config import load
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.qp import make_solver
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.walk import PhaseKind
 
@@ -107,22 +109,40 @@ def test_the_walk_moves_forward(first, flat, cycles):
         np.testing.assert_allclose((y * y.conj()).vec8(), [1, 0, 0, 0, 0, 0, 0, 0], rtol=0, atol=1e-12)
 
 
+# ---------------------------------------------------------------------- quadratic programs
+
+
+LONG = [pytest.param(first, flat, 1, marks=pytest.mark.long) for first in ("left", "right") for flat in (True, False)]
+
+
+@pytest.mark.parametrize(("first", "flat", "every"), [("left", True, 25), *LONG])
+def test_solutions_along_a_walk_are_exact(first, flat, every):
+    """KKT residuals are below 1e-9, and the exact solution agrees to 1e-9; every program of a phase's first second."""
+    trace, solver, count = paper_walk(first, flat), make_solver("clarabel"), 0
+    for part in paper_segments(first, flat, 1):
+        for tick in [*part.ticks[:200], *part.ticks[200:-1:every]]:
+            kin = Kinematics(trace.model, trace.q[tick], part.phase.base)
+            problem = problem_at(part.phase, kin, trace.config.dt, trace.model.velocity_max)
+            solution = solver.solve(problem)
+            assert solution.residuals(problem).largest < 1e-9
+            u = exact(problem)
+            np.testing.assert_allclose(solution.u, u, rtol=0, atol=1e-9 * np.abs(u).max())
+            # and the walk used this solution
+            np.testing.assert_allclose(solution.u, trace.u[tick], rtol=0, atol=1e-9 * np.abs(u).max())
+            count += 1
+    assert count > 2000
+
+
 # ---------------------------------------------------------------------- symmetry, other robots
 
 
 def test_a_left_step_is_the_mirror_image_of_a_right_step():
-    """The mirrored robot, starting on the other foot, has the same joint angles, for more than two phases."""
-    trace = paper_walk("left")
-    until = trace.phases[2].start + 400
-    config = load("paper").updated({"gait.first_support": "right"})
-    image = walk(config, mirrored(legs()), max_time=until * 0.005)
-    assert [record.name for record in image.phases] == [
-        "double_support/right",
-        "single_support/right",
-        "double_support/left",
-    ]
-    assert [record.start for record in image.phases] == [record.start for record in trace.phases[:3]]
-    np.testing.assert_allclose(image.q, trace.q[: len(image)], rtol=0, atol=1e-9)
+    """The mirrored robot, starting on the other foot, has the same joint angles during a whole cycle."""
+    trace, image = short_walk(), walk(short_config(**{"gait.first_support": "right"}), mirrored(legs()))
+    cycle = [f"{kind}_support/{foot}" for foot in ("right", "left") for kind in ("double", "single")]
+    assert [record.name for record in image.phases] == cycle
+    assert [record.start for record in image.phases] == [record.start for record in trace.phases]
+    np.testing.assert_allclose(image.q, trace.q, rtol=0, atol=1e-9)
 
 
 def test_a_walk_is_reproducible():
@@ -147,4 +167,4 @@ def test_another_biped_walks_with_its_own_configuration(first):
     assert (trace.q <= trace.model.q_max).all()
 
 
-FAST = {"task.eta": 0.3, "task.damping": 0.05}
+FAST = {"dt": 0.02, "task.eta": 0.3, "task.damping": 0.05}

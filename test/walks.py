@@ -11,7 +11,7 @@ import robots
 from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config, load
-from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.kinematics import Kinematics, Observer, support_tree
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.qp import Problem
 from dqwalk_ros.robot import RobotModel
@@ -24,6 +24,19 @@ Array = NDArray[np.float64]
 def problem_at(phase: Phase, kin: Kinematics, dt: float = 0.005, limit: Array | None = None) -> Problem:
     """The quadratic program of a phase at one configuration."""
     return phase.evaluate(kin).problem(dt, np.full(kin.q.size, np.inf) if limit is None else limit)
+
+
+def exact(problem: Problem) -> Array:
+    """Goldfarb and Idnani's dual active-set method, on the problem in units of its own gradient."""
+    import quadprog
+
+    s = np.abs(problem.c).max() / np.abs(problem.H).max()
+    n = problem.c.size
+    A = np.concatenate([problem.E, problem.G, -np.eye(n), np.eye(n)])
+    b = np.concatenate([problem.e, problem.h, -problem.upper, problem.lower]) / s
+    H = problem.H / np.abs(problem.H).max()
+    c = problem.c / np.abs(problem.c).max()
+    return s * quadprog.solve_qp(H, -c, A.T.copy(), b, problem.e.size)[0]
 
 
 def walk(config: Config, model: RobotModel, max_time: float | None = None) -> Trace:
@@ -66,13 +79,16 @@ def segments(trace: Trace) -> Iterator[Segment]:
     for record, end in zip(trace.phases, [*starts[1:], len(trace) - 1], strict=True):
         phase = make_walk(config, model).phase(record.kind, record.support, record.q_start, record.swing_target)
         ticks = range(record.start, end + 1)
-        error, rows = [], {row.name: [] for row in (*phase.equalities, *phase.constraints)}
+        rows = (*phase.equalities, *phase.constraints)
+        tree = support_tree(model, phase.base)
+        observers = [Observer(row.watches, tree) for row in rows]  # `Constraint.distance` makes one at each call
+        error, values = [], {row.name: [] for row in rows}
         for tick in ticks:
             kin = Kinematics(model, trace.q[tick], phase.base)
             error.append(phase.error(kin))
-            for row in (*phase.equalities, *phase.constraints):
-                rows[row.name].append(row.distance(kin) - row.bound)
-        arrays = {name: np.array(values) for name, values in rows.items()}
+            for row, observer in zip(rows, observers, strict=True):
+                values[row.name].append(row.value(observer(kin)[0])[0])
+        arrays = {row.name: np.array(values[row.name]).reshape(len(ticks), -1) - row.bound for row in rows}
         yield Segment(
             phase=phase,
             ticks=ticks,
@@ -80,7 +96,7 @@ def segments(trace: Trace) -> Iterator[Segment]:
             error=np.array(error),
             distances={row.name: arrays[row.name] for row in phase.constraints},
             equalities={row.name: arrays[row.name] for row in phase.equalities},
-            rates={row.name: min(row.eta, 1.0 / config.dt) for row in (*phase.equalities, *phase.constraints)},
+            rates={row.name: min(row.eta, 1.0 / config.dt) for row in rows},
             last=kin,
         )
 
