@@ -55,11 +55,12 @@ def rewrite(
     target: Path,
     *,
     rename: Callable[[str], str | None] = lambda topic: topic,
-    edit: Edit = lambda topic, time, message: (time, message),
+    edit: Edit | None = None,
+    edits: str = "",
     storage: StoragePlugin = StoragePlugin.MCAP,
     prepare: Callable[[Writer], None] = lambda writer: None,
 ) -> Path:
-    """Copy a bag; `rename` may drop a topic (None), `edit` change or drop messages."""
+    """Copy a bag without its QoS; `rename` may drop a topic (None), `edit` change or drop messages, of `edits` only."""
     store = typestore()
     writer = Writer(target, version=9, storage_plugin=storage)
     prepare(writer)
@@ -67,14 +68,12 @@ def rewrite(
         out = {}
         for connection in reader.connections:
             if (name := rename(connection.topic)) is not None:
-                out[connection.topic] = writer.add_connection(
-                    name,
-                    connection.msgtype,
-                    typestore=store,
-                    offered_qos_profiles=connection.ext.offered_qos_profiles,
-                )
+                out[connection.topic] = writer.add_connection(name, connection.msgtype, typestore=store)
         for connection, time, raw in reader.messages():
             if connection.topic not in out:
+                continue
+            if edit is None or (edits and connection.topic != edits):
+                writer.write(out[connection.topic], time, raw)
                 continue
             message = store.deserialize_cdr(raw, connection.msgtype)
             if (edited := edit(connection.topic, time, message)) is not None:

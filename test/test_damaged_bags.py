@@ -72,7 +72,7 @@ def test_flipped_bits_are_detected(trace, path, tmp_path):
     data = (path / "walk.mcap").read_bytes()
     rng = np.random.default_rng(5)
     detected = 0
-    for at in rng.integers(0, 8 * len(data), 40).tolist():
+    for at in rng.integers(0, 8 * len(data), 24).tolist():
         damaged = bytearray(data)
         damaged[at // 8] ^= 1 << at % 8
         (tmp_path / "x.mcap").write_bytes(damaged)
@@ -87,7 +87,7 @@ def test_flipped_bits_are_detected(trace, path, tmp_path):
         np.testing.assert_array_equal(back.q, trace.q)
         np.testing.assert_array_equal(back.u, trace.u)
         assert len(back.phases) == len(trace.phases)
-    assert detected > 30
+    assert detected > 18
 
 
 # ---------------------------------------------------------------------- impossible values
@@ -99,12 +99,11 @@ def edited(path, target, topic, change):
 
     def edit(name, time, message):
         nonlocal count
-        if name == topic:
-            change(count, message)
-            count += 1
+        change(count, message)
+        count += 1
         return time, message
 
-    return rewrite(path, target, edit=edit)
+    return rewrite(path, target, edit=edit, edits=topic)
 
 
 @pytest.mark.parametrize("seconds", [2_145_916_800, -5, 0], ids=["2038", "before 1970", "the beginning"])
