@@ -25,9 +25,9 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 
 SLOWEST = (
-    *("test_nodes", "test_runner", "test_study", "test_damaged_bags", "test_whole_body_nodes", "test_bag", "test_cli"),
-    *("test_driver", "test_causes", "test_physics_nodes", "test_walk", "test_standing", "test_adopt", "test_viewer"),
-    *("test_html_report", "test_identify", "test_startup", "test_strangers", "test_restart", "test_two_robots"),
+    *("test_runner", "test_nodes", "test_walk", "test_driver", "test_damaged_bags", "test_study", "test_adopt"),
+    *("test_whole_body_nodes", "test_cli", "test_poppy_faults", "test_bag", "test_physics_nodes", "test_html_report"),
+    *("test_interoperability", "test_identify", "test_strangers", "test_startup", "test_jacobians", "test_causes"),
 )
 """Files that take longest, longest first. They are started first, so that all workers of pytest-xdist end together."""
 
