@@ -160,7 +160,7 @@ def test_config_check_loads_the_robot(small: Adoption, capsys: pytest.CaptureFix
 def test_a_small_robot_walks(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("dqwalk_ros.adopt.trial._STEPS", 2)
+    monkeypatch.setattr("dqwalk_ros.adopt.trial._STEPS", 1)
     assert cli.main(["adopt", str(SMALLER), "--out", str(tmp_path), "--yes", "--quiet"]) == 0
     out = capsys.readouterr().out
     assert re.search(r"kinematic: walked 0\.\d", out)

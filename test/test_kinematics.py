@@ -56,7 +56,7 @@ def test_every_frame(robot, foot):
 
 def test_centre_of_mass(robot, foot):
     """(4), with the mass of the support foot; and (5) as the weighted sum of the partial Jacobians of (3)."""
-    for q in configurations(robot, 10, seed=2):
+    for q in configurations(robot, 4, seed=2):
         x = from_root(robot, q)
         kin = Kinematics(robot, q, foot)
         base = frame_from_root(robot, x, robot.soles[foot].frame)

@@ -39,7 +39,7 @@ LONG = {**SHORT, "task.eta": 0.3, "ssp.threshold": 1e-3}
 @pytest.mark.parametrize("walks", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_lockstep_walk_equals_that_of_one_process(tmp_path: Path, walks: int) -> None:
     """Every time, and with a complete bag."""
-    config = PAPER.updated(SHORT)
+    config = PAPER.updated({**SHORT, "dt": 0.02, "dsp.eta_ground": 50.0})  # 317 ticks
     expected = simulate(make_controller(config, MODEL), KinematicPlant(MODEL))
     assert expected.finished
     for path in [tmp_path / str(k) / "bag" for k in range(walks)]:
@@ -112,9 +112,9 @@ def test_a_bag_of_a_late_recorder_is_a_walk(nodes: Any, tmp_path: Path) -> None:
 
 
 def at_rest(one: Live) -> bool:
-    """Return whether nothing moves for 1.5 s; on a loaded machine some states still arrive at first."""
+    """Return whether nothing moves for 0.7 s; on a loaded machine some states still arrive at first."""
     before = one.last("joint_states")
-    one.spin(1.5)
+    one.spin(0.7)
     after = one.last("joint_states")
     if before is None or after.position != before.position:
         return False

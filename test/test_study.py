@@ -126,7 +126,7 @@ def test_results_do_not_depend_on_the_scheduler(small, tmp_path):
     one = walk_all(study, tmp_path / "one")
     assert walk_all(study, tmp_path / "two", jobs=2) == one
     with LocalCluster(
-        n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, processes=True
+        n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, processes=False, protocol="tcp"
     ) as cluster:
         assert walk_all(study, tmp_path / "dask", scheduler=cluster.scheduler_address) == one
     table = parquet.read_table(tmp_path / "one" / "walks.parquet").to_pylist()
