@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -14,6 +14,8 @@ from dqwalk_ros.errors import BagError, ConfigError
 
 if TYPE_CHECKING:
     from dqwalk_ros.report import Series
+    from dqwalk_ros.report.bag.storage import Content
+    from dqwalk_ros.report.html import Subject
 
 __all__ = ["report"]
 
@@ -45,21 +47,29 @@ def report(
     `ros2 bag record`, or truncated by a crash; the report then lists what is missing. All distances are recomputed
     from joint_states and the phases.
     """
+    from dqwalk_ros import report as reporting
     from dqwalk_ros.cli.results import write_results
     from dqwalk_ros.report import bag as bags
+    from dqwalk_ros.report import html as pages
+    from dqwalk_ros.report.bag.messages import diagnostics_of
 
     output = replace(output, out=output.out or bag.with_name(bag.resolve().name + "_report"))
-    if bags.is_body(bag):
+    content = bags.content_of(bag)
+    if bags.is_body(content):
         if compare or csv:
             raise ConfigError("--compare and --csv are not available for whole-body walks")
-        return _body(bag, namespace, output, html=html, as_json=as_json)
-    series = _series(bag, namespace)
-    other = _series(compare, namespace) if compare else None
+        return _body(content, namespace, output, html=html, as_json=as_json)
+    trace, statuses = bags.read(content, namespace=namespace), diagnostics_of(content) if html or compare else []
+    del content  # it is larger than all series
+    series = reporting.analyse(trace)
+    other = _other(compare, namespace) if compare else None
     found = write_results(series, output, as_json=as_json)
     extra = []
     try:
-        if html or compare:
-            extra.append(_html(bag, compare, series, other, found, output.folder))
+        if html or other:
+            extra.append(output.folder / "report.html")
+            subjects = [pages.Subject(_name(bag), series, found, statuses), *([other] if other else [])]
+            pages.write(subjects, extra[-1])
         if csv:
             extra.append(_csv(series, output.folder))
     except OSError as error:
@@ -69,7 +79,7 @@ def report(
     return 0 if found["ok"] else 1
 
 
-def _body(bag: Path, namespace: str | None, output: Report, *, html: bool, as_json: bool) -> int:
+def _body(bag: Content, namespace: str | None, output: Report, *, html: bool, as_json: bool) -> int:
     """Evaluate and draw a whole-body walk; return the exit code."""
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import write_report
@@ -89,7 +99,7 @@ def _body(bag: Path, namespace: str | None, output: Report, *, html: bool, as_js
         output.folder.mkdir(parents=True, exist_ok=True)
         files.append(output.folder / "report.html")
         differ = f"Recorded and recomputed torques differ by at most {off:.2g} N m."
-        page.write(files[0], _name(bag), walked, demands, [differ, *log.notes])
+        page.write(files[0], _name(bag.path), walked, demands, [differ, *log.notes])
     for note in () if as_json or output.quiet else log.notes:
         print(f"note: {note}", file=sys.stderr)
     table = f"{render_checks(walked, demands)}\nrecorded and recomputed torques differ by at most {off:.2g} N m\n"
@@ -97,27 +107,15 @@ def _body(bag: Path, namespace: str | None, output: Report, *, html: bool, as_js
     return 0 if found["ok"] else 1
 
 
-def _series(path: Path, namespace: str | None) -> Series:
+def _other(path: Path, namespace: str | None) -> Subject:
+    """Return the walk to be compared."""
     from dqwalk_ros import report as reporting
-    from dqwalk_ros.report import bag
-
-    return reporting.analyse(bag.read(path, namespace=namespace))
-
-
-def _html(
-    path: Path, compare: Path | None, series: Series, other: Series | None, found: dict[str, Any], out: Path
-) -> Path:
-    """Write the page, of one walk or of two, and return its file."""
-    from dqwalk_ros import report as reporting
-    from dqwalk_ros.report import html
+    from dqwalk_ros.report import bag, html
     from dqwalk_ros.report.bag.messages import diagnostics_of
 
-    subjects = [html.Subject(_name(path), series, found, diagnostics_of(path))]
-    if compare and other:
-        subjects.append(html.Subject(_name(compare), other, reporting.report(other), diagnostics_of(compare)))
-    file = out / "report.html"
-    html.write(subjects, file)
-    return file
+    content = bag.content_of(path)
+    series = reporting.analyse(bag.read(content, namespace=namespace))
+    return html.Subject(_name(path), series, reporting.report(series), diagnostics_of(content))
 
 
 def _name(path: Path) -> str:

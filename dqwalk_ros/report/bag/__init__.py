@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from dqwalk_ros.report.bag.body import read_body, write_body
     from dqwalk_ros.report.bag.recording import is_body
+    from dqwalk_ros.report.bag.storage import content_of
     from dqwalk_ros.report.bag.walk import read, read_orientations, write
 
-__all__ = ["is_body", "read", "read_body", "read_orientations", "write", "write_body"]
+__all__ = ["content_of", "is_body", "read", "read_body", "read_orientations", "write", "write_body"]
 
 _FILES = {
+    "content_of": "storage",
     "is_body": "recording",
     "read": "walk",
     "read_orientations": "walk",

@@ -28,7 +28,7 @@ from dqwalk_ros.report.bag.messages import (
     text,
 )
 from dqwalk_ros.report.bag.recording import open_recording
-from dqwalk_ros.report.bag.storage import Column, write_columns
+from dqwalk_ros.report.bag.storage import Column, Source, write_columns
 from dqwalk_ros.robot import RobotModel
 from dqwalk_ros.topics import BODY_REQUIRED, BODY_TOPICS, ODOM
 from dqwalk_ros.whole_body.controller import BodyState
@@ -92,9 +92,9 @@ def _when(timed: tuple[Timed, ...], stamps: Stamps) -> Stamps:
 # ---------------------------------------------------------------------- reading
 
 
-def read_body(path: str | os.PathLike[str], *, namespace: str | None = None) -> BodyLog:
+def read_body(source: Source, *, namespace: str | None = None) -> BodyLog:
     """Read a recorded whole-body walk, whichever program recorded it; see `walk.read` for parameters and errors."""
-    bag = open_recording(path, namespace, BODY_TOPICS, BODY_REQUIRED)
+    bag = open_recording(source, namespace, BODY_TOPICS, BODY_REQUIRED)
     path, model, columns, notes = bag.path, bag.model, bag.columns, bag.notes
     joints, rows, stamps = bag.states, bag.rows, bag.stamps
     poses, twists = aligned(columns["base_pose"], stamps, 7), aligned(columns["base_twist"], stamps, 6)

@@ -7,7 +7,7 @@ serialises one of them; for the others only the bytes of stamp and numbers are c
 from __future__ import annotations
 
 import copy
-import os
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
@@ -19,7 +19,7 @@ from rosbags.interfaces import Nodetype
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import BagError
-from dqwalk_ros.report.bag.storage import Column, load, typestore
+from dqwalk_ros.report.bag.storage import Column, Source, content_of, typestore
 from dqwalk_ros.text_table import without_numbers
 
 __all__ = [
@@ -132,8 +132,7 @@ def _doubles(message: Any) -> Iterator[tuple[Any, str, Any]]:
 
 
 def _filled(message: Any, double: float, bits: int) -> NDArray[np.uint8]:
-    """Return the bytes of a copy of a message whose doubles are all `double`, and whose stamp has the given bits."""
-    message = copy.deepcopy(message)
+    """Set all doubles of a message to `double` and its stamp to the given bits, and return its bytes."""
     for owner, name, value in list(_doubles(message)):
         setattr(owner, name, np.full_like(value, double) if isinstance(value, np.ndarray) else double)
     message.header.stamp.sec, message.header.stamp.nanosec = -(bits & 1), bits
@@ -166,8 +165,9 @@ class _Layout:
 
     def __init__(self, message: Any) -> None:
         self._message = message
-        self._bytes = _filled(message, 0.0, 0)
-        changed = np.flatnonzero(self._bytes != _filled(message, _ALL_BITS, 0xFFFFFFFF))
+        like = copy.deepcopy(message)
+        self._bytes = _filled(like, 0.0, 0)
+        changed = np.flatnonzero(self._bytes != _filled(like, _ALL_BITS, 0xFFFFFFFF))
         self._stamp, self._doubles = changed[:8], changed[8:]
         same = np.setdiff1d(np.arange(4, len(self._bytes)), changed)  # the first four bytes are the encapsulation
         parts = [part for part in np.split(same, np.flatnonzero(np.diff(same) > 1) + 1) if len(part)]
@@ -383,20 +383,13 @@ _WORST = ("ERROR", "STALE", "WARN")
 
 @dataclass(frozen=True)
 class Status:
-    """One status, and the time at which it was recorded [s]."""
+    """One status, the time at which it was recorded [s], and the time of the solver [s], nan if it has none."""
 
     time: float
     name: str
     level: str
     message: str
-    values: Mapping[str, str]
-
-    def number(self, key: str) -> float:
-        """Return a value as a number; nan if it is not a number."""
-        try:
-            return float(self.values.get(key, "nan"))
-        except ValueError:
-            return float("nan")
+    solve_time: float
 
 
 @dataclass(frozen=True)
@@ -411,7 +404,7 @@ class Fault:
     count: int
 
 
-def diagnostics_of(path: str | os.PathLike[str]) -> list[Status]:
+def diagnostics_of(source: Source) -> list[Status]:
     """Return every status in the order of time; damaged messages are omitted.
 
     Raises
@@ -420,17 +413,27 @@ def diagnostics_of(path: str | os.PathLike[str]) -> list[Status]:
         If the bag cannot be read.
     """
     out = []
-    for column in load(path, lambda topic, kind: kind == _DIAGNOSTICS).columns.values():
+    for column in content_of(source).columns.values():
+        if column.type != _DIAGNOSTICS:
+            continue
         for time, raw in zip(column.times, column.raws, strict=True):
             try:
                 array = unpack(raw, _DIAGNOSTICS)
             except BagError:
                 continue
             for status in array.status:
-                values = {pair.key: pair.value for pair in status.values}
                 level = LEVELS[min(int(status.level), len(LEVELS) - 1)]
-                out.append(Status(time / NS, status.name, level, status.message, values))
+                solved = next((pair.value for pair in status.values if pair.key == "solve time"), "nan")
+                out.append(Status(time / NS, status.name, level, status.message, _number(solved)))
     return sorted(out, key=lambda status: status.time)
+
+
+def _number(value: str) -> float:
+    """Return a value as a number; nan if it is not a number."""
+    try:
+        return float(value)
+    except ValueError:
+        return math.nan
 
 
 def faults(statuses: list[Status]) -> list[Fault]:

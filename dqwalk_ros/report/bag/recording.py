@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from dqwalk_ros import provenance
 from dqwalk_ros.config import Config
 from dqwalk_ros.errors import BagError, ConfigError, ModelError, listed
 from dqwalk_ros.report.bag.messages import NS, JointStates, joint_states, texts
-from dqwalk_ros.report.bag.storage import Column, Content, load
+from dqwalk_ros.report.bag.storage import Column, Content, Source, content_of
 from dqwalk_ros.robot import RobotModel, load_model, parse_model
 from dqwalk_ros.topics import Topic
 
@@ -58,7 +57,7 @@ class Recording:
     tuned: dict[int, Config]
 
 
-def is_body(path: str | os.PathLike[str]) -> bool:
+def is_body(source: Source) -> bool:
     """Return whether a bag contains a whole-body walk, not a walk of phases.
 
     Raises
@@ -66,12 +65,12 @@ def is_body(path: str | os.PathLike[str]) -> bool:
     BagError
         If there is no bag, or it cannot be read.
     """
-    names = {topic.rpartition("/")[2] for topic in load(path, lambda topic, kind: False).topics}
+    names = {topic.rpartition("/")[2] for topic in content_of(source).topics}
     return "joint_effort_commands" in names and "phase_start" not in names
 
 
 def open_recording(
-    path: str | os.PathLike[str], namespace: str | None, topics: Mapping[str, Topic], required: Sequence[str]
+    source: Source, namespace: str | None, topics: Mapping[str, Topic], required: Sequence[str]
 ) -> Recording:
     """Read the topics of a kind of walk, of which some are required, from a bag; other arguments as of `walk.read`.
 
@@ -80,9 +79,9 @@ def open_recording(
     BagError
         If the bag cannot be read, lacks a required topic, or is that of another robot.
     """
-    path, wanted = Path(path), {name: topic.type for name, topic in topics.items() if name != "diagnostics"}
-    content = load(path, lambda topic, kind: wanted.get(topic.rpartition("/")[2]) == kind)
-    notes = list(content.notes)
+    content = content_of(source)
+    path, notes = content.path, list(content.notes)
+    wanted = {name: topic.type for name, topic in topics.items() if name != "diagnostics"}
     columns = _columns_of(path, content, namespace, wanted, required)
     try:
         config, tuned = _configurations(texts(columns["walk_config"]), f"{path} walk_config")
@@ -131,7 +130,11 @@ def _columns_of(
         whole = [key for key, names in found.items() if names >= set(required)]
         if len(whole) > 1:
             raise BagError(f"'{path}' holds the walks of {len(whole)} robots; choose a namespace: {listed(whole)}")
-    columns = {name: content.columns[key] for name in wanted if (key := f"{prefix}/{name}") in content.columns}
+    columns = {
+        name: column
+        for name, kind in wanted.items()
+        if (column := content.columns.get(f"{prefix}/{name}")) is not None and column.type == kind
+    }
     missing = [f"{prefix}/{name}".strip("/") for name in required if name not in columns]
     if missing:
         have = listed(content.topics) or "none"

@@ -28,16 +28,19 @@ import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Schema, Statistics
+from mcap.records import Channel, Chunk, Footer, Schema, Statistics
 from numpy.typing import NDArray
 from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 from rosbags.typesys import Stores, get_typestore
 
 from dqwalk_ros.errors import BagError
-from dqwalk_ros.topics import Topic
+from dqwalk_ros.topics import BODY_TOPICS, TOPICS, Topic
 
-__all__ = ["Column", "Content", "connect", "flush", "load", "open_writer", "typestore", "write_columns"]
+__all__ = [
+    "Column", "Content", "Source", "connect", "content_of", "flush", "load", "open_writer", "typestore",
+    "write_columns",
+]  # fmt: skip
 
 
 @cache
@@ -157,6 +160,7 @@ stands still are compressed to a fiftieth."""
 _MAGIC = b"\x89MCAP0\r\n"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _HEAD = struct.Struct("<BQ")  # head of every record of an MCAP file: opcode, length
+_MESSAGE = struct.Struct("<HIQQ")  # head of a message, most of the records: channel, number, times [ns]
 _Item = tuple[str, str, int, bytes | None]  # topic, type, time of recording [ns], message; None only names the topic
 
 
@@ -185,11 +189,16 @@ class Column:
 
 @dataclass(frozen=True)
 class Content:
-    """Content of a bag: the requested columns, name and type of every topic, and notes on damage."""
+    """Content of a bag at `path`: the requested columns, name and type of every topic, and notes on damage."""
 
+    path: Path
     columns: dict[str, Column]
     topics: dict[str, str]
     notes: tuple[str, ...]
+
+
+Source = str | os.PathLike[str] | Content
+"""A bag: its folder, one of its files, or its content as of `content_of`."""
 
 
 class _Damage(Exception):
@@ -216,6 +225,7 @@ def load(path: str | os.PathLike[str], wanted: Callable[[str, str], bool]) -> Co
     if not files:
         inside = f"; did you mean '{path / 'bag'}'?" if (path / "bag").is_dir() else ""
         raise BagError(f"'{path}' is not a rosbag2: it contains no .mcap or .db3 file{inside}")
+    is_wanted = cache(wanted)
     columns: dict[str, Column] = {}
     topics: dict[str, str] = {}
     notes: list[str] = []
@@ -230,8 +240,10 @@ def load(path: str | os.PathLike[str], wanted: Callable[[str, str], bool]) -> Co
                 if raw is None:
                     continue
                 place += 1
-                if wanted(topic, kind):
-                    column = columns.setdefault(topic, Column(kind))
+                if is_wanted(topic, kind):
+                    if topic not in columns:
+                        columns[topic] = Column(kind)
+                    column = columns[topic]
                     column.times.append(time)
                     column.order.append(place)
                     column.raws.append(raw)
@@ -245,7 +257,17 @@ def load(path: str | os.PathLike[str], wanted: Callable[[str, str], bool]) -> Co
             notes.append(f"{file.name} is damaged or cut off ({reason}): {place - before} messages recovered")
     if not topics:
         raise BagError(f"cannot read '{path}': {'; '.join(notes) or 'it contains no topic'}")
-    return Content(columns, topics, tuple(notes))
+    return Content(path, columns, topics, tuple(notes))
+
+
+_TYPES = {name: topic.type for name, topic in (TOPICS | BODY_TOPICS).items()}
+
+
+def content_of(source: Source) -> Content:
+    """Return a bag's messages on the topics of both kinds of walk, and all diagnostics; errors are those of `load`."""
+    if isinstance(source, Content):
+        return source
+    return load(source, lambda topic, kind: kind in (_TYPES["diagnostics"], _TYPES.get(topic.rpartition("/")[2])))
 
 
 def _files(path: Path) -> list[Path]:
@@ -311,30 +333,36 @@ def _message(data: bytes, room: _Room) -> bytes:
 
 
 def _mcap(stream: IO[bytes], room: _Room) -> Iterator[_Item]:
-    schemas: dict[int, Schema] = {}
-    channels: dict[int, Channel] = {}
+    schemas: dict[int, str] = {}
+    channels: dict[int, tuple[str, str]] = {}
     count, ended = 0, False
     if stream.read(len(_MAGIC)) != _MAGIC:
         raise _Damage("it is not an MCAP file")
-    for record in _records(stream, room):
-        if isinstance(record, Message):
+    for opcode, body in _records(stream, room):
+        if opcode == Opcode.MESSAGE:
             count += 1
-            channel = channels[record.channel_id]
-            yield channel.topic, schemas[channel.schema_id].name, record.log_time, _message(record.data, room)
-        elif isinstance(record, Schema):
-            schemas[record.id] = record
-        elif isinstance(record, Channel):
-            channels[record.id] = record
-            yield record.topic, schemas[record.schema_id].name, 0, None
-        elif isinstance(record, Statistics) and record.message_count != count:
-            raise _Damage(f"its statistics state {record.message_count} messages")
-        ended = isinstance(record, Footer)
+            channel, _, time, _ = _MESSAGE.unpack(body[: _MESSAGE.size])
+            yield *channels[channel], time, _message(body[_MESSAGE.size :], room)
+        elif opcode == Opcode.SCHEMA:
+            schema = Schema.read(ReadDataStream(io.BytesIO(body)))
+            schemas[schema.id] = schema.name
+        elif opcode == Opcode.CHANNEL:
+            found = Channel.read(ReadDataStream(io.BytesIO(body)))
+            channels[found.id] = found.topic, schemas[found.schema_id]
+            yield *channels[found.id], 0, None
+        elif opcode == Opcode.STATISTICS:
+            stated = Statistics.read(ReadDataStream(io.BytesIO(body))).message_count
+            if stated != count:
+                raise _Damage(f"its statistics state {stated} messages")
+        elif opcode == Opcode.FOOTER:
+            Footer.read(ReadDataStream(io.BytesIO(body)))
+        ended = opcode == Opcode.FOOTER
     if not ended:
         raise _Damage("its end is missing")
 
 
-def _records(stream: IO[bytes], room: _Room) -> Iterator[McapRecord]:
-    """Yield the records of an MCAP file one by one, with the records of a chunk at its position.
+def _records(stream: IO[bytes], room: _Room) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and content of the records of an MCAP file one by one, with the records of a chunk at its position.
 
     `mcap.stream_reader.StreamReader` would read gigabytes of zeros, and decompress chunks without a limit.
     """
@@ -354,19 +382,9 @@ def _records(stream: IO[bytes], room: _Room) -> Iterator[McapRecord]:
             yield from _records(io.BytesIO(data), room)
         if len(body) < length:
             raise _Damage("its last record is incomplete")
-        if opcode in _KINDS:
-            yield _KINDS[Opcode(opcode)](ReadDataStream(io.BytesIO(body)), length)
+        yield opcode, body
         if opcode == Opcode.FOOTER:
             return
-
-
-_KINDS: dict[Opcode, Callable[[ReadDataStream, int], McapRecord]] = {
-    Opcode.SCHEMA: lambda data, length: Schema.read(data),
-    Opcode.CHANNEL: lambda data, length: Channel.read(data),
-    Opcode.MESSAGE: Message.read,
-    Opcode.STATISTICS: lambda data, length: Statistics.read(data),
-    Opcode.FOOTER: lambda data, length: Footer.read(data),
-}
 
 
 def _sqlite(file: Path, room: _Room) -> Iterator[_Item]:

@@ -34,7 +34,7 @@ from dqwalk_ros.report.bag.messages import (
     texts,
 )
 from dqwalk_ros.report.bag.recording import Recording, open_recording
-from dqwalk_ros.report.bag.storage import Column, write_columns
+from dqwalk_ros.report.bag.storage import Column, Source, write_columns
 from dqwalk_ros.report.metrics import pelvis_in_odom
 from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.robot import Foot, RobotModel
@@ -167,7 +167,7 @@ def _diagnostics(trace: Trace, stamps: Stamps) -> list[_Messages]:
 # ---------------------------------------------------------------------- reading
 
 
-def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace:
+def read(source: Source, *, namespace: str | None = None) -> Trace:
     """Read a recorded walk.
 
     The bag may be MCAP or SQLite, split or compressed, recorded live (more joints, another order, states without
@@ -175,8 +175,8 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
 
     Parameters
     ----------
-    path : path-like
-        The bag's folder, or one of its files.
+    source : path-like or Content
+        The bag's folder, one of its files, or its content as of `content_of`.
     namespace : str, optional
         Of the robot, if the bag contains several.
 
@@ -190,7 +190,7 @@ def read(path: str | os.PathLike[str], *, namespace: str | None = None) -> Trace
     BagError
         If the bag cannot be read, lacks a required topic, or is that of another robot.
     """
-    bag = open_recording(path, namespace, TOPICS, REQUIRED)
+    bag = open_recording(source, namespace, TOPICS, REQUIRED)
     path, model, columns, notes, stamps = bag.path, bag.model, bag.columns, bag.notes, bag.stamps
     starts = _starts(path, model, columns, notes)
     q = bag.states.position[bag.rows]

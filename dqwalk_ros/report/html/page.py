@@ -202,7 +202,7 @@ def _tick_times(subject: Subject) -> str:
     times = times[np.isfinite(times)]
     where = "every tick"
     if not len(times):
-        values = [status.number("solve time") for status in subject.statuses]
+        values = [status.solve_time for status in subject.statuses]
         times, where = np.array([v for v in values if 0.0 <= v < 10.0]), "samples from /diagnostics"
     if not len(times):
         return "<p class='muted'>The bag contains no solving times.</p>"
