@@ -97,18 +97,15 @@ class Evaluation:
             _make_independent(W[group], w[group])
         return Problem(H, c, W, w, lower, upper, made.equality_rows, made.names)
 
-    def distances(self) -> dict[str, float]:
-        """Return each signed distance minus its bound, by name: >= 0 for a satisfied inequality, 0 for an equality.
-
-        For a constraint of several rows it is the smallest one; for an equality the one with the largest magnitude.
-        """
-        made = self.assembly
-        margins = np.concatenate([self.values[len(self.rates) :], self.limit_distances]) - made.rows[0]
-        out = {}
-        for name, span in made.spans.items():
-            part = margins[span]
-            out[name] = float(part[np.argmax(np.abs(part))] if span.stop <= made.equality_rows else part.min())
+    @property
+    def margins(self) -> Array:
+        """Signed distance minus its bound of each row of the constraints, shape (l + m + 2n,)."""
+        out: Array = np.concatenate([self.values[len(self.rates) :], self.limit_distances]) - self.assembly.rows[0]
         return out
+
+    def distances(self) -> dict[str, float]:
+        """Return each signed distance minus its bound, by name: >= 0 for a satisfied inequality, 0 for an equality."""
+        return {name: float(d) for name, d in self.assembly.by_name(self.margins).items()}
 
 
 _AFFINE_TASKS = ComOverFoot, Posture
@@ -278,6 +275,21 @@ class Assembly:
             values[rows], gradients[rows, columns] = constraint.value(s[columns])
         e = values[: self._first]
         return Evaluation(self, values, gradients, J_features, rates, limit_distances, math.sqrt(e @ e))
+
+    def by_name(self, margins: Array) -> dict[str, Array]:
+        """Return the margins (...) of each constraint, by name, from those of all rows (..., l + m + 2n).
+
+        For a constraint of several rows it is the smallest one; for an equality the one with the largest magnitude.
+        """
+        out = {}
+        for name, span in self.spans.items():
+            part = margins[..., span]
+            if span.stop <= self.equality_rows:
+                largest = np.abs(part).argmax(axis=-1, keepdims=True)
+                out[name] = np.take_along_axis(part, largest, axis=-1)[..., 0]
+            else:
+                out[name] = part.min(axis=-1)
+        return out
 
 
 def _slices(sizes: Sequence[int]) -> list[slice]:

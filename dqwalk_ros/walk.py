@@ -145,6 +145,10 @@ class Phase:
         """Return errors, distances and their gradients for `kin`, which must be in the frame of `base`."""
         return self._assembly(kin)
 
+    def by_name(self, margins: Array) -> dict[str, Array]:
+        """Return the margins of each constraint, by name, from those of all rows; see `Assembly.by_name`."""
+        return self._assembly.by_name(margins)
+
     def error(self, kin: Kinematics) -> float:
         """Norm of the error of the phase's first task."""
         return self.evaluate(kin).error

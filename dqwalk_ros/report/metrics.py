@@ -20,7 +20,7 @@ from dqwalk_ros.constraints import Constraint, PointInCylinder
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.geometry import ConvexPolygon
-from dqwalk_ros.kinematics import Kinematics, compose
+from dqwalk_ros.kinematics import CenterOfMassOnGround, Kinematics, Observer, Pose, compose, support_tree
 from dqwalk_ros.plants import tilt
 from dqwalk_ros.robot import Foot, RobotModel, Sole, parse_model
 from dqwalk_ros.simulation import PhaseRecord, PhysicsRecord, Trace
@@ -353,8 +353,7 @@ def analyse(trace: Trace) -> Series:
     """Compute every series of a walk."""
     model, config = trace.model, trace.config
     count = len(trace.time)
-    shapes = ((), (3,), (8,), (3,), (2,))
-    task_error, com, end, pelvis, ground = (np.full((count, *shape), np.nan) for shape in shapes)
+    task_error, com, seen = (np.full((count, *shape), np.nan) for shape in ((), (3,), (18,)))
     up = None  # unit vectors against gravity in the inertial sensor's frame, (N, 3)
     if trace.physics is not None:
         up = DQ(trace.physics.orientation).conj().Ad(DQ(np.array([0.0, 0.0, 1.0]))).vec3()
@@ -371,18 +370,23 @@ def analyse(trace: Trace) -> Series:
         phase = record.phase(config, model)
         ending = None if q_end is None else Ending.at(model, phase, q_end)
         spans.append(Span(record, phase, record.start, stop, ending))
-        tables = [(row.name, residuals) for row in phase.equalities] + [(row.name, kept) for row in phase.constraints]
-        columns = [(name, table.setdefault(name, np.full(count, np.nan))) for name, table in tables]
+        features = Pose(model.soles[phase.base.other].frame), Pose(model.pelvis), CenterOfMassOnGround()
+        observe = Observer(features, support_tree(model, phase.base))
+        margins = np.empty((stop - record.start, len(phase.row_names)))
         for tick in range(record.start, stop):
             kin = Kinematics(model, trace.q[tick], phase.base)
             if up is not None and np.isfinite(up[tick]).all():
                 kin = kin.tilted(kin.direction(model.imu, up[tick]))
             now = phase.evaluate(kin)
-            task_error[tick], com[tick], ground[tick] = now.error, kin.com, kin.com_on_ground
-            end[tick], pelvis[tick] = kin.pose(kin.swing), kin.point(model.pelvis)
-            distances = now.distances()
-            for name, column in columns:
-                column[tick] = distances[name]
+            task_error[tick], com[tick], seen[tick] = now.error, kin.com, observe(kin)[0]
+            margins[tick - record.start] = now.margins
+        found = phase.by_name(margins)
+        for table, rows in ((residuals, phase.equalities), (kept, phase.constraints)):
+            for row in rows:
+                if row.name not in table:
+                    table[row.name] = np.full(count, np.nan)
+                table[row.name][record.start : stop] = found[row.name]
+    end, pelvis, ground = seen[:, :8], DQ(seen[:, 8:16]).translation(), seen[:, 16:]
     return Series(trace, tuple(spans), task_error, kept, residuals, com, end, pelvis, ground)
 
 
