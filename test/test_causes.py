@@ -117,7 +117,7 @@ def test_the_cause_is_printed_and_in_the_report(tmp_path: Path, capsys: pytest.C
 @pytest.mark.long
 def test_the_cause_is_in_the_html_report(tmp_path: Path) -> None:
     series = analyse(walk({"standing.transfer_duration": 0.5}))
-    html.write([html.Subject("walk", series, report(series), [])], tmp_path / "report.html")
+    html.write([html.Subject("walk", series, report(series), [], [])], tmp_path / "report.html")
     assert EXPECTED in (tmp_path / "report.html").read_text()
 
 

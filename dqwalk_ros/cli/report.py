@@ -50,6 +50,7 @@ def report(
     from dqwalk_ros import report as reporting
     from dqwalk_ros.cli.results import write_results
     from dqwalk_ros.report import bag as bags
+    from dqwalk_ros.report import figures
     from dqwalk_ros.report import html as pages
     from dqwalk_ros.report.bag.messages import diagnostics_of
 
@@ -63,12 +64,13 @@ def report(
     del content  # it is larger than all series
     series = reporting.analyse(trace)
     other = _other(compare, namespace) if compare else None
-    found = write_results(series, output, as_json=as_json)
+    drawn = list(figures.drawn(series)) if html or other else None
+    found = write_results(series, output, as_json=as_json, drawn=drawn)
     extra = []
     try:
-        if html or other:
+        if drawn is not None:
             extra.append(output.folder / "report.html")
-            subjects = [pages.Subject(_name(bag), series, found, statuses), *([other] if other else [])]
+            subjects = [pages.Subject(_name(bag), series, found, statuses, drawn), *([other] if other else [])]
             pages.write(subjects, extra[-1])
         if csv:
             extra.append(_csv(series, output.folder))
@@ -110,12 +112,13 @@ def _body(bag: Content, namespace: str | None, output: Report, *, html: bool, as
 def _other(path: Path, namespace: str | None) -> Subject:
     """Return the walk to be compared."""
     from dqwalk_ros import report as reporting
-    from dqwalk_ros.report import bag, html
+    from dqwalk_ros.report import bag, figures, html
     from dqwalk_ros.report.bag.messages import diagnostics_of
 
     content = bag.content_of(path)
     series = reporting.analyse(bag.read(content, namespace=namespace))
-    return html.Subject(_name(path), series, reporting.report(series), diagnostics_of(content))
+    drawn = list(figures.drawn(series))
+    return html.Subject(_name(path), series, reporting.report(series), diagnostics_of(content), drawn)
 
 
 def _name(path: Path) -> str:

@@ -98,10 +98,13 @@ def write_report(
         print("wrote " + ", ".join(map(str, files)))
 
 
-def write_results(series: Series, output: Report, *, as_json: bool = False) -> dict[str, Any]:
-    """Write and print the report and the figures of a walk of phases, and return the report."""
+def write_results(
+    series: Series, output: Report, *, as_json: bool = False, drawn: Iterable[Drawn] | None = None
+) -> dict[str, Any]:
+    """Write and print the report of a walk of phases and its figures, `drawn` if given, and return the report."""
     from dqwalk_ros.report import figures
 
     found = reporting.report(series)
-    write_report(output, found, reporting.render(found), figures.drawn(series), as_json=as_json)
+    table = "" if as_json or output.quiet else reporting.render(found)
+    write_report(output, found, table, figures.drawn(series) if drawn is None else drawn, as_json=as_json)
     return found

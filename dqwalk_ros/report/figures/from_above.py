@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Patch, Polygon
+from matplotlib.patches import Circle, Patch
 from matplotlib.patheffects import Normal, Stroke
 
 from dqwalk_ros.arrays import Array
@@ -23,6 +24,7 @@ from dqwalk_ros.report.figures.style import (
     INK,
     RED,
     drawing,
+    joined,
     mark_phases,
     name_phases,
     new_figure,
@@ -38,8 +40,8 @@ _COLOR = {Foot.LEFT: BLUE, Foot.RIGHT: GREEN}
 _ORANGE, _HULL, _HULL_EDGE = "#b35900", "#eef1f4", "#c9d1d9"
 _LONG = 0.45
 """Length of a walk [m] above which it is drawn above its margins instead of beside them."""
-_MANY = 50
-"""Number of phases above which they are not marked in the time series of physics."""
+_NUMBERS = 40
+"""Number of steps from which only some of them are numbered."""
 
 
 def _corners(x: Array, sole: Sole) -> Array:
@@ -47,14 +49,15 @@ def _corners(x: Array, sole: Sole) -> Array:
     return DQ(x).transform_point(sole.corners)[:, :2]
 
 
-def _patch(ax: Axes, corners: Array, edge: str, face: str = "none", **looks: Any) -> None:
-    """Draw a sole or another polygon (m, 2)."""
-    ax.add_patch(Polygon(corners, facecolor=face, edgecolor=edge, **looks))
+def _draw_polygons(ax: Axes, polygons: Sequence[Array], edge: str, face: str = "none", **looks: Any) -> None:
+    """Draw soles or other polygons (m, 2) of one kind."""
+    ax.add_collection(PolyCollection(polygons, facecolor=face, edgecolor=edge, joinstyle="miter", **looks))
 
 
-def _ring(ax: Axes, center: Array, radius: float, zorder: int) -> None:
-    looks: dict[str, Any] = {"fill": False, "edgecolor": RED, "linestyle": DASHED, "linewidth": 1.2}
-    ax.add_patch(Circle((float(center[0]), float(center[1])), radius, zorder=zorder, **looks))
+def _draw_rings(ax: Axes, centers: Sequence[Array], radius: float, zorder: int) -> None:
+    looks: dict[str, Any] = {"facecolor": "none", "edgecolor": RED, "linestyle": DASHED, "linewidth": 1.2}
+    rings = [Circle((float(center[0]), float(center[1])), radius) for center in centers]
+    ax.add_collection(PatchCollection(rings, zorder=zorder, **looks))
 
 
 def _soles_legend() -> list[Any]:
@@ -105,15 +108,28 @@ def top_view(series: Series) -> Figure:
 
 def _draw_footsteps(ax: Axes, series: Series, own: Mapping[Foot, Sole] | None) -> None:
     soles, places = series.trace.model.soles, series.soles
-    for foot in Foot:  # initial stance
-        _patch(ax, _corners(places[foot][0], soles[foot]), GREY, linestyle=":", linewidth=1.2, zorder=2)
+    initial = [_corners(places[foot][0], soles[foot]) for foot in Foot]
+    _draw_polygons(ax, initial, GREY, linestyle=":", linewidth=1.2, zorder=2)
+    hulls = []
     for span in series.spans:
         if span.double:
             corners = np.concatenate([_corners(places[foot][span.end - 1], soles[foot]) for foot in Foot])
-            _patch(ax, ConvexPolygon.hull(corners).vertices, _HULL_EDGE, _HULL, linewidth=0.8, zorder=1)
+            hulls.append(ConvexPolygon.hull(corners).vertices)
+    _draw_polygons(ax, hulls, _HULL_EDGE, _HULL, linewidth=0.8, zorder=1)
     singles = [span for span in series.spans if not span.double]
-    for number, span in enumerate(singles, 1):
-        _draw_step(ax, series, span, own, number, last=span is singles[-1])
+    for foot in Foot:
+        _draw_steps(ax, series, [span for span in singles if span.phase.base is foot], foot, own)
+    text: dict[str, Any] = {"fontsize": 10, "fontweight": "bold", "zorder": 8, "ha": "center", "va": "center"}
+    for index in range(0, len(singles), 1 + len(singles) // _NUMBERS):
+        span = singles[index]
+        swing = span.phase.base.other
+        x, y, _ = DQ(places[swing][span.end - 1]).transform_point(soles[swing].center)
+        beside = (0.0, 10.0 if swing is Foot.LEFT else -10.0)  # [points], outwards, where the CoM does not go
+        ax.annotate(str(index + 1), (x, y), beside, textcoords="offset points", color=_COLOR[swing], **text)
+    for span in singles[-1:]:  # the last landing
+        swing = span.phase.base.other
+        landed = _corners(places[swing][span.end - 1], soles[swing])
+        _draw_polygons(ax, [landed], _COLOR[swing], _COLOR[swing] + "12", linewidth=1.4, zorder=3)
     halo = [Stroke(linewidth=4.2, foreground="white"), Normal()]
     com = series.com_odom[np.isfinite(series.com_odom).all(axis=1)]
     ax.plot(com[:, 0], com[:, 1], color=INK, linewidth=2.0, zorder=6, path_effects=halo)
@@ -122,26 +138,22 @@ def _draw_footsteps(ax: Axes, series: Series, own: Mapping[Foot, Sole] | None) -
     _finish(ax, "A   Footsteps and centre of mass", "forward, x [m]", "to the left, y [m]", "datalim")
 
 
-def _draw_step(
-    ax: Axes, series: Series, span: Span, own: Mapping[Foot, Sole] | None, number: int, *, last: bool
-) -> None:
-    """Draw the support sole, its cylinder, the path of the swing foot, and the last landing."""
-    soles, base, swing = series.trace.model.soles, span.phase.base, span.phase.base.other
-    stance, color = series.soles[base][span.start], _COLOR[base]
-    _patch(ax, _corners(stance, soles[base]), color, color + "26", linewidth=1.4, zorder=3)
+def _draw_steps(ax: Axes, series: Series, spans: Sequence[Span], base: Foot, own: Mapping[Foot, Sole] | None) -> None:
+    """Draw the soles of the support foot `base`, their cylinders, and the paths of the swing foot."""
+    if not spans:
+        return
+    soles, swing = series.trace.model.soles, base.other
+    stances = [series.soles[base][span.start] for span in spans]
+    stands = [_corners(stance, soles[base]) for stance in stances]
+    _draw_polygons(ax, stands, _COLOR[base], _COLOR[base] + "26", linewidth=1.4, zorder=3)
     if own is not None:
-        _patch(ax, _corners(stance, own[base]), _ORANGE, linewidth=1.0, alpha=0.6, zorder=3)
+        of_urdf = [_corners(stance, own[base]) for stance in stances]
+        _draw_polygons(ax, of_urdf, _ORANGE, linewidth=1.0, alpha=0.6, zorder=3)
     if series.trace.config.gait.style == "paper":
-        _ring(ax, DQ(stance).transform_point(soles[base].center), series.trace.config.ssp.com_radius, zorder=4)
-    way = DQ(series.soles[swing][span.ticks]).transform_point(soles[swing].center)
+        centers = [DQ(stance).transform_point(soles[base].center) for stance in stances]
+        _draw_rings(ax, centers, series.trace.config.ssp.com_radius, zorder=4)
+    way = DQ(joined(series.soles[swing], [span.ticks for span in spans])).transform_point(soles[swing].center)
     ax.plot(way[:, 0], way[:, 1], color=_COLOR[swing], linewidth=1.3, linestyle=":", zorder=5)
-    at = (float(way[-1, 0]), float(way[-1, 1]))
-    text: dict[str, Any] = {"fontsize": 10, "fontweight": "bold", "zorder": 8, "ha": "center", "va": "center"}
-    beside = (0.0, 10.0 if swing is Foot.LEFT else -10.0)  # [points], outwards, where the CoM does not go
-    ax.annotate(str(number), at, beside, textcoords="offset points", color=_COLOR[swing], **text)
-    if last:
-        landed = _corners(series.soles[swing][span.end - 1], soles[swing])
-        _patch(ax, landed, _COLOR[swing], _COLOR[swing] + "12", linewidth=1.4, zorder=3)
 
 
 def _draw_margins(ax: Axes, series: Series) -> None:
@@ -205,13 +217,13 @@ def on_the_ground(series: Series) -> Figure:
 
 def _draw_ground(ax: Axes, series: Series, of: Ground) -> None:
     soles = series.trace.model.soles
-    for index, span in enumerate(series.spans):
-        if span.double:
-            for foot in tuple(Foot) if index == 0 else (span.phase.base.other,):
-                corners = _corners(of.soles[foot][span.start], soles[foot])
-                _patch(ax, corners, _COLOR[foot], _COLOR[foot] + "1c", linewidth=1.0, zorder=2)
+    doubles = [(index, span) for index, span in enumerate(series.spans) if span.double]
+    for foot in Foot:
+        landed = [span.start for index, span in doubles if index == 0 or span.phase.base is foot.other]
+        stands = [_corners(of.soles[foot][tick], soles[foot]) for tick in landed]
+        _draw_polygons(ax, stands, _COLOR[foot], _COLOR[foot] + "1c", linewidth=1.0, zorder=2)
     if of.circle is not None:
-        _ring(ax, of.circle.center, of.circle.radius, zorder=3)
+        _draw_rings(ax, [of.circle.center], of.circle.radius, zorder=3)
     ax.plot(of.physics.cop[:, 0], of.physics.cop[:, 1], color=_ORANGE, linewidth=0.8, alpha=0.85, zorder=4)
     ax.plot(of.com[:, 0], of.com[:, 1], color=INK, linewidth=1.6, zorder=5)
     ax.plot(*of.stands[:, :2].T, "o", color=GREY, markersize=2.5, zorder=6)
@@ -223,8 +235,7 @@ def _draw_over_time(axes: list[Axes], series: Series, of: Ground) -> None:
     tilt = np.degrees(of.tilt)
     most = float(np.nanmax(tilt))
     for ax, values, color in zip(axes, (1e3 * of.cop_margin, tilt), (_ORANGE, INK), strict=True):
-        if len(series.spans) <= _MANY:
-            mark_phases(ax, series)
+        mark_phases(ax, series)
         ax.plot(series.time, values, color=color, linewidth=1.1)
         set_time_limits(ax, series)
     axes[0].axhline(0.0, color=RED, linestyle=DASHED, linewidth=1.2)

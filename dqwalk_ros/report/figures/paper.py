@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,6 +18,7 @@ from dqwalk_ros.report.figures.style import (
     GREEN,
     RED,
     drawing,
+    joined,
     mark_phases,
     name_phases,
     new_figure,
@@ -29,28 +30,34 @@ from dqwalk_ros.report.metrics import Series, Span
 __all__ = ["figure7", "figure8", "figure9"]
 
 
+_TONES = 10
+"""Number of tones of a colour for the cycles of a walk; the phases of more cycles share them."""
+
+
 class _Panel(NamedTuple):
-    """One panel: title, axis label, values, and a bound with its label."""
+    """One panel: title, axis label, values, and a bound with its label and the place of the label."""
 
     title: str
     label: str
     values: Array
     bound: float | None = None
     bound_label: str = ""
+    place: Literal["upper right", "center right", "lower right"] = "center right"
 
 
 def _curves(series: Series, double: bool) -> list[tuple[Span, tuple[float, float, float], str]]:
-    """Return the phases of one kind, their colours and legends, in reverse order, so that the first is drawn on top."""
+    """Return the phases of one kind, their colours and legends."""
     spans = [span for span in series.spans if span.double is double and span.end > span.start]
     cycles = (len(spans) + 1) // 2
+    tones = min(cycles, _TONES)
     out = []
     for i, span in enumerate(spans):
         foot = span.phase.support.value
         what = f"to the {foot} foot" if double else f"{span.phase.support.other.value} foot swings"
         cycle = f", cycle {i // 2 + 1}" if cycles > 1 else ""
         label = f"{_ordinal(i)} {'DSP' if double else 'SSP'}: {what}{cycle}"
-        out.append((span, tone((BLUE, GREEN)[i % 2], i // 2, cycles), label))
-    return out[::-1]
+        out.append((span, tone((BLUE, GREEN)[i % 2], i // 2 * tones // cycles, tones), label))
+    return out
 
 
 def _ordinal(i: int) -> str:
@@ -58,14 +65,20 @@ def _ordinal(i: int) -> str:
 
 
 def _time_response(series: Series, panels: Sequence[_Panel], axes: Sequence[Axes], double: bool) -> None:
-    """Draw panels over the time since the beginning of each phase."""
-    curves = _curves(series, double)
+    """Draw panels over the time since the beginning of each phase; phases of the same colour are one line."""
+    same: dict[tuple[float, float, float], list[Span]] = {}
+    for span, color, _ in _curves(series, double):
+        same.setdefault(color, []).append(span)
+    lines = [(color, [span.ticks for span in spans]) for color, spans in same.items()]
+    elapsed = series.time.copy()
+    for span in series.spans:
+        elapsed[span.ticks] -= series.time[span.start]
     for letter, panel, ax in zip("ABCDEFGH", panels, axes, strict=False):
-        for span, color, _ in curves:
-            ax.plot(series.time[span.ticks] - series.time[span.start], panel.values[span.ticks], color=color)
+        for color, parts in reversed(lines):  # so that the first phases are drawn on top
+            ax.plot(joined(elapsed, parts), joined(panel.values, parts), color=color)
         if panel.bound is not None:
             bound = ax.axhline(panel.bound, color=RED, linestyle=DASHED, linewidth=1.3)
-            ax.legend([bound], [panel.bound_label], loc="best", labelcolor=RED, fontsize=8)
+            ax.legend([bound], [panel.bound_label], loc=panel.place, labelcolor=RED, fontsize=8)
         ax.margins(y=0.08)
         ax.set_xlim(left=0.0)
         ax.set_title(f"{letter}   {panel.title}")
@@ -79,7 +92,7 @@ def _supports(series: Series, panels: Sequence[_Panel], height: float, title: st
     fig = new_figure(11.0, height)
     _time_response(series, panels, list(fig.subplots(len(panels) // 3, 3).flat), double)
     fig.suptitle(title, fontsize=12, fontweight="bold")
-    curves = _curves(series, double)[::-1]
+    curves = _curves(series, double)
     if len(curves) > 6:
         curves = curves[:2] + curves[-2:]
     handles = [Line2D([], [], color=color, label=label) for _, color, label in curves]
@@ -104,6 +117,7 @@ def figure7(series: Series) -> Figure:
             mm * series.error,
             mm * config.ssp.com_radius,
             "cylinder of the next SSP",
+            "upper right",
         ),
         _Panel(
             "End-foot tip to the sliding axis",
@@ -111,6 +125,7 @@ def figure7(series: Series) -> Figure:
             mm * series.slide,
             mm * config.dsp.sliding_radius,
             "sliding cylinder",
+            "lower right",
         ),
         _Panel("End-foot tip to the ground", "height [mm]", mm * series.tip_height),
         _Panel("CoM to the tip plane", "distance [mm]", mm * series.distance("tip_plane"), 0.0, "tip plane"),
@@ -132,6 +147,7 @@ def figure8(series: Series) -> Figure:
             series.error,
             config.ssp.threshold,
             "end of the phase",
+            "upper right",
         ),
         _Panel(
             "CoM to the axis of the cylinder",

@@ -6,13 +6,15 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure  # not pyplot: no global state, no display
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.report.metrics import Series
 
 __all__ = [
@@ -23,11 +25,13 @@ __all__ = [
     "INK",
     "RED",
     "drawing",
+    "joined",
     "mark_phases",
     "name_phases",
     "new_figure",
     "set_time_limits",
     "tone",
+    "write_figure",
 ]
 
 
@@ -62,6 +66,8 @@ _STYLE: Any = {
     "savefig.facecolor": "white",
 }
 DASHED = (0, (5, 3))
+_MANY = 50
+"""Number of phases above which they are not marked over time."""
 
 
 @contextmanager
@@ -91,10 +97,15 @@ def save(drawn: Iterable[Drawn], folder: str | os.PathLike[str], formats: Sequen
     for name, figure, _ in drawn:
         for kind in formats:
             files.append(out / f"{name}.{kind}")
-            with drawing():  # resolution and fonts are read when the figure is saved
-                figure.savefig(files[-1])
-            figure.set_layout_engine("none")  # compute the layout only once
+            write_figure(figure, files[-1], kind)
     return files
+
+
+def write_figure(figure: Figure, file: Path | BinaryIO, kind: str) -> None:
+    """Write a figure as png, pdf or svg."""
+    with drawing():  # resolution and fonts are read when the figure is saved
+        figure.savefig(file, format=kind)
+    figure.set_layout_engine("none")  # compute the layout only once
 
 
 def tone(color: str, cycle: int, cycles: int) -> tuple[float, float, float]:
@@ -109,9 +120,17 @@ def set_time_limits(ax: Axes, series: Series) -> None:
     ax.set_xlim(series.time[0], max(series.time[-1], series.time[0] + series.trace.config.dt))
 
 
+def joined(values: Array, parts: Iterable[slice]) -> Array:
+    """Return some parts of a series (N, ...) one after the other, with nan between them, where a line ends."""
+    gap = np.full((1, *values.shape[1:]), np.nan)
+    return np.concatenate([piece for part in parts for piece in (values[part], gap)])
+
+
 def mark_phases(ax: Axes, series: Series) -> None:
-    """Shade double support and put a dashed line at every change of phase."""
+    """Shade double support and put a dashed line at every change of phase, if they are not too many to be seen."""
     spans, time = series.spans, series.time
+    if len(spans) > _MANY:
+        return
     begin = [float(time[span.start]) for span in spans]
     shaded = [(a, float(time[span.end - 1]) - a) for a, span in zip(begin, spans, strict=True) if span.double]
     whole: dict[str, Any] = {"transform": ax.get_xaxis_transform()}  # from the bottom to the top, 0 to 1

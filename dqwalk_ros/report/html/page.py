@@ -18,8 +18,7 @@ import numpy as np
 from dqwalk_ros import provenance
 from dqwalk_ros.report import table as tables
 from dqwalk_ros.report.bag.messages import Status, faults
-from dqwalk_ros.report.figures import drawn
-from dqwalk_ros.report.figures.style import Drawn, drawing
+from dqwalk_ros.report.figures.style import Drawn, write_figure
 from dqwalk_ros.report.html.replay import replay_data
 from dqwalk_ros.report.metrics import Series
 
@@ -28,12 +27,13 @@ __all__ = ["Markup", "Subject", "bad", "figures", "heading", "origin_table", "re
 
 @dataclass(frozen=True)
 class Subject:
-    """A walk to report on: the name of its bag, its series, its `verdict.report`, and the diagnostics of the nodes."""
+    """A walk to report on: name of its bag, series, `verdict.report`, diagnostics of the nodes, and figures."""
 
     name: str
     series: Series
     report: dict[str, Any]
     statuses: list[Status]
+    figures: Sequence[Drawn]
 
 
 def write(subjects: Sequence[Subject], path: str | os.PathLike[str]) -> None:
@@ -44,7 +44,7 @@ def write(subjects: Sequence[Subject], path: str | os.PathLike[str]) -> None:
         _comparison(subjects) if len(subjects) > 1 else _section("The walk in numbers", _all_numbers, subjects),
         _section("Smallest distance to each bound", _margins, subjects),
         _section("Phases", _phases, subjects),
-        figures([drawn(s.series) for s in subjects]),
+        figures([s.figures for s in subjects]),
         _section("Joint speeds and limits", _joints, subjects),
         _section("Time of a tick", _tick_times, subjects),
         _section("Faults", _faults, subjects),
@@ -173,8 +173,7 @@ def figures(walks: Sequence[Iterable[Drawn]]) -> str:
     for walk in walks:
         for name, figure, caption in walk:
             image = io.BytesIO()
-            with drawing():
-                figure.savefig(image, format="svg")
+            write_figure(figure, image, "svg")
             source = f"data:image/svg+xml;base64,{base64.b64encode(image.getvalue()).decode()}"
             shown = f"<figure><img alt='{escape(caption)}' src='{source}'><figcaption>{caption}</figcaption></figure>"
             rows[name] = rows.get(name, "") + shown
