@@ -50,7 +50,8 @@ def study_figure(rows: Sequence[Mapping[str, Any]], names: Sequence[str], units:
     axes = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     most = max((abs(1e3 * row[_MARGIN]) for row in rows if row["finished"]), default=0.0) or 1.0
     for axis, (title, some) in zip(axes, panels.items(), strict=True):
-        done, failed = ([row for row in some if row["finished"] is finished] for finished in (True, False))
+        done = [row for row in some if row["finished"]]
+        failed = [row for row in some if not row["finished"]]
         if more:
             _draw_map(axis, x, more[0], done, failed, most)
         else:
