@@ -421,11 +421,11 @@ def test_figure9_shows_joints_limits_and_phase_changes(trace, series):
 
 
 def test_top_view_shows_soles_cylinders_and_margins(trace, series):
-    from matplotlib.patches import Circle
+    from matplotlib.collections import PatchCollection
 
     ground, margins = top_view(series).get_axes()
-    circles = [patch for patch in ground.patches if isinstance(patch, Circle)]
-    assert [circle.radius for circle in circles] == [0.05, 0.05]
+    circles = [path for drawn in ground.collections if isinstance(drawn, PatchCollection) for path in drawn.get_paths()]
+    assert [0.5 * circle.get_extents().width for circle in circles] == pytest.approx([0.05, 0.05])
     assert [text.get_text() for text in ground.texts] == ["1", "2"]
     assert len(margins.get_legend().get_texts()) == 3
 
@@ -440,6 +440,15 @@ def test_later_cycles_are_drawn_lighter(trace):
     shade = [rgb_to_hsv(to_rgb(line.get_color()))[1] for line in curves]
     assert shade[2] < 0.6 * shade[0]
     assert shade[3] < 0.6 * shade[1]
+
+
+def test_figures_of_many_phases_have_few_parts(trace):
+    """Of 120 phases: curves in ten tones of both colours, some of the numbers, and no marks over time."""
+    series = reporting.analyse(repeated(trace, 30))
+    assert len(lines_of(figure7(series).get_axes()[0], dashed=False)) == 20
+    ground, margins = top_view(series).get_axes()
+    assert [text.get_text() for text in ground.texts] == [str(number) for number in range(1, 61, 2)]
+    assert not margins.collections
 
 
 def test_figures_are_saved_in_every_format(series, tmp_path, monkeypatch):

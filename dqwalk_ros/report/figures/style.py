@@ -123,7 +123,7 @@ def set_time_limits(ax: Axes, series: Series) -> None:
 def joined(values: Array, parts: Iterable[slice]) -> Array:
     """Return some parts of a series (N, ...) one after the other, with nan between them, where a line ends."""
     gap = np.full((1, *values.shape[1:]), np.nan)
-    return np.concatenate([piece for part in parts for piece in (values[part], gap)])
+    return np.concatenate([piece for part in parts for piece in (gap, values[part])][1:])
 
 
 def mark_phases(ax: Axes, series: Series) -> None:
