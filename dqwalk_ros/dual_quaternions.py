@@ -279,7 +279,8 @@ class DQ:
 
     def transform_point(self, p: ArrayLike) -> Array:
         """Return p + r c r*: the point c given in the frame x, in the parent frame, shape (..., 3) [m]."""
-        return self.translation() + self.P().Ad(DQ(p)).vec3()
+        r = self.rotation()
+        return self.translation() + qmul(qmul(r, DQ(p).vec4()), qconj(r))[..., 1:]
 
     def log(self) -> Self:
         """Logarithm (phi n + eps p)/2 of a unit dual quaternion, a pure dual quaternion.

@@ -69,6 +69,13 @@ def test_round_trip_is_exact(trace, path, tmp_path, kind):
     assert back.notes == ()
 
 
+def test_content_is_loaded_once(trace, path):
+    content = bag.content_of(path)
+    assert bag.content_of(content) is content
+    assert not bag.is_body(content)
+    assert_same(trace, bag.read(content))
+
+
 def test_rewriting_a_bag_preserves_the_walk(trace, path, tmp_path):
     again = bag.read(path)
     bag.write(again, tmp_path / "walk", diagnostics=False)

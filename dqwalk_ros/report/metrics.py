@@ -316,17 +316,17 @@ class Series:
     def polygon_margin(self, points: Array, soles: Mapping[Foot, Sole] | None = None) -> Array:
         """Return the signed distance of points (N, 2) in the base sole's frame to the support polygon [m], (N,)."""
         soles = soles or self.trace.model.soles
-
-        def margin(span: Span) -> Array:
-            base, other = soles[span.phase.base], soles[span.phase.base.other]
-            corners = np.broadcast_to(base.corners[:, :2], (span.end - span.start, 4, 2))
-            if span.double:
-                x = DQ(self.end[span.ticks])
-                ends = [x.transform_point(corner)[:, :2] for corner in other.corners]
+        out = np.full(len(self.time), np.nan)
+        for double, base in itertools.product((True, False), Foot):
+            spans = [span for span in self.spans if span.double is double and span.phase.base is base]
+            ticks = np.concatenate([np.zeros(0, np.intp), *(np.arange(span.start, span.end) for span in spans)])
+            corners = np.broadcast_to(soles[base].corners[:, :2], (len(ticks), 4, 2))
+            if double:
+                x = DQ(self.end[ticks])
+                ends = [x.transform_point(corner)[:, :2] for corner in soles[base.other].corners]
                 corners = np.concatenate([corners, np.stack(ends, axis=1)], axis=1)
-            return hull_margin(corners, points[span.ticks])
-
-        return self._over_spans((), margin)
+            out[ticks] = hull_margin(corners, points[ticks])
+        return out
 
     @cached_property
     def span_of(self) -> NDArray[np.intp]:

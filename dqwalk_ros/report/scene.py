@@ -375,12 +375,12 @@ def beginning(config: Config, model: RobotModel) -> Moment:
 
 
 class Moments:
-    """The moments of a recorded walk, whose phases are rebuilt once each."""
+    """The moments of a recorded walk, whose phases are rebuilt once each, unless they are given."""
 
-    def __init__(self, trace: Trace) -> None:
+    def __init__(self, trace: Trace, phases: Iterable[Phase] = ()) -> None:
         self._trace = trace
         self._starts = [record.start for record in trace.phases]
-        self._phases: dict[int, Phase] = {}
+        self._phases = dict(enumerate(phases))
 
     def at(self, tick: int, label: str = "", solver: str = "") -> Moment:
         """Return the moment of a tick; its label is by default the name of the phase."""

@@ -31,7 +31,7 @@ def replay_data(series: Series) -> dict[str, Any]:
     starts = [span.start for span in series.spans]
     ticks = np.linspace(0, len(trace) - 1, min(FRAMES, len(trace))).astype(int)
     ticks = np.unique(np.concatenate([ticks, starts]))
-    scene, moments = Scene(trace.config, model), Moments(trace)
+    scene, moments = Scene(trace.config, model), Moments(trace, (span.phase for span in series.spans))
     root, com, curves, tight = [], [], {}, []  # type: ignore[var-annotated]
     for row, tick in enumerate(ticks.tolist()):
         moment = moments.at(tick)
