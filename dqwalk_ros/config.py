@@ -270,6 +270,9 @@ class ServoConfig:
         0.0, "damping assumed, divided by the stiffness; above the true one the robot falls", "s", 0.0, 0.2
     )
     assumed_lead: float = _par(0.0, "torque fed forward per velocity; larger: less lag", "s", 0.0, 0.2)
+    assumed_armature: float = _par(
+        0.01, "assumed inertia of the rotor; larger: more torque to swing a leg", "kg m^2", 0.0, 1.0
+    )
     assumed_latency: float = _par(
         0.0, "assumed delay from a measurement to the effect of the command that answers it", "s", 0.0, 0.25
     )

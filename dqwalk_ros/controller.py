@@ -231,7 +231,7 @@ class VelocityController:
         """Return the feedforward torques (n,) [N m], including lead and damping; None without an inertial sensor."""
         if state.up is None:
             return None
-        effort = self.walk.effort(self.phase, kin.later(self._drive.delay), state) + self._drive.lead * u
+        effort = self.walk.effort(self.phase, kin.later(self._drive.delay), state, u) + self._drive.lead * u
         return effort if state.dq is None else effort - self._drive.damping * (state.dq - u)
 
     def _check(self, state: State) -> None:

@@ -167,6 +167,8 @@ class Drive:
         [N m s/rad].
     lead : ndarray, shape (n,)
         Feedforward torque per commanded velocity, which compensates the lag of a damped servo [N m s/rad].
+    armature : ndarray, shape (n,)
+        Inertia of the rotor, reflected through the gears [kg m^2].
     delay : float
         Time from a measurement to the effect of its command [s]: latency, half of the period at which goals are
         written, and the lag by damping minus the lead.
@@ -175,6 +177,7 @@ class Drive:
     stiffness: Array
     damping: Array
     lead: Array
+    armature: Array
     delay: float
 
     @classmethod
@@ -187,14 +190,15 @@ class Drive:
             As `Servos.of`, or if an entry of ``servo.assumed`` is not valid.
         """
         c = config.servo
-        stiffness, lag, lead = (
-            np.full(model.n, value) for value in (c.assumed_stiffness, c.assumed_damping, c.assumed_lead)
+        stiffness, lag, lead, armature = (
+            np.full(model.n, value)
+            for value in (c.assumed_stiffness, c.assumed_damping, c.assumed_lead, c.assumed_armature)
         )
         if c.types:
             servos = Servos.of(config, model)
             typed = servos.back_emf > 0.0
             stiffness[typed], lag[typed] = servos.stiffness[typed], (servos.back_emf / servos.stiffness)[typed]
-            lead[typed] = np.minimum(lead, lag)[typed]
+            lead[typed], armature[typed] = np.minimum(lead, lag)[typed], servos.armature[typed]
         for joints, text in _entries("servo.assumed", c.assumed, model):
             given = _numbers(text)
             stiffness[joints] = given.get("stiffness", stiffness[joints])
@@ -202,7 +206,7 @@ class Drive:
         period = 1.0 / c.assumed_rate if c.assumed_rate > 0.0 else 0.0
         delay = c.assumed_latency + 0.5 * period + max(float((lag - lead).mean()), 0.0)
         damping = np.maximum(lag - min(delay / _LATE, 1.0) * lead, 0.0)
-        return cls(stiffness, damping * stiffness, lead * stiffness, delay)
+        return cls(stiffness, damping * stiffness, lead * stiffness, armature, delay)
 
     def angles(self, effort: Array) -> Array:
         """Return the offsets of the goals (n,) [rad] that produce the torques `effort` (n,) [N m]."""

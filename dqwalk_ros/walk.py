@@ -256,8 +256,8 @@ class Walk(ABC):
         """
         return phase
 
-    def effort(self, phase: Phase, kin: Kinematics, state: State) -> Array:
-        """Return feedforward torques, shape (n,) [N m]: by default those that compensate gravity."""
+    def effort(self, phase: Phase, kin: Kinematics, state: State, u: Array) -> Array:
+        """Return feedforward torques for the command `u` (n,), shape (n,) [N m]: by default they compensate gravity."""
         return gravity_torques(kin, both=phase.kind is not PhaseKind.SINGLE_SUPPORT)
 
     def steer(self, forward: float, left: float, turn: float) -> tuple[float, float, float]:

@@ -72,7 +72,7 @@ def test_servo_damping_is_fed_forward() -> None:
     controller = controller_with(assumed_damping=0.02)
     command = controller.step(state, 0.005)
     kin = controller._kinematics(state, controller.phase.base).later(0.02)
-    balance = controller.walk.effort(controller.phase, kin, state)
+    balance = controller.walk.effort(controller.phase, kin, state, command.velocity)
     assert command.effort == pytest.approx(balance - 0.02 * 60.0 * (dq_ - command.velocity))
 
 

@@ -37,7 +37,7 @@ def simulated(
 
 
 def watch() -> DriveWatch:
-    return DriveWatch(Drive(np.full(N, STIFFNESS), np.zeros(N), np.zeros(N), DELAY))
+    return DriveWatch(Drive(np.full(N, STIFFNESS), *np.zeros((3, N)), DELAY))
 
 
 def test_a_drive_as_assumed_gives_no_warning() -> None:

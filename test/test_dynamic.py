@@ -16,7 +16,7 @@ from dqwalk_ros.config import find_share, overlaid
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.dynamic.adjust import Step, adjusted, left_over, transfer_time
 from dqwalk_ros.dynamic.ground import Ground, turned
-from dqwalk_ros.dynamic.pendulum import angular_momentum
+from dqwalk_ros.dynamic.pendulum import angular_momentum, swing_inertia
 from dqwalk_ros.dynamic.plan import Pressed, Rest, single_supports
 from dqwalk_ros.dynamic.swing import Swing
 from dqwalk_ros.dynamic.tasks import FollowPose, Target
@@ -125,6 +125,26 @@ def test_angular_momentum_matches_mujoco(base: Foot) -> None:
     mujoco.mj_forward(mj, data)
     mujoco.mj_subtreeVel(mj, data)
     assert angular_momentum(kin) @ u == pytest.approx(data.subtree_angmom[mj.body(MODEL.root).id], abs=1e-6)
+
+
+@pytest.mark.parametrize("base", list(Foot))
+def test_the_inertia_of_the_swing_leg_matches_mujoco(base: Foot) -> None:
+    from dqwalk_ros.plants.mujoco import build
+
+    mj = build(CONFIG, MODEL)
+    data = mujoco.MjData(mj)
+    joints = [mj.joint(name) for name in MODEL.joint_names]
+    q = random_posture(4)
+    data.qpos[[joint.qposadr[0] for joint in joints]] = q
+    mujoco.mj_forward(mj, data)
+    every, dofs = np.empty((mj.nv, mj.nv)), [joint.dofadr[0] for joint in joints]
+    mujoco.mj_fullM(mj, data, every)
+    expected = every[np.ix_(dofs, dofs)] - np.diag(mj.dof_armature[dofs])
+    leg = np.array([name.startswith(f"{base.other.value[0]}_") and "arm" not in name for name in MODEL.joint_names])
+    leg &= [any(part in name for part in ("hip", "knee", "ankle")) for name in MODEL.joint_names]
+    found = swing_inertia(Kinematics(MODEL, q, base))
+    assert leg.sum() == 5
+    assert found == pytest.approx(np.where(np.outer(leg, leg), expected, 0.0), abs=1e-9)
 
 
 def test_the_lateral_pendulum_frequency_is_reduced() -> None:
@@ -473,6 +493,25 @@ def test_a_biped_with_ankle_roll_walks_dynamically(speed: float, latency: float)
     print(f"\n{speed} m/s, {1e3 * latency:.0f} ms: tilt {math.degrees(found['physics']['tilt']['value']):.2f} degrees")
     assert trace.finished, trace.notes
     assert found["ok"]
+
+
+def test_the_swing_foot_lands_gently() -> None:
+    """And not early: then, or if the ground stops it, it unloads the supporting sole."""
+    config = overlaid(CONFIG, "physics").updated({"gait.steps": 6, "qp.solver": "daqp"})
+    trace = simulate(make_controller(config, MODEL), make_plant("physics", config, MODEL))
+    assert trace.finished, trace.notes
+    assert trace.physics is not None
+    force, weight = {foot: trace.physics.wrenches[foot][:, 2] for foot in Foot}, 9.81 * MODEL.mass
+    landings = [record for record in trace.phases if record.kind is PhaseKind.SINGLE_SUPPORT]
+    for record in landings:
+        end = record.time + config.standing.swing_duration
+        near = np.flatnonzero(np.abs(trace.time - end) < 0.05)
+        touch = near[force[record.support.other][near] > 0.5][0]
+        assert trace.time[touch] > end - 0.0125
+        after = slice(touch, touch + round(0.05 / config.dt))
+        assert force[record.support][after].min() > 0.25 * weight
+        assert force[record.support.other][after].max() < 0.9 * weight
+    assert len(landings) == 7
 
 
 def test_poppy_walks_in_physics_and_recovers_from_a_push(tmp_path: Path) -> None:

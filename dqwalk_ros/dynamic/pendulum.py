@@ -8,6 +8,7 @@ robot that tilts sideways instead of shifting its hips is a slower pendulum than
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
@@ -15,23 +16,50 @@ import numpy as np
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.robot import RobotModel
 from dqwalk_ros.statics import GRAVITY
-from dqwalk_ros.urdf import Urdf
+from dqwalk_ros.urdf import Link, Urdf
 from dqwalk_ros.walk import Phase
 
-__all__ = ["Pendulum", "angular_momentum"]
+__all__ = ["Pendulum", "angular_momentum", "swing_inertia"]
 
 
 def angular_momentum(kin: Kinematics) -> Array:
     """Return L_u with the angular momentum L = L_u u about the CoM, shape (3, n) [kg m^2]; the base sole is at rest."""
     model, J_com = kin.model, kin.com_jacobian
     L = np.zeros(J_com.shape)
+    for link in _links(model):
+        arm, J = kin.point(link.name, link.com) - kin.com, kin.point_jacobian(link.name, link.com)
+        L += link.mass * np.cross(arm, (J - J_com).T).T + _inertia(kin, link) @ kin.angular_jacobian(link.name)
+    return L
+
+
+def swing_inertia(kin: Kinematics) -> Array:
+    """Return the inertia matrix of the swing leg's joints, with the pelvis at rest, shape (n, n) [kg m^2].
+
+    It is zero for all other joints, and does not include the rotors of the servos.
+    """
+    model, tree = kin.model, kin.tree
+    moved, above = (tree.moves[tree.frames[frame][0]] for frame in (kin.swing, model.pelvis))
+    leg, M = moved & ~above, np.zeros((model.n, model.n))
+    for link in _links(model):
+        J, turning = kin.point_jacobian(link.name, link.com) * leg, kin.angular_jacobian(link.name) * leg
+        M += link.mass * J.T @ J + turning.T @ _inertia(kin, link) @ turning
+    return M
+
+
+def _links(model: RobotModel) -> Iterator[Link]:
+    """Yield the links that have a mass."""
     for link in Urdf(model.urdf, model.name).links.values():
         if link.mass > 0.0 and link.name in model.frames:
-            arm, J = kin.point(link.name, link.com) - kin.com, kin.point_jacobian(link.name, link.com)
-            R = np.column_stack([kin.direction(link.name, axis) for axis in np.eye(3)])
-            L += link.mass * np.cross(arm, (J - J_com).T).T + R @ link.inertia @ R.T @ kin.angular_jacobian(link.name)
-    return L
+            yield link
+
+
+def _inertia(kin: Kinematics, link: Link) -> Array:
+    """Return the inertia of a link about its CoM in axes of the base frame, shape (3, 3) [kg m^2]."""
+    R = np.column_stack([kin.direction(link.name, axis) for axis in np.eye(3)])
+    inertia: Array = R @ link.inertia @ R.T
+    return inertia
 
 
 @dataclass(frozen=True)

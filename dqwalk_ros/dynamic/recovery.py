@@ -171,9 +171,9 @@ class RecoveringWalk(StandingWalk):
         along = abs(x) - 0.5 * sole.length + steps.config.dynamic.catch_margin
         return float(max(along, inward - 0.5 * sole.width + self.config.standing.pressure_margin))
 
-    def effort(self, phase: Phase, kin: Kinematics, state: State) -> Array:
+    def effort(self, phase: Phase, kin: Kinematics, state: State, u: Array) -> Array:
         """Return the feedforward torques of the walk or of the steps, shape (n,) [N m]."""
-        return self._steps.effort(phase, kin, state) if self._interrupted else super().effort(phase, kin, state)
+        return self._steps.effort(phase, kin, state, u) if self._interrupted else super().effort(phase, kin, state, u)
 
 
 def steps_config(config: Config) -> Config:

@@ -14,8 +14,8 @@ __all__ = ["Swing"]
 
 _LIFT, _LAND = 0.02, 0.06
 """Fractions of the duration at the beginning and at the end without motion along the ground."""
-_TOP = 4.0 / 7.0
-_SCALE = 1.0 / (_TOP**2 * (1.0 - _TOP) ** 1.5)
+_TOP = 4.0 / 9.0
+_SCALE = 1.0 / (_TOP**2 * (1.0 - _TOP) ** 2.5)
 
 
 class Swing:
@@ -101,16 +101,16 @@ def _along(s: float) -> tuple[float, float]:
 
 
 def _arch(s: float) -> tuple[float, float]:
-    """Return the height 0..1 at the fraction `s` of the time, and its slope: s^2 (1 - s)^(3/2), scaled.
+    """Return the height 0..1 at the fraction `s` of the time, and its slope: s^2 (1 - s)^(5/2), scaled.
 
-    The lift-off is smooth and the descent late: a foot that stays near the ground touches it too early, because the
-    structure that carries the robot deflects by half a millimetre, and so unloads the supporting sole.
+    It ends without velocity and acceleration: a foot that hits the ground unloads the supporting sole, which slips. A
+    foot that comes down more slowly touches the ground too early.
     """
     left = 1.0 - s
-    return _SCALE * s**2 * left**1.5, _SCALE * s * left**0.5 * (2.0 - 3.5 * s)
+    return _SCALE * s**2 * left**2.5, _SCALE * s * left**1.5 * (2.0 - 4.5 * s)
 
 
 def _descent(part: float) -> float:
     """Return the fraction of the time at which the arch has come down to a part of its height."""
     s = np.linspace(_TOP, 1.0, 200)
-    return float(s[np.argmax(_SCALE * s**2 * (1.0 - s) ** 1.5 <= max(part, 0.1))]) if part < 1.0 else _TOP
+    return float(s[np.argmax(_SCALE * s**2 * (1.0 - s) ** 2.5 <= max(part, 0.1))]) if part < 1.0 else _TOP

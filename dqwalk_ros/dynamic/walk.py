@@ -21,7 +21,7 @@ from dqwalk_ros.constraints import Constraint
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.dynamic.adjust import Step, adjusted, left_over, transfer_time
 from dqwalk_ros.dynamic.ground import Ground, turned
-from dqwalk_ros.dynamic.pendulum import Pendulum
+from dqwalk_ros.dynamic.pendulum import Pendulum, swing_inertia
 from dqwalk_ros.dynamic.plan import Course, Pressed, Rest, single_supports
 from dqwalk_ros.dynamic.swing import Swing
 from dqwalk_ros.dynamic.tasks import Follow, FollowPose, Target
@@ -61,6 +61,8 @@ _LONGEST_WAIT = 3.0
 """Time after the planned end of a double support from which on it is not extended further [s]."""
 _SMOOTH = 0.02
 """Time constant of the filter of the measured xi for the step adjustment [s]."""
+_JERK = 0.01
+"""Time constant of the filter of the commanded accelerations [s]."""
 _GAP = 0.1
 """Time without a state after which the reference is reset to the measured state [s]."""
 
@@ -110,7 +112,8 @@ class DynamicWalk(StandingWalk):
     def __init__(self, config: Config, model: RobotModel) -> None:
         super().__init__(config, model)
         self._step_now = np.zeros(3)  # length, side and turn of the current step
-        self._mass, delay = model.mass, Drive.of(config, model).delay
+        self._drive = Drive.of(config, model)
+        self._mass, delay = model.mass, self._drive.delay
         self._advance = max(delay - config.dt, 0.0)
         self._gain = config.standing.balance / (1.0 + delay / _LATE)
         self._threshold = config.dynamic.catch_beyond * (1.0 + delay / _TOLERANT)
@@ -119,6 +122,7 @@ class DynamicWalk(StandingWalk):
         self._time = -math.inf
         self._com = self._xi = self._smooth = np.zeros(2)
         self._force, self._pressure = GRAVITY * _UP, np.zeros(2)
+        self._dt, self._u, self._acceleration = 0.0, np.zeros(model.n), np.zeros(model.n)
         self._ground: Ground
         self._course: Course
         self._flight: _Flight | None = None
@@ -139,6 +143,15 @@ class DynamicWalk(StandingWalk):
         phase = self.one_foot(self._first, self.posture, kin.pose(kin.swing))
         found = Pendulum.of(phase, kin)
         return replace(found, omega=found.omega * np.array([1.0, self.config.dynamic.side_frequency]))
+
+    @cached_property
+    def _inertia(self) -> dict[Foot, Array]:
+        """Inertia (n, n) of the swing leg with its rotors, in the initial posture, for each base sole [kg m^2]."""
+        out = {}
+        for base in Foot:
+            M = swing_inertia(Kinematics(self.model, self.posture, base))
+            out[base] = M + np.diag(np.where(M.diagonal() > 0.0, self._drive.armature, 0.0))
+        return out
 
     @cached_property
     def _height(self) -> Array:
@@ -282,6 +295,7 @@ class DynamicWalk(StandingWalk):
         else:
             dt, self._com, self._xi = 0.0, c, c + v / omega if self._descends else c
             self._ground = Ground(up, self._unsure)
+        self._dt = dt
         if phase is not self._known:
             self._begin(phase, kin)
         self._ground.observe(up, dt)
@@ -456,16 +470,22 @@ class DynamicWalk(StandingWalk):
         d, side = self.config.dynamic, 1.0 if foot is Foot.LEFT else -1.0
         return stands.points(self.model.soles[foot].center[:2] + np.array([d.aim_ahead, -side * d.aim_inside]))
 
-    def effort(self, phase: Phase, kin: Kinematics, state: State) -> Array:
+    def effort(self, phase: Phase, kin: Kinematics, state: State, u: Array) -> Array:
         """Return the feedforward torques for a ground reaction force through the zero-moment point, shape (n,) [N m].
 
         The joints between the base sole and the pelvis carry the ground reaction force less the weight of the links
-        below them: the support leg hardly moves, so the inertial forces act above it.
+        below them: the support leg hardly moves, so the inertial forces act above it. The joints of the swing leg are
+        accelerated as commanded by `u` (n,) [rad/s].
         """
         m, f, up = self._mass, self._force, kin.up
         both = phase.kind is not PhaseKind.SINGLE_SUPPORT
         tau = ground_torques(kin, m * f, self._pressure, both=both)
         tau += m * _of_legs(kin.lines, kin.com, kin.com_jacobian, self._legs, self._pressure, f, GRAVITY * up)
+        change, dt, self._u = u - self._u, self._dt, u
+        last, known = self._acceleration, dt > 0.0
+        self._acceleration = last + (change - dt * last) / (_JERK + dt) if known else np.zeros_like(u)
+        if not both:
+            tau += self._inertia[phase.base] @ self._acceleration
         return tau
 
 

@@ -361,6 +361,6 @@ class Exercise(Walk):
         """Raise ConfigError: an exercise has no single support."""
         raise ConfigError("an exercise has no single support")
 
-    def effort(self, phase: Phase, kin: Kinematics, state: State) -> Array:
+    def effort(self, phase: Phase, kin: Kinematics, state: State, u: Array) -> Array:
         """Return zero feedforward torques, shape (n,) [N m]."""
         return np.zeros(self.model.n)

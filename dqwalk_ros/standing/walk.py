@@ -308,7 +308,7 @@ class StandingWalk(Walk):
     def _rule(self, kind: PhaseKind, support: Foot) -> Rule:
         return PathEnd(self.config, kind, f"{kind.value}/{support.value}")
 
-    def effort(self, phase: Phase, kin: Kinematics, state: State) -> Array:
+    def effort(self, phase: Phase, kin: Kinematics, state: State, u: Array) -> Array:
         """Return the torques that compensate gravity and balance the CoM on its path, shape (n,) [N m]."""
         if self._balance is None or self._balance.phase is not phase:
             self._balance = Balance(phase, self.config)
