@@ -14,8 +14,10 @@ __all__ = ["Swing"]
 
 _LIFT, _LAND = 0.02, 0.06
 """Fractions of the duration at the beginning and at the end without motion along the ground."""
-_TOP = 4.0 / 9.0
-_SCALE = 1.0 / (_TOP**2 * (1.0 - _TOP) ** 2.5)
+_GENTLE = 2.7
+"""Exponent of the height at the end: with 2.5 stiff legs touch the ground too early, with 3 soft ones land late."""
+_TOP = 2.0 / (2.0 + _GENTLE)
+_SCALE = 1.0 / (_TOP**2 * (1.0 - _TOP) ** _GENTLE)
 
 
 class Swing:
@@ -101,16 +103,17 @@ def _along(s: float) -> tuple[float, float]:
 
 
 def _arch(s: float) -> tuple[float, float]:
-    """Return the height 0..1 at the fraction `s` of the time, and its slope: s^2 (1 - s)^(5/2), scaled.
+    """Return the height 0..1 at the fraction `s` of the time, and its slope: s^2 (1 - s)^2.7, scaled.
 
     It ends without velocity and acceleration: a foot that hits the ground unloads the supporting sole, which slips. A
     foot that comes down more slowly touches the ground too early.
     """
     left = 1.0 - s
-    return _SCALE * s**2 * left**2.5, _SCALE * s * left**1.5 * (2.0 - 4.5 * s)
+    slope = _SCALE * s * left ** (_GENTLE - 1.0) * (2.0 - (2.0 + _GENTLE) * s)
+    return _SCALE * s**2 * left**_GENTLE, slope
 
 
 def _descent(part: float) -> float:
     """Return the fraction of the time at which the arch has come down to a part of its height."""
     s = np.linspace(_TOP, 1.0, 200)
-    return float(s[np.argmax(_SCALE * s**2 * (1.0 - s) ** 2.5 <= max(part, 0.1))]) if part < 1.0 else _TOP
+    return float(s[np.argmax(_SCALE * s**2 * (1.0 - s) ** _GENTLE <= max(part, 0.1))]) if part < 1.0 else _TOP
