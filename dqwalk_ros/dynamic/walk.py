@@ -63,6 +63,9 @@ _SMOOTH = 0.02
 """Time constant of the filter of the measured xi for the step adjustment [s]."""
 _JERK = 0.01
 """Time constant of the filter of the commanded accelerations [s]."""
+_MOST_AHEAD = 0.0075
+"""Longest time by which the CoM's reference is ahead of a delayed robot [s]: without it the weight is transferred late,
+with 17 ms some walks with a delay of 40 ms fall, with 35 ms half of them."""
 _GAP = 0.1
 """Time without a state after which the reference is reset to the measured state [s]."""
 
@@ -320,7 +323,10 @@ class DynamicWalk(StandingWalk):
         self._pressure = z = _inside(z, *self._support, self.config.standing.pressure_margin)
         a = omega**2 * (c - z)  # acceleration of the pendulum
         self._force = GRAVITY * up + np.array([a[0], a[1], -(a @ up[:2]) / up[2]])
-        self._targets["com"].set(self._com, omega * (self._xi - self._com))
+        ahead = min(self._advance, _MOST_AHEAD)
+        later, _ = self._course.at(t + ahead)
+        com = self._com + (1.0 - np.exp(-omega * ahead)) * (0.5 * (self._xi + later) - self._com)
+        self._targets["com"].set(com, omega * (later - com))
         self._targets["upright"].set(up[:2], np.zeros(2))
         self._known = phase
         return phase
