@@ -363,7 +363,7 @@ def test_a_push_that_tips_the_sole_outwards_is_caught_on_the_spot() -> None:
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize(
     ("length", "latency", "impulses"),
-    [(0.0, 0.0, (0.4, 0.45, 0.55)), (0.05, 0.0, (0.3, 0.5)), (0.05, 0.02, (0.25, 0.3))],
+    [(0.0, 0.0, (0.4, 0.45)), (0.05, 0.0, (0.3, 0.5)), (0.05, 0.02, (0.25, 0.3))],
 )
 def test_pushes_of_every_direction_at_every_part_of_a_step(
     length: float, latency: float, impulses: tuple[float, ...]
@@ -442,7 +442,7 @@ def test_the_trunk_keeps_its_posture_over_many_steps() -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("noise", [False, True])
 def test_cmd_vel_steers_the_dynamic_walk_on_a_circle(noise: bool) -> None:
-    """Of 0.5 m; the loaded sole turns back a little in each step, so the circle is larger."""
+    """Of 0.5 m, to 3 cm; a sole that slips at the landing of the other would make the circle larger."""
     sensors = {"attitude_noise": 0.004, "gyro_noise": 0.02, "encoder": 0.001534, "velocity_filter": 0.01, "seed": 1}
     changes = {f"sensors.{key}": value for key, value in sensors.items()} if noise else {}
     config = overlaid(CONFIG, "physics").updated({"gait.steps": 0, "qp.solver": "daqp", **changes})
@@ -462,8 +462,8 @@ def test_cmd_vel_steers_the_dynamic_walk_on_a_circle(noise: bool) -> None:
     radius = math.sqrt(fit[2] + fit[0] ** 2 + fit[1] ** 2)
     off = np.abs(np.hypot(x - fit[0], y - fit[1]) - radius).max()
     print(f"\ncircle of {radius:.3f} m, round to {1e3 * off:.1f} mm")
-    assert radius == pytest.approx(0.5, abs=0.06)
-    assert off < 0.02
+    assert radius == pytest.approx(0.5, abs=0.03)
+    assert off < 0.005
 
 
 @pytest.mark.long
