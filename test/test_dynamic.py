@@ -463,7 +463,7 @@ def test_cmd_vel_steers_the_dynamic_walk_on_a_circle(noise: bool) -> None:
     off = np.abs(np.hypot(x - fit[0], y - fit[1]) - radius).max()
     print(f"\ncircle of {radius:.3f} m, round to {1e3 * off:.1f} mm")
     assert radius == pytest.approx(0.5, abs=0.03)
-    assert off < 0.005
+    assert off < 0.01
 
 
 @pytest.mark.long
@@ -493,6 +493,14 @@ def test_a_biped_with_ankle_roll_walks_dynamically(speed: float, latency: float)
     print(f"\n{speed} m/s, {1e3 * latency:.0f} ms: tilt {math.degrees(found['physics']['tilt']['value']):.2f} degrees")
     assert trace.finished, trace.notes
     assert found["ok"]
+
+
+def test_the_commanded_acceleration_is_that_of_the_commands_and_zero_after_a_gap() -> None:
+    walk, a, dt = DynamicWalk(CONFIG, MODEL), np.linspace(-3.0, 3.0, MODEL.n), CONFIG.dt
+    found = [walk._accelerated(k * dt, a * k * dt) for k in range(40)]
+    assert np.abs(found[0]).max() == 0.0
+    assert found[-1] == pytest.approx(a, abs=1e-3)
+    assert np.abs(walk._accelerated(40 * dt + 0.2, 2.0 * a)).max() == 0.0
 
 
 def test_the_swing_foot_lands_gently() -> None:

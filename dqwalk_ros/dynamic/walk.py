@@ -61,7 +61,7 @@ _LONGEST_WAIT = 3.0
 """Time after the planned end of a double support from which on it is not extended further [s]."""
 _SMOOTH = 0.02
 """Time constant of the filter of the measured xi for the step adjustment [s]."""
-_JERK = 0.01
+_ACCELERATION = 0.01
 """Time constant of the filter of the commanded accelerations [s]."""
 _MOST_AHEAD = 0.0075
 """Longest time by which the CoM's reference is ahead of a delayed robot [s]: without it the weight is transferred late,
@@ -125,7 +125,7 @@ class DynamicWalk(StandingWalk):
         self._time = -math.inf
         self._com = self._xi = self._smooth = np.zeros(2)
         self._force, self._pressure = GRAVITY * _UP, np.zeros(2)
-        self._dt, self._u, self._acceleration = 0.0, np.zeros(model.n), np.zeros(model.n)
+        self._commanded, self._u, self._acceleration = -math.inf, np.zeros(model.n), np.zeros(model.n)
         self._ground: Ground
         self._course: Course
         self._flight: _Flight | None = None
@@ -298,7 +298,6 @@ class DynamicWalk(StandingWalk):
         else:
             dt, self._com, self._xi = 0.0, c, c + v / omega if self._descends else c
             self._ground = Ground(up, self._unsure)
-        self._dt = dt
         if phase is not self._known:
             self._begin(phase, kin)
         self._ground.observe(up, dt)
@@ -323,7 +322,9 @@ class DynamicWalk(StandingWalk):
         self._pressure = z = _inside(z, *self._support, self.config.standing.pressure_margin)
         a = omega**2 * (c - z)  # acceleration of the pendulum
         self._force = GRAVITY * up + np.array([a[0], a[1], -(a @ up[:2]) / up[2]])
-        ahead = min(self._advance, _MOST_AHEAD)
+        ahead = min(
+            self._advance, _MOST_AHEAD
+        )  # where the CoM is due when the command takes effect, or a little before
         later, _ = self._course.at(t + ahead)
         com = self._com + (1.0 - np.exp(-omega * ahead)) * (0.5 * (self._xi + later) - self._com)
         self._targets["com"].set(com, omega * (later - com))
@@ -487,12 +488,18 @@ class DynamicWalk(StandingWalk):
         both = phase.kind is not PhaseKind.SINGLE_SUPPORT
         tau = ground_torques(kin, m * f, self._pressure, both=both)
         tau += m * _of_legs(kin.lines, kin.com, kin.com_jacobian, self._legs, self._pressure, f, GRAVITY * up)
-        change, dt, self._u = u - self._u, self._dt, u
-        last, known = self._acceleration, dt > 0.0
-        self._acceleration = last + (change - dt * last) / (_JERK + dt) if known else np.zeros_like(u)
+        acceleration = self._accelerated(state.time, u)
         if not both:
-            tau += self._inertia[phase.base] @ self._acceleration
+            tau += self._inertia[phase.base] @ acceleration
         return tau
+
+    def _accelerated(self, time: float, u: Array) -> Array:
+        """Return the filtered acceleration (n,) [rad/s^2] of the commands, of which `u` (n,) is that at `time` [s]."""
+        passed, change, last = time - self._commanded, u - self._u, self._acceleration
+        self._commanded, self._u = time, u
+        known = 0.0 < passed <= _GAP
+        self._acceleration = last + (change - passed * last) / (_ACCELERATION + passed) if known else np.zeros_like(u)
+        return self._acceleration
 
 
 def along_ground(v: Array, up: Array) -> Array:
