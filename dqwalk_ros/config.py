@@ -75,6 +75,13 @@ class RobotConfig:
     imu_rpy: tuple[float, float, float] = _par((0.0, 0.0, 0.0), "roll, pitch, yaw of the sensor in that link", "rad")
     drop: tuple[str, ...] = _par((), "joints removed together with all links after them; '*' matches any text")
     lock: tuple[str, ...] = _par((), "joints fixed at zero, or at an angle: JOINT=RADIANS; '*' matches any text")
+    mass: float = _par(
+        0.0,
+        "mass as weighed; scales the masses and inertias of the URDF; larger: more torque; 0: the URDF's",
+        "kg",
+        0.0,
+        1e4,
+    )
     sole_center: Literal["link", "foot_com"] = _par(
         "link",
         "centre of the sole: 'link' (origin of the sole link) or 'foot_com' (below the foot's centre of mass)",

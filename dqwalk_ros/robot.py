@@ -255,6 +255,8 @@ def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
     urdf.weld(_locked(urdf, config, published))
     if not sum(link.mass for link in urdf.links.values()) > 0.0:
         raise ModelError(f"{urdf.source}: the robot has no mass, so it has no centre of mass")
+    if config.mass > 0.0:
+        urdf.scale_mass(config.mass)
     urdf.give_mass()
     feet = {foot: _sole_frame(urdf, config, foot) for foot in Foot}
     imu = config.imu or config.pelvis

@@ -274,6 +274,12 @@ class Urdf:
         self.links[name] = Link(name)
         self.joints[f"{name}_joint"] = Joint(f"{name}_joint", "fixed", parent, name, origin, np.array([1.0, 0.0, 0.0]))
 
+    def scale_mass(self, total: float) -> None:
+        """Multiply masses and inertias by the same factor, such that the mass of all links is `total` [kg]."""
+        factor = total / sum(link.mass for link in self.links.values())
+        for name, link in self.links.items():
+            self.links[name] = replace(link, mass=factor * link.mass, inertia=factor * link.inertia)
+
     def give_mass(self) -> None:
         """Assume a small mass for every moving body without mass: physics engines require one."""
         for joint in self.joints.values():

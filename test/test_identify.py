@@ -65,7 +65,7 @@ def within(found: fit.Identified, true: np.ndarray) -> np.ndarray:
 
 
 def identified_config(found: fit.Identified, trace: Trace) -> Config:
-    return from_yaml(fit.parameters(found, trace.config.dt, AS_BUILT.physics.mass_scale), onto=trace.config)
+    return from_yaml(fit.parameters(found, trace.config.dt, trace.model.mass), onto=trace.config)
 
 
 def replay_error(trace: Trace, config: Config) -> np.ndarray:
@@ -81,7 +81,7 @@ def legs() -> tuple[Trace, np.ndarray, Servos]:
 @pytest.fixture(scope="module")
 def found(legs) -> fit.Identified:
     trace = legs[0]
-    return fit.identify(trace, trace.physics.orientation, mass_scale=AS_BUILT.physics.mass_scale)
+    return fit.identify(trace, trace.physics.orientation)
 
 
 # ---------------------------------------------------------------------- the exercise
@@ -207,7 +207,7 @@ def test_five_minutes_identify_the_servos_of_a_random_poppy(seed: int) -> None:
     model = dq.load_model(config.robot)
     trace, true, _ = exercised(config, model, seed)
     assert trace.time[-1] < 310.0
-    found = fit.identify(trace, mass_scale=config.physics.mass_scale)
+    found = fit.identify(trace)
     good = within(found, true)
     print(f"\nseed {seed}\n{table(found)}\n", flush=True)
     for name, value, truth, accurate in zip(model.joint_names, found.value, true, good, strict=True):

@@ -11,9 +11,10 @@ from robots import DATA, biped12, edited, legs, poppy
 
 from dqwalk_ros.config import RobotConfig, find_share
 from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.dynamic.pendulum import swing_inertia
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.robot import Foot, load_model
+from dqwalk_ros.robot import Foot, load_model, parse_model
 
 POPPY = find_share("urdf", "poppy.urdf")
 
@@ -123,6 +124,18 @@ def test_locking_keeps_the_total_mass_and_the_centre_of_mass(lock, foot):
         np.testing.assert_allclose(a.com, b.com, atol=1e-14)
         for frame in ("l_sole", "r_sole", "pelvis", "head"):
             np.testing.assert_allclose(a.pose(frame), b.pose(frame), atol=1e-14)
+
+
+def test_a_weighed_mass_scales_all_masses_and_inertias(foot):
+    given, heavy = poppy(), load_model(RobotConfig(mass=3.2))
+    assert heavy.mass == pytest.approx(3.2, rel=1e-14)
+    q = np.random.default_rng(1).uniform(given.q_min, given.q_max)
+    a, b = Kinematics(given, q, foot), Kinematics(heavy, q, foot)
+    np.testing.assert_allclose(a.com, b.com, atol=1e-14)
+    factor = 3.2 / given.mass
+    np.testing.assert_allclose(swing_inertia(b), factor * swing_inertia(a), rtol=1e-12)
+    again = parse_model(heavy.urdf, RobotConfig(mass=3.2))  # a published description has that mass already
+    assert [body.mass for body in again.bodies] == pytest.approx([body.mass for body in heavy.bodies], rel=1e-14)
 
 
 def test_joint_names_are_case_sensitive():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -34,7 +35,7 @@ then:
 """)
 @click.argument("bag", metavar="BAG", type=click.Path(path_type=Path))
 @click.option(
-    "--mass", metavar="KG", type=click.FloatRange(0.01), help="Mass of the robot.  [default: that in the bag]"
+    "--mass", metavar="KG", type=click.FloatRange(0.01), help="Mass of the robot, as weighed.  [default: that in the bag]"
 )
 @click.option(
     "--out",
@@ -48,14 +49,17 @@ def identify(bag: Path, mass: float | None, out: Path | None, quiet: bool) -> in
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.identification import fit
     from dqwalk_ros.report.bag import read, read_orientations
+    from dqwalk_ros.robot import parse_model
 
     trace = read(bag)
-    scale = trace.config.physics.mass_scale if mass is None else mass / trace.model.mass
+    mass = mass or trace.config.physics.mass_scale * trace.model.mass
+    robot = dataclasses.replace(trace.config.robot, mass=mass)
+    trace = dataclasses.replace(trace, model=parse_model(trace.model.urdf, robot))
     with Progress(quiet=quiet) as progress:
-        found = fit.identify(trace, read_orientations(bag), mass_scale=scale, progress=progress)
+        found = fit.identify(trace, read_orientations(bag), progress=progress)
     out = out or bag.resolve().parent / "identified.yaml"
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(fit.parameters(found, trace.config.dt, scale), encoding="utf-8")
+    out.write_text(fit.parameters(found, trace.config.dt, mass), encoding="utf-8")
     if not quiet:
         print(table(found))
         print(f"wrote {out}; dqwalk replay {bag} --params {out} compares, dqwalk simulate --params {out} uses it")

@@ -141,7 +141,6 @@ def identify(
     trace: Trace,
     orientations: Array | None = None,
     *,
-    mass_scale: float = 1.0,
     progress: Callable[[float, str], None] | None = None,
 ) -> Identified:
     """Identify the parameters of the servos and the mounting of the inertial sensor from an exercise.
@@ -155,8 +154,6 @@ def identify(
         An exercise.
     orientations : ndarray, shape (m, 4), optional
         Measured by the inertial sensor: unit quaternions, real part first.
-    mass_scale : float
-        Mass of the robot, as a multiple of the mass in its URDF.
     progress : callable, optional
         Called with the completed fraction and the name of the joint.
 
@@ -172,7 +169,7 @@ def identify(
     # the acceleration of the spline is piecewise linear between states, as the model interpolates the torques
     q = CubicSpline(trace.time, savgol_filter(trace.q, window, 4, axis=0))
     ddq = q(trace.time, 2)
-    tau, inertia = held_torques(model, mass_scale, q(trace.time), q(trace.time, 1), ddq)
+    tau, inertia = held_torques(model, q(trace.time), q(trace.time, 1), ddq)
     tau -= inertia * ddq  # the model includes the inertia of the joint itself
     missing: dict[str, str] = {}
     servos: dict[int, _Servo] = {}
@@ -205,7 +202,7 @@ def identify(
     return Identified(model.joint_names, value, deviation, rms, missing, _mounting(trace, orientations))
 
 
-def parameters(found: Identified, dt: float, mass_scale: float) -> str:
+def parameters(found: Identified, dt: float, mass: float) -> str:
     """Return the parameters ``servo.assumed`` and others of the controller, as the text of a ROS parameter file.
 
     A goal is the integral of the commands at the end of the control period, but is sent at its beginning. So the
@@ -215,8 +212,8 @@ def parameters(found: Identified, dt: float, mass_scale: float) -> str:
     ----------
     dt : float
         Control period [s].
-    mass_scale : float
-        Mass of the robot, as a multiple of the mass in its URDF.
+    mass : float
+        Mass of the robot [kg].
     """
     known = [k for k, name in enumerate(found.joints) if name not in found.missing]
     weight = 1.0 / np.maximum(found.deviation[known, 0], 1e-4)
@@ -225,10 +222,10 @@ def parameters(found: Identified, dt: float, mass_scale: float) -> str:
     for k in known:
         values = ", ".join(f"{name} {x:.4g}" for name, x in zip(NAMES[1:], found.value[k, 1:], strict=True))
         assumed.append(f'    - "{found.joints[k]}={values}"')
-    assumed += ["physics:", f"  mass_scale: {mass_scale:.4f}"]
+    assumed += ["robot:", f"  mass: {mass:.4f}"]
     if found.mounting is not None:
         rpy = ", ".join(f"{angle:.5f}" for angle in found.mounting.rpy)
-        assumed += ["robot:", f"  imu_rpy: [{rpy}]"]
+        assumed.append(f"  imu_rpy: [{rpy}]")
     lines = ["# Results of `dqwalk identify`; a ROS parameter file to be loaded after that of the robot.", "/**:"]
     return "\n".join([*lines, "  ros__parameters:", *(f"    {line}" for line in assumed)]) + "\n"
 

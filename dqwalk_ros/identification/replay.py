@@ -11,6 +11,7 @@ from dqwalk_ros.config import Config, SensorsConfig
 from dqwalk_ros.errors import BagError
 from dqwalk_ros.identification.exercise import NAME
 from dqwalk_ros.plants.mujoco import PhysicsPlant
+from dqwalk_ros.robot import parse_model
 from dqwalk_ros.servos import Servos
 from dqwalk_ros.simulation import Trace, make_walk
 from dqwalk_ros.state import Command
@@ -54,7 +55,7 @@ def replay(trace: Trace, config: Config, progress: Callable[[float, str], None] 
         If the recording is not an exercise.
     """
     require_exercise(trace)
-    model, u = trace.model, np.nan_to_num(trace.u)
+    model, u = parse_model(trace.model.urdf, config.robot), np.nan_to_num(trace.u)
     # here the whole delay acts on the commands, and a goal is written at the beginning of its period
     late = {"servo.latency": config.servo.assumed_latency + 0.5 * config.dt, "servo.rate": 0.0}
     made = config.updated(late | {f"sensors.{name}": value for name, value in vars(SensorsConfig()).items()})

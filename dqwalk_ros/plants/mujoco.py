@@ -326,13 +326,11 @@ def build(
         raise PlantError(f"MuJoCo refuses the robot: {error}") from error
 
 
-def held_torques(model: RobotModel, mass_scale: float, q: Array, dq: Array, ddq: Array) -> tuple[Array, Array]:
+def held_torques(model: RobotModel, q: Array, dq: Array, ddq: Array) -> tuple[Array, Array]:
     """Return what moves the joints of a robot that is held by its root, level: torques, and inertias about the joints.
 
     Parameters
     ----------
-    mass_scale : float
-        Masses and inertias are multiplied by this.
     q, dq, ddq : ndarray, shape (N, n)
         [rad, rad/s, rad/s^2]
 
@@ -356,7 +354,7 @@ def held_torques(model: RobotModel, mass_scale: float, q: Array, dq: Array, ddq:
         mujoco.mj_inverse(mj, data)
         mujoco.mj_fullM(mj, data, full)
         tau[k], inertia[k] = data.qfrc_inverse[at], full.diagonal()[at]
-    return mass_scale * tau, mass_scale * inertia
+    return tau, inertia
 
 
 def _add_spring(spec: Any, joint: str, stiffness: float, damping: float, limit: float) -> None:
