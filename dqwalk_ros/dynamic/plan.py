@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from dqwalk_ros.arrays import Array
+from dqwalk_ros.compiled import jit
 
 __all__ = ["Course", "Pressed", "Rest", "before", "single_supports"]
 
@@ -25,7 +26,8 @@ _LAST = 0.25
 """xi at the end of the last single support, as a fraction of the distance from the middle of the feet to its foot."""
 
 
-def before(a: Array, b: Array, end: Array, time: float, omega: Array) -> Array:
+@jit
+def before(a, b, end, time, omega):  # type: ignore[no-untyped-def]
     """Return the divergent component a given time before it is at `end`, while z moves linearly from `a` to `b`.
 
     The solution of xi' = w (xi - z): with e = exp(-w T) and b = a it is z + e (xi(T) - z).
@@ -49,8 +51,7 @@ def before(a: Array, b: Array, end: Array, time: float, omega: Array) -> Array:
     if time < 1e-9:
         return end
     e = np.exp(-omega * time)
-    xi: Array = e * end + (1.0 - e) * a + (b - a) / (omega * time) * (1.0 - e * (1.0 + omega * time))
-    return xi
+    return e * end + (1.0 - e) * a + (b - a) / (omega * time) * (1.0 - e * (1.0 + omega * time))
 
 
 class Course(Protocol):
