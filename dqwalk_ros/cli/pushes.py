@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dqwalk_ros.cli.options import Many, command, config_of, config_option, many_options, set_option
+from dqwalk_ros.cli.options import Many, command, config_of, config_option, many_options, plant_option, set_option
 from dqwalk_ros.errors import ConfigError, StudyError
 
 if TYPE_CHECKING:
@@ -30,9 +30,11 @@ writes to the folder of --out:
 
 examples:
   dqwalk pushes --jobs 4 --set qp.solver=daqp
+  dqwalk pushes --config poppy_dynamic_50hz --plant poppy_as_built --tolerance 0.05
   dqwalk pushes --moment standing --directions 16 --set standing.balance=1.0
 """)
 @config_option("poppy")
+@plant_option(["physics", "poppy_as_built"], "physics", "MuJoCo with ideal sensors, or Poppy as it is built.")
 @click.option(
     "--moment",
     type=click.Choice(["all", "standing", "left", "right"]),
@@ -57,6 +59,7 @@ examples:
 @set_option
 def pushes(
     config: str,
+    plant: str,
     moment: str,
     directions: int,
     part: float,
@@ -76,7 +79,7 @@ def pushes(
     from dqwalk_ros.robot import load_model
     from dqwalk_ros.studies import pushes as study
 
-    made = config_of(config, changes, plant="physics")
+    made = config_of(config, changes, plant=plant)
     if made.gait.style == "paper":
         raise ConfigError(f"pushes need a standing or a dynamic walk; gait.style of '{config}' is {made.gait.style}")
     moments = study.MOMENTS if moment == "all" else (moment,)
