@@ -22,6 +22,7 @@ from dqwalk_ros.dynamic.swing import Swing
 from dqwalk_ros.dynamic.tasks import FollowPose, Target
 from dqwalk_ros.dynamic.walk import DynamicWalk
 from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report import analyse, bag, report
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, simulate
@@ -520,6 +521,36 @@ def test_the_swing_foot_lands_gently() -> None:
         assert force[record.support][after].min() > 0.25 * weight
         assert force[record.support.other][after].max() < 0.9 * weight
     assert len(landings) == 7
+
+
+def targets(period: float, until: float) -> dict[str, np.ndarray]:
+    """Return what the tasks follow in the first period after the time `until` [s], without a plant."""
+    controller = make_controller(CONFIG.updated({"dt": period}), MODEL)
+    for state, _ in closed_loop(controller, KinematicPlant(MODEL, controller.walk.posture)):
+        if state.time > until - 1e-6 and controller._kin is not None:
+            assert controller.phase.kind is PhaseKind.SINGLE_SUPPORT
+            break
+    return {name: target.place for name, target in controller.walk._targets.items()}
+
+
+def test_a_command_follows_the_references_of_the_middle_of_its_period() -> None:
+    long, short = targets(0.02, 1.8), targets(0.004, 1.8 + 0.01 - 0.002)
+    assert long["swing"][:3] == pytest.approx(short["swing"][:3], abs=2e-4)
+    assert long["com"] == pytest.approx(short["com"], abs=4e-4)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_poppy_as_built_walks_dynamically(seed: int) -> None:
+    changes = {"gait.steps": 10, "sensors.seed": seed}
+    config = overlaid(dq.load("poppy_dynamic_50hz"), "poppy_as_built").updated(changes)
+    model = dq.load_model(config.robot)
+    assert model.mass == pytest.approx(3.2)
+    trace = simulate(make_controller(config, model), make_plant("poppy_as_built", config, model))
+    assert trace.finished, trace.notes
+    physics = report(analyse(trace))["physics"]
+    assert not physics["fallen"]
+    assert math.degrees(physics["tilt"]["value"]) < 2.0
+    assert physics["cop_inside"] > 0.96
 
 
 def test_poppy_walks_in_physics_and_recovers_from_a_push(tmp_path: Path) -> None:

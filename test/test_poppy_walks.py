@@ -24,6 +24,7 @@ from dqwalk_ros.simulation import make_controller, make_walk, simulate
 from dqwalk_ros.state import Command, State
 
 CONFIG = overlaid(dq.load("poppy"), "poppy_as_built").updated({"qp.solver": "daqp"})
+DYNAMIC = overlaid(dq.load("poppy_dynamic_50hz"), "poppy_as_built")
 MODEL = dq.load_model(CONFIG.robot)
 GAINS = (254, 127)
 SAMPLE = 0.004  # time between two readings of the set points by the engine [s]
@@ -125,12 +126,12 @@ class PoppyOnTheFloor(Plant):
         return self.robot.fallen
 
 
-def settings(gain: int, seed: int, steps: int) -> Config:
+def settings(gain: int, seed: int, steps: int, config: Config = CONFIG) -> Config:
     changes = {"gait.steps": steps, "servo.p_gain": gain, "poppy.p_gain": gain, "sensors.seed": seed}
-    return CONFIG.updated(changes)
+    return config.updated(changes)
 
 
-def check_walk(config: Config) -> None:
+def check_walk(config: Config, *, ramp: int = 0, least_inside: float = 99.9) -> None:
     plant = PoppyOnTheFloor(config, MODEL)
     trace = simulate(make_controller(config, MODEL), plant)
     found = report(analyse(trace))
@@ -143,8 +144,8 @@ def check_walk(config: Config) -> None:
     assert not found["violations"]
     assert not physics["fallen"]
     assert tilt < 1.0
-    assert inside > 99.9
-    assert ahead > 0.95 * 0.05 * config.gait.steps - 0.01
+    assert inside > least_inside
+    assert ahead > 0.95 * 0.05 * (config.gait.steps - ramp) - 0.01
     feet = [DQ(x).translation() for x in plant.truth.soles.values()]
     assert abs(feet[0][0] - feet[1][0]) < 0.005  # together
 
@@ -159,6 +160,16 @@ def test_the_robot_walks_through_the_driver(gain: int) -> None:
 @pytest.mark.parametrize("gain", GAINS)
 def test_20_steps_through_the_driver(gain: int, seed: int) -> None:
     check_walk(settings(gain, seed, 20))
+
+
+def test_the_robot_walks_dynamically_through_the_driver() -> None:
+    check_walk(settings(254, 0, 6, DYNAMIC), ramp=2, least_inside=95.0)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(20))
+def test_20_dynamic_steps_through_the_driver(seed: int) -> None:
+    check_walk(settings(254, seed, 20, DYNAMIC), ramp=3, least_inside=95.0)
 
 
 @pytest.mark.parametrize("gain", GAINS)

@@ -35,7 +35,10 @@ then:
 """)
 @click.argument("bag", metavar="BAG", type=click.Path(path_type=Path))
 @click.option(
-    "--mass", metavar="KG", type=click.FloatRange(0.01), help="Mass of the robot, as weighed.  [default: that in the bag]"
+    "--mass",
+    metavar="KG",
+    type=click.FloatRange(0.01),
+    help="Mass of the robot, as weighed.  [default: that in the bag]",
 )
 @click.option(
     "--out",
