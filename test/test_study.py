@@ -294,6 +294,12 @@ def test_the_assumed_latency_can_be_wrong():
         assert robustness.assumed(config, error)["servo.assumed_latency"] == pytest.approx(expected)
 
 
+@pytest.mark.parametrize(("lead", "damping", "assumed"), [(0.0, 0.02, 0.0), (0.005, 0.02, 0.005), (0.02, 0.01, 0.01)])
+def test_the_lead_is_that_of_the_configuration_but_not_more_than_the_damping(lead, damping, assumed):
+    found = robustness.assumed(POPPY.updated({"servo.assumed_lead": lead, "servo.damping": damping}))
+    assert (found["servo.assumed_lead"], found["servo.assumed_damping"]) == (assumed, damping)
+
+
 def test_robustness_as_built_varies_gain_and_seed():
     axes = robustness.axes_of(overlaid(POPPY, "poppy_as_built"))
     assert len(robustness.cells(axes)) == 40

@@ -91,12 +91,15 @@ def cells(axes: Mapping[str, Sequence[float]], sample: int = 0, seed: int = 0) -
 
 
 def assumed(config: Config, latency_error: float = 0.0) -> dict[str, float]:
-    """Return the controller's assumptions about its servos: the true values, except for `latency_error` [s]."""
+    """Return the controller's assumptions about its servos: the true values, except for `latency_error` [s].
+
+    How much of the damping is fed forward, ``servo.assumed_lead``, is a choice of the configuration.
+    """
     s = config.servo
-    damping = {"servo.assumed_lead": s.damping} if s.assumed_lead else {"servo.assumed_damping": s.damping}
     return {
         "servo.assumed_stiffness": s.stiffness,
-        **damping,
+        "servo.assumed_damping": s.damping,
+        "servo.assumed_lead": min(s.assumed_lead, s.damping),
         "servo.assumed_latency": max(s.latency + config.sensors.age + latency_error, 0.0),
         "servo.assumed_rate": s.rate or 1.0 / config.dt,
     }
