@@ -27,6 +27,8 @@ CONFIG = overlaid(dq.load("poppy"), "poppy_as_built").updated({"qp.solver": "daq
 DYNAMIC = overlaid(dq.load("poppy_dynamic_50hz"), "poppy_as_built")
 MODEL = dq.load_model(CONFIG.robot)
 GAINS = (254, 127)
+LESS_EXACT = frozenset({"cop", "landing"})
+"""Kinds of violations: 1 to 5 % of the pressure are outside the soles, some steps land more than 5 mm off."""
 SAMPLE = 0.004  # time between two readings of the set points by the engine [s]
 
 
@@ -131,7 +133,9 @@ def settings(gain: int, seed: int, steps: int, config: Config = CONFIG) -> Confi
     return config.updated(changes)
 
 
-def check_walk(config: Config, *, ramp: int = 0, least_inside: float = 99.9) -> None:
+def check_walk(
+    config: Config, *, ramp: int = 0, least_inside: float = 99.9, tolerated: frozenset = frozenset()
+) -> None:
     plant = PoppyOnTheFloor(config, MODEL)
     trace = simulate(make_controller(config, MODEL), plant)
     found = report(analyse(trace))
@@ -141,7 +145,7 @@ def check_walk(config: Config, *, ramp: int = 0, least_inside: float = 99.9) -> 
     print(f"{physics['steps'] - 1} steps: {ahead:.3f} m, tilt at most {tilt:.2f} deg, pressure inside {inside:.2f} %")
     assert trace.finished, trace.notes
     assert not plant.driver.watch.faults
-    assert not [one for one in found["violations"] if one["what"] != "cop"]  # of the pressure below
+    assert not {one["what"] for one in found["violations"]} - tolerated
     assert not physics["fallen"]
     assert tilt < 1.0
     assert inside > least_inside
@@ -163,13 +167,13 @@ def test_20_steps_through_the_driver(gain: int, seed: int) -> None:
 
 
 def test_the_robot_walks_dynamically_through_the_driver() -> None:
-    check_walk(settings(254, 0, 6, DYNAMIC), ramp=2, least_inside=95.0)
+    check_walk(settings(254, 0, 6, DYNAMIC), ramp=2, least_inside=95.0, tolerated=LESS_EXACT)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("seed", range(20))
 def test_20_dynamic_steps_through_the_driver(seed: int) -> None:
-    check_walk(settings(254, seed, 20, DYNAMIC), ramp=3, least_inside=95.0)
+    check_walk(settings(254, seed, 20, DYNAMIC), ramp=3, least_inside=95.0, tolerated=LESS_EXACT)
 
 
 @pytest.mark.parametrize("gain", GAINS)
