@@ -118,7 +118,6 @@ class DynamicWalk(StandingWalk):
         self._drive = Drive.of(config, model)
         self._mass, delay = model.mass, self._drive.delay
         self._advance = max(delay - config.dt, 0.0)
-        self._middle = 0.5 * config.dt  # a command acts for a period: it follows the references of the middle
         self._gain = config.standing.balance / (1.0 + delay / _LATE)
         self._threshold = config.dynamic.catch_beyond * (1.0 + delay / _TOLERANT)
         self._unsure = _UNSURE * self._advance
@@ -317,13 +316,13 @@ class DynamicWalk(StandingWalk):
             _, z = self._course.at(t + self._advance)
         z = z + (1.0 + self._gain) * (xi - self._xi)
         if flight is not None:  # the foot must be on the ground before the weight is transferred
-            place, velocity, acceleration = flight.swing.step(t + self._middle, flight.rule.duration - self._advance)
+            place, velocity, acceleration = flight.swing.step(t, flight.rule.duration - self._advance)
             self._targets["swing"].set(turned(self._ground.tip(up), place), velocity)
             z[0] += self.pendulum.swing * acceleration[0]
         self._pressure = z = _inside(z, *self._support, self.config.standing.pressure_margin)
         a = omega**2 * (c - z)  # acceleration of the pendulum
         self._force = GRAVITY * up + np.array([a[0], a[1], -(a @ up[:2]) / up[2]])
-        ahead = min(self._advance, _MOST_AHEAD) + self._middle
+        ahead = min(self._advance, _MOST_AHEAD)
         later, _ = self._course.at(t + ahead)
         com = self._com + (1.0 - np.exp(-omega * ahead)) * (0.5 * (self._xi + later) - self._com)  # c' = w (xi - c)
         self._targets["com"].set(com, omega * (later - com))
