@@ -152,7 +152,7 @@ def run_walk(
             reason = f"interrupted by {interrupted[0].name}" if interrupted else walk.ended()
             walk.show()
         processes.stop()
-        reason = reason or _recording_error(processes, lockstep)
+        reason = reason or _recording_error(processes, lockstep, int(walk.last["ticks"]))
         pace = processes.reports[node].get("text", "")
     return Outcome(
         finished=not reason,
@@ -228,12 +228,17 @@ class _Progress:
         self._progress(min(1.0, max(0.0, done)), f"{text}  {rate:.0f} ticks/s")
 
 
-def _recording_error(processes: Processes, lockstep: bool) -> str:
-    """Return the error of the finished recording, "" without one; missing messages are an error in lockstep only."""
+def _recording_error(processes: Processes, lockstep: bool, ticks: int) -> str:
+    """Return the error of the finished recording, "" without one; missing messages are an error in lockstep only.
+
+    The recorder sees a gap between two messages, but not that the last ones are missing; these are found by the number
+    of `ticks`, of which each has a state and a command.
+    """
     recorded = processes.reports["recorder"]
     if not recorded:
         return f"the recorder did not finish the bag: {processes.last_error('recorder')}"
-    missing = recorded["missing"]
+    counts = {name: recorded["counts"][name] for name in ("joint_states", "joint_velocity_commands")}
+    missing = recorded["missing"] or {name: ticks - count for name, count in counts.items() if count < ticks}
     if lockstep and missing:
         return "the bag is incomplete: " + ", ".join(f"{n} of {name} are missing" for name, n in missing.items())
     return ""

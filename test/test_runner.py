@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import psutil
 import pytest
@@ -19,7 +20,7 @@ from dqwalk_ros import cli
 from dqwalk_ros.compiled import COMPILING
 from dqwalk_ros.config import load
 from dqwalk_ros.report import bag
-from dqwalk_ros.runner import environment, private_domain, run_walk
+from dqwalk_ros.runner import _recording_error, environment, private_domain, run_walk
 
 
 def children() -> list[psutil.Process]:
@@ -128,7 +129,7 @@ def test_progress_is_shown_and_a_suspended_recorder_loses_no_messages(tmp_path: 
 
     outcome = run_walk(load("paper").updated(SHORT), tmp_path / "bag", progress=hold)
     assert held
-    assert outcome.finished, outcome.reason
+    assert outcome.finished, outcome.reason + (tmp_path / "log" / "recorder.log").read_text()
     assert "lockstep: true" in (tmp_path / "log" / "params.yaml").read_text()
     walked = bag.read(tmp_path / "bag")
     assert len(walked) >= outcome.ticks
@@ -138,6 +139,17 @@ def test_progress_is_shown_and_a_suspended_recorder_loses_no_messages(tmp_path: 
     fractions = [fraction for fraction, _ in shown]
     assert min(fractions) >= 0.0
     assert max(fractions) > 0.5
+
+
+def test_a_bag_without_the_end_of_the_walk_is_incomplete() -> None:
+    """Without a later message of the topic the recorder sees no gap."""
+    counts = {"joint_states": 1268, "joint_velocity_commands": 2}
+    processes = SimpleNamespace(reports={"recorder": {"missing": {}, "counts": counts}})
+    error = _recording_error(processes, True, 1267)
+    assert error == "the bag is incomplete: 1265 of joint_velocity_commands are missing"
+    assert not _recording_error(processes, False, 1267)
+    counts["joint_velocity_commands"] = 1267
+    assert not _recording_error(processes, True, 1267)
 
 
 def test_an_exercise_that_failed_is_not_to_be_identified(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
