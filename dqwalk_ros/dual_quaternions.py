@@ -136,10 +136,6 @@ class DQ:
         """Return vec3, the imaginary part of the primary part, shape (..., 3)."""
         return self._h[..., 1:4]
 
-    def vec6(self) -> Array:
-        """Return the imaginary parts of the primary and of the dual part, shape (..., 6)."""
-        return np.concatenate([self._h[..., 1:4], self._h[..., 5:]], axis=-1)
-
     def P(self) -> Self:
         """Primary part."""
         return type(self)(self._h[..., :4])
@@ -221,27 +217,8 @@ class DQ:
     def __rmul__(self, other: float) -> Self:
         return type(self)(other * self._h)
 
-    def __getitem__(self, index: Any) -> Self:
-        return type(self)(self._h[index])
-
     def __repr__(self) -> str:
         return f"DQ({np.array2string(self._h, precision=6, suppress_small=True)})"
-
-    def dot(self, other: DQ) -> Self:
-        """Inner product <a, b> = -(ab + ba)/2 of pure quaternions or pure dual quaternions."""
-        return -0.5 * (self * other + other * self)
-
-    def cross(self, other: DQ) -> Self:
-        """Cross product a x b = (ab - ba)/2 of pure quaternions or pure dual quaternions."""
-        return 0.5 * (self * other - other * self)
-
-    def hamiplus4(self) -> Array:
-        """H+4 with vec4(ab) = hamiplus4(a) vec4(b), of the primary parts; shape (..., 4, 4)."""
-        return _left(self._h[..., :4])
-
-    def haminus4(self) -> Array:
-        """H-4 with vec4(ab) = haminus4(b) vec4(a), of the primary parts; shape (..., 4, 4)."""
-        return _right(self._h[..., :4])
 
     def hamiplus8(self) -> Array:
         """H+8 with vec8(ab) = hamiplus8(a) vec8(b); shape (..., 8, 8)."""
@@ -270,12 +247,6 @@ class DQ:
     def Ad(self, other: DQ) -> Self:
         """Return x h x*: the quaternion, direction or line `other` given in the frame x, in the parent frame."""
         return self * type(self)(other._h) * self.conj()
-
-    def Ad_sharp(self, other: DQ) -> Self:
-        """Return (P(x) - eps D(x)) h x*: a plane n + eps d or a point 1 - eps p of the frame x, in the parent frame."""
-        sharp = self._h.copy()
-        sharp[..., 4:] *= -1.0
-        return type(self)(sharp) * type(self)(other._h) * self.conj()
 
     def transform_point(self, p: ArrayLike) -> Array:
         """Return p + r c r*: the point c given in the frame x, in the parent frame, shape (..., 3) [m]."""

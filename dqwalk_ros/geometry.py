@@ -1,7 +1,7 @@
 """Geometric primitives and their signed distances, sections 3.1 to 3.3 [Adorno2017, Marinho2019].
 
-All coordinates are in the same frame, in metres. Each distance function also returns the gradient; where the primitive
-moves with the joints, the gradient with respect to the moving point gives the residual of [Marinho2019].
+All coordinates are in the same frame, in metres. The functions of points that move with the joints also return the
+gradient; where the primitive moves, too, the gradient at its moving point gives the residual of [Marinho2019].
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.compiled import jit
-from dqwalk_ros.dual_quaternions import DQ
 
 __all__ = [
     "ConvexPolygon",
@@ -24,7 +23,6 @@ __all__ = [
     "Line",
     "Plane",
     "point_to_line_squared",
-    "point_to_polygon",
     "point_to_wall",
     "wall_side",
 ]
@@ -44,14 +42,6 @@ class Plane:
         normal = normal / np.linalg.norm(normal)
         return cls(normal, float(normal @ np.asarray(p)))
 
-    def dq(self) -> DQ:
-        """Return n + eps d."""
-        return DQ(np.concatenate([[0.0], self.n, [self.d, 0.0, 0.0, 0.0]]))
-
-    def distance(self, p: ArrayLike) -> float:
-        """Signed distance of a point (3,) from the plane [m], positive on the side that the normal points to."""
-        return float(np.asarray(p) @ self.n) - self.d
-
 
 @dataclass(frozen=True)
 class Line:
@@ -67,14 +57,6 @@ class Line:
         direction = direction / np.linalg.norm(direction)
         return cls(direction, np.cross(np.asarray(p, dtype=np.float64), direction))
 
-    def dq(self) -> DQ:
-        """Return l + eps m."""
-        return DQ(np.concatenate([[0.0], self.l, [0.0], self.m]))
-
-    def distance_squared(self, p: ArrayLike) -> float:
-        """Squared distance of a point (3,) [m^2]."""
-        return float(point_to_line_squared(np.asarray(p, dtype=np.float64), self.l, self.m)[0])
-
 
 @dataclass(frozen=True)
 class Cylinder:
@@ -82,10 +64,6 @@ class Cylinder:
 
     axis: Line
     radius: float
-
-    def distance(self, p: ArrayLike) -> float:
-        """d^2 - r^2 [m^2] of a point (3,): negative inside, as in the paper."""
-        return self.axis.distance_squared(p) - self.radius**2
 
 
 @dataclass(frozen=True)
@@ -137,8 +115,19 @@ class ConvexPolygon:
         return n, np.einsum("ij,ij->i", n, a)
 
     def distance(self, p: ArrayLike) -> float:
-        """Signed distance [m] of a point (2,) or (3,) from the boundary, positive inside; see `point_to_polygon`."""
-        return float(point_to_polygon(np.asarray(p, dtype=np.float64), self.vertices)[0])
+        """Signed distance [m] of the ground projection of a point (2,) or (3,) from the boundary, positive inside.
+
+        Outside it is minus the distance from the nearest edge or corner.
+        """
+        n, d = self.edges()
+        point = np.asarray(p, dtype=np.float64)[:2]
+        nearest = (n @ point - d).min()
+        if nearest >= 0.0:
+            return float(nearest)
+        a = self.vertices
+        t = np.roll(a, -1, axis=0) - a
+        s = np.clip(np.einsum("ij,ij->i", point - a, t) / np.einsum("ij,ij->i", t, t), 0.0, 1.0)
+        return -float(np.linalg.norm(point - (a + s[:, None] * t), axis=1).min())
 
 
 # ---------------------------------------------------------------------- distances and their gradients
@@ -200,31 +189,3 @@ def wall_side(a: Array, b: Array, inside: Array) -> float:
     if np.hypot(*t) < 1e-9:
         raise ValueError("two points on one vertical line do not define a vertical plane")
     return 1.0 if t[0] * v[1] >= t[1] * v[0] else -1.0
-
-
-# ---------------------------------------------------------------------- points and polygons
-
-
-def point_to_polygon(p: Array, vertices: Array) -> tuple[float, Array]:
-    """Signed distance [m] of the ground projection of `p` (2,) or (3,) from the boundary of a convex polygon (m, 2).
-
-    It is positive inside. Outside it is minus the distance from the nearest edge or corner.
-
-    Returns
-    -------
-    distance : float
-    gradient : ndarray, shape (2,)
-        With respect to the projection of `p`.
-    """
-    n, d = ConvexPolygon(vertices).edges()
-    distances = n @ p[:2] - d
-    nearest = int(np.argmin(distances))
-    if distances[nearest] >= 0.0:
-        return float(distances[nearest]), n[nearest]
-    a = vertices
-    t = np.roll(a, -1, axis=0) - a
-    s = np.clip(np.einsum("ij,ij->i", p[:2] - a, t) / np.einsum("ij,ij->i", t, t), 0.0, 1.0)
-    v = p[:2] - (a + s[:, None] * t)
-    far = np.linalg.norm(v, axis=1)
-    edge = int(np.argmin(far))
-    return -float(far[edge]), -v[edge] / far[edge]

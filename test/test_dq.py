@@ -81,15 +81,6 @@ def test_hamilton_operators(a, b):
     tol = 1e-12 * max(1.0, np.abs(product).max())
     np.testing.assert_allclose(a.hamiplus8() @ b.vec8(), product, rtol=0, atol=tol)
     np.testing.assert_allclose(b.haminus8() @ a.vec8(), product, rtol=0, atol=tol)
-    p, q = a.P(), b.P()
-    np.testing.assert_allclose(p.hamiplus4() @ q.vec4(), (p * q).vec4(), rtol=0, atol=tol)
-    np.testing.assert_allclose(q.haminus4() @ p.vec4(), (p * q).vec4(), rtol=0, atol=tol)
-
-
-@given(vectors, vectors)
-def test_inner_and_cross_product_are_those_of_vectors(a, b):
-    same(DQ(a).dot(DQ(b)), float(a @ b))
-    same(DQ(a).cross(DQ(b)), DQ(np.cross(a, b)))
 
 
 @given(any_dq.filter(lambda a: np.linalg.norm(a.vec4()) > 0.1), any_dq)
@@ -183,7 +174,6 @@ def test_from_matrix_near_every_branch(start, size):
 def test_transformation_of_points(x, c):
     moved = x.rotation_matrix() @ c + x.translation()
     np.testing.assert_allclose(x.transform_point(c), moved, atol=1e-11)
-    same(x.Ad_sharp(DQ(1.0) - E * DQ(c)), DQ(1.0) - E * DQ(moved), 1e-11)
 
 
 # ---------------------------------------------------------------------- arrays
@@ -196,7 +186,7 @@ def test_arrays_of_any_leading_shape():
     assert product.shape == (4, 5, 8)
     for index in np.ndindex(4, 5):
         np.testing.assert_allclose(product[index], (DQ(a[index]) * DQ(b[index])).vec8(), atol=1e-14)
-        same(DQ(a)[index].inv(), DQ(a[index]).inv())
+        same(DQ(DQ(a).inv().vec8()[index]), DQ(a[index]).inv())
     p = rng.normal(size=(5, 3))
     x = DQ(a).normalized()
     assert x.translation().shape == (4, 5, 3)
