@@ -159,21 +159,12 @@ def direction(x, v):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _point_jacobian(lines, moves, p, J):  # type: ignore[no-untyped-def]
-    """Fill J_p (3, n) with the columns l x p + m of the joints that move the point `p` (3,)."""
+def _jacobian(lines, moves, p, factor, J):  # type: ignore[no-untyped-def]
+    """Fill J (3, n) with the columns l x p + m of the joints that move the point `p` (3,); l x p for a direction."""
     J[:] = 0.0
     for i in range(lines.shape[0]):
         if moves[i]:
-            _jacobian_column(lines[i], p, 1.0, J[:, i])
-
-
-@jit
-def _direction_jacobian(lines, moves, v, J):  # type: ignore[no-untyped-def]
-    """Fill J (3, n) with the columns l x v of the joints that turn the direction `v` (3,)."""
-    J[:] = 0.0
-    for i in range(lines.shape[0]):
-        if moves[i]:
-            _jacobian_column(lines[i], v, 0.0, J[:, i])
+            _jacobian_column(lines[i], p, factor, J[:, i])
 
 
 @jit
@@ -214,12 +205,12 @@ def _observe(kinds, bodies, local, q, poses, lines, moves, p_com, J_com, up, s, 
         elif kind == _POINT:
             p = s[at : at + 3]
             p[:] = _point(poses[body], local[k, :3])
-            _point_jacobian(lines, moves[body], p, J[at : at + 3])
+            _jacobian(lines, moves[body], p, 1.0, J[at : at + 3])
             at += 3
         elif kind == _DIRECTION:
             v = s[at : at + 3]
             _rotate(poses[body], local[k, :3], v)
-            _direction_jacobian(lines, moves[body], v, J[at : at + 3])
+            _jacobian(lines, moves[body], v, 0.0, J[at : at + 3])
             at += 3
         elif kind == _ANGLES:
             s[at : at + n] = q
@@ -297,16 +288,9 @@ class SupportTree:
 
 
 @functools.lru_cache(maxsize=16)
-def _support_tree(model: RobotModel, left: bool) -> SupportTree:
-    return SupportTree(model, Foot.LEFT if left else Foot.RIGHT)
-
-
 def support_tree(model: RobotModel, base: Foot) -> SupportTree:
     """Return the tree of `model` re-rooted at the sole `base`; computed once per model and foot."""
-    return _support_tree(model, base is _LEFT)  # hashing a Foot would take longer than the rest of this function
-
-
-_LEFT = Foot.LEFT
+    return SupportTree(model, base)
 
 
 class Kinematics:
@@ -398,7 +382,7 @@ class Kinematics:
     def point_jacobian(self, frame: str, offset: Array = _ORIGIN) -> Array:
         """J_p with vec3(p') = J_p q' (section 2.2), shape (3, n) [m/rad]."""
         J = np.empty((3, len(self.q)))
-        _point_jacobian(self.lines, self.tree.moves[self.tree.frames[frame][0]], self.point(frame, offset), J)
+        _jacobian(self.lines, self.tree.moves[self.tree.frames[frame][0]], self.point(frame, offset), 1.0, J)
         return J
 
     def direction(self, frame: str, v: Array) -> Array:
