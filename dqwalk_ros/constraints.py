@@ -289,11 +289,7 @@ class ComInsideEdges(Affine):
     """
 
     polygon: ConvexPolygon
-
-    @property
-    def watches(self) -> tuple[Feature, ...]:
-        """The projection of the CoM along the vertical."""
-        return (CenterOfMassOnGround(),)
+    watches = (CenterOfMassOnGround(),)
 
     @property
     def A(self) -> Array:
@@ -406,11 +402,7 @@ class JointMaximum(Affine):
     """Upper joint limits, (U12): q_max - q >= 0 [rad]."""
 
     q_max: Array
-
-    @property
-    def watches(self) -> tuple[Feature, ...]:
-        """All joint angles."""
-        return (JointAngles(),)
+    watches = (JointAngles(),)
 
     @cached_property
     def A(self) -> Array:
@@ -432,11 +424,7 @@ class JointMinimum(Affine):
     """Lower joint limits, (U13): q - q_min >= 0 [rad]."""
 
     q_min: Array
-
-    @property
-    def watches(self) -> tuple[Feature, ...]:
-        """All joint angles."""
-        return (JointAngles(),)
+    watches = (JointAngles(),)
 
     @cached_property
     def A(self) -> Array:

@@ -126,11 +126,7 @@ class Posture(Task):
     """Moves all joints to a posture `q_ref` (n,) [rad]; not in the paper."""
 
     q_ref: Array
-
-    @property
-    def watches(self) -> tuple[Feature, ...]:
-        """All joint angles."""
-        return (JointAngles(),)
+    watches = (JointAngles(),)
 
     @cached_property
     def _gradient(self) -> Array:
