@@ -15,15 +15,17 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import CenterOfMassOnGround, Feature, Point, Rotation
 from dqwalk_ros.tasks import Task
 
-__all__ = ["ComPath", "SwingPath", "com_path", "follow_com_path", "follow_swing_path"]
+__all__ = ["ComPath", "SwingPath", "com_path", "follow_com_path", "follow_swing_path", "minimum_jerk"]
 
 
-@jit
-def _minimum_jerk(s):  # type: ignore[no-untyped-def]
+def minimum_jerk(s: float) -> tuple[float, float, float]:
     """Return the minimum-jerk profile from 0 to 1 at the fraction `s` of the time, and its first two derivatives."""
     s = min(max(s, 0.0), 1.0)
     place = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
     return place, 30.0 * (s * (1.0 - s)) ** 2, 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
+
+
+_minimum_jerk = jit(minimum_jerk)
 
 
 @jit

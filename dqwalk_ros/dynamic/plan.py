@@ -16,6 +16,7 @@ import numpy as np
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.compiled import jit
+from dqwalk_ros.paths import minimum_jerk
 
 __all__ = ["Course", "Pressed", "Rest", "before", "single_supports"]
 
@@ -113,8 +114,7 @@ class Rest:
 
     def at(self, elapsed: float) -> tuple[Array, Array]:
         """Return xi and z (2,) [m], `elapsed` [s] into the phase."""
-        s = min(max(elapsed / self.duration, 0.0), 1.0)
-        place, slope = s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * (s * (1.0 - s)) ** 2
+        place, slope, _ = minimum_jerk(elapsed / self.duration)
         way = self.goal - self.start
         xi = self.start + place * way
         return xi, xi - slope / self.duration * way / self.omega

@@ -8,6 +8,7 @@ import numpy as np
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.dual_quaternions import DQ, product
+from dqwalk_ros.paths import minimum_jerk
 
 __all__ = ["Swing"]
 
@@ -98,8 +99,8 @@ class Swing:
 def _along(s: float) -> tuple[float, float]:
     """Return the completed fraction of the distance along the ground at the fraction `s` of the time, and its slope."""
     span = 1.0 - _LIFT - _LAND
-    x = min(max((s - _LIFT) / span, 0.0), 1.0)
-    return x**3 * (10.0 - 15.0 * x + 6.0 * x**2), 30.0 * (x * (1.0 - x)) ** 2 / span
+    place, slope, _ = minimum_jerk((s - _LIFT) / span)
+    return place, slope / span
 
 
 def _arch(s: float) -> tuple[float, float]:
