@@ -9,6 +9,7 @@ from __future__ import annotations
 import enum
 from abc import ABC, abstractmethod
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -241,6 +242,43 @@ class Walk(ABC):
     def one_foot(self, support: Foot, q_start: Array, swing_target: Array) -> Phase:
         """Return the single support on `support` that swings the other foot to its target."""
 
+    joint_return = np.inf
+    """Largest speed at which a joint beyond its limit is required to return [rad/s]."""
+
+    def _phase(
+        self,
+        kind: PhaseKind,
+        support: Foot,
+        kin: Kinematics,
+        swing_target: Array | None,
+        tasks: Sequence[Task],
+        equalities: tuple[Constraint, ...],
+        inequalities: tuple[Constraint, ...],
+    ) -> Phase:
+        """Return the phase that begins at `kin`, with the posture task, the joint limits, and the rule of `_rule`."""
+        config = self.config
+        if config.task.posture_weight > 0.0:
+            tasks = (*tasks, Posture(name="posture", weight=config.task.posture_weight, q_ref=self.posture))
+        return Phase(
+            model=self.model,
+            kind=kind,
+            support=support,
+            base=kin.base,
+            q_start=kin.q,
+            swing_target=swing_target,
+            eta=config.task.eta,
+            damping=config.task.damping,
+            tasks=tuple(tasks),
+            equalities=equalities,
+            inequalities=inequalities,
+            limits=joint_limits(config, self.model, self.joint_return),
+            rule=self._rule(kind, support),
+        )
+
+    def _rule(self, kind: PhaseKind, support: Foot) -> Rule:
+        """Return the condition that ends a phase, for `_phase`; by default the switching rule of section 5."""
+        return EndRule(self.config, f"{kind.value}/{support.value}", double=kind is PhaseKind.DOUBLE_SUPPORT)
+
     def restarts(self, phase: Phase) -> float | None:
         """Return for how long to stand before a phase begins again after an interruption of the control [s].
 
@@ -363,69 +401,26 @@ class PaperWalk(Walk):
                 AxisLevel(name="flat_roll", eta=dsp.eta_ground, frame=end, direction=_Y),
             ]
         sliding = Cylinder(Line.through(kin.value(tip), _UP), dsp.sliding_radius)
-        return self._phase(
-            PhaseKind.DOUBLE_SUPPORT,
-            support,
-            base,
-            q_start,
-            None,
-            ComOverFoot(name="com", foot=center),
-            tuple(ground),
-            (
-                PointInCylinder(name="sliding", eta=dsp.eta_sliding, point=tip, cylinder=sliding),  # (U7)
-                wall("tip_plane", dsp.eta_tip, base_sole.tip, tip, base_sole.heel),  # (U9)
-                wall("back_plane", dsp.eta_back, base_sole.heel, heel, base_sole.tip),  # (U10)
-                pelvis_height(self.config, model),  # (U11)
-            ),
+        inequalities = (
+            PointInCylinder(name="sliding", eta=dsp.eta_sliding, point=tip, cylinder=sliding),  # (U7)
+            wall("tip_plane", dsp.eta_tip, base_sole.tip, tip, base_sole.heel),  # (U9)
+            wall("back_plane", dsp.eta_back, base_sole.heel, heel, base_sole.tip),  # (U10)
+            pelvis_height(self.config, model),  # (U11)
         )
+        task = ComOverFoot(name="com", foot=center)
+        return self._phase(PhaseKind.DOUBLE_SUPPORT, support, kin, None, (task,), tuple(ground), inequalities)
 
     def one_foot(self, support: Foot, q_start: Array, swing_target: Array) -> Phase:
         """Return the single support on the foot `support` that swings the other one to its target, section 4.2."""
         ssp, model = self.config.ssp, self.model
+        kin = Kinematics(model, q_start, support)
         cylinder = Cylinder(Line.through(model.soles[support].center, _UP), ssp.com_radius)
-        return self._phase(
-            PhaseKind.SINGLE_SUPPORT,
-            support,
-            support,
-            q_start,
-            swing_target,
-            FramePose(name="swing", frame=model.soles[support.other].frame, target=swing_target),
-            (),
-            (
-                PointInCylinder(name="com_cylinder", eta=ssp.eta_com, point=CenterOfMass(), cylinder=cylinder),  # (U14)
-                pelvis_height(self.config, model),  # (U11)
-            ),
+        inequalities = (
+            PointInCylinder(name="com_cylinder", eta=ssp.eta_com, point=CenterOfMass(), cylinder=cylinder),  # (U14)
+            pelvis_height(self.config, model),  # (U11)
         )
-
-    def _phase(
-        self,
-        kind: PhaseKind,
-        support: Foot,
-        base: Foot,
-        q_start: Array,
-        swing_target: Array | None,
-        task: Task,
-        equalities: tuple[Constraint, ...],
-        inequalities: tuple[Constraint, ...],
-    ) -> Phase:
-        config, tasks = self.config, [task]
-        if config.task.posture_weight > 0.0:
-            tasks.append(Posture(name="posture", weight=config.task.posture_weight, q_ref=self.posture))
-        return Phase(
-            model=self.model,
-            kind=kind,
-            support=support,
-            base=base,
-            q_start=q_start,
-            swing_target=swing_target,
-            eta=config.task.eta,
-            damping=config.task.damping,
-            tasks=tuple(tasks),
-            equalities=equalities,
-            inequalities=inequalities,
-            limits=joint_limits(config, self.model),
-            rule=EndRule(config, f"{kind.value}/{support.value}", double=kind is PhaseKind.DOUBLE_SUPPORT),
-        )
+        task = FramePose(name="swing", frame=kin.swing, target=swing_target)
+        return self._phase(PhaseKind.SINGLE_SUPPORT, support, kin, swing_target, (task,), (), inequalities)
 
 
 def pelvis_height(config: Config, model: RobotModel) -> Constraint:

@@ -26,15 +26,12 @@ from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.standing.balance import Balance
 from dqwalk_ros.standing.footsteps import Footsteps, flat
 from dqwalk_ros.state import State
-from dqwalk_ros.tasks import Posture, Task
-from dqwalk_ros.walk import Phase, PhaseKind, Rule, Walk, joint_limits, pelvis_height
+from dqwalk_ros.walk import Phase, PhaseKind, Rule, Walk, pelvis_height
 
 __all__ = ["StandingWalk"]
 
 
 _UP = np.array([0.0, 0.0, 1.0])
-_JOINT_RETURN = 0.5
-"""Largest speed at which a joint beyond its limit is required to return [rad/s]."""
 _LIFTED = 0.004
 """Height of a sole above the plane of the other one from which on it is in the air [m]."""
 
@@ -59,6 +56,7 @@ class StandingWalk(Walk):
         self._observed: Phase | None = None
 
     is_tunable = True
+    joint_return = 0.5
 
     def tune(self, config: Config) -> None:
         """Replace the parameters; the new ones apply from the next phase on."""
@@ -276,34 +274,6 @@ class StandingWalk(Walk):
         """Return the constraint that keeps the CoM inside the support polygon."""
         s = self.config.standing
         return ComInsideEdges(name="edges", eta=s.eta_edges, bound=s.margin, return_speed=s.recovery, polygon=polygon)
-
-    def _phase(
-        self,
-        kind: PhaseKind,
-        support: Foot,
-        kin: Kinematics,
-        swing_target: Array | None,
-        tasks: Sequence[Task],
-        equalities: tuple[Constraint, ...],
-        inequalities: tuple[Constraint, ...],
-    ) -> Phase:
-        config = self.config
-        back = Posture(name="posture", weight=config.task.posture_weight, q_ref=self.posture)
-        return Phase(
-            model=self.model,
-            kind=kind,
-            support=support,
-            base=kin.base,
-            q_start=kin.q,
-            swing_target=swing_target,
-            eta=config.task.eta,
-            damping=config.task.damping,
-            tasks=(*tasks, back),
-            equalities=equalities,
-            inequalities=inequalities,
-            limits=joint_limits(config, self.model, _JOINT_RETURN),
-            rule=self._rule(kind, support),
-        )
 
     def _rule(self, kind: PhaseKind, support: Foot) -> Rule:
         return PathEnd(self.config, kind, f"{kind.value}/{support.value}")
