@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,29 +24,7 @@ from dqwalk_ros.servos import Drive
 from dqwalk_ros.state import Command, State
 from dqwalk_ros.walk import Phase, Walk
 
-__all__ = ["Tick", "VelocityController"]
-
-
-@dataclass(frozen=True)
-class Tick:
-    """Results of one control period.
-
-    Attributes
-    ----------
-    error : float
-        Norm of the error of the phase's first task.
-    solve_time : float
-        Time taken by the solver [s].
-    iterations : int
-        Number of iterations of the solver.
-    active : tuple of str
-        Names of the active inequalities, in decreasing order of their multipliers.
-    """
-
-    error: float
-    solve_time: float
-    iterations: int
-    active: tuple[str, ...]
+__all__ = ["VelocityController"]
 
 
 class VelocityController:
@@ -83,9 +60,8 @@ class VelocityController:
     def __init__(self, config: Config, model: RobotModel, walk: type[Walk]) -> None:
         self.config = self._tuned = config
         self.model = model
-        self._imu = model.imu
         self._solver = make_solver(config.qp.solver)
-        self._make_walk, self._shape = walk, (model.n,)
+        self._make_walk = walk
         self.reset()
 
     def reset(self) -> None:
@@ -102,7 +78,6 @@ class VelocityController:
         self._phase: Phase | None = None
         self._kin: Kinematics | None = None
         self._last_state: State | None = None
-        self._last_time = math.inf
         self._history = CommandHistory(self._drive.delay, self.model.n)
         self._x_odom_base = DQ(1.0)
 
@@ -135,17 +110,14 @@ class VelocityController:
         return self.solution.solve_time if self.solution is not None else math.nan
 
     @property
-    def last(self) -> Tick:
-        """Results of the last step."""
-        if self.problem is None or self.solution is None:
-            return Tick(self.error, math.nan, 0, ())
-        return Tick(self.error, self.solution.solve_time, self.solution.iterations, self.solution.active(self.problem))
+    def iterations(self) -> int:
+        """Number of iterations of the solver for the last command; 0 without one."""
+        return self.solution.iterations if self.solution is not None else 0
 
-    def odometry(self) -> Array:
-        """Pose of the pelvis in the base frame of the first phase, shape (8,)."""
-        if self._kin is None:
-            raise RuntimeError("a walk has no odometry before its first step")
-        return (self._x_odom_base * DQ(self._kin.pose(self.model.pelvis))).vec8()
+    @property
+    def active(self) -> tuple[str, ...]:
+        """Names of the active inequalities of the last command, in decreasing order of their multipliers."""
+        return self.solution.active(self.problem) if self.solution is not None and self.problem is not None else ()
 
     def soles(self) -> dict[Foot, Array]:
         """Poses of both soles in the base frame of the first phase, shape (8,) each."""
@@ -192,16 +164,16 @@ class VelocityController:
         QPError
             If the quadratic program has no solution.
         """
-        if state.q.shape != self._shape:
+        if state.q.shape != (self.model.n,):
             raise StateError(f"the state has {state.q.size} joints, the model {self.model.n}")
+        last = self._last_state
         if self.phase_index < 0:
-            self._check(state)
             self._begin_next_phase(state)
-        elif (held := state.time - self._last_time - self.config.plant.command_timeout) > 0.0:
+        elif last is not None and (held := state.time - last.time - self.config.plant.command_timeout) > 0.0:
             self._resume(state, held)
         state = self._estimated(state)
         kin, now = self._evaluate(state)
-        self._last_time = state.time
+        self._last_state = state
         while not self.finished and self._is_over(now, state.time):
             self._begin_next_phase(state, kin)
             kin, now = self._evaluate(state)
@@ -224,7 +196,6 @@ class VelocityController:
         if before is not None and 0.0 < (passed := state.time - before.time) <= self.config.plant.command_timeout:
             dq = state.dq if state.dq is not None else (state.q - before.q) / passed
             state = dataclasses.replace(state, dq=dq, up=filtered_vertical(before, state))
-        self._last_state = state
         return state
 
     def _effort(self, kin: Kinematics, state: State, u: Array) -> Array | None:
@@ -233,12 +204,6 @@ class VelocityController:
             return None
         effort = self.walk.effort(self.phase, kin.later(self._drive.delay), state, u) + self._drive.lead * u
         return effort if state.dq is None else effort - self._drive.damping * (state.dq - u)
-
-    def _check(self, state: State) -> None:
-        names = zip(self.model.joint_names, state.q, strict=True)
-        bad = [name for name, angle in names if not math.isfinite(angle)]
-        if bad:
-            raise StateError(f"the angle of {', '.join(bad)} is not finite")
 
     def _evaluate(self, state: State) -> tuple[Kinematics, Evaluation]:
         """Return the kinematics at `state`, and the errors and distances of the phase, which the walk may update."""
@@ -249,8 +214,10 @@ class VelocityController:
     def _kinematics(self, state: State, base: Foot, elapsed: float = 0.0) -> Kinematics:
         kin = Kinematics(self.model, state.q, base, elapsed=elapsed)
         if not kin.finite:
-            self._check(state)
-        return kin if state.up is None else kin.tilted(kin.direction(self._imu, state.up))
+            names = zip(self.model.joint_names, state.q, strict=True)
+            bad = [name for name, angle in names if not math.isfinite(angle)]
+            raise StateError(f"the angle of {', '.join(bad)} is not finite")
+        return kin if state.up is None else kin.tilted(kin.direction(self.model.imu, state.up))
 
     def _is_over(self, now: Evaluation, time: float) -> bool:
         if self.walk.is_waiting(self.phase):
@@ -258,7 +225,7 @@ class VelocityController:
         try:
             return self.phase.rule.is_over(now.error, time - self.phase_time0)
         except PhaseError as error:
-            raise error.held_by(self.last.active) from error
+            raise error.held_by(self.active) from error
 
     def _begin_next_phase(self, state: State, kin: Kinematics | None = None) -> None:
         """Begin the next phase at `state`; `kin` is in the base frame of the previous phase."""

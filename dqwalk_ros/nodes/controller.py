@@ -378,11 +378,11 @@ class Controller(AnsweringNode):
         self.get_logger().info(f"{(stamp - self._stamp0) * 1e-9:8.3f} s  phase {self._walk.phase_index}: {phase.name}")
 
     def _condition(self) -> tuple[str, str, dict[str, object]]:
-        last = self._walk.last if self._has_begun else None
         values: dict[str, object] = {"states overtaken": self._gate.overtaken}
-        if last is not None:
-            values |= {"error": last.error, "solve time": last.solve_time, "iterations": last.iterations}
-            values |= {"compute time": self._compute_time, "active rows": ", ".join(last.active)}
+        if self._has_begun:
+            walk = self._walk
+            values |= {"error": walk.error, "solve time": walk.solve_time, "iterations": walk.iterations}
+            values |= {"compute time": self._compute_time, "active rows": ", ".join(walk.active)}
         if self._steering is not None:
             values |= self._steering.values()
         if math.isfinite(self._drive.delay):
@@ -403,6 +403,6 @@ class Controller(AnsweringNode):
             phase_index=self._walk.phase_index,
             time=(self._stamp - self._stamp0) * 1e-9 if walking else 0.0,
             ticks=self._ticks,
-            error=float(self._walk.last.error) if walking and self._walk.last else None,
+            error=float(self._walk.error) if walking else None,
             reason=self._problem,
         )

@@ -226,8 +226,8 @@ class Feed:
         if now < self._due or controller.phase_index < 0:
             return
         self._due = now + _PERIOD
-        last, active = controller.last, ", ".join(controller.last.active[:3]) or "none"
-        solver = f"solved in {1e6 * last.solve_time:.0f} µs, {last.iterations} iterations; active: {active}"
+        active = ", ".join(controller.active[:3]) or "none"
+        solver = f"solved in {1e6 * controller.solve_time:.0f} µs, {controller.iterations} iterations; active: {active}"
         record = PhaseRecord.of(controller, 0, controller.phase_time0)  # much smaller than the phase
         with contextlib.suppress(queue.Full):
             self._queue.put_nowait((record, controller.phase_index, state, solver))
