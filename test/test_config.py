@@ -11,10 +11,6 @@ import yaml
 
 from dqwalk_ros.config import SHIPPED, Config, find_share, from_yaml, load, to_yaml
 from dqwalk_ros.errors import ConfigError
-from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.robot import Foot
-from dqwalk_ros.simulation import make_walk
-from dqwalk_ros.walk import PhaseKind
 
 
 def text(body: str) -> str:
@@ -53,23 +49,6 @@ def test_paper_yaml_contains_the_parameters_of_section_5():
         assert flat[name] == value, name
     config = load("paper").flat()
     assert {name: config[name] for name in SECTION_5} == SECTION_5
-
-
-def test_the_phases_use_the_parameters_of_section_5(paper, legs):
-    """The rates and radii of (7)-(14) in the constraints of the phases."""
-    x_d = Kinematics(legs, np.zeros(legs.n), Foot.LEFT).pose(legs.soles[Foot.RIGHT].frame)
-    double = make_walk(paper, legs).phase(PhaseKind.DOUBLE_SUPPORT, Foot.LEFT, np.zeros(legs.n))
-    single = make_walk(paper, legs).phase(PhaseKind.SINGLE_SUPPORT, Foot.LEFT, np.zeros(legs.n), x_d)
-    eta = {row.name: row.eta for phase in (double, single) for row in (*phase.equalities, *phase.constraints)}
-    assert eta["sliding"] == eta["ground"] == eta["com_cylinder"] == 5.0
-    assert (eta["tip_plane"], eta["back_plane"], eta["pelvis"]) == (10.0, 20.0, 500.0)
-    assert eta["joint_max"] == eta["joint_min"] == 10.0
-    by_name = {row.name: row for row in (*double.inequalities, *single.inequalities)}
-    assert by_name["sliding"].cylinder.radius == 0.04
-    assert by_name["com_cylinder"].cylinder.radius == 0.05
-    assert by_name["pelvis"].plane.d == 0.2
-    for phase in (double, single):
-        assert (phase.eta, phase.damping) == (0.05, 0.1)
 
 
 # ---------------------------------------------------------------------- rejected configurations

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 from robots import configurations, legs
@@ -154,9 +152,3 @@ def test_a_walk_begins_inside_every_constraint(foot):
 def test_single_support_without_a_target_is_refused():
     with pytest.raises(ValueError, match="needs a swing target"):
         PaperWalk(FLAT, legs()).phase(PhaseKind.SINGLE_SUPPORT, Foot.LEFT, np.zeros(10))
-
-
-def test_phases_are_immutable():
-    phase = double(FLAT, Foot.LEFT)
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        phase.eta = 1.0
