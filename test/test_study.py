@@ -102,11 +102,20 @@ def test_invalid_studies_are_rejected_before_the_first_walk(tmp_path, text, word
 
 
 def test_a_failed_walk_is_a_result(tmp_path):
-    vary = "vary: {start.l_knee_y: [0.0, 0.1], start.nobody: [0.0], mass.pelvis: [1.0, 2.0]}\n"
+    vary = "vary: {start.l_knee_y: [0.0, 0.1], gait.phase_timeout: [0.1], mass.pelvis: [1.0, 2.0]}\n"
     rows = walk_all(read(write(tmp_path / "s.yaml", SHORT + vary)), tmp_path / "out")
     assert len(rows) == 4
     assert not any(row["finished"] for row in rows.values())
-    assert all("no such joint" in row["end"] for row in rows.values())
+    assert all("double_support/left" in row["end"] for row in rows.values())
+
+
+@pytest.mark.parametrize(("name", "words"), [("start.nobody", "no such joint.*l_knee_y"), ("mass.no", "no such link")])
+def test_a_wrong_joint_or_link_is_an_error_before_the_first_walk(tmp_path, name, words):
+    study = write(tmp_path / "s.yaml", f"{SHORT}vary: {{{name}: [1.0, 2.0]}}\n")
+    with pytest.raises(ConfigError, match=words):
+        walk_all(read(study), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    assert cli.main(["study", str(study), "--dry-run"]) == 2
 
 
 def test_starts_masses_and_disturbances_change_the_walk_reproducibly(tmp_path):

@@ -55,6 +55,7 @@ def study(path: Path, many: Many, dry_run: bool, formats: tuple[str, ...]) -> in
     plan = studies.read(path)
     points = plan.points()
     if dry_run:
+        studies.set_up(plan.config, points[0])
         print(f"{plan.name}: {len(points)} walks ({plan.sample}); the first and the last:")
         print(f"  {points[0]}\n  {points[-1]}")
         return 0

@@ -7,6 +7,6 @@ study from a file is a `Study` (`plan`) of walks (`walks`); `robustness` and `pu
 from __future__ import annotations
 
 from dqwalk_ros.studies.plan import Study, read
-from dqwalk_ros.studies.walks import walk, walk_all
+from dqwalk_ros.studies.walks import set_up, walk, walk_all
 
-__all__ = ["Study", "read", "walk", "walk_all"]
+__all__ = ["Study", "read", "set_up", "walk", "walk_all"]

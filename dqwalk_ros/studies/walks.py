@@ -23,7 +23,7 @@ from dqwalk_ros.state import Command, State
 from dqwalk_ros.studies.plan import OWN, Study
 from dqwalk_ros.studies.runner import Store, run
 
-__all__ = ["Outcome", "walk", "walk_all"]
+__all__ = ["Outcome", "set_up", "walk", "walk_all"]
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
@@ -73,6 +73,7 @@ def walk_all(study: Study, out: Path, *, force: bool = False, **options: Any) ->
         ``walk``, the parameters, and the fields of `Outcome`, by the number of the walk.
     """
     points = study.points()
+    set_up(study.config, points[0])  # a wrong name is an error before the first walk
     store = Store(out / "walks.jsonl", study.digest(), points, Outcome, force=force)
     done = run(functools.partial(walk, study.config, study.seed), store, **options)
     rows = {k: {"walk": k, **points[k], **msgspec.to_builtins(outcome)} for k, outcome in done.items()}
@@ -97,19 +98,31 @@ def _write_parquet(rows: list[dict[str, Any]], path: Path) -> None:
         raise StudyError(f"cannot write '{path}': {error.strerror or error}") from error
 
 
-def _walked(config: Config, seed: int, index: int, point: Mapping[str, Any]) -> Outcome:
-    own = {name: value for name, value in point.items() if name.startswith(OWN)}
-    config = config.updated({name: value for name, value in point.items() if name not in own})
-    model = _with_masses(_model(config.robot), own)
+def set_up(config: Config, point: Mapping[str, Any]) -> tuple[Config, RobotModel, Array]:
+    """Return the configuration of the walk with the parameters `point`, its robot, and its first angles (n,) [rad].
+
+    Raises
+    ------
+    ConfigError
+        If there is no such joint or link.
+    """
+    config = config.updated({name: value for name, value in point.items() if not name.startswith(OWN)})
+    model = _with_masses(_model(config.robot), point)
     q0 = np.zeros(model.n)
-    for name, value in own.items():
+    for name, value in point.items():
         if name.startswith("start."):
             joint = name.removeprefix("start.")
             if joint not in model.joint_names:
                 raise ConfigError(f"'{name}': there is no such joint; there are {', '.join(model.joint_names)}")
             q0[model.joint_names.index(joint)] = value
+    return config, model, q0
+
+
+def _walked(config: Config, seed: int, index: int, point: Mapping[str, Any]) -> Outcome:
+    config, model, q0 = set_up(config, point)
+    deviation = float(point.get("disturbance.velocity", 0.0))
     controller = make_controller(config, model)
-    plant = _Disturbed(model, q0, float(own.get("disturbance.velocity", 0.0)), np.random.default_rng([seed, index]))
+    plant = _Disturbed(model, q0, deviation, np.random.default_rng([seed, index]))
     trace = simulate(controller, plant)
     if trace.interrupted:
         raise KeyboardInterrupt  # an interrupted walk has no outcome
@@ -133,9 +146,9 @@ def _model(config: RobotConfig) -> RobotModel:
     return load_model(config)
 
 
-def _with_masses(model: RobotModel, own: Mapping[str, Any]) -> RobotModel:
+def _with_masses(model: RobotModel, point: Mapping[str, Any]) -> RobotModel:
     bodies = list(model.bodies)
-    for name, factor in own.items():
+    for name, factor in point.items():
         if not name.startswith("mass."):
             continue
         link = name.removeprefix("mass.")
