@@ -36,14 +36,15 @@ def view(bag: Path, namespace: str | None, port: int | None, open_browser: bool,
     from dqwalk_ros.report.viewer.page import Page
     from dqwalk_ros.report.viewer.player import Player
 
+    print(f"reading {bag}", file=sys.stderr)
+    content = bags.content_of(bag)  # what is no bag opens no page
     page = Page(port)
     try:
         print(f"{page.url}  (stop with Ctrl-C)", flush=True)
-        print(f"reading {bag}", file=sys.stderr)
         page.say(f"reading {bag}")
         if open_browser:
             webbrowser.open(page.url)
-        trace = bags.read(bag, namespace=namespace)
+        trace = bags.read(content, namespace=namespace)
         player = Player(page, trace)
         if play:
             player.toggle()
