@@ -276,6 +276,7 @@ def test_the_torque_at_exit_is_as_configured(nodes: Any, torque_off: bool) -> No
         servos.damaged = 0.3  # must have no effect
     robot.processes.signal("poppy_driver", signal.SIGINT)
     assert robot.processes.wait("poppy_driver", 15.0) == 0
+    assert "Traceback" not in robot.processes.log("poppy_driver")
     assert robot.torques() == {0 if torque_off else 1}
 
 

@@ -11,6 +11,7 @@ import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import psutil
 import pytest
@@ -19,6 +20,7 @@ from live import SHORT
 from dqwalk_ros import cli
 from dqwalk_ros.compiled import COMPILING
 from dqwalk_ros.config import load
+from dqwalk_ros.errors import BagError
 from dqwalk_ros.report import bag
 from dqwalk_ros.runner import _recording_error, environment, private_domain, run_walk
 
@@ -41,14 +43,12 @@ def test_a_step_that_is_too_long_ends_with_the_reason(tmp_path: Path) -> None:
     assert len(walked.time) >= outcome.ticks
 
 
-def test_an_existing_bag_is_not_changed(tmp_path: Path) -> None:
+def test_an_existing_bag_is_not_changed(make: Any, tmp_path: Path) -> None:
     (tmp_path / "bag").mkdir()
     (tmp_path / "bag" / "precious").write_text("data")
-    outcome = run_walk(load("paper").updated(SHORT), tmp_path / "bag")
-    assert not outcome.finished
-    assert "recorder" in outcome.reason
+    with pytest.raises(BagError, match="exists already"):
+        make("recorder", load("paper"), "--bag", str(tmp_path / "bag"))
     assert [file.name for file in (tmp_path / "bag").iterdir()] == ["precious"]
-    assert not children()
 
 
 @pytest.mark.parametrize(
@@ -160,6 +160,7 @@ def test_an_exercise_that_failed_is_not_to_be_identified(tmp_path: Path, capsys:
     assert cli.main(robot) == 1
     output = capsys.readouterr()
     assert "the lower bus cannot be opened" in output.err
+    assert not children()
     assert "next:" not in output.out
 
 
