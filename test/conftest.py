@@ -25,9 +25,10 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 
 SLOWEST = (
-    *("test_runner", "test_nodes", "test_walk", "test_driver", "test_damaged_bags", "test_study", "test_adopt"),
-    *("test_whole_body_nodes", "test_cli", "test_poppy_faults", "test_bag", "test_physics_nodes", "test_html_report"),
-    *("test_interoperability", "test_identify", "test_strangers", "test_startup", "test_jacobians", "test_causes"),
+    *("test_runner", "test_nodes", "test_walk", "test_driver", "test_study", "test_adopt", "test_bag", "test_dynamic"),
+    *("test_whole_body_nodes", "test_damaged_bags", "test_cli", "test_poppy_faults", "test_physics_nodes"),
+    *("test_html_report", "test_poppy_walks", "test_whole_body", "test_interoperability", "test_identify"),
+    *("test_two_robots", "test_startup", "test_drive", "test_strangers", "test_causes", "test_navigation"),
 )
 """Files that take longest, longest first. They are started first, so that all workers of pytest-xdist end together."""
 

@@ -14,14 +14,17 @@ from robots import edited
 
 from dqwalk_ros import cli
 from dqwalk_ros.adopt import Adoption, adopt
+from dqwalk_ros.adopt.anatomy import find_anatomy
 from dqwalk_ros.adopt.check import check
 from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.robot import Foot, load_model
+from dqwalk_ros.shapes import Shapes
 from dqwalk_ros.simulation import make_controller, make_plant, simulate
 from dqwalk_ros.studies.pushes import Push, pushed
+from dqwalk_ros.urdf import Urdf
 
 DATA = Path(__file__).parent / "data"
 SMALL, SMALLER = DATA / "small_humanoid.urdf", DATA / "smaller_humanoid.urdf"
@@ -91,7 +94,8 @@ def test_a_backward_facing_root_link_is_detected(tmp_path: Path) -> None:
 @pytest.mark.parametrize("names", [("left_", "right_"), ("Lft", "Rgt")])
 def test_words_for_left_and_right_tell_the_sides(names: tuple[str, str], tmp_path: Path) -> None:
     path = edited(tmp_path, SMALL, (r'"l_', f'"{names[0]}'), (r'"r_', f'"{names[1]}'))
-    found = adopt(path, tmp_path / "out").anatomy
+    urdf = Urdf.load(path)
+    found = find_anatomy(urdf, Shapes(urdf, path))
     assert found.legs[Foot.LEFT][0] == f"{names[0]}hip_yaw"
     assert "the names of left and right" in next(e for e in found.evidence if e.what == "ahead").source
 

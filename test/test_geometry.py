@@ -18,9 +18,9 @@ from dqwalk_ros.geometry import (
 SQUARE = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0]])
 
 
-@pytest.fixture(params=range(20))
-def rng(request):
-    return np.random.default_rng(request.param)
+def generators():
+    """Random number generators, one per case of a test."""
+    return map(np.random.default_rng, range(20))
 
 
 def unit(v):
@@ -30,30 +30,33 @@ def unit(v):
 # ---------------------------------------------------------------------- points, planes and lines
 
 
-def test_point_to_plane(rng):
-    a, b, c, p = rng.normal(size=(4, 3))
-    plane = Plane.through(a, np.cross(b - a, c - a))
-    # the height of the tetrahedron a, b, c, p
-    height = np.linalg.det([b - a, c - a, p - a]) / np.linalg.norm(np.cross(b - a, c - a))
-    assert plane.n @ p - plane.d == pytest.approx(height, abs=1e-12)
+def test_point_to_plane():
+    for rng in generators():
+        a, b, c, p = rng.normal(size=(4, 3))
+        plane = Plane.through(a, np.cross(b - a, c - a))
+        # the height of the tetrahedron a, b, c, p
+        height = np.linalg.det([b - a, c - a, p - a]) / np.linalg.norm(np.cross(b - a, c - a))
+        assert plane.n @ p - plane.d == pytest.approx(height, abs=1e-12)
 
 
-def test_point_to_line(rng):
-    a, b, p = rng.normal(size=(3, 3))
-    line = Line.through(a, b - a)
-    t = np.dot(p - a, b - a) / np.dot(b - a, b - a)
-    nearest = a + t * (b - a)
-    assert point_to_line_squared(p, line.l, line.m)[0] == pytest.approx(np.sum((p - nearest) ** 2), abs=1e-12)
+def test_point_to_line():
+    for rng in generators():
+        a, b, p = rng.normal(size=(3, 3))
+        line = Line.through(a, b - a)
+        t = np.dot(p - a, b - a) / np.dot(b - a, b - a)
+        nearest = a + t * (b - a)
+        assert point_to_line_squared(p, line.l, line.m)[0] == pytest.approx(np.sum((p - nearest) ** 2), abs=1e-12)
 
 
-def test_point_to_wall(rng):
-    a, b, p = rng.normal(size=(3, 3))
-    n = unit(np.cross([0.0, 0.0, 1.0], b - a))
-    side = wall_side(a, b, p)
-    assert side == np.sign(n @ (p - a))
-    s = np.concatenate([p, b])
-    assert point_to_wall(s, a, 1.0)[0] == pytest.approx(n @ (p - a), abs=1e-12)
-    assert point_to_wall(s, a, side)[0] == pytest.approx(abs(n @ (p - a)), abs=1e-12)
+def test_point_to_wall():
+    for rng in generators():
+        a, b, p = rng.normal(size=(3, 3))
+        n = unit(np.cross([0.0, 0.0, 1.0], b - a))
+        side = wall_side(a, b, p)
+        assert side == np.sign(n @ (p - a))
+        s = np.concatenate([p, b])
+        assert point_to_wall(s, a, 1.0)[0] == pytest.approx(n @ (p - a), abs=1e-12)
+        assert point_to_wall(s, a, side)[0] == pytest.approx(abs(n @ (p - a)), abs=1e-12)
 
 
 def test_two_points_above_each_other_do_not_define_a_wall():
@@ -64,10 +67,11 @@ def test_two_points_above_each_other_do_not_define_a_wall():
 # ---------------------------------------------------------------------- gradients
 
 
-def test_line_gradient(rng):
-    p, line = rng.normal(size=3), Line.through(rng.normal(size=3), rng.normal(size=3))
-    expected = central_difference(lambda p: point_to_line_squared(p, line.l, line.m)[0], p)
-    np.testing.assert_allclose(point_to_line_squared(p, line.l, line.m)[1], expected, atol=1e-7)
+def test_line_gradient():
+    for rng in generators():
+        p, line = rng.normal(size=3), Line.through(rng.normal(size=3), rng.normal(size=3))
+        expected = central_difference(lambda p, line=line: point_to_line_squared(p, line.l, line.m)[0], p)
+        np.testing.assert_allclose(point_to_line_squared(p, line.l, line.m)[1], expected, atol=1e-7)
 
 
 def test_line_gradient_is_smooth_on_the_axis():
@@ -77,12 +81,13 @@ def test_line_gradient_is_smooth_on_the_axis():
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_wall_gradient_of_moving_points(rng, side):
-    s, a = rng.normal(size=6), rng.normal(size=3)
-    _, gradient = point_to_wall(s, a, side)
-    expected = central_difference(lambda s: point_to_wall(s, a, side)[0], s)
-    np.testing.assert_allclose(gradient, expected, atol=1e-7 * max(1.0, np.abs(gradient).max()))
-    assert np.abs(gradient[3:]).max() > 1e-4  # the motion of the wall contributes
+def test_wall_gradient_of_moving_points(side):
+    for rng in generators():
+        s, a = rng.normal(size=6), rng.normal(size=3)
+        _, gradient = point_to_wall(s, a, side)
+        expected = central_difference(lambda s, a=a: point_to_wall(s, a, side)[0], s)
+        np.testing.assert_allclose(gradient, expected, atol=1e-7 * max(1.0, np.abs(gradient).max()))
+        assert np.abs(gradient[3:]).max() > 1e-4  # the motion of the wall contributes
 
 
 # ---------------------------------------------------------------------- polygons
@@ -100,11 +105,12 @@ def brute_force(p, vertices):
     return far if turns > 0.5 else -far
 
 
-def test_point_to_polygon(rng):
-    polygon = ConvexPolygon.hull(rng.normal(size=(8, 2)))
-    for p in 1.5 * rng.normal(size=(20, 2)):
-        assert polygon.distance(p) == pytest.approx(brute_force(p, polygon.vertices), abs=1e-4)
-        assert polygon.distance([*p, 5.0]) == polygon.distance(p)  # the ground projection of a point in space
+def test_point_to_polygon():
+    for rng in generators():
+        polygon = ConvexPolygon.hull(rng.normal(size=(8, 2)))
+        for p in 1.5 * rng.normal(size=(5, 2)):
+            assert polygon.distance(p) == pytest.approx(brute_force(p, polygon.vertices), abs=1e-4)
+            assert polygon.distance([*p, 5.0]) == polygon.distance(p)  # the ground projection of a point in space
 
 
 @pytest.mark.parametrize(
@@ -146,13 +152,14 @@ def test_no_point_is_outside_of_its_hull(jitter):
         assert distances.min(axis=0).max() < 2e-9  # every edge touches
 
 
-def test_hull_matches_scipy(rng):
+def test_hull_matches_scipy():
     from scipy.spatial import ConvexHull
 
-    points = rng.normal(size=(30, 2))
-    points = np.round(points, 9)
-    ours, theirs = ConvexPolygon.hull(points).vertices, points[ConvexHull(points).vertices]
-    assert {tuple(v) for v in ours} == {tuple(v) for v in theirs}
+    for rng in generators():
+        points = rng.normal(size=(30, 2))
+        points = np.round(points, 9)
+        ours, theirs = ConvexPolygon.hull(points).vertices, points[ConvexHull(points).vertices]
+        assert {tuple(v) for v in ours} == {tuple(v) for v in theirs}
 
 
 @pytest.mark.parametrize("points", [[[0, 0]], [[0, 0], [1, 1]], [[0, 0], [1, 1], [3, 3], [2, 2]], [[1, 1]] * 5])

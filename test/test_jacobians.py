@@ -149,26 +149,26 @@ def on_a_tilted_sole(q, foot):
     return Kinematics(legs(), q, foot, TILTED, 0.4)
 
 
-@pytest.mark.parametrize("cls", subclasses(Task), ids=lambda cls: cls.__name__)
-def test_tasks(cls, foot):
-    task = example(cls, legs(), foot)
-    for q in configurations(legs(), COUNT, seed=22):
-        J = task.jacobian(on_a_tilted_sole(q, foot))
-        expected = central_difference(lambda q: task.error(on_a_tilted_sole(q, foot)), q)
-        assert J.shape == (task.error(on_a_tilted_sole(q, foot)).size, legs().n)
-        np.testing.assert_allclose(J, expected, rtol=0, atol=TOLERANCE)
+def test_tasks_and_constraints(foot):
+    """All at the same postures, for which the kinematics are computed once."""
+    classes = [*subclasses(Task), *subclasses(Constraint)]
+    made = [example(cls, legs(), foot) for cls in classes]
 
-
-@pytest.mark.parametrize("cls", subclasses(Constraint), ids=lambda cls: cls.__name__)
-def test_constraints(cls, foot):
-    constraint = example(cls, legs(), foot)
-    for q in configurations(legs(), COUNT, seed=23):
+    def values(q):
         kin = on_a_tilted_sole(q, foot)
-        J, d = constraint.jacobian(kin), constraint.distance(kin)
-        expected = central_difference(lambda q: constraint.distance(on_a_tilted_sole(q, foot)), q)
-        assert J.shape == (d.size, legs().n)
-        assert len(constraint.row_names(legs().joint_names)) == d.size
-        np.testing.assert_allclose(J, expected, rtol=0, atol=TOLERANCE * max(1.0, np.abs(J).max()))
+        return [one.error(kin) if isinstance(one, Task) else one.distance(kin) for one in made]
+
+    for q in configurations(legs(), COUNT, seed=22):
+        sizes = [d.size for d in values(q)]
+        slopes = central_difference(lambda q: np.concatenate(values(q)), q)
+        slopes = np.split(slopes, np.cumsum(sizes)[:-1])
+        for one, size, expected in zip(made, sizes, slopes, strict=True):
+            J = one.jacobian(on_a_tilted_sole(q, foot))
+            assert J.shape == (size, legs().n), one
+            scale = max(1.0, np.abs(J).max()) if isinstance(one, Constraint) else 1.0
+            np.testing.assert_allclose(J, expected, rtol=0, atol=TOLERANCE * scale, err_msg=type(one).__name__)
+    for one, size in zip(made, sizes, strict=True):
+        assert isinstance(one, Task) or len(one.row_names(legs().joint_names)) == size, one
 
 
 def test_all_tasks_and_constraints_are_found():

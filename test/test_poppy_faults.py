@@ -254,17 +254,6 @@ def test_a_hot_motor_stops_the_motion_to_the_first_pose() -> None:
     assert not rig.plant.ready
 
 
-def test_a_single_high_temperature_is_ignored(rig: Rig) -> None:
-    """An undetected damaged byte does not stop a walk."""
-    servo, bus = rig.memory.servo("r_hip_y"), next(p.bus for p in rig.plant.parts if p.bus.name == "lower")
-    i = bus.ids.index(servo.number)
-    servo.memory[TEMPERATURE] = 255
-    rig.until(lambda: bus.registers[i].temperature == 255.0, 1.0)
-    servo.memory[TEMPERATURE] = 40
-    rig.run(1.0)
-    assert not rig.plant.watch.faults
-
-
 def test_an_empty_battery_stops_the_robot(rig: Rig) -> None:
     for servo in rig.memory.servos["lower"].servos.values():
         servo.memory[VOLTAGE] = 96
@@ -286,12 +275,6 @@ def test_a_motor_that_switched_its_torque_off_is_named(rig: Rig, bits: int, text
     check_holds(rig)  # its torque stays off until the next activation
     rig.settle()
     check_moves(rig)
-
-
-def test_a_voltage_error_of_a_motor_stops_the_robot(rig: Rig) -> None:
-    rig.memory.servo("l_knee_y").error = 1
-    rig.until(lambda: "l_knee_y has 12.0 V, too little" in rig.faults, 1.0)
-    check_holds(rig)
 
 
 @pytest.mark.parametrize("u", [0.3, -0.3])

@@ -147,7 +147,7 @@ def test_a_left_step_is_the_mirror_image_of_a_right_step():
 
 def test_a_walk_is_reproducible():
     """Bitwise: it depends neither on a seed nor on the load of the machine."""
-    again = walk(load("paper"), legs(), max_time=20.0)
+    again = walk(load("paper"), legs(), max_time=5.0)
     np.testing.assert_array_equal(again.q, paper_walk("left").q[: len(again)])
 
 
