@@ -362,22 +362,22 @@ def test_a_push_that_tips_the_sole_outwards_is_caught_on_the_spot() -> None:
 @pytest.mark.long
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize(
-    ("length", "latency", "impulses"),
-    [(0.0, 0.0, (0.4, 0.45)), (0.05, 0.0, (0.3, 0.5)), (0.05, 0.02, (0.25, 0.3))],
+    ("length", "latency", "falls"),
+    [(0.0, 0.0, {0.4: 0, 0.45: 0, 0.55: 1}), (0.05, 0.0, {0.3: 0, 0.5: 0}), (0.05, 0.02, {0.25: 0, 0.3: 0})],
 )
 def test_pushes_of_every_direction_at_every_part_of_a_step(
-    length: float, latency: float, impulses: tuple[float, ...]
+    length: float, latency: float, falls: dict[float, int]
 ) -> None:
-    """Several impulses, because the limits of pushes are not monotone."""
+    """Several impulses, because their limits are not monotone; `falls` is the number of falls allowed at each."""
     changes = {"gait.step_length": length, "servo.latency": latency, "servo.assumed_latency": latency}
     config = overlaid(CONFIG, "physics").updated({**changes, "qp.solver": "daqp"})
     parts, angles = (0.1, 0.25, 0.5, 0.75), 0.25 * math.pi * np.arange(8)
     points = [(foot, part, float(angle)) for foot in ("left", "right") for part in parts for angle in angles]
-    for impulse in impulses:
+    for impulse, allowed in falls.items():
         fell = [p for p in points if pushed(config, Push(p[0], p[2], impulse, part=p[1]))]
         stood = len(points) - len(fell)
         print(f"\n{2.0 * length:g} m/s, {1e3 * latency:g} ms, {impulse} N s: {stood} of {len(points)} stood")
-        assert not fell
+        assert len(fell) <= allowed
 
 
 # ---------------------------------------------------------------------- tasks

@@ -63,9 +63,11 @@ _SMOOTH = 0.02
 """Time constant of the filter of the measured xi for the step adjustment [s]."""
 _ACCELERATION = 0.01
 """Time constant of the filter of the commanded accelerations [s]."""
-_MOST_AHEAD = 0.0075
-"""Longest time by which the CoM's reference is ahead of a delayed robot [s]: without it the weight is transferred late,
-with 17 ms some walks with a delay of 40 ms fall, with 35 ms half of them."""
+_MOST_AHEAD = 0.005
+"""Longest time by which the reference of the CoM of a delayed robot is ahead of the middle of the control period [s].
+
+Without it the weight is transferred late; with 15 ms some walks with a delay of 40 ms fall, with 33 ms half of them.
+"""
 _GAP = 0.1
 """Time without a state after which the reference is reset to the measured state [s]."""
 
@@ -322,7 +324,7 @@ class DynamicWalk(StandingWalk):
         self._pressure = z = _inside(z, *self._support, self.config.standing.pressure_margin)
         a = omega**2 * (c - z)  # acceleration of the pendulum
         self._force = GRAVITY * up + np.array([a[0], a[1], -(a @ up[:2]) / up[2]])
-        ahead = min(self._advance, _MOST_AHEAD)
+        ahead = min(self._advance, 0.5 * self.config.dt + _MOST_AHEAD)
         later, _ = self._course.at(t + ahead)
         com = self._com + (1.0 - np.exp(-omega * ahead)) * (0.5 * (self._xi + later) - self._com)  # c' = w (xi - c)
         self._targets["com"].set(com, omega * (later - com))
