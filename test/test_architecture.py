@@ -120,10 +120,6 @@ def test_heavy_dependencies_are_imported_in_their_layers_only(package):
     assert importers <= IMPORTERS[package]
 
 
-def test_clarabel_is_imported_once():
-    assert {file.name for file in FILES if "clarabel" in imports(file)} == {"qp.py"}
-
-
 def test_files_are_not_too_long():
     """The parameter schema is a table and may be longer."""
     lines = {str(file.relative_to(PACKAGE)): len(file.read_text(encoding="utf-8").splitlines()) for file in FILES}

@@ -192,13 +192,6 @@ def test_simulate_writes_bag_report_and_figures(walked):
     assert report["config"]["task.eta"] == 0.4
 
 
-def test_the_bag_of_simulate_can_be_read(walked):
-    trace = bag.read(walked[0] / "bag")
-    assert trace.finished
-    assert trace.config.gait.first_support == "right"
-    assert trace.notes == ()
-
-
 def test_report_of_the_bag_equals_the_report_of_simulate(walked, tmp_path, capsys):
     out, _ = walked
     assert cli.main(["report", str(out / "bag"), "--out", str(tmp_path), "--json", "--no-figures", "--quiet"]) == 0

@@ -505,7 +505,7 @@ def test_the_commanded_acceleration_is_that_of_the_commands_and_zero_after_a_gap
 
 def test_the_swing_foot_lands_gently() -> None:
     """And not early: then, or if the ground stops it, it unloads the supporting sole."""
-    config = overlaid(CONFIG, "physics").updated({"gait.steps": 6, "qp.solver": "daqp"})
+    config = overlaid(CONFIG, "physics").updated({"gait.steps": 3, "qp.solver": "daqp"})
     trace = simulate(make_controller(config, MODEL), make_plant("physics", config, MODEL))
     assert trace.finished, trace.notes
     assert trace.physics is not None
@@ -519,10 +519,10 @@ def test_the_swing_foot_lands_gently() -> None:
         after = slice(touch, touch + round(0.05 / config.dt))
         assert force[record.support][after].min() > 0.25 * weight
         assert force[record.support.other][after].max() < 0.9 * weight
-    assert len(landings) == 7
+    assert len(landings) == 4
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_poppy_as_built_walks_dynamically(seed: int) -> None:
     changes = {"gait.steps": 10, "sensors.seed": seed}
     config = overlaid(dq.load("poppy_dynamic_50hz"), "poppy_as_built").updated(changes)

@@ -319,15 +319,6 @@ def test_the_integrator_follows_the_ros_clock(make: Any) -> None:
     assert one.node.plant.state.q == pytest.approx(ZERO + 0.1 * 50 * 0.5 * DT)
 
 
-def test_states_at_another_rate_are_reported(make: Any) -> None:
-    one = make("controller", PAPER)
-    for k in range(60):
-        one.send("joint_states", state(NAMES, ZERO, 1.0 + 2 * k * DT))
-    for _ in range(2):
-        one.tick()
-    assert "joint_states arrive every 0.0100 s, but dt is 0.005 s" in one.log
-
-
 # ---------------------------------------------------------------------- further interfaces
 
 

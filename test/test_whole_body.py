@@ -13,7 +13,6 @@ from dqwalk_ros.config import load
 from dqwalk_ros.errors import ConfigError, ModelError, PlantError, StateError
 from dqwalk_ros.robot import load_model
 from dqwalk_ros.whole_body import (
-    BodyState,
     Scenario,
     WholeBodyController,
     WholeBodyTrace,
@@ -206,11 +205,6 @@ def test_invalid_arguments_are_errors() -> None:
             WholeBodyController(CONFIG.updated({f"whole_body.{key}": value}), MODEL)
     with pytest.raises(ConfigError, match="not a place"):
         Scenario("never", 1.0, ((0.0, (1.0, 2.0)),))  # type: ignore[arg-type]
-
-
-def test_a_state_requires_all_fields() -> None:
-    with pytest.raises(TypeError):
-        BodyState(0.0, np.zeros(3), x_base=np.zeros(8), v_base=np.zeros(6))  # type: ignore[call-arg]
 
 
 def test_the_mirrored_walk_is_the_mirror_image() -> None:
