@@ -21,6 +21,7 @@ from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report import bag
 from dqwalk_ros.report.bag.messages import diagnostics_of, faults
+from dqwalk_ros.report.figures import FIGURES
 from dqwalk_ros.report.figures.style import new_figure
 from dqwalk_ros.report.html.replay import replay_data
 from dqwalk_ros.robot import Foot
@@ -33,22 +34,25 @@ def path(tmp_path_factory):
     return path
 
 
+def simple(series):
+    """A figure that is drawn in place of all others, because drawing dominates the time."""
+    figure = new_figure(2.0, 1.0)
+    figure.subplots().plot(series.time, series.error)
+    return figure
+
+
 @pytest.fixture
 def one_figure(monkeypatch):
-    """Draw a single figure, because drawing dominates the time."""
-
-    def simple(series):
-        figure = new_figure(2.0, 1.0)
-        figure.subplots().plot(series.time, series.error)
-        return figure
-
     monkeypatch.setattr("dqwalk_ros.report.figures.FIGURES", {"figure9": (simple, "Figure 9")})
 
 
 @pytest.fixture(scope="module")
 def page(path, tmp_path_factory):
     out = tmp_path_factory.mktemp("out")
-    cli.main(["report", str(path), "--html", "--csv", "--no-figures", "--quiet", "--out", str(out)])
+    quick = {name: (simple, caption) for name, (_, caption) in FIGURES.items()}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dqwalk_ros.report.figures.FIGURES", quick)
+        cli.main(["report", str(path), "--html", "--csv", "--no-figures", "--quiet", "--out", str(out)])
     return out
 
 

@@ -162,8 +162,9 @@ def test_tasks_and_constraints(foot):
         sizes = [d.size for d in values(q)]
         slopes = central_difference(lambda q: np.concatenate(values(q)), q)
         slopes = np.split(slopes, np.cumsum(sizes)[:-1])
+        kin = on_a_tilted_sole(q, foot)
         for one, size, expected in zip(made, sizes, slopes, strict=True):
-            J = one.jacobian(on_a_tilted_sole(q, foot))
+            J = one.jacobian(kin)
             assert J.shape == (size, legs().n), one
             scale = max(1.0, np.abs(J).max()) if isinstance(one, Constraint) else 1.0
             np.testing.assert_allclose(J, expected, rtol=0, atol=TOLERANCE * scale, err_msg=type(one).__name__)

@@ -215,7 +215,7 @@ def test_errors_of_the_inertial_sensor_are_as_configured() -> None:
         attitude_bias=0.01, attitude_noise=0.002, gyro_bias=0.02, gyro_noise=0.005, accelerometer_bias=0.1,
         accelerometer_noise=0.05, seed=3,
     )  # fmt: skip
-    out = [Sensors.measure(s, 0.005 * k, reading(0.0)) for s in [Sensors(c)] for k in range(4000)]
+    out = [Sensors.measure(s, 0.005 * k, reading(0.0)) for s in [Sensors(c)] for k in range(2000)]
     gyro, acceleration = (np.array([getattr(r, name) for r in out]) for name in ("gyro", "acceleration"))
     assert np.linalg.norm(gyro.mean(axis=0)) == pytest.approx(0.02, abs=5e-4)
     assert gyro.std(axis=0) == pytest.approx(np.full(3, 0.005), rel=0.05)

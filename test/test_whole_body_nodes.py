@@ -70,7 +70,7 @@ def test_a_walk_over_topics_equals_that_of_one_process_and_is_recorded(nodes: An
     goal.pose.position.x, goal.pose.position.y, goal.pose.position.z = 1.2, -0.8, 0.9
     target.publish(goal)
     begun = len(efforts)
-    live.until(lambda: len(efforts) > begun + 200, 60.0, "another second")
+    live.until(lambda: len(efforts) > begun + 80, 60.0, "0.4 s")
     at = len(twists)
     hit = WrenchStamped()
     hit.wrench.force.y = 4.0  # at an arbitrary time; 10 N s can be too much during a swing
@@ -85,7 +85,7 @@ def test_a_walk_over_topics_equals_that_of_one_process_and_is_recorded(nodes: An
     goal.pose.position.x = 1.6  # during the walk
     target.publish(goal)
     moved = len(efforts)
-    live.until(lambda: len(efforts) > moved + 100, 60.0, "half a second more")
+    live.until(lambda: len(efforts) > moved + 40, 60.0, "0.2 s more")
     statuses = live.statuses("whole_body_controller")
     assert {s.message for s in statuses} <= {"waiting for body state", "in balance"}
     live.until(lambda: live.status("rigid") is not None, 20.0, "a status of the plant")
