@@ -190,8 +190,8 @@ class Assembly:
         Names of the rows of the quadratic program: equalities, inequalities, upper and lower joint limits.
     rows : ndarray, shape (3, l + m + 2n)
         Bound, eta and return speed of each row.
-    spans : dict of str to slice
-        The rows of each constraint.
+    spans, task_spans : dict of str to slice
+        The rows of each constraint, and of each task.
     equality_rows : int
         Number of equality rows, l.
     groups : list of slice
@@ -235,6 +235,7 @@ class Assembly:
         self.sqrt_weights = np.repeat([task.weight**0.5 for task in tasks], sizes)
         self._task_rows, self._first = sum(sizes), sizes[0]
         rows = _slices([*sizes, *counts[: len(constraints)]])
+        self.task_spans = {task.name: row for task, row in zip(tasks, rows, strict=False)}
 
         shape = rows[-1].stop, self._observer.size
         self._A, self._b = np.zeros(shape), np.zeros(shape[0])

@@ -28,8 +28,6 @@ from dqwalk_ros.kinematics import (
     Direction,
     Feature,
     JointAngles,
-    Kinematics,
-    Observer,
     Point,
     Rotation,
 )
@@ -112,16 +110,6 @@ class Constraint(ABC):
     def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
         """Return the names of the k rows."""
         return (self.name,)
-
-    def distance(self, kin: Kinematics) -> Array:
-        """Signed distances for the joint angles of `kin`, shape (k,)."""
-        s, _ = Observer(self.watches, kin.tree)(kin)
-        return np.atleast_1d(self.value(s)[0])
-
-    def jacobian(self, kin: Kinematics) -> Array:
-        """Jacobian of `distance` with respect to the joint angles, shape (k, n)."""
-        s, J = Observer(self.watches, kin.tree)(kin)
-        return np.atleast_2d(self.value(s)[1]) @ J
 
 
 class Affine(Constraint):

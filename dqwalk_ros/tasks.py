@@ -14,7 +14,7 @@ import numpy as np
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.compiled import jit
-from dqwalk_ros.kinematics import CenterOfMass, Feature, JointAngles, Kinematics, Observer, Point, Pose
+from dqwalk_ros.kinematics import CenterOfMass, Feature, JointAngles, Point, Pose
 
 __all__ = ["ComOverFoot", "FramePose", "Posture", "Task"]
 
@@ -49,16 +49,6 @@ class Task(ABC):
     def rate(self, s: Array, e: Array, elapsed: float, eta: float) -> Array:
         """Return the desired e', shape (k,): -eta e as in (U6); a task that follows a path adds the path's velocity."""
         return -eta * e
-
-    def error(self, kin: Kinematics) -> Array:
-        """Error for the joint angles and the elapsed time of `kin`, shape (k,)."""
-        s, _ = Observer(self.watches, kin.tree)(kin)
-        return self.value(s, kin.elapsed)[0]
-
-    def jacobian(self, kin: Kinematics) -> Array:
-        """Jacobian of `error` with respect to the joint angles, shape (k, n)."""
-        s, J = Observer(self.watches, kin.tree)(kin)
-        return self.value(s, kin.elapsed)[1] @ J
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -132,27 +132,15 @@ class Phase:
         return (*self.inequalities, *self.limits)
 
     @cached_property
-    def _assembly(self) -> Assembly:
+    def assembly(self) -> Assembly:
+        """Evaluates tasks and constraints; it has the names of the rows of the quadratic program."""
         kin = Kinematics(self.model, self.q_start, self.base)
         stacked = self.tasks, self.equalities, self.inequalities, self.limits
         return Assembly(kin, *stacked, eta=self.eta, damping=self.damping)
 
-    @property
-    def row_names(self) -> tuple[str, ...]:
-        """Names of the rows of the quadratic program, in its order."""
-        return self._assembly.names
-
     def evaluate(self, kin: Kinematics) -> Evaluation:
         """Return errors, distances and their gradients for `kin`, which must be in the frame of `base`."""
-        return self._assembly(kin)
-
-    def by_name(self, margins: Array) -> dict[str, Array]:
-        """Return the margins of each constraint, by name, from those of all rows; see `Assembly.by_name`."""
-        return self._assembly.by_name(margins)
-
-    def error(self, kin: Kinematics) -> float:
-        """Norm of the error of the phase's first task."""
-        return self.evaluate(kin).error
+        return self.assembly(kin)
 
     def distances(self, kin: Kinematics) -> dict[str, float]:
         """Return each signed distance minus its bound, by name; see `Evaluation.distances`."""

@@ -9,6 +9,7 @@ import pkgutil
 import numpy as np
 import pytest
 from robots import central_difference, configurations, legs
+from walks import values
 
 import dqwalk_ros
 from dqwalk_ros.constraints import Constraint
@@ -39,7 +40,7 @@ def sample_frames(robot, foot):
 def test_kinematics(robot, foot):
     frames = sample_frames(robot, foot)
 
-    def values(q):
+    def coordinates(q):
         kin = Kinematics(robot, q, foot)
         parts = [kin.com]
         for name in frames:
@@ -54,7 +55,7 @@ def test_kinematics(robot, foot):
         return np.concatenate(parts)
 
     for q in configurations(robot, COUNT, seed=20):
-        np.testing.assert_allclose(jacobians(q), central_difference(values, q), rtol=0, atol=TOLERANCE)
+        np.testing.assert_allclose(jacobians(q), central_difference(coordinates, q), rtol=0, atol=TOLERANCE)
 
 
 def test_rotations(robot, foot):
@@ -134,14 +135,14 @@ def examples(model, foot):
 def example(cls, model, foot):
     """Return an instance; values of new fields must be added to `examples`."""
     known = examples(model, foot)
-    values = {}
+    given = {}
     for field in dataclasses.fields(cls):
         key = f"{cls.__name__}.{field.name}"
         if key in known or field.name in known:
-            values[field.name] = known.get(key, known.get(field.name))
+            given[field.name] = known.get(key, known.get(field.name))
         elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
             pytest.fail(f"add a value of '{field.name}' of {cls.__name__} to test_jacobians.examples")
-    return cls(**values)
+    return cls(**given)
 
 
 def on_a_tilted_sole(q, foot):
@@ -154,17 +155,17 @@ def test_tasks_and_constraints(foot):
     classes = [*subclasses(Task), *subclasses(Constraint)]
     made = [example(cls, legs(), foot) for cls in classes]
 
-    def values(q):
+    def all_values(q):
         kin = on_a_tilted_sole(q, foot)
-        return [one.error(kin) if isinstance(one, Task) else one.distance(kin) for one in made]
+        return [values(one, kin)[0] for one in made]
 
     for q in configurations(legs(), COUNT, seed=22):
-        sizes = [d.size for d in values(q)]
-        slopes = central_difference(lambda q: np.concatenate(values(q)), q)
+        sizes = [d.size for d in all_values(q)]
+        slopes = central_difference(lambda q: np.concatenate(all_values(q)), q)
         slopes = np.split(slopes, np.cumsum(sizes)[:-1])
         kin = on_a_tilted_sole(q, foot)
         for one, size, expected in zip(made, sizes, slopes, strict=True):
-            J = one.jacobian(kin)
+            _, J = values(one, kin)
             assert J.shape == (size, legs().n), one
             scale = max(1.0, np.abs(J).max()) if isinstance(one, Constraint) else 1.0
             np.testing.assert_allclose(J, expected, rtol=0, atol=TOLERANCE * scale, err_msg=type(one).__name__)
@@ -186,5 +187,5 @@ def test_the_pose_error_uses_the_closer_of_x_and_minus_x():
         kin = Kinematics(robot, q, Foot.LEFT)
         x_d = (DQ(kin.pose("r_sole")) * DQ.from_pose(0.1 * rng.normal(size=3))).vec8()
         plus, minus = (cls(name="x", frame="r_sole", target=s * x_d) for s in (1.0, -1.0))
-        np.testing.assert_allclose(plus.error(kin), -minus.error(kin), atol=1e-15)
-        assert np.linalg.norm(plus.error(kin)) < 0.5
+        np.testing.assert_allclose(values(plus, kin)[0], -values(minus, kin)[0], atol=1e-15)
+        assert np.linalg.norm(values(plus, kin)[0]) < 0.5

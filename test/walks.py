@@ -11,11 +11,13 @@ import robots
 from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config, load
+from dqwalk_ros.constraints import Constraint
 from dqwalk_ros.kinematics import Kinematics, Observer, support_tree
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.qp import Problem
 from dqwalk_ros.robot import RobotModel
 from dqwalk_ros.simulation import Trace, make_controller, make_walk, simulate
+from dqwalk_ros.tasks import Task
 from dqwalk_ros.walk import Phase
 
 Array = NDArray[np.float64]
@@ -24,6 +26,13 @@ Array = NDArray[np.float64]
 def problem_at(phase: Phase, kin: Kinematics, dt: float = 0.005, limit: Array | None = None) -> Problem:
     """The quadratic program of a phase at one configuration."""
     return phase.evaluate(kin).problem(dt, np.full(kin.q.size, np.inf) if limit is None else limit)
+
+
+def values(item: Task | Constraint, kin: Kinematics) -> tuple[Array, Array]:
+    """Error of a task or distance of a constraint (k,), and its Jacobian (k, n), by the chain rule."""
+    s, J = Observer(item.watches, kin.tree)(kin)
+    value, gradient = item.value(s, kin.elapsed) if isinstance(item, Task) else item.value(s)
+    return np.atleast_1d(value), np.atleast_2d(gradient) @ J
 
 
 def exact(problem: Problem) -> Array:
@@ -81,11 +90,11 @@ def segments(trace: Trace) -> Iterator[Segment]:
         ticks = range(record.start, end + 1)
         rows = (*phase.equalities, *phase.constraints)
         tree = support_tree(model, phase.base)
-        observers = [Observer(row.watches, tree) for row in rows]  # `Constraint.distance` makes one at each call
+        observers = [Observer(row.watches, tree) for row in rows]
         error, values = [], {row.name: [] for row in rows}
         for tick in ticks:
             kin = Kinematics(model, trace.q[tick], phase.base)
-            error.append(phase.error(kin))
+            error.append(phase.evaluate(kin).error)
             for row, observer in zip(rows, observers, strict=True):
                 values[row.name].append(row.value(observer(kin)[0])[0])
         arrays = {row.name: np.array(values[row.name]).reshape(len(ticks), -1) - row.bound for row in rows}

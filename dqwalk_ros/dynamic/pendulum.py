@@ -92,19 +92,14 @@ class Pendulum:
             Kinematics of the posture.
         """
         now = phase.evaluate(kin)
-        rows, at = {}, 0
-        for task in phase.tasks:
-            size = len(task.error(kin))
-            rows[task.name] = slice(at, at + size)
-            at += size
         root = now.assembly.sqrt_weights
-        J = root[:, None] * (now.gradients @ now.J_features)[:at]
+        J = root[:, None] * (now.gradients @ now.J_features)[: len(root)]
         H, L_u = J.T @ J + phase.damping**2 * np.eye(J.shape[1]), angular_momentum(kin)
 
         def response(task: str, axis: int) -> Array:
             """Return L (3,) [kg m^2/s] if the velocity of a task is 1 m/s along an axis and all others are zero."""
-            rate = np.zeros(at)
-            rate[rows[task].start + axis] = 1.0
+            rate = np.zeros(len(root))
+            rate[now.assembly.task_spans[task].start + axis] = 1.0
             L: Array = L_u @ np.linalg.solve(H, J.T @ (root * rate))
             return L
 

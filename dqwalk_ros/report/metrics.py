@@ -149,7 +149,7 @@ class Ending:
         """Return the end of a phase at joint angles `q` (n,)."""
         kin = Kinematics(model, q, phase.base)
         center = kin.point(model.soles[phase.support].frame, model.soles[phase.support].center)
-        return cls(phase.error(kin), float(np.linalg.norm((kin.com - center)[:2])), kin.pose(kin.swing))
+        return cls(phase.evaluate(kin).error, float(np.linalg.norm((kin.com - center)[:2])), kin.pose(kin.swing))
 
 
 @dataclass(frozen=True)
@@ -372,7 +372,7 @@ def analyse(trace: Trace) -> Series:
         spans.append(Span(record, phase, record.start, stop, ending))
         features = Pose(model.soles[phase.base.other].frame), Pose(model.pelvis), CenterOfMassOnGround()
         observe = Observer(features, support_tree(model, phase.base))
-        margins = np.empty((stop - record.start, len(phase.row_names)))
+        margins = np.empty((stop - record.start, len(phase.assembly.names)))
         for tick in range(record.start, stop):
             kin = Kinematics(model, trace.q[tick], phase.base)
             if up is not None and np.isfinite(up[tick]).all():
@@ -380,7 +380,7 @@ def analyse(trace: Trace) -> Series:
             now = phase.evaluate(kin)
             task_error[tick], com[tick], seen[tick] = now.error, kin.com, observe(kin)[0]
             margins[tick - record.start] = now.margins
-        found = phase.by_name(margins)
+        found = phase.assembly.by_name(margins)
         for table, rows in ((residuals, phase.equalities), (kept, phase.constraints)):
             for row in rows:
                 if row.name not in table:
