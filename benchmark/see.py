@@ -132,7 +132,7 @@ def cost(folder: Path, rounds: int = 3) -> None:
                 if name == "viewer and open page":
                     page = stack.enter_context(chromium(folder, **SIZE))
                     page.goto(url)
-                outcome = run_walk(config, folder / f"bag{k}{len(name)}", logs=folder / "log", domain=domain)
+                outcome = run_walk(config, folder / f"bag{k}{len(name)}", domain=domain)
             if not outcome.finished:
                 raise SystemExit(f"the walk failed: {outcome.reason}")
             paces.append(outcome.ticks / outcome.took)

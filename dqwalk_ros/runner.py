@@ -94,7 +94,6 @@ def run_walk(
     course: Sequence[str] = (),
     lockstep: bool = True,
     progress: Callable[[float, str], None] | None = None,
-    logs: str | os.PathLike[str] | None = None,
     domain: int | None = None,
 ) -> Outcome:
     """Run a walk with controller, plant, phase_monitor and recorder in separate processes.
@@ -111,13 +110,11 @@ def run_walk(
         Whether each state waits for its command; otherwise the walk runs in real time.
     progress : callable, optional
         Called several times a second with the fraction done and a line of text.
-    logs : path-like, optional
-        Folder for parameters and logs of the nodes; by default `log` beside the bag.
     domain : int, optional
         ROS domain; by default ``ROS_DOMAIN_ID`` if it is set, else one that no other walk on this machine uses.
     """
     bag = Path(bag)
-    folder = Path(logs) if logs is not None else bag.parent / "log"
+    folder = bag.parent / "log"  # parameters and logs of the nodes
     folder.mkdir(parents=True, exist_ok=True)
     config = config.updated(
         {

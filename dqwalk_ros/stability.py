@@ -22,11 +22,9 @@ from dqwalk_ros.statics import GRAVITY
 
 __all__ = [
     "Finding",
-    "damping_ratio",
     "divergent_component",
     "leg_inertia",
     "longest_delay",
-    "pendulum_stiffness",
     "servo_findings",
 ]
 
@@ -60,11 +58,6 @@ class Finding:
 
     def __str__(self) -> str:
         return f"{self.message} ({self.parameter})" if self.parameter else self.message
-
-
-def pendulum_stiffness(config: Config, model: RobotModel, kin: Kinematics) -> float:
-    """Return m g h, the gravitational torque about the ankles per angle of inclination [N m/rad]."""
-    return config.physics.mass_scale * model.mass * GRAVITY * float(kin.com[2])
 
 
 def leg_inertia(model: RobotModel, kin: Kinematics) -> float:
@@ -104,21 +97,6 @@ def divergent_component(c: Array, v: Array, height: Array) -> Array:
     return c + v * np.sqrt(height / GRAVITY)
 
 
-def damping_ratio(damping: float, stiffness: float, inertia: float) -> float:
-    """Return the damping ratio of a leg that swings on a servo.
-
-    Parameters
-    ----------
-    damping : float
-        Damping divided by the stiffness [s].
-    stiffness : float
-        [N m/rad]
-    inertia : float
-        Inertia of the leg about the joint [kg m^2].
-    """
-    return 0.5 * damping * math.sqrt(stiffness / inertia)
-
-
 def longest_delay(gain: float, height: float) -> float:
     """Return the longest delay T [s] for which feedback of the divergent component stabilizes an inverted pendulum.
 
@@ -153,7 +131,8 @@ def servo_findings(config: Config, model: RobotModel) -> Iterator[Finding]:
     kin = Kinematics(model, model.posture(config.standing.posture), Foot.LEFT)
     servos, drive = Servos.of(config, model), Drive.of(config, model)
     stiffness = float(np.median(servos.stiffness))
-    mgh = pendulum_stiffness(config, model, kin)
+    # gravitational torque about the ankles per angle of inclination [N m/rad]
+    mgh = config.physics.mass_scale * model.mass * GRAVITY * float(kin.com[2])
     if stiffness < STIFFNESS * mgh:
         assumed = float(np.median(drive.stiffness))
         wrong = f" (assumed: {assumed:.3g})" if abs(assumed - stiffness) > 0.1 * stiffness else ""
@@ -167,7 +146,7 @@ def servo_findings(config: Config, model: RobotModel) -> Iterator[Finding]:
     damping = float(np.median((servos.damping + servos.back_emf) / servos.stiffness))
     fed = float(np.median(drive.angles(drive.damping)))
     # fed-back damping is effective only up to the damping of the servos; more of it makes robots fall
-    ratio = damping_ratio(damping + min(fed, damping), stiffness, inertia)
+    ratio = 0.5 * (damping + min(fed, damping)) * math.sqrt(stiffness / inertia)
     if ratio < DAMPING:
         more = f"; the assumed damping of {fed:.2g} s is larger than that of the servos" if fed > damping else ""
         yield Finding(

@@ -44,7 +44,8 @@ class Balance:
         self._path = path if standing.balance > 0.0 else None
         edges = next((constraint for constraint in phase.inequalities if isinstance(constraint, ComInsideEdges)), None)
         base, other = (model.soles[foot] for foot in (phase.base, phase.base.other))
-        self._imu = (*tree.frames[model.imu], tree.moves[tree.frames[model.imu][0]]) if model.imu in tree.frames else ()
+        body, pose = tree.frames[model.imu]
+        self._imu = body, pose, tree.moves[body]
         body, pose = tree.frames[other.frame]
         self._soles = base.center, other.center, 0.5 * min(base.length, other.length), body, pose, tree.moves[body]
         if path is not None:
