@@ -43,7 +43,7 @@ def robot_of(chain: Chain) -> RobotModel:
         path = Path(folder) / "chain.urdf"
         path.write_text(chain_urdf(chain), encoding="utf-8")
         names = {"robot.urdf": str(path), "robot.left_sole": "base", "robot.right_sole": "tip"}
-        return load_model(Config.from_flat({**names, "robot.sole_length": 0.1, "robot.sole_width": 0.06}).robot)
+        return load_model(Config().updated({**names, "robot.sole_length": 0.1, "robot.sole_width": 0.06}).robot)
 
 
 def phase_of(model: RobotModel, walk: Walk, phase: str) -> Phase:

@@ -530,19 +530,14 @@ class Config:
         at: Any = self
         return {name: functools.reduce(getattr, name.split("."), at) for name in _specs()}
 
-    @classmethod
-    def from_flat(cls, values: Mapping[str, Any], *, source: str = "") -> Config:
-        """Return a configuration with the values of ``{dotted name: value}`` and defaults for all other parameters.
+    def updated(self, values: Mapping[str, Any], *, source: str = "") -> Config:
+        """Return a copy with the values of ``{dotted name: value}`` replaced.
 
         Raises
         ------
         ConfigError
             For an unknown name, a wrong type or a value out of bounds.
         """
-        return cls().updated(values, source=source)
-
-    def updated(self, values: Mapping[str, Any], *, source: str = "") -> Config:
-        """Return a copy with some values replaced, checked as in `from_flat`."""
         if "physics.imu" in values:
             values = {"robot.imu" if name == "physics.imu" else name: value for name, value in values.items()}
             if values["robot.imu"] != "imu":  # the former default, which every older recording contains

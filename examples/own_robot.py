@@ -2,7 +2,7 @@
 
 from dqwalk_ros import Config, KinematicPlant, load_model, make_controller, simulate
 
-config = Config.from_flat(
+config = Config().updated(
     {
         "robot.urdf": "hrp2_like.urdf",  # a path, or a file of the package
         "robot.pelvis": "pelvis",

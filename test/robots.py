@@ -37,7 +37,7 @@ def biped12_config(**changes: Any) -> Config:
         "robot.right_sole": "right_sole",
         "pelvis.height": 0.4,
     }
-    return Config.from_flat({**robot, **changes})
+    return Config().updated({**robot, **changes})
 
 
 @cache

@@ -133,10 +133,10 @@ def test_bounds_are_inclusive(spec):
     """Both bounds are allowed, values beyond them are rejected."""
     for end, step in ((spec.low, -1), (spec.high, 1)):
         value = int(end) if spec.type is int else end
-        assert Config.from_flat({spec.name: value}).flat()[spec.name] == value
+        assert Config().updated({spec.name: value}).flat()[spec.name] == value
         beyond = value + step if spec.type is int else float(np.nextafter(value, step * np.inf))
         with pytest.raises(ConfigError, match=f"'{spec.name}' must be a .*number in"):
-            Config.from_flat({spec.name: beyond})
+            Config().updated({spec.name: beyond})
 
 
 # ---------------------------------------------------------------------- round trips
@@ -170,7 +170,7 @@ def other_value(spec):
 
 
 def test_files_preserve_all_parameters(tmp_path):
-    config = Config.from_flat({spec.name: other_value(spec) for spec in Config.specs()})
+    config = Config().updated({spec.name: other_value(spec) for spec in Config.specs()})
     changed = {n for n, v in config.flat().items() if v != Config().flat()[n]}
     assert changed >= {spec.name for spec in Config.specs() if len(spec.choices) != 1}
     for one in (config, Config(), load("paper")):
@@ -178,7 +178,7 @@ def test_files_preserve_all_parameters(tmp_path):
         path = tmp_path / "config.yaml"
         path.write_text(to_yaml(one), encoding="utf-8")
         assert load(path) == one
-        assert Config.from_flat(one.flat()) == one
+        assert Config().updated(one.flat()) == one
 
 
 def test_every_parameter_has_a_meaning_and_bounds():

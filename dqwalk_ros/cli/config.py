@@ -44,7 +44,7 @@ def config(config: str | None, section: str | None, check: bool, changes: tuple[
             print(to_yaml(made), end="")
             return 0
         return _check(config, made)
-    Config.from_flat(parse_overrides(changes), source="command line")
+    Config().updated(parse_overrides(changes), source="command line")
     if not check:
         print(_listing(section))
     return 0

@@ -165,11 +165,6 @@ class DynamicWalk(StandingWalk):
 
     # ------------------------------------------------------------------ order
 
-    @property
-    def _period(self) -> float:
-        s = self.config.standing
-        return s.transfer_duration + s.swing_duration
-
     def place(self, support: Foot, footprints: Sequence[Array]) -> None:
         """Reject commanded footprints, because this walk plans its own; an empty sequence has no effect.
 

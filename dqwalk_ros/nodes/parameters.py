@@ -52,7 +52,7 @@ def declare(node: Node, argv: Sequence[str]) -> Config:
     foreign = [name for name in given if _is_foreign(name)]
     if foreign:
         log.info(f"ignoring parameters of other packages: {', '.join(foreign)}")
-    config = Config.from_flat({name: value for name, value in given.items() if name not in foreign})
+    config = Config().updated({name: value for name, value in given.items() if name not in foreign})
     for path in files:
         config = beside(path, config)
     for name, value in config.flat().items():
