@@ -80,9 +80,8 @@ class PhaseMonitor(WalkNode):
             "support_polygon": self.create_publisher(PolygonStamped, "support_polygon", ros.stream(10)),
             "walk_markers": self.create_publisher(MarkerArray, "walk_markers", ros.stream(10)),
         }
-        self.create_subscription(
-            JointState, "joint_states", self._on_state, ros.stream(_DEPTH, reliable=False), raw=True
-        )
+        profile = ros.stream(_DEPTH, reliable=self.config.plant.lockstep)  # in lockstep states arrive in bursts
+        self.create_subscription(JointState, "joint_states", self._on_state, profile, raw=True)
         self.create_timer(0.1, self._check_timeout)
         self._timeout_published = 0.0  # steady time [s]
         self.get_logger().info("waiting for a walk")
