@@ -9,13 +9,13 @@ from __future__ import annotations
 import contextlib
 import math
 import multiprocessing
-import queue
 import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import viser
@@ -195,7 +195,9 @@ _STARTUP = 60.0
 
 
 class Feed:
-    """Starts a page in another process and sends moments to it; moments that arrive too fast are dropped.
+    """Starts a page in another process, which asks for a moment when it has drawn the one before.
+
+    A `multiprocessing.Queue` would not do: Ctrl-C within `put` can leave a thread of it asleep for good.
 
     Raises
     ------
@@ -205,13 +207,12 @@ class Feed:
 
     def __init__(self, config: Config, port: int | None = None) -> None:
         context = multiprocessing.get_context("spawn")
-        self._queue: Any = context.Queue(8)
-        mine, other = context.Pipe()
-        self._process = context.Process(target=_serve, args=(self._queue, other, config, port), daemon=True)
+        self._page, other = context.Pipe()
+        self._process = context.Process(target=_serve, args=(other, config, port), daemon=True)
         self._process.start()
         other.close()
         try:
-            answer = mine.recv() if mine.poll(_STARTUP) else "the page did not start"
+            answer = self._page.recv() if self._page.poll(_STARTUP) else "the page did not start"
         except EOFError:
             answer = "the page's process ended"
         if not answer.startswith("http"):
@@ -221,16 +222,17 @@ class Feed:
         self._due = 0.0
 
     def offer(self, state: State, controller: VelocityController) -> None:
-        """Send a state to the page, at most sixty times a second."""
+        """Send a state to the page if it has asked for one, at most sixty times a second."""
         now = time.monotonic()
-        if now < self._due or controller.phase_index < 0:
+        if now < self._due or controller.phase_index < 0 or not self._page.poll():
             return
         self._due = now + _PERIOD
         active = ", ".join(controller.active[:3]) or "none"
         solver = f"solved in {1e6 * controller.solve_time:.0f} µs, {controller.iterations} iterations; active: {active}"
         record = PhaseRecord.of(controller, 0, controller.phase_time0)  # much smaller than the phase
-        with contextlib.suppress(queue.Full):
-            self._queue.put_nowait((record, controller.phase_index, state, solver))
+        with contextlib.suppress(EOFError, OSError):  # the page's process has ended
+            self._page.recv()
+            self._page.send((record, controller.phase_index, state, solver))
 
     def __enter__(self) -> Self:
         return self
@@ -240,7 +242,8 @@ class Feed:
 
     def replay(self, bag: Path) -> None:
         """Replay the bag of the walk on the page."""
-        self._queue.put(str(bag))
+        with contextlib.suppress(OSError):  # the page's process has ended
+            self._page.send(str(bag))
 
     def wait(self) -> None:
         """Wait until the page's process ends; Ctrl-C stops it."""
@@ -249,28 +252,28 @@ class Feed:
 
     def close(self) -> None:
         """Stop the page."""
-        self._queue.cancel_join_thread()
         self._process.terminate()
         self._process.join(5.0)
 
 
-def _serve(updates: Any, parent: Any, config: Config, port: int | None) -> None:
+def _serve(walk: Connection, config: Config, port: int | None) -> None:
     """Show the received moments until the process is terminated."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the walk; the parent ends this process
     try:
         page = Page(port)
     except ViewerError as error:
-        parent.send(str(error))
+        walk.send(str(error))
         return
-    parent.send(page.url)
+    walk.send(page.url)
     scene = Scene(config, load_model(config.robot))
     page.set_scene(scene)
     shown: tuple[int, float] | None = None
     while True:
-        item = updates.get()
-        with contextlib.suppress(queue.Empty):
-            while not isinstance(item, str):
-                item = updates.get_nowait()
+        try:
+            walk.send("next")
+            item = walk.recv()
+        except (EOFError, OSError):  # the walk's process was killed
+            return
         if isinstance(item, str):
             break
         drawn = time.monotonic()
