@@ -69,6 +69,7 @@ class VelocityController:
         self._use(self._tuned)
         self._walk_config = self._tuned
         self.walk = self._make_walk(self._tuned, self.model)
+        self.walk.prepare()
         self.phase_index = -1
         self.phase_time0 = math.nan
         self.finished = False

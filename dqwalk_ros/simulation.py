@@ -16,7 +16,7 @@ from dqwalk_ros import provenance
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.controller import VelocityController
-from dqwalk_ros.dynamic.recovery import RecoveringWalk, steps_config
+from dqwalk_ros.dynamic.recovery import RecoveringWalk
 from dqwalk_ros.dynamic.walk import DynamicWalk
 from dqwalk_ros.errors import ConfigError, DqwalkError, PlantError
 from dqwalk_ros.estimation.base import BaseEstimator
@@ -26,6 +26,7 @@ from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.standing.walk import StandingWalk
 from dqwalk_ros.state import Command, State
+from dqwalk_ros.statics import GRAVITY
 from dqwalk_ros.walk import PaperWalk, Phase, PhaseKind, Walk
 
 __all__ = [
@@ -83,8 +84,6 @@ def make_controller(config: Config, model: RobotModel) -> VelocityController:
     ConfigError
         As `walk_type`, and if ``gait.recover`` is not the configuration of a dynamic walk.
     """
-    if walk_type(config) is RecoveringWalk:
-        steps_config(config)
     return VelocityController(config, model, walk_type(config))
 
 
@@ -118,16 +117,31 @@ def make_plant(name: str, config: Config, model: RobotModel) -> Plant:
 
 
 def warm_up(config: Config, model: RobotModel) -> None:
-    """Compile all functions used in a control period, so that the first state is answered without delay."""
-    sensed = {"up": np.array([0.0, 0.0, 1.0]), "gyro": np.zeros(3)} if config.plant.imu else {}
+    """Compile all functions used in a control period, so that no state is answered late.
+
+    A walk with an inertial sensor takes its first steps on ideal joints, for at most `_WARM_UP`. In single support it
+    measures an angular velocity, as after a push, so that it adjusts the step. A steered walk takes two steps.
+    """
     with contextlib.suppress(DqwalkError):
-        q = make_walk(config, model).posture
-        controller = make_controller(config, model)
-        controller.step(State(0.0, q, np.zeros(model.n), **sensed), config.dt)
-        if config.plant.imu:
-            base, kin = BaseEstimator(config, model), Kinematics(model, q, controller.phase.base)
-            for k in range(2):
-                base.update(k * config.dt, kin, np.zeros(3), np.array([0.0, 0.0, 9.8]), both=True)
+        config = config.updated({"gait.steps": config.gait.steps or 2})
+        controller, plant = make_controller(config, model), KinematicPlant(model, make_walk(config, model).posture)
+        if not config.plant.imu:
+            controller.step(plant.state, config.dt)
+            return
+        estimator, gyro, kin = BaseEstimator(config, model), np.zeros(3), Kinematics(model, plant.state.q, Foot.LEFT)
+        for k in range(2):
+            estimator.update(k * config.dt, kin, np.zeros(3), np.array([0.0, 0.0, GRAVITY]), both=True)
+        while controller.phase_index < _WARM_PHASES and plant.state.time < _WARM_UP:
+            up = np.array([kin.direction(model.imu, axis)[2] for axis in np.eye(3)])  # of soles on level ground
+            plant.step(controller.step(replace(plant.state, up=up, gyro=gyro), config.dt), config.dt)
+            gyro = np.full(3, 0.3 if controller.phase.kind is PhaseKind.SINGLE_SUPPORT else 0.0)
+            kin = Kinematics(model, plant.state.q, controller.phase.base)
+
+
+_WARM_UP = 3.0
+"""Longest time that a walk to compile its functions lasts [s]."""
+_WARM_PHASES = 5
+"""Index of the phase at which it ends: after a stance, both double supports and a single support."""
 
 
 def closed_loop(

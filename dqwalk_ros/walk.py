@@ -198,6 +198,9 @@ class Walk(ABC):
         """Return kind, support foot and swing target of the first phase, for the posture of the robot in `kin`."""
         return self.following(None)
 
+    def prepare(self) -> None:  # noqa: B027
+        """Compute what the walk needs of the robot; called before the first state, so that none is answered late."""
+
     def phase(self, kind: PhaseKind, support: Foot, q_start: ArrayLike, swing_target: ArrayLike | None = None) -> Phase:
         """Return the phase that begins at `q_start`; the same arguments give the same phase.
 

@@ -25,11 +25,11 @@ from dqwalk_ros.dynamic.walk import DynamicWalk
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.report import analyse, bag, report
 from dqwalk_ros.robot import Foot
-from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, simulate
+from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, simulate, warm_up
 from dqwalk_ros.standing.footsteps import Footprint
 from dqwalk_ros.state import State
 from dqwalk_ros.studies.pushes import Push, pushed
-from dqwalk_ros.walk import PhaseKind
+from dqwalk_ros.walk import PhaseKind, Walk
 
 CONFIG = dq.load("poppy_dynamic")
 MODEL = dq.load_model(CONFIG.robot)
@@ -379,6 +379,39 @@ def test_pushes_of_every_direction_at_every_part_of_a_step(
         stood = len(points) - len(fell)
         print(f"\n{2.0 * length:g} m/s, {1e3 * latency:g} ms, {impulse} N s: {stood} of {len(points)} stood")
         assert len(fell) <= allowed
+
+
+# ---------------------------------------------------------------------- no state is answered late
+
+
+@pytest.mark.parametrize("name", ["poppy", "poppy_dynamic"])
+def test_no_file_is_parsed_during_a_walk(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The URDF, for the pendulum, took 60 ms as the first single support began; walks in real time stopped."""
+    config = overlaid(dq.load(name), "physics")
+    model = dataclasses.replace(MODEL)  # nothing about it is known yet
+    controller, plant = make_controller(config, model), make_plant("physics", config, model)
+
+    def parse(*_: object) -> None:
+        pytest.fail("a file is parsed")
+
+    for module in ("dynamic.pendulum.Urdf", "dynamic.recovery.load", "strict_yaml.read"):
+        monkeypatch.setattr(f"dqwalk_ros.{module}", parse)
+    for state, _ in closed_loop(controller, plant):
+        if controller.phase.kind is PhaseKind.SINGLE_SUPPORT and state.time > controller.phase_time0 + 0.1:
+            return
+    pytest.fail("no single support began")
+
+
+@pytest.mark.parametrize("changes", [{}, {"gait.steps": 0}])
+@pytest.mark.parametrize("name", ["poppy", "poppy_dynamic"])
+def test_warming_up_reaches_every_kind_of_phase(
+    name: str, changes: dict[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun = []
+    begin = Walk.phase
+    monkeypatch.setattr(Walk, "phase", lambda self, kind, *rest: begun.append(kind) or begin(self, kind, *rest))
+    warm_up(overlaid(dq.load(name), "physics").updated(changes), MODEL)
+    assert {PhaseKind.DOUBLE_SUPPORT, PhaseKind.SINGLE_SUPPORT} <= set(begun)
 
 
 # ---------------------------------------------------------------------- tasks

@@ -8,7 +8,7 @@ robot that tilts sideways instead of shifting its hips is a slower pendulum than
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import functools
 from dataclasses import dataclass
 from typing import Self
 
@@ -48,11 +48,11 @@ def swing_inertia(kin: Kinematics) -> Array:
     return M
 
 
-def _links(model: RobotModel) -> Iterator[Link]:
-    """Yield the links that have a mass."""
-    for link in Urdf(model.urdf, model.name).links.values():
-        if link.mass > 0.0 and link.name in model.frames:
-            yield link
+@functools.lru_cache(maxsize=16)
+def _links(model: RobotModel) -> tuple[Link, ...]:
+    """Return the links that have a mass; computed once per model, because the URDF is parsed."""
+    links = Urdf(model.urdf, model.name).links.values()
+    return tuple(link for link in links if link.mass > 0.0 and link.name in model.frames)
 
 
 def _inertia(kin: Kinematics, link: Link) -> Array:

@@ -23,7 +23,7 @@ from dqwalk_ros.standing.walk import StandingWalk
 from dqwalk_ros.state import State
 from dqwalk_ros.walk import Phase, PhaseKind, Rule
 
-__all__ = ["RecoveringWalk", "steps_config"]
+__all__ = ["RecoveringWalk"]
 
 
 _CONFIRMED = 3
@@ -90,7 +90,17 @@ class RecoveringWalk(StandingWalk):
 
     @cached_property
     def _steps(self) -> _Steps:
-        return _Steps(steps_config(self.config), self.model)  # a recorded walk is rebuilt without them
+        return _Steps(_steps_config(self.config), self.model)  # a recorded walk is rebuilt without them
+
+    def prepare(self) -> None:
+        """Prepare the steps.
+
+        Raises
+        ------
+        ConfigError
+            If ``gait.recover`` is not the configuration of a dynamic walk.
+        """
+        self._steps.prepare()
 
     def tune(self, config: Config) -> None:
         """Replace the parameters, for the steps those that they share with the standing walk."""
@@ -176,7 +186,7 @@ class RecoveringWalk(StandingWalk):
         return self._steps.effort(phase, kin, state, u) if self._interrupted else super().effort(phase, kin, state, u)
 
 
-def steps_config(config: Config) -> Config:
+def _steps_config(config: Config) -> Config:
     """Return the configuration of the steps: that of ``gait.recover``, for the robot and the servos of `config`.
 
     Raises

@@ -163,6 +163,10 @@ class DynamicWalk(StandingWalk):
         """Height of the CoM in the posture, shape (1,) [m]."""
         return Kinematics(self.model, self.posture, self._first).com[2:]
 
+    def prepare(self) -> None:
+        """Compute the constants of the pendulum and of the swing leg."""
+        _ = self.pendulum, self._inertia, self._height
+
     # ------------------------------------------------------------------ order
 
     def place(self, support: Foot, footprints: Sequence[Array]) -> None:
