@@ -34,6 +34,7 @@ from dqwalk_ros.constraints import (
 from dqwalk_ros.kinematics import Kinematics, Observer
 from dqwalk_ros.paths import ComPath, SwingPath, follow_com_path, follow_swing_path
 from dqwalk_ros.qp import Problem, objective
+from dqwalk_ros.targets import Follow, FollowPose, Target, follow, follow_pose
 from dqwalk_ros.tasks import ComOverFoot, FramePose, Posture, Task, pose_difference
 
 __all__ = ["Assembly", "Evaluation"]
@@ -109,10 +110,10 @@ class Evaluation:
 
 
 _AFFINE_TASKS = ComOverFoot, Posture
-CYLINDER, WALL, HELD, POSE, COM_PATH, SWING_PATH = range(6)
+CYLINDER, WALL, HELD, POSE, COM_PATH, SWING_PATH, FOLLOW, FOLLOW_POSE = range(8)
 _KINDS: dict[type, int] = {
     PointInCylinder: CYLINDER, PointInsideWall: WALL, FrameHeld: HELD, FramePose: POSE, ComPath: COM_PATH,
-    SwingPath: SWING_PATH,
+    SwingPath: SWING_PATH, Follow: FOLLOW, FollowPose: FOLLOW_POSE,
 }  # fmt: skip
 _MOST_PARAMETERS = 17
 
@@ -123,32 +124,33 @@ def _stack(  # type: ignore[no-untyped-def]
 ):
     """Fill values and gradients of all rows, rates of the tasks' rows, and the distances from the joint limits.
 
-    Affine rows are A s - b. `items` (k, 4) lists the tasks and constraints of the classes in `_KINDS`: kind, first row,
-    first column, and column after the last one; `parameters` (k, 17) are their constants.
+    Affine rows are A s - b. `items` (k, 5) lists the tasks and constraints of the classes in `_KINDS`: kind, first row,
+    row after the last one, first column, and column after the last one; `parameters` (k, 17) are their numbers.
     """
     values[:] = A @ s - b
     gradients[:] = A
     rates[:] = -eta * values[: rates.shape[0]]  # of (U6)
     limit_distances[:] = A_limits @ q - b_limits  # (U12), (U13)
     for k in range(items.shape[0]):
-        kind, row, begin, end = items[k]
-        part, a = s[begin:end], parameters[k]
+        kind, first, last, begin, end = items[k]
+        rows, part, a = slice(first, last), s[begin:end], parameters[k]
         if kind == CYLINDER:
-            values[row], gradients[row, begin:end] = inside_cylinder(part, a)
+            values[first], gradients[first, begin:end] = inside_cylinder(part, a)
         elif kind == WALL:
-            values[row], gradients[row, begin:end] = inside_wall(part, a)
+            values[first], gradients[first, begin:end] = inside_wall(part, a)
         elif kind == HELD:
-            values[row : row + 6], gradients[row : row + 6, begin:end] = pose_error(part, a[:3], a[3:7], 1.0)
+            values[rows], gradients[rows, begin:end] = pose_error(part, a[:3], a[3:7], 1.0)
         elif kind == POSE:
-            rows = slice(row, row + 8)
             values[rows], gradients[rows, begin:end] = pose_difference(part, a[:8])
             rates[rows] = -eta * values[rows]  # of (U6)
         elif kind == COM_PATH:
-            rows = slice(row, row + 2)
             values[rows], gradients[rows, begin:end], rates[rows] = follow_com_path(part, a, elapsed, eta)
-        else:
-            rows = slice(row, row + 6)
+        elif kind == SWING_PATH:
             values[rows], gradients[rows, begin:end], rates[rows] = follow_swing_path(part, a, elapsed)
+        elif kind == FOLLOW:
+            values[rows], rates[rows] = follow(values[rows], a)
+        else:
+            values[rows], gradients[rows, begin:end], rates[rows] = follow_pose(part, a)
 
 
 @jit
@@ -239,8 +241,9 @@ class Assembly:
 
         shape = rows[-1].stop, self._observer.size
         self._A, self._b = np.zeros(shape), np.zeros(shape[0])
-        compiled: list[tuple[int, int, int, int]] = []
+        compiled: list[tuple[int, int, int, int, int]] = []
         parameters: list[Array] = []
+        targets: list[tuple[int, Target]] = []
         self._tasks: list[tuple[Task, slice, slice]] = []  # those that are not compiled
         self._constraints: list[tuple[Constraint, slice, slice]] = []
         for item, row, column in zip(stacked, rows, columns, strict=True):
@@ -250,20 +253,27 @@ class Assembly:
                 at_zero, self._A[row, column] = item.value(np.zeros(column.stop - column.start), 0.0)
                 self._b[row] = -at_zero
             elif type(item) in _KINDS:
-                compiled.append((_KINDS[type(item)], row.start, column.start, column.stop))
+                if isinstance(item, Follow):
+                    self._A[row, column] = item.A
+                if isinstance(item, Follow | FollowPose):
+                    targets.append((len(compiled), item.target))
+                compiled.append((_KINDS[type(item)], row.start, row.stop, column.start, column.stop))
                 parameters.append(np.resize(item.parameters, _MOST_PARAMETERS))
             elif isinstance(item, Task):
                 self._tasks.append((item, row, column))
             else:
                 self._constraints.append((item, row, column))
-        self._items = np.array(compiled, dtype=np.int64).reshape(-1, 4)
+        self._items = np.array(compiled, dtype=np.int64).reshape(-1, 5)
         self._parameters = np.array(parameters).reshape(-1, _MOST_PARAMETERS)
+        self._targets = [(target, self._parameters[k, : len(target.numbers)]) for k, target in targets]
 
     def __call__(self, kin: Kinematics) -> Evaluation:
         """Return errors, distances and gradients for the joint angles and the elapsed time of `kin`."""
         s, J_features = self._observer(kin)
         values, gradients = np.empty(self._b.shape), np.empty(self._A.shape)
         rates, limit_distances = np.empty(self._task_rows), np.empty(self._b_limits.shape)
+        for target, copy in self._targets:
+            copy[:] = target.numbers
         _stack(
             self._items, self._parameters, self._A, self._b, self._A_limits, self._b_limits, self._eta, kin.q,
             kin.elapsed, s, values, gradients, rates, limit_distances,

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
@@ -196,7 +195,8 @@ class VelocityController:
         before = self._last_state
         if before is not None and 0.0 < (passed := state.time - before.time) <= self.config.plant.command_timeout:
             dq = state.dq if state.dq is not None else (state.q - before.q) / passed
-            state = dataclasses.replace(state, dq=dq, up=filtered_vertical(before, state))
+            up = filtered_vertical(before, state)
+            state = State(state.time, state.q, dq, up, state.gyro, state.acceleration, state.effort)
         return state
 
     def _effort(self, kin: Kinematics, state: State, u: Array) -> Array | None:
@@ -218,7 +218,7 @@ class VelocityController:
             names = zip(self.model.joint_names, state.q, strict=True)
             bad = [name for name, angle in names if not math.isfinite(angle)]
             raise StateError(f"the angle of {', '.join(bad)} is not finite")
-        return kin if state.up is None else kin.tilted(kin.direction(self.model.imu, state.up))
+        return kin.with_vertical(state.up)
 
     def _is_over(self, now: Evaluation, time: float) -> bool:
         if self.walk.is_waiting(self.phase):

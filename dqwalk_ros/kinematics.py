@@ -42,6 +42,7 @@ __all__ = [
     "SupportTree",
     "compose",
     "direction",
+    "quaternion_product",
     "support_tree",
 ]
 
@@ -52,15 +53,15 @@ _Z = np.array([0.0, 0.0, 1.0])
 
 # ---------------------------------------------------------------------- compiled functions
 
-_product = jit(product)
+quaternion_product = jit(product)
 
 
 @jit
 def _multiply(a, b, out):  # type: ignore[no-untyped-def]
     """Fill `out` with the product of dual quaternions (8,): P(a)P(b) + eps (P(a)D(b) + D(a)P(b))."""
-    out[0], out[1], out[2], out[3] = _product(a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3])
-    s = _product(a[0], a[1], a[2], a[3], b[4], b[5], b[6], b[7])
-    t = _product(a[4], a[5], a[6], a[7], b[0], b[1], b[2], b[3])
+    out[0], out[1], out[2], out[3] = quaternion_product(a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3])
+    s = quaternion_product(a[0], a[1], a[2], a[3], b[4], b[5], b[6], b[7])
+    t = quaternion_product(a[4], a[5], a[6], a[7], b[0], b[1], b[2], b[3])
     for k in range(4):
         out[4 + k] = s[k] + t[k]
 
@@ -68,15 +69,15 @@ def _multiply(a, b, out):  # type: ignore[no-untyped-def]
 @jit
 def _rotate(x, v, out):  # type: ignore[no-untyped-def]
     """Fill `out` (3,) with P(x) v P(x)*: the direction v (3,) of the frame x (8,) in the base frame."""
-    s = _product(x[0], x[1], x[2], x[3], 0.0, v[0], v[1], v[2])
-    t = _product(s[0], s[1], s[2], s[3], x[0], -x[1], -x[2], -x[3])
+    s = quaternion_product(x[0], x[1], x[2], x[3], 0.0, v[0], v[1], v[2])
+    t = quaternion_product(s[0], s[1], s[2], s[3], x[0], -x[1], -x[2], -x[3])
     out[0], out[1], out[2] = t[1], t[2], t[3]
 
 
 @jit
 def _translation(x, out):  # type: ignore[no-untyped-def]
     """Fill `out` (3,) with the position p = 2 D(x) P(x)* of the pose x = r + eps 1/2 p r (U1)."""
-    t = _product(x[4], x[5], x[6], x[7], x[0], -x[1], -x[2], -x[3])
+    t = quaternion_product(x[4], x[5], x[6], x[7], x[0], -x[1], -x[2], -x[3])
     out[0], out[1], out[2] = 2.0 * t[1], 2.0 * t[2], 2.0 * t[3]
 
 
@@ -337,9 +338,9 @@ class Kinematics:
         self.com, self.com_jacobian = np.empty(3), np.empty((3, n))
         self.finite: bool = _forward(self.q, tree.tree, tree.links, self.poses, self.lines, self.com, self.com_jacobian)
 
-    def tilted(self, up: ArrayLike) -> Kinematics:
-        """Return a copy with another vertical `up` (3,), the unit vector against gravity in the base frame."""
-        return self._with(up=np.asarray(up, dtype=np.float64))
+    def with_vertical(self, up: Array | None) -> Kinematics:
+        """Return the kinematics with the vertical `up` (3,) that the inertial sensor measures in its frame."""
+        return self if up is None else self._with(up=self.direction(self.model.imu, up))
 
     def later(self, dt: float) -> Kinematics:
         """Return the kinematics with the elapsed time increased by `dt` [s]."""

@@ -18,14 +18,12 @@ from dqwalk_ros.tasks import Task
 __all__ = ["ComPath", "SwingPath", "com_path", "follow_com_path", "follow_swing_path", "minimum_jerk"]
 
 
-def minimum_jerk(s: float) -> tuple[float, float, float]:
+@jit
+def minimum_jerk(s):  # type: ignore[no-untyped-def]
     """Return the minimum-jerk profile from 0 to 1 at the fraction `s` of the time, and its first two derivatives."""
     s = min(max(s, 0.0), 1.0)
     place = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
     return place, 30.0 * (s * (1.0 - s)) ** 2, 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
-
-
-_minimum_jerk = jit(minimum_jerk)
 
 
 @jit
@@ -37,7 +35,7 @@ def com_path(s, start, elapsed, duration):  # type: ignore[no-untyped-def]
     goal, count = np.zeros(2), (s.shape[0] - 2) // 3
     for k in range(count):
         goal += s[2 + 3 * k : 4 + 3 * k] / count
-    place, slope, bend = _minimum_jerk(elapsed / duration)
+    place, slope, bend = minimum_jerk(elapsed / duration)
     way = goal - start
     return start + place * way, slope / duration * way, bend / duration**2 * way
 
@@ -108,7 +106,7 @@ def _swing_path(a, elapsed):  # type: ignore[no-untyped-def]
     """
     start, way, r_start, half_turn, height, duration = a[:3], a[3:6], a[6:10], a[10:13], a[13], a[14]
     s = min(max(elapsed / duration, 0.0), 1.0)
-    place, slope, _ = _minimum_jerk((s - 0.1) / 0.8)
+    place, slope, _ = minimum_jerk((s - 0.1) / 0.8)
     bump, rise = 64.0 * (s * (1.0 - s)) ** 3, 192.0 * (s * (1.0 - s)) ** 2 * (1.0 - 2.0 * s)
     up = np.array([0.0, 0.0, height])
     velocity = np.concatenate((slope / 0.8 * way + rise * up, 2.0 * slope / 0.8 * half_turn)) / duration

@@ -32,6 +32,7 @@ LAYERS = (
     "constraints",
     "tasks",
     "paths",
+    "targets",
     "qp",
     "assembly",
     "statics",

@@ -33,8 +33,7 @@ def errors(steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     for state, _ in closed_loop(controller, plant):
         phase = controller.phase
         single = phase.kind is PhaseKind.SINGLE_SUPPORT
-        kin = Kinematics(MODEL, state.q, phase.base)
-        kin = kin.tilted(kin.direction(MODEL.imu, state.up))
+        kin = Kinematics(MODEL, state.q, phase.base).with_vertical(state.up)
         estimate = estimator.update(state.time, kin, state.gyro, state.acceleration, both=not single)
         truth = plant.truth
         if world is None:  # the first base sole, level
@@ -96,7 +95,7 @@ def test_an_unloaded_sole_is_not_used_as_a_contact() -> None:
     """With the CoM above one sole the other sole may slide."""
     q, still = MODEL.posture(POPPY.standing.posture), (np.zeros(3), np.array([0.0, 0.0, 9.81]))
     middle = Kinematics(MODEL, q, Foot.LEFT)
-    over = middle.tilted(np.array([0.0, math.sin(0.15), math.cos(0.15)]))  # the vertical of a tilted robot
+    over = Kinematics(MODEL, q, Foot.LEFT, [0.0, math.sin(0.15), math.cos(0.15)])  # the vertical of a tilted robot
     for kin in (middle, over):
         beside = kin.com_on_ground[1] / kin.point(kin.swing)[1]
         held = BaseEstimator(POPPY, MODEL).update(0.0, kin, *still, both=True).contacts

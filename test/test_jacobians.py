@@ -14,10 +14,10 @@ from walks import values
 import dqwalk_ros
 from dqwalk_ros.constraints import Constraint
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.dynamic.tasks import Target
 from dqwalk_ros.geometry import ConvexPolygon, Cylinder, Line, Plane
 from dqwalk_ros.kinematics import CenterOfMass, CenterOfMassOnGround, Direction, Kinematics, Point, Pose, Rotation
 from dqwalk_ros.robot import Foot
+from dqwalk_ros.targets import Target
 from dqwalk_ros.tasks import Task
 
 COUNT = 100

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -63,9 +64,14 @@ class Step:
     high: Array
     reach: Array
 
+    @cached_property
+    def constants(self) -> tuple[Array, ...]:
+        """Zero-moment point, planned end of xi, omega, low and high."""
+        return self.z, self.landing + self.offset, self.omega, self.low, self.high
 
-def left_over(step: Step, xi: Array, elapsed: float, left: Array) -> tuple[Array, Array]:
-    """Return the error of xi that the ankle cannot compensate until the landing, for several landing times.
+
+def left_over(step: Step, xi: Array, elapsed: float, left: float) -> tuple[Array, Array]:
+    """Return the error of xi that the ankle cannot compensate until the landing.
 
     With a constant zero-moment point z, the solution of xi' = w (xi - z) determines the z that brings xi to its planned
     end; the error is due to the part of z outside `step.low` and `step.high`.
@@ -77,32 +83,43 @@ def left_over(step: Step, xi: Array, elapsed: float, left: Array) -> tuple[Array
         Measured divergent component [m].
     elapsed : float
         Time since the lift-off [s].
-    left : ndarray, shape (k,)
-        Times until the landing [s].
+    left : float
+        Time until the landing [s].
 
     Returns
     -------
-    error : ndarray, shape (k, 2)
+    error : ndarray, shape (2,)
         Error of xi at the landing [m].
-    displacement : ndarray, shape (k, 2)
+    displacement : ndarray, shape (2,)
         Displacement of the planned end by the change of the landing time [m].
     """
-    over, moved = np.empty((len(left), 2)), np.zeros((len(left), 2))
-    end = step.landing + step.offset
-    _left_over(step.z, end, step.omega, step.low, step.high, xi, step.duration - elapsed, left, over, moved)
+    over, moved = _left_over(*step.constants, xi, step.duration - elapsed, left)
     return over, moved
 
 
 @jit
-def _left_over(z, end, omega, low, high, xi, planned, left, over, moved):  # type: ignore[no-untyped-def]
-    """Fill `over` and `moved` (k, 2) of `left_over`; `planned` is the planned time until the landing [s]."""
-    for k in range(left.shape[0]):
-        shorter = math.exp(-omega[0] * (planned - left[k]))  # an earlier landing shortens the step
-        moved[k, 0] = (shorter - 1.0) * (end[0] - z[0])
-        for i in range(2):
-            grown = math.exp(left[k] * omega[i])
-            needed = (xi[i] * grown - (end[i] + moved[k, i])) / (grown - 1.0)  # xi' = w (xi - z) with constant z
-            over[k, i] = (needed - min(max(needed, low[i]), high[i])) * (grown - 1.0)
+def _left_over(z, end, omega, low, high, xi, planned, left):  # type: ignore[no-untyped-def]
+    """Return error and displacement (2,) of `left_over`; `planned` is the planned time until the landing [s]."""
+    over, moved = np.empty(2), np.zeros(2)
+    moved[0] = (math.exp(-omega[0] * (planned - left)) - 1.0) * (end[0] - z[0])  # an earlier landing shortens the step
+    for i in range(2):
+        grown = math.exp(left * omega[i])
+        needed = (xi[i] * grown - (end[i] + moved[i])) / (grown - 1.0)  # xi' = w (xi - z) with constant z
+        over[i] = (needed - min(max(needed, low[i]), high[i])) * (grown - 1.0)
+    return over, moved
+
+
+@jit
+def _best_time(z, end, omega, low, high, xi, planned, soonest, latest):  # type: ignore[no-untyped-def]
+    """Return the time until the landing, between two times [s], with the least cost."""
+    best, least = soonest, math.inf
+    for i in range(int((latest - soonest) / _GRID + 1e-7) + 1):
+        left = soonest + i * _GRID
+        over, _ = _left_over(z, end, omega, low, high, xi, planned, left)
+        cost = over[1] ** 2 + _AHEAD_PART * over[0] ** 2 + _TIME_PART * (left - planned) ** 2
+        if cost < least:
+            best, least = left, cost
+    return best
 
 
 def adjusted(
@@ -134,15 +151,11 @@ def adjusted(
     """
     soonest = max(c.shortest_step - elapsed, c.settled)
     latest = max(c.longest_step * step.duration - elapsed, soonest)
-    left = np.arange(soonest, latest + 1e-9, _GRID)
-    over, _ = left_over(step, xi, elapsed, left)
-    late = elapsed + left - step.duration
-    cost = over[:, 1] ** 2 + _AHEAD_PART * over[:, 0] ** 2 + _TIME_PART * late**2
-    best = elapsed + float(left[int(np.argmin(cost))])
+    best = elapsed + _best_time(*step.constants, xi, step.duration - elapsed, soonest, latest)
     duration += min(max(best - duration, -c.hurry), c.hurry)
-    over, moved = left_over(step, xi, elapsed, np.array([duration - elapsed]))
-    wanted = np.clip(over[0] + moved[0], -step.reach, step.reach)
-    return duration, shift + _SMOOTH * (wanted - shift), over[0]
+    over, moved = left_over(step, xi, elapsed, duration - elapsed)
+    wanted = np.clip(over + moved, -step.reach, step.reach)
+    return duration, shift + _SMOOTH * (wanted - shift), over
 
 
 def transfer_time(course: Pressed, z: Array, xi: Array, least: float) -> float:
@@ -159,7 +172,15 @@ def transfer_time(course: Pressed, z: Array, xi: Array, least: float) -> float:
     least : float
         Least remaining time [s].
     """
-    first = max(least, _GRID)
-    left = np.arange(first, max(_LONGEST_TRANSFER, first + _GRID), _GRID)
-    missed = [abs(float(before(z, course.b, course.end, T, course.omega)[1] - xi[1])) for T in left.tolist()]
-    return float(left[int(np.argmin(missed))])
+    return float(_transfer_time(z, course.b, course.end, course.omega, xi[1], max(least, _GRID)))
+
+
+@jit
+def _transfer_time(z, b, end, omega, y, first):  # type: ignore[no-untyped-def]
+    """Return the time of `transfer_time`, from `first` [s] on, for the divergent component `y` to the side [m]."""
+    best, least = first, math.inf
+    for i in range(max(math.ceil((_LONGEST_TRANSFER - first) / _GRID), 1)):
+        missed = abs(before(z, b, end, first + i * _GRID, omega)[1] - y)
+        if missed < least:
+            best, least = first + i * _GRID, missed
+    return best

@@ -13,8 +13,7 @@ import numpy as np
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.compiled import jit
-from dqwalk_ros.dual_quaternions import product
-from dqwalk_ros.kinematics import direction
+from dqwalk_ros.kinematics import direction, quaternion_product
 from dqwalk_ros.standing.footsteps import Footprint
 
 __all__ = ["Ground", "turned"]
@@ -22,7 +21,6 @@ __all__ = ["Ground", "turned"]
 
 _MEMORY = 2.0
 """Time constant of the mean inclination of the supporting soles [s]."""
-_product = jit(product)
 
 
 class Ground:
@@ -70,5 +68,5 @@ def _towards(a, b, less):  # type: ignore[no-untyped-def]
 @jit
 def turned(x, place):  # type: ignore[no-untyped-def]
     """Return a pose (7,), position and unit quaternion, turned about the origin by the rotation `x`, vec8 (8,)."""
-    r = _product(x[0], x[1], x[2], x[3], place[3], place[4], place[5], place[6])
+    r = quaternion_product(x[0], x[1], x[2], x[3], place[3], place[4], place[5], place[6])
     return np.concatenate((direction(x, place[:3]), np.array(r)))

@@ -55,6 +55,23 @@ def before(a, b, end, time, omega):  # type: ignore[no-untyped-def]
     return e * end + (1.0 - e) * a + (b - a) / (omega * time) * (1.0 - e * (1.0 + omega * time))
 
 
+@jit
+def _pressed(a, b, end, duration, omega, elapsed):  # type: ignore[no-untyped-def]
+    """Return xi and z (2,) of `Pressed`."""
+    left = min(max(duration - elapsed, 0.0), duration)
+    z = b - left / duration * (b - a)
+    return before(z, b, end, left, omega), z
+
+
+@jit
+def _resting(start, goal, duration, omega, elapsed):  # type: ignore[no-untyped-def]
+    """Return xi and z (2,) of `Rest`."""
+    place, slope, _ = minimum_jerk(elapsed / duration)
+    way = goal - start
+    xi = start + place * way
+    return xi, xi - slope / duration * way / omega
+
+
 class Course(Protocol):
     """Planned divergent component xi and zero-moment point z during a phase of `duration` [s]."""
 
@@ -88,9 +105,8 @@ class Pressed:
 
     def at(self, elapsed: float) -> tuple[Array, Array]:
         """Return xi and z (2,) [m], `elapsed` [s] into the phase."""
-        left = min(max(self.duration - elapsed, 0.0), self.duration)
-        z = self.b - left / self.duration * (self.b - self.a)
-        return before(z, self.b, self.end, left, self.omega), z
+        xi, z = _pressed(self.a, self.b, self.end, self.duration, self.omega, elapsed)
+        return xi, z
 
 
 @dataclass
@@ -114,10 +130,8 @@ class Rest:
 
     def at(self, elapsed: float) -> tuple[Array, Array]:
         """Return xi and z (2,) [m], `elapsed` [s] into the phase."""
-        place, slope, _ = minimum_jerk(elapsed / self.duration)
-        way = self.goal - self.start
-        xi = self.start + place * way
-        return xi, xi - slope / self.duration * way / self.omega
+        xi, z = _resting(self.start, self.goal, self.duration, self.omega, elapsed)
+        return xi, z
 
 
 def single_supports(

@@ -7,7 +7,9 @@ import math
 import numpy as np
 
 from dqwalk_ros.arrays import Array
-from dqwalk_ros.dual_quaternions import DQ, product
+from dqwalk_ros.compiled import jit
+from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.kinematics import quaternion_product
 from dqwalk_ros.paths import minimum_jerk
 
 __all__ = ["Swing"]
@@ -45,17 +47,16 @@ class Swing:
     def __init__(self, start: Array, goal: Array, height: float, descent: float = 0.0) -> None:
         a, b = DQ(start), DQ(goal)
         turn = b.P() * a.P().conj()
-        self._half = (turn if turn.vec4()[0] >= 0.0 else -turn).log().vec3()
-        self._angle, self._r = float(np.linalg.norm(self._half)), a.vec4()
-        self._p, self._above = a.translation()[:2], float(a.translation()[2])
-        self.goal = b.translation()[:2]
-        self._height = height
-        self._s = 0.0
+        half = (turn if turn.vec4()[0] >= 0.0 else -turn).log().vec3()
+        x, y, z = a.translation()
+        done = 0.0
         if descent > 0.0:
-            self._s = _descent(self._above / height)
-            self._above, self._height = 0.0, self._above / _arch(self._s)[0]
-        self.begun = self._elapsed = self._s * descent
-        self._v = np.zeros(2)
+            done = _descent(z / height)
+            z, height = 0.0, z / _arch(done)[0]
+        self.goal = b.translation()[:2]
+        self.begun = done * descent
+        self._path = np.array([z, height, *a.vec4(), *half, np.linalg.norm(half)])
+        self._state = np.array([done, self.begun, x, y, 0.0, 0.0])
 
     def step(self, elapsed: float, duration: float) -> tuple[Array, Array, Array]:
         """Advance to a time and return the motion there.
@@ -76,34 +77,48 @@ class Swing:
         acceleration : ndarray, shape (2,)
             Along the ground [m/s^2].
         """
-        # the completed fraction of the path increases linearly to 1 at the end
-        since, left = elapsed - self._elapsed, max(duration - self._elapsed, 1e-3)
-        rate = (1.0 - self._s) / left
-        s = min(self._s + rate * since, 1.0)
-        rate = (1.0 - s) / max(duration - elapsed, 1e-3) if s < 1.0 else 0.0
-        before, (place, slope) = _along(self._s)[0], _along(s)
-        if before < 1.0:  # the same fraction of the remaining distance as for a fixed goal
-            self._p = self._p + (place - before) / (1.0 - before) * (self.goal - self._p)
-        v = slope * rate / (1.0 - place) * (self.goal - self._p) if place < 1.0 - 1e-9 else np.zeros(2)
-        acceleration = (v - self._v) / since if since > 0.0 else np.zeros(2)
-        self._s, self._elapsed, self._v = s, elapsed, v
-        arch, steep = _arch(s)
-        z = self._above * (1.0 - s) + self._height * arch
-        rise = -self._above + self._height * steep
-        sin = math.sin(self._angle * place) / self._angle if self._angle > 0.0 else 0.0
-        r = product(math.cos(self._angle * place), *(sin * self._half).tolist(), *self._r.tolist())
-        turning = 2.0 * slope * rate * self._half
-        return np.array([*self._p, z, *r]), np.array([*v, rise * rate, *turning]), acceleration
+        pose, velocity, acceleration = _advanced(self._state, self.goal, self._path, elapsed, duration)
+        return pose, velocity, acceleration
 
 
-def _along(s: float) -> tuple[float, float]:
+@jit
+def _advanced(state, goal, path, elapsed, duration):  # type: ignore[no-untyped-def]
+    """Advance `state` (6,) to the time `elapsed`; see `Swing.step`.
+
+    It is the completed fraction of the time, the time [s], and place and velocity along the ground; `path` (10,) is the
+    height of the start and of the arch [m], the orientation at the start, half the rotation vector and its norm.
+    """
+    since, left = elapsed - state[1], max(duration - state[1], 1e-3)
+    # the completed fraction of the time increases linearly to 1 at the end
+    s = min(state[0] + (1.0 - state[0]) / left * since, 1.0)
+    rate = (1.0 - s) / max(duration - elapsed, 1e-3) if s < 1.0 else 0.0
+    (before, _), (place, slope), p, v = _along(state[0]), _along(s), state[2:4].copy(), np.zeros(2)
+    if before < 1.0:  # the same fraction of the remaining distance as for a fixed goal
+        p += (place - before) / (1.0 - before) * (goal - p)
+    if place < 1.0 - 1e-9:
+        v = slope * rate / (1.0 - place) * (goal - p)
+    acceleration = (v - state[4:]) / since if since > 0.0 else np.zeros(2)
+    state[0], state[1], state[2:4], state[4:] = s, elapsed, p, v
+    arch, steep = _arch(s)
+    start, height, r, half, angle = path[0], path[1], path[2:6], path[6:9], path[9]
+    z, rise = start * (1.0 - s) + height * arch, -start + height * steep
+    sin = math.sin(angle * place) / angle if angle > 0.0 else 0.0
+    axis = sin * half
+    turned = quaternion_product(math.cos(angle * place), axis[0], axis[1], axis[2], r[0], r[1], r[2], r[3])
+    pose = np.concatenate((p, np.array([z]), np.array(turned)))
+    return pose, np.concatenate((v, np.array([rise * rate]), 2.0 * slope * rate * half)), acceleration
+
+
+@jit
+def _along(s):  # type: ignore[no-untyped-def]
     """Return the completed fraction of the distance along the ground at the fraction `s` of the time, and its slope."""
     span = 1.0 - _LIFT - _LAND
     place, slope, _ = minimum_jerk((s - _LIFT) / span)
     return place, slope / span
 
 
-def _arch(s: float) -> tuple[float, float]:
+@jit
+def _arch(s):  # type: ignore[no-untyped-def]
     """Return the height 0..1 at the fraction `s` of the time, and its slope: s^2 (1 - s)^2.7, scaled.
 
     It ends without velocity and acceleration: a foot that hits the ground unloads the supporting sole, which slips. A

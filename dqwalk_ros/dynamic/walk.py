@@ -24,7 +24,6 @@ from dqwalk_ros.dynamic.ground import Ground, turned
 from dqwalk_ros.dynamic.pendulum import Pendulum, swing_inertia
 from dqwalk_ros.dynamic.plan import Course, Pressed, Rest, single_supports
 from dqwalk_ros.dynamic.swing import Swing
-from dqwalk_ros.dynamic.tasks import Follow, FollowPose, Target
 from dqwalk_ros.errors import StateError
 from dqwalk_ros.geometry import ConvexPolygon
 from dqwalk_ros.kinematics import CenterOfMass, CenterOfMassOnGround, Direction, Kinematics
@@ -35,10 +34,11 @@ from dqwalk_ros.standing.footsteps import Footprint
 from dqwalk_ros.standing.walk import StandingWalk
 from dqwalk_ros.state import State
 from dqwalk_ros.statics import GRAVITY, ground_torques
+from dqwalk_ros.targets import Follow, FollowPose, Target
 from dqwalk_ros.tasks import Task
 from dqwalk_ros.walk import Phase, PhaseKind, Rule, com_target
 
-__all__ = ["DynamicWalk", "along_ground"]
+__all__ = ["DynamicWalk", "divergent_component"]
 
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -293,20 +293,17 @@ class DynamicWalk(StandingWalk):
         omega, up = self.pendulum.omega, kin.up
         dt = state.time - self._time
         self._time = state.time
-        c, v = along_ground(kin.com, up), along_ground(self.com_velocity(kin, state), up)
-        if known := 0.0 <= dt <= _GAP:
-            self._com = self._com + dt * omega * (self._xi - self._com)  # c' = w (xi - c)
-        else:
-            dt, self._com, self._xi = 0.0, c, c + v / omega if self._descends else c
+        c, xi = divergent_component(kin.com, self.com_velocity(kin, state), up, omega)
+        if not 0.0 <= dt <= _GAP:
+            dt, self._com, self._xi, self._smooth = 0.0, c, xi if self._descends else c, xi
             self._ground = Ground(up, self._unsure)
+        self._com = self._com + dt * omega * (self._xi - self._com)  # c' = w (xi - c)
         if phase is not self._known:
             self._begin(phase, kin)
         self._ground.observe(up, dt)
         assert isinstance(phase.rule, Timed)
         t = kin.elapsed + phase.rule.begun
-        xi = c + v / omega
-        moved = self._smooth + dt * omega * (self._smooth - self._pressure) if known else xi  # xi' = w (xi - z)
-        self._smooth = moved + dt / (_SMOOTH + dt) * (xi - moved)
+        self._smooth = _filtered(self._smooth, self._pressure, xi, omega, dt)
         flight = self._flight
         if flight is not None:
             phase = self._adjust_step(flight, phase, c, self._smooth, t)
@@ -320,13 +317,11 @@ class DynamicWalk(StandingWalk):
             place, velocity, acceleration = flight.swing.step(t, flight.rule.duration - self._advance)
             self._targets["swing"].set(turned(self._ground.tip(up), place), velocity)
             z[0] += self.pendulum.swing * acceleration[0]
-        self._pressure = z = _inside(z, *self._support, self.config.standing.pressure_margin)
-        a = omega**2 * (c - z)  # acceleration of the pendulum
-        self._force = GRAVITY * up + np.array([a[0], a[1], -(a @ up[:2]) / up[2]])
+        self._pressure = _inside(z, *self._support, self.config.standing.pressure_margin)
+        self._force = _force(c, self._pressure, omega, up)
         ahead = min(self._advance, 0.5 * self.config.dt + _MOST_AHEAD)
         later, _ = self._course.at(t + ahead)
-        com = self._com + (1.0 - np.exp(-omega * ahead)) * (0.5 * (self._xi + later) - self._com)  # c' = w (xi - c)
-        self._targets["com"].set(com, omega * (later - com))
+        self._targets["com"].set(*_converging(self._com, self._xi, later, omega, ahead))
         self._targets["upright"].set(up[:2], np.zeros(2))
         self._known = phase
         return phase
@@ -353,7 +348,7 @@ class DynamicWalk(StandingWalk):
         if t > rule.duration - d.settled:
             return phase if phase.decision or flight.lost < _CONFIRMED else self._with_decision(flight, phase)
         if flight.lost < _CONFIRMED:
-            over, _ = left_over(step, xi, t, np.array([step.duration - t]))
+            over, _ = left_over(step, xi, t, step.duration - t)
             flight.lost = flight.lost + 1 if np.abs(over).max() > self._threshold else 0
             if flight.lost < _CONFIRMED:
                 return phase
@@ -494,17 +489,48 @@ class DynamicWalk(StandingWalk):
 
     def _accelerated(self, time: float, u: Array) -> Array:
         """Return the filtered acceleration (n,) [rad/s^2] of the commands, of which `u` (n,) is that at `time` [s]."""
-        passed, change, last = time - self._commanded, u - self._u, self._acceleration
+        passed, before = time - self._commanded, self._u
         self._commanded, self._u = time, u
         known = 0.0 < passed <= _GAP
-        self._acceleration = last + (change - passed * last) / (_ACCELERATION + passed) if known else np.zeros_like(u)
+        self._acceleration = _approached(self._acceleration, before, u, passed) if known else np.zeros_like(u)
         return self._acceleration
 
 
-def along_ground(v: Array, up: Array) -> Array:
-    """Return the projection of a vector (3,) on the ground along the vertical `up` (3,), shape (2,)."""
-    along: Array = v[:2] - v[2] / up[2] * up[:2]
-    return along
+@jit
+def divergent_component(com, velocity, up, omega):  # type: ignore[no-untyped-def]
+    """Return the projection c (2,) of the CoM (3,) on the ground along the vertical `up` (3,), and xi = c + c'/w (2,).
+
+    `velocity` (3,) is that of the CoM [m/s], and `omega` (2,) are the frequencies of the pendulum [1/s].
+    """
+    c, v = com[:2] - com[2] / up[2] * up[:2], velocity[:2] - velocity[2] / up[2] * up[:2]
+    return c, c + v / omega
+
+
+@jit
+def _filtered(smooth, pressure, xi, omega, dt):  # type: ignore[no-untyped-def]
+    """Return the filtered xi (2,): that of `dt` [s] ago, moved as the pendulum, approaches the measured one."""
+    moved = smooth + dt * omega * (smooth - pressure)  # xi' = w (xi - z)
+    return moved + dt / (_SMOOTH + dt) * (xi - moved)
+
+
+@jit
+def _force(c, z, omega, up):  # type: ignore[no-untyped-def]
+    """Return the ground reaction force per mass (3,) [m/s^2] of the pendulum with the zero-moment point z (2,)."""
+    a = omega**2 * (c - z)
+    return GRAVITY * up + np.array([a[0], a[1], -(a[0] * up[0] + a[1] * up[1]) / up[2]])
+
+
+@jit
+def _converging(c, xi, later, omega, time):  # type: ignore[no-untyped-def]
+    """Return position and velocity (2,) of the CoM after a `time` [s] in which xi (2,) moves to `later` (2,)."""
+    c = c + (1.0 - np.exp(-omega * time)) * (0.5 * (xi + later) - c)  # c' = w (xi - c)
+    return c, omega * (later - c)
+
+
+@jit
+def _approached(acceleration, before, u, passed):  # type: ignore[no-untyped-def]
+    """Return the filtered acceleration (n,) after velocities have changed from `before` to `u` (n,) in a time [s]."""
+    return acceleration + (u - before - passed * acceleration) / (_ACCELERATION + passed)
 
 
 @jit

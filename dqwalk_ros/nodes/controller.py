@@ -199,9 +199,7 @@ class Controller(AnsweringNode):
         if self._has_begun:
             phase = self._walk.phase
             base, both, x_base = phase.base, phase.kind is not PhaseKind.SINGLE_SUPPORT, DQ(self._walk.x_odom_base)
-        kin = Kinematics(self._model, state.q, base)
-        if state.up is not None:
-            kin = kin.tilted(kin.direction(self._model.imu, state.up))
+        kin = Kinematics(self._model, state.q, base).with_vertical(state.up)
         self._odometry.publish(stamp, state, kin, x_base, both=both)
 
     @property

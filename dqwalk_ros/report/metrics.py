@@ -376,7 +376,7 @@ def analyse(trace: Trace) -> Series:
         for tick in range(record.start, stop):
             kin = Kinematics(model, trace.q[tick], phase.base)
             if up is not None and np.isfinite(up[tick]).all():
-                kin = kin.tilted(kin.direction(model.imu, up[tick]))
+                kin = kin.with_vertical(up[tick])
             now = phase.evaluate(kin)
             task_error[tick], com[tick], seen[tick] = now.error, kin.com, observe(kin)[0]
             margins[tick - record.start] = now.margins

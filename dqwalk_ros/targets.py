@@ -7,31 +7,51 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dqwalk_ros.arrays import Array
+from dqwalk_ros.compiled import jit
 from dqwalk_ros.constraints import pose_error
 from dqwalk_ros.kinematics import Feature, Point, Rotation
 from dqwalk_ros.tasks import Task
 
-__all__ = ["Follow", "FollowPose", "Target"]
+__all__ = ["Follow", "FollowPose", "Target", "follow", "follow_pose"]
 
 
-@dataclass(slots=True, eq=False)
 class Target:
     """Current target of a task.
 
-    Attributes
+    Parameters
     ----------
     place : ndarray, shape (k,)
         Desired value; for a pose (7,), position [m] and unit quaternion.
     velocity : ndarray, shape (k,)
         Its velocity; for a pose (6,), linear [m/s] and angular [rad/s].
+
+    Attributes
+    ----------
+    numbers : ndarray, shape (2 k,) or (13,)
+        Place and velocity; `assembly` reads them for every state.
     """
 
-    place: Array
-    velocity: Array
+    __slots__ = ("_size", "numbers")
+
+    def __init__(self, place: Array, velocity: Array) -> None:
+        self._size, self.numbers = len(place), np.concatenate([place, velocity])
 
     def set(self, place: Array, velocity: Array) -> None:
-        """Set `place` and `velocity`."""
-        self.place, self.velocity = place, velocity
+        """Set place and velocity."""
+        self.numbers[: self._size], self.numbers[self._size :] = place, velocity
+
+    @property
+    def place(self) -> Array:
+        """Desired value."""
+        return self.numbers[: self._size]
+
+
+@jit
+def follow(x, a):  # type: ignore[no-untyped-def]
+    """Return the error e = x - place (k,), and its desired rate, velocity - convergence e; `a` as in `Follow`."""
+    k = x.shape[0]
+    e = x - a[:k]
+    return e, a[k : 2 * k] - a[2 * k] * e
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,14 +80,32 @@ class Follow(Task):
         """The feature."""
         return (self.feature,)
 
+    @property
+    def parameters(self) -> Array:
+        """Target and convergence, shape (2 k + 1,)."""
+        return np.append(self.target.numbers, self.convergence)
+
     def value(self, s: Array, elapsed: float) -> tuple[Array, Array]:
         """Return e = A s - place, shape (k,), and its gradient A, shape (k, m)."""
-        return self.A @ s - self.target.place, self.A
+        return follow(self.A @ s, self.parameters)[0], self.A
 
     def rate(self, s: Array, e: Array, elapsed: float, eta: float) -> Array:
         """Return the desired rate of A s: velocity of the target less convergence e, shape (k,)."""
-        back: Array = self.target.velocity - self.convergence * e
+        back: Array = follow(self.A @ s, self.parameters)[1]
         return back
+
+
+@jit
+def follow_pose(s, a):  # type: ignore[no-untyped-def]
+    """Return the pose error (6,) [m], its gradient, and its desired rate (6,) [m/s].
+
+    `s` (7,) are the coordinates of the frame, and `a` (15,) the parameters of `FollowPose`. The rate is the velocity of
+    the target, angles times the lever, less the convergence times the error.
+    """
+    e, gradient = pose_error(s, a[:3], a[3:7], a[14])
+    rate = a[7:13] - a[13] * e
+    rate[3:] += (a[14] - 1.0) * a[10:13]
+    return e, gradient, rate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,14 +133,17 @@ class FollowPose(Task):
         """Position and orientation of the frame."""
         return (Point(self.frame), Rotation(self.frame))
 
+    @property
+    def parameters(self) -> Array:
+        """Target, convergence and lever, shape (15,)."""
+        return np.array([*self.target.numbers, self.convergence, self.lever])
+
     def value(self, s: Array, elapsed: float) -> tuple[Array, Array]:
         """Return the pose error (6,) [m], and its gradient with respect to the features."""
-        place = self.target.place
-        e, gradient = pose_error(s, place[:3], place[3:], self.lever)
+        e, gradient, _ = follow_pose(s, self.parameters)
         return e, gradient
 
     def rate(self, s: Array, e: Array, elapsed: float, eta: float) -> Array:
         """Return the desired rate: velocity of the target, rotation times lever, less convergence e, (6,) [m/s]."""
-        back = self.target.velocity - self.convergence * e
-        back[3:] += (self.lever - 1.0) * self.target.velocity[3:]
+        back: Array = follow_pose(s, self.parameters)[2]
         return back
