@@ -787,4 +787,4 @@ def to_yaml(config: Config, since: int | None = None) -> str:
         target = tree.setdefault(section, {}) if section else tree
         target[key] = (list(value) or [""]) if isinstance(value, tuple) else value
     begin = "" if since is None else _SINCE.format(since) + "\n"
-    return begin + str(yaml.safe_dump({"/**": {"ros__parameters": tree}}, sort_keys=False))
+    return begin + yaml.dump({"/**": {"ros__parameters": tree}}, Dumper=yaml.CSafeDumper, sort_keys=False)

@@ -16,16 +16,12 @@ __all__ = ["MAX_BYTES", "line_of", "read", "read_text"]
 
 MAX_BYTES = 1 << 20
 """Largest size of a file."""
+_MOST_NESTED = 50
+"""Largest depth of nested lists and dictionaries; the parser itself would overflow the stack."""
 
 
-class _Loader(yaml.SafeLoader):
-    """SafeLoader that refuses anchors, aliases, merge keys and duplicate keys."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
-        if getattr(event, "anchor", None):
-            raise _at(event, "anchors and aliases are not allowed")
-        return super().compose_node(parent, index)
+class _Loader(yaml.CSafeLoader):
+    """Loader that refuses merge keys and duplicate keys."""
 
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
         lines: dict[Any, int] = {}
@@ -79,16 +75,32 @@ def read(text: str, *, source: str = "text") -> Any:
     if len(text) > MAX_BYTES:
         raise ConfigError(f"{source}: longer than {MAX_BYTES >> 20} MiB")
     try:
+        _check_events(text)
         return yaml.load(text, _Loader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f"line {mark.line + 1}: " if mark is not None else ""
         raise ConfigError(f"{source}: {line}not YAML: {error.problem or error.context}") from error
-    except RecursionError as error:
-        raise ConfigError(f"{source}: nested too deeply") from error
     except (yaml.YAMLError, ValueError, OverflowError, KeyError, AttributeError, TypeError) as error:
         # a date that does not exist, a number with 5000 digits, a control character, ...
         raise ConfigError(f"{source}: not YAML: {' '.join(str(error).split())[:300]}") from error
+
+
+def _check_events(text: str) -> None:
+    """Check that a text has no anchors and aliases, and is nested at most `_MOST_NESTED` deep.
+
+    Raises
+    ------
+    yaml.YAMLError
+        If it has, or is not YAML.
+    """
+    depth = 0
+    for event in yaml.parse(text, _Loader):
+        if getattr(event, "anchor", None):
+            raise _at(event, "anchors and aliases are not allowed")
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > _MOST_NESTED:
+            raise _at(event, "nested too deeply")
 
 
 @lru_cache(maxsize=1)

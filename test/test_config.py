@@ -98,6 +98,7 @@ FILES = {
     "code": ("!!python/object/apply:os.system ['true']", "not YAML"),
     "two documents": (f"{HEAD}    dt: 0.005\n---\n{HEAD}    dt: 0.01\n", "not YAML"),
     "too deep": ("[" * 1000, "nested too deeply"),
+    "very deep": ("- " * 300_000, "nested too deeply"),
     "too long": ("#" * (1 << 20) + "\n", "longer than 1 MiB"),
     "a zero": ("\x00", "not YAML"),
     "empty": ("", r"expected '/\*\*"),

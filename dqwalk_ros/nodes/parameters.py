@@ -14,10 +14,10 @@ import pathlib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-import yaml
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
+from dqwalk_ros import strict_yaml
 from dqwalk_ros.config import OF_RCLPY, Config, Spec, beside
 from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.nodes.command_line import NODES
@@ -107,12 +107,9 @@ def _sections_of(path: pathlib.Path) -> dict[str, set[str]]:
     Raises
     ------
     ConfigError
-        If it cannot be read, or the name of a section is similar to that of a node of this package.
+        If it cannot be read, has a duplicate key, or a section is named similarly to a node of this package.
     """
-    try:
-        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
-        raise ConfigError(f"cannot read '{path}': {' '.join(str(error).split())}") from error
+    tree = strict_yaml.read(strict_yaml.read_text(path), source=str(path))
     out: dict[str, set[str]] = {}
     for keys in _keys(tree):
         if "ros__parameters" in keys[:-1]:
