@@ -6,7 +6,7 @@ and a `DQ` contains any number of them, shape ``(..., 8)``. A quaternion is a du
 
 from __future__ import annotations
 
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,10 +21,13 @@ _CONJ8 = np.concatenate([_CONJ4, _CONJ4])
 _SMALL = 1e-12
 
 
-def product(a1: Any, a2: Any, a3: Any, a4: Any, b1: Any, b2: Any, b3: Any, b4: Any) -> tuple[Any, Any, Any, Any]:
+def product(
+    a1: float, a2: float, a3: float, a4: float, b1: float, b2: float, b3: float, b4: float
+) -> tuple[float, float, float, float]:
     """Hamilton product of the quaternions (a1, a2, a3, a4) and (b1, b2, b3, b4), real part first.
 
-    The coefficients are numbers, or arrays of the same shape; `kinematics` compiles it (jit) for numbers.
+    All products of quaternions and dual quaternions follow from it: those of arrays here, and the compiled ones of
+    `kinematics`.
     """
     return (
         a1 * b1 - a2 * b2 - a3 * b3 - a4 * b4,
@@ -34,13 +37,25 @@ def product(a1: Any, a2: Any, a3: Any, a4: Any, b1: Any, b2: Any, b3: Any, b4: A
     )
 
 
+_T = np.array([[product(*a, *b) for b in np.eye(4).tolist()] for a in np.eye(4).tolist()])
+"""Structure constants: the product of the units i and j is sum_k T[i, j, k] of the unit k."""
+_PRODUCT = _T.reshape(16, 4)
+_LEFT, _RIGHT = _T.transpose(0, 2, 1).reshape(4, 16), _T.transpose(1, 2, 0).reshape(4, 16)
+_T8 = np.zeros((8, 8, 8))  # with eps^2 = 0
+_T8[:4, :4, :4] = _T8[:4, 4:, 4:] = _T8[4:, :4, 4:] = _T
+_DUAL_PRODUCT = _T8.reshape(64, 8)
+
+
+def _bilinear(a: Array, b: Array, constants: Array) -> Array:
+    """Return the product of elements (..., m) of an algebra with the structure constants (m m, m)."""
+    pairs = a[..., :, None] * b[..., None, :]
+    out: Array = pairs.reshape(*pairs.shape[:-2], len(constants)) @ constants
+    return out
+
+
 def qmul(a: Array, b: Array) -> Array:
     """Hamilton product of quaternions, shapes (..., 4), real part first."""
-    parts = product(*(a[..., k] for k in range(4)), *(b[..., k] for k in range(4)))
-    out = np.empty((*parts[0].shape, 4))
-    for k, part in enumerate(parts):
-        out[..., k] = part
-    return out
+    return _bilinear(a, b, _PRODUCT)
 
 
 def qconj(a: Array) -> Array:
@@ -209,10 +224,7 @@ class DQ:
     def __mul__(self, other: DQ | float) -> Self:
         if not isinstance(other, DQ):
             return type(self)(self._h * other)
-        a, b = self._h, other._h
-        primary = qmul(a[..., :4], b[..., :4])
-        dual = qmul(a[..., :4], b[..., 4:]) + qmul(a[..., 4:], b[..., :4])
-        return type(self)(np.concatenate([primary, dual], axis=-1))
+        return type(self)(_bilinear(self._h, other._h, _DUAL_PRODUCT))
 
     def __rmul__(self, other: float) -> Self:
         return type(self)(other * self._h)
@@ -284,16 +296,14 @@ def _as_dq(value: DQ | float) -> DQ:
 
 def _left(a: Array) -> Array:
     """Return the matrices H+4 of the quaternions a (..., 4), shape (..., 4, 4): vec4(ab) = H+4(a) vec4(b)."""
-    a1, a2, a3, a4 = np.moveaxis(a, -1, 0)
-    rows = [[a1, -a2, -a3, -a4], [a2, a1, -a4, a3], [a3, a4, a1, -a2], [a4, -a3, a2, a1]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    matrix: Array = (a @ _LEFT).reshape(*a.shape[:-1], 4, 4)
+    return matrix
 
 
 def _right(a: Array) -> Array:
     """Return the matrices H-4 of the quaternions a (..., 4), shape (..., 4, 4): vec4(ba) = H-4(a) vec4(b)."""
-    a1, a2, a3, a4 = np.moveaxis(a, -1, 0)
-    rows = [[a1, -a2, -a3, -a4], [a2, a1, a4, -a3], [a3, -a4, a1, a2], [a4, a3, -a2, a1]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    matrix: Array = (a @ _RIGHT).reshape(*a.shape[:-1], 4, 4)
+    return matrix
 
 
 def _blocks(primary: Array, dual: Array) -> Array:
