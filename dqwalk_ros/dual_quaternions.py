@@ -26,8 +26,8 @@ def product(
 ) -> tuple[float, float, float, float]:
     """Hamilton product of the quaternions (a1, a2, a3, a4) and (b1, b2, b3, b4), real part first.
 
-    All products of quaternions and dual quaternions follow from it: those of arrays here, and the compiled ones of
-    `kinematics`.
+    All products of quaternions and dual quaternions follow from it: those of arrays here, and those of `kinematics`,
+    which compiles it (jit).
     """
     return (
         a1 * b1 - a2 * b2 - a3 * b3 - a4 * b4,
