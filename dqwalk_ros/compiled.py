@@ -1,8 +1,8 @@
 """Compilation of numerical functions by numba, and the cache of their machine code on disk.
 
 Numba recompiles a cached function only when its own file changes, although its machine code contains the functions
-that it calls from other files. So the cache folder is named after a digest of all source files of this package that
-contain compiled functions: a change in any of them recompiles all.
+that it calls from other files. So the cache folder is named after a digest of all source files of this package in which
+the word jit occurs: a change in any of them recompiles all.
 """
 
 from __future__ import annotations
