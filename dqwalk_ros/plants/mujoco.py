@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dqwalk_ros.arrays import Array
+from dqwalk_ros.compiled import jit
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import PlantError
-from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.kinematics import Kinematics, quaternion_product
 from dqwalk_ros.plants import Inertial, Plant, Truth, upward
 from dqwalk_ros.plants.bus import Bus
 from dqwalk_ros.plants.sensors import Reading, Sensors
@@ -70,6 +71,7 @@ class PhysicsPlant(Plant):
         self.data: Any = mujoco.MjData(self.mj)
         self._qpos, self._qvel = self.data.qpos, self.data.qvel  # views, and so are these
         self._xpos, self._xquat, self._xmat = self.data.xpos, self.data.xquat, self.data.xmat
+        self._sensed = self.data.sensordata
         joints = [self.mj.joint(name) for name in model.joint_names]
         self._qadr = np.array([int(j.qposadr[0]) for j in joints])
         self._vadr = np.array([int(j.dofadr[0]) for j in joints])
@@ -148,7 +150,7 @@ class PhysicsPlant(Plant):
             wrenches={foot: self._wrench(foot) for foot in Foot},
             com=self.data.subtree_com[self._root].copy(),
             q=self._qpos[self._qadr],
-            effort=self.data.qfrc_actuator[self._vadr] - self._back_emf * self.data.qvel[self._vadr],
+            effort=self.data.qfrc_actuator[self._vadr] - self._back_emf * self._qvel[self._vadr],
         )
 
     @property
@@ -204,19 +206,35 @@ class PhysicsPlant(Plant):
         self._height = float(self.data.xpos[self._root][2])
 
     def _pose(self, body: int) -> Array:
-        x, p, r = np.empty(8), np.zeros(4), self.data.xquat[body]
-        p[1:] = 0.5 * self.data.xpos[body]
-        x[:4] = r
-        mujoco.mju_mulQuat(x[4:], p, r)  # (U1)
+        x: Array = _pose(self._xpos[body], self._xquat[body])
         return x
 
     def _wrench(self, foot: Foot) -> Array:
         """Return the force and torque of the ground about the sole's origin in its axes, shape (6,)."""
-        of_sole = self.data.sensordata[self._ground[foot] :][:9]  # force, torque, and the point where both act
-        out, body = np.empty(6), self._soles[foot]
-        given = -np.concatenate([of_sole[3:6], of_sole[:3]])
-        mujoco.mju_transformSpatial(out, given, 1, self.data.xpos[body], of_sole[6:], self.data.xmat[body])
-        return np.concatenate([out[3:], out[:3]])
+        body, sensor = self._soles[foot], self._ground[foot]
+        wrench: Array = _moved_wrench(self._sensed[sensor : sensor + 9], self._xpos[body], self._xmat[body])
+        return wrench
+
+
+@jit
+def _pose(p, r):  # type: ignore[no-untyped-def]
+    """Return the pose r + eps 1/2 p r of (U1), shape (8,)."""
+    x = np.empty(8)
+    x[:4] = r
+    x[4:] = quaternion_product(0.0, 0.5 * p[0], 0.5 * p[1], 0.5 * p[2], r[0], r[1], r[2], r[3])
+    return x
+
+
+@jit
+def _moved_wrench(measured, p, R):  # type: ignore[no-untyped-def]
+    """Return a force and torque (6,) about the point p (3,) in the axes R (9,), by row.
+
+    `measured` (9,) are force and torque with the opposite sign, and the point at which they act, in world axes.
+    """
+    force, at = -measured[:3], measured[6:]
+    torque = np.cross(at - p, force) - measured[3:6]
+    to_axes = R.reshape((3, 3)).T
+    return np.concatenate((to_axes @ force, to_axes @ torque))
 
 
 def robot_spec(
