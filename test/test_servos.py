@@ -21,7 +21,7 @@ from dqwalk_ros.plants.sensors import Reading, Sensors
 from dqwalk_ros.report import bag
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.servos import Drive, Servos, load_types
-from dqwalk_ros.simulation import make_controller, make_plant, simulate
+from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, simulate
 from dqwalk_ros.state import Command
 
 CONFIG = dq.load("poppy")
@@ -252,6 +252,34 @@ def test_the_inertial_sensor_measures_a_slope() -> None:
     assert np.dot(plant.mj.opt.gravity, [np.sin(a) * np.cos(b), np.sin(b), np.cos(a) * np.cos(b)]) < -9.8
     weight = sum(w[:3] for w in plant.truth.wrenches.values())
     assert np.linalg.norm(weight) == pytest.approx(MODEL.mass * 9.80665, rel=0.05)
+
+
+def test_the_wrenches_are_the_contact_forces_about_the_origin_of_each_sole() -> None:
+    """Compared with the engine's force of every single contact, while one or both soles are on the ground."""
+    config = overlaid(dq.load("poppy_dynamic"), "physics").updated({"gait.steps": 2, "physics.slope": 0.03})
+    controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
+    assert isinstance(plant, PhysicsPlant)
+    mj, d, fewest = plant.mj, plant.data, 2
+    for tick, _ in enumerate(closed_loop(controller, plant)):
+        if tick % 20:
+            continue
+        mujoco.mj_forward(mj, d)  # contacts, forces and sensors of the same moment
+        truth = plant.truth
+        fewest = min(fewest, sum(bool(w.any()) for w in truth.wrenches.values()))
+        for foot in Foot:
+            sole, expected = mj.body(MODEL.soles[foot].frame).id, np.zeros(6)
+            for k, contact in enumerate(d.contact):
+                bodies, felt = mj.geom_bodyid[contact.geom], np.empty(6)
+                if sole in bodies:
+                    mujoco.mj_contactForce(mj, d, k, felt)
+                    felt *= 1.0 if bodies[1] == sole else -1.0  # it acts on the second body
+                    force, torque = contact.frame.reshape(3, 3).T @ felt[:3], contact.frame.reshape(3, 3).T @ felt[3:]
+                    expected += [*force, *torque + np.cross(contact.pos - d.xpos[sole], force)]
+            R = d.xmat[sole].reshape(3, 3)
+            np.testing.assert_allclose(truth.wrenches[foot], [*expected[:3] @ R, *expected[3:] @ R], atol=1e-9)
+            x = DQ.from_pose(d.xpos[sole], d.xquat[sole]).vec8()
+            np.testing.assert_allclose(truth.soles[foot], x, rtol=0, atol=1e-15)
+    assert fewest == 1
 
 
 def test_soft_servos_stand_on_a_slope_before_the_first_command() -> None:
