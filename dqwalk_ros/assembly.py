@@ -272,7 +272,7 @@ class Assembly:
         s, J_features = self._observer(kin)
         values, gradients = np.empty(self._b.shape), np.empty(self._A.shape)
         rates, limit_distances = np.empty(self._task_rows), np.empty(self._b_limits.shape)
-        for target, copy in self._targets:
+        for target, copy in self._targets:  # the walk may have changed it
             copy[:] = target.numbers
         _stack(
             self._items, self._parameters, self._A, self._b, self._A_limits, self._b_limits, self._eta, kin.q,

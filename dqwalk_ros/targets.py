@@ -40,11 +40,6 @@ class Target:
         """Set place and velocity."""
         self.numbers[: self._size], self.numbers[self._size :] = place, velocity
 
-    @property
-    def place(self) -> Array:
-        """Desired value."""
-        return self.numbers[: self._size]
-
 
 @jit
 def follow(x, a):  # type: ignore[no-untyped-def]

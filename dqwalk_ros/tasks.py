@@ -39,7 +39,7 @@ class Task(ABC):
 
     @property
     def parameters(self) -> Array:
-        """Constants of its compiled function, for the classes that `assembly` evaluates in compiled code."""
+        """Numbers that its compiled function takes, for the classes that `assembly` evaluates in compiled code."""
         return np.empty(0)
 
     @abstractmethod

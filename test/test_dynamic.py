@@ -324,7 +324,7 @@ def swing_target(config: dq.Config, q: np.ndarray, before: np.ndarray, up: np.nd
         kin = Kinematics(MODEL, q, Foot.RIGHT, up, config.dt * k)
         phase = walk.observe(phase, kin, still(1.0 + config.dt * (k + 1), q, up))
     (target,) = (task.target for task in phase.tasks if isinstance(task, FollowPose))
-    return target.place
+    return target.numbers[:7]
 
 
 def inclined(degrees: float) -> np.ndarray:

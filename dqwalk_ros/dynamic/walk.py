@@ -497,13 +497,19 @@ class DynamicWalk(StandingWalk):
 
 
 @jit
+def _along_ground(v, up):  # type: ignore[no-untyped-def]
+    """Return the projection of a vector (3,) on the ground along the vertical `up` (3,), shape (2,)."""
+    return v[:2] - v[2] / up[2] * up[:2]
+
+
+@jit
 def divergent_component(com, velocity, up, omega):  # type: ignore[no-untyped-def]
     """Return the projection c (2,) of the CoM (3,) on the ground along the vertical `up` (3,), and xi = c + c'/w (2,).
 
     `velocity` (3,) is that of the CoM [m/s], and `omega` (2,) are the frequencies of the pendulum [1/s].
     """
-    c, v = com[:2] - com[2] / up[2] * up[:2], velocity[:2] - velocity[2] / up[2] * up[:2]
-    return c, c + v / omega
+    c = _along_ground(com, up)
+    return c, c + _along_ground(velocity, up) / omega
 
 
 @jit
