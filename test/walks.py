@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config, load
 from dqwalk_ros.constraints import Constraint
-from dqwalk_ros.kinematics import Kinematics, Observer, support_tree
+from dqwalk_ros.kinematics import Kinematics, Observer
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.qp import Problem
 from dqwalk_ros.robot import RobotModel
@@ -88,16 +88,14 @@ def segments(trace: Trace) -> Iterator[Segment]:
     for record, end in zip(trace.phases, [*starts[1:], len(trace) - 1], strict=True):
         phase = make_walk(config, model).phase(record.kind, record.support, record.q_start, record.swing_target)
         ticks = range(record.start, end + 1)
-        rows = (*phase.equalities, *phase.constraints)
-        tree = support_tree(model, phase.base)
-        observers = [Observer(row.watches, tree) for row in rows]
-        error, values = [], {row.name: [] for row in rows}
+        error, margins = [], []
         for tick in ticks:
             kin = Kinematics(model, trace.q[tick], phase.base)
-            error.append(phase.evaluate(kin).error)
-            for row, observer in zip(rows, observers, strict=True):
-                values[row.name].append(row.value(observer(kin)[0])[0])
-        arrays = {row.name: np.array(values[row.name]).reshape(len(ticks), -1) - row.bound for row in rows}
+            now = phase.evaluate(kin)
+            error.append(now.error)
+            margins.append(now.margins)
+        rows = (*phase.equalities, *phase.constraints)
+        arrays = {row.name: np.array(margins)[:, phase.assembly.spans[row.name]] for row in rows}
         yield Segment(
             phase=phase,
             ticks=ticks,
