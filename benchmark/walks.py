@@ -183,7 +183,7 @@ class Walker:
         config = self.config.updated(changes)
         model = load_model(config.robot)
         controller, plant = self.make(config), PhysicsPlant(config, model, self.q)
-        start, began, ticks, energy, work = plant.truth.pelvis, 0.0, [], [], 0.0
+        start, q, began, ticks, energy, work = plant.truth.pelvis, plant.truth.q, 0.0, [], [], 0.0
         supports: list[tuple[Foot, float, float]] = []
         on: tuple[Foot, float] | None = None
 
@@ -200,7 +200,8 @@ class Walker:
                     if state.time > push[0] + AFTER:
                         break
                     continue
-                joints = plant.truth.effort * plant.state.dq
+                truth = plant.truth
+                joints, q = truth.effort * (truth.q - q) / config.dt, truth.q
                 energy.append(float(np.abs(joints).sum()))
                 work += config.dt * float(np.maximum(joints, 0.0).sum())
                 foot = _support(controller)

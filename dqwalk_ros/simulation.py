@@ -310,7 +310,7 @@ class PhysicsRecord:
     q : ndarray, shape (N, n)
         True joint angles [rad].
     effort : ndarray, shape (N, n)
-        Torques of the servos on the joints [N m].
+        Torques of the servos on the joints, the mean of the period before each state [N m].
     """
 
     pelvis: Array

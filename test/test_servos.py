@@ -40,6 +40,11 @@ def hanging(**changes: object) -> PhysicsPlant:
     return plant
 
 
+def torques(plant: PhysicsPlant) -> np.ndarray:
+    """Return the present torques of the servos on the joints [N m]."""
+    return plant.data.qfrc_actuator[plant._vadr] - plant._back_emf * plant.data.qvel[plant._vadr]
+
+
 # ---------------------------------------------------------------------- the table
 
 
@@ -139,7 +144,7 @@ def test_servo_torque_is_proportional_to_the_error_up_to_the_stall_torque() -> N
         mujoco.mj_forward(plant.mj, data)
         s = Servos.of(TYPED, MODEL)
         expected = np.clip(s.stiffness[KNEE] * max(error - 0.5 * s.backlash[KNEE], 0.0), 0.0, 2.5)
-        assert plant.truth.effort[KNEE] == pytest.approx(expected, abs=1e-9)
+        assert torques(plant)[KNEE] == pytest.approx(expected, abs=1e-9)
 
 
 def test_within_the_backlash_there_is_no_torque() -> None:
@@ -147,7 +152,7 @@ def test_within_the_backlash_there_is_no_torque() -> None:
     plant._goals[:] = plant.data.qpos[plant._qadr] + 0.0028  # less than half of 0.0058
     plant.data.qvel[:] = 0.0
     mujoco.mj_forward(plant.mj, plant.data)
-    np.testing.assert_allclose(plant.truth.effort, 0.0, atol=1e-12)
+    np.testing.assert_allclose(torques(plant), 0.0, atol=1e-12)
 
 
 def test_servo_torque_decreases_to_zero_at_the_no_load_speed() -> None:
@@ -159,7 +164,33 @@ def test_servo_torque_decreases_to_zero_at_the_no_load_speed() -> None:
         plant.data.qvel[:] = 0.0
         plant.data.qvel[plant._vadr[KNEE]] = speed
         mujoco.mj_forward(plant.mj, plant.data)
-        assert plant.truth.effort[KNEE] == pytest.approx(torque, abs=1e-9)
+        assert torques(plant)[KNEE] == pytest.approx(torque, abs=1e-9)
+
+
+def test_recorded_torques_and_angles_give_the_work_of_the_servos() -> None:
+    """Summed over every step of the engine; a torque of one moment of the period gives less than nothing."""
+    config = overlaid(dq.load("poppy_dynamic"), "physics").updated({"gait.steps": 2})
+    controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
+    assert isinstance(plant, PhysicsPlant)
+    done = np.zeros(MODEL.n)
+
+    def add_work(*_: object) -> None:
+        done[:] += config.physics.timestep * torques(plant) * plant.data.qvel[plant._vadr]
+
+    recorded, q = [], plant.truth.q
+    mujoco.set_mjcb_control(add_work)
+    try:
+        for _ in closed_loop(controller, plant):
+            truth = plant.truth
+            recorded.append(truth.effort * (truth.q - q))
+            q = truth.q
+    finally:
+        mujoco.set_mjcb_control(None)
+    net, exact = float(np.sum(recorded)), float(done.sum())
+    positive = float(np.maximum(recorded, 0.0).sum())
+    assert exact > 0.0
+    assert net == pytest.approx(exact, abs=0.02 * positive)
+    assert net > 0.05 * positive
 
 
 def test_goals_are_delayed_and_held() -> None:

@@ -90,7 +90,7 @@ class Truth:
     q : ndarray, shape (n,)
         Joint angles [rad].
     effort : ndarray, shape (n,)
-        Torques of the servos on the joints [N m].
+        Torques of the servos on the joints, the mean of the last control period [N m].
     """
 
     pelvis: Array

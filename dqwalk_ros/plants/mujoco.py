@@ -1,7 +1,6 @@
 """The robot in the physics engine MuJoCo, with rectangular soles, friction, position servos and an inertial sensor.
 
-The root link floats, and only the soles have contacts with the ground. All simulation steps between two changes of the
-servos' goals are one call of the engine, without Python code in between.
+The root link floats, and only the soles have contacts with the ground.
 """
 
 from __future__ import annotations
@@ -71,7 +70,7 @@ class PhysicsPlant(Plant):
         self.data: Any = mujoco.MjData(self.mj)
         self._qpos, self._qvel = self.data.qpos, self.data.qvel  # views, and so are these
         self._xpos, self._xquat, self._xmat = self.data.xpos, self.data.xquat, self.data.xmat
-        self._sensed = self.data.sensordata
+        self._sensed, self._torque = self.data.sensordata, self.data.qfrc_actuator
         joints = [self.mj.joint(name) for name in model.joint_names]
         self._qadr = np.array([int(j.qposadr[0]) for j in joints])
         self._vadr = np.array([int(j.dofadr[0]) for j in joints])
@@ -94,6 +93,7 @@ class PhysicsPlant(Plant):
         self._ticks = 0
         mujoco.mj_step(self.mj, self.data, max(1, round(config.physics.settle / self.mj.opt.timestep)))
         mujoco.mj_step1(self.mj, self.data)
+        self._effort = self._torque[self._vadr] - self._back_emf * self._qvel[self._vadr]
         self._state = self._measured()
 
     @property
@@ -115,16 +115,18 @@ class PhysicsPlant(Plant):
         mj, data, h = self.mj, self.data, self._timestep
         now = data.time
         self._bus.command(u, tau, self._state.q, now, dt)
-        left = max(1, round(dt / h))
+        left = count = max(1, round(dt / h))
+        q, torque = self._qpos[self._qadr], np.zeros(mj.nv)
         while left:
             self._goals[:], until = self._bus.output(now)
             steps = min(left, max(1, math.ceil((until - now) / h - 1e-6))) if until < math.inf else left
-            # mj_step1 has computed positions and velocities already; mj_step2 applies the forces
-            mujoco.mj_step2(mj, data)
-            if steps > 1:
-                mujoco.mj_step(mj, data, steps - 1)
-            mujoco.mj_step1(mj, data)
+            for _ in range(steps):
+                # mj_step1 has computed positions and velocities already; mj_step2 applies the forces
+                mujoco.mj_step2(mj, data)
+                torque += self._torque
+                mujoco.mj_step1(mj, data)
             left, now = left - steps, data.time
+        self._effort = (torque[self._vadr] - self._back_emf * (self._qpos[self._qadr] - q) / h) / count
         if not math.isfinite(self._qpos.dot(self._qpos)):
             raise PlantError("the simulation is not finite any more")
         self._ticks += 1
@@ -142,7 +144,7 @@ class PhysicsPlant(Plant):
 
     @property
     def truth(self) -> Truth:
-        """Ground truth; forces are those of the engine's last step."""
+        """Ground truth; forces are those of the engine's last step, torques the mean of the last period."""
         soles = {foot: self._pose(body) for foot, body in self._soles.items()}
         return Truth(
             pelvis=self._pose(self._pelvis),
@@ -150,7 +152,7 @@ class PhysicsPlant(Plant):
             wrenches={foot: self._wrench(foot) for foot in Foot},
             com=self.data.subtree_com[self._root].copy(),
             q=self._qpos[self._qadr],
-            effort=self.data.qfrc_actuator[self._vadr] - self._back_emf * self._qvel[self._vadr],
+            effort=self._effort,
         )
 
     @property

@@ -445,7 +445,9 @@ class Ground:
     circle : Circle or None
         Fitted if the path turns far enough.
     power : ndarray, shape (N,)
-        Of all joints, sum |tau dq| [W]; nan where torques were not recorded.
+        Of all joints in the period before each state, sum |tau dq| [W]; nan at the first state, and where torques were
+        not recorded. It is the mean torque times the mean velocity: at a single moment, such as before each change of
+        the servos' goals, the torque is not that of the period.
     work : ndarray, shape (N,)
         Sum of the positive part of each joint's power [W]: the power of servos that do not recover braking energy.
     """
@@ -479,8 +481,8 @@ class Ground:
         turned = abs(float(self.stands[-1, 2] - self.stands[0, 2]))
         arc = turned > _TURNED and len(self.stands) > 5
         self.circle = Circle.through(self.stands[1:, :2]) if arc else None
-        dq = np.gradient(true_q, trace.time, axis=0) if count > 1 else np.zeros_like(true_q)
-        joints = physics.effort * dq  # (N, n) [W]
+        joints = np.full(true_q.shape, np.nan)  # power [W]
+        joints[1:] = physics.effort[1:] * np.diff(true_q, axis=0) / np.diff(trace.time)[:, None]
         self.power, self.work = np.abs(joints).sum(axis=1), np.maximum(joints, 0.0).sum(axis=1)
 
     @property

@@ -436,7 +436,7 @@ def _physics(series: Series, of: Ground) -> dict[str, Any]:
     if np.isfinite(of.power).any():
         # cost of transport: positive work per weight and path length
         work = float(np.nanmean(of.work)) * duration
-        moved = series.trace.model.mass * GRAVITY * out["way"]
+        moved = series.trace.model.mass * series.trace.config.physics.mass_scale * GRAVITY * out["way"]
         out["energy"] = {
             "power": float(np.nanmean(of.power)),
             "positive": float(np.nanmean(of.work)),
