@@ -4,10 +4,10 @@ import dataclasses
 
 from dqwalk_ros import load
 from dqwalk_ros.whole_body import SCENARIOS
-from dqwalk_ros.whole_body.experiments import Walk, walk
+from dqwalk_ros.whole_body.experiments import walk
 
 scenario = dataclasses.replace(SCENARIOS["1"], duration=0.5)  # the first half second of Test 1
-trace = walk(load("whole_body"), Walk(scenario))
+trace = walk(load("whole_body"), scenario)
 least = {name: values.min() for name, values in trace.margins.items()}
 print(f"{len(trace.time)} ticks; {trace.note or 'it stands'}; the hand reaches for {trace.time[-1]:.2f} s")
 for name, value in least.items():

@@ -26,7 +26,6 @@ from dqwalk_ros.robot import load_model
 from dqwalk_ros.text_table import aligned
 from dqwalk_ros.whole_body import PAPER_TIMES, SCENARIOS, Scenario, WholeBodyController, WholeBodyTrace
 from dqwalk_ros.whole_body.demands import KEPT, Demand, checks, spread, summary
-from dqwalk_ros.whole_body.experiments import Walk
 from dqwalk_ros.whole_body.trace import MARGINS
 
 _TARGET = SCENARIOS["1"].targets[:1]
@@ -63,21 +62,21 @@ def _at_most(name: str, value: float, most: float, unit: str = "", **more: Any) 
     return Requirement(name, value, unit, f"<= {most:g}", value <= most, **more)
 
 
-def walks() -> dict[str, Walk]:
-    """Return the walks that `judge` needs, by name."""
+def walks() -> dict[str, tuple[Scenario, Mapping[str, Any]]]:
+    """Return the walks that `judge` needs, by name: scenario, and changes of the configuration."""
     one, two = SCENARIOS["1"], SCENARIOS["2"]
     off = {"whole_body.capturability": False}
-    found = {"1": Walk(one), "2": Walk(two)}
+    found: dict[str, tuple[Scenario, Mapping[str, Any]]] = {"1": (one, {}), "2": (two, {})}
     for k, (when, _) in enumerate(two.pushes):
         others = (*two.pushes[:k], *two.pushes[k + 1 :])
         name = f"Test 2 without push {k + 1}"
-        found[f"2 without {k}"] = Walk(replace(two, name=name, pushes=others, duration=when + 1.4))
-    found["paper"] = Walk(replace(one, name="Test 1, the paper's times", targets=PAPER_TIMES))
-    found["in place"] = Walk(Scenario("in place", 8.0))
+        found[f"2 without {k}"] = replace(two, name=name, pushes=others, duration=when + 1.4), {}
+    found["paper"] = replace(one, name="Test 1, the paper's times", targets=PAPER_TIMES), {}
+    found["in place"] = Scenario("in place", 8.0), {}
     for name, (when, push, changes) in _HARD.items():
-        found[name] = Walk(Scenario(name, 6.0, _TARGET, ((when, (0.0, push, 0.0)),)), changes)
-    found["no level 2"] = Walk(Scenario("without level 2, with the hand's target", 2.0, _TARGET), off)
-    found["no level 2, in place"] = Walk(Scenario("without level 2, in place", 2.0), off)
+        found[name] = Scenario(name, 6.0, _TARGET, ((when, (0.0, push, 0.0)),)), changes
+    found["no level 2"] = Scenario("without level 2, with the hand's target", 2.0, _TARGET), off
+    found["no level 2, in place"] = Scenario("without level 2, in place", 2.0), off
     return found
 
 
@@ -239,14 +238,15 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("results/reach"))
     args = parser.parse_args()
     config, wanted = load(args.config), walks()
-    total, done = sum(one.scenario.duration for one in wanted.values()), 0.0
+    total, done = sum(scenario.duration for scenario, _ in wanted.values()), 0.0
     found: dict[str, tuple[WholeBodyTrace, Answers]] = {}
     with Progress() as bar, parallel_config("loky", inner_max_num_threads=1):
         demands = unit_demands(config)
         parallel = Parallel(args.jobs, return_as="generator_unordered", batch_size=1)
-        for key, one in parallel(delayed(_named)(key, config, wanted[key]) for key in wanted):
+        named = (delayed(_named)(key, config.updated(dict(changes)), one) for key, (one, changes) in wanted.items())
+        for key, one in parallel(named):
             found[key] = one
-            done += wanted[key].scenario.duration
+            done += wanted[key][0].duration
             bar(done / total, f"{len(found)} of {len(wanted)} walks")
     demands += judge({key: walked for key, (walked, _) in found.items()}, found["1"][1].joined(found["2"][1]))
     print(render(demands) + "\n")
@@ -261,8 +261,8 @@ def main() -> int:
     return 0 if all(one.ok for one in demands if one.must) else 1
 
 
-def _named(key: str, config: Config, wanted: Walk) -> tuple[str, tuple[WholeBodyTrace, Answers]]:
-    return key, checked_walk(config, wanted)
+def _named(key: str, config: Config, scenario: Scenario) -> tuple[str, tuple[WholeBodyTrace, Answers]]:
+    return key, checked_walk(config, scenario)
 
 
 if __name__ == "__main__":

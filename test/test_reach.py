@@ -28,14 +28,14 @@ from dqwalk_ros.whole_body import (
     retrace,
 )
 from dqwalk_ros.whole_body.demands import checks, render_checks, summary
-from dqwalk_ros.whole_body.experiments import Walk, walk
+from dqwalk_ros.whole_body.experiments import walk
 from dqwalk_ros.whole_body.scenario import fitted
 
 
 @cache
 def walked() -> WholeBodyTrace:
     targets = ((0.0, (0.6, -0.4, 0.9)), (0.7, (0.6, -0.2, 0.9)))  # the second jump is in mid-swing
-    return walk(load("whole_body"), Walk(Scenario("Test 1", 1.0, targets, ((0.8, (0.0, 5.0, 0.0)),))))
+    return walk(load("whole_body"), Scenario("Test 1", 1.0, targets, ((0.8, (0.0, 5.0, 0.0)),)))
 
 
 def test_satisfied_requirements_are_reported() -> None:
@@ -191,7 +191,7 @@ def test_every_requirement_is_evaluated() -> None:
     """Short walks and wrong solutions: the failed requirements are reported."""
     w = walked()
     names = acceptance.walks()
-    short = {name: replace(w, scenario=one.scenario) for name, one in names.items()}
+    short = {name: replace(w, scenario=one) for name, (one, _) in names.items()}
     short |= {name: replace(short[name], note="fell at 0.9 s") for name in names if "level 2" in name}
     good = acceptance.judge(short, Answers(ticks=10, sampled=1))
     by_name = {row.name: row for row in good}
@@ -227,8 +227,8 @@ def test_all_mandatory_requirements_are_met(tmp_path: Path, monkeypatch: pytest.
 def test_the_largest_push_is_found_by_bisection(monkeypatch: pytest.MonkeyPatch) -> None:
     hits = []
 
-    def falling(config, wanted):  # falls from 21.3 N s on
-        ((when, impulse),) = wanted.scenario.pushes
+    def falling(config, scenario, plant):  # falls from 21.3 N s on
+        ((when, impulse),) = scenario.pushes
         hits.append((when, *impulse))
         return replace(walked(), note="" if np.linalg.norm(impulse) < 21.3 else "fell at 3 s")
 

@@ -18,7 +18,7 @@ MODEL = load_model(CONFIG.robot)
 
 
 def walk(scenario: Scenario) -> WholeBodyTrace:
-    return experiments.walk(CONFIG, experiments.Walk(scenario, plant="physics"))
+    return experiments.walk(CONFIG, scenario, "physics")
 
 
 def test_the_robot_walks_on_compliant_ground() -> None:

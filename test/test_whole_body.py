@@ -20,7 +20,7 @@ from dqwalk_ros.whole_body import (
 )
 from dqwalk_ros.whole_body.dynamics import Multibody
 from dqwalk_ros.whole_body.equations import friction_edges, joint_bounds
-from dqwalk_ros.whole_body.experiments import Walk, walk
+from dqwalk_ros.whole_body.experiments import walk
 from dqwalk_ros.whole_body.objectives import FrameOutsideSphere, FramePosition
 from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 
@@ -32,7 +32,7 @@ TARGET = ((0.0, (1.2, -0.8, 0.9)),)
 @cache
 def reached() -> WholeBodyTrace:
     """Return a walk in place until a target appears during a swing, at 0.8 s."""
-    return walk(CONFIG, Walk(Scenario("short", 2.0, ((0.8, TARGET[0][1]),))))
+    return walk(CONFIG, Scenario("short", 2.0, ((0.8, TARGET[0][1]),)))
 
 
 def assert_limits(walked: WholeBodyTrace) -> None:
@@ -47,7 +47,7 @@ def assert_limits(walked: WholeBodyTrace) -> None:
 
 def test_every_solution_is_exact() -> None:
     """Levels 1 and 2 hold to 1e-8, and the accelerations equal those of Clarabel to 1e-3 rad/s^2; with a push."""
-    _, answers = checked_walk(CONFIG, Walk(Scenario("short", 0.65, TARGET, ((0.495, (0.0, 10.0, 0.0)),))))
+    _, answers = checked_walk(CONFIG, Scenario("short", 0.65, TARGET, ((0.495, (0.0, 10.0, 0.0)),)))
     assert answers.sampled >= 6
     assert max(answers.equality, answers.inequality) < 1e-8
     assert answers.acceleration < 1e-3
@@ -108,14 +108,14 @@ def test_a_push_obeys_the_law_of_impact() -> None:
 
 def test_without_the_balance_level_the_robot_falls() -> None:
     """Negative control: without the second level the robot falls within two seconds."""
-    walked = walk(CONFIG, Walk(Scenario("no balance", 2.0, TARGET), {"whole_body.capturability": False}))
+    walked = walk(CONFIG.updated({"whole_body.capturability": False}), Scenario("no balance", 2.0, TARGET))
     assert not walked.stood
     assert walked.time[-1] < 2.0
 
 
 @cache
 def in_place() -> WholeBodyTrace:
-    return walk(CONFIG, Walk(Scenario("in place", 1.35)))
+    return walk(CONFIG, Scenario("in place", 1.35))
 
 
 def test_without_a_target_the_robot_walks_in_place() -> None:
@@ -129,7 +129,7 @@ def test_without_a_target_the_robot_walks_in_place() -> None:
 def test_the_hand_avoids_an_obstacle() -> None:
     """A user-defined distance: the hand avoids a sphere on its path."""
     scenario = Scenario("obstacle", 0.7, ((0.0, (0.45, -0.35, 0.9)),))
-    free = walk(CONFIG, Walk(scenario))
+    free = walk(CONFIG, scenario)
     at = int(0.45 / CONFIG.dt)
     center = free.hand[at] + [0.0, 0.01, 0.0]
     sphere = FrameOutsideSphere(name="ball", frame="R_hand", center=center, radius=0.06, eta=20.0)
@@ -210,7 +210,7 @@ def test_invalid_arguments_are_errors() -> None:
 def test_the_mirrored_walk_is_the_mirror_image() -> None:
     """Started on the other foot, the walk makes the mirrored steps."""
     right = [(t, place) for t, place in in_place().footholds() if t < 1.3]
-    left = walk(CONFIG, Walk(Scenario("left first", 1.3), {"gait.first_support": "left"}))
+    left = walk(CONFIG.updated({"gait.first_support": "left"}), Scenario("left first", 1.3))
     for (t0, p0), (t1, p1) in zip(right, left.footholds(), strict=True):
         assert t0 == t1
         # the right arm is free and the left is not, so the mirror is not perfect
@@ -220,7 +220,7 @@ def test_the_mirrored_walk_is_the_mirror_image() -> None:
 @pytest.mark.long
 def test_a_push_beyond_reach_degrades_gracefully() -> None:
     """A push of 25 N s violates (S14); level 1 holds for as long as the robot does not fall."""
-    walked = walk(CONFIG, Walk(Scenario("hard", 3.5, TARGET, ((2.5, (0.0, 25.0, 0.0)),))))
+    walked = walk(CONFIG, Scenario("hard", 3.5, TARGET, ((2.5, (0.0, 25.0, 0.0)),)))
     missed = walked.residual > 1e-6
     assert missed.any()
     up = missed & (walked.violation == 0.0)

@@ -125,11 +125,11 @@ def _tests(args: _Options, output: Report, config: Config, scenarios: Sequence[S
     from dqwalk_ros.report import bag
     from dqwalk_ros.report.figures import reaching
     from dqwalk_ros.whole_body.demands import checks, render_checks, summary
-    from dqwalk_ros.whole_body.experiments import Walk, walk
+    from dqwalk_ros.whole_body.experiments import walk
 
     def make(scenario: Scenario) -> WholeBodyTrace:
         with Progress(quiet=output.quiet) as bar:
-            return walk(config, Walk(scenario, plant=args.plant), bar)
+            return walk(config, scenario, args.plant, progress=bar)
 
     walks, reports = [], []
     for scenario in scenarios:

@@ -11,7 +11,7 @@ from typing import Any
 from dqwalk_ros.config import Config
 from dqwalk_ros.studies.bisection import largest
 from dqwalk_ros.studies.pushes import Limit, every_limit
-from dqwalk_ros.whole_body.experiments import Walk, walk
+from dqwalk_ros.whole_body.experiments import walk
 from dqwalk_ros.whole_body.scenario import Scenario
 
 __all__ = ["DIRECTIONS", "limit", "limits"]
@@ -33,7 +33,7 @@ def limit(config: Config, when: float, exact: float, index: int, point: Mapping[
 
     def fails(impulse: float) -> str:
         push = (when, (impulse * x, impulse * y, 0.0))
-        return walk(config, Walk(Scenario(f"{impulse:g} N s", when + _AFTER, (), (push,)), plant=point["moment"])).note
+        return walk(config, Scenario(f"{impulse:g} N s", when + _AFTER, (), (push,)), point["moment"]).note
 
     return Limit(**point, **largest(fails, _FIRST, _MOST, exact)._asdict())
 

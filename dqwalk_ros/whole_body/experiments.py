@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 
@@ -20,7 +18,7 @@ from dqwalk_ros.whole_body.rigid_plant import BodyPlant, RigidPlant
 from dqwalk_ros.whole_body.scenario import Scenario
 from dqwalk_ros.whole_body.trace import FEET, BodyLog, Collector, Reaction, WholeBodyTrace
 
-__all__ = ["PLANTS", "Walk", "follow", "make_body_plant", "retrace", "walk"]
+__all__ = ["PLANTS", "follow", "make_body_plant", "retrace", "walk"]
 
 PLANTS = ("rigid", "physics")
 """Plants: rigid bodies on rigid ground, or MuJoCo."""
@@ -114,30 +112,14 @@ def _fallen(controller: WholeBodyController) -> bool:
     return abs(height_error) > _LOW * controller.point_mass.height or tilt > _LEANS
 
 
-@dataclass(frozen=True)
-class Walk:
-    """Specification of a walk.
-
-    Attributes
-    ----------
-    changes : mapping of str to value
-        Changes of the configuration, such as ``{"whole_body.friction": 0.4}``.
-    plant : str
-        One of `PLANTS`.
-    """
-
-    scenario: Scenario
-    changes: Mapping[str, Any] = field(default_factory=dict)
-    plant: str = "rigid"
-
-
-def walk(config: Config, wanted: Walk, progress: Progress | None = None) -> WholeBodyTrace:
-    """Run a walk and return its trace, whose `times` are CPU time of this process."""
-    config = config.updated(dict(wanted.changes))
+def walk(
+    config: Config, scenario: Scenario, plant: str = "rigid", *, progress: Progress | None = None
+) -> WholeBodyTrace:
+    """Run a scenario on one of `PLANTS` and return the trace, whose `times` are CPU time of this process."""
     model = load_model(config.robot)
     controller = WholeBodyController(config, model, clock=time.process_time)
-    plant = make_body_plant(wanted.plant, config, model, controller.start)
-    return follow(controller, plant, wanted.scenario, progress=progress)
+    body = make_body_plant(plant, config, model, controller.start)
+    return follow(controller, body, scenario, progress=progress)
 
 
 # ---------------------------------------------------------------------- recorded walks
