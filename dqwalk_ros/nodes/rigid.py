@@ -132,8 +132,7 @@ class Rigid(WalkNode):
             self.stop(1)
             return
         for foot, wrench in self._plant.wrenches.items():
-            w = np.concatenate([wrench.force, wrench.moment])
-            self._pub[f"{foot.value}_wrench"].publish(ros.wrench(self._stamp, ODOM, w))
+            self._pub[f"{foot.value}_wrench"].publish(ros.wrench(self._stamp, ODOM, wrench))
         self._ticks += 1
         self._stamp = round(self._ticks * self._dt * 1e9)
         self._apply_pushes()

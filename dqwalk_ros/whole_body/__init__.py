@@ -6,7 +6,7 @@ a recorded walk again; both return a `WholeBodyTrace`.
 
 from __future__ import annotations
 
-from dqwalk_ros.whole_body.controller import BodyCommand, BodyState, BodyTick, WholeBodyController, Wrench
+from dqwalk_ros.whole_body.controller import BodyCommand, BodyState, BodyTick, WholeBodyController
 from dqwalk_ros.whole_body.experiments import follow, retrace
 from dqwalk_ros.whole_body.rigid_plant import BodyPlant
 from dqwalk_ros.whole_body.scenario import PAPER_TIMES, SCENARIOS, Scenario
@@ -24,7 +24,6 @@ __all__ = [
     "Scenario",
     "WholeBodyController",
     "WholeBodyTrace",
-    "Wrench",
     "follow",
     "retrace",
 ]

@@ -22,7 +22,7 @@ from dqwalk_ros.whole_body.hierarchy import Answer, Hierarchy, HierarchySolver
 from dqwalk_ros.whole_body.objectives import Distance, FrameOrientation, FramePosition, JointPosture, Objective
 from dqwalk_ros.whole_body.preview import PointMass, Stepping, previewed
 
-__all__ = ["BodyCommand", "BodyState", "BodyTick", "WholeBodyController", "Wrench"]
+__all__ = ["BodyCommand", "BodyState", "BodyTick", "WholeBodyController"]
 
 
 _EPS = 1e-9
@@ -77,20 +77,6 @@ class BodyCommand(Command):
 
 
 @dataclass(frozen=True)
-class Wrench:
-    """Force (3,) [N] and moment (3,) [N m] of the ground on a foot, about its sole link's origin, in world axes."""
-
-    force: Array
-    moment: Array
-
-    @property
-    def cop(self) -> Array:
-        """Centre of pressure relative to that origin, (x, y) [m]."""
-        cop: Array = np.array([-self.moment[1], self.moment[0]]) / self.force[2]
-        return cop
-
-
-@dataclass(frozen=True)
 class BodyTick:
     """Problem and solution of one control period.
 
@@ -100,8 +86,9 @@ class BodyTick:
         Dynamics, stance and preview.
     answer : Answer
         Solution of the problem.
-    wrenches : mapping of Foot to Wrench
-        Planned contact wrenches of the standing feet.
+    wrenches : mapping of Foot to ndarray, shape (6,)
+        Planned force and moment of the ground on each standing foot, about its sole link's origin, in world axes
+        [N, N m].
     times : tuple of float
         Time taken by model, assembly and solution, and in total [s].
     """
@@ -109,7 +96,7 @@ class BodyTick:
     scene: Scene
     problem: Hierarchy
     answer: Answer
-    wrenches: Mapping[Foot, Wrench]
+    wrenches: Mapping[Foot, Array]
     times: tuple[float, float, float, float]
 
     @property
@@ -286,7 +273,7 @@ class WholeBodyController:
         if scene.swing is not None and scene.settled is None:
             self._landing = scene.footsteps(answer.x)[0]
         stance = self.stepping.stance(state.time)
-        planned = {foot: Wrench(wrench[:3], wrench[3:]) for foot, wrench in zip(stance, wrenches, strict=True)}
+        planned = dict(zip(stance, wrenches, strict=True))
         spent = (times[1] - times[0], times[2] - times[1], answer.solve_time, self._clock() - times[0])
         self._last = BodyTick(scene, problem, answer, planned, spent)
         return BodyCommand(

@@ -11,12 +11,12 @@ from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.errors import ConfigError, DqwalkError
 from dqwalk_ros.provenance import here
-from dqwalk_ros.robot import RobotModel, load_model
+from dqwalk_ros.robot import Foot, RobotModel, load_model
 from dqwalk_ros.simulation import closed_loop
-from dqwalk_ros.whole_body.controller import BodyCommand, BodyState, WholeBodyController, Wrench
+from dqwalk_ros.whole_body.controller import BodyCommand, BodyState, WholeBodyController
 from dqwalk_ros.whole_body.rigid_plant import BodyPlant, RigidPlant
 from dqwalk_ros.whole_body.scenario import Scenario
-from dqwalk_ros.whole_body.trace import FEET, BodyLog, Collector, Reaction, WholeBodyTrace
+from dqwalk_ros.whole_body.trace import BodyLog, Collector, Reaction, WholeBodyTrace
 
 __all__ = ["PLANTS", "follow", "make_body_plant", "retrace", "walk"]
 
@@ -158,8 +158,8 @@ class _RecordedPlant(BodyPlant):
         done = self._periods - 1
         self.effort = self.log.effort[done]
         self.off = max(self.off, float(np.abs(command.effort - self.effort).max()))
-        rows = zip(FEET, self.log.wrenches[done], strict=True)
-        self.wrenches = {foot: Wrench(row[:3], row[3:]) for foot, row in rows if np.isfinite(row).all()}
+        rows = zip(Foot, self.log.wrenches[done], strict=True)
+        self.wrenches = {foot: row for foot, row in rows if np.isfinite(row).all()}
         self.state = self.log.states[min(self._periods, len(self.log.states) - 1)]
 
     def _hit(self, impulse: Array) -> None:

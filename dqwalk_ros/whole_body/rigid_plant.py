@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.errors import PlantError
 from dqwalk_ros.robot import Foot, RobotModel
-from dqwalk_ros.whole_body.controller import BodyCommand, BodyState, Wrench
+from dqwalk_ros.whole_body.controller import BodyCommand, BodyState
 from dqwalk_ros.whole_body.dynamics import Dynamics, Multibody
 
 __all__ = ["BodyPlant", "RigidPlant"]
@@ -36,8 +36,9 @@ class BodyPlant(ABC):
         The present state, without measurement errors.
     effort : ndarray, shape (n,)
         Joint torques of the last period [N m].
-    wrenches : mapping of Foot to Wrench
-        Contact wrenches of the last period; empty if the plant does not compute them.
+    wrenches : mapping of Foot to ndarray, shape (6,)
+        Force and moment of the ground on each standing foot in the last period, about its sole link's origin, in world
+        axes [N, N m]; empty if the plant does not compute them.
     fallen : bool
         Always False: falls are detected from the CoM and the torso of the controller's model.
     """
@@ -46,7 +47,7 @@ class BodyPlant(ABC):
 
     def __init__(self, state: BodyState) -> None:
         self.state, self.effort = state, np.zeros(len(state.q))
-        self.wrenches: Mapping[Foot, Wrench] = {}
+        self.wrenches: Mapping[Foot, Array] = {}
         self._begin, self._periods = state.time, 0
 
     def step(self, command: BodyCommand, dt: float) -> BodyState:
@@ -113,8 +114,7 @@ class RigidPlant(BodyPlant):
         drift = np.concatenate([sole.drift + self._damping * sole.velocity for sole in soles])
         effort = np.concatenate([np.zeros(6), command.effort])
         acceleration, force = _constrained(d.H, J, effort - d.h, -drift)  # H v' + h = S'tau + J'f, J v' + J'v = 0
-        parts = zip(self._stance, force.reshape(-1, 6), strict=True)
-        self.wrenches = {foot: Wrench(f[:3], f[3:]) for foot, f in parts}
+        self.wrenches = dict(zip(self._stance, force.reshape(-1, 6), strict=True))
         x_base, q = self._body.integrate(s.x_base, s.q, dt * s.v + 0.5 * dt**2 * acceleration)
         self._set(time, x_base, q, s.v + dt * acceleration)
         if command.landing is not None:

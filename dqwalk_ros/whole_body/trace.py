@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.robot import Foot, RobotModel
-from dqwalk_ros.whole_body.controller import BodyState, WholeBodyController, Wrench
+from dqwalk_ros.whole_body.controller import BodyState, WholeBodyController
 from dqwalk_ros.whole_body.scenario import Scenario
 
-__all__ = ["FEET", "MARGINS", "BodyLog", "Collector", "Reaction", "WholeBodyTrace"]
+__all__ = ["MARGINS", "BodyLog", "Collector", "Reaction", "WholeBodyTrace"]
 
 
-FEET = (Foot.LEFT, Foot.RIGHT)
-"""The order of feet in arrays."""
 MARGINS = ("cop_margin", "friction", "normal", "torque", "joint", "step")
 
 
@@ -92,8 +90,8 @@ class WholeBodyTrace:
         As in `BodyLog`.
     target, hand, com, com_velocity, left, right : ndarray, shape (N, 3)
         Target of the hand (nan without one), hand, CoM and its velocity, and the soles' links [m, m/s].
-    support, landing, cop, cop_preview : ndarray, shape (N, 2)
-        The foot that landed last, the next landing place, the CoP of the contacts and that of the point mass [m].
+    support, landing : ndarray, shape (N, 2)
+        The foot that landed last, and the next landing place [m].
     single : ndarray of bool, shape (N,)
         Whether the robot is in single support.
     height_error, tilt : ndarray, shape (N,)
@@ -135,8 +133,6 @@ class WholeBodyTrace:
     right: Array
     support: Array
     landing: Array
-    cop: Array
-    cop_preview: Array
     single: NDArray[np.bool_]
     height_error: Array
     tilt: Array
@@ -179,25 +175,19 @@ class Collector:
         self._rows: dict[str, list[object]] = {}
         self.reactions: list[Reaction] = []
 
-    def add(self, state: BodyState, effort: Array, wrenches: Mapping[Foot, Wrench]) -> None:
+    def add(self, state: BodyState, effort: Array, wrenches: Mapping[Foot, Array]) -> None:
         """Add the last step of the controller, with the torques and contact wrenches of the plant after it."""
         c, tick, target = self._controller, self._controller.last, self._controller.target
         scene, answer, settings = tick.scene, tick.answer, c.config.whole_body
         d, preview, footsteps = scene.dynamics, scene.preview, tick.footsteps
-        left, right = (d.frames[c.model.soles[foot].frame].position for foot in FEET)
-        forces = np.full((2, 6), np.nan)
-        for foot, wrench in wrenches.items():
-            forces[FEET.index(foot)] = np.concatenate([wrench.force, wrench.moment])
-        pressed = np.zeros(3)  # f_z times the CoP, and f_z
-        for sole, planned in zip(scene.stance, tick.wrenches.values(), strict=True):
-            up, (x, y) = planned.force[2], sole.position[:2]
-            pressed += [up * x - planned.moment[1], up * y + planned.moment[0], up]
+        left, right = (d.frames[c.model.soles[foot].frame].position for foot in Foot)
+        no_contact = np.full(6, np.nan)
         height_error, tilt = c.posture_error
         dP = np.diff(footsteps, axis=0, prepend=scene.support[None])
         row = {
             **{name: getattr(state, name) for name in ("time", "q", "dq", "x_base", "v_base")},
             "effort": effort,
-            "wrenches": forces,
+            "wrenches": [wrenches.get(foot, no_contact) for foot in Foot],
             "target": np.full(3, np.nan) if target is None else target,
             "hand": d.frames[settings.hand].position,
             "com": d.com,
@@ -206,8 +196,6 @@ class Collector:
             "right": right,
             "support": scene.support,
             "landing": footsteps[0],
-            "cop": pressed[:2] / pressed[2] if pressed[2] > 0.0 else np.full(2, np.nan),
-            "cop_preview": d.com[:2] - scene.mass.zeta * answer.x[[scene.layout.y(axis).start for axis in (0, 1)]],
             "single": len(scene.stance) == 1,
             "height_error": height_error,
             "tilt": tilt,
@@ -239,19 +227,19 @@ class Collector:
     def __len__(self) -> int:
         return len(self._rows.get("time", ()))
 
-    def _margins(self, q: Array, effort: Array, wrenches: Mapping[Foot, Wrench]) -> dict[str, float]:
+    def _margins(self, q: Array, effort: Array, wrenches: Mapping[Foot, Array]) -> dict[str, float]:
         """Return the least distance from each limit; the forces are those of the plant, not the planned ones."""
         settings, model, weight = self._controller.config.whole_body, self._controller.model, self._controller.weight
         half = 0.5 * np.array([settings.cop_length, settings.cop_width])
         cop, friction, normal = np.inf, np.inf, np.inf
         for wrench in wrenches.values():
-            up = float(wrench.force[2])
+            up = float(wrench[2])
             normal = min(normal, up / weight)
             # distance from the pyramid's faces; the CoP is defined from a thousandth of the weight on
-            tangential = float(np.abs(wrench.force[:2]).max())
+            tangential = float(np.abs(wrench[:2]).max())
             friction = min(friction, (settings.friction / np.sqrt(2.0) * up - tangential) / weight)
             if up > 1e-3 * weight:
-                cop = min(cop, float((half - np.abs(wrench.cop)).min()))
+                cop = min(cop, float((half - np.abs(wrench[[4, 3]]) / up).min()))
         most = np.minimum(model.effort_max, settings.effort)
         return {
             "cop_margin": cop,

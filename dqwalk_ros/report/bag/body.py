@@ -29,11 +29,11 @@ from dqwalk_ros.report.bag.messages import (
 )
 from dqwalk_ros.report.bag.recording import open_recording
 from dqwalk_ros.report.bag.storage import Column, Source, write_columns
-from dqwalk_ros.robot import RobotModel
+from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.topics import BODY_REQUIRED, BODY_TOPICS, ODOM
 from dqwalk_ros.whole_body.controller import BodyState
 from dqwalk_ros.whole_body.scenario import PAPER_TIMES, SCENARIOS, Scenario, Timed
-from dqwalk_ros.whole_body.trace import FEET, BodyLog, WholeBodyTrace
+from dqwalk_ros.whole_body.trace import BodyLog, WholeBodyTrace
 
 __all__ = ["read_body", "write_body"]
 
@@ -74,7 +74,7 @@ def _columns(walked: WholeBodyTrace) -> list[tuple[str, Stamps, list[bytes]]]:
         ("hand_target_applied", led, pack_poses(led, ODOM, places)),
         ("joint_effort_commands", stamps, pack_joint_states(stamps, model.joint_names, effort=walked.effort)),
     ]
-    for foot, column in zip(FEET, walked.wrenches.swapaxes(0, 1), strict=True):
+    for foot, column in zip(Foot, walked.wrenches.swapaxes(0, 1), strict=True):
         stands = np.isfinite(column).all(axis=1)
         name = f"{foot.value}_wrench"
         empty = stamped(BODY_TOPICS[name].type, ODOM)
@@ -112,7 +112,7 @@ def read_body(source: Source, *, namespace: str | None = None) -> BodyLog:
     time = (stamps - begin) / NS
     q, dq, x = joints.position[rows], joints.velocity[rows], pose_of(poses)
     states = tuple(BodyState(float(time[k]), q[k], dq=dq[k], x_base=x[k], v_base=twists[k]) for k in range(len(stamps)))
-    wrenches = np.stack([aligned(columns.get(f"{foot.value}_wrench"), stamps, 6) for foot in FEET], axis=1)
+    wrenches = np.stack([aligned(columns.get(f"{foot.value}_wrench"), stamps, 6) for foot in Foot], axis=1)
     # of the targets before the first state, the last one applies
     led = {max(stamp, begin): place for stamp, place in _places(columns.get("hand_target_applied")) if stamp <= end}
     targets = tuple(((stamp - begin) / NS, place) for stamp, place in led.items())
