@@ -24,6 +24,7 @@ from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode
 from dqwalk_ros.robot import RobotModel
+from dqwalk_ros.standing.footsteps import flat
 from dqwalk_ros.state import State
 
 __all__ = ["Odometry"]
@@ -152,15 +153,8 @@ class Odometry:
         config = self._config
         frames = [_transform(stamp, config.odom_frame, config.base_frame, x)]
         if config.footprint_frame:
-            frames.append(_transform(stamp, config.base_frame, config.footprint_frame, x.conj() * footprint(x)))
+            frames.append(_transform(stamp, config.base_frame, config.footprint_frame, x.conj() * DQ(flat(x.vec8()))))
         return frames
-
-
-def footprint(x: DQ) -> DQ:
-    """Return the projection of a pose to the ground: its horizontal position and its yaw."""
-    place, r = x.translation(), x.rotation_matrix()
-    yaw = math.atan2(r[1, 0], r[0, 0])
-    return DQ.from_pose([place[0], place[1], 0.0], [math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)])
 
 
 def _transform(stamp: int, parent: str, child: str, x: DQ) -> TransformStamped:
