@@ -20,10 +20,10 @@ from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.robot import Foot, RobotModel, load_model
 from dqwalk_ros.urdf import Urdf
 from dqwalk_ros.whole_body import BodyCommand, BodyState, Scenario, WholeBodyController, WholeBodyTrace, follow
-from dqwalk_ros.whole_body.dynamics import GRAVITY, Multibody
+from dqwalk_ros.whole_body.dynamics import Multibody
 from dqwalk_ros.whole_body.experiments import make_body_plant
 from dqwalk_ros.whole_body.hierarchy import BALANCE, Hierarchy, HierarchySolver
-from dqwalk_ros.whole_body.preview import PointMass
+from dqwalk_ros.whole_body.preview import GRAVITY, PointMass
 from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 
 __all__ = [

@@ -8,12 +8,12 @@ from exactness import condensed_difference, discretized
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dqwalk_ros.config import WholeBodyConfig
+from dqwalk_ros.config import Config, GaitConfig, WholeBodyConfig
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.whole_body.preview import PointMass, Stepping, previewed, swing_acceleration, swing_jerk
 
 CONFIG = WholeBodyConfig()
-STEPPING = Stepping.of(CONFIG, Foot.RIGHT)
+STEPPING = Stepping.of(Config(gait=GaitConfig(first_support="right")))
 MASS = PointMass(0.8, CONFIG.interval, CONFIG.intervals)
 
 

@@ -158,7 +158,6 @@ def _pushes(args: _Options, output: Report, config: Config, out: Path) -> int:
     from dqwalk_ros.cli.results import write_report
     from dqwalk_ros.report.figures.studies import pushes_figure
     from dqwalk_ros.report.figures.style import Drawn
-    from dqwalk_ros.robot import Foot
     from dqwalk_ros.studies import torso_pushes
     from dqwalk_ros.text_table import aligned
     from dqwalk_ros.whole_body.preview import Stepping
@@ -178,7 +177,7 @@ def _pushes(args: _Options, output: Report, config: Config, out: Path) -> int:
     by_plant = {plant: [one for one in found if one.moment == plant] for plant in plants}
     if len(found) < len(plants) * len(torso_pushes.DIRECTIONS):
         raise StudyError(f"interrupted; {len(found)} directions are saved, the same command continues")
-    swing = Stepping.of(config.whole_body, Foot(config.gait.first_support)).swing(args.when)
+    swing = Stepping.of(config).swing(args.when)
     stands = "on both feet" if swing is None else f"on the {swing.foot.other.value} foot"
     title = f"pushed at {args.when:g} s, walking in place, {stands}"
     cells = [[f"{one.survived:g}, {one.failed or math.inf:g}" for one in by_plant[plant]] for plant in plants]

@@ -20,7 +20,7 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode
 from dqwalk_ros.nodes.inputs import EFFORT, CommandInput
 from dqwalk_ros.nodes.safety import BodyGate, clamp_effort
-from dqwalk_ros.robot import Foot, load_model
+from dqwalk_ros.robot import load_model
 from dqwalk_ros.topics import ODOM
 from dqwalk_ros.whole_body.controller import BodyCommand, WholeBodyController
 from dqwalk_ros.whole_body.preview import Stepping
@@ -61,7 +61,7 @@ class Rigid(WalkNode):
         config = self.config
         self._dt = config.dt
         self._model = model = load_model(config.robot)
-        self._stepping = Stepping.of(config.whole_body, Foot(config.gait.first_support))
+        self._stepping = Stepping.of(config)
         start = WholeBodyController(config, model).start  # initial state of a walk
         damping = config.whole_body.contact_damping
         self._plant = RigidPlant(model, start, pushed=config.whole_body.torso, damping=damping)

@@ -16,11 +16,11 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.errors import ConfigError, ModelError, StateError
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.state import Command, State
-from dqwalk_ros.whole_body.dynamics import GRAVITY, Dynamics, Multibody, rotation_error
+from dqwalk_ros.whole_body.dynamics import Dynamics, Multibody, rotation_error
 from dqwalk_ros.whole_body.equations import Scene, hierarchy
 from dqwalk_ros.whole_body.hierarchy import Answer, Hierarchy, HierarchySolver
 from dqwalk_ros.whole_body.objectives import Distance, FrameOrientation, FramePosition, JointPosture, Objective
-from dqwalk_ros.whole_body.preview import PointMass, Stepping, previewed
+from dqwalk_ros.whole_body.preview import GRAVITY, PointMass, Stepping, previewed
 
 __all__ = ["BodyCommand", "BodyState", "BodyTick", "WholeBodyController"]
 
@@ -153,13 +153,13 @@ class WholeBodyController:
         own += [frame for distance in self._distances for frame in distance.frames]
         self._body = Multibody(model, dict.fromkeys([*self._soles.values(), settings.torso, settings.hand, *own]))
         self.weight = self._body.mass * GRAVITY
-        self.stepping = Stepping.of(settings, Foot(config.gait.first_support))
+        self.stepping = Stepping.of(config)
         half = 0.5 * settings.feet_distance
         self._start = self._body.stand(
             _posture(settings.posture, model), {Foot.LEFT: [0.0, half], Foot.RIGHT: [0.0, -half]}, settings.torso
         )
         still = self._body.at(*self._start, np.zeros(self._body.nv))
-        self.point_mass = PointMass(float(still.com[2]), settings.interval, settings.intervals, GRAVITY)
+        self.point_mass = PointMass(float(still.com[2]), settings.interval, settings.intervals)
         free = _matching(settings.free, model)
         kp = np.where(free, 0.0, settings.joint_kp)
         kd = np.where(free, settings.joint_kd, 2.0 * math.sqrt(settings.joint_kp))

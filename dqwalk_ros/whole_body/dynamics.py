@@ -21,11 +21,9 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.robot import Foot, RobotModel
 
-__all__ = ["GRAVITY", "Dynamics", "FrameMotion", "Multibody", "rotation_error"]
+__all__ = ["Dynamics", "FrameMotion", "Multibody", "rotation_error"]
 
 
-GRAVITY = 9.81
-"""g [m/s^2]."""
 _WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
 

@@ -16,12 +16,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dqwalk_ros.arrays import Array
-from dqwalk_ros.config import WholeBodyConfig
+from dqwalk_ros.config import Config, WholeBodyConfig
 from dqwalk_ros.robot import Foot
 
-__all__ = ["PointMass", "Preview", "Stepping", "Swing", "previewed", "swing_acceleration", "swing_jerk"]
+__all__ = ["GRAVITY", "PointMass", "Preview", "Stepping", "Swing", "previewed", "swing_acceleration", "swing_jerk"]
 
 
+GRAVITY = 9.81
+"""g [m/s^2]."""
 _EPS = 1e-9
 
 
@@ -37,24 +39,21 @@ class PointMass:
         T [s].
     intervals : int
         N.
-    gravity : float
-        [m/s^2]
     """
 
     height: float
     interval: float
     intervals: int
-    gravity: float = 9.81
 
     @property
     def omega(self) -> float:
         """sqrt(g / c^z) [1/s]."""
-        return math.sqrt(self.gravity / self.height)
+        return math.sqrt(GRAVITY / self.height)
 
     @property
     def zeta(self) -> float:
         """c^z / g of z = c - zeta c'' [s^2]."""
-        return self.height / self.gravity
+        return self.height / GRAVITY
 
     @cached_property
     def alpha(self) -> Array:
@@ -102,9 +101,10 @@ class Stepping:
     single: float
 
     @classmethod
-    def of(cls, config: WholeBodyConfig, first: Foot) -> Stepping:
+    def of(cls, config: Config) -> Stepping:
         """Return the timing of a configuration."""
-        return cls(first, config.first_double_support, config.double_support, config.single_support)
+        s = config.whole_body
+        return cls(Foot(config.gait.first_support), s.first_double_support, s.double_support, s.single_support)
 
     @property
     def begin(self) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 
 from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.whole_body.controller import WholeBodyController
+from dqwalk_ros.whole_body.preview import GRAVITY
 
 __all__ = ["PAPER_TIMES", "SCENARIOS", "Scenario", "Timed", "fitted"]
 
@@ -72,7 +73,7 @@ def fitted(scenario: Scenario, controller: WholeBodyController) -> Scenario:
     Times are scaled with the duration of its steps. If all factors are within 2 % of one, the scenario is not changed.
     """
     size = controller.point_mass.height / _HEIGHT
-    impulse = controller.weight / (_MASS * controller.point_mass.gravity) * math.sqrt(size)
+    impulse = controller.weight / (_MASS * GRAVITY) * math.sqrt(size)
     slow = controller.stepping.period / _STEP
     if max(abs(size - 1.0), abs(impulse - 1.0), abs(slow - 1.0)) < 0.02:
         return scenario

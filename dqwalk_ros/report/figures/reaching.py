@@ -59,7 +59,7 @@ def walk_from_above(walks: Sequence[WholeBodyTrace]) -> Figure:
     panels = np.atleast_1d(fig.subplots(len(walks), 1, sharex=True))
     for ax, walked in zip(panels, walks, strict=True):
         s = walked.config.whole_body
-        stepping = Stepping.of(s, Foot(walked.config.gait.first_support))
+        stepping = Stepping.of(walked.config)
         half = np.array([0.5 * s.cop_length, 0.5 * s.cop_width])
         for index, (_, place) in enumerate(walked.footholds()):
             face, edge = _SOLE[stepping.foot(index)]

@@ -77,7 +77,7 @@ def body_replay_data(walked: WholeBodyTrace) -> dict[str, Any]:
     """Return plain data for `replay.js`, as `replay_data` does for a walk of phases."""
     model, count = walked.model, len(walked.time)
     rows = np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int))
-    stepping = Stepping.of(walked.config.whole_body, Foot(walked.config.gait.first_support))
+    stepping = Stepping.of(walked.config)
     places, began = {Foot.LEFT: walked.left, Foot.RIGHT: walked.right}, float(walked.time[0])
     stands = [(0.0, foot, places[foot][0]) for foot in Foot]  # the initial stance
     for index, (when, _) in enumerate(walked.footholds()):
