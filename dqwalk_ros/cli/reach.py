@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import click
@@ -23,27 +23,10 @@ from dqwalk_ros.cli.options import (
 from dqwalk_ros.errors import BagError, ConfigError, StudyError
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from dqwalk_ros.config import Config
     from dqwalk_ros.whole_body import Scenario, WholeBodyTrace
 
 __all__ = ["reach"]
-
-
-@dataclass(frozen=True)
-class _Options:
-    """The options of `reach`, except configuration and output."""
-
-    test: str
-    when: float
-    exact: float
-    jobs: int
-    plant: str
-    paper_times: bool
-    target: tuple[float, float, float] | None
-    push: tuple[tuple[float, float, float, float], ...]
-    duration: float | None
 
 
 @command("""
@@ -74,7 +57,21 @@ examples:
 @click.option("--duration", metavar="S", type=float, help="Duration instead of the test's 14 s.")
 @set_option
 @output_options("reach")
-def reach(config: str, pushes: bool, changes: tuple[str, ...], output: Report, **options: object) -> int:
+def reach(
+    config: str,
+    test: str,
+    pushes: bool,
+    when: float,
+    exact: float,
+    jobs: int,
+    plant: str,
+    paper_times: bool,
+    target: tuple[float, float, float] | None,
+    push: tuple[tuple[float, float, float, float], ...],
+    duration: float | None,
+    changes: tuple[str, ...],
+    output: Report,
+) -> int:
     """Reach for a target with the whole body, under pushes.
 
     A robot of HRP-2's size reaches for a target with its right hand and walks there without footsteps planned in
@@ -85,40 +82,33 @@ def reach(config: str, pushes: bool, changes: tuple[str, ...], output: Report, *
 
     Times are CPU time of this process; set OPENBLAS_NUM_THREADS=1, because more threads are not faster here.
     """
-    asked = _Options(**options)  # type: ignore[arg-type]
+    from dqwalk_ros.robot import load_model
+    from dqwalk_ros.whole_body import PAPER_TIMES, SCENARIOS, WholeBodyController
+    from dqwalk_ros.whole_body.scenario import fitted
+
     made, out = config_of(config, changes), output.folder
-    if asked.plant == "both" and not pushes:
+    if plant == "both" and not pushes:
         raise ConfigError("--plant both requires --pushes")
     if (out / "report.json").exists() and not output.force:
         raise BagError(f"'{out}' has a report already; choose another folder with --out, or replace it with --force")
     out.mkdir(parents=True, exist_ok=True)
     if pushes:
-        return _pushes(asked, output, made, out)
-    return _tests(asked, output, made, _scenarios(asked, made), out)
-
-
-def _scenarios(args: _Options, config: Config) -> list[Scenario]:
-    """Return the selected tests, fitted to the robot and modified by the options."""
-    from dqwalk_ros.robot import load_model
-    from dqwalk_ros.whole_body import PAPER_TIMES, SCENARIOS, WholeBodyController
-    from dqwalk_ros.whole_body.scenario import fitted
-
-    controller = WholeBodyController(config, load_model(config.robot))
-    extra = [(t, (x, y, z)) for t, x, y, z in args.push]
+        return _pushes(made, output, plant, when, exact, jobs)
+    controller = WholeBodyController(made, load_model(made.robot))
+    extra = [(t, (x, y, z)) for t, x, y, z in push]
     scenarios = []
-    for name in ("1", "2") if args.test == "both" else (args.test,):
+    for name in ("1", "2") if test == "both" else (test,):
         scenario = SCENARIOS[name]
-        if args.paper_times:
+        if paper_times:
             scenario = replace(scenario, name=f"{scenario.name}, the paper's times", targets=PAPER_TIMES)
         scenario = fitted(scenario, controller)
-        if args.target is not None:
-            scenario = replace(scenario, name="your target", targets=((0.0, args.target),))
-        pushes = (*scenario.pushes, *extra)
-        scenarios.append(replace(scenario, pushes=pushes, duration=args.duration or scenario.duration))
-    return scenarios
+        if target is not None:
+            scenario = replace(scenario, name="your target", targets=((0.0, target),))
+        scenarios.append(replace(scenario, pushes=(*scenario.pushes, *extra), duration=duration or scenario.duration))
+    return _tests(made, output, plant, scenarios)
 
 
-def _tests(args: _Options, output: Report, config: Config, scenarios: Sequence[Scenario], out: Path) -> int:
+def _tests(config: Config, output: Report, plant: str, scenarios: Sequence[Scenario]) -> int:
     """Run the scenarios one after the other and write the results; return the exit code."""
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import write_report
@@ -129,7 +119,7 @@ def _tests(args: _Options, output: Report, config: Config, scenarios: Sequence[S
 
     def make(scenario: Scenario) -> WholeBodyTrace:
         with Progress(quiet=output.quiet) as bar:
-            return walk(config, scenario, args.plant, progress=bar)
+            return walk(config, scenario, plant, progress=bar)
 
     walks, reports = [], []
     for scenario in scenarios:
@@ -145,14 +135,14 @@ def _tests(args: _Options, output: Report, config: Config, scenarios: Sequence[S
         reports.append(summary(walked, found))
         if not output.quiet:
             print(render_checks(walked, found) + "\n")
-    bags = [out / ("bag" if len(walks) == 1 else f"bag_{k}") for k in range(1, len(walks) + 1)]
+    bags = [output.folder / ("bag" if len(walks) == 1 else f"bag_{k}") for k in range(1, len(walks) + 1)]
     for walked, path in zip(walks, bags, strict=True):
         bag.write_body(walked, path, overwrite=output.force)
     write_report(output, reports, "", reaching.drawn(walks), more=bags)
     return 0 if all(report["ok"] for report in reports) else 1
 
 
-def _pushes(args: _Options, output: Report, config: Config, out: Path) -> int:
+def _pushes(config: Config, output: Report, plant: str, when: float, exact: float, jobs: int) -> int:
     """Find the largest push survived in every direction and write the results; return the exit code."""
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import write_report
@@ -162,24 +152,24 @@ def _pushes(args: _Options, output: Report, config: Config, out: Path) -> int:
     from dqwalk_ros.text_table import aligned
     from dqwalk_ros.whole_body.preview import Stepping
 
-    plants = ("physics", "rigid") if args.plant == "both" else (args.plant,)
+    plants = ("physics", "rigid") if plant == "both" else (plant,)
     with Progress(quiet=output.quiet) as bar:
         found = torso_pushes.limits(
             config,
-            out,
+            output.folder,
             plants,
-            when=args.when,
-            exact=args.exact,
+            when=when,
+            exact=exact,
             force=output.force,
-            jobs=args.jobs,
+            jobs=jobs,
             progress=lambda count, total, _: bar(count / total, f"{count} of {total} directions"),
         )
     by_plant = {plant: [one for one in found if one.moment == plant] for plant in plants}
     if len(found) < len(plants) * len(torso_pushes.DIRECTIONS):
         raise StudyError(f"interrupted; {len(found)} directions are saved, the same command continues")
-    swing = Stepping.of(config).swing(args.when)
+    swing = Stepping.of(config).swing(when)
     stands = "on both feet" if swing is None else f"on the {swing.foot.other.value} foot"
-    title = f"pushed at {args.when:g} s, walking in place, {stands}"
+    title = f"pushed at {when:g} s, walking in place, {stands}"
     cells = [[f"{one.survived:g}, {one.failed or math.inf:g}" for one in by_plant[plant]] for plant in plants]
     table = aligned(list(zip(torso_pushes.DIRECTIONS, *cells, strict=True)), ("", *plants), range(1, len(plants) + 1))
     text = f"largest push survived, smallest not survived [N s]; {title}\n{table}\n"
