@@ -59,7 +59,7 @@ IMPORTERS = {
     "clarabel": {"qp"},
     "daqp": {"qp", "whole_body"},
     "matplotlib": {"adopt", "report"},
-    "mujoco": {"plants", "whole_body"},
+    "mujoco": {"plants", "report", "whole_body"},
     "numba": {"compiled"},
     "pinocchio": {"whole_body"},
     "pypot": {"plants"},

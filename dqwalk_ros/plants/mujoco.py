@@ -239,9 +239,7 @@ def _moved_wrench(measured, p, R):  # type: ignore[no-untyped-def]
     return np.concatenate((to_axes @ force, to_axes @ torque))
 
 
-def robot_spec(
-    model: RobotModel, *, friction: float, contact_time: float, visual: bool = False, held: bool = False
-) -> Any:
+def robot_spec(model: RobotModel, *, friction: float, contact_time: float, held: bool = False) -> Any:
     """Return a MuJoCo specification of the robot on a floor, without actuators; the caller may extend it.
 
     Parameters
@@ -250,14 +248,12 @@ def robot_spec(
         Friction coefficient of soles and floor.
     contact_time : float
         Time constant of the contact between soles and floor [s].
-    visual : bool
-        Whether to keep the visual shapes of the URDF. Colliding shapes are in geometry group 2.
     held : bool
         Whether the root link is held in the air instead of floating.
     """
-    # MuJoCo discards visual shapes unless the file itself contains this option
+    # MuJoCo discards the shapes added for pictures unless the file itself contains this option
     keep = '<mujoco><compiler discardvisual="false"/></mujoco></robot>'
-    spec = mujoco.MjSpec.from_string(model.urdf.replace("</robot>", keep) if visual else model.urdf_without_shapes)
+    spec = mujoco.MjSpec.from_string(model.urdf_without_shapes.replace("</robot>", keep))
     spec.compiler.inertiafromgeom = 0  # masses are those of the URDF, not of the geometries
     spec.compiler.fusestatic = False
     spec.compiler.balanceinertia = True
@@ -267,9 +263,7 @@ def robot_spec(
         spec.body(model.root).pos = [0.0, 0.0, _HELD]
     else:
         spec.body(model.root).add_freejoint(name="root")
-    for geom in spec.geoms:
-        geom.contype, geom.conaffinity = 0, 0  # only the soles have contacts
-    touching = {"friction": [friction, 0.005, 0.0001], "solref": [contact_time, 1.0], "solimp": _SOLID, "group": 2}
+    touching = {"friction": [friction, 0.005, 0.0001], "solref": [contact_time, 1.0], "solimp": _SOLID}
     for foot in Foot:
         sole = model.soles[foot]
         spec.body(sole.frame).add_geom(
@@ -309,7 +303,7 @@ def build(
     servos : Servos, optional
         As ``servo`` describes them without it.
     scenery : callable, optional
-        Called with the specification, to add elements for pictures; the visual shapes of the URDF are then kept.
+        Called with the specification, to add elements for pictures.
 
     Raises
     ------
@@ -319,8 +313,7 @@ def build(
     c, s = config.physics, servos or Servos.of(config, model)
     play = 0.5 * s.stiffness * s.backlash  # [N m]
     try:
-        visual = scenery is not None
-        spec = robot_spec(model, friction=c.friction, contact_time=c.contact_time, visual=visual, held=c.held)
+        spec = robot_spec(model, friction=c.friction, contact_time=c.contact_time, held=c.held)
         spec.option.timestep = c.timestep
         mujoco.mju_rotVecQuat(spec.option.gravity, [0.0, 0.0, -GRAVITY], DQ(_level(config)).conj().vec4())
         for body in spec.bodies:
@@ -415,7 +408,6 @@ def _add_rubble(spec: Any, height: float, seed: int) -> None:
                 pos=[x + random.uniform(-0.01, 0.01), y + random.uniform(-0.01, 0.01), half[2]],
                 quat=[np.cos(0.5 * turn), 0.0, 0.0, np.sin(0.5 * turn)],
                 rgba=floor.rgba,
-                group=floor.group,
                 friction=floor.friction,
                 solref=floor.solref,
                 solimp=floor.solimp,

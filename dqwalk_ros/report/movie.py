@@ -33,7 +33,7 @@ def frames(trace: Trace, times: Array, width: int, height: int, progress: Progre
     PlantError
         If MuJoCo cannot render on this machine.
     """
-    from dqwalk_ros.plants.camera import Camera
+    from dqwalk_ros.report.camera import Camera
 
     pelvis = pelvis_in_odom(trace) if trace.physics is None else trace.physics.pelvis
     known = np.flatnonzero(np.isfinite(pelvis).all(axis=1))

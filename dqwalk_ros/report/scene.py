@@ -1,7 +1,7 @@
 """The content of a picture of the walk: bodies, soles, constraints as shapes, and every margin.
 
-Nothing is drawn here. The live page (`dqwalk_ros.report.viewer`), the replay in a report and the markers for RViz draw
-the same shapes and the same `View`.
+Nothing is drawn here. The live page (`dqwalk_ros.report.viewer`), the replay in a report, the movie and the markers for
+RViz draw the same shapes and the same `View`.
 """
 
 from __future__ import annotations
@@ -294,24 +294,19 @@ def tightest(gauges: Iterable[Gauge]) -> Gauge:
 
 
 class Scene:
-    """Turns moments of one walk into views."""
+    """Turns moments of one walk into views; `links` are the names of the bodies."""
 
     def __init__(self, config: Config, model: RobotModel) -> None:
         self.config, self.model = config, model
         self._assess: Assessor | None = None
         identity = DQ(1.0).vec8()
         links = {f.body: name for name, f in model.frames.items() if np.array_equal(f.pose, identity)}
-        self._links = tuple(links[body] for body in range(len(model.bodies)))
+        self.links = tuple(links[body] for body in range(len(model.bodies)))
 
     @cached_property
     def shapes(self) -> tuple[Shape, ...]:
         """The visual shapes of the robot."""
         return shapes_of(self.config, self.model)
-
-    @property
-    def root(self) -> str:
-        """The link of the first body."""
-        return self._links[0]
 
     def assess(self, moment: Moment) -> tuple[Kinematics, Assessment]:
         """Return the kinematics at a moment, in the frame of the base sole, and the assessment of the state."""
@@ -332,7 +327,7 @@ class Scene:
             moment=moment,
             level=found.level,
             message=found.message,
-            bodies=np.array([compose(x, kin.pose(link)) for link in self._links]),
+            bodies=np.array([compose(x, kin.pose(link)) for link in self.links]),
             soles={foot: compose(x, kin.pose(model.soles[foot].frame)) for foot in Foot},
             com=DQ(x).transform_point(kin.com),
             ground=float(DQ(x).transform_point(np.zeros(3))[2]),

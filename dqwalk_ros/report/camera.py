@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from pathlib import Path
-from types import TracebackType
+from collections.abc import Callable
 from typing import Any, Self
 
 import mujoco
@@ -14,16 +12,14 @@ from numpy.typing import NDArray
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import ModelError, PlantError
+from dqwalk_ros.errors import PlantError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.plants.mujoco import build
-from dqwalk_ros.robot import Foot, RobotModel, find_urdf
-from dqwalk_ros.shapes import meshes_of
-from dqwalk_ros.urdf import Urdf
+from dqwalk_ros.report.scene import Scene, Shape
+from dqwalk_ros.robot import Foot, RobotModel
 
-__all__ = ["Camera", "add_scenery"]
+__all__ = ["Camera", "scenery_of"]
 
-_GREY = (0.7, 0.72, 0.75, 1.0)
 _AZIMUTH, _ELEVATION = 130.0, -12.0
 """Direction of view [degrees]."""
 _DISTANCE = 1.4
@@ -46,36 +42,11 @@ class Camera:
 
     def __init__(self, config: Config, model: RobotModel, width: int, height: int) -> None:
         self._model = model
-        seen = Urdf(model.urdf, model.name)
-        try:
-            near = find_urdf(config.robot.urdf)
-        except ModelError:
-            near = Path(config.robot.urdf)
-        meshes = meshes_of(seen, near)
-        for name, link in seen.links.items():  # MuJoCo cannot read all mesh formats and URIs by itself
-            plain = tuple(shape for shape in link.visuals if shape.kind != "mesh")
-            collide = tuple(shape for shape in link.collisions if shape.kind != "mesh")
-            seen.links[name] = replace(link, visuals=plain, collisions=collide)
-
-        def add(spec: Any) -> None:
-            add_scenery(spec)
-            for number, (name, surface) in enumerate(meshes):
-                spec.add_mesh(
-                    name=f"mesh{number}", uservert=surface.vertices.ravel(), userface=surface.faces.ravel(),
-                    inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-                )  # fmt: skip
-                spec.body(name).add_geom(
-                    type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"mesh{number}", group=1, contype=0, conaffinity=0,
-                    mass=0.0, rgba=surface.color or _GREY,
-                )  # fmt: skip
-
-        self._mj = build(config, replace(model, urdf=seen.text()), scenery=add)
+        self._mj = build(config, model, scenery=scenery_of(Scene(config, model)))
         self._data: Any = mujoco.MjData(self._mj)
         self._mj.vis.global_.offwidth, self._mj.vis.global_.offheight = width, height
         self._qadr = np.array([int(self._mj.joint(name).qposadr[0]) for name in model.joint_names])
         self._root = self._mj.body(model.root).id
-        self._shown = mujoco.MjvOption()
-        self._shown.geomgroup[0] = 0  # what collides
         self._look = mujoco.MjvCamera()
         self._look.azimuth, self._look.elevation, self._look.distance = _AZIMUTH, _ELEVATION, _DISTANCE
         try:
@@ -86,9 +57,7 @@ class Camera:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._renderer.close()
 
     def picture(self, q: Array, pelvis: Array) -> NDArray[np.uint8]:
@@ -100,13 +69,45 @@ class Camera:
         mujoco.mj_forward(self._mj, self._data)
         com = self._data.subtree_com[self._root]
         self._look.lookat[:] = [com[0], 0.0, 0.9 * com[2]]
-        self._renderer.update_scene(self._data, self._look, self._shown)
+        self._renderer.update_scene(self._data, self._look)
         image: NDArray[np.uint8] = self._renderer.render()
         return image
 
 
-def add_scenery(spec: Any) -> None:
-    """Add a sky, lines on the floor and a light with shadows, without effect on the physics."""
+def scenery_of(scene: Scene) -> Callable[[Any], None]:
+    """Return a function that adds the shapes of the robot and its surroundings, without effect on the physics."""
+
+    def add(spec: Any) -> None:
+        _add_surroundings(spec)
+        for number, shape in enumerate(scene.shapes):
+            _add_shape(spec, spec.body(scene.links[shape.body]), f"shape{number}", shape)
+
+    return add
+
+
+def _add_shape(spec: Any, body: Any, name: str, shape: Shape) -> None:
+    kind, x = mujoco.mjtGeom, DQ(shape.pose)
+    looks: dict[str, Any] = {
+        "name": name, "pos": x.translation(), "quat": x.rotation(), "rgba": shape.color,
+        "contype": 0, "conaffinity": 0, "mass": 0.0,
+    }  # fmt: skip
+    if shape.vertices is not None and shape.faces is not None:
+        spec.add_mesh(
+            name=name, uservert=shape.vertices.ravel(), userface=shape.faces.ravel(),
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )  # fmt: skip
+        body.add_geom(type=kind.mjGEOM_MESH, meshname=name, **looks)
+    elif shape.kind == "box":
+        body.add_geom(type=kind.mjGEOM_BOX, size=[0.5 * side for side in shape.size], **looks)
+    elif shape.kind == "cylinder":
+        radius, length = shape.size
+        body.add_geom(type=kind.mjGEOM_CYLINDER, size=[radius, 0.5 * length, 0.0], **looks)
+    else:
+        body.add_geom(type=kind.mjGEOM_SPHERE, size=[*shape.size, 0.0, 0.0], **looks)
+
+
+def _add_surroundings(spec: Any) -> None:
+    """Add a sky, lines on the floor and a light with shadows."""
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.45] * 3, [0.6] * 3
     kind, built = mujoco.mjtTexture, mujoco.mjtBuiltin
     spec.add_texture(
