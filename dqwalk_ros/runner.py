@@ -285,11 +285,6 @@ class Processes:
     def __exit__(self, *_: object) -> None:
         self.stop()
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the nodes that were started."""
-        return tuple(self._running)
-
     def start(self, name: str, arguments: Sequence[str]) -> None:
         """Start the node `name` of `dqwalk_ros.nodes`; it also ends if this process ends, for any reason."""
         with (self._logs / f"{name}.log").open("w", encoding="utf-8") as errors:
@@ -324,20 +319,6 @@ class Processes:
         if code is not None:
             self._readers[name].join(1.0)
         return code
-
-    def signal(self, name: str, number: int) -> None:
-        """Send a signal to one node."""
-        self._running[name].send_signal(number)
-
-    def wait(self, name: str, timeout: float) -> int:
-        """Wait for the end of a node and return its exit code.
-
-        Raises
-        ------
-        subprocess.TimeoutExpired
-            After the timeout [s].
-        """
-        return self._running[name].wait(timeout)
 
     def log(self, name: str) -> str:
         """Return the present content of a node's log file."""

@@ -118,7 +118,7 @@ class Chaos(Live):
 
     def close(self) -> None:
         """Stop all nodes, also those that a test has frozen."""
-        for name in self.processes.names:
+        for name in self.processes.reports:
             if self.processes.exit_code(name) is None:
                 self.processes.signal(name, signal.SIGCONT)
         super().close()

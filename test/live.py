@@ -32,6 +32,18 @@ SHORT = {
 LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
+class Nodes(Processes):
+    """Nodes that a test disturbs."""
+
+    def signal(self, name: str, number: int) -> None:
+        """Send a signal to one node."""
+        self._running[name].send_signal(number)
+
+    def wait(self, name: str, timeout: float) -> int:
+        """Wait for the end of a node, at most for a time [s], and return its exit code."""
+        return self._running[name].wait(timeout)
+
+
 class Live:
     """Starts nodes and records their messages.
 
@@ -43,7 +55,7 @@ class Live:
 
     def __init__(self, folder: Path, domain: int, config: Config, name: str = "test") -> None:
         self.config = config
-        self.processes = Processes(folder, domain)
+        self.processes = Nodes(folder, domain)
         self.params = folder / "params.yaml"
         self.params.write_text(to_yaml(config), encoding="utf-8")
         self._context = Context()
@@ -86,7 +98,7 @@ class Live:
 
     def logs(self) -> str:
         """Return the logs of all nodes."""
-        return "\n".join(f"--- {name}\n{self.processes.log(name)}" for name in self.processes.names)
+        return "\n".join(f"--- {name}\n{self.processes.log(name)}" for name in self.processes.reports)
 
     def call(self, service: str) -> Trigger.Response:
         """Call a Trigger service."""
