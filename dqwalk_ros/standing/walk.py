@@ -244,11 +244,12 @@ class StandingWalk(Walk):
             convergence=s.swing_rate,
             lever=s.lever,
         )
+        inside = np.array([0.0, s.aim_inside if support is Foot.RIGHT else -s.aim_inside, 0.0])
         com = ComPath(
             name="com",
             weight=s.com_weight,
             start=kin.com_on_ground,
-            over=(Point(sole.frame, sole.center),),
+            over=(Point(sole.frame, sole.center + inside),),
             duration=0.5 * s.swing_duration,
             saturation=s.saturation,
         )
