@@ -202,7 +202,9 @@ class Drive:
         for joints, text in _entries("servo.assumed", c.assumed, model):
             given = _numbers(text)
             stiffness[joints] = given.get("stiffness", stiffness[joints])
-            lag[joints] = given.get("damping", lag[joints])
+            if "damping" in given:
+                lag[joints] = given["damping"]
+                lead[joints] = np.minimum(lead[joints], lag[joints])
         period = 1.0 / c.assumed_rate if c.assumed_rate > 0.0 else 0.0
         delay = c.assumed_latency + 0.5 * period + max(float((lag - lead).mean()), 0.0)
         damping = np.maximum(lag - min(delay / _LATE, 1.0) * lead, 0.0)

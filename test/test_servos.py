@@ -28,7 +28,7 @@ CONFIG = dq.load("poppy")
 MODEL = dq.load_model(CONFIG.robot)
 POPPY = ["*=MX-28", "?_hip_y=MX-64", "abs_[xy]=MX-64"]
 TYPED = CONFIG.updated({"servo.types": POPPY})
-KNEE, HIP = MODEL.joint_names.index("l_knee_y"), MODEL.joint_names.index("l_hip_y")
+KNEE, RIGHT, HIP = (MODEL.joint_names.index(name) for name in ("l_knee_y", "r_knee_y", "l_hip_y"))
 
 
 def hanging(**changes: object) -> PhysicsPlant:
@@ -124,6 +124,17 @@ def test_the_lead_compensates_the_back_emf_only() -> None:
     sooner = Drive.of(late.updated({"servo.assumed_latency": 0.02, "servo.assumed_lead": 0.02}), MODEL)
     assert (sooner.damping > 0.0).all()
     assert (sooner.damping < plain.damping).all()
+
+
+@pytest.mark.parametrize("config", [CONFIG, TYPED], ids=["untyped", "typed"])
+def test_the_lead_does_not_exceed_an_identified_lag(config: dq.Config) -> None:
+    """A larger lead moves the joints ahead of their goals: fast walks tip on their toes."""
+    leading = config.updated({"servo.assumed_lead": 0.02})
+    told = leading.updated({"servo.assumed": ["?_knee_y=damping 0.004", "abs_x=stiffness 9"]})
+    drive, before = Drive.of(told, MODEL), Drive.of(leading, MODEL)
+    lead, usual = drive.lead / drive.stiffness, before.lead / before.stiffness
+    assert lead[KNEE] == pytest.approx(0.004)
+    np.testing.assert_allclose(np.delete(lead, [KNEE, RIGHT]), np.delete(usual, [KNEE, RIGHT]))
 
 
 def test_the_delay_is_latency_plus_half_a_hold_plus_damping_lag() -> None:
