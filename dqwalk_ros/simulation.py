@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from dqwalk_ros import provenance
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.controller import VelocityController
+from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.dynamic.recovery import RecoveringWalk
 from dqwalk_ros.dynamic.walk import DynamicWalk
 from dqwalk_ros.errors import ConfigError, DqwalkError, PlantError
@@ -322,6 +324,11 @@ class PhysicsRecord:
     q: Array
     effort: Array
 
+    @cached_property
+    def up(self) -> Array:
+        """Unit vectors against gravity in the inertial sensor's frame, shape (N, 3); nan where not measured."""
+        return DQ(self.orientation).conj().Ad(DQ(np.array([0.0, 0.0, 1.0]))).vec3()
+
     @classmethod
     def of(cls, samples: list[tuple[Truth, Inertial]]) -> PhysicsRecord:
         """Return the record of one sample per state."""
@@ -386,6 +393,11 @@ class Trace:
 
     def __len__(self) -> int:
         return int(self.time.shape[0])
+
+    def up(self, tick: int) -> Array | None:
+        """Return the unit vector against gravity (3,) in the inertial sensor's frame at a state; None if unknown."""
+        up = None if self.physics is None else self.physics.up[tick]
+        return up if up is not None and np.isfinite(up).all() else None
 
 
 class Recorder:

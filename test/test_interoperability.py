@@ -389,6 +389,22 @@ def test_the_viewer_shows_the_solver_of_its_own_robot(make: Any, space: str, sho
     assert bool(one.node._solver) == bool(shown)
 
 
+def test_the_monitor_uses_the_measured_vertical(make: Any) -> None:
+    """The newest one before a state; one that is old or cannot be read is not used."""
+    phases = make("phase_monitor", PAPER)
+    for k in range(1, 40):
+        tilted = Inertial(np.array([np.cos(0.01 * k), np.sin(0.01 * k), 0.0, 0.0]), np.zeros(3), np.zeros(3))
+        phases.send("imu", serialize_message(ros.imu(k * 10**9, "imu", tilted)))
+    phases.send("imu", b"short")
+    log = phases.node._phases
+    assert log.up(0) is None
+    np.testing.assert_allclose(log.up(7 * 10**9 + 1000), [0.0, np.sin(0.14), np.cos(0.14)], atol=1e-12)
+    np.testing.assert_allclose(log.up(7 * 10**9 + 2000), [0.0, np.sin(0.14), np.cos(0.14)], atol=1e-12)
+    assert log.up(7 * 10**9 + 6 * 10**8) is None
+    log.forget_after(7 * 10**9)
+    assert log.up(8 * 10**9) is None
+
+
 @pytest.mark.parametrize("lockstep", [False, True])
 def test_monitor_and_viewer_ignore_the_states_of_a_gripper(make: Any, lockstep: bool) -> None:
     """In lockstep its stamps are those of another clock; before, each of them was taken for a restart of the plant."""

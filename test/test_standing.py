@@ -6,15 +6,21 @@ import numpy as np
 import pytest
 import scipy.optimize
 from robots import DATA, central_difference
+from rosbags.highlevel import AnyReader
 from walks import problem_at, segments, values
 
 import dqwalk_ros as dq
 from dqwalk_ros import report as reporting
 from dqwalk_ros.cli.footsteps import reached
+from dqwalk_ros.config import overlaid
+from dqwalk_ros.constraints import vfi
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ConfigError, PlantError
 from dqwalk_ros.kinematics import CenterOfMassOnGround, Kinematics, Point
 from dqwalk_ros.paths import ComPath, SwingPath, com_path
+from dqwalk_ros.report import bag
+from dqwalk_ros.report.scene import Moments, Scene
+from dqwalk_ros.report.verdict import _returned
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.simulation import make_controller, make_plant, make_walk, simulate
 from dqwalk_ros.standing.balance import Balance, com_velocity
@@ -287,6 +293,34 @@ def test_one_step_in_physics_stays_balanced() -> None:
     assert sum(w[2] for w in truth.wrenches.values()) == pytest.approx(MODEL.mass * 9.81, rel=0.05)
     soles = [DQ(x).translation() for x in truth.soles.values()]
     assert soles[0][0] == pytest.approx(0.05, abs=0.01)
+
+
+def test_on_a_slope_distances_are_along_the_measured_vertical(tmp_path) -> None:
+    """Without it the CoM seemed 25 mm beside its place, beyond an edge of the support sole."""
+    config = overlaid(CONFIG, "physics").updated({"gait.steps": 1, "physics.slope_side": 0.0524})
+    trace = simulate(make_controller(config, MODEL), make_plant("physics", config, MODEL))
+    scene, moments = Scene(trace.config, MODEL), Moments(trace)
+    found = [scene.assess(moments.at(tick))[1] for tick in range(0, len(trace), 20)]
+    assert not [one.message for one in found if one.level == "ERROR"]
+    assert min(one.values["margin/polygon"] for one in found) > 0.01
+    bag.write(trace, tmp_path / "bag")
+    with AnyReader([tmp_path / "bag"]) as reader:
+        told = [c for c in reader.connections if c.topic == "/diagnostics"]
+        levels = [reader.deserialize(raw, c.msgtype).status[0].level for c, _, raw in reader.messages(told)]
+    assert len(levels) > 20
+    assert max(levels) < 2  # no ERROR
+
+
+def test_a_distance_that_returns_at_a_fixed_speed_is_no_violation() -> None:
+    """The bound of a disturbed distance is the motion that the quadratic program requires of it, tick by tick."""
+    q = somewhere(1)
+    phase = make_walk(CONFIG, MODEL).both_feet(PhaseKind.STANCE, Foot.LEFT, q)
+    row = next(row for row in phase.constraints if row.name == "edges")
+    d, start = -0.05, -0.05
+    for tick in range(800):
+        assert _returned(row, start, tick, CONFIG.dt) == pytest.approx(d, abs=2e-5)
+        d += CONFIG.dt * float(vfi(np.array([d]), 0.0, np.array([row.eta]), row.return_speed, CONFIG.dt)[0])
+    assert d > -1e-3
 
 
 def test_the_physics_model_has_the_mass_of_the_robot() -> None:

@@ -29,12 +29,12 @@ from dqwalk_ros.state import Command, State
 __all__ = [
     "JointReader",
     "JointWriter",
+    "deserialized",
     "diagnostics",
     "impulse",
     "imu",
     "inertial_of",
     "is_heard_by",
-    "joint_state",
     "latched",
     "message_type",
     "nanoseconds",
@@ -109,8 +109,8 @@ def stamp_of(raw: bytes) -> int:
     return int(sec * 1_000_000_000 + nanosec)
 
 
-def joint_state(raw: bytes) -> JointState:
-    """Return the JointState of a serialised one.
+def deserialized(raw: bytes, kind: type) -> Any:
+    """Return the message of a type that was serialised.
 
     Raises
     ------
@@ -118,7 +118,7 @@ def joint_state(raw: bytes) -> JointState:
         If it cannot be read.
     """
     try:
-        return deserialize_message(raw, JointState)
+        return deserialize_message(raw, kind)
     except RuntimeError as error:
         raise StateError("a message that cannot be read") from error
 

@@ -47,6 +47,7 @@ class PhaseMonitor(WalkNode):
         joint_states, phase, phase_start, com_target, swing_target, walk_config, robot_description   as the
                                  controller publishes them; the parameters of the walk are read from walk_config,
                                  not from the parameters of this node
+        imu                      sensor_msgs/Imu, if the plant has the sensor: the vertical
 
     Publishes::
 
@@ -98,7 +99,7 @@ class PhaseMonitor(WalkNode):
             self._received = time.monotonic()
             return
         try:
-            msg = ros.joint_state(raw)
+            msg = ros.deserialized(raw, JointState)
         except StateError as error:
             self._reject(stamp, error)
             return
@@ -138,7 +139,7 @@ class PhaseMonitor(WalkNode):
         except StateError as error:
             self._reject(stamp, error)
             return
-        kin = Kinematics(assess.model, state.q, assess.phase.base)
+        kin = Kinematics(assess.model, state.q, assess.phase.base).with_vertical(self._phases.up(stamp))
         found = assess(kin, 1e-9 * (stamp - began), self.config.monitor)
         over = "/" not in self._phases.label and not self._waiting
         message = f"{self._phases.label}; {found.message}" if over else found.message

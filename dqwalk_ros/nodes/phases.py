@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections import deque
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
 
+from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config, from_yaml, since, to_yaml
 from dqwalk_ros.controller import VelocityController
-from dqwalk_ros.errors import DqwalkError
+from dqwalk_ros.errors import DqwalkError, StateError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode
 from dqwalk_ros.report.verdict import Assessor
@@ -26,6 +29,10 @@ __all__ = ["PhaseLog", "PhasePublisher"]
 
 _KEPT = 100
 """Number of phases that are stored."""
+_MEASURED = 5000
+"""Number of messages of the inertial sensor that are stored; in lockstep a thousand arrive in a second."""
+_OLD = 0.5
+"""Age from which on a measured vertical is not used [s]."""
 
 
 class PhasePublisher:
@@ -107,6 +114,9 @@ class PhaseLog:
         self._targets: dict[int, tuple[PhaseKind, Any]] = {}
         self._tuned: dict[int, Config] = {}
         self._assessors: dict[int, Assessor] = {}
+        self._imu: deque[bytes] = deque(maxlen=_MEASURED)  # those that no state has needed yet
+        self._vertical: tuple[int, Array | None] = (0, None)  # stamp [ns], unit vector in the sensor's frame
+        node.create_subscription(Imu, "imu", self._on_imu, ros.stream(_MEASURED), raw=True)
         for name, callback in {
             "walk_config": self._on_config,
             "robot_description": self._on_description,
@@ -157,6 +167,9 @@ class PhaseLog:
     def _on_phase(self, msg: String) -> None:
         self.label = msg.data
 
+    def _on_imu(self, raw: bytes) -> None:
+        self._imu.append(raw)
+
     def _on_start(self, msg: JointState) -> None:
         _store(self._starts, ros.nanoseconds(msg.header.stamp), msg)
 
@@ -169,12 +182,32 @@ class PhaseLog:
         self._assessors.pop(stamp, None)  # the target of the swing foot has changed
         _store(self._targets, stamp, target)
 
+    def up(self, stamp: int) -> Array | None:
+        """Return the newest measured vertical (3,) at the stamp of a state [ns]; None if there is none."""
+        newest = None
+        while self._imu and self._stamp(self._imu[0]) <= stamp:
+            newest = self._imu.popleft()
+        if newest is not None:
+            with contextlib.suppress(StateError):
+                self._vertical = ros.stamp_of(newest), ros.inertial_of(ros.deserialized(newest, Imu))[0]
+        measured, up = self._vertical
+        return up if 0 <= stamp - measured <= _OLD * 1e9 else None
+
+    @staticmethod
+    def _stamp(raw: bytes) -> int:
+        """Return the stamp of a serialised message [ns], 0 if it cannot be read."""
+        try:
+            return ros.stamp_of(raw)
+        except StateError:
+            return 0
+
     def begun(self, after: int, until: int) -> list[int]:
         """Return the start stamps of the phases in the interval (after, until] [ns], in order."""
         return sorted(key for key in self._starts if after < key <= until)
 
     def forget_after(self, stamp: int) -> None:
-        """Drop the phases that began after a stamp [ns], because time was set back."""
+        """Drop the phases that began after a stamp [ns] and the measurements, because time was set back."""
+        self._imu.clear()
         for table in (self._starts, self._targets, self._assessors, self._tuned):
             for key in [key for key in table if key > stamp]:
                 del table[key]

@@ -202,6 +202,7 @@ class Viewer(WalkNode):
                 label=self._phases.label,
                 solver=self._solver,
                 dq=state.dq,
+                up=self._phases.up(stamp),
             )
         )
 

@@ -354,9 +354,6 @@ def analyse(trace: Trace) -> Series:
     model, config = trace.model, trace.config
     count = len(trace.time)
     task_error, com, seen = (np.full((count, *shape), np.nan) for shape in ((), (3,), (18,)))
-    up = None  # unit vectors against gravity in the inertial sensor's frame, (N, 3)
-    if trace.physics is not None:
-        up = DQ(trace.physics.orientation).conj().Ad(DQ(np.array([0.0, 0.0, 1.0]))).vec3()
     kept: dict[str, Array] = {}
     residuals: dict[str, Array] = {}
     spans: list[Span] = []
@@ -374,9 +371,7 @@ def analyse(trace: Trace) -> Series:
         observe = Observer(features, support_tree(model, phase.base))
         margins = np.empty((stop - record.start, len(phase.assembly.names)))
         for tick in range(record.start, stop):
-            kin = Kinematics(model, trace.q[tick], phase.base)
-            if up is not None and np.isfinite(up[tick]).all():
-                kin = kin.with_vertical(up[tick])
+            kin = Kinematics(model, trace.q[tick], phase.base).with_vertical(trace.up(tick))
             now = phase.evaluate(kin)
             task_error[tick], com[tick], seen[tick] = now.error, kin.com, observe(kin)[0]
             margins[tick - record.start] = now.margins

@@ -236,6 +236,8 @@ class Moment:
         Last message about the solver of the quadratic program.
     dq : ndarray, shape (n,) [rad/s], or None
         Joint velocities; None if not known.
+    up : ndarray, shape (3,), or None
+        Unit vector against gravity in the inertial sensor's frame; None without the sensor.
     """
 
     time: float
@@ -247,6 +249,7 @@ class Moment:
     label: str = ""
     solver: str = ""
     dq: Array | None = None
+    up: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -313,7 +316,7 @@ class Scene:
         phase, model = moment.phase, self.model
         if self._assess is None or self._assess.phase is not phase:
             self._assess = Assessor(self.config, model, phase)
-        kin = Kinematics(model, moment.q, phase.base)
+        kin = Kinematics(model, moment.q, phase.base).with_vertical(moment.up)
         return kin, self._assess(kin, moment.time - moment.began)
 
     def look(self, moment: Moment) -> View:
@@ -395,4 +398,5 @@ class Moments:
             label=label or record.name,
             solver=solver,
             dq=(trace.q[tick] - trace.q[tick - 1]) / passed if passed > 0.0 else None,
+            up=trace.up(tick),
         )

@@ -18,6 +18,7 @@ import numpy as np
 from dqwalk_ros import __version__
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config, MonitorConfig
+from dqwalk_ros.constraints import Constraint
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.report.causes import causes
@@ -72,9 +73,8 @@ class Assessor:
 
     def __init__(self, config: Config, model: RobotModel, phase: Phase) -> None:
         self.config, self.model, self.phase = config, model, phase
-        start = phase.distances(Kinematics(model, phase.q_start, phase.base))
-        self._kept = [(row, start[row.name], _decay(row.eta, config.dt)) for row in phase.constraints]
-        self._held = [(row.name, abs(start[row.name]), _decay(row.eta, config.dt)) for row in phase.equalities]
+        self._start = phase.distances(Kinematics(model, phase.q_start, phase.base))
+        self._held = [(row.name, abs(self._start[row.name]), _decay(row.eta, config.dt)) for row in phase.equalities]
 
     def __call__(self, kin: Kinematics, elapsed: float, monitor: MonitorConfig | None = None) -> Assessment:
         """Return the assessment of one state, `elapsed` seconds after the phase began.
@@ -92,9 +92,9 @@ class Assessor:
             d = values[f"residual/{name}"] = float(distances[name])
             if abs(d) > start * decay**ticks + monitor.tolerance:
                 broken.append(f"{name} has a residual of {d:.3g}")
-        for row, start, decay in self._kept:
+        for row in self.phase.constraints:
             d = values[f"distance/{row.name}"] = float(distances[row.name])
-            if d < min(0.0, start * decay**ticks) - monitor.tolerance:
+            if d < min(0.0, _returned(row, self._start[row.name], ticks, self.config.dt)) - monitor.tolerance:
                 broken.append(f"{row.name} is {-d:.3g} beyond its bound")
             elif (margin := left_of(row, d)) < monitor.warn_margin:
                 close.append(f"{row.name} within {margin:.2g}")
@@ -112,13 +112,24 @@ class Assessor:
         elif "tip_plane" in distances:
             margins["margin/paper"] = min(distances["tip_plane"], distances["back_plane"])
         return margins | {
-            "margin/polygon": support_polygon(model, phase, kin).distance(kin.com),
+            "margin/polygon": support_polygon(model, phase, kin).distance(kin.com_on_ground),
             "margin/joints": float(np.minimum(kin.q - model.q_min, model.q_max - kin.q).min()),
         }
 
 
 def _decay(eta: float, dt: float) -> float:
     return 1.0 - min(1.0, eta * dt)
+
+
+def _returned(row: Constraint, start: float, ticks: float, dt: float) -> float:
+    """Return the least distance to the bound after a number of control periods, from that at the start of the phase.
+
+    A distance far below its bound returns at `row.return_speed`, a near one at the rate `row.eta` (`constraints.vfi`).
+    """
+    step, near = row.return_speed * dt, -row.return_speed / min(row.eta, 1.0 / dt)
+    far = min((near - start) / step, ticks) if start < near else 0.0
+    begun = start + far * step if far else start
+    return begun * float(_decay(row.eta, dt) ** (ticks - far))
 
 
 # ---------------------------------------------------------------------- violations of a whole walk

@@ -281,7 +281,7 @@ def _serve(walk: Connection, config: Config, port: int | None) -> None:
         if shown != (index, record.time):
             shown, phase = (index, record.time), record.phase(config, scene.model)
         x, began = record.x_odom_base, record.time
-        page.show(Moment(state.time, state.q, phase, index, began, x, record.name, solver, state.dq))
+        page.show(Moment(state.time, state.q, phase, index, began, x, record.name, solver, state.dq, state.up))
         time.sleep(max(0.0, FRAME - (time.monotonic() - drawn)))
     from dqwalk_ros.report import bag
 
