@@ -11,7 +11,7 @@ import pytest
 import dqwalk_ros as dq
 from dqwalk_ros.config import overlaid
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.estimation.base import BaseEstimator
+from dqwalk_ros.estimation.base import BaseEstimate, BaseEstimator
 from dqwalk_ros.estimation.vertical import filtered_vertical
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.robot import Foot
@@ -60,6 +60,18 @@ def errors(steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     assert controller.finished
     assert not plant.fallen
     return np.array(found), np.array(nees)
+
+
+def test_the_covariance_of_the_velocity_in_its_own_axes_contains_no_yaw() -> None:
+    """Errors of a turned velocity (right-invariant: R' = exp(a) R, v' = exp(a) v + b), drawn and counted."""
+    random, v, count = np.random.default_rng(1), np.array([0.2, -0.05, 0.01]), 20000
+    R = DQ.from_pose(np.zeros(3), [math.cos(0.4), 0.0, 0.0, math.sin(0.4)]).rotation_matrix()
+    a, b = random.normal(size=(count, 3)) * [0.01, 0.01, 0.2], random.normal(size=(count, 3)) * [0.01, 0.02, 0.005]
+    errors = np.zeros((count, 9))
+    errors[:, :3], errors[:, 3:6] = a, np.cross(a, v) + b
+    estimate = BaseEstimate(DQ(1.0).vec8(), v, np.zeros(3), np.cov(errors.T), frozenset())
+    np.testing.assert_allclose(estimate.velocity_covariance(R), np.cov((b @ R).T), rtol=0, atol=1e-6)
+    assert np.cov(errors[:, 3:6].T)[1, 1] > 1e-3  # of the velocity in axes of the world
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])

@@ -296,6 +296,24 @@ def test_the_inertial_sensor_measures_a_slope() -> None:
     assert np.linalg.norm(weight) == pytest.approx(MODEL.mass * 9.80665, rel=0.05)
 
 
+def test_the_simulated_sensor_is_mounted_as_configured() -> None:
+    """A controller that is told the mounting measures the same vertical of the base as with an aligned sensor."""
+    rpy = (0.3, -0.2, 0.1)
+    changes = {"physics.slope": 0.05, "physics.slope_side": 0.02}
+    found = []
+    for mounted in ((0.0, 0.0, 0.0), rpy):
+        config = CONFIG.updated({**changes, "robot.imu_rpy": mounted})
+        model = dq.load_model(config.robot)
+        plant = PhysicsPlant(config, model, model.posture(config.standing.posture))
+        plant.data.qvel[3:6] = 0.5, -0.3, 0.2
+        state = plant.step(Command(0.0, np.zeros(model.n)), 0.005)
+        x = DQ(model.frames[model.imu].pose)
+        measured = (state.up, state.gyro, plant.inertial.acceleration)
+        found.append([x.P().Ad(DQ([0.0, *a])).vec3() for a in measured])
+        assert np.linalg.norm(state.gyro) > 0.1
+    np.testing.assert_allclose(found[1], found[0], atol=1e-12)
+
+
 def test_the_wrenches_are_the_contact_forces_about_the_origin_of_each_sole() -> None:
     """Compared with the engine's force of every single contact, while one or both soles are on the ground."""
     config = overlaid(dq.load("poppy_dynamic"), "physics").updated({"gait.steps": 2, "physics.slope": 0.03})

@@ -64,6 +64,15 @@ class BaseEstimate:
     covariance: Array
     contacts: frozenset[Foot]
 
+    def velocity_covariance(self, R: Array) -> Array:
+        """Return the covariance (3, 3) of the velocity's error in axes of the robot with the orientation `R` (3, 3).
+
+        An error of the orientation turns the velocity in axes of the world, but not in those of the robot.
+        """
+        to_robot = R.T @ np.hstack([_cross(self.velocity), np.eye(3)])
+        out: Array = to_robot @ self.covariance[:6, :6] @ to_robot.T
+        return out
+
 
 class BaseEstimator:
     """Estimates the base recursively; `update` processes one state."""
@@ -120,7 +129,7 @@ class BaseEstimator:
         omega = self._R @ (gyro - self._bias[:3])
         contacts = frozenset(foot for foot, s, slipped in zip(foot_of, stands, lost, strict=True) if s and not slipped)
         velocity = self._v + _cross(omega) @ (p - self._p)
-        return BaseEstimate(pelvis.vec8(), velocity, omega, self._covariance(p), contacts)
+        return BaseEstimate(pelvis.vec8(), velocity, omega, self._covariance(p, velocity), contacts)
 
     def _begin(self, R: Array, p: Array, h: Array) -> None:
         """Initialize state and covariance by the sensor's pose and the contact points `h` (4, 3) in its frame."""
@@ -137,10 +146,10 @@ class BaseEstimator:
         for k in range(len(_POINTS)):
             _reset_point(k, h[k], self._R, self._p, self._d, P, c.kinematics**2)
 
-    def _covariance(self, p: Array) -> Array:
-        """Return the covariance (9, 9) of the errors of orientation, velocity, and position at `p`, from that of xi."""
+    def _covariance(self, p: Array, v: Array) -> Array:
+        """Return the covariance (9, 9) of the errors of orientation, velocity `v`, position `p`, from that of xi."""
         T = np.eye(9)
-        T[_V, _R], T[_P, _R] = -_cross(self._v), -_cross(p)
+        T[_V, _R], T[_P, _R] = -_cross(v), -_cross(p)
         out: Array = T @ self._P[:9, :9] @ T.T
         return out
 

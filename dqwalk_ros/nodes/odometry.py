@@ -130,7 +130,7 @@ class Odometry:
             R_odom, R = self._origin.rotation_matrix(), (self._origin.conj() * x).rotation_matrix()
             to_odom = np.kron(np.array([[0.0, 1.0], [1.0, 0.0]]), R_odom)  # position first, then orientation
             of_pose = to_odom @ e.covariance[np.ix_(_POSE, _POSE)] @ to_odom.T
-            of_twist[:3, :3] = R.T @ e.covariance[3:6, 3:6] @ R
+            of_twist[:3, :3] = e.velocity_covariance(R)
             arm = (self._origin.conj() * x).translation() - DQ(e.pose).translation()
             twist = np.concatenate([R.T @ (e.velocity + np.cross(e.angular_velocity, arm)), R.T @ e.angular_velocity])
         msg.pose.covariance, msg.twist.covariance = of_pose.ravel(), of_twist.ravel()

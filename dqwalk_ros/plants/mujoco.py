@@ -77,6 +77,8 @@ class PhysicsPlant(Plant):
         self._root = self.mj.body(model.root).id
         self._pelvis = self.mj.body(model.pelvis).id
         self._imu = self.mj.body(model.imu_link).id
+        mounting = DQ(model.frames[model.imu_link].pose).conj() * DQ(model.frames[model.imu].pose)
+        self._mounting, self._to_sensor = mounting.vec4(), mounting.rotation_matrix().T
         self._soles = {foot: self.mj.body(model.soles[foot].frame).id for foot in Foot}
         self._ground = {foot: self.mj.sensor(f"ground_{foot.value}").adr[0] for foot in Foot}
         self._goals = self.data.ctrl.reshape(-1, model.n)  # a view; a second row where there is backlash
@@ -135,7 +137,7 @@ class PhysicsPlant(Plant):
 
     def push(self, force: ArrayLike) -> None:
         """Push the pelvis with `force` (3,) [N] in world axes until the next call."""
-        self.data.xfrc_applied[self._root, :3] = np.asarray(force, dtype=np.float64)
+        self.data.xfrc_applied[self._pelvis, :3] = np.asarray(force, dtype=np.float64)
 
     @property
     def commanded(self) -> Array:
@@ -174,14 +176,16 @@ class PhysicsPlant(Plant):
         return values
 
     def _measured(self) -> State:
-        turning, orientation = np.empty(6), np.empty(4)
+        turning, link, orientation = np.empty(6), np.empty(4), np.empty(4)
         mujoco.mj_objectVelocity(self.mj, self.data, mujoco.mjtObj.mjOBJ_XBODY, self._imu, turning, 1)
-        mujoco.mju_mulQuat(orientation, self._level, self._xquat[self._imu])
+        mujoco.mju_mulQuat(link, self._level, self._xquat[self._imu])
+        mujoco.mju_mulQuat(orientation, link, self._mounting)
         time = round(self._ticks * self._dt * 1e9) * 1e-9  # rounded to nanoseconds, like a ROS stamp
         q, dq = self._qpos[self._qadr], self._qvel[self._vadr]
         # the acceleration of an exact sensor is computed only when `inertial` is read
         acceleration = _NO_ACCELERATION if self._sensors.exact else self._acceleration()
-        r = self._reading = self._sensors.measure(time, Reading(orientation, turning[:3], acceleration, q, dq))
+        exact = Reading(orientation, self._to_sensor @ turning[:3], acceleration, q, dq)
+        r = self._reading = self._sensors.measure(time, exact)
         felt = None if self._sensors.exact else r.acceleration
         return State(time, r.q, r.dq, upward(*r.orientation.tolist()), r.gyro, felt)
 
@@ -189,7 +193,8 @@ class PhysicsPlant(Plant):
         out = np.empty(6)
         mujoco.mj_rnePostConstraint(self.mj, self.data)
         mujoco.mj_objectAcceleration(self.mj, self.data, mujoco.mjtObj.mjOBJ_XBODY, self._imu, out, 1)
-        return out[3:]
+        felt: Array = self._to_sensor @ out[3:]
+        return felt
 
     def _seat(self, q: Array) -> None:
         """Set the initial pose, with the left sole flat on the floor, unless the root link is held in the air."""
