@@ -1,7 +1,7 @@
 """Linear inverted pendulum model of a robot: its frequencies, and the effect of the swing leg.
 
 With the angular momentum L about the CoM, the condition that the ground exerts no horizontal moment about the
-zero-moment point z is c - z = (h/g) c'' + (ex x L') / (M g) along the ground. L is proportional to the velocities of
+zero-moment point z is c - z = (h/g) c'' + (L' x ez) / (M g) along the ground. L is proportional to the velocities of
 the CoM and of the swing foot, by the joint velocities that the quadratic program of the controller gives for them. So a
 robot that tilts sideways instead of shifting its hips is a slower pendulum than a point mass at the same height.
 """
