@@ -234,6 +234,8 @@ class AnsweringNode(WalkNode):
         period, dt = float(np.percentile(self._periods, 25)), self.config.dt  # a lost state doubles one period
         error = abs(period / dt - 1.0)
         text = f"joint_states arrive every {period:.4f} s, but dt is {dt:g} s: set dt to the period of the states"
+        if period > 1.5 * dt:
+            text += ", or, if the plant sends one every dt, run less beside this node, which misses some"
         if self._is_walking and (period > _MAX_PERIOD * dt or (self.lockstep and error > 1e-3)):
             self._end(text)
         elif error > _RATE_TOLERANCE and len(self._periods) == _PERIODS:
