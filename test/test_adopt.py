@@ -18,7 +18,7 @@ from dqwalk_ros.adopt.anatomy import find_anatomy
 from dqwalk_ros.adopt.check import check
 from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import ModelError
+from dqwalk_ros.errors import ConfigError, ModelError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.shapes import Shapes
@@ -106,6 +106,8 @@ REFUSED = {
     "edges": ((r'<box size="0.1265 0.0825 0.0132"/>', '<box size="0.1265 1e-30 0.0132"/>'), "has no flat area"),
     "one leg": ((r'name="r_knee" type="revolute"', 'name="r_knee" type="fixed"'), "mirror each other"),
     "truncated": ((r"</robot>", ""), "not XML"),
+    "grams": ((r'(mass value="[^"]*)', r"\1e3"), "edited.urdf weigh 4059 kg"),
+    "no masses": ((r"<inertial>.*?</inertial>", ""), "edited.urdf: the robot has no mass"),
     "missing meshes": (
         (r"<(box|cylinder|sphere) [^>]*/>", '<mesh filename="package://no/a.stl"/>'),
         "--package-path",
@@ -123,6 +125,13 @@ def test_unsuitable_robots_are_rejected_with_one_line(
     error = capsys.readouterr().err
     assert expected in error
     assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_invalid_value_given_by_the_user_leaves_no_file(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"^'gait.step_length' must be a number"):
+        adopt(SMALL, tmp_path / "out", changes={"gait.step_length": 7.0})
+    assert not (tmp_path / "out").exists()
 
 
 MUTATIONS: dict[str, tuple[dict[str, Any], str]] = {

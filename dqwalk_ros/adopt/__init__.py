@@ -30,7 +30,7 @@ from dqwalk_ros.adopt.posture import over_one_foot, stand
 from dqwalk_ros.adopt.skeleton import Entry, Skeleton
 from dqwalk_ros.config import Config, RobotConfig, load
 from dqwalk_ros.errors import ModelError
-from dqwalk_ros.robot import Foot, RobotModel, load_model
+from dqwalk_ros.robot import Foot, RobotModel, load_model, parse_model
 from dqwalk_ros.shapes import Shapes
 from dqwalk_ros.text_table import aligned
 from dqwalk_ros.urdf import Origin, Urdf
@@ -41,6 +41,8 @@ _CROUCH = 0.91
 """Distance of hip and ankle as a fraction of the straight leg, for the longer steps of the whole-body controller."""
 _CLEARANCE = 0.02
 """Half of the least gap between the soles, as a fraction of the leg length."""
+_HEAVIEST = 5000.0
+"""Largest mass divided by the cube of the leg length [kg/m^3]; that of a robot is about 30 to 300."""
 
 
 @dataclass(frozen=True)
@@ -111,17 +113,19 @@ def adopt(
     Raises
     ------
     ModelError
-        If the robot description cannot be read, or the robot cannot walk with this package.
+        If the robot description cannot be read, or the robot cannot walk with this package; no file is written.
+    ConfigError
+        If a value of `changes` is invalid; no file is written.
     """
     path, folder = pathlib.Path(path), pathlib.Path(folder)
     urdf = Urdf.load(path)
     shapes = Shapes(urdf, path, tuple(map(pathlib.Path, package_paths)))
     anatomy = find_anatomy(urdf, shapes, left=left, right=right, forward=forward)
+    _check_mass(path, urdf, anatomy)
     _align_root(urdf, anatomy)
     soles = _add_soles(urdf, anatomy)
     urdf.links.update({name: shapes.named(link) for name, link in urdf.links.items()})  # paths of the meshes
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "robot.urdf").write_text(urdf.text(), encoding="utf-8")
+    text = urdf.text()
 
     sole = anatomy.soles[Foot.LEFT]
     free = {joint for leg in anatomy.legs.values() for joint in leg}
@@ -137,7 +141,7 @@ def adopt(
         sole_length=float(f"{sole.length:.4g}"),
         sole_width=float(f"{sole.width:.4g}"),
     )
-    model = load_model(robot)
+    model = parse_model(text, robot)
     width = _sole_distance(urdf, anatomy)
     standing = stand(model, anatomy, width)
     single = [over_one_foot(model, anatomy, standing, foot) for foot in Foot]
@@ -151,12 +155,19 @@ def adopt(
     about = robot_entries(model, anatomy, robot.lock, "those that walk")
     entries = [*about, *parameters(numbers)]
     entries = changed(entries, changes or {}, "given by --set")
+    Config().updated({entry.what: entry.value for entry in entries})  # no file is written of invalid values
+    whole_body = []
+    if "R" in anatomy.kinds[-2:] and len(anatomy.hands) == len(Foot):
+        whole_body = _whole_body(urdf, text, robot, numbers)
+
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "robot.urdf").write_text(text, encoding="utf-8")
     write_dynamic(folder, numbers, entries, changes or {})
     write_yaml(folder / "robot.yaml", entries, f"{urdf.name}, adopted from {path.name}: the standing walk.")
     paper = [*about, *paper_parameters(numbers)]
     write_yaml(folder / "paper.yaml", paper, f"{urdf.name}, adopted from {path.name}: the walk of Urban & Adorno.")
-    if "R" in anatomy.kinds[-2:] and len(anatomy.hands) == len(Foot):
-        _write_whole_body(folder, urdf, robot, numbers, path.name)
+    if whole_body:
+        write_yaml(folder / "whole_body.yaml", whole_body, f"{urdf.name}, adopted from {path.name}: Sherikov et al.")
     config = load(folder / "robot.yaml")
     model = load_model(config.robot)
     evidence = (*anatomy.evidence, *_mass_evidence(numbers))
@@ -234,6 +245,17 @@ def write_dynamic(folder: pathlib.Path, numbers: Numbers, entries: Sequence[Entr
     write_yaml(folder / "dynamic.yaml", changed(merged, own, "given by --set"), title)
 
 
+def _check_mass(path: pathlib.Path, urdf: Urdf, anatomy: Anatomy) -> None:
+    mass = sum(link.mass for link in urdf.links.values())
+    if not mass > 0.0:
+        raise ModelError(f"{path}: the robot has no mass, so it has no centre of mass: its links lack <inertial>")
+    if mass > _HEAVIEST * anatomy.leg**3:
+        raise ModelError(
+            f"the links of {path} weigh {mass:.4g} kg together, with legs of {anatomy.leg:.2g} m: are the masses in "
+            "grams?"
+        )
+
+
 def _align_root(urdf: Urdf, anatomy: Anatomy) -> None:
     """Add a new root link with x forward and z up, unless the root link has these axes."""
     if np.allclose(anatomy.turn, np.eye(3), atol=1e-9):
@@ -255,17 +277,16 @@ def _add_soles(urdf: Urdf, anatomy: Anatomy) -> dict[Foot, str]:
     return names
 
 
-def _write_whole_body(folder: pathlib.Path, urdf: Urdf, robot: RobotConfig, numbers: Numbers, source: str) -> None:
-    """Write the configuration of the whole-body controller, which also moves the waist and the arms."""
+def _whole_body(urdf: Urdf, text: str, robot: RobotConfig, numbers: Numbers) -> list[Entry]:
+    """Return the parameters of the whole-body controller, which also moves the waist and the arms."""
     anatomy, chain = numbers.anatomy, Skeleton(urdf).chain
     arms = {foot: tuple(j for j in chain[hand] if j not in anatomy.waist) for foot, hand in anatomy.hands.items()}
     legs = {joint for leg in anatomy.legs.values() for joint in leg}
     lock = _lock(urdf, legs | set(anatomy.waist) | {joint for arm in arms.values() for joint in arm})
-    model = load_model(replace(robot, lock=lock))
+    model = parse_model(text, replace(robot, lock=lock))
     standing = stand(model, anatomy, numbers.apart, bent=_CROUCH)
     about = robot_entries(model, anatomy, lock, "legs, waist and arms")
-    entries = [*about, *whole_body_parameters(model, standing, numbers, arms)]
-    write_yaml(folder / "whole_body.yaml", entries, f"{urdf.name}, adopted from {source}: Sherikov et al.")
+    return [*about, *whole_body_parameters(model, standing, numbers, arms)]
 
 
 def _lock(urdf: Urdf, free: set[str]) -> tuple[str, ...]:
