@@ -93,7 +93,7 @@ def pushes(
     rows = [[one.moment, round(math.degrees(one.direction), 3), one.survived, one.failed, one.reason] for one in found]
     by_moment = {_LABELS[key]: [one for one in found if one.moment == key] for key in moments}
     figure = pushes_figure(by_moment, f"{load_model(made.robot).name}: largest push survived [N s]")
-    write_study(many.folder, "pushes", head, rows, table(found, duration, study.impulse_scale(made)), figure)
+    write_study(many, "pushes", head, rows, table(found, duration, study.impulse_scale(made)), figure)
     return 0
 
 

@@ -44,16 +44,18 @@ def prepare(output: Output) -> None:
 
 
 def write_study(
-    folder: Path, name: str, head: Sequence[str], rows: Iterable[Sequence[Any]], text: str, figure: Figure
+    output: Output, name: str, head: Sequence[str], rows: Iterable[Sequence[Any]], text: str, figure: Figure
 ) -> None:
-    """Write a study as ``NAME.csv``, a line per row, ``NAME.txt`` and ``NAME.png``, and print the text."""
+    """Write a study as ``NAME.csv``, a line per row, ``NAME.txt`` and ``NAME.png``, and print the text unless quiet."""
     from dqwalk_ros.report.figures.style import Drawn, save
 
+    folder = output.folder
     with (folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([head, *rows])
     (folder / f"{name}.txt").write_text(text + "\n", encoding="utf-8")
     save([Drawn(name, figure)], folder)
-    print(text)
+    if not output.quiet:
+        print(text)
 
 
 def write_report(

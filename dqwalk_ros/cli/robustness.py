@@ -91,7 +91,7 @@ def robustness(
         [*(values[name] for name in axes), int(end.stood), end.time, end.steps, end.reason, end.tilt]
         for values, end in done
     ]
-    write_study(many.folder, "robustness", head, rows, table(done, axes), robustness_figure(done, axes, steps))
+    write_study(many, "robustness", head, rows, table(done, axes), robustness_figure(done, axes, steps))
     return 0 if len(done) == len(combinations) and all(end.stood for _, end in done) else 1
 
 
