@@ -125,6 +125,7 @@ def test_unsuitable_robots_are_rejected_with_one_line(
     error = capsys.readouterr().err
     assert expected in error
     assert error.count("\n") == 1
+    assert "reading the robot" in error
     assert not (tmp_path / "out").exists()
 
 

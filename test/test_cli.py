@@ -210,6 +210,7 @@ def test_report_is_written_beside_the_bag_in_every_format(walked, capsys, monkey
     out, _ = walked
     monkeypatch.setattr("dqwalk_ros.report.figures.FIGURES", {"figure8": (lambda series: new_figure(2.0, 1.0), "")})
     assert cli.main(["report", str(out / "bag"), "--format", "svg,pdf"]) == 0
+    assert re.search("reading.*computing.*drawing", capsys.readouterr().err, re.DOTALL)
     assert {path.suffix for path in (out / "bag_report").iterdir()} == {".json", ".svg", ".pdf"}
 
 
@@ -251,7 +252,7 @@ def test_the_folder_of_results_is_not_a_bag_but_contains_it(walked, capsys):
 
 def test_a_missing_walk_to_compare_is_an_error_before_any_result(walked, tmp_path, capsys):
     out, _ = walked
-    assert cli.main(["report", f"{out}/bag", "--compare", f"{tmp_path}/none", "--out", f"{tmp_path}/r"]) == 1
+    assert cli.main(["report", f"{out}/bag", "--compare", f"{tmp_path}/none", "--out", f"{tmp_path}/r", "--quiet"]) == 1
     assert is_one_line(capsys.readouterr().err)
     assert not (tmp_path / "r").exists()
 
@@ -339,8 +340,12 @@ def test_progress_shows_fraction_text_and_time_left(capsys):
         bar(0.5, "single_support/left")
         bar(2.0, "never more than all")
     assert "single_support/left" not in capsys.readouterr().out
+    with Progress() as bar:
+        bar.stage(0.5, "reading")
+    assert re.search("50 %.*reading", capsys.readouterr().err)
     with Progress(quiet=True) as bar:
         bar(0.5, "never")
+        bar.stage(0.5, "never")
     assert capsys.readouterr().err == ""
 
 

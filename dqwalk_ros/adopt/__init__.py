@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import os
 import pathlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -92,6 +92,7 @@ def adopt(
     right: str = "",
     forward: str = "",
     changes: Mapping[str, Any] | None = None,
+    progress: Callable[[float, str], None] = lambda *_: None,
 ) -> Adoption:
     """Read a robot description, derive the parameters of a walk and write the files, without walking.
 
@@ -109,6 +110,8 @@ def adopt(
         Forward axis of the root link, ``+x``, ``-x``, ``+y`` or ``-y``; empty to find it.
     changes : dict of str to value, optional
         Parameters that replace the derived ones.
+    progress : callable, optional
+        Called with the fraction done and the name of the next stage.
 
     Raises
     ------
@@ -118,6 +121,7 @@ def adopt(
         If a value of `changes` is invalid; no file is written.
     """
     path, folder = pathlib.Path(path), pathlib.Path(folder)
+    progress(0.0, "reading the robot")
     urdf = Urdf.load(path)
     shapes = Shapes(urdf, path, tuple(map(pathlib.Path, package_paths)))
     anatomy = find_anatomy(urdf, shapes, left=left, right=right, forward=forward)
@@ -143,6 +147,7 @@ def adopt(
     )
     model = parse_model(text, robot)
     width = _sole_distance(urdf, anatomy)
+    progress(0.3, "finding its postures")
     standing = stand(model, anatomy, width)
     single = [over_one_foot(model, anatomy, standing, foot) for foot in Foot]
     deviation = max(error for _, error in single)

@@ -72,23 +72,24 @@ def adopt(
     """Make a configuration that walks from a robot description, URDF or xacro."""
     from dqwalk_ros import adopt as adopting
     from dqwalk_ros.adopt.picture import draw
+    from dqwalk_ros.cli.progress import Progress
 
     if view:
         import dqwalk_ros.report.viewer.page  # noqa: F401 - if viser is missing, say so before the work
     if bool(left) != bool(right):
         raise ConfigError("--left and --right must be given together")
     given = dict(parse_overrides(changes))
-    found = adopting.adopt(
-        urdf, out, package_paths=places, left=left, right=right, forward=forward or "", changes=given
-    )
+    sides = {"left": left, "right": right, "forward": forward or ""}
+    with Progress(quiet=quiet) as bar:
+        found = adopting.adopt(urdf, out, package_paths=places, **sides, changes=given, progress=bar.stage)
+        bar.stage(0.7, "drawing")
+        draw(found.config, found.model, out / "robot.png")
     if not quiet:
         for repair in found.repairs[:_SHOWN]:
             print(f"repaired: {repair}")
         if len(found.repairs) > _SHOWN:
             print(f"repaired: {len(found.repairs) - _SHOWN} more, listed in {out / 'adopt.json'}")
         print(adopting.table(found))
-    draw(found.config, found.model, out / "robot.png")
-    if not quiet:
         print(f"wrote {', '.join(str(file) for file in sorted(out.iterdir()))}; look at robot.png first")
     page = _page(found, port) if view else None
     unsure = [e.what for e in found.anatomy.evidence if e.what == "ahead" and e.confidence == "guess"]

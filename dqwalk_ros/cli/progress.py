@@ -41,3 +41,8 @@ class Progress:
         """Show the fraction done and some text."""
         self._bar.set_description_str(text, refresh=False)
         self._bar.update(min(1.0, max(0.0, fraction)) - self._bar.n)
+
+    def stage(self, fraction: float, text: str) -> None:
+        """Show at once the fraction done and the name of a stage, during which the bar does not change."""
+        self._bar.n = fraction
+        self._bar.set_description_str(text)

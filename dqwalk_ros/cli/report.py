@@ -48,6 +48,7 @@ def report(
     from joint_states and the phases.
     """
     from dqwalk_ros import report as reporting
+    from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import write_results
     from dqwalk_ros.report import bag as bags
     from dqwalk_ros.report import figures
@@ -55,28 +56,39 @@ def report(
     from dqwalk_ros.report.bag.messages import diagnostics_of
 
     output = replace(output, out=output.out or bag.with_name(bag.resolve().name + "_report"))
-    content = bags.content_of(bag)
+    quiet = output.quiet or as_json
+    with Progress(quiet=quiet) as bar:
+        bar.stage(0.0, "reading")
+        content = bags.content_of(bag)
     if bags.is_body(content):
         if compare or csv:
             raise ConfigError("--compare and --csv are not available for whole-body walks")
         return _body(content, namespace, output, html=html, as_json=as_json)
-    trace, statuses = bags.read(content, namespace=namespace), diagnostics_of(content) if html or compare else []
-    del content  # it is larger than all series
-    series = reporting.analyse(trace)
-    other = _other(compare, namespace) if compare else None
-    drawn = list(figures.drawn(series)) if html or other else None
+    with Progress(quiet=quiet) as bar:
+        bar.stage(0.0, "reading")
+        trace, statuses = bags.read(content, namespace=namespace), diagnostics_of(content) if html or compare else []
+        del content  # it is larger than all series
+        bar.stage(0.3, "computing")
+        series = reporting.analyse(trace)
+        other = _other(compare, namespace) if compare else None
+        drawn = None
+        if html or other:
+            bar.stage(0.7, "drawing")
+            drawn = list(figures.drawn(series))
     found = write_results(series, output, as_json=as_json, drawn=drawn)
     extra = []
     try:
         if drawn is not None:
             extra.append(output.folder / "report.html")
             subjects = [pages.Subject(_name(bag), series, found, statuses, drawn), *([other] if other else [])]
-            pages.write(subjects, extra[-1])
+            with Progress(quiet=quiet) as bar:
+                bar.stage(0.0, "writing the page")
+                pages.write(subjects, extra[-1])
         if csv:
             extra.append(_csv(series, output.folder))
     except OSError as error:
         raise BagError(f"cannot write to '{output.folder}': {error}") from error
-    if extra and not (output.quiet or as_json):
+    if extra and not quiet:
         print("wrote " + ", ".join(str(file) for file in extra))
     return 0 if found["ok"] else 1
 
@@ -91,8 +103,10 @@ def _body(bag: Content, namespace: str | None, output: Report, *, html: bool, as
     from dqwalk_ros.whole_body.demands import checks, render_checks, summary
     from dqwalk_ros.whole_body.experiments import retrace
 
-    log = read_body(bag, namespace=namespace)
-    with Progress(quiet=output.quiet or as_json) as bar:
+    quiet = output.quiet or as_json
+    with Progress(quiet=quiet) as bar:
+        bar.stage(0.0, "reading")
+        log = read_body(bag, namespace=namespace)
         walked, off = retrace(log, progress=bar)
     demands = checks(walked)
     found = summary(walked, demands) | {"torques_differ_by": off, "notes": list(log.notes)}
@@ -101,8 +115,10 @@ def _body(bag: Content, namespace: str | None, output: Report, *, html: bool, as
         output.folder.mkdir(parents=True, exist_ok=True)
         files.append(output.folder / "report.html")
         differ = f"Recorded and recomputed torques differ by at most {off:.2g} N m."
-        page.write(files[0], _name(bag.path), walked, demands, [differ, *log.notes])
-    for note in () if as_json or output.quiet else log.notes:
+        with Progress(quiet=quiet) as bar:
+            bar.stage(0.0, "writing the page")
+            page.write(files[0], _name(bag.path), walked, demands, [differ, *log.notes])
+    for note in () if quiet else log.notes:
         print(f"note: {note}", file=sys.stderr)
     table = f"{render_checks(walked, demands)}\nrecorded and recomputed torques differ by at most {off:.2g} N m\n"
     write_report(output, found, table, reaching.drawn([walked]), as_json=as_json, more=files)

@@ -83,6 +83,7 @@ def write_report(
     BagError
         If a file cannot be written.
     """
+    from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.report.figures.style import save
 
     text, out = json.dumps(found, indent=2), output.folder
@@ -93,7 +94,11 @@ def write_report(
     try:
         out.mkdir(parents=True, exist_ok=True)
         (out / "report.json").write_text(text + "\n", encoding="utf-8")
-        files = [*more, out / "report.json", *(save(drawn, out, output.formats) if output.figures else ())]
+        files = [*more, out / "report.json"]
+        if output.figures:
+            with Progress(quiet=as_json or output.quiet) as bar:
+                bar.stage(0.0, "drawing")
+                files += save(drawn, out, output.formats)
     except OSError as error:
         raise BagError(f"cannot write to '{out}': {error}") from error
     if not (as_json or output.quiet):
