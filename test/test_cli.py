@@ -136,6 +136,7 @@ def test_the_output_of_config_can_be_loaded(capsys, tmp_path):
         (["simulate", "--set", "robot.urdf=nowhere.urdf"], "nowhere.urdf"),
         (["simulate", "--set", "robot.right_sole=l_sole"], "no joint moves the soles"),
         (["simulate", "--set", "robot.lock=['*']"], "no joint moves the soles"),
+        (["simulate", "--set", "gait.walk=nowhere:Walk"], "No module named 'nowhere'"),
     ],
 )
 def test_an_invalid_configuration_gives_one_line_and_exit_code_2(arguments, expected, tmp_path, capsys, monkeypatch):
@@ -222,6 +223,19 @@ def test_an_earlier_walk_is_not_overwritten_without_force(walked, capsys):
     assert is_one_line(output)
     assert "--force" in output
     assert (out / "bag/metadata.yaml").read_text() == before
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [("env.sh", "dqwalk: 'env.sh' is a file, not a folder\n"), ("env.sh/walk", "'env.sh/walk': Not a directory\n")],
+)
+def test_a_folder_that_cannot_be_created_is_an_error_without_number(name, expected, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("env.sh").touch()
+    assert cli.main(["simulate", *FAST, "--out", name]) == 1
+    error = capsys.readouterr().err
+    assert is_one_line(error)
+    assert error.endswith(expected)
 
 
 def test_force_replaces_bags_only(tmp_path):

@@ -158,6 +158,8 @@ def test_the_command_reach(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert "--force" in capsys.readouterr().err
     assert cli.main(["reach", "--target", "0.5", "--out", str(out), "--force"]) == 2
     assert "3 numbers separated by commas" in capsys.readouterr().err
+    assert cli.main(["reach", "--set", "whole_body.hand=nothing", "--out", str(tmp_path / "new")]) == 2
+    assert not (tmp_path / "new").exists()
 
 
 # ---------------------------------------------------------------------- requirements

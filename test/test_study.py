@@ -21,7 +21,7 @@ from pyarrow import parquet
 from dqwalk_ros import cli
 from dqwalk_ros.cli.robustness import table
 from dqwalk_ros.config import load, overlaid
-from dqwalk_ros.errors import ConfigError, PlantError, StudyError
+from dqwalk_ros.errors import ConfigError, ModelError, PlantError, StudyError
 from dqwalk_ros.studies import pushes, read, robustness, walk_all
 from dqwalk_ros.studies.bisection import largest
 from dqwalk_ros.studies.runner import Store, run
@@ -257,7 +257,7 @@ def test_the_study_command_reports_its_results_and_errors(small, tmp_path, capsy
     assert (out / "study.png").stat().st_size > 10_000
     assert os.path.exists(out / "walks.parquet")
     assert cli.main(["study", str(tmp_path / "none.yaml")]) == 2
-    assert "none.yaml" in capsys.readouterr().err
+    assert capsys.readouterr().err == f"dqwalk: no study file '{tmp_path / 'none.yaml'}'\n"
     (out / "walks.parquet").unlink()
     (out / "walks.parquet").mkdir()
     assert cli.main(["study", str(small), "--out", str(out)]) == 1
@@ -277,6 +277,12 @@ def test_robustness_samples_cells_and_counts_failures():
     text = table(done, axes)
     assert text.startswith("3 of 4 cells stood (4 of the 6 combinations were walked)")
     assert "failed at" in text
+
+
+def test_a_robot_that_does_not_exist_is_an_error_before_the_first_cell(tmp_path):
+    with pytest.raises(ModelError, match=r"nowhere\.urdf"):
+        robustness.walk_all(POPPY.updated({"robot.urdf": "nowhere.urdf"}), [{}], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_stiffness_is_varied_relative_to_the_robots_own():

@@ -82,6 +82,7 @@ def reach(
 
     Times are CPU time of this process; set OPENBLAS_NUM_THREADS=1, because more threads are not faster here.
     """
+    from dqwalk_ros.cli.results import create
     from dqwalk_ros.robot import load_model
     from dqwalk_ros.whole_body import PAPER_TIMES, SCENARIOS, WholeBodyController
     from dqwalk_ros.whole_body.scenario import fitted
@@ -91,10 +92,9 @@ def reach(
         raise ConfigError("--plant both requires --pushes")
     if (out / "report.json").exists() and not output.force:
         raise BagError(f"'{out}' has a report already; choose another folder with --out, or replace it with --force")
-    out.mkdir(parents=True, exist_ok=True)
+    controller = WholeBodyController(made, load_model(made.robot))
     if pushes:
         return _pushes(made, output, plant, when, exact, jobs)
-    controller = WholeBodyController(made, load_model(made.robot))
     extra = [(t, (x, y, z)) for t, x, y, z in push]
     scenarios = []
     for name in ("1", "2") if test == "both" else (test,):
@@ -105,6 +105,7 @@ def reach(
         if target is not None:
             scenario = replace(scenario, name="your target", targets=((0.0, target),))
         scenarios.append(replace(scenario, pushes=(*scenario.pushes, *extra), duration=duration or scenario.duration))
+    create(out)
     return _tests(made, output, plant, scenarios)
 
 

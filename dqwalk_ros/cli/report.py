@@ -87,7 +87,7 @@ def report(
         if csv:
             extra.append(_csv(series, output.folder))
     except OSError as error:
-        raise BagError(f"cannot write to '{output.folder}': {error}") from error
+        raise BagError(f"cannot write to '{output.folder}': {error.strerror or error}") from error
     if extra and not quiet:
         print("wrote " + ", ".join(str(file) for file in extra))
     return 0 if found["ok"] else 1
@@ -96,7 +96,7 @@ def report(
 def _body(bag: Content, namespace: str | None, output: Report, *, html: bool, as_json: bool) -> int:
     """Evaluate and draw a whole-body walk; return the exit code."""
     from dqwalk_ros.cli.progress import Progress
-    from dqwalk_ros.cli.results import write_report
+    from dqwalk_ros.cli.results import create, write_report
     from dqwalk_ros.report.bag import read_body
     from dqwalk_ros.report.figures import reaching
     from dqwalk_ros.report.html import body as page
@@ -112,7 +112,7 @@ def _body(bag: Content, namespace: str | None, output: Report, *, html: bool, as
     found = summary(walked, demands) | {"torques_differ_by": off, "notes": list(log.notes)}
     files = []
     if html:
-        output.folder.mkdir(parents=True, exist_ok=True)
+        create(output.folder)
         files.append(output.folder / "report.html")
         differ = f"Recorded and recomputed torques differ by at most {off:.2g} N m."
         with Progress(quiet=quiet) as bar:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from dqwalk_ros.report import Series
     from dqwalk_ros.report.figures.style import Drawn
 
-__all__ = ["prepare", "write_report", "write_results", "write_study"]
+__all__ = ["create", "prepare", "write_report", "write_results", "write_study"]
 
 
 def prepare(output: Output) -> None:
@@ -28,19 +28,32 @@ def prepare(output: Output) -> None:
     Raises
     ------
     BagError
-        If it cannot be created, or contains an earlier walk and --force is not given.
+        As `create`, and if the folder contains an earlier walk and --force is not given.
     """
     bag = output.folder / "bag"
     if bag.exists() and not output.force:
         raise BagError(f"'{bag}' exists; choose another folder with --out, or replace it with --force")
     if bag.exists() and not any(bag.glob("*.mcap")) and not any(bag.glob("*.db3")):
         raise BagError(f"'{bag}' is not a bag and is not replaced; choose another folder with --out")
+    if bag.exists():
+        shutil.rmtree(bag)
+    create(output.folder)
+
+
+def create(folder: Path) -> None:
+    """Create a folder of results unless it exists.
+
+    Raises
+    ------
+    BagError
+        If it cannot be created.
+    """
     try:
-        if bag.exists():
-            shutil.rmtree(bag)
-        output.folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise BagError(f"'{folder}' is a file, not a folder") from None
     except OSError as error:
-        raise BagError(f"cannot create the folder '{output.folder}': {error}") from error
+        raise BagError(f"cannot create the folder '{folder}': {error.strerror}") from error
 
 
 def write_study(
@@ -81,7 +94,7 @@ def write_report(
     Raises
     ------
     BagError
-        If a file cannot be written.
+        If the folder or a file cannot be written.
     """
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.report.figures.style import save
@@ -91,8 +104,8 @@ def write_report(
         print(text)
     elif table and not output.quiet:
         print(table)
+    create(out)
     try:
-        out.mkdir(parents=True, exist_ok=True)
         (out / "report.json").write_text(text + "\n", encoding="utf-8")
         files = [*more, out / "report.json"]
         if output.figures:
@@ -100,7 +113,7 @@ def write_report(
                 bar.stage(0.0, "drawing")
                 files += save(drawn, out, output.formats)
     except OSError as error:
-        raise BagError(f"cannot write to '{out}': {error}") from error
+        raise BagError(f"cannot write to '{out}': {error.strerror or error}") from error
     if not (as_json or output.quiet):
         print("wrote " + ", ".join(map(str, files)))
 

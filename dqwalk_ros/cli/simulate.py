@@ -53,7 +53,6 @@ def simulate(config: Config, course: tuple[str, ...], plant: str, view: bool, po
     from dqwalk_ros.standing.course import Course
 
     model, legs = load_model(config.robot), Course.parse(course)
-    prepare(output)
     controller = simulation.make_controller(config, model)
     body = simulation.make_plant(plant, config, model)
     with contextlib.ExitStack() as stack:
@@ -78,6 +77,7 @@ def simulate(config: Config, course: tuple[str, ...], plant: str, view: bool, po
         def progress(_: float, text: str) -> None:
             bar((body.state.time - begin) / legs.duration if course else done(), text)
 
+        prepare(output)
         with Progress(quiet=output.quiet) as bar:
             trace = simulation.simulate(controller, body, progress=progress, before_step=before_step)
         bag.write(trace, output.folder / "bag")

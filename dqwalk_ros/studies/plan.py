@@ -110,6 +110,8 @@ def read(path: str | pathlib.Path) -> Study:
         If the file is invalid; the message names the key.
     """
     source = pathlib.Path(path)
+    if not source.is_file():
+        raise ConfigError(f"no study file '{path}'")
     try:
         file = msgspec.convert(strict_yaml.read(strict_yaml.read_text(source), source=str(path)), _File)
     except msgspec.ValidationError as error:

@@ -133,6 +133,7 @@ def walk_all(
 
     With `force` earlier results are discarded; other options are those of `runner.run`.
     """
+    make_controller(config, load_model(config.robot))  # a wrong name is an error before the first walk
     store = Store(out / "cells.jsonl", digest(config, list(combinations)), combinations, Outcome, force=force)
     done = run(functools.partial(walk, config), store, **options)
     return [(combinations[k], outcome) for k, outcome in done.items()]
