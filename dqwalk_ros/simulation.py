@@ -64,10 +64,12 @@ def walk_type(config: Config) -> type[Walk]:
         recovers = config.gait.style == "standing" and config.gait.recover
         return RecoveringWalk if recovers else WALKS[config.gait.style]
     module, _, name = own.partition(":")
+    if not (module and name):
+        raise ConfigError(f"gait.walk is '{own}'; it must be MODULE:CLASS")
     try:
         found = getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError, ValueError) as error:
-        raise ConfigError(f"gait.walk is '{own}'; it must be MODULE:CLASS that can be imported: {error}") from error
+        raise ConfigError(f"gait.walk is '{own}'; the class cannot be imported: {error}") from error
     if not (isinstance(found, type) and issubclass(found, Walk)):
         raise ConfigError(f"gait.walk is '{own}'; it must be a subclass of dqwalk_ros.walk.Walk")
     return found

@@ -28,9 +28,10 @@ from dqwalk_ros.report.figures.style import new_figure
 FAST = [word for key, value in SHORT.items() for word in ("--set", f"{key}={value}")]
 
 
+ROOT = Path(__file__).parent.parent
 HERE = {
     **os.environ,
-    "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent.parent), os.environ.get("PYTHONPATH", "")]),
+    "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
 }
 
 
@@ -137,6 +138,9 @@ def test_the_output_of_config_can_be_loaded(capsys, tmp_path):
         (["simulate", "--set", "robot.right_sole=l_sole"], "no joint moves the soles"),
         (["simulate", "--set", "robot.lock=['*']"], "no joint moves the soles"),
         (["simulate", "--set", "gait.walk=nowhere:Walk"], "No module named 'nowhere'"),
+        (["simulate", "--set", "gait.walk=dqwalk_ros.walk"], "'dqwalk_ros.walk'; it must be MODULE:CLASS"),
+        (["reach", "--config", "paper"], "'paper' is not a configuration of the whole-body controller"),
+        (["study", str(ROOT / "config/paper.yaml")], "paper.yaml: this is a configuration, not a study"),
     ],
 )
 def test_an_invalid_configuration_gives_one_line_and_exit_code_2(arguments, expected, tmp_path, capsys, monkeypatch):

@@ -107,7 +107,9 @@ def test_doctor_with_live_nodes(nodes: Any, domain: int, monkeypatch: pytest.Mon
     with monkeypatch.context() as shorter:
         shorter.setattr("dqwalk_ros.nodes.doctor._DISCOVERY", 1.0)
         assert main(arguments) == 1
-    assert "start the driver" in capfd.readouterr().out
+    output = capfd.readouterr().out
+    assert "start the driver" in output
+    assert output.endswith("failed; repair the first one first\n")
     live = nodes(CONFIG)
     live.start("integrator")
     live.until(lambda: len(live.got["joint_states"]) > 20, 60.0, "states")

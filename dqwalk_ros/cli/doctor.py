@@ -51,5 +51,6 @@ def doctor(config: str, plant: str, seconds: float, namespace: str, offline: boo
     for found in examine(made, model, heard):
         print(found)
         wrong += not found.ok
-    print("ready to walk" if not wrong else f"{wrong} to repair, from the top down")
+    failed = f"{wrong} check{'s' if wrong > 1 else ''} failed; repair the first one first"
+    print(failed if wrong else "ready to walk")
     return 1 if wrong else 0

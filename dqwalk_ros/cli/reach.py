@@ -83,11 +83,14 @@ def reach(
     Times are CPU time of this process; set OPENBLAS_NUM_THREADS=1, because more threads are not faster here.
     """
     from dqwalk_ros.cli.results import create
+    from dqwalk_ros.config import Config
     from dqwalk_ros.robot import load_model
     from dqwalk_ros.whole_body import PAPER_TIMES, SCENARIOS, WholeBodyController
     from dqwalk_ros.whole_body.scenario import fitted
 
     made, out = config_of(config, changes), output.folder
+    if made.whole_body == Config().whole_body:
+        raise ConfigError(f"'{config}' is not a configuration of the whole-body controller: it has no such section")
     if plant == "both" and not pushes:
         raise ConfigError("--plant both requires --pushes")
     if (out / "report.json").exists() and not output.force:

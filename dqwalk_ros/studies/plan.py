@@ -112,8 +112,11 @@ def read(path: str | pathlib.Path) -> Study:
     source = pathlib.Path(path)
     if not source.is_file():
         raise ConfigError(f"no study file '{path}'")
+    tree = strict_yaml.read(strict_yaml.read_text(source), source=str(path))
+    if isinstance(tree, dict) and any(isinstance(part, dict) and "ros__parameters" in part for part in tree.values()):
+        raise ConfigError(f"{path}: this is a configuration, not a study; `dqwalk study --help` shows a study")
     try:
-        file = msgspec.convert(strict_yaml.read(strict_yaml.read_text(source), source=str(path)), _File)
+        file = msgspec.convert(tree, _File)
     except msgspec.ValidationError as error:
         raise ConfigError(f"{path}: {error}; `dqwalk study --help` shows a study") from None
     if file.sample == "sobol" and file.count & (file.count - 1):
