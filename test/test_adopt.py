@@ -76,6 +76,7 @@ def test_files_are_found_from_any_working_directory(
     text = (small.folder / "robot.yaml").read_text()
     values = [line for line in text.splitlines() if re.match(r"\s+\w+: \S", line)]
     assert all("  # " in line for line in values), "every value has its reason in a comment"
+    assert re.search(r"eta: 2\.0 +# as for every robot \(default\)\n", text)
 
 
 def test_a_backward_facing_root_link_is_detected(tmp_path: Path) -> None:
@@ -89,6 +90,23 @@ def test_a_backward_facing_root_link_is_detected(tmp_path: Path) -> None:
     ahead = next(e for e in found.evidence if e.what == "ahead")
     assert ahead.value == "-x of base"
     assert "against it: x of the root link" in ahead.source
+
+
+def test_exchanged_names_of_left_and_right_are_reported(tmp_path: Path) -> None:
+    path = edited(tmp_path, SMALL, (r'"l_', '"x_'), (r'"r_', '"l_'), (r'"x_', '"r_'))
+    urdf = Urdf.load(path)
+    found = {entry.what: entry for entry in find_anatomy(urdf, Shapes(urdf, path)).evidence}
+    assert found["side names"].value == "may be exchanged"
+
+
+@pytest.mark.parametrize(("old", "new"), [("0.1265 0.0825", "0.1165 0.0825"), ("-0.0088 -0.0396", "0 -0.0396")])
+def test_soles_that_do_not_mirror_each_other_are_a_guess(old: str, new: str, small: Adoption, tmp_path: Path) -> None:
+    """A sole that is shorter, and one that is further inside."""
+    path = edited(tmp_path, SMALL, (f'(<link name="r_foot">.*?<collision>.*?){old}', rf"\g<1>{new}"))
+    urdf = Urdf.load(path)
+    soles = find_anatomy(urdf, Shapes(urdf, path)).soles.values()
+    assert {sole.confidence for sole in soles} == {"guess"}
+    assert {sole.confidence for sole in small.anatomy.soles.values()} == {"sure"}
 
 
 @pytest.mark.parametrize("names", [("left_", "right_"), ("Lft", "Rgt")])
@@ -180,6 +198,7 @@ def test_a_small_robot_walks(
     assert re.search(r"kinematic: walked 0\.\d", out)
     assert re.search(r"physics: walked 0\.\d", out)
     assert re.search(r"dynamic walk: walked 0\.\d", out)
+    assert out.endswith("\nadopted: the standing and the dynamic walk stand in physics\n")
 
 
 def test_the_dynamic_walk_has_the_froude_number_of_its_comment_and_the_drive_of_the_standing_walk(

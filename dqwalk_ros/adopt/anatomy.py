@@ -270,7 +270,7 @@ def _anatomy(
     chosen = "given by --left and --right" if named else "the chains that mirror each other and reach the ground"
     evidence = [
         Entry("legs", f"{' '.join(one)} | {' '.join(two)}", chosen),
-        ahead,
+        *ahead,
         Entry("axes of a leg", kinds, "axes of its joints: roll, pitch, yaw"),
         *(Entry(f"{foot.value} sole", str(sole), sole.source, sole.confidence) for foot, sole in soles.items()),
         Entry("toes", " ".join(toes), "joints carried by the ankles: locked", "likely"),
@@ -308,8 +308,8 @@ def _find_forward(
     one: tuple[str, ...],
     two: tuple[str, ...],
     forward: str,
-) -> tuple[Array, tuple[str, ...], tuple[str, ...], Entry]:
-    """Return the rotation (3, 3) that turns the forward direction to x, the left leg, the right leg, and the source."""
+) -> tuple[Array, tuple[str, ...], tuple[str, ...], list[Entry]]:
+    """Return the rotation (3, 3) that turns the forward direction to x, the left and the right leg, and the sources."""
     lateral = np.median([skeleton.place(a) - skeleton.place(b) for a, b in zip(one, two, strict=True)], axis=0)
     lateral[2] = 0.0
     lateral /= np.linalg.norm(lateral)
@@ -345,7 +345,10 @@ def _find_forward(
     if exact:
         ahead = root @ np.eye(3)[axis] * np.sign(where[axis])
     x, y, _ = ahead / np.linalg.norm(ahead)
-    found = Entry("ahead", f"{name} of {skeleton.urdf.root}", source, confidence)
+    found = [Entry("ahead", f"{name} of {skeleton.urdf.root}", source, confidence)]
+    if votes[0][0] * (votes[1][0] + votes[2][0]) < 0.0:
+        why = "by knees and feet, the leg that is named left is the right one"
+        found.append(Entry("side names", "may be exchanged", why, "guess"))
     return np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, 1.0]]), one, two, found
 
 

@@ -189,7 +189,7 @@ def whole_body_parameters(
     most = model.effort_max[np.isfinite(model.effort_max)]
     scaled = "as the paper's robot, scaled by the height of the CoM"
     return [
-        Entry("dt", 0.005, "200 Hz"),
+        Entry("dt", 0.005, "200 Hz", "default"),
         Entry("gait.first_support", "right", "as the paper's robot"),
         Entry("whole_body.torso", anatomy.torso, "link that carries the arms"),
         Entry("whole_body.hand", anatomy.hands[Foot.RIGHT], "end of the right arm"),
@@ -225,7 +225,7 @@ def parameters(numbers: Numbers) -> list[Entry]:
     roll, yaw = "R" in anatomy.kinds[-2:], "Y" in anatomy.kinds
     scale = 1.0 if n.torque * 1.3 <= 1.0 else rounded(1.5 * n.torque)
     return [
-        Entry("dt", 0.005, "200 Hz"),
+        Entry("dt", 0.005, "200 Hz", "default"),
         Entry("gait.style", "standing", "the CoM stays over the true soles"),
         Entry("gait.steps", steps, "more than half a metre"),
         Entry("gait.step_length", n.step, "0.09 of a leg, within the reach of the legs"),
@@ -238,9 +238,9 @@ def parameters(numbers: Numbers) -> list[Entry]:
         Entry("gait.most_turn", 0.1 if yaw else 0.0, "the hips yaw" if yaw else "no hip yaws"),
         Entry("gait.phase_timeout", rounded(4.0 * max(n.transfer, swing) + 4.0), "four times a phase"),
         Entry("gait.recover", "dynamic.yaml", "whose steps catch pushes that one sole cannot bear"),
-        Entry("task.eta", 2.0, "as for every robot"),
-        Entry("task.damping", 0.03, "as for every robot"),
-        Entry("task.posture_weight", 0.0002, "as for every robot"),
+        Entry("task.eta", 2.0, "as for every robot", "default"),
+        Entry("task.damping", 0.03, "as for every robot", "default"),
+        Entry("task.posture_weight", 0.0002, "as for every robot", "default"),
         Entry("pelvis.height", rounded(0.7 * standing.pelvis), "0.7 of the standing height"),
         Entry(
             "standing.posture",
@@ -250,13 +250,13 @@ def parameters(numbers: Numbers) -> list[Entry]:
         Entry("standing.margin", n.margin, "8 mm, or 0.15 of the sole's width"),
         Entry("standing.pressure_margin", rounded(min(0.004, 0.07 * n.width)), "half of the margin"),
         Entry("standing.transfer_duration", n.transfer, "the CoP stays within the soles during the transfer"),
-        Entry("standing.swing_duration", swing, "as for every robot"),
+        Entry("standing.swing_duration", swing, "as for every robot", "default"),
         Entry("standing.com_threshold", rounded(0.005 * small), "5 mm, less for a short leg"),
         Entry("standing.swing_threshold", rounded(0.003 * small), "3 mm, less for a short leg"),
         Entry("standing.saturation", rounded(0.03 * small), "3 cm, less for a short leg"),
         Entry("standing.lever", rounded(0.5 * n.leg), "half a leg"),
-        Entry("standing.balance", 1.0, "as for every robot"),
-        Entry("joints.eta", 5.0, "as for every robot"),
+        Entry("standing.balance", 1.0, "as for every robot", "default"),
+        Entry("joints.eta", 5.0, "as for every robot", "default"),
         Entry("joints.velocity", rounded(speed), "3 rad/s, or the slowest joint"),
         Entry("servo.stiffness", n.stiffness, f"5 m g h, m g h = {n.mgh:.4g} N m/rad", "guess"),
         Entry("servo.assumed_stiffness", n.stiffness, "equal to servo.stiffness, for gravity feedforward", "guess"),
@@ -274,7 +274,7 @@ def parameters(numbers: Numbers) -> list[Entry]:
             else f"{n.joint} needs {n.torque:.2g} times its effort limit of the URDF to stand on one foot",
             "likely" if scale == 1.0 else "guess",
         ),
-        Entry("monitor.tolerance", 0.0001, "error of the Euler method at touchdown"),
+        Entry("monitor.tolerance", 0.0001, "error of the Euler method at touchdown", "default"),
     ]
 
 
@@ -301,11 +301,11 @@ def dynamic_parameters(numbers: Numbers, damping: float) -> list[Entry]:
         Entry("task.eta", rounded(4.0 / slow, 2), time),
         Entry("standing.transfer_duration", double, time),
         Entry("standing.swing_duration", single, time),
-        Entry("standing.balance", 0.7, "as Poppy"),
-        Entry("standing.eta_feet", 10.0, "as Poppy"),
-        Entry("standing.eta_edges", 20.0, "as Poppy"),
-        Entry("standing.recovery", 0.1, "as Poppy"),
-        Entry("standing.swing_weight", 30.0, "as Poppy"),
+        Entry("standing.balance", 0.7, "as Poppy", "default"),
+        Entry("standing.eta_feet", 10.0, "as Poppy", "default"),
+        Entry("standing.eta_edges", 20.0, "as Poppy", "default"),
+        Entry("standing.recovery", 0.1, "as Poppy", "default"),
+        Entry("standing.swing_weight", 30.0, "as Poppy", "default"),
         Entry("standing.swing_rate", rounded(12.0 / slow, 2), time),
         Entry("dynamic.start_duration", rounded(0.6 * slow, 2), time),
         Entry("dynamic.stop_duration", rounded(slow, 2), time),
@@ -319,10 +319,10 @@ def dynamic_parameters(numbers: Numbers, damping: float) -> list[Entry]:
         Entry("dynamic.shortest_step", rounded(0.26 * slow, 2), time),
         Entry("dynamic.untouched", rounded(0.04 * slow, 2), time),
         Entry("dynamic.settled", rounded(0.12 * slow, 2), time),
-        Entry("joints.eta", 10.0, "as Poppy"),
-        Entry("joints.velocity", 6.0, "as Poppy"),
+        Entry("joints.eta", 10.0, "as Poppy", "default"),
+        Entry("joints.velocity", 6.0, "as Poppy", "default"),
         Entry(
             "servo.assumed_lead", rounded(0.7 * damping, 2), "0.7 of servo.damping: more, and steps get long", "guess"
         ),
-        Entry("qp.solver", "daqp", "the fastest"),
+        Entry("qp.solver", "daqp", "the fastest", "default"),
     ]

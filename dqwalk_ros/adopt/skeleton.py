@@ -28,7 +28,7 @@ class Entry:
     source : str
         How the value was found or why it was chosen; written as a comment beside a parameter.
     confidence : str
-        ``sure``, ``likely`` or ``guess``.
+        ``sure``, ``likely``, ``guess``, or ``default`` for a value that does not depend on the robot.
     """
 
     what: str

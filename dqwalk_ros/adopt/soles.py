@@ -18,6 +18,8 @@ __all__ = ["FoundSole", "find_soles", "foot_links", "plane_below"]
 
 _FLAT = 0.004
 """Largest distance from the plane of a sole of a point that belongs to it [m]."""
+_MIRRORED = 0.004
+"""Largest difference of two soles that mirror each other, in size and in place [m]."""
 _LEAST_SOLE = 0.04
 """Least length and width of a sole, as a fraction of the leg length."""
 
@@ -76,8 +78,21 @@ def find_soles(
                 f"this biped stands on points or edges: its {foot.value} sole is {1e3 * sole.length:.0f} x "
                 f"{1e3 * sole.width:.0f} mm, but the walk requires flat soles{points.lacking}"
             )
+    if not _mirrored(skeleton, legs, found):
+        why = "; the soles do not mirror each other"
+        found = {foot: replace(sole, source=sole.source + why, confidence="guess") for foot, sole in found.items()}
     length, width = (min(getattr(sole, key) for sole in found.values()) for key in ("length", "width"))
     return {foot: replace(sole, length=length, width=width) for foot, sole in found.items()}
+
+
+def _mirrored(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]], found: dict[Foot, FoundSole]) -> bool:
+    """Return whether two soles mirror each other in the plane between the legs."""
+    left, right = (found[foot] for foot in Foot)
+    p, q = ((skeleton.pose(sole.link) @ sole.pose)[:3, 3] for sole in (left, right))
+    pairs = zip(legs[Foot.LEFT], legs[Foot.RIGHT], strict=True)
+    twice = float(np.median([skeleton.place(a)[1] + skeleton.place(b)[1] for a, b in pairs]))  # 2 y of the plane
+    place = p - [q[0], twice - q[1], q[2]]
+    return bool(max(abs(left.length - right.length), abs(left.width - right.width), *np.abs(place)) < _MIRRORED)
 
 
 def _sole(skeleton: Skeleton, points: Points, ankle: str, leg: float) -> FoundSole:

@@ -90,7 +90,9 @@ def first_walks(
 def dynamic_walk(found: Adoption, progress: Callable[[float, str], None] = lambda *_: None) -> Trial:
     """Walk some steps of the dynamic walk in physics; its configuration is kept even if the robot falls."""
     config = load(found.folder / "dynamic.yaml")
-    return replace(walk(config, load_model(config.robot), "physics", 2 * _STEPS, progress), plant="dynamic walk")
+    model = load_model(config.robot)
+    done = walk(config, model, "physics", 2 * _STEPS, lambda share, text: progress(share, f"dynamic walk in {text}"))
+    return replace(done, plant="dynamic walk")
 
 
 def walk(config: Config, model: RobotModel, plant: str, steps: int, progress: Callable[[float, str], None]) -> Trial:

@@ -137,4 +137,6 @@ def _walk(found: Adoption, given: dict[str, object], *, quiet: bool) -> int:
         return 1
     for file in ("robot.yaml", "dynamic.yaml") if fast.stood else ("robot.yaml",):
         print(f"dqwalk simulate --config {found.folder / file} --plant physics")
+    fallen = "the standing walk stands in physics, the dynamic walk falls"
+    print(f"adopted: {'the standing and the dynamic walk stand in physics' if fast.stood else fallen}")
     return 0
