@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -191,6 +192,15 @@ def test_an_invalid_course_is_a_command_line_error(tmp_path: Path, capsys) -> No
     assert main(arguments) == 2
     assert "--cmd-vel wants" in capsys.readouterr().err
     assert not (tmp_path / "walk" / "bag").exists()
+
+
+def test_the_pilot_says_after_2_s_and_every_10_s_that_it_waits_for_a_controller(make: Any) -> None:
+    pilot = make("pilot", CONFIG, "--cmd-vel", "0.01,0,0,1")
+    assert "a course of 1 s in 1 leg" in [line for _, line in pilot.log.lines]
+    for periods, times in ((19, 0), (1, 1), (99, 1), (1, 2)):
+        for _ in range(periods):
+            pilot.node._steer()
+        assert pilot.log.lines.count(("info", "waiting for a controller")) == times
 
 
 @pytest.mark.long

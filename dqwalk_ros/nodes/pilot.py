@@ -22,6 +22,8 @@ __all__ = ["Pilot"]
 
 _PERIOD = 0.1
 """Period of the commands [s]."""
+_SILENT, _REPEATED = 20, 100
+"""Periods after which the pilot says that it waits for a controller, and those after which it says so again."""
 
 
 class Pilot(WalkNode):
@@ -53,18 +55,24 @@ class Pilot(WalkNode):
         super().__init__("pilot", options, **keywords)
         self._course = Course.parse(options.cmd_vel)
         self._begin = self._now = -1  # stamps [ns]
+        self._waited = 0  # periods without a controller
         self._stop_request: Future | None = None
         self._twists = self.create_publisher(Twist, "cmd_vel", ros.stream(1))
         self._stopping = self.create_client(Trigger, "controller/stop")
         self.create_subscription(JointState, "joint_states", self._on_state, ros.stream(1, reliable=False))
         self.create_timer(_PERIOD, self._steer)
-        self.get_logger().info(f"a course of {self._course.duration:g} s in {len(self._course.legs)} leg(s)")
+        count = len(self._course.legs)
+        legs = "1 leg" if count == 1 else f"{count} legs"
+        self.get_logger().info(f"a course of {self._course.duration:g} s in {legs}")
 
     def _on_state(self, msg: JointState) -> None:
         self._now = ros.nanoseconds(msg.header.stamp)
 
     def _steer(self) -> None:
         if self._now < 0 or not self._twists.get_subscription_count():
+            self._waited += 1
+            if self._waited % _REPEATED == _SILENT:
+                self.get_logger().info("waiting for a controller")
             return
         if self._begin < 0:
             self._begin = self._now
