@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import sys
 from typing import TYPE_CHECKING
 
@@ -13,7 +12,6 @@ from dqwalk_ros.cli.options import Report, command, output_options, port_option,
 
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config
-    from dqwalk_ros.controller import VelocityController
 
 __all__ = ["simulate"]
 
@@ -62,7 +60,7 @@ def simulate(config: Config, course: tuple[str, ...], plant: str, view: bool, po
 
             feed = stack.enter_context(Feed(config, port))
             print(f"{feed.url} shows the walk", flush=True)
-        done, begin = _Fraction(controller), body.state.time
+        begin = body.state.time
 
         def before_step(time: float) -> None:
             if feed is not None:
@@ -74,8 +72,8 @@ def simulate(config: Config, course: tuple[str, ...], plant: str, view: bool, po
                 else:
                     controller.steer(*asked)
 
-        def progress(_: float, text: str) -> None:
-            bar((body.state.time - begin) / legs.duration if course else done(), text)
+        def progress(done: float, text: str) -> None:
+            bar((body.state.time - begin) / legs.duration if course else done, text)
 
         prepare(output)
         with Progress(quiet=output.quiet) as bar:
@@ -89,26 +87,3 @@ def simulate(config: Config, course: tuple[str, ...], plant: str, view: bool, po
             print(f"{feed.url} plays the walk until Ctrl-C", flush=True)
             feed.wait()
     return 0 if trace.finished and report["ok"] else 1
-
-
-class _Fraction:
-    """Fraction of a walk that is done: by phases, and within single support by the decay of the error."""
-
-    def __init__(self, controller: VelocityController) -> None:
-        from dqwalk_ros.simulation import walk_type
-
-        self._controller = controller
-        self._total = walk_type(controller.config).phases(controller.config) or math.inf
-        self._threshold = controller.config.ssp.threshold
-        self._index, self._first = -1, 0.0
-
-    def __call__(self) -> float:
-        """Return the fraction done."""
-        controller = self._controller
-        index, error = controller.phase_index, max(controller.error, self._threshold)
-        if index != self._index:
-            self._index, self._first = index, error
-        within = 0.0
-        if controller.phase.kind.value == "single_support" and self._first > self._threshold:
-            within = math.log(self._first / error) / math.log(self._first / self._threshold)
-        return (index + max(0.0, within)) / self._total
