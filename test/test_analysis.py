@@ -15,6 +15,7 @@ from dqwalk_ros.geometry import ConvexPolygon
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.report.figures import drawn, figure7, figure8, figure9, top_view
 from dqwalk_ros.report.metrics import hull_margin, pelvis_in_odom
+from dqwalk_ros.report.table import numbers
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.simulation import PhysicsRecord
 
@@ -153,11 +154,9 @@ def test_hulls_of_touching_soles():
         assert hull_margin(points, np.array([p]))[0] == pytest.approx(expected)
 
 
-def test_power_is_torque_times_velocity(trace):
-    """A constant torque on one joint does the work tau (q_end - q_start); the power is its absolute value."""
-    count, joint, torque = len(trace), 3, 2.0
-    effort = np.zeros((count, trace.model.n))
-    effort[:, joint] = torque
+def on_the_ground(trace, effort):
+    """Return the series of a walk in physics, with some torques of the joints (N, n)."""
+    count = len(trace)
     known = PhysicsRecord(
         pelvis=pelvis_in_odom(trace),
         wrenches={foot: np.tile([0.0, 0.0, 10.0, 0.0, 0.0, 0.0], (count, 1)) for foot in Foot},
@@ -168,7 +167,15 @@ def test_power_is_torque_times_velocity(trace):
         q=trace.q,
         effort=effort,
     )
-    series = reporting.analyse(dataclasses.replace(trace, physics=known))
+    return reporting.analyse(dataclasses.replace(trace, physics=known))
+
+
+def test_power_is_torque_times_velocity(trace):
+    """A constant torque on one joint does the work tau (q_end - q_start); the power is its absolute value."""
+    joint, torque = 3, 2.0
+    effort = np.zeros((len(trace), trace.model.n))
+    effort[:, joint] = torque
+    series = on_the_ground(trace, effort)
     ground, angle = series.ground, trace.q[:, joint]
     rises = np.maximum(np.diff(angle), 0.0).sum()
     assert np.trapezoid(ground.work, trace.time) == pytest.approx(torque * rises, rel=0.02)
@@ -235,6 +242,19 @@ def test_report_values_of_the_walk(trace, series, report):
     assert walk["margin"]["paper"]["value"] == series.paper_margin.min()
     assert walk["margin"]["true"]["value"] == series.true_margin.min()
     assert walk["margin"]["true_urdf_sole"]["value"] == series.urdf_margin.min()
+
+
+def test_the_time_of_a_step_is_from_landing_to_landing(trace, report):
+    """Double support before the first step, and the time until the end, are no part of it."""
+    landings = [phase["end"] for phase in report["phases"] if "landing" in phase]
+    in_physics = reporting.report(on_the_ground(trace, np.zeros_like(trace.u)))["physics"]
+    assert in_physics["seconds_per_step"] == pytest.approx(landings[1] - landings[0])
+
+
+def test_the_step_that_puts_the_feet_together_is_counted_apart(report):
+    assert dict(numbers(report))["steps"].startswith("2, ")
+    config = report["config"] | {"gait.style": "standing", "gait.steps": 1}
+    assert dict(numbers(report | {"config": config}))["steps"].startswith("1 and 1 that puts the feet together, ")
 
 
 def test_walked_distance_matches_independent_computation(trace, report):

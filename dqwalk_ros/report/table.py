@@ -8,7 +8,7 @@ from typing import Any
 
 from dqwalk_ros.text_table import aligned
 
-__all__ = ["distances", "numbers", "phases", "render", "why"]
+__all__ = ["distances", "numbers", "phases", "render", "steps", "why"]
 
 _EDGE = 1e-5
 """Distance up to which the CoM counts as at the edge of its support [m]: the error of Euler's method."""
@@ -64,13 +64,13 @@ def numbers(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return name and text of each result for the whole walk."""
     walk, mm = report["walk"], 1e3
     margin, joints, speed = walk["margin"], walk["margin"]["joints"], walk["joint_speed"]
-    steps = f"{walk['steps']}, {mm * walk['forward']:.1f} mm forward, {mm * walk['lateral']:.1f} mm to the left"
+    way = f"{steps(report)}, {mm * walk['forward']:.1f} mm forward, {mm * walk['lateral']:.1f} mm to the left"
     if abs(walk["turned"]) > _TURNED:
-        steps += f", turned {math.degrees(walk['turned']):+.1f} degrees"
+        way += f", turned {math.degrees(walk['turned']):+.1f} degrees"
     lines = [
         ("walk", "finished" if walk["finished"] else "stopped before its end"),
         ("time", f"{walk['duration']:.2f} s, {walk['ticks']} ticks"),
-        ("steps", steps),
+        ("steps", way),
     ]
     if walk["landing_error"] is not None:
         lines.append(("landing error", f"at most {mm * walk['landing_error']:.2f} mm"))
@@ -92,6 +92,14 @@ def numbers(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         lines.append(("unanswered", f"{count} state{'s' if count > 1 else ''} without a command"))
     lines += [("note", note) for note in report["notes"]]
     return lines
+
+
+def steps(report: Mapping[str, Any]) -> str:
+    """Return the number of steps in words: the step that puts the feet together is counted apart."""
+    count, config = report["walk"]["steps"], report["config"]
+    if report["walk"]["finished"] and config["gait.style"] != "paper" and 0 < config["gait.steps"] == count - 1:
+        return f"{count - 1} and 1 that puts the feet together"
+    return str(count)
 
 
 def _physics(of: Mapping[str, Any]) -> list[tuple[str, str]]:

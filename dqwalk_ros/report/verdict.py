@@ -9,7 +9,7 @@ step lands on its target.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -420,6 +420,16 @@ def _walk(series: Series, phases: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
+def _seconds_per_step(series: Series, landed: Sequence[Span]) -> float | None:
+    """Return the median time from landing to landing [s], for a single step its duration; None without a step."""
+    if not landed:
+        return None
+    landings = series.time[[min(span.end, len(series.time) - 1) for span in landed]]
+    if len(landed) == 1:
+        return float(landings[0] - series.time[landed[0].start])
+    return float(np.median(np.diff(landings)))
+
+
 def _physics(series: Series, of: Ground) -> dict[str, Any]:
     """Return the figures of a walk in physics."""
     stands, at = of.stands, int(np.nanargmax(of.tilt))
@@ -435,7 +445,7 @@ def _physics(series: Series, of: Ground) -> dict[str, Any]:
         "way": float(np.linalg.norm(np.diff(stands[:, :2], axis=0), axis=1).sum()),
         "displacement": [float(x) for x in stands[-1, :2] - stands[0, :2]],
         "turned": float(stands[-1, 2] - stands[0, 2]),
-        "seconds_per_step": duration / steps if steps else None,
+        "seconds_per_step": _seconds_per_step(series, landed),
         "tilt": {"value": float(of.tilt[at]), "time": float(series.time[at])},
         "cop_inside": of.inside,
         "cop_margin": float(np.nanmin(of.cop_margin)) if np.isfinite(of.cop_margin).any() else None,

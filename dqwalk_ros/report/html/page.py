@@ -107,7 +107,7 @@ def _heading(subject: Subject) -> str:
     error = walk["landing_error"]
     numbers = {
         "time walked": f"{walk['duration']:.1f} s",
-        "steps": str(walk["steps"]),
+        "steps": tables.steps(report),
         "distance": f"{1e3 * walk['distance']:.1f} mm",
         "largest landing error": "–" if error is None else f"{1e3 * error:.2f} mm",
         "smallest paper margin": f"{1e3 * margin['paper']['value']:+.2f} mm" if "paper" in margin else "–",
