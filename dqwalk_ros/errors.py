@@ -91,15 +91,21 @@ class PhaseError(DqwalkError):
         Norm of the task error when the exception was raised.
     active : tuple of str
         Names of the inequalities that were active then.
+    stalled : bool
+        Whether the error no longer decreased.
     """
 
-    def __init__(self, message: str, *, phase: str, error: float, active: Sequence[str] = ()) -> None:
+    def __init__(
+        self, message: str, *, phase: str, error: float, active: Sequence[str] = (), stalled: bool = False
+    ) -> None:
         super().__init__(message)
         self.phase = phase
         self.error = error
         self.active = tuple(active)
+        self.stalled = stalled
 
     def held_by(self, rows: Sequence[str]) -> PhaseError:
         """Return a copy of the error that names `rows`, the inequalities that are active, in attribute and message."""
-        text = f"; active: {', '.join(rows)}" if rows else "; no constraint is active: a local minimum of the task"
-        return PhaseError(f"{self}{text}", phase=self.phase, error=self.error, active=rows)
+        minimum = ": a local minimum of the task" if self.stalled else ""
+        text = f"active: {', '.join(rows)}" if rows else f"no constraint is active{minimum}"
+        return PhaseError(f"{self}; {text}", phase=self.phase, error=self.error, active=rows, stalled=self.stalled)

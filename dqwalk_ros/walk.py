@@ -483,19 +483,21 @@ class EndRule:
             return True
         timeout = self._timeout
         if elapsed > timeout:
-            raise self._failed(f"is not over after {timeout:g} s", error)
+            raise self._failed(f"is not over after {timeout:g} s", error, stalled=False)
         if full:
             # at the mean rate of the last window the goal is not reached within the timeout
             too_slow = fall * timeout < (error - self._goal) * self._window
             self._slow_states = self._slow_states + 1 if too_slow else 0
             if self._slow_states * self._dt > _STALLED_WINDOWS * self._window:
-                raise self._failed("has stalled", error)
+                raise self._failed("has stalled", error, stalled=True)
         return False
 
-    def _failed(self, what: str, error: float) -> PhaseError:
+    def _failed(self, what: str, error: float, *, stalled: bool) -> PhaseError:
         unit = " m" if self._double else ""
+        hint = "" if stalled else "; gait.phase_timeout may be too short"
         return PhaseError(
-            f"{self._name} {what} at an error of {error:.4g}{unit} (it ends below {self._goal:.4g}{unit})",
+            f"{self._name} {what} at an error of {error:.4g}{unit} (it ends below {self._goal:.4g}{unit}){hint}",
             phase=self._name,
             error=error,
+            stalled=stalled,
         )

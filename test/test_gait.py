@@ -101,6 +101,11 @@ def test_a_stall_without_active_constraints_is_a_local_minimum():
         ticks_until_over(rule(PhaseKind.SINGLE_SUPPORT), np.full(3000, 0.02), active=())
 
 
+def test_a_timeout_while_the_error_decreases_is_no_local_minimum():
+    with pytest.raises(PhaseError, match=r"gait\.phase_timeout may be too short; no constraint is active$"):
+        ticks_until_over(rule(PhaseKind.SINGLE_SUPPORT), np.exp(-0.2 * 0.005 * np.arange(3000)), active=())
+
+
 # ---------------------------------------------------------------------- infeasible walks
 
 

@@ -15,7 +15,7 @@ from dqwalk_ros.cli.footsteps import reached
 from dqwalk_ros.config import overlaid
 from dqwalk_ros.constraints import vfi
 from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import ConfigError, PlantError
+from dqwalk_ros.errors import ConfigError, PhaseError, PlantError
 from dqwalk_ros.kinematics import CenterOfMassOnGround, Kinematics, Point
 from dqwalk_ros.paths import ComPath, SwingPath, com_path
 from dqwalk_ros.report import bag
@@ -24,7 +24,7 @@ from dqwalk_ros.report.verdict import _returned
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.simulation import make_controller, make_plant, make_walk, simulate
 from dqwalk_ros.standing.balance import Balance, com_velocity
-from dqwalk_ros.standing.walk import StandingWalk
+from dqwalk_ros.standing.walk import PathEnd, StandingWalk
 from dqwalk_ros.state import Command, State
 from dqwalk_ros.statics import gravity_torques, ground_torques
 from dqwalk_ros.walk import PhaseKind
@@ -191,6 +191,12 @@ def test_balance_torques_follow_the_com_path_with_the_cop_inside_the_soles(kind:
             force = MODEL.mass * (9.80665 * TILTED + [*a, -(a @ TILTED[:2]) / TILTED[2]])
             assert tau == pytest.approx(ground_torques(kin, force, p, both=True), rel=1e-9, abs=1e-10)
     assert cut > 0
+
+
+def test_a_phase_that_takes_too_long_names_its_time_limit() -> None:
+    rule = PathEnd(CONFIG, PhaseKind.SINGLE_SUPPORT, "single_support/left")
+    with pytest.raises(PhaseError, match=r"is not over after .*; gait\.phase_timeout may be too short$"):
+        rule.is_over(0.1, CONFIG.gait.phase_timeout + 1.0)
 
 
 @pytest.mark.parametrize("over", [(Point("l_sole"),), (Point("l_sole"), Point("r_sole"))])

@@ -303,7 +303,7 @@ class PathEnd:
         if elapsed > self._timeout:
             raise PhaseError(
                 f"{self._name} is not over after {self._timeout:g} s at an error of {error:.4g} m "
-                f"(it ends below {self._goal:.4g} m)",
+                f"(it ends below {self._goal:.4g} m); gait.phase_timeout may be too short",
                 phase=self._name,
                 error=error,
             )
