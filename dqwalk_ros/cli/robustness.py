@@ -108,8 +108,9 @@ def table(done: Sequence[Cell], axes: dict[str, tuple[float, ...]]) -> str:
     lines = [f"{stood} of {len(done)} cells stood ({len(done)} of the {total} combinations were walked)"]
     tilts = [math.degrees(end.tilt) for _, end in done if end.stood and end.tilt is not None]
     if tilts:
+        middle, worst = statistics.median(tilts), max(tilts)
         lines.append(
-            f"largest tilt of the loaded sole: {statistics.median(tilts):.2f} degrees (median of those that stood)"
+            f"tilt of the loaded sole, the largest of each walk: median {middle:.2f}, worst {worst:.2f} degrees"
         )
     lines.append("")
     for name, varied in axes.items():
