@@ -25,7 +25,7 @@ __all__ = ["exercise"]
 
 @command("""
 The pelvis is fixed and level, with all limbs free (docs/hardware.md). Each joint is moved slowly over 0.5 rad or
-its range, back and forth, in small steps, and by oscillations up to 6 Hz, 20 s in total, while the other joints keep a
+its range, back and forth, in small steps, and by oscillations up to 7 Hz, 20 s in total, while the other joints keep a
 posture in which gravity loads it; the limbs move at the same time. A Poppy takes 5 minutes.
 
 writes to the folder of --out:
