@@ -36,7 +36,7 @@ def axes_of(config: Config) -> dict[str, tuple[float, ...]]:
     the axes are the highest P gain and half of it, and the seed of the sensor errors.
     """
     if config.servo.types:
-        return {"servo.p_gain": (255, 127), "sensors.seed": tuple(range(20))}
+        return {"servo.p_gain": (254, 127), "sensors.seed": tuple(range(20))}
     return {
         "physics.friction": (0.4, 0.8, 1.2),
         "physics.mass_scale": (0.9, 1.0, 1.1),
