@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dqwalk_ros import cli
 from dqwalk_ros.config import load
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import StateError
@@ -126,3 +127,10 @@ def test_footsteps_in_a_sole_frame_and_cancellation_by_an_empty_path(robot: Kine
         assert len(names) < 100
     apart = DQ(controller.soles()[Foot.LEFT]).conj() * DQ(controller.soles()[Foot.RIGHT])
     np.testing.assert_allclose(apart.translation(), BESIDE.translation(), atol=5e-3)
+
+
+def test_the_table_requests_round_steps(capsys: pytest.CaptureFixture[str]) -> None:
+    cli.main(["footsteps"])
+    asked = [line.split()[0] for line in capsys.readouterr().out.splitlines() if line.startswith(" ")]
+    assert asked[:9] == ["-100", "-75", "-50", "-25", "0", "25", "50", "75", "100"]
+    assert asked[9:20] == ["-60", "-40", "-20", "-10", "-5", "0", "5", "10", "20", "40", "60"]

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 __all__ = ["footsteps", "reached"]
 
-_LENGTHS = (-0.24, -0.18, -0.12, -0.06, 0.0, 0.06, 0.12, 0.18, 0.24)
-_SIDES = (-0.14, -0.1, -0.05, -0.025, -0.0125, 0.0, 0.0125, 0.025, 0.05, 0.1, 0.14)
-"""Requested steps, in units of the height of the pelvis."""
+_LENGTHS = (-0.1, -0.075, -0.05, -0.025, 0.0, 0.025, 0.05, 0.075, 0.1)
+_SIDES = (-0.06, -0.04, -0.02, -0.01, -0.005, 0.0, 0.005, 0.01, 0.02, 0.04, 0.06)
+"""Requested steps of a robot whose pelvis is 0.4 m high [m]."""
 _TURNS = (-30, -20, -15, -10, -5, 0, 5, 10, 15, 20, 30)
 """[deg]"""
 
@@ -50,9 +50,10 @@ def footsteps(config: str, support: str, changes: tuple[str, ...]) -> int:
         raise ConfigError(f"footsteps need a standing walk; gait.style of '{config}' is {made.gait.style}")
     model = load_model(made.robot)
     height = float(Kinematics(model, np.zeros(model.n), foot).point(made.robot.pelvis)[2])
+    scale = float(f"{height / 0.4:.1g}")  # one digit, so that the steps are round numbers
     asked = {
-        "ahead [mm]": [(height * x, 0.0, 0.0) for x in _LENGTHS],
-        "aside, to the left [mm]": [(0.0, height * y, 0.0) for y in _SIDES],
+        "ahead [mm]": [(scale * x, 0.0, 0.0) for x in _LENGTHS],
+        "to the left [mm]": [(0.0, scale * y, 0.0) for y in _SIDES],
         "turn, to the left [deg]": [(0.0, 0.0, math.radians(a)) for a in _TURNS],
     }
     steps = StandingWalk(made, model).footsteps
@@ -60,11 +61,11 @@ def footsteps(config: str, support: str, changes: tuple[str, ...]) -> int:
     for name, wanted in asked.items():
         rows = []
         for one in wanted:
-            ahead, aside, turn, off, angle = reached(steps, foot, *one)
+            ahead, left, turn, off, angle = reached(steps, foot, *one)
             value = math.degrees(one[2]) if "turn" in name else 1e3 * (one[0] or one[1])
-            numbers = 1e3 * ahead, 1e3 * aside, math.degrees(turn), 1e3 * off, math.degrees(angle)
-            rows.append([f"{value:.0f}", *(f"{number:z.1f}" for number in numbers)])
-        head = (name, "reached: ahead [mm]", "aside [mm]", "turn [deg]", "off by [mm]", "[deg]")
+            numbers = 1e3 * ahead, 1e3 * left, math.degrees(turn), 1e3 * off, math.degrees(angle)
+            rows.append([f"{value:g}", *(f"{number:z.1f}" for number in numbers)])
+        head = (name, "reached: ahead [mm]", "to the left [mm]", "turn [deg]", "off by [mm]", "[deg]")
         print(aligned(rows, head, right=range(len(head))) + "\n")
     return 0
 
@@ -72,7 +73,7 @@ def footsteps(config: str, support: str, changes: tuple[str, ...]) -> int:
 def reached(steps: Footsteps, support: Foot, length: float, side: float, turn: float) -> Array:
     """Return the reachable step nearest to a requested one, shape (5,).
 
-    It is the motion of the body ahead, aside and in yaw, and the distance of the footprint from the requested one
+    It is the motion of the body ahead, to the left and in yaw, and the distance of the footprint from the requested one
     [m, m, rad, m, rad].
     """
     import numpy as np
