@@ -447,6 +447,8 @@ def test_top_view_shows_soles_cylinders_and_margins(trace, series):
     circles = [path for drawn in ground.collections if isinstance(drawn, PatchCollection) for path in drawn.get_paths()]
     assert [0.5 * circle.get_extents().width for circle in circles] == pytest.approx([0.05, 0.05])
     assert [text.get_text() for text in ground.texts] == ["1", "2"]
+    assert all(text.get_path_effects() for text in ground.texts)  # readable on an edge
+    assert margins.get_legend().get_frame_on()  # readable above the marks of the phases
     assert len(margins.get_legend().get_texts()) == 3
 
 

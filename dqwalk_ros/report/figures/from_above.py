@@ -119,7 +119,15 @@ def _draw_footsteps(ax: Axes, series: Series, own: Mapping[Foot, Sole] | None) -
     singles = [span for span in series.spans if not span.double]
     for foot in Foot:
         _draw_steps(ax, series, [span for span in singles if span.phase.base is foot], foot, own)
-    text: dict[str, Any] = {"fontsize": 10, "fontweight": "bold", "zorder": 8, "ha": "center", "va": "center"}
+    halo = [Stroke(linewidth=4.2, foreground="white"), Normal()]
+    text: dict[str, Any] = {
+        "path_effects": halo,
+        "fontsize": 10,
+        "fontweight": "bold",
+        "zorder": 8,
+        "ha": "center",
+        "va": "center",
+    }
     for index in range(0, len(singles), 1 + len(singles) // _NUMBERS):
         span = singles[index]
         swing = span.phase.base.other
@@ -130,7 +138,6 @@ def _draw_footsteps(ax: Axes, series: Series, own: Mapping[Foot, Sole] | None) -
         swing = span.phase.base.other
         landed = _corners(places[swing][span.end - 1], soles[swing])
         _draw_polygons(ax, [landed], _COLOR[swing], _COLOR[swing] + "12", linewidth=1.4, zorder=3)
-    halo = [Stroke(linewidth=4.2, foreground="white"), Normal()]
     com = series.com_odom[np.isfinite(series.com_odom).all(axis=1)]
     ax.plot(com[:, 0], com[:, 1], color=INK, linewidth=2.0, zorder=6, path_effects=halo)
     for tick, fill in ((0, "white"), (-1, INK)):
@@ -173,7 +180,9 @@ def _draw_margins(ax: Axes, series: Series) -> None:
     ax.set(xlabel="time [s]", ylabel="margin [mm]")
     ax.set_title("B   Margin of the CoM to the edge of its support (negative: outside)")
     name_phases(ax, series)
-    ax.legend(loc="upper left", bbox_to_anchor=(0.0, 0.95), fontsize=8.5)
+    ax.legend(
+        loc="upper left", bbox_to_anchor=(0.0, 0.95), fontsize=8.5, frameon=True, framealpha=1.0, edgecolor="none"
+    )
 
 
 # ---------------------------------------------------------------------- in physics
