@@ -23,7 +23,9 @@ from dqwalk_ros.report import bag
 from dqwalk_ros.report.bag.messages import diagnostics_of, faults
 from dqwalk_ros.report.figures import FIGURES
 from dqwalk_ros.report.figures.style import new_figure
+from dqwalk_ros.report.html.page import Subject, _heading
 from dqwalk_ros.report.html.replay import replay_data
+from dqwalk_ros.report.table import numbers
 from dqwalk_ros.robot import Foot
 
 
@@ -134,6 +136,22 @@ def test_a_standing_walk_beside_a_paper_walk(path, tmp_path, one_figure):
     text = (tmp_path / "out/report.html").read_text()
     assert "stopped before its end" in text
     assert "<td>paper margin</td><td class=n>–</td><td class=n>+" in text
+    assert text.count("smallest paper margin") == 1
+
+
+def test_a_dynamic_walk_shows_pressure_and_tilt_instead_of_the_margin_of_the_com():
+    series = report.analyse(short_walk())
+    found = report.report(series)
+    assert "true margin" in dict(numbers(found))
+    physics = {"cop_margin": -7e-4, "tilt": {"value": np.radians(0.05)}}
+    found |= {"config": found["config"] | {"gait.style": "dynamic"}, "physics": physics}
+    del found["walk"]["margin"]["paper"]
+    text = _heading(Subject("walk", series, found, [], []))
+    assert "margin of the CoM" not in text
+    assert "paper margin" not in text
+    assert "<span>smallest margin of the centre of pressure</span><b>-0.70 mm</b>" in text
+    assert "<span>largest tilt of the loaded sole</span><b>0.05°</b>" in text
+    assert "true margin" not in dict(numbers(found | {"physics": None}))
 
 
 def test_names_are_escaped(path, tmp_path, one_figure):

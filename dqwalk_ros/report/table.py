@@ -8,7 +8,7 @@ from typing import Any
 
 from dqwalk_ros.text_table import aligned
 
-__all__ = ["distances", "numbers", "phases", "render", "steps", "why"]
+__all__ = ["distances", "numbers", "phases", "quasi_static", "render", "steps", "why"]
 
 _EDGE = 1e-5
 """Distance up to which the CoM counts as at the edge of its support [m]: the error of Euler's method."""
@@ -80,9 +80,10 @@ def numbers(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     lines.append(("joint speed", fastest))
     if "paper" in margin:
         lines.append(("paper margin", _margin(margin["paper"])))
-    lines.append(("true margin", _margin(margin["true"])))
-    if "true_urdf_sole" in margin:
-        lines.append(("  URDF's own sole", _margin(margin["true_urdf_sole"])))
+    if quasi_static(report):
+        lines.append(("true margin", _margin(margin["true"])))
+        if "true_urdf_sole" in margin:
+            lines.append(("  URDF's own sole", _margin(margin["true_urdf_sole"])))
     if report.get("physics") is not None:
         lines += _physics(report["physics"])
     lines.append(("unit-norm error", f"{walk['unit_norm_error']:.1e}"))
@@ -92,6 +93,11 @@ def numbers(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         lines.append(("unanswered", f"{count} state{'s' if count > 1 else ''} without a command"))
     lines += [("note", note) for note in report["notes"]]
     return lines
+
+
+def quasi_static(report: Mapping[str, Any]) -> bool:
+    """Return whether the CoM is to be inside the soles; in a dynamic walk only the centre of pressure is."""
+    return bool(report["config"]["gait.style"] != "dynamic")
 
 
 def steps(report: Mapping[str, Any]) -> str:

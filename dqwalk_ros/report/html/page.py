@@ -110,12 +110,26 @@ def _heading(subject: Subject) -> str:
         "steps": tables.steps(report),
         "distance": f"{1e3 * walk['distance']:.1f} mm",
         "largest landing error": "–" if error is None else f"{1e3 * error:.2f} mm",
-        "smallest paper margin": f"{1e3 * margin['paper']['value']:+.2f} mm" if "paper" in margin else "–",
-        "smallest margin of the CoM in the soles": f"{1e3 * margin['true']['value']:+.2f} mm",
+        **_balance(report),
         "smallest joint-limit margin": f"{np.degrees(margin['joints']['value']):.2f}°",
         "largest joint speed": f"{walk['joint_speed']['largest']:.3f} rad/s",
     }
     return heading(subject.name, ", ".join(words) or "every constraint kept", about, numbers, ok=report["ok"])
+
+
+def _balance(report: Mapping[str, Any]) -> dict[str, str]:
+    """Return name and text of the margins that the balance of this kind of walk depends on."""
+    margin, physics = report["walk"]["margin"], report["physics"]
+    out = {}
+    if "paper" in margin:
+        out["smallest paper margin"] = f"{1e3 * margin['paper']['value']:+.2f} mm"
+    if tables.quasi_static(report):
+        out["smallest margin of the CoM in the soles"] = f"{1e3 * margin['true']['value']:+.2f} mm"
+    elif physics is not None:
+        pressure = physics["cop_margin"]
+        out["smallest margin of the centre of pressure"] = "–" if pressure is None else f"{1e3 * pressure:+.2f} mm"
+        out["largest tilt of the loaded sole"] = f"{np.degrees(physics['tilt']['value']):.2f}°"
+    return out
 
 
 def heading(name: str, verdict: str, about: str, numbers: Mapping[str, str], *, ok: bool) -> str:
