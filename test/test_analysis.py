@@ -177,11 +177,12 @@ def test_power_is_torque_times_velocity(trace):
     effort[:, joint] = torque
     series = on_the_ground(trace, effort)
     ground, angle = series.ground, trace.q[:, joint]
-    rises = np.maximum(np.diff(angle), 0.0).sum()
-    assert np.trapezoid(ground.work, trace.time) == pytest.approx(torque * rises, rel=0.02)
-    assert np.trapezoid(ground.power, trace.time) == pytest.approx(torque * np.abs(np.diff(angle)).sum(), rel=0.02)
+    rises, periods = np.maximum(np.diff(angle), 0.0).sum(), np.diff(trace.time)
+    assert np.isnan(ground.power[0])
+    assert ground.work[1:] @ periods == pytest.approx(torque * rises)
+    assert ground.power[1:] @ periods == pytest.approx(torque * np.abs(np.diff(angle)).sum())
     energy = reporting.report(series)["physics"]["energy"]
-    assert energy["positive"] == pytest.approx(ground.work.mean())
+    assert energy["positive"] == pytest.approx(ground.work[1:].mean())
     assert energy["cost_of_transport"] > 0.0
 
 
