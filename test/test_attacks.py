@@ -66,6 +66,20 @@ def test_missing_centres_of_pressure_are_not_counted_as_lost(make: Any, tmp_path
     assert one.node._missing["center_of_pressure"] == 0
 
 
+def test_commands_read_long_before_their_states_are_recorded_at_their_stamps(make: Any, tmp_path: Path) -> None:
+    """A suspended recorder wakes with full queues, in lockstep of many seconds; each is read as a whole."""
+    one, stamps = make("recorder", PAPER, "--bag", str(tmp_path / "bag")), PAPER.dt * np.arange(200, 3000)
+    one.send("joint_states", serialized_state(stamps[0]))
+    for topic in ("joint_velocity_commands", "joint_states"):
+        for k, stamp in enumerate(stamps):
+            msg = state(MODEL.joint_names, np.full(MODEL.n, 1e-3 * k), stamp)
+            one.send(topic, bytes(serialize_message(msg)))
+    assert not any(one.node._missing.values())
+    one.node.close()
+    found = load_bag(tmp_path / "bag", lambda name, kind: True).columns["/joint_velocity_commands"].times
+    np.testing.assert_array_equal(found, np.round(1e9 * stamps).astype(np.int64))
+
+
 def test_the_recorder_reports_a_deleted_folder(make: Any, tmp_path: Path) -> None:
     one = make("recorder", PAPER, "--bag", str(tmp_path / "bag"))
     one.send("joint_states", serialized_state(1.0))

@@ -111,6 +111,8 @@ class Recorder(WalkNode):
         super().__init__("recorder", options, **keywords)
         config = self.config
         self._period, self._drain_time = round(config.dt * 1e9), _DRAIN[config.plant.lockstep]
+        # after a suspension a queue of commands may be read before that of the states they answer
+        self._ahead = max(FAR, _DEPTH * self._period)
         self._path = Path(options.bag)
         self._writer = open_writer(self._path)
         self._connections: dict[str, Any] = {}
@@ -164,7 +166,7 @@ class Recorder(WalkNode):
                 self._time.add(own)
             # a latched message may be much older than the recording
             stamp = max(own, self._time.newest) if topic.latched else own
-            if stamp > self._time.newest + FAR >= FAR:  # a wrong stamp must not extend the bag by years
+            if stamp > self._time.newest + self._ahead >= self._ahead:  # a wrong one must not extend the bag by years
                 stamp = self._time.newest
             elif name in self._last:
                 self._note_gap(name, own)
