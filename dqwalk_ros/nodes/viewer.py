@@ -41,7 +41,7 @@ class Viewer(WalkNode):
 
     Subscribes to::
 
-        joint_states, phase, phase_start, com_target, swing_target, walk_config, robot_description, /diagnostics;
+        joint_states, imu, phase, phase_start, com_target, swing_target, walk_config, robot_description, /diagnostics;
         true_base_pose           geometry_msgs/PoseStamped: published by a simulated robot, which can be pushed
         base_pose, one message   geometry_msgs/PoseStamped: pose in odom of the first phase received
 
