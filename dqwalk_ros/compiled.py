@@ -36,7 +36,7 @@ if "NUMBA_CACHE_DIR" not in os.environ:
     numba.config.CACHE_DIR = str(_cache_folder())  # type: ignore[attr-defined]
 
 
-COMPILING = "compiling for this machine; this takes about a minute and is done only once"
+COMPILING = "compiling for this machine; this takes about a minute, once for each kind of walk"
 """Message of a process that finds no machine code in the cache."""
 
 

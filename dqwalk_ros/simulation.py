@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -395,6 +396,12 @@ class Trace:
 
     def __len__(self) -> int:
         return int(self.time.shape[0])
+
+    @property
+    def spans(self) -> list[range]:
+        """Indices of the states of each phase."""
+        starts = [record.start for record in self.phases]
+        return [range(*pair) for pair in itertools.pairwise([*starts, len(self)])]
 
     def up(self, tick: int) -> Array | None:
         """Return the unit vector against gravity (3,) in the inertial sensor's frame at a state; None if unknown."""

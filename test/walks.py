@@ -84,10 +84,9 @@ class Segment:
 def segments(trace: Trace) -> Iterator[Segment]:
     """Recompute the phases of a walk from its joint angles."""
     config, model = trace.config, trace.model
-    starts = [record.start for record in trace.phases]
-    for record, end in zip(trace.phases, [*starts[1:], len(trace) - 1], strict=True):
+    for record, span in zip(trace.phases, trace.spans, strict=True):
         phase = make_walk(config, model).phase(record.kind, record.support, record.q_start, record.swing_target)
-        ticks = range(record.start, end + 1)
+        ticks = range(span.start, min(span.stop + 1, len(trace)))  # with the state that ended it
         error, margins = [], []
         for tick in ticks:
             kin = Kinematics(model, trace.q[tick], phase.base)

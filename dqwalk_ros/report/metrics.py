@@ -105,9 +105,8 @@ def hull_margin(points: Array, p: Array) -> Array:
 def pelvis_in_odom(trace: Trace) -> Array:
     """Return the pose of the pelvis in odom at every tick, by leg odometry, shape (N, 8)."""
     out = np.tile(DQ(1.0).vec8(), (len(trace), 1))
-    ends = [record.start for record in trace.phases[1:]] + [len(trace)]
-    for record, end in zip(trace.phases, ends, strict=True):
-        for tick in range(record.start, end):
+    for record, ticks in zip(trace.phases, trace.spans, strict=True):
+        for tick in ticks:
             out[tick] = compose(
                 record.x_odom_base, Kinematics(trace.model, trace.q[tick], record.base).pose(trace.model.pelvis)
             )
@@ -357,30 +356,29 @@ def analyse(trace: Trace) -> Series:
     kept: dict[str, Array] = {}
     residuals: dict[str, Array] = {}
     spans: list[Span] = []
-    stops = [record.start for record in trace.phases[1:]] + [count]
     ends: list[Array | None] = [record.q_start for record in trace.phases[1:]]
     ends.append(trace.q[-1] if trace.finished else None)
     for k, (record, after) in enumerate(itertools.pairwise(trace.phases)):
         if record.kind is after.kind is PhaseKind.SINGLE_SUPPORT:  # steps catch a push before the foot has landed
             ends[k] = None
-    for record, stop, q_end in zip(trace.phases, stops, ends, strict=True):
+    for record, ticks, q_end in zip(trace.phases, trace.spans, ends, strict=True):
         phase = record.phase(config, model)
         ending = None if q_end is None else Ending.at(model, phase, q_end)
-        spans.append(Span(record, phase, record.start, stop, ending))
+        spans.append(Span(record, phase, ticks.start, ticks.stop, ending))
         features = Pose(model.soles[phase.base.other].frame), Pose(model.pelvis), CenterOfMassOnGround()
         observe = Observer(features, support_tree(model, phase.base))
-        margins = np.empty((stop - record.start, len(phase.assembly.names)))
-        for tick in range(record.start, stop):
+        margins = np.empty((len(ticks), len(phase.assembly.names)))
+        for k, tick in enumerate(ticks):
             kin = Kinematics(model, trace.q[tick], phase.base).with_vertical(trace.up(tick))
             now = phase.evaluate(kin)
             task_error[tick], com[tick], seen[tick] = now.error, kin.com, observe(kin)[0]
-            margins[tick - record.start] = now.margins
+            margins[k] = now.margins
         found = phase.assembly.by_name(margins)
         for table, rows in ((residuals, phase.equalities), (kept, phase.constraints)):
             for row in rows:
                 if row.name not in table:
                     table[row.name] = np.full(count, np.nan)
-                table[row.name][record.start : stop] = found[row.name]
+                table[row.name][ticks.start : ticks.stop] = found[row.name]
     end, pelvis, ground = seen[:, :8], DQ(seen[:, 8:16]).translation(), seen[:, 16:]
     return Series(trace, tuple(spans), task_error, kept, residuals, com, end, pelvis, ground)
 

@@ -153,9 +153,9 @@ def _phase_start(model: RobotModel, record: PhaseRecord, stamp: Stamps) -> list[
 def _diagnostics(trace: Trace, stamps: Stamps) -> list[_Messages]:
     """Return the messages of the phase monitor, at its rate from the beginning of each phase."""
     period, found = round(NS / trace.config.monitor.rate), []
-    for record, end in zip(trace.phases, [*(record.start for record in trace.phases[1:]), len(stamps)], strict=True):
+    for record, ticks in zip(trace.phases, trace.spans, strict=True):
         assess = Assessor(trace.config, trace.model, record.phase(trace.config, trace.model))
-        due = np.arange(stamps[record.start], stamps[end - 1] + 1, period)
+        due = np.arange(stamps[ticks.start], stamps[ticks.stop - 1] + 1, period)
         for tick in np.unique(np.searchsorted(stamps, due)).tolist():
             kin = Kinematics(trace.model, trace.q[tick], record.base).with_vertical(trace.up(tick))
             seen = assess(kin, float(trace.time[tick]) - record.time)
