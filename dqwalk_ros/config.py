@@ -182,7 +182,9 @@ class StandingConfig:
     swing_duration: float = _par(1.5, "duration of a swing; larger: slower steps", "s", 0.05, 60.0, live=True)
     com_threshold: float = _par(0.003, "CoM error that ends the phase; larger: earlier", "m", 1e-5, 0.1, live=True)
     swing_threshold: float = _par(0.002, "error that ends a swing; larger: earlier", "m", 1e-5, 0.1, live=True)
-    aim_inside: float = _par(0.0, "offset of the CoM on one foot towards the other foot", "m", 0.0, 0.05, live=True)
+    aim_inside: float = _par(
+        0.0, "offset of the CoM on one foot towards the other; larger: bears more outwards", "m", 0.0, 0.05, live=True
+    )
     saturation: float = _par(0.03, "limit of the CoM error; larger: faster correction", "m", 1e-4, 1.0, live=True)
     com_weight: float = _par(0.3, "weight of the CoM in single support; larger: closer", "", 0.0, 1e3, live=True)
     swing_weight: float = _par(10.0, "weight of the swing foot's path; larger: closer", "", 1e-3, 1e4, live=True)

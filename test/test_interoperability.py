@@ -405,6 +405,22 @@ def test_the_monitor_uses_the_measured_vertical(make: Any) -> None:
     assert log.up(8 * 10**9) is None
 
 
+def test_margins_of_the_monitor_are_along_the_measured_vertical(make: Any) -> None:
+    walk, monitor = make("controller", PAPER), make("phase_monitor", PAPER)
+    walk.send("joint_states", state(NAMES, ZERO, 1.0))
+    for topic in ("walk_config", "robot_description", "phase", "phase_start", "com_target"):
+        monitor.send(topic, walk.got[topic][-1])
+    margins = []
+    for k, angle in enumerate((0.0, 0.04)):
+        tilted = Inertial(np.array([np.cos(0.5 * angle), 0.0, np.sin(0.5 * angle), 0.0]), np.zeros(3), np.zeros(3))
+        monitor.send("imu", serialize_message(ros.imu((k + 1) * 10**9, "imu", tilted)))
+        monitor.send("joint_states", serialize_message(state(NAMES, ZERO, 1.0 + k)))
+        values = {pair.key: pair.value for pair in monitor.got["diagnostics"][-1].status[0].values}
+        margins.append(float(values["margin/polygon"]))
+    kin = Kinematics(MODEL, ZERO, Foot.LEFT)
+    assert abs(margins[0] - margins[1]) == pytest.approx(kin.com[2] * np.tan(0.04), rel=0.1)
+
+
 @pytest.mark.parametrize("lockstep", [False, True])
 def test_monitor_and_viewer_ignore_the_states_of_a_gripper(make: Any, lockstep: bool) -> None:
     """In lockstep its stamps are those of another clock; before, each of them was taken for a restart of the plant."""

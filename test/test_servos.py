@@ -314,6 +314,14 @@ def test_the_simulated_sensor_is_mounted_as_configured() -> None:
     np.testing.assert_allclose(found[1], found[0], atol=1e-12)
 
 
+def test_a_push_acts_on_the_pelvis_that_is_configured() -> None:
+    config = CONFIG.updated({"robot.pelvis": "chest"})
+    plant = PhysicsPlant(config, dq.load_model(config.robot), MODEL.posture(config.standing.posture))
+    plant.push([1.0, 2.0, 3.0])
+    pushed = np.flatnonzero(plant.data.xfrc_applied.any(axis=1))
+    assert [plant.mj.body(k).name for k in pushed] == ["chest"]
+
+
 def test_the_wrenches_are_the_contact_forces_about_the_origin_of_each_sole() -> None:
     """Compared with the engine's force of every single contact, while one or both soles are on the ground."""
     config = overlaid(dq.load("poppy_dynamic"), "physics").updated({"gait.steps": 2, "physics.slope": 0.03})

@@ -301,6 +301,18 @@ def test_one_step_in_physics_stays_balanced() -> None:
     assert soles[0][0] == pytest.approx(0.05, abs=0.01)
 
 
+@pytest.mark.parametrize("first", ["left", "right"])
+def test_on_one_foot_the_com_is_moved_towards_the_other_foot(first: str) -> None:
+    places = []
+    for aim in (0.0, CONFIG.standing.aim_inside):
+        trace, _ = walked("kinematic", gait__steps=1, gait__first_support=first, standing__aim_inside=aim)
+        part = next(part for part in segments(trace) if part.phase.swing_target is not None)
+        places.append(part.last.com_on_ground[1])
+    inside = -0.005 if first == "left" else 0.005
+    assert CONFIG.standing.aim_inside == abs(inside)
+    assert places[1] - places[0] == pytest.approx(inside, abs=1e-3)
+
+
 def test_on_a_slope_distances_are_along_the_measured_vertical(tmp_path) -> None:
     """Without it the CoM seemed 25 mm beside its place, beyond an edge of the support sole."""
     config = overlaid(CONFIG, "physics").updated({"gait.steps": 1, "physics.slope_side": 0.0524})
