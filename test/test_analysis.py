@@ -184,6 +184,9 @@ def test_power_is_torque_times_velocity(trace):
     energy = reporting.report(series)["physics"]["energy"]
     assert energy["positive"] == pytest.approx(ground.work[1:].mean())
     assert energy["cost_of_transport"] > 0.0
+    heavy = dataclasses.replace(trace, config=trace.config.updated({"physics.mass_scale": 2.0}))
+    of_heavy = reporting.report(on_the_ground(heavy, effort))["physics"]["energy"]
+    assert of_heavy["cost_of_transport"] == pytest.approx(0.5 * energy["cost_of_transport"])
 
 
 # ---------------------------------------------------------------------- report
