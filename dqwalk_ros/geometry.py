@@ -22,6 +22,7 @@ __all__ = [
     "Cylinder",
     "Line",
     "Plane",
+    "moved_inside",
     "point_to_line_squared",
     "point_to_wall",
     "wall_side",
@@ -128,6 +129,22 @@ class ConvexPolygon:
         t = np.roll(a, -1, axis=0) - a
         s = np.clip(np.einsum("ij,ij->i", point - a, t) / np.einsum("ij,ij->i", t, t), 0.0, 1.0)
         return -float(np.linalg.norm(point - (a + s[:, None] * t), axis=1).min())
+
+
+@jit
+def moved_inside(p, n, d, margin):  # type: ignore[no-untyped-def]
+    """Return a point p (2,) moved into a polygon with the edges n (m, 2), d (m,), at `margin` [m] from all of them.
+
+    It is projected onto the line of the edge that it violates most, up to six times. At an obtuse corner a small part
+    of the violation may remain.
+    """
+    for _ in range(6):
+        short = np.maximum(d + margin - n @ p, 0.0)
+        if not short.any():
+            break
+        k = np.argmax(short)
+        p = p + short[k] * n[k]
+    return p
 
 
 # ---------------------------------------------------------------------- distances and their gradients

@@ -10,6 +10,7 @@ from dqwalk_ros.geometry import (
     ConvexPolygon,
     Line,
     Plane,
+    moved_inside,
     point_to_line_squared,
     point_to_wall,
     wall_side,
@@ -135,6 +136,27 @@ def test_hull_omits_points_inside_and_on_edges():
     assert {tuple(v) for v in hull} == {tuple(v) for v in SQUARE}
     n, d = ConvexPolygon(hull).edges()
     assert (n @ np.array([1.0, 0.5]) - d > 0.0).all()  # counter-clockwise, normals inwards
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e-9, 1e-6, 1e-3])
+def test_a_point_beyond_an_edge_is_moved_onto_the_shrunk_polygon_and_no_further(offset):
+    """Two soles side by side, one `offset` [m] ahead: edges that are nearly parallel must not add up."""
+    sole, margin = np.array([[-0.072, -0.023], [0.072, -0.023], [0.072, 0.023], [-0.072, 0.023]]), 0.004
+    n, d = ConvexPolygon.hull(np.concatenate([sole, sole + np.array([offset, 0.095])])).edges()
+    for beyond in (0.005, 0.01, 0.02, 0.04):
+        for p in ([0.072 + beyond, 0.05], [0.01, -0.023 - beyond], [0.072 + beyond, -0.023 - beyond]):
+            moved = moved_inside(np.array(p), n, d, margin)
+            assert abs((n @ moved - d).min() - margin) < 1e-4 * beyond
+    inside = np.array([0.01, 0.03])
+    assert np.array_equal(moved_inside(inside, n, d, margin), inside)
+
+
+def test_a_point_is_moved_to_the_nearest_one_of_a_rectangle():
+    n, d = ConvexPolygon(SQUARE).edges()
+    for rng in generators():
+        p, margin = 3.0 * rng.normal(size=2), rng.uniform(0.0, 0.3)
+        nearest = np.clip(p, SQUARE.min(axis=0) + margin, SQUARE.max(axis=0) - margin)
+        assert moved_inside(p, n, d, margin) == pytest.approx(nearest, abs=1e-12)
 
 
 @pytest.mark.parametrize("jitter", [0.0, *(10.0**-k for k in range(6, 18))])

@@ -16,6 +16,7 @@ from dqwalk_ros.config import overlaid
 from dqwalk_ros.constraints import vfi
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ConfigError, PhaseError, PlantError
+from dqwalk_ros.geometry import moved_inside
 from dqwalk_ros.kinematics import CenterOfMassOnGround, Kinematics, Point
 from dqwalk_ros.paths import ComPath, SwingPath, com_path
 from dqwalk_ros.report import bag
@@ -180,8 +181,7 @@ def test_balance_torques_follow_the_com_path_with_the_cop_inside_the_soles(kind:
         a = a_d - w**2 * k * values(path, kin)[0] - w * (1.0 + k) * (v - v_d)
         p = c - a / w**2
         cut += polygon.distance(p) < s.pressure_margin
-        for _ in range(3):
-            p = p + np.maximum(d + s.pressure_margin - n @ p, 0.0) @ n
+        p = moved_inside(p, n, d, s.pressure_margin)
         tau = Balance(phase, CONFIG)(kin, state)
         if kind is PhaseKind.SINGLE_SUPPORT:
             wanted = MODEL.mass * w**2 * (c - p) @ kin.jacobian(CenterOfMassOnGround())

@@ -25,7 +25,7 @@ from dqwalk_ros.dynamic.pendulum import Pendulum, swing_inertia
 from dqwalk_ros.dynamic.plan import Course, Pressed, Rest, single_supports
 from dqwalk_ros.dynamic.swing import Swing
 from dqwalk_ros.errors import StateError
-from dqwalk_ros.geometry import ConvexPolygon
+from dqwalk_ros.geometry import ConvexPolygon, moved_inside
 from dqwalk_ros.kinematics import CenterOfMass, CenterOfMassOnGround, Direction, Kinematics
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.servos import Drive
@@ -317,7 +317,7 @@ class DynamicWalk(StandingWalk):
             place, velocity, acceleration = flight.swing.step(t, flight.rule.duration - self._advance)
             self._targets["swing"].set(turned(self._ground.tip(up), place), velocity)
             z[0] += self.pendulum.swing * acceleration[0]
-        self._pressure = _inside(z, *self._support, self.config.standing.pressure_margin)
+        self._pressure = moved_inside(z, *self._support, self.config.standing.pressure_margin)
         self._force = _force(c, self._pressure, omega, up)
         ahead = min(self._advance, 0.5 * self.config.dt + _MOST_AHEAD)
         later, _ = self._course.at(t + ahead)
@@ -537,18 +537,6 @@ def _converging(c, xi, later, omega, time):  # type: ignore[no-untyped-def]
 def _approached(acceleration, before, u, passed):  # type: ignore[no-untyped-def]
     """Return the filtered acceleration (n,) after velocities have changed from `before` to `u` (n,) in a time [s]."""
     return acceleration + (u - before - passed * acceleration) / (_ACCELERATION + passed)
-
-
-@jit
-def _inside(z, n, edge, margin):  # type: ignore[no-untyped-def]
-    """Return `z` (2,) moved into the polygon with inward normals n (m, 2) and offsets (m,), shrunk by a margin [m]."""
-    for _ in range(6):
-        short = np.maximum(edge + margin - n @ z, 0.0)
-        if not short.any():
-            break
-        k = np.argmax(short)
-        z = z + short[k] * n[k]
-    return z
 
 
 @jit

@@ -14,6 +14,7 @@ from dqwalk_ros.arrays import Array
 from dqwalk_ros.compiled import jit
 from dqwalk_ros.config import Config
 from dqwalk_ros.constraints import ComInsideEdges
+from dqwalk_ros.geometry import moved_inside
 from dqwalk_ros.kinematics import Kinematics, _point, compose, direction, support_tree
 from dqwalk_ros.paths import ComPath, com_path
 from dqwalk_ros.state import State
@@ -122,11 +123,6 @@ def _com_acceleration(com, up, v, c_d, v_d, a_d, n, d, k, margin):  # type: igno
         c[i] = com[i] - com[2] * (up[i] / up[2])
         a = a_d[i] - w2 * k * (c[i] - c_d[i]) - w * (1.0 + k) * (v[i] - v_d[i])
         pressure[i] = c[i] - a / w2
-    for _ in range(3):  # moved inside all edges, by three simultaneous projections
-        x, y = pressure[0], pressure[1]
-        for j in range(d.shape[0]):
-            violation = max(d[j] + margin - (n[j, 0] * x + n[j, 1] * y), 0.0)
-            pressure[0] += violation * n[j, 0]
-            pressure[1] += violation * n[j, 1]
+    pressure = moved_inside(pressure, n, d, margin)
     a0, a1 = w2 * (c[0] - pressure[0]), w2 * (c[1] - pressure[1])
     return np.array([a0, a1, -(a0 * up[0] + a1 * up[1]) / up[2]]), pressure
