@@ -269,7 +269,7 @@ def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
     tree = _tree(urdf)
     frames, mounted = tree["frames"], imu
     if any(config.imu_rpy):
-        mounted, turn = f"{imu}_mounted", _pose(Origin(rpy=config.imu_rpy))
+        mounted, turn = f"{imu}_mounted", Origin(rpy=config.imu_rpy).pose
         frames[mounted] = Frame(frames[imu].body, (DQ(frames[imu].pose) * turn).vec8())
     if len({frames[name].body for name in feet.values()}) == 1:
         raise ModelError(
@@ -337,7 +337,7 @@ def _tree(urdf: Urdf) -> dict[str, Any]:
     waiting = [(joint, 0, DQ(1.0)) for joint in reversed(urdf.child_joints(urdf.root))]
     while waiting:
         joint, body, pose = waiting.pop()  # body of the joint's parent link, and pose of that link in the body
-        origin = pose * _pose(joint.origin)
+        origin = pose * joint.origin.pose
         if joint.moves:
             if joint.type not in ("revolute", "continuous"):
                 raise ModelError(
@@ -365,11 +365,6 @@ def _tree(urdf: Urdf) -> dict[str, Any]:
         "bodies": tuple(bodies),
         "frames": frames,
     }
-
-
-def _pose(origin: Origin) -> DQ:
-    pose = origin.matrix
-    return DQ.from_matrix(pose[:3, :3], pose[:3, 3])
 
 
 def _range(lower: float, upper: float) -> tuple[float, float]:

@@ -104,8 +104,7 @@ class Shapes:
             what = shape.kind
         if not np.isfinite(vertices).all():
             return None
-        pose = shape.origin.matrix
-        return Surface(vertices @ pose[:3, :3].T + pose[:3, 3], faces, shape.color, what)
+        return Surface(shape.origin.pose.transform_point(vertices), faces, shape.color, what)
 
 
 _MOST = 60_000
@@ -169,8 +168,7 @@ def _is_closer_rotated(vertices: Array, link: Link, shape: Shape) -> bool:
     """
     if not link.mass:
         return False
-    pose = shape.origin.matrix
-    com = pose[:3, :3].T @ (link.com - pose[:3, 3])
+    com = shape.origin.pose.conj().transform_point(link.com)
 
     def distance(points: Array) -> float:
         low, high = points.min(axis=0), points.max(axis=0)

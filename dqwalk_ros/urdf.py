@@ -22,6 +22,7 @@ from xml.parsers import expat
 import numpy as np
 
 from dqwalk_ros.arrays import Array
+from dqwalk_ros.dual_quaternions import DQ, qmul
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.packages import expanded
 
@@ -56,22 +57,21 @@ class Origin:
     rpy: Triple = (0.0, 0.0, 0.0)
 
     @property
-    def matrix(self) -> Array:
-        """The pose, shape (4, 4)."""
-        pose = np.eye(4)
-        x, y, z = (_about(axis, angle) for axis, angle in zip(np.eye(3), self.rpy, strict=True))
-        pose[:3, :3], pose[:3, 3] = z @ y @ x, self.xyz
-        return pose
+    def pose(self) -> DQ:
+        """The pose; the real part of its rotation is not negative."""
+        x, y, z = DQ.rotation_about(self.rpy, np.eye(3)).vec4()
+        r = qmul(z, qmul(y, x))
+        return DQ.from_pose(self.xyz, r if r[0] >= 0.0 else -r)
 
     @classmethod
-    def of(cls, pose: Array) -> Origin:
-        """Return the origin of a pose (4, 4)."""
-        R = pose[:3, :3]
+    def of(cls, pose: DQ) -> Origin:
+        """Return the origin of a pose."""
+        R = pose.rotation_matrix()
         cos_pitch = math.hypot(R[0, 0], R[1, 0])
         regular = cos_pitch > 1e-9  # otherwise the axes of roll and yaw coincide
         roll = math.atan2(R[2, 1], R[2, 2]) if regular else math.atan2(-R[1, 2], R[1, 1])
         yaw = math.atan2(R[1, 0], R[0, 0]) if regular else 0.0
-        x, y, z = pose[:3, 3].tolist()
+        x, y, z = pose.translation().tolist()
         return cls((x, y, z), (roll, math.atan2(-R[2, 0], cos_pitch), yaw))
 
 
@@ -144,12 +144,10 @@ class Joint:
         """Return the pose of the child link in the parent link at a joint position `angle` [rad or m]."""
         if not angle:
             return self.origin
-        motion = np.eye(4)
-        if self.type == "prismatic":
-            motion[:3, 3] = angle * self.axis
-        else:
-            motion[:3, :3] = _about(self.axis, angle)
-        return Origin.of(self.origin.matrix @ motion)
+        slides = self.type == "prismatic"
+        return Origin.of(
+            self.origin.pose * (DQ.from_pose(angle * self.axis) if slides else DQ.rotation_about(angle, self.axis))
+        )
 
 
 class Urdf:
@@ -451,7 +449,7 @@ class _Reader:
             if element is not None:
                 self._repairs.append(f"{_place(link)} has the mass {mass:g} kg: taken as a frame without mass")
             return 0.0, np.zeros(3), np.zeros((3, 3))
-        pose = _origin(element).matrix
+        pose = _origin(element).pose
         moments = element.find("inertia")
         keys = ("xx", "xy", "xz", "yy", "yz", "zz")
         xx, xy, xz, yy, yz, zz = (_float(moments, f"i{key}", 0.0) for key in keys)
@@ -468,8 +466,8 @@ class _Reader:
                 f"{', '.join(f'{x:.2g}' for x in sorted(found))} are assumed"
             )
             inertia = axes @ np.diag(found) @ axes.T
-        R = pose[:3, :3]
-        return mass, pose[:3, 3].copy(), R @ (0.5 * (inertia + inertia.T)) @ R.T
+        R = pose.rotation_matrix()
+        return mass, pose.translation(), R @ (0.5 * (inertia + inertia.T)) @ R.T
 
     def _joint(self, element: ElementTree.Element, name: str) -> Joint:
         kind, where = element.get("type", ""), _place(element)
@@ -599,14 +597,6 @@ def _origin(element: ElementTree.Element) -> Origin:
         return Origin()
     (x, y, z), (roll, pitch, yaw) = (_floats(origin, key, 3, "0 0 0") for key in ("xyz", "rpy"))
     return Origin((x, y, z), (roll, pitch, yaw))
-
-
-def _about(axis: Array, angle: float) -> Array:
-    """Return the rotation (3, 3) about a unit vector [Rodrigues]."""
-    x, y, z = axis.tolist()
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    R: Array = np.eye(3) + math.sin(angle) * K + (1.0 - math.cos(angle)) * K @ K
-    return R
 
 
 def _float(

@@ -164,8 +164,8 @@ def _links(robot: Urdf, model: RobotModel, root: _Link, q: Array, dq: Array, ddq
         for joint in robot.joints.values():
             if joint.parent != link.name:
                 continue
-            origin = joint.origin.matrix
-            arm, R = link.R @ origin[:3, 3], link.R @ origin[:3, :3]
+            origin = joint.origin.pose
+            arm, R = link.R @ origin.translation(), link.R @ origin.rotation_matrix()
             p, w, angular, joints = link.p + arm, link.w, link.angular, link.joints
             linear = link.linear + np.cross(angular, arm) + np.cross(w, np.cross(w, arm))
             if joint.moves:

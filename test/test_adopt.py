@@ -47,7 +47,7 @@ def test_anatomy_is_detected(small: Adoption) -> None:
     for foot, side in ((Foot.LEFT, 1.0), (Foot.RIGHT, -1.0)):
         sole = anatomy.soles[foot]
         np.testing.assert_allclose([sole.length, sole.width], [0.1265, 0.0825], atol=1e-4)
-        np.testing.assert_allclose(sole.pose[:3, 3], 1.1 * np.array([0.012, side * 0.008, -0.042]), atol=1e-4)
+        np.testing.assert_allclose(sole.pose.translation(), 1.1 * np.array([0.012, side * 0.008, -0.042]), atol=1e-4)
 
 
 def test_the_initial_posture_is_statically_stable(small: Adoption) -> None:

@@ -147,7 +147,9 @@ def test_own_descriptions_need_no_repair_and_match_yourdfpy(path: Path) -> None:
     assert list(urdf.links) == [one.name for one in known.links]
     for one in known.joints:
         mine = urdf.joints[one.name]
-        np.testing.assert_allclose(mine.origin.matrix, np.eye(4) if one.origin is None else one.origin, atol=1e-15)
+        pose = np.eye(4) if one.origin is None else one.origin
+        np.testing.assert_allclose(mine.origin.pose.rotation_matrix(), pose[:3, :3], atol=1e-15)
+        np.testing.assert_allclose(mine.origin.pose.translation(), pose[:3, 3], atol=1e-15)
         assert (mine.type, mine.parent, mine.child) == (one.type, one.parent, one.child)
         if mine.moves:
             np.testing.assert_array_equal(mine.axis, one.axis)
@@ -167,18 +169,20 @@ angles = st.floats(-4.0, 4.0) | st.sampled_from([0.0, np.pi / 2, -np.pi / 2, np.
 
 
 @given(st.tuples(angles, angles, angles))
-def test_an_origin_is_recovered_from_its_matrix(rpy: tuple[float, float, float]) -> None:
-    pose = Origin((1.0, 2.0, 3.0), rpy).matrix
-    np.testing.assert_allclose(Origin.of(pose).matrix, pose, atol=1e-8)
+def test_an_origin_is_recovered_from_its_pose(rpy: tuple[float, float, float]) -> None:
+    pose = Origin((1.0, 2.0, 3.0), rpy).pose
+    off = pose.conj() * Origin.of(pose).pose
+    np.testing.assert_allclose(off.rotation_matrix(), np.eye(3), atol=1e-8)
+    np.testing.assert_allclose(off.translation(), 0.0, atol=1e-8)
 
 
 def test_a_joint_fixed_at_an_angle_has_the_pose_of_that_angle() -> None:
     urdf = Urdf(robot(A, B, joint(more='<origin xyz="1 0 0" rpy="1.5707963 0 0"/><axis xyz="0 0 1"/>')), "x")
-    turned = urdf.joints["j"].at(0.3).matrix
+    turned = urdf.joints["j"].at(0.3).pose
     urdf.weld({"j": 0.3})
     assert not urdf.joints["j"].moves
-    np.testing.assert_array_equal(urdf.joints["j"].origin.matrix, turned)
-    assert turned[2, 0] == pytest.approx(np.sin(0.3))  # about -y of the parent
+    np.testing.assert_array_equal(urdf.joints["j"].origin.pose.vec8(), turned.vec8())
+    assert turned.rotation_matrix()[2, 0] == pytest.approx(np.sin(0.3))  # about -y of the parent
 
 
 def test_package_files_are_found_near_the_description(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -29,6 +29,7 @@ from dqwalk_ros.adopt.parameters import (
 from dqwalk_ros.adopt.posture import over_one_foot, stand
 from dqwalk_ros.adopt.skeleton import Entry, Skeleton
 from dqwalk_ros.config import Config, RobotConfig, load
+from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.robot import Foot, RobotModel, load_model, parse_model
 from dqwalk_ros.shapes import Shapes
@@ -265,11 +266,9 @@ def _align_root(urdf: Urdf, anatomy: Anatomy) -> None:
     """Add a new root link with x forward and z up, unless the root link has these axes."""
     if np.allclose(anatomy.turn, np.eye(3), atol=1e-9):
         return
-    pose = np.eye(4)
-    pose[:3, :3] = anatomy.turn
     old, others = urdf.root, dict(urdf.joints)
     urdf.joints.clear()
-    urdf.add_frame("dqwalk_root", old, Origin.of(pose))
+    urdf.add_frame("dqwalk_root", old, Origin.of(DQ.from_matrix(anatomy.turn)))
     (joint,) = urdf.joints.values()
     urdf.joints[joint.name] = replace(joint, parent="dqwalk_root", child=old)
     urdf.joints.update(others)
@@ -304,7 +303,7 @@ def _lock(urdf: Urdf, free: set[str]) -> tuple[str, ...]:
 def _sole_distance(urdf: Urdf, anatomy: Anatomy) -> float:
     """Return the lateral distance of the soles [m]: that of the zero posture, limited to a range without collisions."""
     skeleton = Skeleton(urdf)
-    y = [float((skeleton.pose(sole.link) @ sole.pose)[1, 3]) for sole in anatomy.soles.values()]
+    y = [float((skeleton.pose(sole.link) * sole.pose).translation()[1]) for sole in anatomy.soles.values()]
     hips = [float(skeleton.place(leg[0])[1]) for leg in anatomy.legs.values()]
     apart, hip = abs(y[0] - y[1]), abs(hips[0] - hips[1])
     least = anatomy.soles[Foot.LEFT].width + 2.0 * _CLEARANCE * anatomy.leg

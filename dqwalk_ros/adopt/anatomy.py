@@ -149,7 +149,7 @@ def _find_legs(skeleton: Skeleton, points: Points, given: tuple[str, str]) -> tu
         how = f"{points.lacking}: give --package-path" if points.lacking else ": give --left and --right"
         raise ModelError(f"no moving part has a shape that can be read, so the soles are unknown{how}")
     floor = min(lowest.values())
-    top = max(pose[2, 3] for pose in map(skeleton.pose, skeleton.urdf.links))
+    top = max(skeleton.pose(link).translation()[2] for link in skeleton.urdf.links)
     height = max(top - floor, 1e-3)
     near = {body for body, z in lowest.items() if z < floor + _NEAR_FLOOR * height}
     feet = [body for body in near - {""} if not _is_toe(skeleton, body, lowest, floor, height)]
@@ -251,7 +251,7 @@ def _anatomy(
         raise ModelError(
             f"this biped has only {len(one)} joints in a leg, too few to keep the soles flat on the ground in a walk"
         )
-    up = skeleton.pose(urdf.root)[:3, :3]  # from the root's axes to axes with z up
+    up = skeleton.pose(urdf.root).rotation_matrix()  # from the root's axes to axes with z up
     yaw, one, two, ahead = _find_forward(skeleton, points, one, two, forward)
     skeleton = Skeleton(urdf, yaw @ up)
     legs = {Foot.LEFT: one, Foot.RIGHT: two}
@@ -259,7 +259,7 @@ def _anatomy(
     hip, ankle = (0.5 * (skeleton.place(one[k]) + skeleton.place(two[k])) for k in (0, -1))
     soles = find_soles(skeleton, points, legs, float(hip[2] - ankle[2]))
     toes = tuple(j for leg in legs.values() for j in skeleton.joints if leg[-1] in skeleton.way(j)[:-1])
-    ground = float(np.mean([(skeleton.pose(s.link) @ s.pose)[2, 3] for s in soles.values()]))
+    ground = float(np.mean([(skeleton.pose(s.link) * s.pose).translation()[2] for s in soles.values()]))
     pelvis_body = skeleton.body(urdf.joints[one[0]].parent)
     parents = {urdf.joints[leg[0]].parent for leg in legs.values()}
     pelvis = parents.pop() if len(parents) == 1 else skeleton.heaviest(pelvis_body)
@@ -314,7 +314,7 @@ def _find_forward(
     lateral[2] = 0.0
     lateral /= np.linalg.norm(lateral)
     ahead = np.array([lateral[1], -lateral[0], 0.0])  # if `one` is the left leg
-    root = skeleton.pose(skeleton.urdf.root)[:3, :3]
+    root = skeleton.pose(skeleton.urdf.root).rotation_matrix()
     usual = float(ahead @ root[:, 0])
     votes = [  # > 0: `one` is the left leg
         (3.0 * _side_vote(skeleton, one, two), "the names of left and right"),

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from dqwalk_ros.arrays import Array
+from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.shapes import Shapes
 from dqwalk_ros.urdf import Urdf
 
@@ -64,34 +65,30 @@ class Skeleton:
             for joint in urdf.joints.values()
             if joint.type in ("revolute", "continuous") and not joint.mimic and joint.name not in coupled
         }
-        self._pose: dict[str, Array] = {urdf.root: np.eye(4)}
-        if turn is not None:
-            self._pose[urdf.root][:3, :3] = turn
+        self._pose = {urdf.root: DQ.from_matrix(np.eye(3) if turn is None else turn)}
         self.chain: dict[str, tuple[str, ...]] = {urdf.root: ()}
         self.bodies: dict[str, list[str]] = {"": [urdf.root]}
         waiting = [urdf.root]
         for link in waiting:
             for joint in urdf.child_joints(link):
                 angle = min(max(0.0, joint.lower), joint.upper) if joint.moves else 0.0
-                self._pose[joint.child] = self._pose[link] @ joint.at(angle).matrix
+                self._pose[joint.child] = self._pose[link] * joint.at(angle).pose
                 chain = self.chain[link] + ((joint.name,) if joint.name in self.joints else ())
                 self.chain[joint.child] = chain
                 self.bodies.setdefault(chain[-1] if chain else "", []).append(joint.child)
                 waiting.append(joint.child)
 
-    def pose(self, link: str) -> Array:
-        """Return the pose of a link, shape (4, 4)."""
+    def pose(self, link: str) -> DQ:
+        """Return the pose of a link."""
         return self._pose[link]
 
     def place(self, joint: str) -> Array:
         """Return the position of a joint, shape (3,) [m]."""
-        place: Array = self._pose[self.joints[joint].child][:3, 3]
-        return place
+        return self._pose[self.joints[joint].child].translation()
 
     def axis(self, joint: str) -> Array:
         """Return the axis of a joint, shape (3,)."""
-        axis: Array = self._pose[self.joints[joint].child][:3, :3] @ self.joints[joint].axis
-        return axis
+        return self._pose[self.joints[joint].child].Ad(DQ(self.joints[joint].axis)).vec3()
 
     def body(self, link: str) -> str:
         """Return the body of a link: the last joint that moves it."""
@@ -113,9 +110,7 @@ class Skeleton:
         """Return the centre of mass of some bodies, shape (3,) [m]."""
         links = [self.urdf.links[name] for body in bodies for name in self.bodies[body]]
         total = sum(link.mass for link in links)
-        parts = [
-            link.mass * (self._pose[link.name][:3, :3] @ link.com + self._pose[link.name][:3, 3]) for link in links
-        ]
+        parts = [link.mass * self._pose[link.name].transform_point(link.com) for link in links]
         return sum(parts, np.zeros(3)) / total if total else np.zeros(3)
 
 
@@ -164,8 +159,7 @@ class Points:
             for link in links:
                 points = self.of_link(link, which)
                 if points is not None:
-                    pose = skeleton.pose(link)
-                    found.append(points @ pose[:3, :3].T + pose[:3, 3])
+                    found.append(skeleton.pose(link).transform_point(points))
             if found:
                 return np.concatenate(found), which
         return None, ""

@@ -10,6 +10,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from dqwalk_ros.adopt.skeleton import Points, Skeleton
 from dqwalk_ros.arrays import Array
+from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.robot import Foot
 
@@ -31,7 +32,7 @@ class FoundSole:
     Attributes
     ----------
     link : str
-    pose : ndarray, shape (4, 4)
+    pose : DQ
         Centre of the sole in the frame of the link, with x forward and z up.
     length, width : float
         Size of the rectangle [m].
@@ -42,14 +43,14 @@ class FoundSole:
     """
 
     link: str
-    pose: Array
+    pose: DQ
     length: float
     width: float
     source: str
     confidence: str
 
     def __str__(self) -> str:
-        x, y, z = 1e3 * self.pose[:3, 3]
+        x, y, z = 1e3 * self.pose.translation()
         size = f"{1e3 * self.length:.0f} x {1e3 * self.width:.0f} mm"
         return f"{size} at ({x:.0f}, {y:.0f}, {z:.0f}) mm of {self.link}"
 
@@ -88,7 +89,7 @@ def find_soles(
 def _mirrored(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]], found: dict[Foot, FoundSole]) -> bool:
     """Return whether two soles mirror each other in the plane between the legs."""
     left, right = (found[foot] for foot in Foot)
-    p, q = ((skeleton.pose(sole.link) @ sole.pose)[:3, 3] for sole in (left, right))
+    p, q = ((skeleton.pose(sole.link) * sole.pose).translation() for sole in (left, right))
     pairs = zip(legs[Foot.LEFT], legs[Foot.RIGHT], strict=True)
     twice = float(np.median([skeleton.place(a)[1] + skeleton.place(b)[1] for a, b in pairs]))  # 2 y of the plane
     place = p - [q[0], twice - q[1], q[2]]
@@ -113,8 +114,6 @@ def _sole(skeleton: Skeleton, points: Points, ankle: str, leg: float) -> FoundSo
         raise ModelError(f"this biped stands on points or edges: the foot '{foot}' has no flat area") from None
     x0, x1, y0, y1 = _rectangle(hull)
     center = level + np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.0]) @ axes
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = axes.T, center
     tilt = math.degrees(math.acos(min(1.0, normal[2])))
     share = (x1 - x0) * (y1 - y0) / hull.volume
     source = f"largest rectangle within the lowest points of the {which.removesuffix('s')} shapes"
@@ -122,7 +121,7 @@ def _sole(skeleton: Skeleton, points: Points, ankle: str, leg: float) -> FoundSo
         source += f"; tilted by {tilt:.1f} degrees in the zero posture"
     return FoundSole(
         foot,
-        np.linalg.inv(skeleton.pose(foot)) @ pose,
+        skeleton.pose(foot).conj() * DQ.from_matrix(axes.T, center),
         float(x1 - x0),
         float(y1 - y0),
         source,

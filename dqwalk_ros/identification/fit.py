@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
-from scipy.spatial.transform import Rotation
 from scipy.special import log_ndtr
 
 from dqwalk_ros.arrays import Array
@@ -380,7 +379,5 @@ def _mounting(trace: Trace, orientations: Array | None) -> Mounting | None:
     axis = np.cross(mean, link)
     sine = float(np.linalg.norm(axis))
     turn = axis / max(sine, 1e-12) * math.atan2(sine, float(mean @ link))
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
     noise = up.std(axis=0) / math.sqrt(len(up))
-    return Mounting(np.array(Origin.of(pose).rpy), np.array([noise[1], noise[0], math.nan]))
+    return Mounting(np.array(Origin.of(DQ(0.5 * turn).exp()).rpy), np.array([noise[1], noise[0], math.nan]))

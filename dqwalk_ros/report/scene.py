@@ -103,7 +103,7 @@ def shapes_of(config: Config, model: RobotModel) -> tuple[Shape, ...]:
             frame.body,
             shape.kind,
             shape.size,
-            (DQ(frame.pose) * DQ.from_matrix(shape.origin.matrix[:3, :3], shape.origin.matrix[:3, 3])).vec8(),
+            (DQ(frame.pose) * shape.origin.pose).vec8(),
             shape.color or _GREY,
         )
         for name, frame in model.frames.items()
