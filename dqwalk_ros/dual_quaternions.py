@@ -281,6 +281,10 @@ class DQ:
         h[..., 5:] = 0.5 * self.translation()
         return type(self)(h)
 
+    def rotation_vector(self) -> Array:
+        """Rotation vector phi n [rad] of the orientation with phi in [0, pi], the same for x and -x; shape (..., 3)."""
+        return 2.0 * type(self)(np.where(self._h[..., :1] < 0.0, -self._h, self._h)).log().vec3()
+
     def exp(self) -> Self:
         """Exponential of a pure dual quaternion, the inverse of `log`."""
         g = self._h[..., 1:4]

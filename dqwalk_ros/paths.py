@@ -172,8 +172,7 @@ class SwingPath(Task):
         The numbers are height, duration, convergence and lever.
         """
         a, b = DQ(self.start), DQ(self.goal)
-        turn = b.P() * a.P().conj()
-        half = (turn if turn.vec4()[0] >= 0.0 else -turn).log().vec3()
+        half = 0.5 * (b * a.conj()).rotation_vector()
         p, r = a.translation(), self.start[:4]
         return np.array(
             [*p, *(b.translation() - p), *r, *half, self.height, self.duration, self.convergence, self.lever]

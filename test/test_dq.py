@@ -146,6 +146,15 @@ def test_log_of_a_known_motion(angle, axis, p):
     np.testing.assert_allclose(x.log().vec8()[5:], 0.5 * p, atol=1e-12)
 
 
+@given(st.floats(0.0, 3.14), directions(), vectors)
+def test_the_rotation_vector_is_that_of_the_smaller_angle(angle, axis, p):
+    x = DQ.from_pose(p, DQ.rotation_about(angle, axis).vec4())
+    for same_pose in (x, -x):
+        np.testing.assert_allclose(same_pose.rotation_vector(), angle * axis, atol=1e-9)
+    both = DQ(np.stack([x.vec8(), -x.vec8()])).rotation_vector()
+    np.testing.assert_allclose(both, np.tile(angle * axis, (2, 1)), atol=1e-9)
+
+
 @pytest.mark.parametrize(
     "angle", [0.0, 1e-300, 1e-13, 1e-9, 1e-6, np.pi, 2 * np.pi - 1e-6, 2 * np.pi - 1e-13, 2 * np.pi]
 )

@@ -83,7 +83,6 @@ def reached(steps: Footsteps, support: Foot, length: float, side: float, turn: f
     x = steps.step(support, length, side, turn)
     moved = DQ(steps.wanted(support, 0.0, 0.0, 0.0)).translation()
     off = DQ(steps.wanted(support, length, side, turn)).conj() * DQ(x)
-    d, half = off.translation(), abs(float(off.log().vec3()[2]))
+    d, angle = off.translation(), abs(float(off.rotation_vector()[2]))
     p, ahead = DQ(x).translation() - moved, DQ(x).rotation_matrix()[:, 0]
-    angle = 2.0 * min(half, math.pi - half)
     return np.array([p[0], p[1], math.atan2(ahead[1], ahead[0]), math.hypot(d[0], d[1]), angle])

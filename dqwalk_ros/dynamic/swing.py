@@ -46,8 +46,7 @@ class Swing:
 
     def __init__(self, start: Array, goal: Array, height: float, descent: float = 0.0) -> None:
         a, b = DQ(start), DQ(goal)
-        turn = b.P() * a.P().conj()
-        half = (turn if turn.vec4()[0] >= 0.0 else -turn).log().vec3()
+        half = 0.5 * (b * a.conj()).rotation_vector()
         x, y, z = a.translation()
         done = 0.0
         if descent > 0.0:

@@ -145,9 +145,7 @@ class Odometry:
             return np.zeros(6)
         passed = 1e-9 * (t1 - t0)
         moved = x1.rotation_matrix().T @ (x1.translation() - x0.translation())
-        turn = x0.conj() * x1
-        turned = 2.0 * (turn if turn.vec4()[0] >= 0.0 else -turn).log().vec3()
-        return np.concatenate([moved, turned]) / passed
+        return np.concatenate([moved, (x0.conj() * x1).rotation_vector()]) / passed
 
     def _frames(self, stamp: int, x: DQ) -> list[TransformStamped]:
         config = self._config

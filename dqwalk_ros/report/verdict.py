@@ -175,8 +175,8 @@ def _landing(span: Span, ending: Ending) -> dict[str, float]:
     assert span.record.swing_target is not None  # every single support has one
     off = DQ(span.record.swing_target).conj() * DQ(ending.end)
     place = dict(zip("xyz", DQ(ending.end).translation().tolist(), strict=True))
-    angle = 2.0 * np.arctan2(np.linalg.norm(off.vec4()[1:]), abs(off.vec4()[0]))
-    return {**place, "error": float(np.linalg.norm(off.translation())), "angle": float(angle)}
+    error, angle = (float(np.linalg.norm(v)) for v in (off.translation(), off.rotation_vector()))
+    return {**place, "error": error, "angle": angle}
 
 
 def _groenwall(series: Series, span: Span) -> Iterator[tuple[str, float, int]]:

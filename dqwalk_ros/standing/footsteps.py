@@ -171,8 +171,7 @@ class Footsteps:
             )
         reached, stuck = self._nearest(support, wanted)
         off_by = DQ(flat(wanted)).conj() * DQ(reached)
-        far, half = float(np.linalg.norm(off_by.translation())), abs(float(off_by.log().vec3()[2]))
-        angle = 2.0 * min(half, math.pi - half)
+        far, angle = float(np.linalg.norm(off_by.translation())), abs(float(off_by.rotation_vector()[2]))
         if max(far, s.lever * angle) > gait.footstep_tolerance:
             where = ", ".join(f"{1e3 * v:.0f}" for v in DQ(reached).translation()[:2])
             why = f"{', '.join(stuck)} at the limit" if stuck else "no ankle that gives way"
