@@ -13,6 +13,7 @@ import math
 import pathlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -161,7 +162,15 @@ class RobotModel:
     @property
     def root(self) -> str:
         """Name of the URDF's root link, the floating base."""
-        return next(iter(self.frames))
+        return self.links[0]
+
+    @cached_property
+    def links(self) -> tuple[str, ...]:
+        """Names of the links whose frames are those of the bodies."""
+        first: dict[int, str] = {}
+        for name, frame in self.frames.items():
+            first.setdefault(frame.body, name)
+        return tuple(first[body] for body in range(len(self.bodies)))
 
     def chain(self, body: int) -> list[int]:
         """Return the indices of the bodies from the root to `body`, both included."""

@@ -14,7 +14,6 @@ import numpy as np
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
-from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.servos import Drive, Servos
@@ -64,15 +63,8 @@ def leg_inertia(model: RobotModel, kin: Kinematics) -> float:
     """Return the inertia of the right leg about its first joint, with its bodies as point masses [kg m^2]."""
     left, right = (model.chain(model.frames[model.soles[foot].frame].body) for foot in Foot)
     leg = [body for body in right if body not in left]
-    first: dict[int, str] = {}
-    for name, frame in model.frames.items():
-        first.setdefault(frame.body, name)
-
-    def place(body: int) -> DQ:
-        return DQ(kin.pose(first[body])) * DQ(model.frames[first[body]].pose).conj()
-
-    hip = place(leg[0]).translation()
-    levers = [place(body).transform_point(model.bodies[body].com) - hip for body in leg]
+    hip = kin.point(model.links[leg[0]])
+    levers = [kin.point(model.links[body], model.bodies[body].com) - hip for body in leg]
     total = sum(model.bodies[body].mass * float(x**2 + z**2) for body, (x, _, z) in zip(leg, levers, strict=True))
     return max(total, 1e-6)
 

@@ -115,12 +115,11 @@ def _solve(
     com: tuple[float, float] | None = None,
     free_pelvis: bool = False,
 ) -> Standing:
-    names = model.joint_names
-    bodies = {foot: [names[k] for k in _pitch(model, joints, anatomy)] for foot, joints in anatomy.legs.items()}
-    frames = _joint_frames(model)
+    links = {body.joint: link for body, link in zip(model.bodies, model.links, strict=True)}
+    legs = {foot: [links[k] for k in _pitch(model, joints, anatomy)] for foot, joints in anatomy.legs.items()}
     zero, straight = Kinematics(model, np.zeros(model.n), Foot.LEFT), {}
-    for foot, leg in bodies.items():
-        a, b, c = (zero.point(frames[name]) for name in leg)
+    for foot, leg in legs.items():
+        a, b, c = map(zero.point, leg)
         straight[foot] = float(np.linalg.norm(b - a) + np.linalg.norm(c - b))
     margin = np.minimum(_MARGIN, 0.1 * (model.q_max - model.q_min))
     low, high = model.q_min + margin, model.q_max - margin
@@ -134,17 +133,17 @@ def _solve(
         kin = Kinematics(model, q, Foot.LEFT)
         other = DQ(kin.pose(right))
         root = DQ(kin.pose(model.root))
-        upright = np.zeros(0) if free_pelvis else lever * _rotation_error(root)
-        tilt = lever * _rotation_error(other)
+        upright = np.zeros(0) if free_pelvis else lever * root.rotation_vector()
+        tilt = lever * other.rotation_vector()
         return np.concatenate([other.translation() - place, tilt, upright, kin.com[:2] - wanted])
 
     def residual(q: Array) -> Array:
         kin = Kinematics(model, q, Foot.LEFT)
-        legs = [
-            float(np.linalg.norm(kin.point(frames[hip]) - kin.point(frames[ankle]))) - bent * straight[foot]
-            for foot, (hip, _, ankle) in bodies.items()
+        longer = [
+            float(np.linalg.norm(kin.point(hip) - kin.point(ankle))) - bent * straight[foot]
+            for foot, (hip, _, ankle) in legs.items()
         ]
-        return np.concatenate([constraints(q), 0.3 * np.array(legs), 1e-3 * anatomy.leg * (q - rest)])
+        return np.concatenate([constraints(q), 0.3 * np.array(longer), 1e-3 * anatomy.leg * (q - rest)])
 
     first = np.clip(start, low + 1e-3, high - 1e-3)
     q = least_squares(residual, first, bounds=(low, high), xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=200).x
@@ -156,8 +155,8 @@ def _solve(
     kin = Kinematics(model, q, Foot.LEFT)
     middle = np.array([0.0, 0.5 * width, 0.0])
     knees = []
-    for hip, knee, ankle in bodies.values():
-        a, b, c = (kin.point(frames[name]) for name in (hip, knee, ankle))
+    for leg in legs.values():
+        a, b, c = map(kin.point, leg)
         share = (b[2] - c[2]) / max(a[2] - c[2], 1e-6)
         knees.append(b[0] - (c[0] + share * (a[0] - c[0])))
     return Standing(
@@ -173,22 +172,5 @@ def _solve(
 def _axis_signs(model: RobotModel) -> Array:
     """Return 1 for joints whose axis points to the left in the zero posture, else -1, shape (n,)."""
     kin = Kinematics(model, np.zeros(model.n), Foot.LEFT)
-    frames = _joint_frames(model)
-    axes = {body.joint: body.axis for body in model.bodies}
-    y = [kin.direction(frames[name], axes[k])[1] for k, name in enumerate(model.joint_names)]
-    return np.where(np.array(y) < 0.0, -1.0, 1.0)
-
-
-def _joint_frames(model: RobotModel) -> dict[str, str]:
-    """Return the name of a frame at each joint: its child link."""
-    first: dict[int, str] = {}
-    for name, frame in model.frames.items():
-        first.setdefault(frame.body, name)
-    return {model.joint_names[body.joint]: first[k] for k, body in enumerate(model.bodies) if body.joint >= 0}
-
-
-def _rotation_error(x: DQ) -> Array:
-    """Return twice the vector part of the rotation of a pose, with a non-negative real part, shape (3,)."""
-    r = x.vec8()[:4]
-    out: Array = 2.0 * np.copysign(1.0, r[0]) * r[1:]
-    return out
+    y = {body.joint: kin.direction(link, body.axis)[1] for body, link in zip(model.bodies, model.links, strict=True)}
+    return np.where(np.array([y[k] for k in range(model.n)]) < 0.0, -1.0, 1.0)

@@ -80,7 +80,7 @@ def scenery_of(scene: Scene) -> Callable[[Any], None]:
     def add(spec: Any) -> None:
         _add_surroundings(spec)
         for number, shape in enumerate(scene.shapes):
-            _add_shape(spec, spec.body(scene.links[shape.body]), f"shape{number}", shape)
+            _add_shape(spec, spec.body(scene.model.links[shape.body]), f"shape{number}", shape)
 
     return add
 

@@ -297,14 +297,11 @@ def tightest(gauges: Iterable[Gauge]) -> Gauge:
 
 
 class Scene:
-    """Turns moments of one walk into views; `links` are the names of the bodies."""
+    """Turns moments of one walk into views."""
 
     def __init__(self, config: Config, model: RobotModel) -> None:
         self.config, self.model = config, model
         self._assess: Assessor | None = None
-        identity = DQ(1.0).vec8()
-        links = {f.body: name for name, f in model.frames.items() if np.array_equal(f.pose, identity)}
-        self.links = tuple(links[body] for body in range(len(model.bodies)))
 
     @cached_property
     def shapes(self) -> tuple[Shape, ...]:
@@ -330,7 +327,7 @@ class Scene:
             moment=moment,
             level=found.level,
             message=found.message,
-            bodies=np.array([compose(x, kin.pose(link)) for link in self.links]),
+            bodies=np.array([compose(x, kin.pose(link)) for link in model.links]),
             soles={foot: compose(x, kin.pose(model.soles[foot].frame)) for foot in Foot},
             com=DQ(x).transform_point(kin.com),
             ground=float(DQ(x).transform_point(np.zeros(3))[2]),

@@ -37,7 +37,7 @@ def replay_data(series: Series) -> dict[str, Any]:
         moment = moments.at(tick)
         kin, found = scene.assess(moment)
         gauges = scene.gauges(moment.phase, found)
-        root.append(compose(moment.x_odom_base, kin.pose(scene.links[0])))
+        root.append(compose(moment.x_odom_base, kin.pose(model.root)))
         com.append(DQ(moment.x_odom_base).transform_point(kin.com))
         tight.append(tightest(gauges).name)
         for gauge in gauges:
