@@ -307,7 +307,7 @@ def test_the_plant_holds_without_a_command_and_applies_the_first_one_for_a_state
     node.send("joint_effort_commands", effort_message(0.0, first))
     node.send("joint_effort_commands", effort_message(0.0, 0.0 * first))
     period()
-    np.testing.assert_allclose(node.node._plant.effort, first)
+    np.testing.assert_allclose(node.node.plant.effort, first)
     time.sleep(1.5 * REAL.plant.command_timeout)
     period()
     assert "holding still: no command for 0.1 s" in node.log
@@ -324,7 +324,7 @@ def test_torques_are_clamped_and_excessive_pushes_rejected(make: Any) -> None:
         push.wrench.force.y = newtons
         node.send("push", push)
     node.node._on_period()
-    np.testing.assert_allclose(node.node._plant.effort, MODEL.effort_max)
+    np.testing.assert_allclose(node.node.plant.effort, MODEL.effort_max)
     assert sum("push rejected" in text for _, text in node.log.lines) == 3
     assert np.isfinite(node.got["joint_states"][-1].velocity).all()
 

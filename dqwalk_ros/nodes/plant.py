@@ -42,30 +42,32 @@ _MAX_SPEED = 10.0
 
 
 class SimulatedPlant(WalkNode):
-    """joint_velocity_commands -> joint_states, in lockstep or in real time; a subclass defines the plant."""
+    """Commands -> joint_states, in lockstep or in real time; a subclass defines the plant."""
 
     claims = "joint_states"
+    topic = VELOCITY
+    """Topic of the commands."""
 
     def __init__(self, name: str, options: argparse.Namespace, **keywords: Any) -> None:
         super().__init__(name, options, **keywords)
         self.model = load_model(self.config.robot)
         self.dt = self.config.dt
         self.plant = self.make_plant()
-        self.commands = CommandInput(self, self.model)
+        self.commands = CommandInput(self, self.model, self.topic)
         self.ticks = 0
         self._stamp = 0  # of the state published last [ns]
         self.trouble = ""  # what is wrong with the plant, which is an error
         self._missed = 0
-        self._published_at = time.monotonic()
+        self._published_at = -float("inf")  # steady time [s]
         self._moved = self._now()
         self._states = self.advertise("joint_states")
         self._state_msg = ros.JointWriter(self.model.joint_names)
         self._clock_topic = self.create_publisher(Clock, "/clock", ros.stream(10)) if self.config.plant.clock else None
         if self.lockstep:
-            self.listen(JointState, VELOCITY, self._on_answer, ros.stream(1))
+            self.listen(JointState, self.topic, self._on_answer, ros.stream(1))
             self.create_timer(_FIRST_ASK, self._ask)
         else:
-            self.listen(JointState, VELOCITY, self._on_command, ros.stream(1))
+            self.listen(JointState, self.topic, self._on_command, ros.stream(1))
             self.create_timer(self.dt, self._on_period)
         self.create_timer(1.0 / self.config.monitor.rate, self._diagnose)
 
@@ -76,7 +78,7 @@ class SimulatedPlant(WalkNode):
 
     # ------------------------------------------------------------------ defined by each plant
 
-    def make_plant(self) -> Plant:
+    def make_plant(self) -> Any:
         """Return the simulated plant."""
         raise NotImplementedError
 
@@ -91,6 +93,9 @@ class SimulatedPlant(WalkNode):
         """Return the stamp of a state in real time [ns]."""
         return int(self.get_clock().now().nanoseconds)
 
+    def on_step(self, before: int) -> None:
+        """Publish what belongs to the period since the stamp `before` [ns]; called before the state after it."""
+
     def publish(self, effort: NDArray[Any] | None = None) -> None:
         """Publish the state, and the torques of the joints if they are known."""
         if self._clock_topic is not None:
@@ -104,7 +109,7 @@ class SimulatedPlant(WalkNode):
         command = self.commands.take_answer(msg, self._stamp)
         if command is not None:
             u = clamp_velocity(command.velocity, self.plant.commanded, self.model, self.dt)
-            self._move(u, command.effort, self.dt)
+            self._move(Command(self._stamp * 1e-9, u, command.effort), self.dt)
 
     def _ask(self) -> None:
         """Publish the state again if no command has arrived."""
@@ -141,21 +146,22 @@ class SimulatedPlant(WalkNode):
             self._missed += int(passed / self.dt) - 1
         self.commands.log_motion()
         dt, gate = self.period(passed), self.commands.gate
-        self._move(gate.velocity(self.plant.commanded, dt), gate.effort, dt)
+        self._move(Command(self._stamp * 1e-9, gate.velocity(self.plant.commanded, dt), gate.effort), dt)
 
     # ------------------------------------------------------------------ both
 
-    def _move(self, velocity: NDArray[Any], effort: NDArray[Any] | None, dt: float) -> None:
+    def _move(self, command: Command, dt: float) -> None:
         """Move for `dt` [s], and publish the state."""
         try:
-            self.plant.step(Command(self._stamp * 1e-9, velocity, effort), dt)
+            self.plant.step(command, dt)
         except DqwalkError as error:
             self.get_logger().error(f"the plant failed: {error}")
             self.stop(1)
             return
-        self.ticks += 1
+        before, self.ticks = self._stamp, self.ticks + 1
         self._stamp = round(self.ticks * self.dt * 1e9) if self.lockstep else self.real_time()
         self._published_at = time.monotonic()
+        self.on_step(before)
         self.publish()
 
     def _diagnose(self) -> None:
