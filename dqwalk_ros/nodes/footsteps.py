@@ -6,9 +6,6 @@ interface package, which pip cannot install.
 
 from __future__ import annotations
 
-import math
-
-from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from std_msgs.msg import String
 
@@ -78,7 +75,7 @@ class FootstepInput:
         for k, one in enumerate(msg.poses, start=1):
             if (frame := one.header.frame_id) not in ("", msg.header.frame_id):
                 raise StateError(f"footstep {k} is in the frame '{frame}', the path in '{msg.header.frame_id}'")
-            wanted.append(_footprint(one, k))
+            wanted.append(ros.checked_pose(one, f"footstep {k}"))
         frames = {model.soles[foot].frame: foot for foot in Foot}
         if (given := msg.header.frame_id) in frames:
             support = frames[given]
@@ -116,11 +113,3 @@ class FootstepInput:
     def _publish_status(self, text: str) -> None:
         self._node.get_logger().info(f"footsteps: {text}")
         self._status.publish(String(data=text))
-
-
-def _footprint(msg: PoseStamped, number: int) -> DQ:
-    p, r = msg.pose.position, msg.pose.orientation
-    size = math.sqrt(r.w**2 + r.x**2 + r.y**2 + r.z**2)
-    if not (abs(size - 1.0) < 1e-3 and all(map(math.isfinite, (p.x, p.y, p.z)))):
-        raise StateError(f"footstep {number} has no unit quaternion (its norm is {size:g}), or no finite position")
-    return DQ.from_pose([p.x, p.y, p.z], [r.w / size, r.x / size, r.y / size, r.z / size])

@@ -29,6 +29,7 @@ from dqwalk_ros.state import Command, State
 __all__ = [
     "JointReader",
     "JointWriter",
+    "checked_pose",
     "deserialized",
     "diagnostics",
     "impulse",
@@ -237,6 +238,21 @@ def pose_dq(msg: PoseStamped) -> Array:
     """Return the unit dual quaternion (8,) of a PoseStamped."""
     p, r = msg.pose.position, msg.pose.orientation
     return DQ.from_pose([p.x, p.y, p.z], [r.w, r.x, r.y, r.z]).vec8()
+
+
+def checked_pose(msg: PoseStamped, what: str) -> DQ:
+    """Return the pose of a PoseStamped from outside; `what` is its name in the error message.
+
+    Raises
+    ------
+    StateError
+        If its quaternion is not a unit quaternion, or its position is not finite.
+    """
+    p, r = msg.pose.position, msg.pose.orientation
+    size = math.sqrt(r.w**2 + r.x**2 + r.y**2 + r.z**2)
+    if not (abs(size - 1.0) < 1e-3 and all(map(math.isfinite, (p.x, p.y, p.z)))):
+        raise StateError(f"{what} has no unit quaternion (its norm is {size:.3g}), or no finite position")
+    return DQ.from_pose([p.x, p.y, p.z], [r.w / size, r.x / size, r.y / size, r.z / size])
 
 
 def xyz(p: Array) -> Point:

@@ -103,8 +103,7 @@ class WholeBodyController(AnsweringNode):
         self._part(stamp, joints=msg)
 
     def _on_pose(self, msg: PoseStamped) -> None:
-        p, r = msg.pose.position, msg.pose.orientation
-        self._part(ros.nanoseconds(msg.header.stamp), pose=np.array([p.x, p.y, p.z, r.w, r.x, r.y, r.z]))
+        self._part(ros.nanoseconds(msg.header.stamp), pose=msg)
 
     def _on_twist(self, msg: TwistStamped) -> None:
         v, w = msg.twist.linear, msg.twist.angular
@@ -132,7 +131,7 @@ class WholeBodyController(AnsweringNode):
         except StateError as error:
             self._reject(error)
 
-    def _state(self, stamp: int, joints: JointState, pose: Array, twist: Array) -> BodyState:
+    def _state(self, stamp: int, joints: JointState, pose: PoseStamped, twist: Array) -> BodyState:
         """Return the state of three messages.
 
         Raises
@@ -143,9 +142,7 @@ class WholeBodyController(AnsweringNode):
         read = self._reader.state(joints)
         if read.dq is None:
             raise StateError("joint_states need a finite velocity of each joint")
-        norm = float(np.linalg.norm(pose[3:]))
-        if not abs(norm - 1.0) < 1e-3:
-            raise StateError(f"base_pose has a quaternion of norm {norm:.3g}")
+        x_base = ros.checked_pose(pose, "base_pose")
         if stamp < self._stamp:
             back = 1e-9 * (self._stamp - stamp)
             raise StateError(f"the plant restarted, {back:.3f} s before the last state answered: call ~/reset")
@@ -157,10 +154,9 @@ class WholeBodyController(AnsweringNode):
                 raise StateError("the robot moves, and its stamps are not simulated time: start the walk at rest")
             begin = 0 if moving else stamp
         assert isinstance(self._gate, BodyGate)
-        self._gate.accept_body(stamp, read.q, read.dq, pose[:3], twist)
+        self._gate.accept_body(stamp, read.q, read.dq, x_base.translation(), twist)
         self._begin = begin
-        x_base = DQ.from_pose(pose[:3], pose[3:] / norm).vec8()
-        return BodyState(1e-9 * (stamp - begin), read.q, dq=read.dq, x_base=x_base, v_base=twist)
+        return BodyState(1e-9 * (stamp - begin), read.q, dq=read.dq, x_base=x_base.vec8(), v_base=twist)
 
     # ------------------------------------------------------------------ commands
 
