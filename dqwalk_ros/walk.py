@@ -38,7 +38,10 @@ from dqwalk_ros.state import State
 from dqwalk_ros.statics import gravity_torques
 from dqwalk_ros.tasks import ComOverFoot, FramePose, Posture, Task
 
-__all__ = ["EndRule", "PaperWalk", "Phase", "PhaseKind", "Rule", "Walk", "com_target", "joint_limits", "pelvis_height"]
+__all__ = [
+    "EndRule", "PaperWalk", "Phase", "PhaseKind", "Rule", "Timed", "Walk", "com_target", "joint_limits",
+    "pelvis_height",
+]  # fmt: skip
 
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -501,3 +504,22 @@ class EndRule:
             error=error,
             stalled=stalled,
         )
+
+
+class Timed:
+    """Rule that ends a phase after a duration, which may change during the phase.
+
+    Attributes
+    ----------
+    duration : float
+        [s]
+    begun : float
+        Part of the duration that has passed when the phase begins, because its swing foot is in the air already [s].
+    """
+
+    def __init__(self, duration: float) -> None:
+        self.duration, self.begun = duration, 0.0
+
+    def is_over(self, error: float, elapsed: float) -> bool:
+        """Return whether the time is up; see `Rule.is_over`."""
+        return elapsed + self.begun >= self.duration - 1e-9

@@ -36,7 +36,7 @@ from dqwalk_ros.state import State
 from dqwalk_ros.statics import GRAVITY, ground_torques
 from dqwalk_ros.targets import Follow, FollowPose, Target
 from dqwalk_ros.tasks import Task
-from dqwalk_ros.walk import Phase, PhaseKind, Rule, com_target
+from dqwalk_ros.walk import Phase, PhaseKind, Rule, Timed, com_target
 
 __all__ = ["DynamicWalk", "divergent_component"]
 
@@ -70,25 +70,6 @@ Without it the weight is transferred late; with 15 ms some walks with a delay of
 """
 _GAP = 0.1
 """Time without a state after which the reference is reset to the measured state [s]."""
-
-
-class Timed:
-    """Rule that ends a phase after a duration, which may change during the phase.
-
-    Attributes
-    ----------
-    duration : float
-        [s]
-    begun : float
-        Part of the duration that has passed when the phase begins, because its swing foot is in the air already [s].
-    """
-
-    def __init__(self, duration: float) -> None:
-        self.duration, self.begun = duration, 0.0
-
-    def is_over(self, error: float, elapsed: float) -> bool:
-        """Return whether the time is up; see `walk.Rule.is_over`."""
-        return elapsed + self.begun >= self.duration - 1e-9
 
 
 @dataclass(eq=False)

@@ -23,7 +23,7 @@ from dqwalk_ros.kinematics import JointAngles, Kinematics
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.state import State
 from dqwalk_ros.tasks import Task
-from dqwalk_ros.walk import Phase, PhaseKind, Walk, joint_limits
+from dqwalk_ros.walk import Phase, PhaseKind, Timed, Walk, joint_limits
 
 __all__ = ["NAME", "Exercise", "Slot", "duration", "exercise_config", "limbs", "path_of", "slots"]
 
@@ -302,17 +302,6 @@ class JointPath(Task):
         return out
 
 
-@dataclass(frozen=True)
-class _Duration:
-    """Rule that ends a phase at the end of its path."""
-
-    duration: float
-
-    def is_over(self, error: float, elapsed: float) -> bool:
-        """Return whether the path has ended; see `walk.Rule.is_over`."""
-        return elapsed >= self.duration - 1e-9
-
-
 class Exercise(Walk):
     """Exercise of all joints, ``gait.cycles`` times, in one phase."""
 
@@ -354,7 +343,7 @@ class Exercise(Walk):
             equalities=(),
             inequalities=(),
             limits=joint_limits(self.config, self.model),
-            rule=_Duration(len(self._path) * _GRID),
+            rule=Timed(len(self._path) * _GRID),
         )
 
     def one_foot(self, support: Foot, q_start: Array, swing_target: Array) -> Phase:
