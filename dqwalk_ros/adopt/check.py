@@ -15,6 +15,7 @@ from dqwalk_ros.robot import Foot, RobotModel, find_urdf
 from dqwalk_ros.servos import Servos
 from dqwalk_ros.shapes import Shapes
 from dqwalk_ros.stability import Finding, servo_findings
+from dqwalk_ros.standing.footsteps import Footsteps
 from dqwalk_ros.statics import gravity_torques
 from dqwalk_ros.urdf import Urdf
 
@@ -126,8 +127,9 @@ def _com(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:
 
 def _torque(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:
     """Check that all joints are strong enough to stand on one foot."""
-    over = Kinematics(model, _over_left(model, q), Foot.LEFT)
-    tau = np.abs(gravity_torques(over, both=False))
+    kin = Kinematics(model, q, Foot.LEFT)
+    over = Footsteps(config, model, q).posture(Foot.LEFT, kin.pose(kin.swing))
+    tau = np.abs(gravity_torques(Kinematics(model, over, Foot.LEFT), both=False))
     limit = Servos.of(config, model).torque
     worst = int(np.argmax(tau / limit))
     if tau[worst] * _TORQUE <= limit[worst]:
@@ -137,17 +139,3 @@ def _torque(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:
         f"{limit[worst]:.3g} N m and should be at least {_TORQUE} times the needed torque"
     )
     yield Finding(text, "servo.torque_scale, the effort limits of the URDF", "torque")
-
-
-def _over_left(model: RobotModel, q: Array) -> Array:
-    """Return a posture (n,) near `q` with the CoM over the left sole and the right sole unmoved (Gauss-Newton)."""
-    right, center = model.soles[Foot.RIGHT].frame, model.soles[Foot.LEFT].center[:2]
-    fixed = DQ(Kinematics(model, q, Foot.LEFT).pose(right))
-    for _ in range(30):
-        kin = Kinematics(model, q, Foot.LEFT)
-        error = DQ(kin.pose(right)) * fixed.conj()
-        rotation = 2.0 * error.vec8()[1:4] * np.copysign(1.0, error.vec8()[0])
-        e = np.concatenate([kin.point(right) - fixed.translation(), rotation, kin.com[:2] - center])
-        J = np.concatenate([kin.point_jacobian(right), kin.angular_jacobian(right), kin.com_jacobian[:2]])
-        q = np.clip(q - J.T @ np.linalg.solve(J @ J.T + 1e-6 * np.eye(8), e), model.q_min, model.q_max)
-    return q

@@ -169,7 +169,7 @@ class Footsteps:
             raise StateError(
                 f"{1e3 * gap:.0f} mm beside the other sole; standing.sole_gap is {1e3 * s.sole_gap:.0f} mm"
             )
-        reached, stuck = self._nearest(support, wanted)
+        reached, _, stuck = self._nearest(support, wanted)
         off_by = DQ(flat(wanted)).conj() * DQ(reached)
         far, angle = float(np.linalg.norm(off_by.translation())), abs(float(off_by.rotation_vector()[2]))
         if max(far, s.lever * angle) > gait.footstep_tolerance:
@@ -185,8 +185,12 @@ class Footsteps:
         """Return the reachable flat pose of the swing sole nearest to `wanted` (8,), shape (8,)."""
         return self._nearest(support, wanted)[0]
 
-    def _nearest(self, support: Foot, wanted: Array) -> tuple[Array, tuple[str, ...]]:
-        """Return the nearest reachable footprint (8,), and the names of the joints that are at a limit there.
+    def posture(self, support: Foot, wanted: Array) -> Array:
+        """Return the posture (n,) [rad] with the CoM over the `support` sole and the other one at `reachable`."""
+        return self._nearest(support, wanted)[1]
+
+    def _nearest(self, support: Foot, wanted: Array) -> tuple[Array, Array, tuple[str, ...]]:
+        """Return the nearest reachable footprint (8,), the posture (n,), and the names of the joints at a limit there.
 
         Two postures with the same footprint are computed together: one with the CoM over the support sole, in which the
         swing foot lands, and one with the CoM over the swing sole, in which the next double support ends. The method is
@@ -247,7 +251,7 @@ class Footsteps:
                 break
         at_limit = ((q <= low + 1e-6) | (q >= high - 1e-6)).reshape(2, n).any(axis=0)
         joints = tuple(model.joint_names[i] for i in np.flatnonzero(at_limit))
-        return flat(Kinematics(model, q[:n], support).pose(frame)), joints
+        return flat(Kinematics(model, q[:n], support).pose(frame)), q[:n], joints
 
 
 def flat(x: Array) -> Array:
