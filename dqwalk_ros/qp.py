@@ -13,7 +13,7 @@ import math
 import time
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 import clarabel
 import numpy as np
@@ -95,14 +95,6 @@ class Problem:
     upper: Array
     equalities: int = 0
     names: tuple[str, ...] = ()
-
-    @classmethod
-    def of(
-        cls, H: Array, c: Array, E: Array, e: Array, G: Array, h: Array, lower: Array, upper: Array,
-        names: tuple[str, ...] = (),
-    ) -> Self:  # fmt: skip
-        """Return the problem with the equalities E u = e and the inequalities G u >= h."""
-        return cls(H, c, np.concatenate([E, G]), np.concatenate([e, h]), lower, upper, len(e), names)
 
     @property
     def E(self) -> Array:

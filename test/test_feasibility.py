@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from walks import problem_of
 
 from dqwalk_ros.config import load
 from dqwalk_ros.errors import QPError
@@ -20,7 +21,7 @@ def problem(
     eq = np.array(E or []).reshape(-1, n)
     names = [f"hold{i}" for i in range(len(eq))] + [f"row{i}" for i in range(len(G))]
     names += [f"max{i}" for i in range(n)] + [f"min{i}" for i in range(n)]
-    return Problem.of(
+    return problem_of(
         np.eye(n),
         np.zeros(n),
         eq,

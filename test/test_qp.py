@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 from robots import legs
-from walks import exact, problem_at
+from walks import exact, problem_at, problem_of
 
 from dqwalk_ros.config import load
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.qp import Problem, make_solver
+from dqwalk_ros.qp import make_solver
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.simulation import make_walk
 from dqwalk_ros.walk import PhaseKind
@@ -49,7 +49,7 @@ def test_active_rows_are_named():
     none, eye = np.empty((0, 3)), np.eye(3)
     names = tuple(f"{end}/{k}" for end in ("max", "min") for k in "abc")
     bounds = np.array([-9.0, -0.25, -9.0]), np.array([0.5, 9.0, 9.0])
-    problem = Problem.of(eye, np.array([-1.0, 1.0, 0.0]), none, np.empty(0), none, np.empty(0), *bounds, names)
+    problem = problem_of(eye, np.array([-1.0, 1.0, 0.0]), none, np.empty(0), none, np.empty(0), *bounds, names)
     solution = make_solver("clarabel").solve(problem)
     np.testing.assert_allclose(solution.u, [0.5, -0.25, 0.0], atol=1e-10)
     assert solution.active(problem) == ("min/b", "max/a")
@@ -62,7 +62,7 @@ def test_a_distant_bound_that_becomes_active_is_respected(far):
     none = np.empty((0, 2))
     bounds = np.full(2, -2.0 * far), np.array([far / 2.0, 2.0 * far])
     names = ("push", "max/a", "max/b", "min/a", "min/b")
-    problem = Problem.of(eye, np.array([-1.0, 0.0]), none, np.empty(0), G, np.array([far]), *bounds, names)
+    problem = problem_of(eye, np.array([-1.0, 0.0]), none, np.empty(0), G, np.array([far]), *bounds, names)
     solution = make_solver("clarabel").solve(problem)
     np.testing.assert_allclose(solution.u, exact(problem), rtol=1e-9)
     assert solution.residuals(problem).largest < 1e-9

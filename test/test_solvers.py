@@ -9,12 +9,12 @@ import clarabel
 import numpy as np
 import pytest
 from test_assembly import DT, KINDS, phase_of, setting
-from walks import problem_at
+from walks import problem_at, problem_of
 
 from dqwalk_ros.errors import QPError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.plants.kinematic import KinematicPlant
-from dqwalk_ros.qp import ClarabelSolver, DaqpSolver, Problem, _ClarabelProgram
+from dqwalk_ros.qp import ClarabelSolver, DaqpSolver, _ClarabelProgram
 from dqwalk_ros.simulation import make_controller
 from dqwalk_ros.state import State
 
@@ -40,7 +40,7 @@ def random_problem(rng, n=8, equalities=2, inequalities=12, scale=1.0):
     margin = scale * rng.uniform(0.0, 1.0, (2, n))
     c = scale * rng.normal(size=n) * 10.0
     names = tuple(f"row{k}" for k in range(equalities + inequalities + 2 * n))
-    return Problem.of(H, c, E, E @ u, G, G @ u - slack, u - margin[0], u + margin[1], names)
+    return problem_of(H, c, E, E @ u, G, G @ u - slack, u - margin[0], u + margin[1], names)
 
 
 @pytest.mark.parametrize("name", SOLVERS)
@@ -126,7 +126,7 @@ def test_a_solution_needs_a_valid_status_and_small_residuals(fault, monkeypatch)
 
 def test_a_distant_row_that_becomes_active_is_respected():
     """In a flat valley the solution is many gradient steps away, at a wall; nearer walls are inactive."""
-    problem = Problem.of(
+    problem = problem_of(
         np.diag([1.0 + 1e-6, 1e-6, 1e-6]), np.array([-1.0, -1e-2, 0.0]), np.empty((0, 3)), np.empty(0),
         np.array([[0.0, -1.0, 0.0]]), np.array([-500.0]), np.array([-1e3, -1e3, -1.0]), np.array([1e3, 1e3, 1.0]),
         ("wall", *(f"{side} {i}" for side in ("upper", "lower") for i in range(3))),

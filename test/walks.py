@@ -28,6 +28,13 @@ def problem_at(phase: Phase, kin: Kinematics, dt: float = 0.005, limit: Array | 
     return phase.evaluate(kin).problem(dt, np.full(kin.q.size, np.inf) if limit is None else limit)
 
 
+def problem_of(
+    H: Array, c: Array, E: Array, e: Array, G: Array, h: Array, lower: Array, upper: Array, names: tuple[str, ...] = ()
+) -> Problem:
+    """The problem with the equalities E u = e and the inequalities G u >= h."""
+    return Problem(H, c, np.concatenate([E, G]), np.concatenate([e, h]), lower, upper, len(e), names)
+
+
 def values(item: Task | Constraint, kin: Kinematics) -> tuple[Array, Array]:
     """Error of a task or distance of a constraint (k,), and its Jacobian (k, n), by the chain rule."""
     s, J = Observer(item.watches, kin.tree)(kin)
