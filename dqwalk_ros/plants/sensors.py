@@ -81,8 +81,7 @@ class Sensors:
 
     def _mounted(self, v: Array) -> Array:
         """Return a vector of the link in the frame of the sensor, rotated by the mounting error."""
-        out: Array = self._mounting.conj().Ad(DQ(np.concatenate([[0.0], v]))).vec4()[1:]
-        return out
+        return self._mounting.conj().Ad(DQ(v)).vec3()
 
     def _direction(self, size: float, *, level: bool = False) -> Array:
         """Return a vector of the given norm in a random direction, horizontal if `level`, shape (3,)."""
@@ -97,5 +96,4 @@ class Sensors:
     def _small(v: Array) -> DQ:
         """Return the rotation by |v| about v."""
         angle = float(np.linalg.norm(v))
-        axis = v / angle if angle > 0.0 else v
-        return DQ(np.concatenate([[math.cos(0.5 * angle)], math.sin(0.5 * angle) * axis]))
+        return DQ.rotation_about(angle, v / angle if angle > 0.0 else v)
