@@ -36,8 +36,8 @@ __all__ = [
     "WALKS",
     "PhaseRecord",
     "PhysicsRecord",
-    "Recorder",
     "Trace",
+    "TraceRecorder",
     "closed_loop",
     "make_controller",
     "make_plant",
@@ -218,7 +218,7 @@ def simulate(
         in its notes.
     """
     config = controller.config
-    recorder = Recorder(config, controller.model)
+    recorder = TraceRecorder(config, controller.model)
     end = math.inf if max_time is None else plant.state.time + max_time - 0.5 * config.dt
     total = walk_type(config).phases(config) or math.inf
     due = 0.0
@@ -409,7 +409,7 @@ class Trace:
         return up if up is not None and np.isfinite(up).all() else None
 
 
-class Recorder:
+class TraceRecorder:
     """Collects a `Trace`, one state after the other.
 
     Parameters

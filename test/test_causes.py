@@ -18,7 +18,7 @@ from dqwalk_ros.plants import orientation_of, upward
 from dqwalk_ros.report import analyse, html, report
 from dqwalk_ros.report.causes import causes
 from dqwalk_ros.robot import load_model
-from dqwalk_ros.simulation import Recorder, Trace, closed_loop, make_controller, make_plant, simulate
+from dqwalk_ros.simulation import Trace, TraceRecorder, closed_loop, make_controller, make_plant, simulate
 from dqwalk_ros.stability import Finding, longest_delay
 
 CONFIG = overlaid(load("poppy"), "physics").updated({"gait.steps": 4, "gait.recover": ""})
@@ -125,7 +125,7 @@ def test_the_cause_is_found_from_the_last_states_only() -> None:
     """The data of a controller: the states of the last seconds, without ground contact forces."""
     config = CONFIG.updated({"standing.transfer_duration": 0.7})
     controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
-    recent, complete_recorder = Recorder(config, MODEL, ticks=200), Recorder(config, MODEL)
+    recent, complete_recorder = TraceRecorder(config, MODEL, ticks=200), TraceRecorder(config, MODEL)
     for state, command in closed_loop(controller, plant):
         recent.add(state, command, controller)
         complete_recorder.add(state, command, controller, plant)

@@ -34,7 +34,7 @@ from dqwalk_ros.report.metrics import analyse
 from dqwalk_ros.report.scene import beginning
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.servos import Drive
-from dqwalk_ros.simulation import Recorder, make_controller, walk_type, warm_up
+from dqwalk_ros.simulation import TraceRecorder, make_controller, walk_type, warm_up
 from dqwalk_ros.state import Command, State
 from dqwalk_ros.topics import FALLEN, FINISHED
 from dqwalk_ros.walk import PhaseKind
@@ -283,8 +283,8 @@ class Controller(AnsweringNode):
         if self.config.node.exit_when_done:
             self.stop(0 if self._mode is Mode.DONE else 1)
 
-    def _new_recorder(self) -> Recorder:
-        return Recorder(self._walk.config, self._model, round(_REMEMBERED / self.config.dt))
+    def _new_recorder(self) -> TraceRecorder:
+        return TraceRecorder(self._walk.config, self._model, round(_REMEMBERED / self.config.dt))
 
     def _cause(self) -> str:
         """Return why the robot fell; empty where no phase had begun, or without an inertial sensor."""

@@ -1,7 +1,7 @@
 """The checks of `dqwalk doctor`: is the robot ready to walk? They use its topics while it stands, and move nothing.
 
 Each check is a function of the configuration, the model and the messages received. It returns a text with the result,
-or raises a `Fault` that says what to do.
+or raises a `Failed` that says what to do.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from dqwalk_ros.nodes.inputs import VELOCITY
 from dqwalk_ros.nodes.safety import outside_limits
 from dqwalk_ros.robot import Foot, RobotModel
 
-__all__ = ["CHECKS", "Finding", "Heard", "examine", "listen"]
+__all__ = ["CHECKS", "Heard", "Result", "examine", "listen"]
 
 
 _RATE = 0.2
@@ -97,7 +97,7 @@ class Heard:
 
 
 @dataclass(frozen=True)
-class Finding:
+class Result:
     """The result of a check.
 
     Attributes
@@ -116,7 +116,7 @@ class Finding:
         return f"{'  ' if self.ok else '! '}{self.what:22s} {self.text}"
 
 
-class Fault(Exception):
+class Failed(Exception):
     """A check has failed; the text is its result, and what to do."""
 
 
@@ -127,7 +127,7 @@ def check_states(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that states arrive."""
     if not heard.states:
         publishers = ", ".join(heard.publishers) or "no node"
-        raise Fault(
+        raise Failed(
             f"none in {heard.seconds:g} s; publisher: {publishers}: start the driver, or the joint_state_broadcaster; "
             "check that ROS_DOMAIN_ID, namespace and ROS_AUTOMATIC_DISCOVERY_RANGE are the same here and there"
         )
@@ -139,7 +139,7 @@ def check_joint_names(config: Config, model: RobotModel, heard: Heard) -> str:
     try:
         heard.angles(model)
     except StateError as error:
-        raise Fault(f"{error}: name the joints as {model.name} does, or lock them with robot.lock") from error
+        raise Failed(f"{error}: name the joints as {model.name} does, or lock them with robot.lock") from error
     velocities = ros.JointReader(model.joint_names).state(heard.states[-1][0]).dq
     return f"all {model.n}" + (
         "; no measured velocities, so they are computed by differences" if velocities is None else ""
@@ -150,16 +150,16 @@ def check_rate(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that the states arrive once per dt."""
     stamps = np.unique([ros.nanoseconds(msg.header.stamp) for msg, _ in heard.states]) * 1e-9
     if len(stamps) < 10:
-        raise Fault(f"only {len(stamps)} different stamps: the plant must give each state its own stamp")
+        raise Failed(f"only {len(stamps)} different stamps: the plant must give each state its own stamp")
     periods = np.diff(stamps)
     middle, late = float(np.median(periods)), float(np.percentile(periods, 99))
     text = f"{1.0 / middle:.1f} Hz, 99 % within {1e3 * late:.1f} ms"
     if abs(middle / config.dt - 1.0) > _RATE:
-        raise Fault(
+        raise Failed(
             f"{text}; dt is {config.dt:g} s: set dt to {middle:.4g}, or the rate of the driver to {1 / config.dt:g}"
         )
     if late > _LATE * config.dt:
-        raise Fault(f"{text}: the bus or the machine is too slow; lower the rate and dt, give the loop a processor")
+        raise Failed(f"{text}: the bus or the machine is too slow; lower the rate and dt, give the loop a processor")
     return text
 
 
@@ -171,10 +171,10 @@ def check_latency(config: Config, model: RobotModel, heard: Heard) -> str:
     if heard.simulated:
         return f"the simulation is {1e3 * middle:.1f} ms behind real time"
     if not -0.01 <= middle <= config.plant.command_timeout:
-        raise Fault(f"{text}: the clocks of two machines differ (chrony), or use_sim_time is wrong")
+        raise Failed(f"{text}: the clocks of two machines differ (chrony), or use_sim_time is wrong")
     assumed = config.servo.assumed_latency
     if middle > 0.5 * config.dt and assumed < middle:
-        raise Fault(
+        raise Failed(
             f"{text}; the controller assumes {1e3 * assumed:g} ms: set servo.assumed_latency to the sum of this delay "
             "and the command's"
         )
@@ -184,7 +184,9 @@ def check_latency(config: Config, model: RobotModel, heard: Heard) -> str:
 def check_limits(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that every joint is inside its limits."""
     if outside := outside_limits(heard.angles(model), model, 0.01):
-        raise Fault(f"{outside} beyond a limit: calibrate the joint, or correct its sign (poppy.calibration, the URDF)")
+        raise Failed(
+            f"{outside} beyond a limit: calibrate the joint, or correct its sign (poppy.calibration, the URDF)"
+        )
     return "all inside"
 
 
@@ -194,7 +196,9 @@ def check_posture(config: Config, model: RobotModel, heard: Heard) -> str:
     k = int(off.argmax())
     text = f"{model.joint_names[k]} is furthest from the first pose, {off[k]:.2f} rad"
     if off[k] > _POSTURE:
-        raise Fault(f"{text}: bring the robot there first (~/activate of poppy_driver; a trajectory with ros2_control)")
+        raise Failed(
+            f"{text}: bring the robot there first (~/activate of poppy_driver; a trajectory with ros2_control)"
+        )
     return text
 
 
@@ -205,7 +209,7 @@ def check_soles(config: Config, model: RobotModel, heard: Heard) -> str:
     height, lean = float(x.translation()[2]), math.acos(min(max(float(x.rotation_matrix()[2, 2]), -1.0), 1.0))
     text = f"right sole {1e3 * height:+.1f} mm and {math.degrees(lean):.1f} deg off the left one's plane"
     if abs(height) > _HEIGHT or lean > _LEVEL:
-        raise Fault(f"{text}, computed from the joint angles: calibrate the legs with both soles flat on the floor")
+        raise Failed(f"{text}, computed from the joint angles: calibrate the legs with both soles flat on the floor")
     return text
 
 
@@ -214,37 +218,37 @@ def check_inertial_sensor(config: Config, model: RobotModel, heard: Heard) -> st
     if not config.plant.imu:
         return "not used (plant.imu is false): no torque feed-forward, and a fall is not detected"
     if not heard.imus:
-        raise Fault("nothing on imu: start the sensor's broadcaster and remap its topic, or set plant.imu: false")
+        raise Failed("nothing on imu: start the sensor's broadcaster and remap its topic, or set plant.imu: false")
     msg = heard.imus[-1][0]
     if msg.header.frame_id not in ("", model.imu_link):
-        raise Fault(f"its frame is '{msg.header.frame_id}', and robot.imu is '{model.imu_link}': they must agree")
+        raise Failed(f"its frame is '{msg.header.frame_id}', and robot.imu is '{model.imu_link}': they must agree")
     try:
         up, gyro, _ = ros.inertial_of(msg)
     except StateError as error:
-        raise Fault(f"{error}: it must estimate an orientation (imu_filter_madgwick)") from error
+        raise Failed(f"{error}: it must estimate an orientation (imu_filter_madgwick)") from error
     kin = Kinematics(model, heard.angles(model), Foot.LEFT)
     lean = math.acos(min(max(float(kin.direction(model.imu, up)[2]), -1.0), 1.0))
     a = msg.linear_acceleration
     pull = math.sqrt(a.x**2 + a.y**2 + a.z**2)
     text = f"leans by {math.degrees(lean):.1f} deg, turns at {np.linalg.norm(gyro):.3f} rad/s, {pull:.2f} m/s^2"
     if lean > _UPRIGHT:
-        raise Fault(f"{text}: it is mounted askew (the URDF's joint of '{model.imu_link}'), or the floor is")
+        raise Failed(f"{text}: it is mounted askew (the URDF's joint of '{model.imu_link}'), or the floor is")
     if np.linalg.norm(gyro) > _STILL or abs(pull - 9.81) > _GRAVITY:
-        raise Fault(f"{text}: at rest it must measure no rotation and 9.81 m/s^2; calibrate it, check its units")
+        raise Failed(f"{text}: at rest it must measure no rotation and 9.81 m/s^2; calibrate it, check its units")
     return text
 
 
 def check_subscribers(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that a node subscribes to the commands."""
     if not heard.subscribers:
-        raise Fault(f"no node subscribes to {VELOCITY}: start poppy_driver, drive, or a plant")
+        raise Failed(f"no node subscribes to {VELOCITY}: start poppy_driver, drive, or a plant")
     return ", ".join(heard.subscribers)
 
 
 def check_plant_ready(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that the plant accepts commands."""
     if heard.ready is False:
-        raise Fault(
+        raise Failed(
             "plant_ready is false: call ~/activate of poppy_driver, or activate the controllers that drive uses"
         )
     return "accepts commands" if heard.ready else "does not publish plant_ready"
@@ -253,7 +257,7 @@ def check_plant_ready(config: Config, model: RobotModel, heard: Heard) -> str:
 def check_diagnostics(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that no node reports an error on /diagnostics."""
     if heard.errors:
-        raise Fault("; ".join(f"{name}: {text}" for name, text in heard.errors.items()))
+        raise Failed("; ".join(f"{name}: {text}" for name, text in heard.errors.items()))
     return "no errors"
 
 
@@ -275,7 +279,7 @@ _WITHOUT_STATES = ("states", "commands", "plant", "/diagnostics")
 """Checks that are also made if no valid state was received."""
 
 
-def examine(config: Config, model: RobotModel, heard: Heard) -> Iterator[Finding]:
+def examine(config: Config, model: RobotModel, heard: Heard) -> Iterator[Result]:
     """Run the checks and yield their results; messages with none of the robot's joints count only if all are such."""
     reader, usable = ros.JointReader(model.joint_names), True
     own = [(msg, at) for msg, at in heard.states if not reader.is_foreign(msg)]
@@ -283,12 +287,12 @@ def examine(config: Config, model: RobotModel, heard: Heard) -> Iterator[Finding
     for what, check in CHECKS.items():
         if usable or what in _WITHOUT_STATES:
             try:
-                finding = Finding(what, True, check(config, model, heard))
-            except Fault as fault:
-                finding = Finding(what, False, str(fault))
-            yield finding
+                result = Result(what, True, check(config, model, heard))
+            except Failed as failed:
+                result = Result(what, False, str(failed))
+            yield result
             if what in ("states", "joints"):
-                usable = usable and finding.ok
+                usable = usable and result.ok
 
 
 def listen(config: Config, seconds: float, namespace: str = "") -> Heard:

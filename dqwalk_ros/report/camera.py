@@ -15,7 +15,7 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import PlantError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.plants.mujoco import build
-from dqwalk_ros.report.scene import Scene, Shape
+from dqwalk_ros.report.scene import BodyShape, Scene
 from dqwalk_ros.robot import Foot, RobotModel
 
 __all__ = ["Camera", "scenery_of"]
@@ -85,7 +85,7 @@ def scenery_of(scene: Scene) -> Callable[[Any], None]:
     return add
 
 
-def _add_shape(spec: Any, body: Any, name: str, shape: Shape) -> None:
+def _add_shape(spec: Any, body: Any, name: str, shape: BodyShape) -> None:
     kind, x = mujoco.mjtGeom, DQ(shape.pose)
     looks: dict[str, Any] = {
         "name": name, "pos": x.translation(), "quat": x.rotation(), "rgba": shape.color,

@@ -37,7 +37,17 @@ from dqwalk_ros.urdf import Urdf
 from dqwalk_ros.walk import Phase
 
 __all__ = [
-    "Gauge", "Moment", "Moments", "Region", "Scene", "Shape", "View", "beginning", "region", "shapes_of", "tightest",
+    "BodyShape",
+    "Gauge",
+    "Moment",
+    "Moments",
+    "Region",
+    "Scene",
+    "View",
+    "beginning",
+    "region",
+    "shapes_of",
+    "tightest",
 ]  # fmt: skip
 
 Rgb = tuple[int, int, int]
@@ -64,7 +74,7 @@ def color_of(name: str) -> Rgb:
 
 
 @dataclass(frozen=True)
-class Shape:
+class BodyShape:
     """One visual shape of the robot.
 
     Attributes
@@ -91,7 +101,7 @@ class Shape:
     faces: NDArray[np.int64] | None = None
 
 
-def shapes_of(config: Config, model: RobotModel) -> tuple[Shape, ...]:
+def shapes_of(config: Config, model: RobotModel) -> tuple[BodyShape, ...]:
     """Return the visual shapes of the model's URDF; meshes whose file is missing are omitted."""
     urdf = Urdf(model.urdf, model.name)
     try:
@@ -99,7 +109,7 @@ def shapes_of(config: Config, model: RobotModel) -> tuple[Shape, ...]:
     except ModelError:
         near = Path(config.robot.urdf)
     plain = [
-        Shape(
+        BodyShape(
             frame.body,
             shape.kind,
             shape.size,
@@ -111,7 +121,7 @@ def shapes_of(config: Config, model: RobotModel) -> tuple[Shape, ...]:
         if shape.kind in PRIMITIVES
     ]
     meshes = [
-        Shape(frame.body, "mesh", (), frame.pose, surface.color or _GREY, surface.vertices, surface.faces)
+        BodyShape(frame.body, "mesh", (), frame.pose, surface.color or _GREY, surface.vertices, surface.faces)
         for name, surface in meshes_of(urdf, near)
         if (frame := model.frames.get(name)) is not None
     ]
@@ -304,7 +314,7 @@ class Scene:
         self._assess: Assessor | None = None
 
     @cached_property
-    def shapes(self) -> tuple[Shape, ...]:
+    def shapes(self) -> tuple[BodyShape, ...]:
         """The visual shapes of the robot."""
         return shapes_of(self.config, self.model)
 

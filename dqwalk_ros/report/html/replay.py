@@ -14,7 +14,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.kinematics import compose
 from dqwalk_ros.report.metrics import Series
-from dqwalk_ros.report.scene import Moments, Scene, Shape, shapes_of, tightest
+from dqwalk_ros.report.scene import BodyShape, Moments, Scene, shapes_of, tightest
 from dqwalk_ros.robot import Foot, RobotModel
 
 __all__ = ["FRAMES", "packed", "replay_data", "robot_data", "walk_data"]
@@ -114,7 +114,7 @@ def robot_data(config: Config, model: RobotModel) -> dict[str, Any]:
     }
 
 
-def _size(shape: Shape) -> dict[str, Any]:
+def _size(shape: BodyShape) -> dict[str, Any]:
     if shape.vertices is None or shape.faces is None:
         return {"s": list(shape.size)}
     return {"s": [1.0, 1.0, 1.0], "v": packed(shape.vertices), "f": packed(shape.faces, "<u4")}

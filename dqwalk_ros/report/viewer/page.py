@@ -19,7 +19,7 @@ import websockets.asyncio.server
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ViewerError
-from dqwalk_ros.report.scene import COM, DIVERGENT, FOOT, Moment, Region, Scene, Shape, View, color_of, tightest
+from dqwalk_ros.report.scene import COM, DIVERGENT, FOOT, BodyShape, Moment, Region, Scene, View, color_of, tightest
 from dqwalk_ros.report.viewer.panels import TIGHT, History, margins_html, status_html
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.simulation import walk_type
@@ -412,7 +412,7 @@ def _move(handle: Any, x: Array, offset: Array) -> None:
     handle.position, handle.wxyz = DQ(x).transform_point(offset), x[:4]
 
 
-def _add_shape(scene: viser.SceneApi, name: str, shape: Shape, opacity: float) -> None:
+def _add_shape(scene: viser.SceneApi, name: str, shape: BodyShape, opacity: float) -> None:
     r, g, b, a = shape.color
     a *= opacity
     color = (round(255 * r), round(255 * g), round(255 * b))
