@@ -37,16 +37,7 @@ from dqwalk_ros.urdf import Urdf
 from dqwalk_ros.walk import Phase
 
 __all__ = [
-    "BodyShape",
-    "Gauge",
-    "Moment",
-    "Moments",
-    "Region",
-    "Scene",
-    "View",
-    "beginning",
-    "region",
-    "shapes_of",
+    "BodyShape", "Gauge", "Moment", "Moments", "Region", "Scene", "View", "beginning", "region", "shapes_of",
     "tightest",
 ]  # fmt: skip
 
