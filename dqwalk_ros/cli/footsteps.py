@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from typing import TYPE_CHECKING
 
@@ -78,11 +79,9 @@ def reached(steps: Footsteps, support: Foot, length: float, side: float, turn: f
     """
     import numpy as np
 
-    from dqwalk_ros.dual_quaternions import DQ
+    from dqwalk_ros.standing.footsteps import Footprint
 
-    x = steps.step(support, length, side, turn)
-    moved = DQ(steps.wanted(support, 0.0, 0.0, 0.0)).translation()
-    off = DQ(steps.wanted(support, length, side, turn)).conj() * DQ(x)
-    d, angle = off.translation(), abs(float(off.rotation_vector()[2]))
-    p, ahead = DQ(x).translation() - moved, DQ(x).rotation_matrix()[:, 0]
-    return np.array([p[0], p[1], math.atan2(ahead[1], ahead[0]), math.hypot(d[0], d[1]), angle])
+    begin, wanted = steps.stride(support, 0.0, 0.0, 0.0), steps.stride(support, length, side, turn)
+    found = Footprint.of(steps.step(support, length, side, turn))
+    moved, angle = found.place - begin.place, abs(cmath.phase(found.ahead / wanted.ahead))
+    return np.array([moved.real, moved.imag, cmath.phase(found.ahead), abs(found.place - wanted.place), angle])
