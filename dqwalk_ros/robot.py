@@ -179,13 +179,15 @@ class RobotModel:
             chain.append(body)
         return chain[::-1]
 
-    def posture(self, entries: Sequence[str]) -> Array:
-        """Return the joint angles of ``standing.posture``, shape (n,) [rad]; joints without an entry are at zero.
+    def posture(self, entries: Sequence[str], key: str = "standing.posture", between: str = "=") -> Array:
+        """Return the joint angles of a posture, shape (n,) [rad]; joints without an entry are at zero.
 
         Parameters
         ----------
         entries : sequence of str
             JOINT=RADIANS, where '*' in JOINT matches any text.
+        key, between : str
+            Name of the parameter in error messages, and the character between joint and angle.
 
         Raises
         ------
@@ -194,15 +196,15 @@ class RobotModel:
         """
         q = np.zeros(self.n)
         for entry in entries:
-            name, _, text = entry.partition("=")
+            name, _, text = entry.partition(between)
             hits = [k for k, joint in enumerate(self.joint_names) if fnmatch.fnmatch(joint, name.strip())]
             try:
                 angle = float(text)
             except ValueError:
-                raise ConfigError(f"standing.posture has '{entry}'; it must be JOINT=RADIANS") from None
+                raise ConfigError(f"{key} has '{entry}'; it must be JOINT{between}RADIANS") from None
             if not hits:
                 known = ", ".join(self.joint_names)
-                raise ConfigError(f"standing.posture names '{name}'; the joints are {known}")
+                raise ConfigError(f"{key} names '{name}'; the joints are {known}")
             q[hits] = angle
         return q
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
-from dqwalk_ros.errors import ConfigError, ModelError, StateError
+from dqwalk_ros.errors import ModelError, StateError
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.state import Command, State
 from dqwalk_ros.whole_body.dynamics import Dynamics, Multibody, rotation_error
@@ -132,6 +132,8 @@ class WholeBodyController:
     ------
     ModelError
         If the robot lacks a link or a joint that `config` names, or cannot stand in the configured posture.
+    ConfigError
+        If ``whole_body.posture`` has an invalid entry.
     """
 
     finished = False
@@ -155,9 +157,9 @@ class WholeBodyController:
         self.weight = self._body.mass * GRAVITY
         self.stepping = Stepping.of(config)
         half = 0.5 * settings.feet_distance
-        self._start = self._body.stand(
-            _posture(settings.posture, model), {Foot.LEFT: [0.0, half], Foot.RIGHT: [0.0, -half]}, settings.torso
-        )
+        posture = model.posture(settings.posture, "whole_body.posture", ":")
+        feet = {Foot.LEFT: [0.0, half], Foot.RIGHT: [0.0, -half]}
+        self._start = self._body.stand(posture, feet, settings.torso)
         still = self._body.at(*self._start, np.zeros(self._body.nv))
         self.point_mass = PointMass(float(still.com[2]), settings.interval, settings.intervals)
         free = _matching(settings.free, model)
@@ -315,20 +317,6 @@ class WholeBodyController:
             sole=None if swing is None else dynamics.frames[soles[swing.foot]],
             settled=self._landing if settled else None,
         )
-
-
-def _posture(lines: Sequence[str], model: RobotModel) -> Array:
-    """Return the joint angles (n,) [rad] of lines such as 'L_knee: 0.87'; other joints are at zero."""
-    q = np.zeros(model.n)
-    for line in lines:
-        name, _, angle = line.partition(":")
-        if name.strip() not in model.joint_names:
-            raise ModelError(f"whole_body.posture names the joint '{name.strip()}', which '{model.name}' does not have")
-        try:
-            q[model.joint_names.index(name.strip())] = float(angle)
-        except ValueError:
-            raise ConfigError(f"whole_body.posture wants 'joint: angle', as 'L_knee: 0.87', not '{line}'") from None
-    return q
 
 
 def _matching(patterns: Sequence[str], model: RobotModel) -> NDArray[np.bool_]:
