@@ -232,6 +232,27 @@ def test_an_invalid_state_is_rejected_and_the_next_one_is_answered(make: Any) ->
     assert is_answered([*NAMES, "head_z"], [*ZERO, 0.0])
 
 
+@pytest.mark.parametrize("stamp", [0.0, 12.5])
+def test_states_whose_stamps_do_not_advance_are_an_error_and_cause_no_walk(make: Any, stamp: float) -> None:
+    one = make("controller", PAPER.updated({"plant.command_timeout": 10.0}))
+    commands = one.got["joint_velocity_commands"]
+    for k in range(30):
+        one.node._diagnosed = -math.inf
+        one.send("joint_states", state(NAMES, ZERO, stamp))
+        one.tick()
+        if k > 15:
+            status = one.got["diagnostics"][-1].status[0]
+            assert status.level == b"\x02"
+            assert f"joint_states rejected: they all have the stamp {stamp:g}: set header.stamp" in status.message
+        if k == 20:
+            one.node._gate.watchdog.starve()  # as after a timeout, when a smaller stamp is a clock set back
+    assert len(commands) == 2  # the answer to the first state, and zero
+    assert not any(commands[-1].velocity)
+    assert "timed out" not in one.log
+    one.send("joint_states", state(NAMES, ZERO, stamp + 0.005))
+    assert len(commands) == 3
+
+
 def test_an_invalid_command_causes_no_motion(make: Any) -> None:
     one = make("integrator", PAPER.updated({"plant.lockstep": True}))
     one.node.publish()

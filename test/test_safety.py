@@ -236,6 +236,31 @@ def test_states_out_of_order_are_dropped_until_the_watchdog_times_out(model: Rob
     assert gate.is_new(3 * PERIOD)
 
 
+@pytest.mark.parametrize("stamp", [0, 1000 * PERIOD])
+def test_stamps_that_do_not_advance_are_not_a_clock_set_back(model: RobotModel, clock: FakeClock, stamp: int) -> None:
+    gate, zero = gate_of(model, clock), np.zeros(model.n)
+    assert gate.is_new(stamp)
+    gate.accept(stamp, zero)
+    for k in range(1, 50):
+        clock.now += DT
+        assert not gate.is_new(stamp)
+        assert bool(gate.stuck) == (k >= gate.repeats)
+    assert gate.watchdog.silent
+    assert f"the stamp {1e-9 * stamp:g}: set header.stamp" in gate.stuck
+    assert gate.is_new(stamp + PERIOD)
+    assert not gate.stuck
+    assert gate.is_new(stamp - PERIOD)  # after the timeout
+
+
+def test_states_that_arrive_twice_are_no_fault(model: RobotModel, clock: FakeClock) -> None:
+    gate, zero = gate_of(model, clock), np.zeros(model.n)
+    for k in range(20):
+        assert gate.is_new(k * PERIOD)
+        gate.accept(k * PERIOD, zero)
+        assert not gate.is_new(k * PERIOD)
+        assert not gate.stuck
+
+
 # ---------------------------------------------------------------------- commands
 
 

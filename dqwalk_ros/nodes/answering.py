@@ -136,6 +136,11 @@ class AnsweringNode(WalkNode):
                 )
             return stamp > self._stamp
         if not self._gate.is_new(stamp):
+            if stuck := self._gate.stuck:
+                if not self._stale:
+                    self._stale = True  # until a state is accepted
+                    self._publish_zero()
+                self._reject(StateError(stuck))
             return False
         if stamp < self._stamp:
             self.get_logger().warning(f"the stamps went back by {(self._stamp - stamp) * 1e-9:.3f} s")

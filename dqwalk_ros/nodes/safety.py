@@ -301,6 +301,11 @@ class StateGate:
         Number of states ignored because of their stamp.
     """
 
+    repeats = 5
+    """Number of consecutive states with the stamp of the last one that indicates stamps which do not advance."""
+    may_repeat = False
+    """Whether the plant publishes a state again until it is answered."""
+
     def __init__(
         self,
         model: RobotModel,
@@ -319,17 +324,31 @@ class StateGate:
         self.overtaken = 0
         self._q: Array | None = None
         self._stamp = -1
+        self._repeated = 0  # consecutive states with this stamp
         self._passed = 0.0  # from the last accepted state to the first jump after it [s]
 
     def is_new(self, stamp: int) -> bool:
         """Return whether a stamp [ns] is newer than the last accepted one, or the plant's clock was set back.
 
-        An older state arrived out of order; after a timeout it is accepted as the first one of a clock set back.
+        An older state arrived out of order; after a timeout it is accepted as the first one of a clock set back. The
+        same stamp again is not a clock set back.
         """
-        if stamp > self._stamp or self.watchdog.silent:
+        repeated = stamp == self._stamp and not self.may_repeat
+        self._repeated = self._repeated + 1 if repeated else 0
+        if stamp > self._stamp or (self.watchdog.silent and not repeated):
             return True
         self.overtaken += 1
         return False
+
+    @property
+    def stuck(self) -> str:
+        """Why every state is ignored, if the stamps do not advance while states arrive; empty otherwise."""
+        if self._repeated < self.repeats:
+            return ""
+        return (
+            f"they all have the stamp {1e-9 * self._stamp:.9g}: set header.stamp to the time of the measurement, "
+            "a new one for each state"
+        )
 
     def accept(self, stamp: int, q: Array) -> None:
         """Accept a state, or raise an error and change nothing.
@@ -363,7 +382,7 @@ class StateGate:
     def reset(self) -> None:
         """Accept any joint angles in the next state."""
         self.jumped.reset()
-        self._q, self._stamp = None, -1
+        self._q, self._stamp, self._repeated = None, -1, 0
         self.watchdog.starve()
 
     def _jump(self, why: str) -> StateError:
@@ -379,6 +398,7 @@ class BodyGate(StateGate):
     joint velocities up to `fast` times their limits are accepted.
     """
 
+    may_repeat = True
     fast = 3.0
     """Largest accepted joint velocity, in units of its limit."""
     speed, turn = 10.0, 30.0
