@@ -54,6 +54,25 @@ def test_a_simulation_behind_real_time_is_no_fault() -> None:
     assert not failed_checks(robot(age=0.2, simulated=True))
 
 
+@pytest.mark.parametrize("phase", ["idle", "finished", "failed", "fallen"])
+def test_a_controller_without_a_walk_is_no_fault(phase: str) -> None:
+    assert not failed_checks(robot(phase=phase, controllers=("/controller",)))
+
+
+def test_stamps_that_do_not_advance_have_no_latency() -> None:
+    heard = robot(simulated=True)
+    unstamped = [(state(MODEL.joint_names, POSTURE, 0.0), at) for _, at in heard.states]
+    found = failed_checks(replace(heard, states=unstamped))
+    assert "header.stamp" in found["latency"]
+    assert "only 1 different stamps" in found["rate"]
+
+
+def test_the_latency_of_simulated_time_is_unknown() -> None:
+    latency = next(f for f in examine(CONFIG, MODEL, robot(age=EPOCH, simulated=True)) if f.what == "latency")
+    assert latency.ok
+    assert latency.text.startswith("unknown: the stamps of the simulation")
+
+
 def test_the_states_of_a_gripper_are_ignored() -> None:
     heard = robot()
     fingers = [(state(["finger"], [0.1], EPOCH + 0.003 * k), round((EPOCH + 1.0) * 1e9)) for k in range(300)]
@@ -66,12 +85,22 @@ def bent(joint: str, angle: float) -> np.ndarray:
     return q
 
 
+def swaying(joint: str) -> Heard:
+    heard = robot()
+    angles = enumerate(np.linspace(0.1, 0.0, len(heard.states)))
+    states = [(state(MODEL.joint_names, bent(joint, x), EPOCH + k * CONFIG.dt), heard.states[k][1]) for k, x in angles]
+    return replace(heard, states=states)
+
+
 FAULTS: dict[str, tuple[Callable[[], Heard], str, str]] = {
     "silent": (lambda: robot(states=[], publishers=()), "states", "start the driver"),
     "another robot": (lambda: robot(names=["x", *MODEL.joint_names[1:]]), "joints", "joints missing: l_hip_x"),
     "slow": (lambda: robot(period=0.02), "rate", "set dt to 0.02"),
     "clocks": (lambda: robot(age=-3.0), "latency", "chrony"),
     "late": (lambda: robot(age=0.03), "latency", "servo.assumed_latency"),
+    "in mid-walk": (lambda: robot(phase="single_support/left"), "rest", "end it (~/stop"),
+    "commanded": (lambda: robot(moving=True, controllers=("/pilot",)), "rest", "/pilot publishes"),
+    "in motion": (lambda: swaying("l_hip_y"), "rest", "l_hip_y moved by 0.10 rad"),
     "limit": (lambda: robot(bent("l_knee_y", -1.0)), "limits", "l_knee_y by"),
     "calibration": (lambda: robot(bent("r_ankle_y", 0.1)), "soles", "calibrate the legs"),
     "arms up": (lambda: robot(bent("abs_z", 0.5)), "first pose", "abs_z is furthest"),
@@ -110,7 +139,7 @@ def test_doctor_with_live_nodes(nodes: Any, domain: int, monkeypatch: pytest.Mon
     output = capfd.readouterr().out
     assert "start the driver" in output
     assert output.endswith("failed; repair the first one first\n")
-    live = nodes(CONFIG)
+    live = nodes(CONFIG.updated({"plant.imu": False}))
     live.start("integrator")
     live.until(lambda: len(live.got["joint_states"]) > 20, 60.0, "states")
     main(arguments)
@@ -118,3 +147,8 @@ def test_doctor_with_live_nodes(nodes: Any, domain: int, monkeypatch: pytest.Mon
     assert "  joints                 all 15" in output
     assert "  soles  " in output
     assert "  commands               integrator" in output
+    assert "no walk is under way" in output
+    live.start("controller")
+    live.until(lambda: live.phase.startswith("double_support"), 120.0, "a walk")
+    assert main(arguments) == 1
+    assert "! rest                   a walk is under way, phase is 'double_support" in capfd.readouterr().out

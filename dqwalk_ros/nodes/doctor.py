@@ -6,6 +6,7 @@ or raises a `Failed` that says what to do.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 import time
@@ -21,7 +22,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import Imu, JointState
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, String
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
@@ -50,6 +51,12 @@ _DISCOVERY = 5.0
 """Time within which a publisher is discovered [s]."""
 _POSTURE = 0.3
 """Largest distance of a joint from the first posture of the walk [rad]."""
+_MOVED = 0.05
+"""Largest range of a joint's angles while the robot stands still [rad]; sensor noise and backlash are smaller."""
+_BEHIND = 3600.0
+"""Largest delay of a simulation whose stamps count from the time of the clock [s]."""
+_AT_REST = ("", "idle", "finished", "failed", "fallen")
+"""Values of `phase` while no walk is under way; empty if it is not published."""
 
 
 @dataclass
@@ -70,6 +77,12 @@ class Heard:
         Value of plant_ready; None if it is not published.
     publishers, subscribers : tuple of str
         Nodes that publish joint_states, and that subscribe to the commands.
+    phase : str
+        Last value of `phase`; empty if it is not published.
+    moving : bool
+        Whether a command other than zero was received.
+    controllers : tuple of str
+        Nodes that publish the commands.
     simulated : bool
         Whether the plant is a simulation, whose stamps count its own time.
     """
@@ -81,6 +94,9 @@ class Heard:
     ready: bool | None = None
     publishers: tuple[str, ...] = ()
     subscribers: tuple[str, ...] = ()
+    phase: str = ""
+    moving: bool = False
+    controllers: tuple[str, ...] = ()
     simulated: bool = False
 
     def angles(self, model: RobotModel) -> Array:
@@ -168,6 +184,10 @@ def check_latency(config: Config, model: RobotModel, heard: Heard) -> str:
     ages = [1e-9 * (at - ros.nanoseconds(msg.header.stamp)) for msg, at in heard.states]
     middle, late = float(np.median(ages)), float(np.percentile(ages, 99))
     text = f"{1e3 * middle:.1f} ms old on arrival, 99 % within {1e3 * late:.1f} ms"
+    if len({ros.nanoseconds(msg.header.stamp) for msg, _ in heard.states}) < 2:
+        raise Fault("unknown: set header.stamp to the time of the measurement, a new one for each state")
+    if heard.simulated and abs(middle) > _BEHIND:
+        return "unknown: the stamps of the simulation do not count from the time of the clock"
     if heard.simulated:
         return f"the simulation is {1e3 * middle:.1f} ms behind real time"
     if not -0.01 <= middle <= config.plant.command_timeout:
@@ -179,6 +199,30 @@ def check_latency(config: Config, model: RobotModel, heard: Heard) -> str:
             "and the command's"
         )
     return text
+
+
+def check_rest(config: Config, model: RobotModel, heard: Heard) -> str:
+    """Check that the robot stands still, and that no walk is under way."""
+    if heard.phase not in _AT_REST:
+        raise Fault(
+            f"a walk is under way, phase is '{heard.phase}': end it (~/stop of the controller, or Ctrl-C), put the "
+            "robot into its first pose, and run this command again"
+        )
+    if heard.moving:
+        raise Fault(
+            f"{', '.join(heard.controllers) or 'a node'} publishes {VELOCITY} other than zero: stop it, and run this "
+            "command again"
+        )
+    reader = ros.JointReader(model.joint_names)
+    with contextlib.suppress(StateError):  # an invalid state is the controller's to reject
+        moved = np.ptp([reader.state(msg).q for msg, _ in heard.states], axis=0)
+        k = int(moved.argmax())
+        if moved[k] > _MOVED:
+            raise Fault(
+                f"{model.joint_names[k]} moved by {moved[k]:.2f} rad in {heard.seconds:g} s: stop whatever moves the "
+                "robot, wait until it stands still, and run this command again"
+            )
+    return "no walk is under way"
 
 
 def check_limits(config: Config, model: RobotModel, heard: Heard) -> str:
@@ -266,6 +310,7 @@ CHECKS: dict[str, Check] = {
     "joints": check_joint_names,
     "rate": check_rate,
     "latency": check_latency,
+    "rest": check_rest,
     "limits": check_limits,
     "soles": check_soles,
     "first pose": check_posture,
@@ -314,6 +359,12 @@ def listen(config: Config, seconds: float, namespace: str = "") -> Heard:
         def on_ready(msg: Bool) -> None:
             heard.ready = msg.data
 
+        def on_phase(msg: String) -> None:
+            heard.phase = msg.data
+
+        def on_command(msg: JointState) -> None:
+            heard.moving = heard.moving or any(msg.velocity)
+
         def on_diagnostics(msg: DiagnosticArray) -> None:
             for status in msg.status:
                 heard.errors.pop(status.name, None)
@@ -326,6 +377,8 @@ def listen(config: Config, seconds: float, namespace: str = "") -> Heard:
         node.create_subscription(Imu, "imu", partial(store, heard.imus), ros.stream(100, reliable=False))
         node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, ros.stream(100))
         node.create_subscription(Bool, "plant_ready", on_ready, ros.latched())
+        node.create_subscription(String, "phase", on_phase, ros.latched())
+        node.create_subscription(JointState, VELOCITY, on_command, ros.stream(100, reliable=False))
         end = time.monotonic() + max(seconds, _DISCOVERY)
         started = False
         while (left := end - time.monotonic()) > 0.0:
@@ -333,8 +386,10 @@ def listen(config: Config, seconds: float, namespace: str = "") -> Heard:
             if heard.states and not started:
                 started, end = True, time.monotonic() + seconds
         heard.publishers = ros.publishers_of(node, "joint_states")
+        heard.controllers = tuple(sorted(set(ros.publishers_of(node, VELOCITY))))
         ends = node.get_subscriptions_info_by_topic(node.resolve_topic_name(VELOCITY))
-        heard.subscribers = tuple(sorted({end.node_name for end in ends} - {"recorder", "viewer", "phase_monitor"}))
+        others = {"doctor", "recorder", "viewer", "phase_monitor"}
+        heard.subscribers = tuple(sorted({end.node_name for end in ends} - others))
         executor.shutdown()
         node.destroy_node()
     finally:
