@@ -188,6 +188,15 @@ def square(index: int, point: dict[str, float]) -> Number:
     return Number(point["x"] ** 2)
 
 
+def ignores_interrupts(index: int, point: dict[str, float]) -> Number:
+    return Number(float(signal.getsignal(signal.SIGINT) is signal.SIG_IGN))
+
+
+def test_workers_ignore_ctrl_c(tmp_path):
+    store = Store(tmp_path / "walks.jsonl", "x", POINTS, Number)
+    assert {one.square for one in run(ignores_interrupts, store, jobs=2).values()} == {1.0}
+
+
 @pytest.mark.parametrize(
     "line",
     [
@@ -302,6 +311,17 @@ def test_the_assumed_latency_can_be_wrong():
 def test_the_lead_is_that_of_the_configuration_but_not_more_than_the_damping(lead, damping, assumed):
     found = robustness.assumed(POPPY.updated({"servo.assumed_lead": lead, "servo.damping": damping}))
     assert (found["servo.assumed_lead"], found["servo.assumed_damping"]) == (assumed, damping)
+
+
+def test_an_interrupted_robustness_study_says_how_to_continue(tmp_path, monkeypatch, capsys):
+    done = [({}, robustness.Outcome(True, 1.0, 3, ""))]
+    monkeypatch.setattr(robustness, "walk_all", lambda *_, **__: done)
+    options = ["--axis", "physics.friction=0.4,0.8", "--sample", "5", "--out", str(tmp_path / "out")]
+    assert cli.main(["robustness", *options]) == 1
+    output = capsys.readouterr()
+    assert "interrupted; 1 of 5 cells are saved, the same command continues" in output.err
+    assert not output.out
+    assert not (tmp_path / "out").exists()
 
 
 def test_robustness_as_built_varies_gain_and_seed():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import random
+import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -176,7 +177,9 @@ def _backend(scheduler: str | None) -> Iterator[None]:
     from joblib import parallel_config
 
     if scheduler is None:
-        with parallel_config("loky", inner_max_num_threads=1):
+        # Ctrl-C reaches the workers, too; without a handler from their start they print tracebacks of their imports
+        ignore = {"initializer": signal.signal, "initargs": (signal.SIGINT, signal.SIG_IGN)}
+        with parallel_config("loky", inner_max_num_threads=1, **ignore):
             yield
         return
     from distributed import Client
