@@ -198,10 +198,10 @@ class _Progress:
             self.update()
             if code == 0 and self.last.get("mode") == "finished":
                 return ""
-            return self.last.get("reason") or f"controller ended ({code}): {processes.last_error('controller')}"
+            return self.last.get("reason") or processes.end_of("controller", code)
         for name in (self._plant, "recorder"):
             if (code := processes.exit_code(name)) is not None:
-                return f"{name} ended ({code}): {processes.last_error(name)}"
+                return processes.end_of(name, code)
         passed = time.monotonic() - self._last_progress
         if passed > (_STALL if self._first else _STARTUP):
             return f"no progress for {passed:.0f} s: {processes.last_error('controller')}"
@@ -329,6 +329,16 @@ class Processes:
         lines = [line for line in self.log(name).splitlines() if line.strip()]
         errors = [line for line in lines if "[ERROR]" in line or "[FATAL]" in line]
         return (errors or lines or ["it logged nothing"])[-1]
+
+    def end_of(self, name: str, code: int) -> str:
+        """Return how a node ended, by its exit code; after a signal with its last line if it is a warning or worse."""
+        if code >= 0:
+            return f"{name} ended ({code}): {self.last_error(name)}"
+        with contextlib.suppress(ValueError):  # a number without a name, such as that of a real-time signal
+            last = self.last_error(name)
+            bad = any(level in last for level in ("[WARN]", "[ERROR]", "[FATAL]"))
+            return f"{name} was killed by {signal.Signals(-code).name}" + (f": {last}" if bad else "")
+        return f"{name} was killed by signal {-code}"
 
     def stop(self) -> None:
         """End all nodes: by SIGINT, if necessary by SIGTERM, then by SIGKILL.

@@ -22,7 +22,7 @@ from dqwalk_ros.compiled import COMPILING
 from dqwalk_ros.config import load
 from dqwalk_ros.errors import BagError
 from dqwalk_ros.report import bag
-from dqwalk_ros.runner import _recording_error, environment, private_domain, run_walk
+from dqwalk_ros.runner import Processes, _recording_error, environment, private_domain, run_walk
 
 
 def children() -> list[psutil.Process]:
@@ -52,6 +52,22 @@ def test_an_existing_bag_is_not_changed(make: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("log", "code", "expected"),
+    [
+        ("[INFO] [1.0] [recorder]: recording to x\n", -9, "recorder was killed by SIGKILL"),
+        ("[WARN] [1.0] [recorder]: slow\n", -15, "recorder was killed by SIGTERM: [WARN] [1.0] [recorder]: slow"),
+        ("[ERROR] [1.0]: full\n[INFO] x\n", -6, "recorder was killed by SIGABRT: [ERROR] [1.0]: full"),
+        ("", -40, "recorder was killed by signal 40"),
+        ("", -11, "recorder was killed by SIGSEGV"),
+        ("[INFO] recording\nno space\n", 1, "recorder ended (1): no space"),
+    ],
+)
+def test_the_end_of_a_node_is_named_by_its_signal(tmp_path: Path, log: str, code: int, expected: str) -> None:
+    (tmp_path / "recorder.log").write_text(log)
+    assert Processes(tmp_path).end_of("recorder", code) == expected
+
+
+@pytest.mark.parametrize(
     ("target", "lockstep"),
     [  # in lockstep the other nodes wait 12 s for the acknowledgements of the killed one
         ("controller", False),
@@ -76,7 +92,8 @@ def test_a_killed_node_ends_the_walk_unless_it_is_the_monitor(tmp_path: Path, ta
     assert killed
     assert outcome.finished is not in_the_loop
     if not outcome.finished:
-        assert f"{target} ended (-9)" in outcome.reason
+        assert outcome.reason.startswith(f"{target} was killed by SIGKILL")
+        assert "[INFO]" not in outcome.reason
     assert not children()
 
 
