@@ -97,6 +97,17 @@ def test_exchanged_names_of_left_and_right_are_reported(tmp_path: Path) -> None:
     urdf = Urdf.load(path)
     found = {entry.what: entry for entry in find_anatomy(urdf, Shapes(urdf, path)).evidence}
     assert found["side names"].value == "may be exchanged"
+    assert found["side names"].source.startswith("by feet, ")  # the knees bend both ways
+
+
+def test_knees_that_bend_backward_do_not_exchange_the_sides(tmp_path: Path) -> None:
+    left = (r'(name="l_knee".*?lower="-2.2" upper=)"2.2"', r'\1"0.1"')
+    right = (r'(name="r_knee".*?lower=)"-2.2"', r'\1"-0.1"')  # its axis points to the other side
+    path = edited(tmp_path, SMALL, left, right)
+    urdf = Urdf.load(path)
+    found = {entry.what: entry for entry in find_anatomy(urdf, Shapes(urdf, path)).evidence}
+    assert "against it: the direction in which the knees bend" in found["ahead"].source
+    assert "side names" not in found
 
 
 @pytest.mark.parametrize(("old", "new"), [("0.1265 0.0825", "0.1165 0.0825"), ("-0.0088 -0.0396", "0 -0.0396")])
@@ -122,6 +133,10 @@ REFUSED = {
     "no shapes": ((r"<visual>.*?</visual>|<collision>.*?</collision>", ""), "no moving part has a shape"),
     "point feet": ((r'<box size="0.1265 0.0825 0.0132"/>', '<box size="0.01 0.01 0.0132"/>'), "points or edges"),
     "edges": ((r'<box size="0.1265 0.0825 0.0132"/>', '<box size="0.1265 1e-30 0.0132"/>'), "has no flat area"),
+    "bare feet": (
+        (r'(<link name="._(?:foot|ankle_link)">.*?</inertial>).*?</link>', r"\1</link>"),
+        "'l_foot' and 'r_foot' below have no shape; add a box as <collision>",
+    ),
     "one leg": ((r'name="r_knee" type="revolute"', 'name="r_knee" type="fixed"'), "mirror each other"),
     "truncated": ((r"</robot>", ""), "not XML"),
     "grams": ((r'(mass value="[^"]*)', r"\1e3"), "edited.urdf weigh 4059 kg"),

@@ -247,15 +247,19 @@ def _anatomy(
     urdf: Urdf, points: Points, skeleton: Skeleton, pair: tuple[str, str], forward: str, named: bool
 ) -> Anatomy:
     one, two = _branches(skeleton, *pair)
+    bare = _bare_ends(skeleton, points, pair)
     if len(one) < 4:
         raise ModelError(
             f"this biped has only {len(one)} joints in a leg, too few to keep the soles flat on the ground in a walk"
+            + bare
         )
     up = skeleton.pose(urdf.root).rotation_matrix()  # from the root's axes to axes with z up
     yaw, one, two, ahead = _find_forward(skeleton, points, one, two, forward)
     skeleton = Skeleton(urdf, yaw @ up)
     legs = {Foot.LEFT: one, Foot.RIGHT: two}
     kinds = "".join("RPY"[int(np.argmax(np.abs(skeleton.axis(joint))))] for joint in one)
+    if bare and kinds.count("P") < 3:
+        raise ModelError(f"the legs end at '{one[-1]}' and '{two[-1]}', without hip, knee and ankle{bare}")
     hip, ankle = (0.5 * (skeleton.place(one[k]) + skeleton.place(two[k])) for k in (0, -1))
     soles = find_soles(skeleton, points, legs, float(hip[2] - ankle[2]))
     toes = tuple(j for leg in legs.values() for j in skeleton.joints if leg[-1] in skeleton.way(j)[:-1])
@@ -285,6 +289,20 @@ def _anatomy(
         yaw @ up, legs, kinds, soles, pelvis, torso, imu, hands, waist, float(hip[2] - ground),
         tuple(entry for entry in evidence if entry.value),
     )  # fmt: skip
+
+
+def _bare_ends(skeleton: Skeleton, points: Points, pair: tuple[str, str]) -> str:
+    """Return text for messages that names the ends of two legs below the last joints of `pair` that have no shape.
+
+    It is empty if there are none.
+    """
+    ends = []
+    for last in pair:
+        below = [body for body in skeleton.joints if last in skeleton.way(body)[:-1]]
+        if below and all(points.of(skeleton, skeleton.bodies[body])[0] is None for body in below):
+            ends.append(repr(skeleton.heaviest(max(below, key=lambda body: len(skeleton.way(body))))))
+    have = "has" if len(ends) == 1 else "have"
+    return f": {' and '.join(ends)} below {have} no shape; add a box as <collision>" if ends else ""
 
 
 def _side_vote(skeleton: Skeleton, one: Sequence[str], two: Sequence[str]) -> int:
@@ -346,8 +364,10 @@ def _find_forward(
         ahead = root @ np.eye(3)[axis] * np.sign(where[axis])
     x, y, _ = ahead / np.linalg.norm(ahead)
     found = [Entry("ahead", f"{name} of {skeleton.urdf.root}", source, confidence)]
-    if votes[0][0] * (votes[1][0] + votes[2][0]) < 0.0:
-        why = "by knees and feet, the leg that is named left is the right one"
+    names, knees, feet = (weight for weight, _ in votes[:3])
+    if names * (knees + feet) < 0.0 and names * feet <= 0.0:  # knees may bend backward, as those of a bird seem to
+        disagree = [part for part, weight in (("knees", knees), ("feet", feet)) if names * weight < 0.0]
+        why = f"by {' and '.join(disagree)}, the leg that is named left is the right one"
         found.append(Entry("side names", "may be exchanged", why, "guess"))
     return np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, 1.0]]), one, two, found
 
