@@ -278,6 +278,30 @@ def test_meshes_in_folders_with_special_characters_are_found(tmp_path: Path) -> 
     assert "no shape of the left foot can be read" in str(check(found.config, found.model)[0])
 
 
+def test_a_configuration_is_replaced_with_force_only(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    command = ["adopt", str(SMALL), "--out", str(out), "--yes", "--no-walk", "--quiet"]
+    out.mkdir()
+    (out / "robot.yaml").write_text("edited")
+    assert cli.main(command) == 2
+    error = capsys.readouterr().err
+    assert "robot.yaml' exists" in error
+    assert "--force" in error
+    assert "reading the robot" not in error  # nothing was computed
+    assert [file.name for file in out.iterdir()] == ["robot.yaml"]
+    assert (out / "robot.yaml").read_text() == "edited"
+    assert cli.main([*command, "--force"]) == 0
+    assert load(out / "robot.yaml").robot.urdf
+
+
+def test_adopt_refuses_a_file_as_its_folder_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "out").write_text("")
+    assert cli.main(["adopt", str(SMALL), "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert "is a file, not a folder" in error
+    assert "reading the robot" not in error
+
+
 def test_a_missing_robot_file_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="cannot read"):
         adopt(tmp_path / "nowhere.urdf", tmp_path)

@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dqwalk_ros.cli.options import command, folder_option, parse_overrides, port_option, quiet_option, set_option
+from dqwalk_ros.cli.options import (
+    command,
+    folder_option,
+    force_option,
+    parse_overrides,
+    port_option,
+    quiet_option,
+    set_option,
+)
 from dqwalk_ros.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -37,13 +45,14 @@ examples:
   dqwalk adopt my_robot.urdf
   dqwalk adopt robot.urdf.xacro --package-path ~/ws/src --out my_robot
   dqwalk adopt robot.urdf --left l_foot --right r_foot --forward -x
-  dqwalk adopt my_robot.urdf --view                        show the result in the browser
+  dqwalk adopt my_robot.urdf --force --view                again, and show the result in the browser
   dqwalk simulate --config adopted/robot.yaml --plant physics
   dqwalk simulate --config adopted/dynamic.yaml --plant physics
   dqwalk reach --config adopted/whole_body.yaml --test 1
 """)
 @click.argument("urdf", type=click.Path(path_type=Path))
 @folder_option("adopted")
+@force_option
 @click.option("--package-path", "places", metavar="DIR", multiple=True, type=click.Path(path_type=Path),
               help="Also search for ROS packages here; may be given several times.")  # fmt: skip
 @click.option("--left", metavar="LINK", default="", show_default=False, help="Link of the left foot.")
@@ -58,6 +67,7 @@ examples:
 def adopt(
     urdf: Path,
     out: Path,
+    force: bool,
     places: tuple[Path, ...],
     left: str,
     right: str,
@@ -78,6 +88,13 @@ def adopt(
         import dqwalk_ros.report.viewer.page  # noqa: F401 - if viser is missing, say so before the work
     if bool(left) != bool(right):
         raise ConfigError("--left and --right must be given together")
+    if out.exists() and not out.is_dir():
+        raise ConfigError(f"'{out}' is a file, not a folder")
+    if (out / "robot.yaml").exists() and not force:
+        raise ConfigError(
+            f"'{out / 'robot.yaml'}' exists; choose another folder with --out, or replace it and the files beside it "
+            "with --force"
+        )
     given = dict(parse_overrides(changes))
     sides = {"left": left, "right": right, "forward": forward or ""}
     with Progress(quiet=quiet) as bar:
