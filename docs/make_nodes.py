@@ -39,6 +39,14 @@ def _row(spec: Spec) -> str:
     return f"| `{spec.name}` | {value} {spec.unit}".rstrip() + f" | {limits} | {meaning} |"
 
 
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Add links to the pages of the nodes to the first page, whose source has none: they exist on the website only."""
+    if page.file.src_uri != "index.md":
+        return markdown
+    links = ", ".join(f"[{node}](nodes/{node}.md)" for node in NODES)
+    return f"{markdown.rstrip()}\n\nPages of the nodes: {links}.\n"
+
+
 def on_pre_build(config: Any) -> None:
     """Write docs/nodes/NAME.md; mkdocs calls this."""
     FOLDER.mkdir(exist_ok=True)

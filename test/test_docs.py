@@ -7,6 +7,7 @@ import re
 import runpy
 import shlex
 from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import click
@@ -31,11 +32,10 @@ def blocks(page, language):
 def test_link_targets_exist(page):
     text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.S | re.M)
     for target in re.findall(r"\]\(([^)\s]+)\)", text):
-        made = page.parent.name == "docs" and re.fullmatch(r"nodes/(\w+)\.md", target)
-        if made:
-            assert made.group(1) in NODES
-        elif not re.match(r"https?:|mailto:|#", target):
-            assert (page.parent / target.partition("#")[0]).exists(), f"{page.name} links to {target}"
+        if not re.match(r"https?:|mailto:|#", target):
+            file = page.parent / target.partition("#")[0]
+            assert file.exists(), f"{page.name} links to {target}"
+            assert file.resolve().parent != ROOT / "docs/nodes", f"{page.name} links to {target}, a page of the website"
 
 
 @pytest.mark.parametrize("page", OURS, ids=lambda p: p.name)
@@ -95,3 +95,10 @@ def test_topics_in_layouts_exist():
     rviz = yaml.safe_load((ROOT / "config/walk.rviz").read_text())["Visualization Manager"]["Displays"]
     topics = {d[key]["Value"] for d in rviz for key in ("Topic", "Description Topic") if key in d}
     assert {f"/{name}" for name in topics} <= known
+
+
+def test_the_first_page_of_the_website_links_to_every_node():
+    add = runpy.run_path(str(ROOT / "docs/make_nodes.py"))["on_page_markdown"]
+    index, other = (SimpleNamespace(file=SimpleNamespace(src_uri=name)) for name in ("index.md", "see.md"))
+    assert re.findall(r"\]\(nodes/(\w+)\.md\)", add("# Title\n", index)) == list(NODES)
+    assert add("# Title\n", other) == "# Title\n"
