@@ -1,11 +1,20 @@
 """A minimal node around the core: joint_states in, joint_velocity_commands out (ROS 2).
 
-With the integrator (`ros2 run dqwalk_ros integrator`) it walks; here it answers one state and exits. The package's own
-controller node does much more.
+It answers one state and exits. With --spin it answers every state, and walks with the integrator:
+
+    dqwalk config paper > paper.yaml
+    ros2 run dqwalk_ros integrator --ros-args --params-file paper.yaml
+    python examples/ros_node.py --spin
+
+The package's own controller node does much more.
 """
+
+import contextlib
+import sys
 
 import numpy as np
 import rclpy
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
@@ -38,8 +47,12 @@ class Walker(Node):
 
 rclpy.init()
 node = Walker()
-state = JointState(name=list(node.model.joint_names), position=[0.0] * node.model.n)
-answer = node.on_state(state)
-print("first command:", np.round(answer.velocity, 4))
+if "--spin" in sys.argv[1:]:
+    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(node)
+else:
+    state = JointState(name=list(node.model.joint_names), position=[0.0] * node.model.n)
+    answer = node.on_state(state)
+    print("first command:", np.round(answer.velocity, 4))
 node.destroy_node()
-rclpy.shutdown()
+rclpy.try_shutdown()

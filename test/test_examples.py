@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import runpy
+import signal
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from dqwalk_ros.config import load
 from dqwalk_ros.report.figures import figure8
+from dqwalk_ros.runner import environment
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = {
@@ -37,3 +41,17 @@ def test_examples_run_and_print_the_expected_output(name, tmp_path, monkeypatch,
     runpy.run_path(str(ROOT / "examples" / f"{name}.py"), run_name="__main__")
     assert EXAMPLES[name] in capsys.readouterr().out
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_ros_node_walks_with_the_integrator(nodes, domain):
+    live = nodes(load("paper"))
+    live.start("integrator")
+    command = [sys.executable, str(ROOT / "examples" / "ros_node.py"), "--spin"]
+    with subprocess.Popen(command, env=environment(domain)) as process:
+        try:
+            states = live.got["joint_states"]
+            live.until(lambda: states and max(map(abs, states[-1].position)) > 0.02, 120.0, "a motion of 0.02 rad")
+            process.send_signal(signal.SIGINT)
+            assert process.wait(30.0) == 0
+        finally:
+            process.kill()
