@@ -185,7 +185,7 @@ def check_latency(config: Config, model: RobotModel, heard: Heard) -> str:
     middle, late = float(np.median(ages)), float(np.percentile(ages, 99))
     text = f"{1e3 * middle:.1f} ms old on arrival, 99 % within {1e3 * late:.1f} ms"
     if len({ros.nanoseconds(msg.header.stamp) for msg, _ in heard.states}) < 2:
-        raise Fault("unknown: set header.stamp to the time of the measurement, a new one for each state")
+        raise Failed("unknown: set header.stamp to the time of the measurement, a new one for each state")
     if heard.simulated and abs(middle) > _BEHIND:
         return "unknown: the stamps of the simulation do not count from the time of the clock"
     if heard.simulated:
@@ -204,12 +204,12 @@ def check_latency(config: Config, model: RobotModel, heard: Heard) -> str:
 def check_rest(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that the robot stands still, and that no walk is under way."""
     if heard.phase not in _AT_REST:
-        raise Fault(
+        raise Failed(
             f"a walk is under way, phase is '{heard.phase}': end it (~/stop of the controller, or Ctrl-C), put the "
             "robot into its first pose, and run this command again"
         )
     if heard.moving:
-        raise Fault(
+        raise Failed(
             f"{', '.join(heard.controllers) or 'a node'} publishes {VELOCITY} other than zero: stop it, and run this "
             "command again"
         )
@@ -218,7 +218,7 @@ def check_rest(config: Config, model: RobotModel, heard: Heard) -> str:
         moved = np.ptp([reader.state(msg).q for msg, _ in heard.states], axis=0)
         k = int(moved.argmax())
         if moved[k] > _MOVED:
-            raise Fault(
+            raise Failed(
                 f"{model.joint_names[k]} moved by {moved[k]:.2f} rad in {heard.seconds:g} s: stop whatever moves the "
                 "robot, wait until it stands still, and run this command again"
             )
