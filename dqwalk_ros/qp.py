@@ -3,7 +3,9 @@
 The cost of a slow walk is small (joint velocities down to 1e-6 rad/s) compared with the absolute tolerances of a
 solver, so the problem is scaled first: u = s v, where s is the length of a gradient step (or of the longest step that a
 row requires), and the objective is divided by its mean curvature. A solution is accepted only if it fulfils the
-Karush-Kuhn-Tucker conditions, so that both solvers return the same one.
+Karush-Kuhn-Tucker conditions. They determine the solution, which is unique, if the multipliers are of the order of the
+gradient. But their residuals are relative to the largest multiplier: if rows are nearly dependent, multipliers are
+large, and the two solvers may return different solutions, each of which satisfies all rows.
 """
 
 from __future__ import annotations
@@ -346,7 +348,7 @@ class ClarabelSolver:
     name = "clarabel"
 
     def __init__(self) -> None:
-        self._programs: dict[tuple[int, int, int], _ClarabelProgram] = {}
+        self._programs: dict[tuple[int, int, int, bool], _ClarabelProgram] = {}
         self.whole = 0
 
     def solve(self, problem: Problem) -> Solution:
@@ -379,7 +381,7 @@ class ClarabelSolver:
     ) -> Solution:
         """Return the checked solution of a problem with the inequalities `chosen` only."""
         n, l, m = problem.shape  # noqa: E741
-        key = (n, l, -1 if careful else len(chosen))
+        key = (n, l, len(chosen), careful)  # the compiled functions trust the sizes of the program's arrays
         program = self._programs.get(key)
         if program is None:
             program = self._programs[key] = _ClarabelProgram(n, l, len(chosen), careful=careful)

@@ -10,8 +10,9 @@ from robots import legs
 from walks import exact, problem_at, problem_of
 
 from dqwalk_ros.config import load
+from dqwalk_ros.errors import QPError
 from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.qp import make_solver
+from dqwalk_ros.qp import ClarabelSolver, make_solver
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.simulation import make_walk
 from dqwalk_ros.walk import PhaseKind
@@ -53,6 +54,29 @@ def test_active_rows_are_named():
     solution = make_solver("clarabel").solve(problem)
     np.testing.assert_allclose(solution.u, [0.5, -0.25, 0.0], atol=1e-10)
     assert solution.active(problem) == ("min/b", "max/a")
+
+
+def test_problems_of_other_sizes_do_not_disturb_a_careful_solution(monkeypatch):
+    """A program of another number of inequalities must not be reused, even where only the third attempt succeeds."""
+    attempt, careful_ones = ClarabelSolver._solved, []
+
+    def only_careful(self, problem, s, curvature, chosen, *, careful=False):
+        if not careful:
+            raise QPError("", status="NotOptimal")
+        careful_ones.append(problem.shape)
+        return attempt(self, problem, s, curvature, chosen, careful=True)
+
+    monkeypatch.setattr(ClarabelSolver, "_solved", only_careful)
+    rng, solver, n = np.random.default_rng(0), make_solver("clarabel"), 6
+    for m in (13, 4, 13, 2, 4):  # decreasing first: a larger program than that of the cache could crash the test
+        G = rng.normal(size=(m, n))
+        none, bounds = np.empty((0, n)), np.full(n, 3.0)
+        rows = none, np.empty(0), G, -0.01 * np.ones(m)
+        names = tuple(map(str, range(m + 2 * n)))
+        problem = problem_of(np.eye(n), rng.normal(size=n), *rows, -bounds, bounds, names)
+        np.testing.assert_allclose(solver.solve(problem).u, make_solver("clarabel").solve(problem).u, atol=1e-9)
+        np.testing.assert_allclose(solver.solve(problem).u, exact(problem), atol=1e-7)
+    assert len(careful_ones) == 15
 
 
 @pytest.mark.parametrize("far", [1e2, 1e4])
