@@ -63,6 +63,14 @@ def test_the_robot_walks_towards_the_target() -> None:
     assert walked.effort.std(axis=0).max() > 1.0
 
 
+def test_a_landing_between_two_ticks_costs_no_torque() -> None:
+    """The first step ends 1.4 ms after a tick, so that gains of the raw remaining time would amplify errors by 11."""
+    config = CONFIG.updated({"dt": 0.0047})
+    walked = walk(config, Scenario("between", 1.15, TARGET))
+    assert len(walked.footholds()) == 2
+    assert_limits(walked)
+
+
 def test_the_next_footstep_follows_the_target_at_once() -> None:
     """The target appears during a swing: the landing position planned in the same tick changes."""
     walked = reached()

@@ -264,7 +264,7 @@ class WholeBodyController:
         times = [self._clock()]
         d = self._body.at(state.x_base, state.q, state.v)
         times.append(self._clock())
-        scene = self._look(state.time, d)
+        scene = self._look(state.time, dt, d)
         problem = self._hierarchy(scene, self._reach)
         times.append(self._clock())
         answer = self._solver.solve(problem)
@@ -295,7 +295,7 @@ class WholeBodyController:
             if value.shape != (shape,) or not np.isfinite(value).all():
                 raise StateError(f"the state's {what} must be {shape} finite numbers, got {value}")
 
-    def _look(self, now: float, dynamics: Dynamics) -> Scene:
+    def _look(self, now: float, dt: float, dynamics: Dynamics) -> Scene:
         """Return the scene: positions of the standing feet, the swing, and the preview."""
         settings, stepping, soles = self.config.whole_body, self.stepping, self._soles
         swing = stepping.swing(now)
@@ -307,6 +307,7 @@ class WholeBodyController:
         self._places = {index: self._places[index] for index in sorted(self._places)[-2:]}
         settled = swing is not None and swing.remaining < settings.freeze - _EPS
         return Scene(
+            dt=dt,
             dynamics=dynamics,
             mass=self.point_mass,
             weight=self.weight,

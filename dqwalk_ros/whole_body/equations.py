@@ -28,6 +28,8 @@ FACES = 4
 """Number of edges of the friction pyramid."""
 _FAR = 500.0
 """Largest bound of the joint accelerations [rad/s^2]."""
+_EPS = 1e-9
+"""Rounding error of a time [s]."""
 _TURN = 0.05
 """Scale of the rows of the swing foot's orientation, for the conditioning."""
 
@@ -80,6 +82,8 @@ class Scene:
 
     Attributes
     ----------
+    dt : float
+        Control period, for which the accelerations are held [s].
     weight : float
         m g [N].
     stance : tuple of FrameMotion
@@ -93,6 +97,7 @@ class Scene:
         Its landing place, once that is fixed [m].
     """
 
+    dt: float
     dynamics: Dynamics
     mass: PointMass
     weight: float
@@ -248,10 +253,19 @@ def _balance(config: WholeBodyConfig, scene: Scene, rows: _Rows) -> None:
     rows.equal(wanted, LIMIT)[:, : at.nv] = d.com_jacobian[2:]
 
 
+def _at_least(dt: float, remaining: float) -> float:
+    """Return the remaining time of a motion, but at least one control period, both [s].
+
+    The acceleration is held for a period, in which the gains of a shorter time r would amplify errors by (dt/r)^2.
+    """
+    return remaining if remaining >= dt - _EPS else dt
+
+
 def _swing_foot(config: WholeBodyConfig, scene: Scene, swing: Swing, sole: FrameMotion, rows: _Rows) -> None:
     """Add the rows of section IV: the swing foot follows a cubic to its landing place and is kept level (S16)."""
     at, J, v, drift = scene.layout, sole.jacobian, sole.velocity, sole.drift
-    a, b = swing_acceleration(swing.remaining)
+    remaining = _at_least(scene.dt, swing.remaining)
+    a, b = swing_acceleration(remaining)
     if scene.settled is None:
         # (S16) J v' + J' v = a (p + dP - s) - b s', divided by a while dP is a variable, for better conditioning
         across = rows.equal((-drift[:2] - b * v[:2]) / a + scene.support - sole.position[:2], LIMIT)
@@ -262,8 +276,8 @@ def _swing_foot(config: WholeBodyConfig, scene: Scene, swing: Swing, sole: Frame
         wanted = a * (scene.settled - sole.position[:2]) - b * v[:2]
         rows.equal(wanted - drift[:2], LIMIT)[:, : at.nv] = J[:2]
     up = 0.5 * config.single_support - swing.elapsed
-    rising = up >= 0.005 - 1e-9  # up to the middle of the step, then down; the tolerance is for rounding errors
-    a, b = swing_acceleration(up if rising else swing.remaining)
+    rising = up >= scene.dt - _EPS  # up to the middle of the step, then down
+    a, b = swing_acceleration(up if rising else remaining)
     height = config.step_height if rising else 0.0
     rows.equal(a * (height - sole.position[2:]) - b * v[2:3] - drift[2:3], LIMIT)[:, : at.nv] = J[2:3]
     turn = -config.foot_kp * rotation_error(sole.rotation) - 2.0 * math.sqrt(config.foot_kp) * v[3:]
@@ -285,7 +299,7 @@ def _objectives(config: WholeBodyConfig, scene: Scene, objectives: Sequence[Obje
     for axis in (0, 1):
         y = at.y(axis)
         if scene.swing is not None and scene.sole is not None and scene.settled is None:
-            a, b = swing_jerk(scene.swing.remaining)
+            a, b = swing_jerk(_at_least(scene.dt, scene.swing.remaining))
             rest = -a * (scene.support[axis] - scene.sole.position[axis]) + b * scene.sole.velocity[axis]
             first = y.start + preview.feet.start
             diagonal[first] += config.jerk_weight * a * a  # (S20) s''' = -a dP + rest
