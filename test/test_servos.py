@@ -217,6 +217,20 @@ def test_goals_are_delayed_and_held() -> None:
     np.testing.assert_allclose(seen, steps, atol=1e-12)
 
 
+@pytest.mark.parametrize("dt", [0.005, 0.0025, 0.0045, 0.0125, 1.0 / 60.0])
+def test_the_time_of_the_engine_is_that_of_the_state(dt: float) -> None:
+    """The engine's step divides the period, also a period that is not the configured one."""
+    plant = hanging(dt=dt, physics__settle=0.01)
+    begin, still = plant.data.time, np.zeros(MODEL.n)
+    for _ in range(20):
+        state = plant.step(Command(plant.state.time, still), dt)
+    for _ in range(5):
+        state = plant.step(Command(state.time, still), 0.0072)
+    assert state.time == pytest.approx(20 * dt + 0.036, abs=1e-9)
+    assert plant.data.time - begin == pytest.approx(state.time, abs=2e-9)
+    assert plant.mj.opt.timestep <= 0.001 + 1e-9
+
+
 def test_goals_may_change_within_a_tick() -> None:
     """The engine makes several steps at once between two changes of the goals; the result equals single steps."""
     config = TYPED.updated({"servo.latency": 0.0023, "dt": 0.02})

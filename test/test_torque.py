@@ -10,7 +10,7 @@ import pytest
 from dqwalk_ros.config import load
 from dqwalk_ros.errors import PlantError
 from dqwalk_ros.robot import load_model
-from dqwalk_ros.whole_body import SCENARIOS, Scenario, WholeBodyController, WholeBodyTrace, experiments
+from dqwalk_ros.whole_body import SCENARIOS, Scenario, WholeBodyController, WholeBodyTrace, experiments, torque_plant
 from dqwalk_ros.whole_body.torque_plant import TorquePlant
 
 CONFIG = load("whole_body")
@@ -47,6 +47,29 @@ def test_a_push_is_an_impulse() -> None:
     body = Multibody(MODEL)
     d = body.at(state.x_base, state.q, state.v)
     assert body.mass * d.com_velocity == pytest.approx([0.0, 15.0, -body.mass * 9.81 * 0.06], abs=0.05)
+
+
+@pytest.mark.parametrize("dt", [0.005, 0.0025, 0.0045, 0.0125, 1.0 / 60.0])
+def test_the_time_and_the_impulse_of_a_push_do_not_depend_on_the_period(dt: float) -> None:
+    """The engine's step divides the period, and a push that ends within a step has its whole impulse."""
+    controller = WholeBodyController(CONFIG, MODEL)
+    plant = TorquePlant(MODEL, controller.start, pushed="chest")
+    still = controller.step(controller.start, dt)
+    plant.push([0.0, 15.0, 0.0])
+    given, engine, data = 0.0, torque_plant.mujoco.mj_step, plant._data
+
+    def spy(mj: object, d: object) -> None:
+        nonlocal given
+        given += data.xfrc_applied[:, 1].sum() * plant._mj.opt.timestep
+        engine(mj, d)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(torque_plant.mujoco, "mj_step", spy)
+        for _ in range(24):
+            state = plant.step(still, dt)
+    assert data.time == pytest.approx(state.time, abs=1e-9)
+    assert plant._mj.opt.timestep <= 0.001 + 1e-9
+    assert given == pytest.approx(15.0, rel=1e-6)
 
 
 def test_invalid_arguments_are_errors() -> None:

@@ -28,7 +28,7 @@ from dqwalk_ros.servos import Drive, Servos
 from dqwalk_ros.state import Command, State
 from dqwalk_ros.statics import GRAVITY, gravity_torques
 
-__all__ = ["PhysicsPlant", "build", "held_torques", "robot_spec"]
+__all__ = ["PhysicsPlant", "build", "held_torques", "robot_spec", "set_timestep"]
 
 
 _THICK = 0.008
@@ -62,7 +62,6 @@ class PhysicsPlant(Plant):
         bus: Bus | None = None,
     ) -> None:
         self.config, self.model, self._shape = config, model, (model.n,)
-        self._dt, self._timestep = config.dt, config.physics.timestep
         self._effort_min, self._effort_max = -model.effort_max, model.effort_max
         q = np.zeros(model.n) if q0 is None else np.array(q0, dtype=np.float64)
         servos, drive = servos or Servos.of(config, model), Drive.of(config, model)
@@ -92,7 +91,8 @@ class PhysicsPlant(Plant):
         self._bus = bus or Bus(config.servo, servos, drive, q, model.q_min, model.q_max, effort)
         self._sensors = Sensors(config.sensors)
         self._level = _level(config)
-        self._ticks = 0
+        self._elapsed = 0.0  # [ns]
+        set_timestep(self.mj, config.dt, config.physics.timestep)
         mujoco.mj_step(self.mj, self.data, max(1, round(config.physics.settle / self.mj.opt.timestep)))
         mujoco.mj_step1(self.mj, self.data)
         self._effort = self._torque[self._vadr] - self._back_emf * self._qvel[self._vadr]
@@ -104,7 +104,7 @@ class PhysicsPlant(Plant):
         return self._state
 
     def step(self, command: Command, dt: float) -> State:
-        """Return the state after one period.
+        """Return the state after one period, which the engine's steps divide evenly.
 
         Raises
         ------
@@ -114,10 +114,10 @@ class PhysicsPlant(Plant):
         u, tau = self._checked(command.velocity, "velocities"), command.effort
         if tau is not None:
             tau = np.minimum(np.maximum(self._checked(tau, "torques"), self._effort_min), self._effort_max)
-        mj, data, h = self.mj, self.data, self._timestep
-        now = data.time
+        mj, data = self.mj, self.data
+        left = count = set_timestep(mj, dt, self.config.physics.timestep)
+        h, now = mj.opt.timestep, data.time
         self._bus.command(u, tau, self._state.q, now, dt)
-        left = count = max(1, round(dt / h))
         q, torque = self._qpos[self._qadr], np.zeros(mj.nv)
         while left:
             self._goals[:], until = self._bus.output(now)
@@ -131,7 +131,7 @@ class PhysicsPlant(Plant):
         self._effort = (torque[self._vadr] - self._back_emf * (self._qpos[self._qadr] - q) / h) / count
         if not math.isfinite(self._qpos.dot(self._qpos)):
             raise PlantError("the simulation is not finite any more")
-        self._ticks += 1
+        self._elapsed += dt * 1e9
         self._state = self._measured()
         return self._state
 
@@ -180,7 +180,7 @@ class PhysicsPlant(Plant):
         mujoco.mj_objectVelocity(self.mj, self.data, mujoco.mjtObj.mjOBJ_XBODY, self._imu, turning, 1)
         mujoco.mju_mulQuat(link, self._level, self._xquat[self._imu])
         mujoco.mju_mulQuat(orientation, link, self._mounting)
-        time = round(self._ticks * self._dt * 1e9) * 1e-9  # rounded to nanoseconds, like a ROS stamp
+        time = round(self._elapsed) * 1e-9  # rounded to nanoseconds, like a ROS stamp
         q, dq = self._qpos[self._qadr], self._qvel[self._vadr]
         # the acceleration of an exact sensor is computed only when `inertial` is read
         acceleration = _NO_ACCELERATION if self._sensors.exact else self._acceleration()
@@ -242,6 +242,24 @@ def _moved_wrench(measured, p, R):  # type: ignore[no-untyped-def]
     torque = np.cross(at - p, force) - measured[3:6]
     to_axes = R.reshape((3, 3)).T
     return np.concatenate((to_axes @ force, to_axes @ torque))
+
+
+def set_timestep(mj: Any, dt: float, largest: float) -> int:
+    """Set the time step of a MuJoCo model to an integer fraction of a period, and return the number of steps.
+
+    Engine and state would drift apart if the steps did not add up to the period.
+
+    Parameters
+    ----------
+    mj : mujoco.MjModel
+    dt : float
+        Period [s].
+    largest : float
+        Largest time step [s].
+    """
+    count = max(1, math.ceil(dt / largest - 1e-6))
+    mj.opt.timestep = dt / count
+    return count
 
 
 def robot_spec(model: RobotModel, *, friction: float, contact_time: float, held: bool = False) -> Any:

@@ -14,7 +14,7 @@ import numpy as np
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import PlantError
-from dqwalk_ros.plants.mujoco import robot_spec
+from dqwalk_ros.plants.mujoco import robot_spec, set_timestep
 from dqwalk_ros.robot import RobotModel
 from dqwalk_ros.whole_body.controller import BodyCommand, BodyState
 from dqwalk_ros.whole_body.rigid_plant import BodyPlant
@@ -23,7 +23,7 @@ __all__ = ["TorquePlant"]
 
 
 _STEP = 0.001
-"""Time step of the engine [s]."""
+"""Largest time step of the engine [s]."""
 _FRICTION = 0.9
 """Friction coefficient of soles and ground."""
 _SOFT = 0.005
@@ -46,7 +46,6 @@ class TorquePlant(BodyPlant):
     def __init__(self, model: RobotModel, state: BodyState, *, pushed: str) -> None:
         super().__init__(state)
         spec = robot_spec(model, friction=_FRICTION, contact_time=_SOFT)
-        spec.option.timestep = _STEP
         self._mj = spec.compile()
         self._data: Any = mujoco.MjData(self._mj)
         joints = [self._mj.joint(name) for name in model.joint_names]
@@ -62,9 +61,9 @@ class TorquePlant(BodyPlant):
     def _move(self, command: BodyCommand, time: float, dt: float) -> None:
         d = self._data
         d.qfrc_applied[self._vadr] = command.effort
-        for _ in range(max(1, round(dt / _STEP))):
+        for _ in range(set_timestep(self._mj, dt, _STEP)):
             self._pushes = [(end, force) for end, force in self._pushes if d.time < end - 1e-9]
-            d.xfrc_applied[self._pushed, :3] = sum((force for _, force in self._pushes), np.zeros(3))
+            d.xfrc_applied[self._pushed, :3] = sum((self._share(end) * f for end, f in self._pushes), np.zeros(3))
             mujoco.mj_step(self._mj, d)
         if not np.isfinite(d.qpos).all():
             raise PlantError("the simulation is not finite any more")
@@ -72,6 +71,11 @@ class TorquePlant(BodyPlant):
         linear = x.rotation_matrix().T @ d.qvel[:3]  # MuJoCo's linear velocity is in world axes
         q, dq, v_base = d.qpos[self._qadr], d.qvel[self._vadr], np.concatenate([linear, d.qvel[3:6]])
         self.state = BodyState(time, q, dq=dq, x_base=x.vec8(), v_base=v_base)
+
+    def _share(self, end: float) -> float:
+        """Return the fraction of the next step of the engine that is before the time `end` [s]."""
+        share = (end - float(self._data.time)) / self._mj.opt.timestep
+        return share if share < 1.0 - 1e-6 else 1.0  # without the rounding errors of a whole step
 
     def _hit(self, impulse: Array) -> None:
         self._pushes.append((float(self._data.time) + _PUSH, impulse / _PUSH))
