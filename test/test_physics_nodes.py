@@ -106,6 +106,21 @@ def test_a_physics_walk_in_lockstep_equals_that_of_one_process(nodes: Any) -> No
     assert {m.header.frame_id for m in pressures.values()} == {"world"}
 
 
+@pytest.mark.parametrize("dt", [0.005, 0.03, 0.07])
+def test_a_push_lasts_whole_periods_and_keeps_its_impulse(make: Any, dt: float) -> None:
+    one, forces = make("physics", CONFIG.updated({"dt": dt, "plant.lockstep": True})), [np.zeros(3)]
+    one.node.plant.push = lambda force: forces.append(np.asarray(force))
+    push = WrenchStamped()
+    push.wrench.force.y = 0.5
+    one.send("push", push)
+    impulse = np.zeros(3)
+    for _ in range(40):
+        impulse += forces[-1] * dt  # the force acts until the next tick
+        one.node.ticks += 1
+        one.node.publish()
+    assert impulse == pytest.approx([0.0, 0.5, 0.0])
+
+
 def imu_at(stamp: int, *, frame: str = "", **fields: float) -> Imu:
     msg = Imu()
     msg.header.stamp, msg.header.frame_id = ros.time_msg(stamp), frame

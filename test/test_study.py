@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 from distributed import LocalCluster
 from full_disk import limited_file_size
@@ -22,6 +23,8 @@ from dqwalk_ros import cli
 from dqwalk_ros.cli.robustness import table
 from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.errors import ConfigError, ModelError, PlantError, StudyError
+from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.state import Command
 from dqwalk_ros.studies import pushes, read, robustness, walk_all
 from dqwalk_ros.studies.bisection import largest
 from dqwalk_ros.studies.runner import Store, run
@@ -396,6 +399,32 @@ def test_limits_of_pushes_are_saved_and_printed(tmp_path, monkeypatch, capsys):
 def test_a_small_push_is_survived_and_a_large_one_is_not():
     assert not pushes.pushed(POPPY, pushes.Push("standing", 0.0, 0.1))
     assert "fell" in pushes.pushed(POPPY, pushes.Push("standing", 0.0, 3.0))
+
+
+@pytest.mark.parametrize(("duration", "dt"), [(0.1, 0.005), (0.1, 0.03), (0.012, 0.005), (0.001, 0.005)])
+def test_the_impulse_of_a_push_does_not_depend_on_the_period(monkeypatch, duration, dt):
+    """The integral of the force over the ticks is the impulse, also if the duration is no multiple of the period."""
+    given = []
+
+    class Pushed(KinematicPlant):
+        def push(self, force):
+            given.append(np.asarray(force) * dt)
+
+    class Standing:
+        finished = False
+
+        def __init__(self, config):
+            self.config = config
+
+        def step(self, state, dt):
+            return Command(state.time, np.zeros_like(state.q))
+
+    monkeypatch.setattr(pushes, "make_controller", lambda config, model: Standing(config))
+    monkeypatch.setattr(pushes, "make_plant", lambda name, config, model: Pushed(model, np.zeros(model.n)))
+    monkeypatch.setattr(pushes, "_due", lambda controller, time, number, part: time > 0.1)
+    monkeypatch.setattr(pushes, "_STANDS", 0.3)
+    assert not pushes.pushed(POPPY.updated({"dt": dt}), pushes.Push("standing", 0.0, 2.0, duration))
+    assert sum(given) == pytest.approx([2.0, 0.0, 0.0])
 
 
 def test_a_push_in_a_phase_that_never_begins_is_an_error(monkeypatch):

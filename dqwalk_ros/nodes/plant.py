@@ -23,7 +23,7 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.inputs import VELOCITY, CommandInput
 from dqwalk_ros.nodes.safety import clamp_velocity
-from dqwalk_ros.plants import Plant
+from dqwalk_ros.plants import Plant, pushed_periods
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.state import Command
@@ -36,7 +36,7 @@ _ASK_AGAIN = 0.5
 _FIRST_ASK = 0.05
 """The same before the first command [s], while the controller may still be starting."""
 _PUSH = 0.1
-"""Duration of a push [s], in simulated time."""
+"""Duration of a push [s], in simulated time, rounded to whole periods."""
 _MAX_SPEED = 10.0
 """Largest change of the robot's velocity by a push [m/s]."""
 
@@ -304,9 +304,10 @@ class Physics(SimulatedPlant):
         except StateError as error:
             self.get_logger().error(f"push rejected: {error}")
             return
-        self.plant.push(impulse / _PUSH)
-        self._pushed_until = self.ticks + round(_PUSH / self.dt)
-        self.get_logger().info("pushed: {:g}, {:g}, {:g} N s".format(*impulse) + f" within {_PUSH:g} s")
+        periods = pushed_periods(_PUSH, self.dt)
+        self.plant.push(impulse / (periods * self.dt))
+        self._pushed_until = self.ticks + periods
+        self.get_logger().info("pushed: {:g}, {:g}, {:g} N s".format(*impulse) + f" within {periods * self.dt:g} s")
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self.lockstep:

@@ -14,7 +14,7 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.state import Command, State
 
-__all__ = ["Inertial", "Plant", "Truth", "orientation_of", "tilt", "upward"]
+__all__ = ["Inertial", "Plant", "Truth", "orientation_of", "pushed_periods", "tilt", "upward"]
 
 
 class Plant(ABC):
@@ -115,6 +115,14 @@ class Truth:
         """Inclination against the floor of the sole with the larger load [rad]."""
         support = max(self.wrenches, key=lambda foot: float(self.wrenches[foot][2]))
         return float(tilt(self.soles[support]))
+
+
+def pushed_periods(duration: float, dt: float) -> int:
+    """Return the number of periods `dt` [s] of a push, whose force acts for whole periods: nearest to `duration` [s].
+
+    The force for a given impulse is the impulse divided by this number and by `dt`.
+    """
+    return max(1, round(duration / dt))
 
 
 def tilt(x: Array) -> Array:

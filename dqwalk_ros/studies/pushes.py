@@ -16,6 +16,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.errors import DqwalkError, PlantError
 from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.plants import pushed_periods
 from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, make_walk
 from dqwalk_ros.statics import GRAVITY
@@ -50,7 +51,7 @@ class Push:
     impulse : float
         [N s]
     duration : float
-        [s]
+        Rounded to whole control periods, without an effect on the impulse [s].
     part : float
         Fraction of the step after which the push begins.
     """
@@ -107,13 +108,14 @@ def pushed(config: Config, push: Push) -> str:
     varied = config.updated(values)
     model = load_model(varied.robot)
     controller, plant = make_controller(varied, model), make_plant("physics", varied, model)
-    force = push.impulse / push.duration * np.array([math.cos(push.direction), math.sin(push.direction), 0.0])
+    lasts = pushed_periods(push.duration, varied.dt) * varied.dt
+    force = push.impulse / lasts * np.array([math.cos(push.direction), math.sin(push.direction), 0.0])
     began, why, transfer = math.inf, "", _transfer(varied)
     try:
         for state, _ in closed_loop(controller, plant):
             if began == math.inf and _due(controller, state.time, 0 if standing else pushed_at, push.part):
                 began = state.time
-            plant.push(force if began <= state.time < began + push.duration - 1e-9 else np.zeros(3))
+            plant.push(force if began <= state.time < began + lasts - 1e-9 else np.zeros(3))
             if standing and state.time > min(began, transfer + _LATE) + _STANDS:
                 break
         if plant.fallen:
