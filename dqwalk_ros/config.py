@@ -399,8 +399,10 @@ class OdometryConfig:
     """Odometry for Nav2 and RViz [REP-105, REP-120]."""
 
     odom_frame: str = _par("odom", "frame of the base sole at the start of the walk, fixed in the world")
-    base_frame: str = _par("base_link", "base frame of the robot, connected to the URDF's root link on /tf_static")
-    footprint_frame: str = _par("base_footprint", "frame on the ground below base_frame; empty: not published")
+    base_frame: str = _par("base_link", "base frame: a link of the URDF, or joined to its root on /tf_static")
+    footprint_frame: str = _par(
+        "base_footprint", "frame on the ground below base_frame; empty, or a link of the URDF: not published"
+    )
     step_deviation: float = _par(0.003, "deviation of a step's length; larger: more covariance", "m", 0.0, 1.0)
     turn_deviation: float = _par(0.005, "deviation of a step's turn; larger: more covariance", "rad", 0.0, 1.0)
     window: float = _par(0.1, "time over which the velocity is averaged; larger: smoother, later", "s", 0.001, 10.0)

@@ -5,10 +5,12 @@ Each was found in use with Jazzy's own nodes.
 
 from __future__ import annotations
 
+import itertools
 import sys
 import types
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -22,7 +24,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from dqwalk_ros.config import from_yaml, load, to_yaml
+from dqwalk_ros.config import from_yaml, load, overlaid, to_yaml
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import DqwalkError
 from dqwalk_ros.kinematics import Kinematics
@@ -239,6 +241,118 @@ def test_frames_follow_rep_105_and_120(make: Any, tf: dict[str, list[Any]]) -> N
     assert ground.translation()[2] == pytest.approx(0.0, abs=1e-12)
     np.testing.assert_allclose(ground.translation()[:2], pose_of(base).translation()[:2], atol=1e-12)
     np.testing.assert_allclose(ground.rotation_matrix()[2], [0.0, 0.0, 1.0], atol=1e-12)
+
+
+ADDED = {
+    "neither": (),
+    "footprint is the root": (("base_footprint", "base_link"), ("base_link", "pelvis")),
+    "footprint is the root, no base_link": (("base_footprint", "pelvis"),),
+    "base_link is the root": (("base_link", "pelvis"),),
+    "footprint is below the root": (("base_link", "pelvis"), ("base_link", "base_footprint")),
+    "base_link is below the root": (("world", "pelvis"), ("pelvis", "base_link")),
+    "base_link moves": (("l_shin", "base_link"),),
+}
+"""Links added to Poppy's URDF, by fixed joints (parent, child)."""
+
+
+def with_links(folder: Path, added: Any) -> str:
+    """Return the path of a robot that is Poppy with further links, each shifted and turned."""
+    text = (Path(__file__).parent.parent / "urdf" / "poppy.urdf").read_text()
+    names = {name for pair in added for name in pair}
+    lines = [f'<link name="{name}"/>' for name in names if f'<link name="{name}"' not in text]
+    for parent, child in added:
+        lines.append(f'<joint name="to_{child}" type="fixed"><parent link="{parent}"/><child link="{child}"/>')
+        lines.append('<origin xyz="0.01 0.02 0.3" rpy="0 0.1 0.2"/></joint>')
+    path = folder / "robot.urdf"
+    path.write_text(text.replace("</robot>", "\n".join([*lines, "</robot>"])))
+    return str(path)
+
+
+@pytest.mark.parametrize("added", ADDED.values(), ids=ADDED)
+def test_frames_are_one_tree_with_those_of_the_urdf(make: Any, tf: Any, tmp_path: Path, added: Any) -> None:
+    """A robot_state_publisher publishes the joints of the URDF; no frame may have two parents."""
+    one = make("controller", PAPER.updated({"robot.urdf": with_links(tmp_path, added), "node.autostart": False}))
+    model = one.node._model
+    listener = subscribed(one, "/odom", OdometryMessage)
+    q = np.clip(0.1 * np.random.default_rng(2).normal(size=model.n), model.q_min, model.q_max)
+    try:
+        one.send("joint_states", state(model.joint_names, q, 1.0))
+    finally:
+        listener.destroy_node()
+    kin = Kinematics(model, q, Foot.RIGHT)  # the base of the first phase, double_support/left
+    pose = {name: DQ(kin.pose(name)) for name in model.frames}
+    edges = [
+        (joint.find("parent").get("link"), joint.find("child").get("link"))
+        for joint in ElementTree.fromstring(model.urdf).iter("joint")
+    ]
+    parents = {child: (parent, pose[parent].conj() * pose[child]) for parent, child in edges}
+    for message in (*tf.get("/tf_static", []), *tf["/tf"]):
+        for each in message.transforms:
+            assert each.child_frame_id not in parents, each.child_frame_id
+            parents[each.child_frame_id] = (each.header.frame_id, pose_of(each))
+
+    def from_odom(frame: str, below: int = 0) -> DQ:
+        assert below <= len(parents), f"a loop above {frame}"
+        return DQ(1.0) if frame == "odom" else from_odom(parents[frame][0], below + 1) * parents[frame][1]
+
+    assert {*pose, "base_link", "base_footprint"} == {*parents}  # all of them are connected
+    for frame in pose:
+        np.testing.assert_allclose(from_odom(frame).rotation_matrix(), pose[frame].rotation_matrix(), atol=1e-9)
+        np.testing.assert_allclose(from_odom(frame).translation(), pose[frame].translation(), atol=1e-9)
+    message = one.got["odom"][-1]
+    assert message.child_frame_id == "base_link"
+    at = message.pose.pose.position
+    np.testing.assert_allclose([at.x, at.y, at.z], from_odom("base_link").translation(), atol=1e-9)
+    if "base_footprint" not in pose:
+        assert from_odom("base_footprint").translation()[2] == pytest.approx(0.0, abs=1e-9)
+
+
+def odometry(make: Any, urdf: str, frame: str, *, with_sensor: bool) -> tuple[list[DQ], np.ndarray, float]:
+    """Return poses and velocities of odom during 1 s of a walk, for a link as base_frame, and their period."""
+    config = (overlaid(load("poppy"), "physics") if with_sensor else load("poppy")).updated({"robot.urdf": urdf})
+    changes = {"odometry.base_frame": frame, "odometry.window": 0.005, "plant.command_timeout": 10.0}
+    one = make("controller", config.updated(changes))
+    listener = subscribed(one, "/odom", OdometryMessage)
+    plant = make_plant("physics" if with_sensor else "kinematic", config, one.node._model)
+    try:
+        for k in range(200):
+            one.exchange(plant, one.node._model, 1.0 + k * config.dt)
+    finally:
+        listener.destroy_node()
+    fields = [(m.pose.pose.position, m.pose.pose.orientation, m.twist.twist) for m in one.got["odom"]]
+    x = [DQ.from_pose([p.x, p.y, p.z], [r.w, r.x, r.y, r.z]) for p, r, _ in fields]
+    twist = [[getattr(v, axis) for v in (t.linear, t.angular) for axis in "xyz"] for *_, t in fields]
+    return x, np.array(twist), config.dt
+
+
+@pytest.mark.parametrize(("frame", "with_sensor"), [("imu", False), ("l_shin", False), ("l_shin", True)])
+def test_the_velocity_of_odometry_is_that_of_base_frame(make: Any, frame: str, with_sensor: bool) -> None:
+    """Added up, the velocity of a link of the pelvis, or of one that a joint moves, is its way."""
+    x, twist, dt = odometry(make, "poppy.urdf", frame, with_sensor=with_sensor)
+    moved = np.array([b.translation() - a.translation() for a, b in itertools.pairwise(x)])
+    v = np.array([pose.rotation_matrix() @ one[:3] for pose, one in zip(x, twist, strict=True)])
+    assert np.abs(moved / dt).max() > 0.004
+    np.testing.assert_allclose((v[1:] + v[:-1])[50:].sum(axis=0) * dt / 2.0, moved[50:].sum(axis=0), atol=3e-4)
+
+
+def test_the_velocity_with_a_sensor_is_that_of_base_frame(make: Any, tmp_path: Path) -> None:
+    """Two links of one body differ by the velocity of the rotation."""
+    urdf = with_links(tmp_path, [("pelvis", "base_link")])
+    x, of_pelvis, _ = odometry(make, urdf, "pelvis", with_sensor=True)
+    y, of_base, _ = odometry(make, urdf, "base_link", with_sensor=True)
+    arm = np.array([(a.conj() * b).translation() for a, b in zip(x, y, strict=True)])
+    assert np.linalg.norm(arm, axis=1).min() > 0.01
+    turns = [(a.conj() * b).rotation_matrix().T for a, b in zip(x, y, strict=True)]
+    rotated = np.einsum("kij,kj->ki", turns, of_pelvis[:, :3] + np.cross(of_pelvis[:, 3:], arm))
+    np.testing.assert_allclose(of_base[:, :3], rotated, atol=1e-6)
+
+
+def test_odom_that_is_a_link_is_reported(make: Any, tf: Any, tmp_path: Path) -> None:
+    one = make("controller", PAPER.updated({"robot.urdf": with_links(tmp_path, [("odom", "pelvis")])}))
+    one.send("joint_states", state(one.node._model.joint_names, np.zeros(one.node._model.n), 1.0))
+    assert "odometry.odom_frame 'odom' is also a link" in one.log
+    assert not tf.get("/tf")
+    assert not tf.get("/tf_static")
 
 
 def test_odometry_has_pose_velocity_and_covariance(make: Any) -> None:

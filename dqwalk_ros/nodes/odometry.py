@@ -3,6 +3,12 @@
 With an inertial sensor that has an accelerometer the pose is estimated by `estimation.base`; without one it is computed
 from the joint angles alone, from sole to sole.
 
+The transforms make one tree together with those of a robot_state_publisher, where no frame has two parents:
+
+- If base_frame is a link of the URDF, odom is the parent of the URDF's root; otherwise it is the parent of base_frame,
+  which is the parent of the root.
+- footprint_frame is below base_frame, unless it is a link of the URDF, which has its place there.
+
 /tf and /tf_static are published where tf2_msgs is installed; the wheels of ROS on PyPI lack it.
 """
 
@@ -49,14 +55,19 @@ class Odometry:
         self._poses = node.advertise("base_pose")
         self._odom = node.create_publisher(OdometryMessage, "odom", ros.stream(10))
         self._send_transforms = _sender(node, "/tf", ros.stream(100))
-        pelvis, root = model.frames[model.pelvis], model.frames[model.root]
-        self._x_pelvis_root = DQ(pelvis.pose).conj() * DQ(root.pose)
-        if pelvis.body != root.body:
-            node.get_logger().warning(
-                f"{model.pelvis} moves relative to the root {model.root}, so RViz shows its pose with an error"
+        base, footprint, odom = self._config.base_frame, self._config.footprint_frame, self._config.odom_frame
+        links = model.frames
+        self._link = base if base in links else model.root  # its pose is that of base_frame
+        self._top = model.root if base in links else base  # frame whose parent is odom
+        self._footprint = "" if footprint in (base, odom) or footprint in links else footprint
+        self._is_rigid = links[model.pelvis].body == links[self._link].body
+        if odom in (*links, base):
+            node.get_logger().error(
+                f"no /tf: odometry.odom_frame '{odom}' is also a link of the robot or odometry.base_frame: rename it"
             )
-        if self._config.base_frame != model.root and (send := _sender(node, "/tf_static", ros.latched())) is not None:
-            send([_transform(0, self._config.base_frame, model.root, DQ(1.0))])
+            self._send_transforms = None
+        elif base not in links and (send := _sender(node, "/tf_static", ros.latched())) is not None:
+            send([_transform(0, base, model.root, DQ(1.0))])
         self._window: deque[tuple[int, DQ]] = deque()  # stamps [ns] and poses of the base
         self._origin, self._last = DQ(1.0), DQ(1.0)
         self._restarted = False
@@ -102,10 +113,11 @@ class Odometry:
         if state.gyro is not None and state.acceleration is not None:
             e = self._estimated = self._estimator.update(1e-9 * stamp, kin, state.gyro, state.acceleration, both=both)
             x_pelvis = e.pose
-        x_root = DQ(x_pelvis) * self._x_pelvis_root
+        walk_base = DQ(x_pelvis) * DQ(kin.pose(self._model.pelvis)).conj()  # of `kin`, in the frame of the first phase
+        x_link = walk_base * DQ(kin.pose(self._link))
         if self._restarted:
-            self._origin, self._restarted = self._last * x_root.conj(), False
-        x = self._last = self._origin * x_root
+            self._origin, self._restarted = self._last * x_link.conj(), False
+        x = self._last = self._origin * x_link
         self._window.append((stamp, x))
         while len(self._window) > 2 and stamp - self._window[1][0] >= self._config.window * 1e9:
             self._window.popleft()
@@ -115,7 +127,8 @@ class Odometry:
         if self._odom.get_subscription_count():
             self._odom.publish(self._message(stamp, x))
         if self._send_transforms is not None:
-            self._send_transforms(self._frames(stamp, x))
+            x_root = self._origin * walk_base * DQ(kin.pose(self._model.root))
+            self._send_transforms(self._frames(stamp, x_root, x))
 
     def _message(self, stamp: int, x: DQ) -> OdometryMessage:
         msg = OdometryMessage(child_frame_id=self._config.base_frame)
@@ -131,8 +144,9 @@ class Odometry:
             to_odom = np.kron(np.array([[0.0, 1.0], [1.0, 0.0]]), R_odom)  # position first, then orientation
             of_pose = to_odom @ e.covariance[np.ix_(_POSE, _POSE)] @ to_odom.T
             of_twist[:3, :3] = e.velocity_covariance(R)
-            arm = (self._origin.conj() * x).translation() - DQ(e.pose).translation()
-            twist = np.concatenate([R.T @ (e.velocity + np.cross(e.angular_velocity, arm)), R.T @ e.angular_velocity])
+            if self._is_rigid:
+                arm, turn = (self._origin.conj() * x).translation() - DQ(e.pose).translation(), e.angular_velocity
+                twist = np.concatenate([R.T @ (e.velocity + np.cross(turn, arm)), R.T @ turn])
         msg.pose.covariance, msg.twist.covariance = of_pose.ravel(), of_twist.ravel()
         linear, angular = msg.twist.twist.linear, msg.twist.twist.angular
         linear.x, linear.y, linear.z, angular.x, angular.y, angular.z = twist.tolist()
@@ -147,11 +161,12 @@ class Odometry:
         moved = x1.rotation_matrix().T @ (x1.translation() - x0.translation())
         return np.concatenate([moved, (x0.conj() * x1).rotation_vector()]) / passed
 
-    def _frames(self, stamp: int, x: DQ) -> list[TransformStamped]:
+    def _frames(self, stamp: int, x_root: DQ, x: DQ) -> list[TransformStamped]:
+        """Return the transforms on /tf, from the poses in odom of the URDF's root and of the base."""
         config = self._config
-        frames = [_transform(stamp, config.odom_frame, config.base_frame, x)]
-        if config.footprint_frame:
-            frames.append(_transform(stamp, config.base_frame, config.footprint_frame, x.conj() * DQ(flat(x.vec8()))))
+        frames = [_transform(stamp, config.odom_frame, self._top, x_root)]
+        if self._footprint:
+            frames.append(_transform(stamp, config.base_frame, self._footprint, x.conj() * DQ(flat(x.vec8()))))
         return frames
 
 
