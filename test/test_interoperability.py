@@ -24,11 +24,12 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from dqwalk_ros.config import from_yaml, load, overlaid, to_yaml
+from dqwalk_ros.config import Config, from_yaml, load, overlaid, to_yaml
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import DqwalkError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.command_line import parameters_of
 from dqwalk_ros.plants import Inertial
 from dqwalk_ros.robot import Foot, load_model
 from dqwalk_ros.simulation import make_plant
@@ -305,6 +306,28 @@ def test_frames_are_one_tree_with_those_of_the_urdf(make: Any, tf: Any, tmp_path
     np.testing.assert_allclose([at.x, at.y, at.z], from_odom("base_link").translation(), atol=1e-9)
     if "base_footprint" not in pose:
         assert from_odom("base_footprint").translation()[2] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["paper", "poppy", "poppy_dynamic"])
+def test_the_help_lists_every_section_that_the_controller_reads(
+    make: Any, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """Sections servo, odometry, dynamic and estimation were missing."""
+    read: set[str] = set()
+
+    def get(self: Config, section: str) -> Any:
+        source = Path(sys._getframe(1).f_code.co_filename)
+        inside = "dqwalk_ros" in (source.parent.name, source.parent.parent.name)
+        if inside and source.name != "config.py":  # which copies all of them
+            read.add(section)
+        return object.__getattribute__(self, section)
+
+    config = overlaid(load(name), "physics")
+    monkeypatch.setattr(Config, "__getattribute__", get)
+    make("controller", config)
+    sections = {spec.name.split(".")[0] for spec in Config.specs()}
+    assert read & sections <= {spec.name.split(".")[0] for spec in parameters_of("controller")}
+    assert {"servo", "odometry", "estimation"} <= read
 
 
 def odometry(make: Any, urdf: str, frame: str, *, with_sensor: bool) -> tuple[list[DQ], np.ndarray, float]:

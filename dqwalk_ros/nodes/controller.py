@@ -79,7 +79,9 @@ class Controller(AnsweringNode):
         phase_start              sensor_msgs/JointState, latched: joint angles at the start of the phase
         com_target, swing_target geometry_msgs/PointStamped, PoseStamped, latched, in the support sole's frame
         footstep_status          std_msgs/String, latched: 'walking 2/5', 'done 5/5', 'refused: why', 'cancelled: ...'
-        base_pose                geometry_msgs/PoseStamped: the pelvis in odom (and /tf where tf2_msgs exists)
+        odom                     nav_msgs/Odometry: pose and velocity of odometry.base_frame
+        base_pose                geometry_msgs/PoseStamped: the pelvis in odom
+        /tf, /tf_static          tf2_msgs/TFMessage where tf2_msgs exists: odom, base and footprint
         walk_config              std_msgs/String, latched: all current parameters
         walk_origin              std_msgs/String, latched: versions and machine
         robot_description        std_msgs/String, latched: URDF
@@ -90,8 +92,8 @@ class Controller(AnsweringNode):
         ~/start ~/pause ~/reset  std_srvs/Trigger
         ~/stop                   std_srvs/Trigger: a standing walk puts its feet together and ends
 
-    Sections of the schema: dt, robot, gait, task, dsp, ssp, standing, pelvis, joints, qp, plant, monitor, safety,
-    node.
+    Sections of the schema: dt, robot, gait, task, dsp, ssp, standing, dynamic, pelvis, joints, qp, servo, plant,
+    estimation, monitor, safety, node, odometry.
 
     Example::
 
