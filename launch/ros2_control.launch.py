@@ -38,6 +38,7 @@ ARGUMENTS = {
                     None),
     "walk": ("true", "also start the walk; false: only the robot", ["true", "false"]),
     "config": ("", "parameter file of the walk; empty: poppy.yaml", None),
+    "params": ("", "further parameter file of the walk, applied after those of config and plant", None),
     "namespace": ("", "namespace of all nodes and topics of this robot", None),
     "use_sim_time": ("false", "use the time of /clock, as with Gazebo", ["true", "false"]),
 }  # fmt: skip
@@ -77,7 +78,8 @@ def nodes(context: LaunchContext) -> list[object]:
         started.append(node(manager, "ros2_control_node", parameters=[file, time]))
     if given["walk"] == "true":
         values = {"plant": "ros2_control", "interface": given["interface"], "namespace": space,
-                  "config": given["config"], "use_sim_time": given["use_sim_time"]}  # fmt: skip
+                  "config": given["config"], "params": given["params"],
+                  "use_sim_time": given["use_sim_time"]}  # fmt: skip
         walk = IncludeLaunchDescription(
             PythonLaunchDescriptionSource(str(find_share("launch", "walk.launch.py"))),
             launch_arguments={name: value for name, value in values.items() if value}.items(),

@@ -4,6 +4,8 @@ ros2 launch dqwalk_ros walk.launch.py lockstep:=true bag:=my_walk
 ros2 launch dqwalk_ros walk.launch.py plant:=physics rviz:=true namespace:=robot1
 """
 
+from pathlib import Path
+
 from launch import LaunchContext, LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
@@ -15,10 +17,13 @@ from launch.actions import (
 from launch.event_handlers import OnProcessExit
 from launch.events import matches_action
 from launch.events.process import ShutdownProcess
+from launch.logging import get_logger
 from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
 
-from dqwalk_ros.config import find_share, load
+from dqwalk_ros.config import find_share, load, overlaid, put_on
+from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.overlay import replaced
 
 PLANTS = {
     "integrator": "integrator",
@@ -34,7 +39,10 @@ ARGUMENTS = {
     "plant": ("integrator", "what executes the commands: integrator, ideal joints; physics, MuJoCo; poppy_as_built, "
               "MuJoCo with Poppy's servos, delays and sensors; ros2_control, a robot whose controllers are running "
               "(ros2_control.launch.py starts Poppy's); poppy, the real robot with its own driver; "
-              "config/plants/NAME.yaml contains the parameters it requires of all nodes", list(PLANTS)),
+              "config/plants/NAME.yaml contains the parameters it requires of all nodes, which replace those of config",
+              list(PLANTS)),
+    "params": ("", "further parameter file, applied after those of config and plant, such as that of `dqwalk identify`",
+               None),
     "lockstep": ("false", "true: each state waits for its command, so the walk is reproducible and as fast as the "
                  "machine allows; all nodes stop after the walk, with an error if it failed; false: real time, until "
                  "Ctrl-C", TRUE_OR_FALSE),
@@ -51,6 +59,19 @@ ARGUMENTS = {
     "view": ("false", "show the walk in the browser, on 127.0.0.1; the address is logged (needs viser)", TRUE_OR_FALSE),
     "bag": ("", "record to this folder, which must not exist yet; empty: no recording", None),
 }  # fmt: skip
+
+
+def warn(config: str, plant: str, params: str) -> None:
+    """Log which values of the configuration the file of the plant replaces."""
+    if params and not Path(params).is_file():
+        raise ConfigError(f"params: no parameter file '{params}'")
+    try:
+        own = load(config)
+        used = put_on(overlaid(own, plant), [Path(params)] if params else [])
+    except ConfigError:
+        return  # the nodes report it; a file with parameters of other packages they accept
+    if warning := replaced(own, plant, used, "params:=FILE, which is applied after it"):
+        get_logger("walk.launch").warning(warning)
 
 
 def nodes(context: LaunchContext) -> list[object]:
@@ -75,12 +96,14 @@ def nodes(context: LaunchContext) -> list[object]:
         values["output.interface"] = given["interface"]
     if given["dummy"] == "true":
         values["poppy.dummy"] = True
+    files = [config, str(find_share("config/plants", f"{given['plant']}.yaml")), *filter(None, [given["params"]])]
+    warn(config, given["plant"], given["params"])
     remappings = [("/tf", "tf"), ("/tf_static", "tf_static")] if given["namespace"] else []
     if given["plant"] == "ros2_control":
         remappings.append(("imu", "imu_sensor_broadcaster/imu"))
 
     def node(name: str, package: str = "dqwalk_ros", **options: object) -> Node:
-        own = options.pop("parameters", [config, str(find_share("config/plants", f"{given['plant']}.yaml")), values])
+        own = options.pop("parameters", [*files, values])
         simulated = name in ("integrator", "physics")
         time = {"plant.clock": True} if sim_time and simulated else {"use_sim_time": sim_time}
         return Node(
@@ -106,7 +129,7 @@ def nodes(context: LaunchContext) -> list[object]:
     if rviz:
         from dqwalk_ros.robot import load_model
 
-        described = {"robot_description": load_model(load(config).robot).urdf}
+        described = {"robot_description": load_model(put_on(load(config), map(Path, files[1:])).robot).urdf}
         shown = ["-d", str(find_share("config", "walk.rviz"))]
         others.append(node("robot_state_publisher", "robot_state_publisher", parameters=[described]))
         others.append(node("rviz2", "rviz2", parameters=[], arguments=shown))

@@ -19,6 +19,7 @@ LAYERS = (
     "text_table",
     "topics",
     "config",
+    "overlay",
     "compiled",
     "dual_quaternions",
     "geometry",

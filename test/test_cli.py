@@ -18,9 +18,9 @@ import pytest
 from recorded import SHORT, short_walk
 
 from dqwalk_ros import __version__, cli
-from dqwalk_ros.cli.options import parse_overrides
+from dqwalk_ros.cli.options import config_of, parse_overrides
 from dqwalk_ros.cli.progress import Progress
-from dqwalk_ros.config import Config, from_yaml, load
+from dqwalk_ros.config import SHIPPED, Config, from_yaml, load
 from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.report import bag
 from dqwalk_ros.report.figures.style import new_figure
@@ -94,6 +94,52 @@ def test_config_lists_every_parameter(capsys):
         assert f"{spec.name} " in out
     assert "a number in [0.0001, 1]" in out
     assert "one of left, right" in out
+
+
+OWN = """
+/**:
+  ros__parameters:
+    dt: 0.01
+    robot: {urdf: poppy.urdf, lock: ["head_*", "?_shoulder_*", "?_arm_*", "?_elbow_*"], mass: 3.0}
+    gait: {style: standing, steps: 4}
+    servo: {assumed_latency: 0.012}
+    monitor: {tolerance: 0.1}
+"""
+
+
+def test_what_the_file_of_the_plant_replaces_is_said_once(tmp_path, capsys):
+    """The values of a configuration were replaced without a word, and others were used than the documentation says."""
+    own, kept = tmp_path / "own.yaml", tmp_path / "kept.yaml"
+    own.write_text(OWN)
+    made = config_of(str(own), plant="poppy_as_built")
+    assert (made.dt, made.servo.assumed_latency, made.monitor.tolerance) == (0.02, 0.04, 0.005)
+    assert capsys.readouterr().err == (
+        "dqwalk: config/plants/poppy_as_built.yaml replaces values of the configuration: dt 0.01 by 0.02, "
+        "robot.mass 3.0 by 3.2, servo.assumed_latency 0.012 by 0.04; to keep one: --params FILE or --set KEY=VALUE, "
+        "which are applied last\n"
+    )
+    kept.write_text("/**: {ros__parameters: {servo: {assumed_latency: 0.012}, robot: {mass: 3.0}}}")
+    made = config_of(str(own), ["dt=0.01"], plant="poppy_as_built", params=[kept])
+    assert (made.dt, made.robot.mass, made.servo.assumed_latency) == (0.01, 3.0, 0.012)
+    assert not capsys.readouterr().err
+
+
+@pytest.mark.parametrize("plant", ["integrator", "physics", "poppy_as_built", "ros2_control", "poppy"])
+def test_nothing_is_said_of_a_shipped_configuration(capsys, plant):
+    for name in SHIPPED:
+        config_of(name, plant=plant)
+    assert not capsys.readouterr().err
+
+
+def test_doctor_has_params(tmp_path, capsys):
+    """The file of `dqwalk identify` applies to the check as to the walk."""
+    params = tmp_path / "params.yaml"
+    params.write_text("/**: {ros__parameters: {robot: {left_sole: r_sole, right_sole: l_sole}}}")
+    words = ["doctor", "--offline", "--plant", "ros2_control"]
+    assert cli.main(words) == 0
+    assert cli.main([*words, "--params", str(params)]) == 1
+    assert cli.main([*words, "--params", str(tmp_path / "none.yaml")]) == 2
+    assert "no parameter file" in capsys.readouterr().err
 
 
 def test_config_of_one_section(capsys):

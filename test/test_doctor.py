@@ -95,9 +95,9 @@ def swaying(joint: str) -> Heard:
 FAULTS: dict[str, tuple[Callable[[], Heard], str, str]] = {
     "silent": (lambda: robot(states=[], publishers=()), "states", "start the driver"),
     "another robot": (lambda: robot(names=["x", *MODEL.joint_names[1:]]), "joints", "joints missing: l_hip_x"),
-    "slow": (lambda: robot(period=0.02), "rate", "set dt to 0.02"),
+    "slow": (lambda: robot(period=0.02), "rate", "set dt to 0.02 in a file for --params and params:="),
     "clocks": (lambda: robot(age=-3.0), "latency", "chrony"),
-    "late": (lambda: robot(age=0.03), "latency", "servo.assumed_latency"),
+    "late": (lambda: robot(age=0.03), "latency", "set servo.assumed_latency in a file for --params"),
     "in mid-walk": (lambda: robot(phase="single_support/left"), "rest", "end it (~/stop"),
     "commanded": (lambda: robot(moving=True, controllers=("/pilot",)), "rest", "/pilot publishes"),
     "in motion": (lambda: swaying("l_hip_y"), "rest", "l_hip_y moved by 0.10 rad"),

@@ -13,7 +13,8 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 
-from dqwalk_ros.config import Config, from_yaml, load
+from dqwalk_ros.config import SHIPPED, Config, from_yaml, load
+from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.nodes.command_line import NODES
 from dqwalk_ros.packages import expanded
 from dqwalk_ros.robot import load_model, parse_model
@@ -22,7 +23,7 @@ ROOT = Path(__file__).resolve().parent.parent
 FILE = ROOT / "launch" / "walk.launch.py"
 ARGUMENTS = {
     *("config", "plant", "lockstep", "namespace", "use_sim_time", "autostart", "dummy", "respawn"),
-    *("log_level", "rviz", "view", "bag", "interface"),
+    *("log_level", "rviz", "view", "bag", "interface", "params"),
 }
 
 
@@ -48,7 +49,17 @@ class Launch(types.ModuleType):
 
 
 @pytest.fixture
-def defined(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+def warnings(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Return the warnings that a launch file logs."""
+    logged: list[str] = []
+    module = Launch("launch.logging")
+    module.get_logger = lambda _: types.SimpleNamespace(warning=logged.append)
+    monkeypatch.setitem(sys.modules, "launch.logging", module)
+    return logged
+
+
+@pytest.fixture
+def defined(monkeypatch: pytest.MonkeyPatch, warnings: list[str]) -> dict[str, Any]:
     """Return the names that the launch file defines."""
     inner = ("", ".actions", ".event_handlers", ".events", ".events.process", ".substitutions")
     for module in (*(f"launch{name}" for name in inner), "launch_ros", "launch_ros.actions"):
@@ -138,6 +149,45 @@ def test_each_argument_reaches_the_nodes(start: Start) -> None:
     assert config_of(start(plant="integrator", use_sim_time="true")[0]["integrator"]).plant.clock
     assert config_of(start(plant="ros2_control", interface="velocity")[0]["drive"]).output.interface == "velocity"
     assert config_of(start(config=str(ROOT / "config" / "poppy.yaml"))[0]["controller"]).gait == load("poppy").gait
+
+
+def test_params_replace_what_the_plant_sets_and_a_warning_names_the_rest(
+    start: Start, warnings: list[str], tmp_path: Path
+) -> None:
+    config, params = tmp_path / "robot.yaml", tmp_path / "identified.yaml"
+    servo = "{assumed_latency: 0.012, assumed_damping: 0.03}"
+    config.write_text(f"/**: {{ros__parameters: {{monitor: {{tolerance: 0.1}}, servo: {servo}}}}}")
+    params.write_text("/**: {ros__parameters: {servo: {assumed_latency: 0.012}}}")
+    nodes, _ = start(plant="ros2_control", config=str(config), params=str(params))
+    for name in ("controller", "drive", "phase_monitor"):
+        made = config_of(nodes[name])
+        assert (made.servo.assumed_latency, made.servo.assumed_damping) == (0.012, 0.02)
+    (warning,) = warnings
+    assert "servo.assumed_damping 0.03 by 0.02; to keep one: params:=FILE" in warning
+    with pytest.raises(ConfigError, match=r"no parameter file .*other\.yaml"):
+        start(plant="ros2_control", params=str(tmp_path / "other.yaml"))
+
+
+def test_shipped_configurations_and_those_of_other_packages_start_without_a_warning(
+    start: Start, warnings: list[str], defined: dict[str, Any], tmp_path: Path
+) -> None:
+    for plant in defined["PLANTS"]:
+        for config in ("", *(str(ROOT / "config" / f"{name}.yaml") for name in SHIPPED if name != "whole_body")):
+            start(plant=plant, config=config)
+    foreign = tmp_path / "foreign.yaml"
+    foreign.write_text("/arm: {ros__parameters: {port: x}}")
+    start(plant="physics", config=str(foreign))
+    assert not warnings
+
+
+def test_ros2_control_passes_its_params_to_the_walk(monkeypatch: pytest.MonkeyPatch, defined: dict[str, Any]) -> None:
+    for module in ("launch.launch_description_sources", "launch_ros.parameter_descriptions"):
+        monkeypatch.setitem(sys.modules, module, Launch(module))
+    own = runpy.run_path(str(FILE.with_name("ros2_control.launch.py")))
+    given = {name: default for name, (default, *_) in own["ARGUMENTS"].items()} | {"params": "identified.yaml"}
+    *_, handler = own["nodes"](given)
+    (walk,) = handler.args[0].given["on_exit"]
+    assert dict(walk.given["launch_arguments"])["params"] == "identified.yaml"
 
 
 def test_rviz_shows_exactly_the_published_joints(start: Start) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import click
 
-from dqwalk_ros.cli.options import command, config_of, config_option, plant_option, set_option
+from dqwalk_ros.cli.options import command, config_of, config_option, params_option, plant_option, set_option
 
 __all__ = ["doctor"]
 
@@ -13,9 +15,11 @@ __all__ = ["doctor"]
 examples:
   dqwalk doctor --plant poppy                              a Poppy whose poppy_driver runs
   dqwalk doctor --plant ros2_control --config my_robot.yaml
+  dqwalk doctor --plant poppy --params identified.yaml     with the parameters of `dqwalk identify`
   dqwalk doctor --offline                                  the configuration and its robot only
 """)
 @config_option("poppy")
+@params_option
 @plant_option(
     ["integrator", "physics", "poppy_as_built", "ros2_control", "poppy"], "poppy", "What executes the commands."
 )
@@ -23,7 +27,15 @@ examples:
 @click.option("--namespace", metavar="NAME", default="", show_default=False, help="Namespace of the robot.")
 @click.option("--offline", is_flag=True, help="Do not listen to the robot.")
 @set_option
-def doctor(config: str, plant: str, seconds: float, namespace: str, offline: bool, changes: tuple[str, ...]) -> int:
+def doctor(
+    config: str,
+    params: tuple[Path, ...],
+    plant: str,
+    seconds: float,
+    namespace: str,
+    offline: bool,
+    changes: tuple[str, ...],
+) -> int:
     """Check a robot that stands, before its first step.
 
     Listens to its topics without moving anything, and prints the result of each check; for a check that failed, also
@@ -32,7 +44,7 @@ def doctor(config: str, plant: str, seconds: float, namespace: str, offline: boo
     from dqwalk_ros.adopt.check import check
     from dqwalk_ros.robot import load_model
 
-    made = config_of(config, changes, plant=plant)
+    made = config_of(config, changes, plant=plant, params=params)
     model = load_model(made.robot)
     findings = check(made, model)
     print(f"{model.name}: {model.n} joints, configuration '{config}', plant {plant}")

@@ -61,7 +61,7 @@ def exercise(
     from dqwalk_ros.identification.exercise import duration, exercise_config
     from dqwalk_ros.robot import load_model
 
-    made = exercise_config(config_of(config, plant=plant), cycles)
+    made = exercise_config(config_of(config, changes, plant=plant), cycles)
     made = made.updated(parse_overrides(changes), source="command line")
     if plant == "poppy" and not made.servo.types:  # take the types of the servos from the table of motors
         from dqwalk_ros.plants.poppy import load_motors

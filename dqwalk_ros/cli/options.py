@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import math
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -245,8 +246,9 @@ def config_of(
 ) -> Config:
     """Return the configuration that the options of a command describe.
 
-    They are --config, --set, --plant, --params and --cmd-vel, in this order; with a course the walk takes steps until
-    its end. `also` are the values of options that stand for a parameter, None for those that were not given.
+    They are --config, --plant, --params, --set and --cmd-vel; each one replaces values of those before. With a course
+    the walk takes steps until its end. `also` are the values of options that stand for a parameter, None for those that
+    were not given. A warning names the values of --config that the file of the plant replaces.
 
     Raises
     ------
@@ -254,15 +256,17 @@ def config_of(
         If any of them is invalid.
     """
     from dqwalk_ros.config import load, overlaid, put_on
+    from dqwalk_ros.overlay import replaced
     from dqwalk_ros.simulation import walk_type
 
     values: dict[str, Any] = {"gait.steps": 0} if course else {}
     values |= parse_overrides(changes)
     values |= {name: value for name, value in (also or {}).items() if value is not None}
-    made = load(config)
-    if plant in ("physics", "poppy_as_built", "ros2_control", "poppy"):
-        made = overlaid(made, plant)
-    made = put_on(made, params).updated(values, source="command line")
+    own = load(config)
+    has_file = plant in ("physics", "poppy_as_built", "ros2_control", "poppy")
+    made = put_on(overlaid(own, plant) if has_file else own, params).updated(values, source="command line")
+    if has_file and (warning := replaced(own, plant, made, "--params FILE or --set KEY=VALUE, which are applied last")):
+        print(f"dqwalk: {warning}", file=sys.stderr)
     if course and walk_type(made).phases(made):
         raise ConfigError("--cmd-vel steers a standing or dynamic walk, such as --config poppy, with gait.steps=0")
     return made

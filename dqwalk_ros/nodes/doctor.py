@@ -57,6 +57,8 @@ _BEHIND = 3600.0
 """Largest delay of a simulation whose stamps count from the time of the clock [s]."""
 _AT_REST = ("", "idle", "finished", "failed", "fallen")
 """Values of `phase` while no walk is under way; empty if it is not published."""
+_WHERE = "in a file for --params and params:="
+"""Where to set what the file of the plant sets, too: this file is applied after it."""
 
 
 @dataclass
@@ -172,7 +174,8 @@ def check_rate(config: Config, model: RobotModel, heard: Heard) -> str:
     text = f"{1.0 / middle:.1f} Hz, 99 % within {1e3 * late:.1f} ms"
     if abs(middle / config.dt - 1.0) > _RATE:
         raise Failed(
-            f"{text}; dt is {config.dt:g} s: set dt to {middle:.4g}, or the rate of the driver to {1 / config.dt:g}"
+            f"{text}; dt is {config.dt:g} s: set dt to {middle:.4g} {_WHERE}, or the rate of the driver to "
+            f"{1 / config.dt:g}"
         )
     if late > _LATE * config.dt:
         raise Failed(f"{text}: the bus or the machine is too slow; lower the rate and dt, give the loop a processor")
@@ -195,8 +198,8 @@ def check_latency(config: Config, model: RobotModel, heard: Heard) -> str:
     assumed = config.servo.assumed_latency
     if middle > 0.5 * config.dt and assumed < middle:
         raise Failed(
-            f"{text}; the controller assumes {1e3 * assumed:g} ms: set servo.assumed_latency to the sum of this delay "
-            "and the command's"
+            f"{text}; the controller assumes {1e3 * assumed:g} ms: set servo.assumed_latency {_WHERE} to the sum of "
+            "this delay and the command's"
         )
     return text
 
@@ -262,7 +265,9 @@ def check_inertial_sensor(config: Config, model: RobotModel, heard: Heard) -> st
     if not config.plant.imu:
         return "not used (plant.imu is false): no torque feed-forward, and a fall is not detected"
     if not heard.imus:
-        raise Failed("nothing on imu: start the sensor's broadcaster and remap its topic, or set plant.imu: false")
+        raise Failed(
+            f"nothing on imu: start the sensor's broadcaster and remap its topic, or set plant.imu: false {_WHERE}"
+        )
     msg = heard.imus[-1][0]
     if msg.header.frame_id not in ("", model.imu_link):
         raise Failed(f"its frame is '{msg.header.frame_id}', and robot.imu is '{model.imu_link}': they must agree")
