@@ -14,6 +14,7 @@ from dqwalk_ros.cli.options import (
     config_option,
     folder_option,
     force_option,
+    params_option,
     parse_overrides,
     plant_option,
     quiet_option,
@@ -48,12 +49,21 @@ then:
 )
 @click.option("--cycles", metavar="N", type=int, default=1, help="Exercise each joint N times.")
 @click.option("--ros", is_flag=True, help="Use ROS 2, as always for the real robot.")
+@params_option
 @set_option
 @folder_option("exercise")
 @force_option
 @quiet_option
 def exercise(
-    config: str, plant: str, cycles: int, ros: bool, changes: tuple[str, ...], out: Path, force: bool, quiet: bool
+    config: str,
+    plant: str,
+    cycles: int,
+    ros: bool,
+    params: tuple[Path, ...],
+    changes: tuple[str, ...],
+    out: Path,
+    force: bool,
+    quiet: bool,
 ) -> int:
     """Move every joint of a suspended robot, and record the motion of its servos."""
     from dqwalk_ros.cli.progress import Progress
@@ -61,7 +71,7 @@ def exercise(
     from dqwalk_ros.identification.exercise import duration, exercise_config
     from dqwalk_ros.robot import load_model
 
-    made = exercise_config(config_of(config, changes, plant=plant), cycles)
+    made = exercise_config(config_of(config, changes, plant=plant, params=params), cycles)
     made = made.updated(parse_overrides(changes), source="command line")
     if plant == "poppy" and not made.servo.types:  # take the types of the servos from the table of motors
         from dqwalk_ros.plants.poppy import load_motors

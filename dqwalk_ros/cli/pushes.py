@@ -4,11 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from dqwalk_ros.cli.options import Many, command, config_of, config_option, many_options, plant_option, set_option
+from dqwalk_ros.cli.options import (
+    Many,
+    command,
+    config_of,
+    config_option,
+    many_options,
+    params_option,
+    plant_option,
+    set_option,
+)
 from dqwalk_ros.errors import ConfigError, StudyError
 
 if TYPE_CHECKING:
@@ -56,6 +66,7 @@ examples:
     help="Accuracy of each impulse [N s].",
 )
 @many_options("pushes")
+@params_option
 @set_option
 def pushes(
     config: str,
@@ -66,6 +77,7 @@ def pushes(
     duration: float,
     tolerance: float | None,
     many: Many,
+    params: tuple[Path, ...],
     changes: tuple[str, ...],
 ) -> int:
     """Find the largest push the robot survives.
@@ -79,7 +91,7 @@ def pushes(
     from dqwalk_ros.robot import load_model
     from dqwalk_ros.studies import pushes as study
 
-    made = config_of(config, changes, plant=plant)
+    made = config_of(config, changes, plant=plant, params=params)
     if made.gait.style == "paper":
         raise ConfigError(f"pushes need a standing or a dynamic walk; gait.style of '{config}' is {made.gait.style}")
     moments = study.MOMENTS if moment == "all" else (moment,)
