@@ -131,6 +131,14 @@ def test_nothing_is_said_of_a_shipped_configuration(capsys, plant):
     assert not capsys.readouterr().err
 
 
+@pytest.mark.parametrize("command", ["doctor", "pushes", "exercise"])
+def test_parameter_files_are_read_by_every_command_with_a_plant(command, tmp_path, capsys):
+    params = tmp_path / "params.yaml"
+    params.write_text("/**: {ros__parameters: {gait: {stride: 1.0}}}")
+    assert cli.main([command, "--params", str(params)]) == 2
+    assert "unknown parameter 'gait.stride'" in capsys.readouterr().err
+
+
 def test_doctor_has_params(tmp_path, capsys):
     """The file of `dqwalk identify` applies to the check as to the walk."""
     params = tmp_path / "params.yaml"

@@ -139,7 +139,8 @@ def test_doctor_with_live_nodes(nodes: Any, domain: int, monkeypatch: pytest.Mon
     output = capfd.readouterr().out
     assert "start the driver" in output
     assert output.endswith("failed; repair the first one first\n")
-    live = nodes(CONFIG.updated({"plant.imu": False}))
+    long_phase = {"standing.transfer_duration": 60.0, "gait.phase_timeout": 900.0}  # longer than doctor listens
+    live = nodes(CONFIG.updated({"plant.imu": False, **long_phase}))
     live.start("integrator")
     live.until(lambda: len(live.got["joint_states"]) > 20, 60.0, "states")
     main(arguments)

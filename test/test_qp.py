@@ -77,6 +77,8 @@ def test_problems_of_other_sizes_do_not_disturb_a_careful_solution(monkeypatch):
         np.testing.assert_allclose(solver.solve(problem).u, make_solver("clarabel").solve(problem).u, atol=1e-9)
         np.testing.assert_allclose(solver.solve(problem).u, exact(problem), atol=1e-7)
     assert len(careful_ones) == 15
+    sizes = {program.values[3].size for program in solver._programs.values()}  # of b
+    assert sizes == {m + 2 * n for m in (13, 4, 2)}
 
 
 @pytest.mark.parametrize("far", [1e2, 1e4])

@@ -292,10 +292,7 @@ def _anatomy(
 
 
 def _bare_ends(skeleton: Skeleton, points: Points, pair: tuple[str, str]) -> str:
-    """Return text for messages that names the ends of two legs below the last joints of `pair` that have no shape.
-
-    It is empty if there are none.
-    """
+    """Return the end of an error message that names the links without a shape below the joints `pair`, or ``""``."""
     ends = []
     for last in pair:
         below = [body for body in skeleton.joints if last in skeleton.way(body)[:-1]]
