@@ -70,6 +70,15 @@ def test_node_pages_match_the_schema(node):
     assert all(line.replace("::", ":") in made for line in docstring(node).splitlines())
 
 
+@pytest.mark.parametrize("node", sorted(NODES))
+def test_every_section_that_a_node_lists_has_parameters(node):
+    """The driver's help listed 'standing (posture)', and so lacked that parameter."""
+    listed = re.search(r"^Sections of the schema: (.*?)\.$", docstring(node), re.M | re.S)
+    names = [spec.name for spec in parameters_of(node)]
+    for word in re.split(r",\s+", listed.group(1)) if listed else []:
+        assert any(name == word or name.startswith(f"{word}.") for name in names), word
+
+
 @pytest.mark.parametrize(("name", "folder"), [("equations", "dqwalk_ros"), ("whole_body", "dqwalk_ros/whole_body")])
 def test_named_places_of_equations_exist(name, folder):
     count = 0

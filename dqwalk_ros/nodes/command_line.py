@@ -45,10 +45,10 @@ def docstring(name: str) -> str:
 
 
 def parameters_of(name: str) -> list[Spec]:
-    """Return the parameters that a node uses: those of the sections listed in its docstring."""
-    found = re.search(r"^Sections of the schema: ([^.]*)\.", docstring(name), re.M)
-    sections = re.split(r",\s+", found.group(1)) if found else []
-    return [spec for spec in Config.specs() if spec.name.split(".")[0] in sections]
+    """Return the parameters that a node uses: the sections, or single parameters, listed in its docstring."""
+    found = re.search(r"^Sections of the schema: (.*?)\.$", docstring(name), re.M | re.S)
+    listed = re.split(r",\s+", found.group(1)) if found else []
+    return [spec for spec in Config.specs() if spec.name in listed or spec.name.split(".")[0] in listed]
 
 
 def parse(name: str, argv: Sequence[str]) -> argparse.Namespace:
