@@ -18,7 +18,7 @@ from pathlib import Path
 
 from dqwalk_ros.config import Config, Spec
 
-__all__ = ["NODES", "docstring", "main", "parameters_of", "parse", "script"]
+__all__ = ["NODES", "docstring", "main", "parameters_of", "parse", "script", "sections_of"]
 
 NODES = {
     "controller": "controller.Controller",
@@ -44,10 +44,15 @@ def docstring(name: str) -> str:
     return inspect.cleandoc(ast.get_docstring(found) or "")
 
 
-def parameters_of(name: str) -> list[Spec]:
-    """Return the parameters that a node uses: the sections, or single parameters, listed in its docstring."""
+def sections_of(name: str) -> list[str]:
+    """Return the sections of the schema, or single parameters of it, that a node's docstring lists."""
     found = re.search(r"^Sections of the schema: (.*?)\.$", docstring(name), re.M | re.S)
-    listed = re.split(r",\s+", found.group(1)) if found else []
+    return re.split(r",\s+", found.group(1)) if found else []
+
+
+def parameters_of(name: str) -> list[Spec]:
+    """Return the parameters that a node uses: those of `sections_of`."""
+    listed = sections_of(name)
     return [spec for spec in Config.specs() if spec.name in listed or spec.name.split(".")[0] in listed]
 
 
