@@ -18,6 +18,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import Config, to_yaml
+from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.runner import Processes
 
 SHORT = {
@@ -81,6 +82,12 @@ class Live:
     def until_started(self, name: str) -> None:
         """Wait until a node has logged its first message."""
         self.until(lambda: "[INFO]" in self.processes.log(name), 60.0, f"the start of {name}")
+
+    def offer(self, kind: Any, topic: str, listener: str) -> Any:
+        """Create a publisher and wait until the node `listener` is connected; a recorder may be connected before it."""
+        publisher = self.node.create_publisher(kind, topic, 10)
+        self.until(lambda: ros.is_heard_by(self.node, publisher, listener), 20.0, f"{listener} listening to {topic}")
+        return publisher
 
     def spin(self, seconds: float) -> None:
         """Receive messages for a time [s]."""

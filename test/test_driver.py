@@ -250,8 +250,7 @@ def test_a_hot_motor_prevents_switching_the_torque_on(walking: Robot) -> None:
 
 
 def test_the_torque_is_switched_off_after_a_fall(walking: Robot) -> None:
-    phase = walking.node.create_publisher(String, "phase", LATCHED)
-    walking.until(phase.get_subscription_count, 10.0, "the driver listening")
+    phase = walking.offer(String, "phase", "poppy_driver")
     phase.publish(String(data="fallen"))
     walking.until(lambda: walking.torques() == {0}, 10.0, "the torque off")
     walking.node.destroy_publisher(phase)

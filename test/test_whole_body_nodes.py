@@ -47,8 +47,6 @@ def test_a_walk_over_topics_equals_that_of_one_process_and_is_recorded(nodes: An
 
     live.node.create_subscription(JointState, "joint_effort_commands", note, profile)
     live.node.create_subscription(TwistStamped, "base_twist", twists.append, profile)
-    target = live.node.create_publisher(PoseStamped, "hand_target", 10)
-    push = live.node.create_publisher(WrenchStamped, "push", 10)
     live.start("recorder", "--bag", str(tmp_path / "bag"))
     live.start("whole_body_controller")
     live.start("rigid")
@@ -65,7 +63,8 @@ def test_a_walk_over_topics_equals_that_of_one_process_and_is_recorded(nodes: An
             assert got == pytest.approx(command.effort, abs=1e-3)
         plant.step(command, CONFIG.dt)
 
-    live.until(lambda: target.get_subscription_count() and push.get_subscription_count(), 20.0, "listeners")
+    target = live.offer(PoseStamped, "hand_target", "whole_body_controller")
+    push = live.offer(WrenchStamped, "push", "rigid")
     goal = PoseStamped()
     goal.pose.position.x, goal.pose.position.y, goal.pose.position.z = 1.2, -0.8, 0.9
     target.publish(goal)
