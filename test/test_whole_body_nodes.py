@@ -214,6 +214,19 @@ def test_when_states_time_out_zero_torques_are_sent_once_and_the_status_is_stale
     assert not any(commands_of(node)[-1].effort)
 
 
+def test_states_whose_stamps_do_not_advance_are_rejected_with_the_reason(make: Any) -> None:
+    """As of a driver that leaves header.stamp at zero; they were ignored without a message."""
+    node = make("whole_body_controller", REAL)
+    send_state(node, 0.0, START)
+    node.node._diagnosed = -math.inf
+    send_state(node, 0.0, START, q=START.q + 1e-3)
+    assert len(commands_of(node)) == 1
+    assert last_status(node).level == b"\x02"
+    assert "has the same stamp, 0: set header.stamp" in last_status(node).message
+    send_state(node, 0.005, START, q=START.q + 1e-3)
+    assert len(commands_of(node)) == 2
+
+
 @pytest.mark.parametrize("fault", ["infeasible", "not finite", "an exception"])
 def test_a_failed_controller_sends_zero_torques_and_waits_for_a_reset(
     make: Any, fault: str, monkeypatch: pytest.MonkeyPatch

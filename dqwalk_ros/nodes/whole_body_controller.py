@@ -79,6 +79,7 @@ class WholeBodyController(AnsweringNode):
         self._controller = core.WholeBodyController(self.config, model)
         self._effort_max = np.minimum(model.effort_max, self.config.whole_body.effort)
         self._answered = self._still  # the last command that answers a state
+        self._q_answered: Array | None = None  # joint angles of this state
         self._begin: int | None = None  # stamp at which the walk began [ns]
         self._last: Answer | None = None  # of the hierarchy
         self._parts: dict[int, dict[str, Any]] = {}  # of incomplete states, by stamp [ns]
@@ -118,18 +119,32 @@ class WholeBodyController(AnsweringNode):
                 del self._parts[min(self._parts)]
             return
         self._parts = {other: kept for other, kept in self._parts.items() if other > stamp}
-        if stamp == self._stamp and not (self._problem or self._duplicates):  # the plant published it again
-            self._sent = self._answered
-            self._publish_command()
-            return
         try:
-            if self._is_new(stamp):
+            if stamp == self._stamp and not (self._problem or self._duplicates):
+                self._answer_again(parts["joints"])
+            elif self._is_new(stamp):
                 state = self._state(stamp, **parts)
                 self._note(stamp)
                 if self._may_answer():
                     self._on_state(stamp, state)
         except StateError as error:
             self._reject(error)
+
+    def _answer_again(self, joints: JointState) -> None:
+        """Publish the last command again, for a plant that publishes the last state again.
+
+        Raises
+        ------
+        StateError
+            If it is another state with the same stamp.
+        """
+        if not np.array_equal(self._reader.state(joints).q, self._q_answered):
+            raise StateError(
+                f"it differs from the last one and has the same stamp, {1e-9 * self._stamp:.9g}: set header.stamp to "
+                "the time of the measurement, a new one for each state"
+            )
+        self._sent = self._answered
+        self._publish_command()
 
     def _state(self, stamp: int, joints: JointState, pose: PoseStamped, twist: Array) -> BodyState:
         """Return the state of three messages.
@@ -166,7 +181,8 @@ class WholeBodyController(AnsweringNode):
             command: BodyCommand | None = self._guarded(lambda: self._controller.step(state, self.config.dt))
             if command is not None:
                 effort = np.clip(command.effort, -self._effort_max, self._effort_max)
-                self._stamp, self._sent, self._answered = stamp, {"effort": effort}, {"effort": effort}
+                self._sent = self._answered = {"effort": effort}
+                self._stamp, self._q_answered = stamp, state.q
                 if self._new_target is not None:
                     self._applied.publish(ros.pose(stamp, ODOM, DQ.from_pose(self._new_target).vec8()))
                     self._new_target = None
