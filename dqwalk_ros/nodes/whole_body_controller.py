@@ -79,7 +79,7 @@ class WholeBodyController(AnsweringNode):
         self._controller = core.WholeBodyController(self.config, model)
         self._effort_max = np.minimum(model.effort_max, self.config.whole_body.effort)
         self._answered = self._still  # the last command that answers a state
-        self._q_answered: Array | None = None  # joint angles of this state
+        self._q_answered: Array = np.empty(0)  # joint angles of this state
         self._begin: int | None = None  # stamp at which the walk began [ns]
         self._last: Answer | None = None  # of the hierarchy
         self._parts: dict[int, dict[str, Any]] = {}  # of incomplete states, by stamp [ns]
