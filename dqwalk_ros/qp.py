@@ -299,33 +299,34 @@ def _nearby(H, c, W, w, lower, upper, l):  # type: ignore[no-untyped-def] # noqa
 
 @jit
 def _clarabel_values(  # type: ignore[no-untyped-def]
-    H, c, W, w, lower, upper, l, s, curvature, chosen, P, q, A, b,  # noqa: E741
+    H, c, W, w, lower, upper, l, s, curvature, chosen, M, q, A, b,  # noqa: E741
 ):  # fmt: skip
-    """Fill P (upper triangle), q (n,), A (n, l + k) and b (l + k,) of Clarabel's form; `chosen` are k inequalities.
+    """Fill M (n, n), q (n,), A (n, l + k) and b (l + k,) of Clarabel's form; `chosen` are k inequalities.
 
-    Clarabel minimises 1/2 v'Pv + q'v subject to A v + slack = b. The slack of the equalities, which come first, is
-    zero, that of the inequalities is not negative.
+    With the Cholesky factor L of the Hessian, M = L^-1 and q = M c, all scaled, the variables v = M'(t - q) make the
+    objective 1/2 t't. Clarabel minimises it subject to A't + slack = b. The slack of the equalities, which come first,
+    is zero, that of the inequalities is not negative.
     """
     n, k, m = c.shape[0], chosen.shape[0], w.shape[0] - l
-    q[:], A[:], at = c / (s * curvature), 0.0, 0
-    for j in range(n):
-        P[at : at + j + 1] = H[j, : j + 1] / curvature
-        at += j + 1
-    A[:, :l], b[:l] = W[:l].T, w[:l] / s
+    rows = np.zeros((n, l + k))
+    rows[:, :l], b[:l] = W[:l].T, w[:l] / s
     for j in range(k):
         i = chosen[j]
         if i < m:
-            A[:, l + j], b[l + j] = -W[l + i], -w[l + i] / s
+            rows[:, l + j], b[l + j] = -W[l + i], -w[l + i] / s
         elif i < m + n:
-            A[i - m, l + j], b[l + j] = 1.0, upper[i - m] / s
+            rows[i - m, l + j], b[l + j] = 1.0, upper[i - m] / s
         else:
-            A[i - m - n, l + j], b[l + j] = -1.0, -lower[i - m - n] / s
+            rows[i - m - n, l + j], b[l + j] = -1.0, -lower[i - m - n] / s
+    M[:] = np.linalg.inv(np.linalg.cholesky(H / curvature))
+    q[:], A[:] = M @ c / (s * curvature), M @ rows
+    b += q @ A
 
 
 @jit
-def _clarabel_solution(H, c, W, w, lower, upper, l, s, curvature, chosen, v, y, u, z):  # type: ignore[no-untyped-def] # noqa: E741
-    """Fill u and z with Clarabel's primal and dual solution v and y, unscaled; return their residuals (see `_kkt`)."""
-    u[:], z[:] = s * v, 0.0
+def _clarabel_solution(H, c, W, w, lower, upper, l, s, curvature, chosen, M, q, t, y, u, z):  # type: ignore[no-untyped-def] # noqa: E741
+    """Fill u and z with Clarabel's primal and dual solution t and y, unscaled; return their residuals (see `_kkt`)."""
+    u[:], z[:] = s * ((t - q) @ M), 0.0
     z[:l] = s * curvature * y[:l]
     for k in range(chosen.shape[0]):
         z[l + chosen[k]] = s * curvature * y[l + k]
@@ -385,14 +386,18 @@ class ClarabelSolver:
         program = self._programs.get(key)
         if program is None:
             program = self._programs[key] = _ClarabelProgram(n, l, len(chosen), careful=careful)
-        _clarabel_values(*problem.arrays, s, curvature, chosen, *program.values)
+        M, q, A, b = program.values
+        try:
+            _clarabel_values(*problem.arrays, s, curvature, chosen, M, q, A, b)
+        except np.linalg.LinAlgError as error:
+            raise QPError("the Hessian is not positive definite", status="NotConvex") from error
         found, spent = program.solve()
         if found.status != _SOLVED:
             z = np.zeros(l + m + 2 * n)
             z[np.concatenate([np.arange(l), l + chosen])] = found.z
             raise _unsolved(problem, str(found.status), z)
-        u, z, v, y = np.empty(n), np.empty(l + m + 2 * n), np.array(found.x), np.array(found.z)
-        _check(problem, *_clarabel_solution(*problem.arrays, s, curvature, chosen, v, y, u, z))
+        u, z, t, y = np.empty(n), np.empty(l + m + 2 * n), np.array(found.x), np.array(found.z)
+        _check(problem, *_clarabel_solution(*problem.arrays, s, curvature, chosen, M, q, t, y, u, z))
         return Solution(u, z, found.iterations, spent)
 
 
@@ -405,7 +410,7 @@ class _ClarabelProgram:
     Attributes
     ----------
     values : tuple of ndarray
-        P, q, A and b, as `_clarabel_values` fills them.
+        M, q, A and b, as `_clarabel_values` fills them.
     """
 
     def __init__(self, n: int, l: int, k: int, *, careful: bool) -> None:  # noqa: E741
@@ -418,21 +423,21 @@ class _ClarabelProgram:
             settings.max_step_fraction = 0.9999  # steps almost up to the boundary: fewer iterations
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12 if careful else 1e-14
         self._settings = settings
-        rows = np.concatenate([np.arange(j + 1) for j in range(n)])
-        self._P = rows, np.concatenate([[0], np.cumsum(np.arange(1, n + 1))]), (n, n)
+        self._P = np.arange(n), np.arange(n + 1), (n, n)
         self._A = np.tile(np.arange(l + k), n), np.arange(n + 1) * (l + k), (l + k, n)
         self._cones = ([clarabel.ZeroConeT(l)] if l else []) + [clarabel.NonnegativeConeT(k)]
         self._solver: clarabel.DefaultSolver | None = None
-        self.values = np.empty(n * (n + 1) // 2), np.empty(n), np.empty((n, l + k)), np.empty(l + k)
+        self.values = np.empty((n, n)), np.empty(n), np.empty((n, l + k)), np.empty(l + k)
 
     def solve(self) -> tuple[clarabel.DefaultSolution, float]:
         """Solve for `values`; return Clarabel's result and the time taken [s], without that of the setup."""
-        P, q, A, b = (part.ravel() for part in self.values)
+        _, q, A, b = self.values
         if self._solver is None:
-            matrices = _csc(P, *self._P), q, _csc(A, *self._A), b
+            n = q.shape[0]
+            matrices = _csc(np.ones(n), *self._P), np.zeros(n), _csc(A.ravel(), *self._A), b
             self._solver = clarabel.DefaultSolver(*matrices, self._cones, self._settings)
         else:  # Clarabel converts lists faster than arrays
-            self._solver.update(P=P.tolist(), q=q.tolist(), A=A.tolist(), b=b.tolist())
+            self._solver.update(A=A.ravel().tolist(), b=b.tolist())
         began = time.perf_counter()
         found = self._solver.solve()
         return found, time.perf_counter() - began
