@@ -318,14 +318,18 @@ def test_the_lead_is_that_of_the_configuration_but_not_more_than_the_damping(lea
 
 
 def test_an_interrupted_robustness_study_says_how_to_continue(tmp_path, monkeypatch, capsys):
-    done = [({}, robustness.Outcome(True, 1.0, 3, ""))]
-    monkeypatch.setattr(robustness, "walk_all", lambda *_, **__: done)
-    options = ["--axis", "physics.friction=0.4,0.8", "--sample", "5", "--out", str(tmp_path / "out")]
+    def walk(config, index, values):
+        if (tmp_path / "cells.jsonl").read_text().count("stood"):
+            raise KeyboardInterrupt
+        return robustness.Outcome(True, 1.0, 3, "")
+
+    monkeypatch.setattr(robustness, "walk", walk)
+    options = ["--axis", "physics.friction=0.4,0.8", "--sample", "5", "--jobs", "1", "--out", str(tmp_path)]
     assert cli.main(["robustness", *options]) == 1
     output = capsys.readouterr()
     assert "interrupted; 1 of 5 cells are saved, the same command continues" in output.err
     assert not output.out
-    assert not (tmp_path / "out").exists()
+    assert [file.name for file in tmp_path.iterdir()] == ["cells.jsonl"]
 
 
 def test_robustness_as_built_varies_gain_and_seed():

@@ -19,7 +19,7 @@ from dqwalk_ros.cli.options import (
     plant_option,
     set_option,
 )
-from dqwalk_ros.errors import ConfigError, StudyError
+from dqwalk_ros.errors import ConfigError
 
 if TYPE_CHECKING:
     from dqwalk_ros.studies.pushes import Limit
@@ -98,9 +98,6 @@ def pushes(
     given: dict[str, Any] = {"duration": duration, "part": part, "tolerance": tolerance}
     with many.options("directions") as options:
         found = study.limits(made, many.folder, moments, directions, **given, **options)
-    total = len(moments) * directions
-    if len(found) < total:
-        raise StudyError(f"interrupted; {len(found)} of {total} directions are saved, the same command continues")
     head = ["moment", "direction_deg", "survived_Ns", "failed_Ns", "reason"]
     rows = [[one.moment, round(math.degrees(one.direction), 3), one.survived, one.failed, one.reason] for one in found]
     by_moment = {_LABELS[key]: [one for one in found if one.moment == key] for key in moments}

@@ -20,7 +20,7 @@ from dqwalk_ros.cli.options import (
     plant_option,
     set_option,
 )
-from dqwalk_ros.errors import BagError, ConfigError, StudyError
+from dqwalk_ros.errors import BagError, ConfigError
 
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config
@@ -169,8 +169,6 @@ def _pushes(config: Config, output: Report, plant: str, when: float, exact: floa
             progress=lambda count, total, _: bar(count / total, f"{count} of {total} directions"),
         )
     by_plant = {plant: [one for one in found if one.moment == plant] for plant in plants}
-    if len(found) < len(plants) * len(torso_pushes.DIRECTIONS):
-        raise StudyError(f"interrupted; {len(found)} directions are saved, the same command continues")
     swing = Stepping.of(config).swing(when)
     stands = "on both feet" if swing is None else f"on the {swing.foot.other.value} foot"
     title = f"pushed at {when:g} s, walking in place, {stands}"

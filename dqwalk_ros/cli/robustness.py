@@ -21,7 +21,7 @@ from dqwalk_ros.cli.options import (
     plant_option,
     set_option,
 )
-from dqwalk_ros.errors import ConfigError, StudyError
+from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.text_table import without_numbers
 
 if TYPE_CHECKING:
@@ -86,8 +86,6 @@ def robustness(
     combinations = study.cells(axes, sample, seed)
     with many.options("cells", lambda last: f"; the last one {'stood' if last.stood else 'did not stand'}") as options:
         done = study.walk_all(made, combinations, many.folder, **options)
-    if len(done) < (total := len(combinations)):
-        raise StudyError(f"interrupted; {len(done)} of {total} cells are saved, the same command continues")
     head = [*axes, "stood", "time", "steps", "reason", "tilt"]
     rows = [
         [*(values[name] for name in axes), int(end.stood), end.time, end.steps, end.reason, end.tilt]

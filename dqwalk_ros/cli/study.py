@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dqwalk_ros.cli.options import Many, command, format_option, many_options
-from dqwalk_ros.errors import StudyError
 
 if TYPE_CHECKING:
     from dqwalk_ros.studies import Study
@@ -53,8 +52,8 @@ def study(path: Path, many: Many, dry_run: bool, formats: tuple[str, ...]) -> in
     from dqwalk_ros import studies
 
     plan = studies.read(path)
-    points = plan.points()
     if dry_run:
+        points = plan.points()
         studies.set_up(plan.config, points[0])
         print(f"{plan.name}: {len(points)} walks ({plan.sample}); the first and the last:")
         print(f"  {points[0]}\n  {points[-1]}")
@@ -62,8 +61,6 @@ def study(path: Path, many: Many, dry_run: bool, formats: tuple[str, ...]) -> in
     folder = many.out or Path(f"{path.stem}_study")
     with many.options("walks", lambda last: f"; the last one {'finished' if last.finished else 'failed'}") as options:
         rows = studies.walk_all(plan, folder, **options)
-    if len(rows) < len(points):
-        raise StudyError(f"interrupted; {len(rows)} of {len(points)} walks are saved, the same command continues")
     from dqwalk_ros.report.figures.studies import study_figure
     from dqwalk_ros.report.figures.style import Drawn, save
 

@@ -189,7 +189,8 @@ def every_limit(
     """Find a limit for every moment and each of some evenly spread directions, by a task such as `limit`.
 
     The settings are everything besides the point that affects an outcome, first the configuration. Limits are kept in
-    ``limits.jsonl`` of a folder, unless `force` discards earlier ones; other options are those of `runner.run`.
+    ``limits.jsonl`` of a folder, unless `force` discards earlier ones; other options and errors are those of
+    `runner.run`.
     """
     points = [{"moment": m, "direction": 2.0 * math.pi * k / directions} for m in moments for k in range(directions)]
     key = digest(settings[0], points, *settings[1:])

@@ -131,7 +131,7 @@ def walk_all(
 ) -> list[Cell]:
     """Simulate the walks that are missing in ``cells.jsonl`` of a folder, and return all cells in order.
 
-    With `force` earlier results are discarded; other options are those of `runner.run`.
+    With `force` earlier results are discarded; other options and errors are those of `runner.run`.
     """
     make_controller(config, load_model(config.robot))  # a wrong name is an error before the first walk
     store = Store(out / "cells.jsonl", digest(config, list(combinations)), combinations, Outcome, force=force)

@@ -40,6 +40,8 @@ class Store(Generic[Outcome]):
 
     Attributes
     ----------
+    name : str
+        What the outcomes are, in the plural, by the name of the file.
     done : dict of int to outcome
         By the index of the point; walks whose line is damaged are repeated.
 
@@ -54,7 +56,7 @@ class Store(Generic[Outcome]):
     def __init__(
         self, path: Path, digest: str, points: Sequence[Point], kind: type[Outcome], *, force: bool = False
     ) -> None:
-        self._path, self.points, self._kind = path, points, kind
+        self._path, self.name, self.points, self._kind = path, path.stem, points, kind
         self.done: dict[int, Outcome] = {}
         head = {"study": digest}
         with self._explained():
@@ -133,8 +135,7 @@ def run(
 ) -> dict[int, Outcome]:
     """Run the walks that are missing in a store, close it, and return all outcomes by the index of their point.
 
-    The order of the walks is random, so that the outcomes of an interrupted study are a fair sample. Ctrl-C stops the
-    study; the outcomes until then are returned and remain in the store.
+    The order of the walks is random, so that the outcomes of an interrupted study are a fair sample.
 
     Parameters
     ----------
@@ -152,7 +153,7 @@ def run(
     ConfigError
         If no scheduler answers.
     StudyError
-        If an outcome cannot be saved.
+        If an outcome cannot be saved, or after Ctrl-C; the outcomes until then remain in the store.
     """
     from joblib import Parallel, delayed
 
@@ -164,6 +165,8 @@ def run(
             store.add(index, outcome)
             if progress is not None:
                 progress(len(store.done), len(store.points), outcome)
+    if (count := len(store.done)) < (total := len(store.points)):
+        raise StudyError(f"interrupted; {count} of {total} {store.name} are saved, the same command continues")
     return dict(sorted(store.done.items()))
 
 

@@ -65,7 +65,7 @@ def walk_all(study: Study, out: Path, *, force: bool = False, **options: Any) ->
     """Run the walks of a study that are missing in a folder, and return the rows of all walks.
 
     The folder has ``walks.jsonl`` and, when all walks are done, ``walks.parquet``. With `force` earlier results are
-    discarded; other options are those of `runner.run`.
+    discarded; other options and errors are those of `runner.run`.
 
     Returns
     -------
@@ -77,8 +77,7 @@ def walk_all(study: Study, out: Path, *, force: bool = False, **options: Any) ->
     store = Store(out / "walks.jsonl", study.digest(), points, Outcome, force=force)
     done = run(functools.partial(walk, study.config, study.seed), store, **options)
     rows = {k: {"walk": k, **points[k], **msgspec.to_builtins(outcome)} for k, outcome in done.items()}
-    if len(rows) == len(points):
-        _write_parquet(list(rows.values()), out / "walks.parquet")
+    _write_parquet(list(rows.values()), out / "walks.parquet")
     return rows
 
 
