@@ -195,6 +195,20 @@ def test_the_history_is_bounded_and_covers_the_whole_walk(trace):
     assert max(np.diff(history.times)) < 1.0
 
 
+def test_curves_begin_anew_with_a_new_walk(trace):
+    page = Page(0)
+    try:
+        page.set_scene(Scene(trace.config, trace.model))
+        moments = Moments(trace)
+        for tick in (0, 100, len(trace) - 1):
+            page.show(moments.at(tick))
+        assert page.history.times == trace.time[[0, 100, -1]].tolist()
+        page.show(moments.at(50))
+        assert page.history.times == [trace.time[50]]
+    finally:
+        page.close()
+
+
 def test_the_page_serves_and_plays(page, player):
     assert page.url.startswith(f"http://{HOST}:")
     with urllib.request.urlopen(page.url, timeout=10) as answer:

@@ -188,6 +188,7 @@ class Page:
 
     def _collect(self, drawing: _Drawing, view: View) -> None:
         if self.history.times and view.moment.time < self.history.times[-1]:  # a new walk
+            self.history = History()
             self._way.clear()
             drawing.forget()
         self.history.add(view)

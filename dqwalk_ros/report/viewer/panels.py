@@ -30,10 +30,8 @@ class History:
         self._step = 0.0
 
     def add(self, view: View) -> None:
-        """Add a view; if time goes back, start again with it."""
+        """Add a view, later than those before."""
         time = view.moment.time
-        if self.times and time < self.times[-1]:
-            self.__init__()  # type: ignore[misc]
         if self.times and time - self.times[-1] < self._step:
             return
         self.times.append(time)
