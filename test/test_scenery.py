@@ -7,15 +7,14 @@ import numpy as np
 
 from dqwalk_ros.config import load
 from dqwalk_ros.plants.mujoco import build
-from dqwalk_ros.report.camera import scenery_of
-from dqwalk_ros.report.scene import Scene
+from dqwalk_ros.report.movie import scenery_of
 from dqwalk_ros.robot import load_model
 
 
 def test_visual_shapes_do_not_affect_the_physics():
     config = load("poppy")
     model = load_model(config.robot)
-    plain, seen = build(config, model), build(config, model, scenery=scenery_of(Scene(config, model)))
+    plain, seen = build(config, model), build(config, model, scenery=scenery_of(config, model))
     assert seen.ngeom > plain.ngeom + 20
     shapes = [seen.geom(k) for k in range(seen.ngeom) if seen.geom(k).name.startswith("shape")]
     assert len(shapes) == seen.ngeom - plain.ngeom
