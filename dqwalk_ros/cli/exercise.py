@@ -8,7 +8,6 @@ from pathlib import Path
 import click
 
 from dqwalk_ros.cli.options import (
-    Output,
     command,
     config_of,
     config_option,
@@ -80,7 +79,7 @@ def exercise(
         known, motors = load_types(made.servo.table), load_motors(made.poppy.motors)
         types = [f"{name}={motor.type}" for name, motor in motors.items() if motor.type in known]
         made = made.updated({"servo.types": types, "servo.p_gain": made.poppy.p_gain or made.servo.p_gain})
-    prepare(Output(out=out, force=force))
+    prepare(out, force=force)
     with Progress(quiet=quiet) as bar:
         if ros or plant == "poppy":
             from dqwalk_ros.runner import run_walk

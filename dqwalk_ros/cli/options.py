@@ -66,10 +66,6 @@ def _formats(_: click.Context, __: click.Parameter, text: str) -> tuple[str, ...
     return formats
 
 
-def _negated(_: click.Context, __: click.Parameter, flag: bool) -> bool:
-    return not flag
-
-
 def config_option(default: str) -> Option:
     """Return the option --config."""
     return click.option("--config", metavar="CONFIG", default=default, help="Name or path of a configuration.")
@@ -189,10 +185,10 @@ class Output:
 
 @dataclass(frozen=True, kw_only=True)
 class Report(Output):
-    """Output of a report: also the file formats of the figures, and whether any are drawn."""
+    """Output of a report: also the file formats of the figures, and whether none are drawn."""
 
     formats: tuple[str, ...]
-    figures: bool
+    no_figures: bool
 
 
 def output_options(default: str | None, shown: str = "") -> Option:
@@ -201,7 +197,7 @@ def output_options(default: str | None, shown: str = "") -> Option:
         folder_option(default, shown),
         *([force_option] if default else []),
         format_option,
-        click.option("--no-figures", "figures", is_flag=True, callback=_negated, help="Draw nothing."),
+        click.option("--no-figures", is_flag=True, help="Draw nothing."),
         quiet_option,
     ]
     return _gathered(Report, "output", options)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["create", "prepare", "write_report", "write_results", "write_study"]
 
 
-def prepare(output: Output) -> None:
+def prepare(folder: Path, *, force: bool) -> None:
     """Create the folder for a walk's results.
 
     Raises
@@ -30,14 +30,14 @@ def prepare(output: Output) -> None:
     BagError
         As `create`, and if the folder contains an earlier walk and --force is not given.
     """
-    bag = output.folder / "bag"
-    if bag.exists() and not output.force:
+    bag = folder / "bag"
+    if bag.exists() and not force:
         raise BagError(f"'{bag}' exists; choose another folder with --out, or replace it with --force")
     if bag.exists() and not any(bag.glob("*.mcap")) and not any(bag.glob("*.db3")):
         raise BagError(f"'{bag}' is not a bag and is not replaced; choose another folder with --out")
     if bag.exists():
         shutil.rmtree(bag)
-    create(output.folder)
+    create(folder)
 
 
 def create(folder: Path) -> None:
@@ -108,7 +108,7 @@ def write_report(
     try:
         (out / "report.json").write_text(text + "\n", encoding="utf-8")
         files = [*more, out / "report.json"]
-        if output.figures:
+        if not output.no_figures:
             with Progress(quiet=as_json or output.quiet) as bar:
                 bar.stage(0.0, "drawing")
                 files += save(drawn, out, output.formats)

@@ -40,7 +40,7 @@ def walk(config: Config, course: tuple[str, ...], plant: str, realtime: bool, ou
     from dqwalk_ros.report import analyse, bag
     from dqwalk_ros.runner import run_walk
 
-    prepare(output)
+    prepare(output.folder, force=output.force)
     with Progress(quiet=output.quiet) as progress:
         outcome = run_walk(
             config,
