@@ -237,7 +237,7 @@ class Series:
     @cached_property
     def com_odom(self) -> Array:
         """Centre of mass in odom [m], shape (N, 3)."""
-        return self._over_spans((3,), lambda span: DQ(span.record.x_odom_base).transform_point(self.com[span.ticks]))
+        return self._by_span(lambda span: DQ(span.record.x_odom_base).transform_point(self.com[span.ticks]))
 
     @cached_property
     def tip_height(self) -> Array:
@@ -333,9 +333,9 @@ class Series:
         starts = [span.start for span in self.spans]
         return np.clip(np.searchsorted(starts, np.arange(len(self.time)), side="right") - 1, 0, None)
 
-    def _over_spans(self, shape: tuple[int, ...], value: Callable[[Span], Array]) -> Array:
-        """Return a series (N, ...) from the values of each phase."""
-        out = np.full((len(self.time), *shape), np.nan)
+    def _by_span(self, value: Callable[[Span], Array]) -> Array:
+        """Return a series of points, shape (N, 3), from those of each phase."""
+        out = np.full((len(self.time), 3), np.nan)
         for span in self.spans:
             out[span.ticks] = value(span)
         return out
@@ -343,9 +343,7 @@ class Series:
     def _of_end_foot(self, pick: Callable[[Sole], Array]) -> Array:
         """Return a point of the other sole in the base sole's frame at every tick, shape (N, 3)."""
         soles = self.trace.model.soles
-        return self._over_spans(
-            (3,), lambda span: DQ(self.end[span.ticks]).transform_point(pick(soles[span.phase.base.other]))
-        )
+        return self._by_span(lambda s: DQ(self.end[s.ticks]).transform_point(pick(soles[s.phase.base.other])))
 
 
 def analyse(trace: Trace) -> Series:
