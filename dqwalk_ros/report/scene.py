@@ -259,7 +259,7 @@ class View:
 
     Attributes
     ----------
-    level, message : str
+    level : str
         Of the `Assessment`.
     bodies : ndarray, shape (B, 8)
         Pose of each body of the model.
@@ -279,7 +279,6 @@ class View:
 
     moment: Moment
     level: str
-    message: str
     bodies: Array
     soles: dict[Foot, Array]
     com: Array
@@ -327,7 +326,6 @@ class Scene:
         return View(
             moment=moment,
             level=found.level,
-            message=found.message,
             bodies=np.array([compose(x, kin.pose(link)) for link in model.links]),
             soles={foot: compose(x, kin.pose(model.soles[foot].frame)) for foot in Foot},
             com=DQ(x).transform_point(kin.com),

@@ -161,7 +161,7 @@ def status_html(view: View, *, steps: int, total: int, note: str) -> str:
     doing = f"the CoM moves over the {foot} foot" if double else f"support on the {foot} foot, the other swings"
     title = escape(kind.replace("_", " "))
     over = moment.label if moment.label in ("finished", "failed", "paused", "idle") else ""
-    badge = _LEVEL.get(view.level, _MUTED)
+    badge = _LEVEL[view.level]
     step = f"{steps} of {total}" if total else str(steps)
     solver = escape(moment.solver) or "not recorded"
     rows = [
