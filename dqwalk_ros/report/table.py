@@ -84,7 +84,7 @@ def numbers(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         lines.append(("true margin", _margin(margin["true"])))
         if "true_urdf_sole" in margin:
             lines.append(("  URDF's own sole", _margin(margin["true_urdf_sole"])))
-    if report.get("physics") is not None:
+    if report["physics"] is not None:
         lines += _physics(report["physics"])
     lines.append(("unit-norm error", f"{walk['unit_norm_error']:.1e}"))
     if (solve := report["solve_time"]) is not None:
@@ -158,5 +158,5 @@ def _verdict(report: Mapping[str, Any]) -> str:
 
 def why(report: Mapping[str, Any]) -> list[str]:
     """Return why the robot fell: a line for the first cause and one for each other; empty if it did not fall."""
-    found = [c["message"] + (f" ({c['parameter']})" if c["parameter"] else "") for c in report.get("causes", [])]
+    found = [c["message"] + (f" ({c['parameter']})" if c["parameter"] else "") for c in report["causes"]]
     return [("it fell because: " if k == 0 else "as well: ") + text for k, text in enumerate(found)]
