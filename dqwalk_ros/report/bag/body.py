@@ -6,7 +6,6 @@ import os
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import to_yaml
@@ -15,6 +14,7 @@ from dqwalk_ros.errors import BagError
 from dqwalk_ros.provenance import to_text
 from dqwalk_ros.report.bag.messages import (
     NS,
+    Stamps,
     aligned,
     at_stamps,
     joint_states,
@@ -36,8 +36,6 @@ from dqwalk_ros.whole_body.scenario import PAPER_TIMES, SCENARIOS, Scenario, Tim
 from dqwalk_ros.whole_body.trace import BodyLog, WholeBodyTrace
 
 __all__ = ["read_body", "write_body"]
-
-Stamps = NDArray[np.int64]
 
 
 # ---------------------------------------------------------------------- writing

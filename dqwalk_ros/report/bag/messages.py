@@ -23,12 +23,13 @@ from dqwalk_ros.report.bag.storage import Column, Source, content_of, typestore
 from dqwalk_ros.text_table import without_numbers
 
 __all__ = [
-    "Fault", "JointStates", "Status", "Table", "aligned", "at_stamps", "diagnostics", "diagnostics_of", "faults",
-    "joint_states", "new", "pack", "pack_joint_states", "pack_poses", "pose_numbers", "pose_of", "serialize", "stamped",
-    "stamps_of", "tables", "text", "texts", "unpack",
+    "NS", "Fault", "JointStates", "Stamps", "Status", "Table", "aligned", "at_stamps", "diagnostics", "diagnostics_of",
+    "faults", "joint_states", "new", "pack", "pack_joint_states", "pack_poses", "pose_numbers", "pose_of", "serialize",
+    "stamped", "stamps_of", "tables", "text", "texts", "unpack",
 ]  # fmt: skip
 
 Stamps = NDArray[np.int64]
+"""Time stamps, shape (N,) [ns]."""
 NS = 1_000_000_000
 """Nanoseconds per second."""
 _DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"

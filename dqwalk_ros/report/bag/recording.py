@@ -13,14 +13,12 @@ from dqwalk_ros import config as configuration
 from dqwalk_ros import provenance
 from dqwalk_ros.config import Config
 from dqwalk_ros.errors import BagError, ConfigError, ModelError, listed
-from dqwalk_ros.report.bag.messages import NS, JointStates, joint_states, texts
+from dqwalk_ros.report.bag.messages import NS, JointStates, Stamps, joint_states, texts
 from dqwalk_ros.report.bag.storage import Column, Content, Source, content_of
 from dqwalk_ros.robot import RobotModel, load_model, parse_model
 from dqwalk_ros.topics import Topic
 
 __all__ = ["Recording", "is_body", "open_recording"]
-
-Stamps = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dqwalk_ros import provenance
 from dqwalk_ros.arrays import Array
@@ -19,6 +18,7 @@ from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.report.bag import messages
 from dqwalk_ros.report.bag.messages import (
     NS,
+    Stamps,
     aligned,
     at_stamps,
     joint_states,
@@ -44,7 +44,6 @@ from dqwalk_ros.walk import PhaseKind, com_target
 
 __all__ = ["read", "read_orientations", "write"]
 
-Stamps = NDArray[np.int64]
 _Messages = tuple[str, Stamps, list[bytes]]
 _CLOCK = 10**18
 """Stamps above this [ns], a time in 2001, are those of a clock; smaller ones are simulated time."""
