@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -23,7 +24,6 @@ from dqwalk_ros.report.figures.style import (
     name_phases,
     new_figure,
     set_time_limits,
-    tone,
 )
 from dqwalk_ros.report.metrics import Series, Span
 
@@ -56,8 +56,15 @@ def _curves(series: Series, double: bool) -> list[tuple[Span, tuple[float, float
         what = f"to the {foot} foot" if double else f"{span.phase.support.other.value} foot swings"
         cycle = f", cycle {i // 2 + 1}" if cycles > 1 else ""
         label = f"{_ordinal(i)} {'DSP' if double else 'SSP'}: {what}{cycle}"
-        out.append((span, tone((BLUE, GREEN)[i % 2], i // 2 * tones // cycles, tones), label))
+        out.append((span, _tone((BLUE, GREEN)[i % 2], i // 2 * tones // cycles, tones), label))
     return out
+
+
+def _tone(color: str, cycle: int, cycles: int) -> tuple[float, float, float]:
+    """Return the colour of a cycle: full for the first one, lighter for later ones."""
+    fade = 0.0 if cycles < 2 else 0.65 * cycle / (cycles - 1)
+    r, g, b = (channel + (1.0 - channel) * fade for channel in to_rgb(color))
+    return r, g, b
 
 
 def _ordinal(i: int) -> str:

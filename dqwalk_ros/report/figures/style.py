@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure  # not pyplot: no global state, no display
 
 from dqwalk_ros.arrays import Array
@@ -30,7 +29,6 @@ __all__ = [
     "name_phases",
     "new_figure",
     "set_time_limits",
-    "tone",
     "write_figure",
 ]
 
@@ -69,12 +67,8 @@ DASHED = (0, (5, 3))
 _MANY = 50
 """Number of phases above which they are not marked over time."""
 
-
-@contextmanager
-def drawing() -> Iterator[None]:
-    """Apply this style within a context or a function, without changing matplotlib's global settings."""
-    with mpl.rc_context(_STYLE):
-        yield
+drawing = partial(mpl.rc_context, _STYLE)
+"""Applies this style within a context or a function, without changing matplotlib's global settings."""
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -106,13 +100,6 @@ def write_figure(figure: Figure, file: Path | BinaryIO, kind: str) -> None:
     with drawing():  # resolution and fonts are read when the figure is saved
         figure.savefig(file, format=kind)
     figure.set_layout_engine("none")  # compute the layout only once
-
-
-def tone(color: str, cycle: int, cycles: int) -> tuple[float, float, float]:
-    """Return the colour of a cycle: full for the first one, lighter for later ones."""
-    fade = 0.0 if cycles < 2 else 0.65 * cycle / (cycles - 1)
-    r, g, b = (channel + (1.0 - channel) * fade for channel in to_rgb(color))
-    return r, g, b
 
 
 def set_time_limits(ax: Axes, series: Series) -> None:
