@@ -15,8 +15,9 @@ from dqwalk_ros import cli
 from dqwalk_ros.adopt.trial import cures
 from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.plants import orientation_of, upward
-from dqwalk_ros.report import analyse, html, report
+from dqwalk_ros.report import analyse, report
 from dqwalk_ros.report.causes import causes
+from dqwalk_ros.report.html import page
 from dqwalk_ros.robot import load_model
 from dqwalk_ros.simulation import Trace, TraceRecorder, closed_loop, make_controller, make_plant, simulate
 from dqwalk_ros.stability import Finding, longest_delay
@@ -117,7 +118,7 @@ def test_the_cause_is_printed_and_in_the_report(tmp_path: Path, capsys: pytest.C
 @pytest.mark.long
 def test_the_cause_is_in_the_html_report(tmp_path: Path) -> None:
     series = analyse(walk({"standing.transfer_duration": 0.5}))
-    html.write([html.Subject("walk", series, report(series), [], [])], tmp_path / "report.html")
+    page.write([page.Subject("walk", series, report(series), [], [])], tmp_path / "report.html")
     assert EXPECTED in (tmp_path / "report.html").read_text()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,12 +11,13 @@ from typing import TYPE_CHECKING
 import click
 
 from dqwalk_ros.cli.options import Report, bag_argument, command, namespace_option, output_options
-from dqwalk_ros.errors import BagError, ConfigError
+from dqwalk_ros.errors import ConfigError
 
 if TYPE_CHECKING:
     from dqwalk_ros.report import Series
     from dqwalk_ros.report.bag.storage import Content
-    from dqwalk_ros.report.html import Subject
+    from dqwalk_ros.report.figures.style import Drawn
+    from dqwalk_ros.report.html.page import Subject
 
 __all__ = ["report"]
 
@@ -49,11 +51,11 @@ def report(
     """
     from dqwalk_ros import report as reporting
     from dqwalk_ros.cli.progress import Progress
-    from dqwalk_ros.cli.results import write_results
+    from dqwalk_ros.cli.results import write_report
     from dqwalk_ros.report import bag as bags
     from dqwalk_ros.report import figures
-    from dqwalk_ros.report import html as pages
     from dqwalk_ros.report.bag.messages import diagnostics_of
+    from dqwalk_ros.report.html import page
 
     output = replace(output, out=output.out or bag.with_name(bag.resolve().name + "_report"))
     quiet = output.quiet or as_json
@@ -70,26 +72,25 @@ def report(
         del content  # it is larger than all series
         bar.stage(0.3, "computing")
         series = reporting.analyse(trace)
-        other = _other(compare, namespace) if compare else None
-        drawn = None
-        if html or other:
+        found = reporting.report(series)
+        drawn: Iterable[Drawn] = figures.drawn(series)
+        subjects = []
+        if html or compare:
+            others = [_other(compare, namespace)] if compare else []
             bar.stage(0.7, "drawing")
-            drawn = list(figures.drawn(series))
-    found = write_results(series, output, as_json=as_json, drawn=drawn)
+            drawn = list(drawn)
+            subjects = [page.Subject(_name(bag), series, found, statuses, drawn), *others]
+    write_report(output, found, reporting.render(found), drawn, as_json=as_json)
     extra = []
-    try:
-        if drawn is not None:
-            extra.append(output.folder / "report.html")
-            subjects = [pages.Subject(_name(bag), series, found, statuses, drawn), *([other] if other else [])]
-            with Progress(quiet=quiet) as bar:
-                bar.stage(0.0, "writing the page")
-                pages.write(subjects, extra[-1])
-        if csv:
-            extra.append(_csv(series, output.folder))
-    except OSError as error:
-        raise BagError(f"cannot write to '{output.folder}': {error.strerror or error}") from error
+    if subjects:
+        extra.append(output.folder / "report.html")
+        with Progress(quiet=quiet) as bar:
+            bar.stage(0.0, "writing the page")
+            page.write(subjects, extra[0])
+    if csv:
+        extra.append(_csv(series, output.folder))
     if extra and not quiet:
-        print("wrote " + ", ".join(str(file) for file in extra))
+        print("wrote " + ", ".join(map(str, extra)))
     return 0 if found["ok"] else 1
 
 
@@ -128,13 +129,14 @@ def _body(bag: Content, namespace: str | None, output: Report, *, html: bool, as
 def _other(path: Path, namespace: str | None) -> Subject:
     """Return the walk to be compared."""
     from dqwalk_ros import report as reporting
-    from dqwalk_ros.report import bag, figures, html
+    from dqwalk_ros.report import bag, figures
     from dqwalk_ros.report.bag.messages import diagnostics_of
+    from dqwalk_ros.report.html.page import Subject
 
     content = bag.content_of(path)
     series = reporting.analyse(bag.read(content, namespace=namespace))
     drawn = list(figures.drawn(series))
-    return html.Subject(_name(path), series, reporting.report(series), diagnostics_of(content), drawn)
+    return Subject(_name(path), series, reporting.report(series), diagnostics_of(content), drawn)
 
 
 def _name(path: Path) -> str:

@@ -94,7 +94,9 @@ def write_report(
     Raises
     ------
     BagError
-        If the folder or a file cannot be written.
+        If the folder cannot be created.
+    OSError
+        If a file cannot be written.
     """
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.report.figures.style import save
@@ -105,26 +107,20 @@ def write_report(
     elif table and not output.quiet:
         print(table)
     create(out)
-    try:
-        (out / "report.json").write_text(text + "\n", encoding="utf-8")
-        files = [*more, out / "report.json"]
-        if not output.no_figures:
-            with Progress(quiet=as_json or output.quiet) as bar:
-                bar.stage(0.0, "drawing")
-                files += save(drawn, out, output.formats)
-    except OSError as error:
-        raise BagError(f"cannot write to '{out}': {error.strerror or error}") from error
+    (out / "report.json").write_text(text + "\n", encoding="utf-8")
+    files = [*more, out / "report.json"]
+    if not output.no_figures:
+        with Progress(quiet=as_json or output.quiet) as bar:
+            bar.stage(0.0, "drawing")
+            files += save(drawn, out, output.formats)
     if not (as_json or output.quiet):
         print("wrote " + ", ".join(map(str, files)))
 
 
-def write_results(
-    series: Series, output: Report, *, as_json: bool = False, drawn: Iterable[Drawn] | None = None
-) -> dict[str, Any]:
-    """Write and print the report of a walk of phases and its figures, `drawn` if given, and return the report."""
+def write_results(series: Series, output: Report) -> dict[str, Any]:
+    """Write and print the report of a walk of phases and its figures as `write_report`, and return the report."""
     from dqwalk_ros.report import figures
 
     found = reporting.report(series)
-    table = "" if as_json or output.quiet else reporting.render(found)
-    write_report(output, found, table, figures.drawn(series) if drawn is None else drawn, as_json=as_json)
+    write_report(output, found, reporting.render(found), figures.drawn(series))
     return found
