@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dqwalk_ros.cli.options import command, quiet_option
+from dqwalk_ros.cli.options import bag_argument, command, quiet_option
 
 if TYPE_CHECKING:
     from dqwalk_ros.identification.fit import Identified
@@ -33,7 +33,7 @@ examples:
 then:
   dqwalk replay exercise/bag --params mine.yaml         compare a robot with these servos with the recording
 """)
-@click.argument("bag", metavar="BAG", type=click.Path(path_type=Path))
+@bag_argument
 @click.option(
     "--mass",
     metavar="KG",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from dqwalk_ros.cli.options import (
+    Many,
     Numbers,
     Report,
     command,
@@ -148,7 +149,6 @@ def _tests(config: Config, output: Report, plant: str, scenarios: Sequence[Scena
 
 def _pushes(config: Config, output: Report, plant: str, when: float, exact: float, jobs: int) -> int:
     """Find the largest push survived in every direction and write the results; return the exit code."""
-    from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import write_report
     from dqwalk_ros.report.figures.studies import pushes_figure
     from dqwalk_ros.report.figures.style import Drawn
@@ -157,17 +157,9 @@ def _pushes(config: Config, output: Report, plant: str, when: float, exact: floa
     from dqwalk_ros.whole_body.preview import Stepping
 
     plants = ("physics", "rigid") if plant == "both" else (plant,)
-    with Progress(quiet=output.quiet) as bar:
-        found = torso_pushes.limits(
-            config,
-            output.folder,
-            plants,
-            when=when,
-            exact=exact,
-            force=output.force,
-            jobs=jobs,
-            progress=lambda count, total, _: bar(count / total, f"{count} of {total} directions"),
-        )
+    many = Many(out=output.out, force=output.force, quiet=output.quiet, jobs=jobs, scheduler=None)
+    with many.options("directions") as options:
+        found = torso_pushes.limits(config, output.folder, plants, when=when, exact=exact, **options)
     by_plant = {plant: [one for one in found if one.moment == plant] for plant in plants}
     swing = Stepping.of(config).swing(when)
     stands = "on both feet" if swing is None else f"on the {swing.foot.other.value} foot"

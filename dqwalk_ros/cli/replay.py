@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import click
-
-from dqwalk_ros.cli.options import command, params_option, quiet_option
+from dqwalk_ros.cli.options import bag_argument, command, params_option, quiet_option
 
 __all__ = ["replay"]
 
@@ -24,7 +22,7 @@ examples:
   dqwalk replay exercise/bag
   dqwalk replay exercise/bag --params mine.yaml
 """)
-@click.argument("bag", metavar="BAG", type=click.Path(path_type=Path))
+@bag_argument
 @params_option
 @quiet_option
 def replay(bag: Path, params: tuple[Path, ...], quiet: bool) -> int:
