@@ -11,7 +11,7 @@ import numpy as np
 
 from dqwalk_ros.report.figures.reaching import drawn
 from dqwalk_ros.report.html.page import bad, figures, heading, origin_table, replay, table, write_page
-from dqwalk_ros.report.html.replay import FRAMES, packed, walk_data
+from dqwalk_ros.report.html.replay import FRAMES, walk_data
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.whole_body.demands import Demand
 from dqwalk_ros.whole_body.preview import Stepping
@@ -25,6 +25,8 @@ _CURVES = {
     "cop_margin": ("CoP, left to the edge", "mm", 1e3),
     "friction": ("friction, left to the pyramid", "% m g", 100.0),
 }
+_HAND, _TARGET = (0.12, 0.37, 0.71), (0.82, 0.14, 0.18)
+"""Colours of the balls at the hand and at its target."""
 _ROUNDING = 1e-6
 """Margins smaller than this are shown as zero, because a limit that is reached is not violated."""
 
@@ -97,10 +99,8 @@ def body_replay_data(walked: WholeBodyTrace) -> dict[str, Any]:
         if known.any():
             exact = np.where(np.abs(values) < _ROUNDING, 0.0, values)
             curves[name] = unit, scale * np.where(known, exact, np.nan)
-    found = walk_data(
+    return walk_data(
         walked.config, model, walked.time[rows] - began, walked.q[rows], walked.x_base[rows], walked.com[rows],
         [(when, foot, place + model.soles[foot].corners) for when, foot, place in stands],
-        phases, curves, [""] * len(rows),
+        phases, curves, [""] * len(rows), [(_HAND, walked.hand[rows]), (_TARGET, walked.target[rows])],
     )  # fmt: skip
-    points = (("hand", [0.12, 0.37, 0.71], walked.hand), ("target", [0.82, 0.14, 0.18], walked.target))
-    return found | {"points": [{"name": name, "color": color, "v": packed(v[rows])} for name, color, v in points]}

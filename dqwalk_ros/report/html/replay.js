@@ -169,7 +169,7 @@
       Object.assign(this, d);
       for (const k of ["t", "q", "root", "com"]) this[k] = floats(d[k]);
       this.curves = d.curves.map((c) => ({ ...c, v: floats(c.v) }));
-      this.points = (d.points || []).map((p) => ({ ...p, v: floats(p.v) }));
+      this.points = d.points.map((p) => ({ ...p, v: floats(p.v) }));
       this.tightAt = Uint8Array.from(atob(d.tight.at), (c) => c.charCodeAt(0));
       this.end = this.t[this.t.length - 1];
     }

@@ -17,7 +17,7 @@ from dqwalk_ros.report.metrics import Series
 from dqwalk_ros.report.scene import BodyShape, Moments, Scene, shapes_of, tightest
 from dqwalk_ros.robot import Foot, RobotModel
 
-__all__ = ["FRAMES", "packed", "replay_data", "robot_data", "walk_data"]
+__all__ = ["FRAMES", "replay_data", "robot_data", "walk_data"]
 
 FRAMES = 2400
 """Number of frames of a walk; the replay interpolates between them."""
@@ -65,6 +65,7 @@ def walk_data(
     phases: Sequence[tuple[float, str, bool, Foot]],
     curves: Mapping[str, tuple[str, Array]],
     tight: Sequence[str],
+    points: Sequence[tuple[tuple[float, float, float], Array]] = (),
 ) -> dict[str, Any]:
     """Return plain data for `replay.js`; arrays of numbers as base64 of little-endian float32.
 
@@ -78,17 +79,20 @@ def walk_data(
     curves : mapping of str to (unit, ndarray of shape (N,))
     tight : sequence of str
         Name of the curve that is marked in each frame.
+    points : sequence of (color, ndarray of shape (N, 3))
+        Further points that are drawn as balls: red, green and blue from 0 to 1, and positions [m], nan where absent.
     """
     names = list(dict.fromkeys(tight))
     return {
         **robot_data(config, model),
-        "t": packed(time),
-        "q": packed(q),
-        "root": packed(np.concatenate([DQ(x_root).translation(), x_root[:, :4]], axis=1)),
-        "com": packed(com),
+        "t": _packed(time),
+        "q": _packed(q),
+        "root": _packed(np.concatenate([DQ(x_root).translation(), x_root[:, :4]], axis=1)),
+        "com": _packed(com),
         "prints": [{"t": t, "foot": foot.value, "c": [_rounded(c) for c in corners]} for t, foot, corners in prints],
         "phases": [{"name": name, "t": t, "double": both, "base": base.value} for t, name, both, base in phases],
-        "curves": [{"name": name, "unit": unit, "v": packed(v)} for name, (unit, v) in curves.items()],
+        "curves": [{"name": name, "unit": unit, "v": _packed(v)} for name, (unit, v) in curves.items()],
+        "points": [{"color": color, "v": _packed(v)} for color, v in points],
         "tight": {"names": names, "at": base64.b64encode(bytes(names.index(name) for name in tight)).decode()},
     }
 
@@ -101,7 +105,6 @@ def robot_data(config: Config, model: RobotModel) -> dict[str, Any]:
         corners = [_rounded(DQ(frame.pose).transform_point(c)) for c in model.soles[foot].corners]
         soles[foot.value] = {"b": frame.body, "corners": corners}
     return {
-        "robot": model.name,
         "bodies": [
             {"parent": b.parent, "joint": b.joint, **_pose(b.origin), "axis": _rounded(b.axis)} for b in model.bodies
         ],
@@ -117,7 +120,7 @@ def robot_data(config: Config, model: RobotModel) -> dict[str, Any]:
 def _size(shape: BodyShape) -> dict[str, Any]:
     if shape.vertices is None or shape.faces is None:
         return {"s": list(shape.size)}
-    return {"s": [1.0, 1.0, 1.0], "v": packed(shape.vertices), "f": packed(shape.faces, "<u4")}
+    return {"s": [1.0, 1.0, 1.0], "v": _packed(shape.vertices), "f": _packed(shape.faces, "<u4")}
 
 
 def _pose(x: Array) -> dict[str, list[float]]:
@@ -129,6 +132,6 @@ def _rounded(values: Array) -> list[float]:
     return [round(float(v), _DIGITS) for v in values]
 
 
-def packed(values: NDArray[Any], kind: str = "<f4") -> str:
+def _packed(values: NDArray[Any], kind: str = "<f4") -> str:
     """Return numbers as base64 of little-endian float32, or of another type."""
     return base64.b64encode(np.ascontiguousarray(values, kind).tobytes()).decode()
