@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 import numpy as np
 
@@ -27,9 +26,9 @@ from dqwalk_ros.report.bag.messages import (
     tables,
     text,
 )
-from dqwalk_ros.report.bag.recording import open_recording
+from dqwalk_ros.report.bag.recording import Recording, open_recording
 from dqwalk_ros.report.bag.storage import Column, Source, write_columns
-from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.robot import Foot
 from dqwalk_ros.topics import BODY_REQUIRED, BODY_TOPICS, ODOM
 from dqwalk_ros.whole_body.controller import BodyState
 from dqwalk_ros.whole_body.scenario import PAPER_TIMES, SCENARIOS, Scenario, Timed
@@ -93,14 +92,14 @@ def _when(timed: tuple[Timed, ...], stamps: Stamps) -> Stamps:
 def read_body(source: Source, *, namespace: str | None = None) -> BodyLog:
     """Read a recorded whole-body walk, whichever program recorded it; see `walk.read` for parameters and errors."""
     bag = open_recording(source, namespace, BODY_TOPICS, BODY_REQUIRED)
-    path, model, columns, notes = bag.path, bag.model, bag.columns, bag.notes
+    columns, notes = bag.columns, bag.notes
     joints, rows, stamps = bag.states, bag.rows, bag.stamps
     poses, twists = aligned(columns["base_pose"], stamps, 7), aligned(columns["base_twist"], stamps, 6)
-    efforts = _efforts(path, model, columns["joint_effort_commands"], stamps, notes)
+    efforts = _efforts(bag)
     everything = np.hstack([joints.position[rows], joints.velocity[rows], poses, twists, efforts])
     whole = np.isfinite(everything).all(axis=1)
     if not whole.any():
-        raise BagError(f"'{path}': no state has joints, pose, twist and torques with one stamp")
+        raise BagError(f"'{bag.path}': no state has joints, pose, twist and torques with one stamp")
     if left_out := int(np.count_nonzero(~whole)):
         notes.append(f"{left_out} states are incomplete or have no command, and are left out")
     stamps, rows, poses, twists, efforts = stamps[whole], rows[whole], poses[whole], twists[whole], efforts[whole]
@@ -117,7 +116,7 @@ def read_body(source: Source, *, namespace: str | None = None) -> BodyLog:
     pushed = [(stamp, place) for stamp, place in _places(columns.get("push_applied")) if begin <= stamp <= end]
     pushes = tuple(((stamp - begin) / NS, impulse) for stamp, impulse in pushed)
     scenario = _named(Scenario("recorded walk", len(stamps) * bag.config.dt, targets, pushes))
-    return BodyLog(bag.config, model, scenario, states, efforts, wrenches, tuple(notes), bag.origin)
+    return BodyLog(bag.config, bag.model, scenario, states, efforts, wrenches, tuple(notes), bag.origin)
 
 
 def _places(column: Column | None) -> list[tuple[int, tuple[float, float, float]]]:
@@ -131,18 +130,17 @@ def _places(column: Column | None) -> list[tuple[int, tuple[float, float, float]
     return sorted(found, key=lambda one: one[0])
 
 
-def _efforts(path: Path, model: RobotModel, column: Column, stamps: Stamps, notes: list[str]) -> Array:
+def _efforts(bag: Recording) -> Array:
     """Return the torques (N, n) [N m] of each stamp, nan where none were sent; of several, the first."""
-    commands = joint_states(column, model.joint_names)
+    names = bag.model.joint_names
+    commands = joint_states(bag.columns["joint_effort_commands"], names)
     finite = np.isfinite(commands.effort).all(axis=1)
     if not finite.any():
-        lack = [
-            n for n, torques in zip(model.joint_names, commands.effort.T, strict=True) if not np.isfinite(torques).all()
-        ]
-        raise BagError(f"'{path}': joint_effort_commands lack numbers of {', '.join(lack)}")
+        lack = [n for n, torques in zip(names, commands.effort.T, strict=True) if not np.isfinite(torques).all()]
+        raise BagError(f"'{bag.path}': joint_effort_commands lack numbers of {', '.join(lack)}")
     if refused := int(np.count_nonzero(~finite)):
-        notes.append(f"{refused} torque commands are incomplete or not finite, and are left out")
-    return at_stamps(stamps, commands.stamps[::-1], commands.effort[::-1])[0]
+        bag.notes.append(f"{refused} torque commands are incomplete or not finite, and are left out")
+    return at_stamps(bag.stamps, commands.stamps[::-1], commands.effort[::-1])[0]
 
 
 def _named(scenario: Scenario) -> Scenario:

@@ -80,7 +80,7 @@ def open_recording(
     content = content_of(source)
     path, notes = content.path, list(content.notes)
     wanted = {name: topic.type for name, topic in topics.items() if name != "diagnostics"}
-    columns = _columns_of(path, content, namespace, wanted, required)
+    columns = _columns_of(content, namespace, wanted, required)
     try:
         config, tuned = _configurations(texts(columns["walk_config"]), f"{path} walk_config")
     except ConfigError as error:
@@ -113,7 +113,7 @@ def _configurations(found: Sequence[str], source: str) -> tuple[Config, dict[int
 
 
 def _columns_of(
-    path: Path, content: Content, namespace: str | None, wanted: Mapping[str, str], required: Sequence[str]
+    content: Content, namespace: str | None, wanted: Mapping[str, str], required: Sequence[str]
 ) -> dict[str, Column]:
     """Return the columns of one namespace by the names in `dqwalk_ros.topics`."""
     found: dict[str, set[str]] = {}
@@ -127,7 +127,8 @@ def _columns_of(
         prefix = max(sorted(found), key=lambda key: len(found[key] & set(required)), default="")
         whole = [key for key, names in found.items() if names >= set(required)]
         if len(whole) > 1:
-            raise BagError(f"'{path}' holds the walks of {len(whole)} robots; choose a namespace: {listed(whole)}")
+            choose = f"choose a namespace: {listed(whole)}"
+            raise BagError(f"'{content.path}' holds the walks of {len(whole)} robots; {choose}")
     columns = {
         name: column
         for name, kind in wanted.items()
@@ -136,7 +137,8 @@ def _columns_of(
     missing = [f"{prefix}/{name}".strip("/") for name in required if name not in columns]
     if missing:
         have = listed(content.topics) or "none"
-        raise BagError(f"'{path}' is not a walk: it has no messages on {', '.join(missing)}; its topics are {have}")
+        lack = f"it has no messages on {', '.join(missing)}; its topics are {have}"
+        raise BagError(f"'{content.path}' is not a walk: {lack}")
     return columns
 
 

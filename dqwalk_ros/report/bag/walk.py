@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 
@@ -191,8 +190,8 @@ def read(source: Source, *, namespace: str | None = None) -> Trace:
         If the bag cannot be read, lacks a required topic, or is that of another robot.
     """
     bag = open_recording(source, namespace, TOPICS, REQUIRED)
-    path, model, columns, notes, stamps = bag.path, bag.model, bag.columns, bag.notes, bag.stamps
-    starts = _starts(path, model, columns, notes)
+    path, model, notes, stamps = bag.path, bag.model, bag.notes, bag.stamps
+    starts = _starts(bag)
     q = bag.states.position[bag.rows]
     walking = stamps >= min(starts)
     whole = ~(~(np.abs(q) < _FARTHEST)).any(axis=1)  # false for nan
@@ -206,9 +205,9 @@ def read(source: Source, *, namespace: str | None = None) -> Trace:
     if bad := int(np.count_nonzero(walking & ~whole)):
         notes.append(f"{bad} states without a number for every joint are left out")
     stamps, q = stamps[walking & whole], q[walking & whole]
-    u = _commands(path, model, stamps, columns["joint_velocity_commands"], notes)
+    u = _commands(bag, stamps)
     unanswered = np.flatnonzero(np.isnan(u).any(axis=1))
-    last_phase = texts(columns["phase"])[-1]
+    last_phase = texts(bag.columns["phase"])[-1]
     if last_phase in (FAILED, FALLEN):
         notes.append("the walk failed: a phase could not end by its rule")
     if last_phase == FINISHED and len(unanswered) < len(u):  # states after the end of the walk are omitted
@@ -228,7 +227,7 @@ def read(source: Source, *, namespace: str | None = None) -> Trace:
         finished=last_phase == FINISHED,
         notes=tuple(notes),
         origin=bag.origin,
-        physics=_physics(stamps, columns, bag),
+        physics=_physics(bag, stamps),
         epoch=epoch,
     )
 
@@ -251,11 +250,12 @@ _UNIT = 0.01
 # ---------------------------------------------------------------------- phases
 
 
-def _starts(path: Path, model: RobotModel, columns: Mapping[str, Column], notes: list[str]) -> dict[int, PhaseRecord]:
+def _starts(bag: Recording) -> dict[int, PhaseRecord]:
     """Return the record of every phase by its stamp [ns], in order, still without tick, pose in odom and changes.
 
     Published names are assigned to the starts in the order of both.
     """
+    path, model, columns = bag.path, bag.model, bag.columns
     names = [name for name in texts(columns["phase"]) if "/" in name]
     begun = joint_states(columns["phase_start"], model.joint_names)
     if not names or not len(begun.stamps):
@@ -270,7 +270,7 @@ def _starts(path: Path, model: RobotModel, columns: Mapping[str, Column], notes:
     in_order = len(names) == len(begun.stamps) == len(columns["phase_start"].raws) and None not in known
     if None in known:
         strange = ascii(names[known.index(None)])[:60]
-        notes.append(f"unknown phase {strange}: phases are identified by their base sole and swing target")
+        bag.notes.append(f"unknown phase {strange}: phases are identified by their base sole and swing target")
     found: dict[int, PhaseRecord] = {}
     for i, stamp in enumerate(begun.stamps.tolist()):
         base, q, target = feet[begun.frames[i]], begun.position[i], targets.get(stamp)
@@ -311,12 +311,12 @@ def _swing_targets(column: Column | None) -> dict[int, Array]:
     return out
 
 
-def _first_base(model: RobotModel, column: Column | None, stamp: int, start: PhaseRecord) -> Array:
+def _first_base(bag: Recording, stamp: int, start: PhaseRecord) -> Array:
     """Return the pose of the first phase's base sole in odom: the origin, unless the recording started later."""
-    (recorded,) = pose_of(aligned(column, np.array([stamp]), 7))
+    (recorded,) = pose_of(aligned(bag.columns.get("base_pose"), np.array([stamp]), 7))
     if not _is_pose(recorded):
         return start.x_odom_base
-    x = (DQ(recorded) * DQ(Kinematics(model, start.q_start, start.base).pose(model.pelvis)).conj()).vec8()
+    x = (DQ(recorded) * DQ(Kinematics(bag.model, start.q_start, start.base).pose(bag.model.pelvis)).conj()).vec8()
     one = start.x_odom_base
     return one if min(np.abs(x - one).max(), np.abs(x + one).max()) < _SAME_POSE else x
 
@@ -333,7 +333,7 @@ def _records(bag: Recording, starts: Mapping[int, PhaseRecord], stamps: Stamps, 
     """
     model, out = bag.model, list[PhaseRecord]()
     first = min(starts)
-    x_odom_base = _first_base(model, bag.columns.get("base_pose"), first, starts[first])
+    x_odom_base = _first_base(bag, first, starts[first])
     for stamp, start in starts.items():
         if out and out[-1].base is not start.base:
             step = Kinematics(model, start.q_start, out[-1].base).pose(model.soles[start.base].frame)
@@ -355,21 +355,23 @@ def _records(bag: Recording, starts: Mapping[int, PhaseRecord], stamps: Stamps, 
 # ---------------------------------------------------------------------- commands and physics
 
 
-def _commands(path: Path, model: RobotModel, stamps: Stamps, column: Column, notes: list[str]) -> Array:
+def _commands(bag: Recording, stamps: Stamps) -> Array:
     """Return the velocity commanded for each state, shape (N, n); nan for a state without a command."""
-    commands = joint_states(column, model.joint_names)
-    if missing := [name for name in model.joint_names if name not in commands.named]:
-        raise BagError(f"'{path}': joint_velocity_commands lack {', '.join(missing)}")
+    names = bag.model.joint_names
+    commands = joint_states(bag.columns["joint_velocity_commands"], names)
+    if missing := [name for name in names if name not in commands.named]:
+        raise BagError(f"'{bag.path}': joint_velocity_commands lack {', '.join(missing)}")
     u, stray = at_stamps(stamps, commands.stamps, commands.velocity)
     if stray:
-        notes.append(f"{stray} commands answer a state that is not in the bag")
+        bag.notes.append(f"{stray} commands answer a state that is not in the bag")
     if wrong := int(np.count_nonzero(~np.isfinite(commands.velocity).all(axis=1))):
-        notes.append(f"{wrong} commands are not finite")
+        bag.notes.append(f"{wrong} commands are not finite")
     return u
 
 
-def _physics(stamps: Stamps, columns: Mapping[str, Column], bag: Recording) -> PhysicsRecord | None:
+def _physics(bag: Recording, stamps: Stamps) -> PhysicsRecord | None:
     """Return the record of a walk in physics, nan where a message is missing; None for a walk without physics."""
+    columns = bag.columns
     if "true_base_pose" not in columns:
         return None
     imu, pose = (aligned(columns.get(name), stamps, width) for name, width in (("imu", 37), ("true_base_pose", 7)))
