@@ -27,7 +27,7 @@ from dqwalk_ros.adopt.parameters import (
     whole_body_parameters,
 )
 from dqwalk_ros.adopt.posture import over_one_foot, stand
-from dqwalk_ros.adopt.skeleton import Entry, Skeleton
+from dqwalk_ros.adopt.skeleton import Entry
 from dqwalk_ros.config import Config, RobotConfig, load
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ModelError
@@ -40,8 +40,6 @@ __all__ = ["Adoption", "Finding", "adopt", "changed", "check", "table", "write_d
 
 _CROUCH = 0.91
 """Distance of hip and ankle as a fraction of the straight leg, for the longer steps of the whole-body controller."""
-_CLEARANCE = 0.02
-"""Half of the least gap between the soles, as a fraction of the leg length."""
 _HEAVIEST = 5000.0
 """Largest mass divided by the cube of the leg length [kg/m^3]; that of a robot is about 30 to 300."""
 
@@ -147,9 +145,8 @@ def adopt(
         sole_width=float(f"{sole.width:.4g}"),
     )
     model = parse_model(text, robot)
-    width = _sole_distance(urdf, anatomy)
     progress(0.3, "finding its postures")
-    standing = stand(model, anatomy, width)
+    standing = stand(model, anatomy)
     single = [over_one_foot(model, anatomy, standing, foot) for foot in Foot]
     deviation = max(error for _, error in single)
     if deviation > 0.25 * sole.width + 0.005:
@@ -283,14 +280,13 @@ def _add_soles(urdf: Urdf, anatomy: Anatomy) -> dict[Foot, str]:
 
 def _whole_body(urdf: Urdf, text: str, robot: RobotConfig, numbers: Numbers) -> list[Entry]:
     """Return the parameters of the whole-body controller, which also moves the waist and the arms."""
-    anatomy, chain = numbers.anatomy, Skeleton(urdf).chain
-    arms = {foot: tuple(j for j in chain[hand] if j not in anatomy.waist) for foot, hand in anatomy.hands.items()}
-    legs = {joint for leg in anatomy.legs.values() for joint in leg}
-    lock = _lock(urdf, legs | set(anatomy.waist) | {joint for arm in arms.values() for joint in arm})
+    anatomy = numbers.anatomy
+    limbs = (*anatomy.legs.values(), anatomy.waist, *anatomy.arms.values())
+    lock = _lock(urdf, {joint for limb in limbs for joint in limb})
     model = parse_model(text, replace(robot, lock=lock))
-    standing = stand(model, anatomy, numbers.apart, bent=_CROUCH)
+    standing = stand(model, anatomy, bent=_CROUCH)
     about = robot_entries(model, anatomy, lock, "legs, waist and arms")
-    return [*about, *whole_body_parameters(model, standing, numbers, arms)]
+    return [*about, *whole_body_parameters(model, standing, numbers)]
 
 
 def _lock(urdf: Urdf, free: set[str]) -> tuple[str, ...]:
@@ -298,16 +294,6 @@ def _lock(urdf: Urdf, free: set[str]) -> tuple[str, ...]:
     locked = [joint for joint in urdf.joints.values() if joint.moves and joint.name not in free and not joint.mimic]
     angles = {joint.name: min(max(0.0, joint.lower), joint.upper) for joint in locked}
     return tuple(name if not angle else f"{name}={angle:.6g}" for name, angle in angles.items())
-
-
-def _sole_distance(urdf: Urdf, anatomy: Anatomy) -> float:
-    """Return the lateral distance of the soles [m]: that of the zero posture, limited to a range without collisions."""
-    skeleton = Skeleton(urdf)
-    y = [float((skeleton.pose(sole.link) * sole.pose).translation()[1]) for sole in anatomy.soles.values()]
-    hips = [float(skeleton.place(leg[0])[1]) for leg in anatomy.legs.values()]
-    apart, hip = abs(y[0] - y[1]), abs(hips[0] - hips[1])
-    least = anatomy.soles[Foot.LEFT].width + 2.0 * _CLEARANCE * anatomy.leg
-    return float(f"{max(least, min(apart, max(1.5 * hip, least))):.4g}")
 
 
 def _mass_evidence(n: Numbers) -> list[Entry]:

@@ -33,6 +33,8 @@ _TOUCHES = 0.006
 """Largest difference of the lowest points of two bodies that both touch the ground, as a fraction of the height."""
 _ASYMMETRY = 0.02
 """Tolerance of the symmetry of left and right joints, as a fraction of the length of a leg."""
+_CLEARANCE = 0.02
+"""Half of the least gap between the soles, as a fraction of the leg length."""
 
 
 @dataclass(frozen=True)
@@ -53,10 +55,15 @@ class Anatomy:
         Links; `imu` is empty if no link is named like an inertial sensor.
     hands : dict of Foot to str
         Links at the ends of the arms; empty for a robot without arms.
+    arms : dict of Foot to tuple of str
+        Joints from the torso to the hand; empty for a robot without arms.
     waist : tuple of str
         Joints between the pelvis and the torso.
     leg : float
         Height of the hips above the soles [m].
+    apart : float
+        Lateral distance of the soles' centres when standing [m]: that of the zero posture, limited to a range without
+        collisions.
     evidence : tuple of Entry
         The values above, with their sources.
     """
@@ -69,8 +76,10 @@ class Anatomy:
     torso: str
     imu: str
     hands: dict[Foot, str]
+    arms: dict[Foot, tuple[str, ...]]
     waist: tuple[str, ...]
     leg: float
+    apart: float
     evidence: tuple[Entry, ...]
 
 
@@ -270,7 +279,9 @@ def _anatomy(
     hands, torso_body = _find_hands(skeleton, {*one, *two}, pelvis_body)
     torso = skeleton.heaviest(torso_body)
     waist = tuple(joint for joint in skeleton.way(torso_body) if joint not in skeleton.way(pelvis_body))
+    arms = {foot: tuple(joint for joint in skeleton.chain[hand] if joint not in waist) for foot, hand in hands.items()}
     imu = _find_imu(skeleton, pelvis_body, torso_body)
+    height = float(hip[2] - ground)
     chosen = "given by --left and --right" if named else "the chains that mirror each other and reach the ground"
     evidence = [
         Entry("legs", f"{' '.join(one)} | {' '.join(two)}", chosen),
@@ -286,9 +297,20 @@ def _anatomy(
         else Entry("inertial sensor", pelvis, "pelvis: no link is named like an inertial sensor", "guess"),
     ]
     return Anatomy(
-        yaw @ up, legs, kinds, soles, pelvis, torso, imu, hands, waist, float(hip[2] - ground),
-        tuple(entry for entry in evidence if entry.value),
+        yaw @ up, legs, kinds, soles, pelvis, torso, imu, hands, arms, waist, height,
+        _sole_distance(skeleton, legs, soles, height), tuple(entry for entry in evidence if entry.value),
     )  # fmt: skip
+
+
+def _sole_distance(
+    skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]], soles: dict[Foot, FoundSole], leg: float
+) -> float:
+    """Return the lateral distance of the soles' centres when standing [m]; `leg` is the leg length [m]."""
+    y = [float((skeleton.pose(sole.link) * sole.pose).translation()[1]) for sole in soles.values()]
+    hips = [float(skeleton.place(joints[0])[1]) for joints in legs.values()]
+    apart, hip = abs(y[0] - y[1]), abs(hips[0] - hips[1])
+    least = soles[Foot.LEFT].width + 2.0 * _CLEARANCE * leg
+    return float(f"{max(least, min(apart, max(1.5 * hip, least))):.4g}")
 
 
 def _bare_ends(skeleton: Skeleton, points: Points, pair: tuple[str, str]) -> str:

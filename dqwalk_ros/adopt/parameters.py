@@ -86,24 +86,14 @@ class Numbers:
         return leg_inertia(self.model, Kinematics(self.model, self.standing.q, Foot.LEFT))
 
     @property
-    def leg(self) -> float:
-        """Height of the hips above the soles [m]."""
-        return self.anatomy.leg
-
-    @property
     def width(self) -> float:
         """Width of a sole [m]."""
         return self.model.soles[Foot.LEFT].width
 
     @property
-    def apart(self) -> float:
-        """Lateral distance of the soles' centres [m]."""
-        return self.standing.width
-
-    @property
     def step(self) -> float:
         """Step length: 0.09 of a leg, in whole millimetres [m]."""
-        return math.floor(0.09 * self.leg * 1e3 + 1e-6) / 1e3
+        return math.floor(0.09 * self.anatomy.leg * 1e3 + 1e-6) / 1e3
 
     @property
     def stiffness(self) -> float:
@@ -128,7 +118,7 @@ class Numbers:
         distance is 0.6 of the half width that the margin leaves.
         """
         half = max(0.5 * self.width - self.margin, 1e-3)
-        needed = math.sqrt(5.78 * self.apart * self.height / (GRAVITY * 0.6 * half))
+        needed = math.sqrt(5.78 * self.anatomy.apart * self.height / (GRAVITY * 0.6 * half))
         return math.ceil(10.0 * max(SHORTEST, needed) - 1e-6) / 10.0
 
 
@@ -163,21 +153,20 @@ def _posture(model: RobotModel, standing: Standing, between: str) -> list[str]:
 
 def paper_parameters(numbers: Numbers) -> list[Entry]:
     """Return the parameters of the walk of Urban & Adorno."""
+    anatomy = numbers.anatomy
     return [
         Entry("gait.style", "paper", "Urban & Adorno"),
         Entry("gait.step_length", numbers.step, "0.09 of a leg"),
-        Entry("gait.step_width", rounded(numbers.apart, 4), "distance of the soles"),
-        Entry("dsp.sliding_radius", rounded(0.1 * numbers.leg), "0.1 of a leg"),
+        Entry("gait.step_width", rounded(anatomy.apart, 4), "distance of the soles"),
+        Entry("dsp.sliding_radius", rounded(0.1 * anatomy.leg), "0.1 of a leg"),
         Entry(
-            "ssp.com_radius", rounded(max(0.5 * numbers.width, 0.6 * numbers.apart)), "reached before the feet slide"
+            "ssp.com_radius", rounded(max(0.5 * numbers.width, 0.6 * anatomy.apart)), "reached before the feet slide"
         ),
         Entry("pelvis.height", rounded(0.7 * numbers.standing.pelvis), "0.7 of the standing height"),
     ]
 
 
-def whole_body_parameters(
-    model: RobotModel, standing: Standing, numbers: Numbers, arms: dict[Foot, tuple[str, ...]]
-) -> list[Entry]:
+def whole_body_parameters(model: RobotModel, standing: Standing, numbers: Numbers) -> list[Entry]:
     """Return the parameters of the whole-body controller [Sherikov et al.].
 
     Lengths are those of the paper's robot, whose CoM is 0.73 m high, scaled with the height of the CoM, and times with
@@ -196,19 +185,19 @@ def whole_body_parameters(
         Entry("whole_body.posture", _posture(model, standing, ": "), "soles level, knees bent by 9 % of the leg"),
         Entry(
             "whole_body.free",
-            [*anatomy.legs[Foot.LEFT], *anatomy.legs[Foot.RIGHT], *arms[Foot.RIGHT]],
+            [*anatomy.legs[Foot.LEFT], *anatomy.legs[Foot.RIGHT], *anatomy.arms[Foot.RIGHT]],
             "legs and right arm, which have separate tasks",
         ),
         Entry("whole_body.interval", interval, "as the paper's robot, scaled by the square root of the CoM's height"),
         Entry("whole_body.single_support", rounded(7.0 * interval), "seven intervals"),
         Entry("whole_body.double_support", interval, "one interval"),
         Entry("whole_body.first_double_support", rounded(3.0 * interval), "three intervals"),
-        Entry("whole_body.feet_distance", rounded(numbers.apart, 4), "distance of the soles in the posture"),
+        Entry("whole_body.feet_distance", rounded(anatomy.apart, 4), "distance of the soles in the posture"),
         Entry("whole_body.cop_length", rounded(0.6 * numbers.model.soles[Foot.LEFT].length), "0.6 of the sole"),
         Entry("whole_body.cop_width", rounded(0.5 * numbers.width), "half of the sole"),
         Entry("whole_body.step_length", rounded(0.2 * size), scaled),
-        Entry("whole_body.step_width_min", rounded(numbers.apart, 4), "distance of the soles in the posture"),
-        Entry("whole_body.step_width_max", rounded(numbers.apart + 0.11 * size, 4), scaled),
+        Entry("whole_body.step_width_min", rounded(anatomy.apart, 4), "distance of the soles in the posture"),
+        Entry("whole_body.step_width_max", rounded(anatomy.apart + 0.11 * size, 4), scaled),
         Entry("whole_body.step_height", rounded(0.07 * size), scaled),
         Entry("whole_body.hand_weight", 2.0, "twice that of the paper's robot: other arms are heavier", "guess"),
         Entry("whole_body.effort", rounded(float(most.max()) if most.size else 150.0), "largest limit of the URDF"),
@@ -218,7 +207,7 @@ def whole_body_parameters(
 def parameters(numbers: Numbers) -> list[Entry]:
     """Return the parameters of the standing walk, whose stiffness, damping and duration follow from `numbers`."""
     n, model, anatomy, standing = numbers, numbers.model, numbers.anatomy, numbers.standing
-    small = min(1.0, n.leg / 0.4)
+    small = min(1.0, anatomy.leg / 0.4)
     steps = max(10, math.ceil(0.6 / n.step))
     swing = 1.5
     speed = float(np.min([3.0, *model.velocity_max[np.isfinite(model.velocity_max)]]))
@@ -229,11 +218,13 @@ def parameters(numbers: Numbers) -> list[Entry]:
         Entry("gait.style", "standing", "the CoM stays over the true soles"),
         Entry("gait.steps", steps, "more than half a metre"),
         Entry("gait.step_length", n.step, "0.09 of a leg, within the reach of the legs"),
-        Entry("gait.step_width", rounded(n.apart, 4), "distance of the soles in the posture"),
-        Entry("gait.step_height", rounded(min(max(0.04 * n.leg, 0.008), 0.03)), "0.04 of a leg"),
+        Entry("gait.step_width", rounded(anatomy.apart, 4), "distance of the soles in the posture"),
+        Entry("gait.step_height", rounded(min(max(0.04 * anatomy.leg, 0.008), 0.03)), "0.04 of a leg"),
         Entry("gait.most_length", rounded(1.2 * n.step), "longest step commanded by cmd_vel"),
         Entry(
-            "gait.most_side", rounded(0.04 * n.leg) if roll else 0.0, "the ankles roll" if roll else "no ankle rolls"
+            "gait.most_side",
+            rounded(0.04 * anatomy.leg) if roll else 0.0,
+            "the ankles roll" if roll else "no ankle rolls",
         ),
         Entry("gait.most_turn", 0.1 if yaw else 0.0, "the hips yaw" if yaw else "no hip yaws"),
         Entry("gait.phase_timeout", rounded(4.0 * max(n.transfer, swing) + 4.0), "four times a phase"),
@@ -254,7 +245,7 @@ def parameters(numbers: Numbers) -> list[Entry]:
         Entry("standing.com_threshold", rounded(0.005 * small), "5 mm, less for a short leg"),
         Entry("standing.swing_threshold", rounded(0.003 * small), "3 mm, less for a short leg"),
         Entry("standing.saturation", rounded(0.03 * small), "3 cm, less for a short leg"),
-        Entry("standing.lever", rounded(0.5 * n.leg), "half a leg"),
+        Entry("standing.lever", rounded(0.5 * anatomy.leg), "half a leg"),
         Entry("standing.balance", 1.0, "as for every robot", "default"),
         Entry("joints.eta", 5.0, "as for every robot", "default"),
         Entry("joints.velocity", rounded(speed), "3 rad/s, or the slowest joint"),
@@ -284,12 +275,13 @@ def dynamic_parameters(numbers: Numbers, damping: float) -> list[Entry]:
     They are those of ``config/poppy_dynamic.yaml``, with lengths scaled by the leg and times by its square root;
     `damping` is ``servo.damping`` [s].
     """
-    size = numbers.leg / REFERENCE
+    anatomy = numbers.anatomy
+    size = anatomy.leg / REFERENCE
     slow = math.sqrt(size)
     single, double = rounded(0.4 * slow, 2), rounded(0.1 * slow, 2)
-    speed = FROUDE * math.sqrt(GRAVITY * numbers.leg)
+    speed = FROUDE * math.sqrt(GRAVITY * anatomy.leg)
     step = rounded(speed * (single + double), 2)
-    roll = "R" in numbers.anatomy.kinds[-2:]
+    roll = "R" in anatomy.kinds[-2:]
     time, length = "as Poppy, scaled by the square root of the leg", "as Poppy, scaled by the leg"
     return [
         Entry("gait.style", "dynamic", "steps of a fixed duration, adjusted to the divergent component of motion"),

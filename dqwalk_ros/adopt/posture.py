@@ -36,8 +36,6 @@ class Standing:
     ----------
     q : ndarray, shape (n,)
         Joint angles [rad].
-    width : float
-        Lateral distance of the soles' centres [m].
     com : ndarray, shape (3,)
         CoM in the axes of the left sole, relative to the point halfway between both soles [m].
     pelvis : float
@@ -49,22 +47,19 @@ class Standing:
     """
 
     q: Array
-    width: float
     com: Array
     pelvis: float
     error: float
     knee: float
 
 
-def stand(model: RobotModel, anatomy: Anatomy, width: float, bent: float = _BENT) -> Standing:
+def stand(model: RobotModel, anatomy: Anatomy, bent: float = _BENT) -> Standing:
     """Find the standing posture, with the knees in front of the legs if there is such a posture.
 
     Parameters
     ----------
     model : RobotModel
         Model with the soles of `anatomy`, whose root link has x forward and z up.
-    width : float
-        Lateral distance of the soles' centres [m].
     bent : float
         Distance of hip and ankle as a fraction of the straight leg.
 
@@ -78,13 +73,13 @@ def stand(model: RobotModel, anatomy: Anatomy, width: float, bent: float = _BENT
     for joints in anatomy.legs.values():
         pitch = list(_pitch(model, joints, anatomy))
         bend[pitch] = np.array([-0.3, 0.6, -0.3]) * signs[pitch]
-    found = [_solve(model, anatomy, width, bent, way * bend) for way in (1.0, -1.0)]
+    found = [_solve(model, anatomy, bent, way * bend) for way in (1.0, -1.0)]
     good = [one for one in found if one.error < _LEAST * max(anatomy.leg, 0.2)]
     if not good:
         best = min(found, key=lambda one: one.error)
         raise ModelError(
-            f"no posture was found with both soles level, {1e3 * width:.0f} mm apart, and the CoM over their middle: "
-            f"the error of the best posture is {1e3 * best.error:.1f} mm"
+            f"no posture was found with both soles level, {1e3 * anatomy.apart:.0f} mm apart, and the CoM over their "
+            f"middle: the error of the best posture is {1e3 * best.error:.1f} mm"
         )
     # prefer knees in front of the legs, then the smaller angles
     return max(good, key=lambda one: (one.knee > 0.0, -float(np.abs(one.q).sum())))
@@ -92,8 +87,8 @@ def stand(model: RobotModel, anatomy: Anatomy, width: float, bent: float = _BENT
 
 def over_one_foot(model: RobotModel, anatomy: Anatomy, standing: Standing, foot: Foot) -> tuple[Array, float]:
     """Return a posture (n,) [rad] with the CoM over one sole and both soles level, and its largest error [m]."""
-    y = 0.0 if foot is Foot.LEFT else -standing.width
-    best = _solve(model, anatomy, standing.width, _BENT, standing.q, com=(0.0, y), free_pelvis=True)
+    y = 0.0 if foot is Foot.LEFT else -anatomy.apart
+    best = _solve(model, anatomy, _BENT, standing.q, com=(0.0, y), free_pelvis=True)
     return best.q, best.error
 
 
@@ -109,7 +104,6 @@ def _pitch(model: RobotModel, joints: Sequence[str], anatomy: Anatomy) -> tuple[
 def _solve(
     model: RobotModel,
     anatomy: Anatomy,
-    width: float,
     bent: float,
     start: Array,
     com: tuple[float, float] | None = None,
@@ -123,10 +117,10 @@ def _solve(
         straight[foot] = float(np.linalg.norm(b - a) + np.linalg.norm(c - b))
     margin = np.minimum(_MARGIN, 0.1 * (model.q_max - model.q_min))
     low, high = model.q_min + margin, model.q_max - margin
-    wanted = (0.0, -0.5 * width) if com is None else com
+    wanted = (0.0, -0.5 * anatomy.apart) if com is None else com
     right = model.soles[Foot.RIGHT].frame
     lever = _LEVER * anatomy.leg
-    place = np.array([0.0, -width, 0.0])
+    place = np.array([0.0, -anatomy.apart, 0.0])
     rest = start if free_pelvis else np.zeros(model.n)
 
     def constraints(q: Array) -> Array:
@@ -153,7 +147,7 @@ def _solve(
             lambda x, q0=q: np.concatenate([constraints(x), 1e-4 * (x - q0)]), q, bounds=(low, high), max_nfev=50
         ).x
     kin = Kinematics(model, q, Foot.LEFT)
-    middle = np.array([0.0, 0.5 * width, 0.0])
+    middle = np.array([0.0, 0.5 * anatomy.apart, 0.0])
     knees = []
     for leg in legs.values():
         a, b, c = map(kin.point, leg)
@@ -161,7 +155,6 @@ def _solve(
         knees.append(b[0] - (c[0] + share * (a[0] - c[0])))
     return Standing(
         q=q,
-        width=width,
         com=kin.com + middle,
         pelvis=float(kin.point(model.pelvis)[2]),
         error=float(np.abs(constraints(q)).max()),
