@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import pathlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.packages import find_package_file
@@ -63,6 +65,7 @@ class Shapes:
     def __init__(self, urdf: Urdf, near: pathlib.Path, places: tuple[pathlib.Path, ...] = ()) -> None:
         self._links, self._near, self._places = urdf.links, near, places
         self.missing: dict[str, str] = {}
+        self._hulls: dict[tuple[str, str], Array | None] = {}
 
     def file(self, mesh: str) -> pathlib.Path | None:
         """Return the path of a mesh; None if it is not found."""
@@ -82,6 +85,25 @@ class Shapes:
         link = self._links[name]
         found = (self.surface(link, shape) for shape in getattr(link, which))
         return [surface for surface in found if surface is not None]
+
+    def hulls(self, names: Sequence[str]) -> tuple[dict[str, Array], str]:
+        """Return the corners (N, 3) of the convex hulls of some links in their frames [m], and of which surfaces.
+
+        These are the ``collisions``, or, if none of the links has any, the ``visuals``; links without are left out.
+        """
+        for which in ("collisions", "visuals"):
+            found = {name: corners for name in names if (corners := self._hull(name, which)) is not None}
+            if found:
+                return found, which
+        return {}, ""
+
+    def _hull(self, name: str, which: str) -> Array | None:
+        """Return the corners of the convex hull of a link's surfaces; None if there are none."""
+        key = name, which
+        if key not in self._hulls:
+            found = [surface.vertices for surface in self.of(name, which)]
+            self._hulls[key] = _corners(np.concatenate(found)) if found else None
+        return self._hulls[key]
 
     def surface(self, link: Link, shape: Shape) -> Surface | None:
         """Return a shape of a link as triangles; None if its mesh is not available, for the reason in `missing`."""
@@ -105,6 +127,15 @@ class Shapes:
         if not np.isfinite(vertices).all():
             return None
         return Surface(shape.origin.pose.transform_point(vertices), faces, shape.color, what)
+
+
+def _corners(points: Array) -> Array:
+    """Return the corners (M, 3) of the convex hull of points (N, 3), or all points if they span no volume."""
+    try:
+        corners: Array = points[ConvexHull(points).vertices]
+        return corners
+    except (QhullError, ValueError):
+        return points
 
 
 _MOST = 60_000

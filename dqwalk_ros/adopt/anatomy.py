@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dqwalk_ros.adopt.skeleton import Entry, Points, Skeleton
+from dqwalk_ros.adopt.skeleton import Entry, Skeleton
 from dqwalk_ros.adopt.soles import FoundSole, find_soles, foot_links, plane_below
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.errors import ModelError
@@ -101,8 +101,7 @@ def find_anatomy(
     ModelError
         If the robot is not a biped that stands on flat soles.
     """
-    points = Points(shapes)
-    plain = Skeleton(urdf)
+    plain = Skeleton(urdf, shapes)
     if len(plain.joints) < 6:
         raise ModelError(f"the robot is not a biped: it has only {len(plain.joints)} revolute joints")
     for name in (left, right):
@@ -110,15 +109,15 @@ def find_anatomy(
             raise ModelError(f"there is no link '{name}'; the links are {', '.join(urdf.links)}")
     problem: ModelError | None = None
     for up in _UPS:
-        skeleton = Skeleton(urdf, up)
+        skeleton = plain.turned(up)
         try:
-            pair = _find_legs(skeleton, points, (left, right))
+            pair = _find_legs(skeleton, (left, right))
         except ModelError as error:
             problem = problem or error  # report the error for z up
             continue
-        if problem is not None and not _stands(skeleton, points, pair):
+        if problem is not None and not _stands(skeleton, pair):
             continue
-        return _anatomy(urdf, points, skeleton, pair, forward, bool(left and right))
+        return _anatomy(skeleton, pair, forward, bool(left and right))
     assert problem is not None
     raise problem
 
@@ -128,10 +127,10 @@ _UPS = tuple(np.array(rows) for rows in ((_X, _Y, _Z), (_Z, _X, _Y), (_Y, _Z, _X
 """Rotations (3, 3) that make an axis of the root link vertical: z first (REP-103), then the others."""
 
 
-def _stands(skeleton: Skeleton, points: Points, pair: tuple[str, str]) -> bool:
+def _stands(skeleton: Skeleton, pair: tuple[str, str]) -> bool:
     """Return whether legs found for another vertical axis than z carry the robot: level feet, the CoM above them."""
     for ankle in pair:
-        found, _ = points.of(skeleton, foot_links(skeleton, ankle))
+        found, _ = skeleton.points(foot_links(skeleton, ankle))
         if found is None or plane_below(found)[0][2] < 1.0:
             return False
     feet = 0.5 * (skeleton.place(pair[0]) + skeleton.place(pair[1]))
@@ -143,7 +142,7 @@ def _stands(skeleton: Skeleton, points: Points, pair: tuple[str, str]) -> bool:
 # ---------------------------------------------------------------------- legs
 
 
-def _find_legs(skeleton: Skeleton, points: Points, given: tuple[str, str]) -> tuple[str, str]:
+def _find_legs(skeleton: Skeleton, given: tuple[str, str]) -> tuple[str, str]:
     """Return the last joints of the two legs."""
     if all(given):
         a, b = (skeleton.body(link) for link in given)
@@ -152,10 +151,10 @@ def _find_legs(skeleton: Skeleton, points: Points, given: tuple[str, str]) -> tu
                 f"'{given[0]}' and '{given[1]}' cannot be the feet: they are not the ends of two chains of joints"
             )
         return a, b
-    places = {body: points.of(skeleton, links)[0] for body, links in skeleton.bodies.items()}
+    places = {body: skeleton.points(links)[0] for body, links in skeleton.bodies.items()}
     lowest = {body: float(p[:, 2].min()) for body, p in places.items() if p is not None}
     if not lowest.keys() & skeleton.joints.keys():
-        how = f"{points.lacking}: give --package-path" if points.lacking else ": give --left and --right"
+        how = f"{skeleton.lacking}: give --package-path" if skeleton.lacking else ": give --left and --right"
         raise ModelError(f"no moving part has a shape that can be read, so the soles are unknown{how}")
     floor = min(lowest.values())
     top = max(skeleton.pose(link).translation()[2] for link in skeleton.urdf.links)
@@ -252,25 +251,24 @@ def _is_below_body(skeleton: Skeleton, legs: tuple[tuple[str, ...], tuple[str, .
 # ---------------------------------------------------------------------- the rest of the robot
 
 
-def _anatomy(
-    urdf: Urdf, points: Points, skeleton: Skeleton, pair: tuple[str, str], forward: str, named: bool
-) -> Anatomy:
+def _anatomy(skeleton: Skeleton, pair: tuple[str, str], forward: str, named: bool) -> Anatomy:
+    urdf = skeleton.urdf
     one, two = _branches(skeleton, *pair)
-    bare = _bare_ends(skeleton, points, pair)
+    bare = _bare_ends(skeleton, pair)
     if len(one) < 4:
         raise ModelError(
             f"this biped has only {len(one)} joints in a leg, too few to keep the soles flat on the ground in a walk"
             + bare
         )
     up = skeleton.pose(urdf.root).rotation_matrix()  # from the root's axes to axes with z up
-    yaw, one, two, ahead = _find_forward(skeleton, points, one, two, forward)
-    skeleton = Skeleton(urdf, yaw @ up)
+    yaw, one, two, ahead = _find_forward(skeleton, one, two, forward)
+    skeleton = skeleton.turned(yaw @ up)
     legs = {Foot.LEFT: one, Foot.RIGHT: two}
     kinds = "".join("RPY"[int(np.argmax(np.abs(skeleton.axis(joint))))] for joint in one)
     if bare and kinds.count("P") < 3:
         raise ModelError(f"the legs end at '{one[-1]}' and '{two[-1]}', without hip, knee and ankle{bare}")
     hip, ankle = (0.5 * (skeleton.place(one[k]) + skeleton.place(two[k])) for k in (0, -1))
-    soles = find_soles(skeleton, points, legs, float(hip[2] - ankle[2]))
+    soles = find_soles(skeleton, legs, float(hip[2] - ankle[2]))
     toes = tuple(j for leg in legs.values() for j in skeleton.joints if leg[-1] in skeleton.way(j)[:-1])
     ground = float(np.mean([(skeleton.pose(s.link) * s.pose).translation()[2] for s in soles.values()]))
     pelvis_body = skeleton.body(urdf.joints[one[0]].parent)
@@ -313,12 +311,12 @@ def _sole_distance(
     return float(f"{max(least, min(apart, max(1.5 * hip, least))):.4g}")
 
 
-def _bare_ends(skeleton: Skeleton, points: Points, pair: tuple[str, str]) -> str:
+def _bare_ends(skeleton: Skeleton, pair: tuple[str, str]) -> str:
     """Return the end of an error message that names the links without a shape below the joints `pair`, or ``""``."""
     ends = []
     for last in pair:
         below = [body for body in skeleton.joints if last in skeleton.way(body)[:-1]]
-        if below and all(points.of(skeleton, skeleton.bodies[body])[0] is None for body in below):
+        if below and all(skeleton.points(skeleton.bodies[body])[0] is None for body in below):
             ends.append(repr(skeleton.heaviest(max(below, key=lambda body: len(skeleton.way(body))))))
     have = "has" if len(ends) == 1 else "have"
     return f": {' and '.join(ends)} below {have} no shape; add a box as <collision>" if ends else ""
@@ -341,7 +339,6 @@ def _is_left_of(a: str, b: str) -> bool:
 
 def _find_forward(
     skeleton: Skeleton,
-    points: Points,
     one: tuple[str, ...],
     two: tuple[str, ...],
     forward: str,
@@ -356,7 +353,7 @@ def _find_forward(
     votes = [  # > 0: `one` is the left leg
         (3.0 * _side_vote(skeleton, one, two), "the names of left and right"),
         (2.0 * _knee_vote(skeleton, one, two, ahead), "the direction in which the knees bend"),
-        (_length_vote(skeleton, points, one, two, ahead), "the feet, which are longer in front of the ankle"),
+        (_length_vote(skeleton, one, two, ahead), "the feet, which are longer in front of the ankle"),
         (1.5 * round(usual) * (abs(usual) > 0.9), "x of the root link (REP-103)"),
     ]
     if forward:
@@ -414,11 +411,11 @@ def _knee_vote(skeleton: Skeleton, one: Sequence[str], two: Sequence[str], ahead
     return out if abs(out) == 1.0 else 0.0
 
 
-def _length_vote(skeleton: Skeleton, points: Points, one: Sequence[str], two: Sequence[str], ahead: Array) -> float:
+def _length_vote(skeleton: Skeleton, one: Sequence[str], two: Sequence[str], ahead: Array) -> float:
     """Return a vote in [-1, 1]: positive if the feet are longer in front of the ankles, 0 if there is no difference."""
     reach = []
     for leg in (one, two):
-        found, _ = points.of(skeleton, foot_links(skeleton, leg[-1]))
+        found, _ = skeleton.points(foot_links(skeleton, leg[-1]))
         if found is None:
             return 0.0
         low = found[found[:, 2] < found[:, 2].min() + 0.02]

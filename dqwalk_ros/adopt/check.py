@@ -90,14 +90,11 @@ def _lowest(config: Config, model: RobotModel) -> Iterator[Finding]:
         frame = model.frames[sole.frame]
         to_sole = DQ(frame.pose).conj()
         links = [name for name, other in model.frames.items() if other.body == frame.body]
-        for which in ("collisions", "visuals"):
-            found = [
-                (to_sole * DQ(model.frames[name].pose)).transform_point(surface.vertices)[:, 2].min()
-                for name in links
-                for surface in shapes.of(name, which)
-            ]
-            if found:
-                break
+        hulls, _ = shapes.hulls(links)
+        found = [
+            (to_sole * DQ(model.frames[name].pose)).transform_point(corners)[:, 2].min()
+            for name, corners in hulls.items()
+        ]
         unread = next((f"'{mesh}' {why}" for mesh, why in shapes.missing.items()), "")
         if not found and unread:
             text = f"no shape of the {foot.value} foot can be read, so its sole is not checked: {unread}"

@@ -1,4 +1,4 @@
-"""Poses of the links, joints and surfaces of a robot in the zero posture."""
+"""Links, joints and surfaces of a robot in the zero posture."""
 
 from __future__ import annotations
 
@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.shapes import Shapes
 from dqwalk_ros.urdf import Urdf
 
-__all__ = ["Entry", "Points", "Skeleton"]
+__all__ = ["Entry", "Skeleton"]
 
 
 @dataclass(frozen=True)
@@ -39,13 +38,15 @@ class Entry:
 
 
 class Skeleton:
-    """Poses of the links and joints in the zero posture.
+    """Links, joints and surfaces of a robot in the zero posture.
 
     Parameters
     ----------
     urdf : Urdf
+    shapes : Shapes
+        The shapes of its links.
     turn : ndarray, shape (3, 3), optional
-        Rotation from the axes of the root link to the axes of all poses.
+        Rotation from the axes of the root link to the axes of all poses and points.
 
     Attributes
     ----------
@@ -57,8 +58,8 @@ class Skeleton:
         Links that are rigidly connected, by the last joint that moves them; ``""`` for those of the root.
     """
 
-    def __init__(self, urdf: Urdf, turn: Array | None = None) -> None:
-        self.urdf = urdf
+    def __init__(self, urdf: Urdf, shapes: Shapes, turn: Array | None = None) -> None:
+        self.urdf, self._shapes = urdf, shapes
         coupled = _coupled(urdf)
         self.joints = {
             joint.name: joint
@@ -77,6 +78,10 @@ class Skeleton:
                 self.chain[joint.child] = chain
                 self.bodies.setdefault(chain[-1] if chain else "", []).append(joint.child)
                 waiting.append(joint.child)
+
+    def turned(self, turn: Array) -> Skeleton:
+        """Return the skeleton with the rotation `turn` (3, 3) from the axes of the root link."""
+        return Skeleton(self.urdf, self._shapes, turn)
 
     def pose(self, link: str) -> DQ:
         """Return the pose of a link."""
@@ -113,6 +118,18 @@ class Skeleton:
         parts = [link.mass * self._pose[link.name].transform_point(link.com) for link in links]
         return sum(parts, np.zeros(3)) / total if total else np.zeros(3)
 
+    def points(self, links: Sequence[str]) -> tuple[Array | None, str]:
+        """Return points (N, 3) [m] of some links, and whether of their ``collisions`` or else of their ``visuals``."""
+        hulls, which = self._shapes.hulls(links)
+        found = [self.pose(link).transform_point(corners) for link, corners in hulls.items()]
+        return (np.concatenate(found) if found else None), which
+
+    @property
+    def lacking(self) -> str:
+        """Text for messages that names a mesh that could not be read; empty if all were read."""
+        missing = self._shapes.missing
+        return f" (mesh '{next(iter(missing))}' {next(iter(missing.values()))})" if missing else ""
+
 
 def _coupled(urdf: Urdf) -> set[str]:
     """Return the joints that another limb mimics, which cannot move independently of it."""
@@ -129,46 +146,3 @@ def _coupled(urdf: Urdf) -> set[str]:
         for joint in joints
         if joint.mimic and joint.mimic not in above(joint.child) and sum(joint.name in way for way in moving) > 1
     }
-
-
-class Points:
-    """Points on the surfaces of the links, in the axes of a skeleton."""
-
-    def __init__(self, shapes: Shapes) -> None:
-        self._shapes = shapes
-        self._known: dict[tuple[str, str], Array | None] = {}
-
-    @property
-    def lacking(self) -> str:
-        """Text for messages that names a mesh that could not be read; empty if all were read."""
-        missing = self._shapes.missing
-        return f" (mesh '{next(iter(missing))}' {next(iter(missing.values()))})" if missing else ""
-
-    def of_link(self, link: str, which: str) -> Array | None:
-        """Return points (N, 3) of a link in its frame [m]; None if it has no shape."""
-        key = (link, which)
-        if key not in self._known:
-            found = [surface.vertices for surface in self._shapes.of(link, which)]
-            self._known[key] = _hull(np.concatenate(found)) if found else None
-        return self._known[key]
-
-    def of(self, skeleton: Skeleton, links: Sequence[str]) -> tuple[Array | None, str]:
-        """Return points (N, 3) [m] of some links, and whether of their ``collisions`` or else of their ``visuals``."""
-        for which in ("collisions", "visuals"):
-            found = []
-            for link in links:
-                points = self.of_link(link, which)
-                if points is not None:
-                    found.append(skeleton.pose(link).transform_point(points))
-            if found:
-                return np.concatenate(found), which
-        return None, ""
-
-
-def _hull(points: Array) -> Array:
-    """Return the corners (M, 3) of the convex hull of points (N, 3), or the points themselves if they have none."""
-    try:
-        corners: Array = points[ConvexHull(points).vertices]
-        return corners
-    except (QhullError, ValueError):
-        return points

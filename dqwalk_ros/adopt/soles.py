@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from dqwalk_ros.adopt.skeleton import Points, Skeleton
+from dqwalk_ros.adopt.skeleton import Skeleton
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ModelError
@@ -60,9 +60,7 @@ def foot_links(skeleton: Skeleton, ankle: str) -> list[str]:
     return [link for link, chain in skeleton.chain.items() if ankle in chain]
 
 
-def find_soles(
-    skeleton: Skeleton, points: Points, legs: dict[Foot, tuple[str, ...]], leg: float
-) -> dict[Foot, FoundSole]:
+def find_soles(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]], leg: float) -> dict[Foot, FoundSole]:
     """Return the soles, of equal size on both sides.
 
     The axes of the skeleton are x forward and z up, `legs` are the joints from hip to ankle, `leg` is their length [m].
@@ -72,12 +70,12 @@ def find_soles(
     ModelError
         If a foot has no shape, or is too small for a flat sole.
     """
-    found = {foot: _sole(skeleton, points, joints[-1], leg) for foot, joints in legs.items()}
+    found = {foot: _sole(skeleton, joints[-1], leg) for foot, joints in legs.items()}
     for foot, sole in found.items():
         if min(sole.length, sole.width) < _LEAST_SOLE * leg:
             raise ModelError(
                 f"this biped stands on points or edges: its {foot.value} sole is {1e3 * sole.length:.0f} x "
-                f"{1e3 * sole.width:.0f} mm, but the walk requires flat soles{points.lacking}"
+                f"{1e3 * sole.width:.0f} mm, but the walk requires flat soles{skeleton.lacking}"
             )
     if not _mirrored(skeleton, legs, found):
         why = "; the soles do not mirror each other"
@@ -96,12 +94,12 @@ def _mirrored(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]], found: dict
     return bool(max(abs(left.length - right.length), abs(left.width - right.width), *np.abs(place)) < _MIRRORED)
 
 
-def _sole(skeleton: Skeleton, points: Points, ankle: str, leg: float) -> FoundSole:
+def _sole(skeleton: Skeleton, ankle: str, leg: float) -> FoundSole:
     links = foot_links(skeleton, ankle)
-    p, which = points.of(skeleton, links)
+    p, which = skeleton.points(links)
     foot = skeleton.joints[ankle].child
     if p is None:
-        raise ModelError(f"the foot '{foot}' has no shape that can be read, so its sole is unknown{points.lacking}")
+        raise ModelError(f"the foot '{foot}' has no shape that can be read, so its sole is unknown{skeleton.lacking}")
     normal, level = plane_below(p)
     near = p[(p - level) @ normal < min(_FLAT, 0.02 * leg)]
     x = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
