@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -150,22 +149,18 @@ _WARM_PHASES = 5
 
 
 def closed_loop(
-    controller: Any,
-    plant: Any,
+    controller: VelocityController,
+    plant: Plant,
     before_step: Callable[[float], None] | None = None,
-    is_over: Callable[[Any, Any], bool] | None = None,
-) -> Iterator[tuple[Any, Any]]:
+) -> Iterator[tuple[State, Command]]:
     """Run the closed loop, and yield each state with its command, until the walk is finished or the robot has fallen.
 
     Parameters
     ----------
-    controller : VelocityController or WholeBodyController
-    plant : Plant or BodyPlant
-        `Plant` for joint velocities, `BodyPlant` for joint torques, according to the controller.
+    controller : VelocityController
+    plant : Plant
     before_step : callable, optional
         Called before each step with the time since the start [s]; it may steer, stop or push.
-    is_over : callable, optional
-        Called after each step of the plant with the state before it and the command; the loop ends if it returns true.
 
     Raises
     ------
@@ -183,8 +178,6 @@ def closed_loop(
         if controller.finished or plant.fallen:
             return
         plant.step(command, dt)
-        if is_over is not None and is_over(state, command):
-            return
 
 
 _REPORT_EVERY = 0.1

@@ -156,6 +156,9 @@ def test_the_command_reach(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert report[0]["ok"]
     assert cli.main([*arguments, "--out", str(out)]) == 1
     assert "--force" in capsys.readouterr().err
+    short = ["reach", "--test", "1", "--duration", "0.001", "--out", str(out), "--force", "--quiet"]
+    assert cli.main(short) == 1
+    assert "ended before its first tick: it is shorter than one" in capsys.readouterr().err
     assert cli.main(["reach", "--target", "0.5", "--out", str(out), "--force"]) == 2
     assert "3 numbers separated by commas" in capsys.readouterr().err
     assert cli.main(["reach", "--set", "whole_body.hand=nothing", "--out", str(tmp_path / "new")]) == 2

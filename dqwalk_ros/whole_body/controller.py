@@ -125,8 +125,6 @@ class WholeBodyController:
         m g [N].
     stepping : Stepping
     point_mass : PointMass
-    finished : bool
-        Always False: a whole-body walk has no end.
 
     Raises
     ------
@@ -135,8 +133,6 @@ class WholeBodyController:
     ConfigError
         If ``whole_body.posture`` has an invalid entry.
     """
-
-    finished = False
 
     def __init__(
         self,

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.errors import ConfigError, DqwalkError
-from dqwalk_ros.provenance import here
 from dqwalk_ros.robot import Foot, RobotModel, load_model
-from dqwalk_ros.simulation import closed_loop
 from dqwalk_ros.whole_body.controller import BodyCommand, BodyState, WholeBodyController
 from dqwalk_ros.whole_body.rigid_plant import BodyPlant, RigidPlant
 from dqwalk_ros.whole_body.scenario import Scenario
@@ -61,40 +60,33 @@ def follow(
     DqwalkError
         If the walk ends before the first control period.
     """
-    rows, note, begin = Collector(controller, scenario), "", plant.state.time
-    ticks = round(scenario.duration / controller.config.dt)
+    dt, begin, rows, note = controller.config.dt, plant.state.time, Collector(controller, scenario), ""
     targets, pushes = sorted(scenario.targets), sorted(scenario.pushes)
-    jumps: list[Array | None] = []  # the previous target, if the target jumps in this period
-
-    def before_step(now: float) -> None:
-        before, jumped = controller.target, False
-        while targets and targets[0][0] <= now + 1e-9:
-            controller.reach(targets.pop(0)[1])
-            jumped = now > 0.0
-        jumps[:] = [before] if jumped else []
-        while pushes and pushes[0][0] <= now + 1e-9:
-            plant.push(pushes.pop(0)[1])
-
-    def is_over(state: BodyState, command: BodyCommand) -> bool:
-        rows.add(state, plant.effort, plant.wrenches)
-        return len(rows) == ticks
-
-    now = 0.0
     try:
-        for state, _ in closed_loop(controller, plant, before_step, is_over):
-            now = state.time - begin
-            rows.reactions += [_reaction(now, controller, before) for before in jumps]
+        for _ in range(round(scenario.duration / dt)):
+            now = plant.state.time - begin
+            before, jumped = controller.target, False
+            while targets and targets[0][0] <= now + 1e-9:
+                controller.reach(targets.pop(0)[1])
+                jumped = now > 0.0
+            while pushes and pushes[0][0] <= now + 1e-9:
+                plant.push(pushes.pop(0)[1])
+            state = plant.state
+            command = controller.step(state, dt)
+            if jumped:
+                rows.reactions.append(_reaction(now, controller, before))
             if _fallen(controller):
                 note = f"fell at {now:.3f} s"
                 break
             if progress is not None:
                 progress(now / scenario.duration, f"{scenario.name}  t = {now:.1f} s")
+            plant.step(command, dt)
+            rows.add(state, plant.effort, plant.wrenches)
     except DqwalkError as error:
         note = f"gave up at {plant.state.time - begin:.3f} s: {error}"
     if not len(rows):
-        raise DqwalkError(f"{scenario.name} ended before its first tick: {note}")
-    recorded = plant if isinstance(plant, _RecordedPlant) else None
-    return rows.trace(note, again=recorded is not None, origin=recorded.log.origin if recorded else here())
+        raise DqwalkError(f"{scenario.name} ended before its first tick: {note or 'it is shorter than one'}")
+    return rows.trace(note)
 
 
 def _reaction(now: float, controller: WholeBodyController, before: Array | None) -> Reaction:
@@ -144,7 +136,8 @@ def retrace(log: BodyLog, *, progress: Progress | None = None) -> tuple[WholeBod
     """
     plant = _RecordedPlant(log)
     controller = WholeBodyController(log.config, log.model)
-    return follow(controller, plant, log.scenario, progress=progress), plant.off
+    walked = follow(controller, plant, log.scenario, progress=progress)
+    return replace(walked, again=True, origin=log.origin), plant.off
 
 
 class _RecordedPlant(BodyPlant):
@@ -152,15 +145,15 @@ class _RecordedPlant(BodyPlant):
 
     def __init__(self, log: BodyLog) -> None:
         super().__init__(log.states[0])
-        self.log, self.off = log, 0.0
+        self._log, self.off = log, 0.0
 
     def _move(self, command: BodyCommand, time: float, dt: float) -> None:
         done = self._periods - 1
-        self.effort = self.log.effort[done]
+        self.effort = self._log.effort[done]
         self.off = max(self.off, float(np.abs(command.effort - self.effort).max()))
-        rows = zip(Foot, self.log.wrenches[done], strict=True)
+        rows = zip(Foot, self._log.wrenches[done], strict=True)
         self.wrenches = {foot: row for foot, row in rows if np.isfinite(row).all()}
-        self.state = self.log.states[min(self._periods, len(self.log.states) - 1)]
+        self.state = self._log.states[min(self._periods, len(self._log.states) - 1)]
 
     def _hit(self, impulse: Array) -> None:
         """Do nothing: the recorded states contain the effect of the push."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
+from dqwalk_ros.provenance import here
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.whole_body.controller import BodyState, WholeBodyController
 from dqwalk_ros.whole_body.scenario import Scenario
@@ -207,8 +208,8 @@ class Collector:
         for name, value in row.items():
             self._rows.setdefault(name, []).append(value)
 
-    def trace(self, note: str, *, again: bool, origin: Mapping[str, str]) -> WholeBodyTrace:
-        """Return the trace of all periods collected."""
+    def trace(self, note: str) -> WholeBodyTrace:
+        """Return the trace of all periods collected, with the reason `note` for an early end of the walk."""
         controller = self._controller
         columns = {name: np.array(rows) for name, rows in self._rows.items() if name not in ("method", *MARGINS)}
         return WholeBodyTrace(
@@ -220,8 +221,8 @@ class Collector:
             margins={name: np.array(self._rows[name], dtype=np.float64) for name in MARGINS},
             reactions=tuple(self.reactions),
             note=note,
-            again=again,
-            origin=dict(origin),
+            again=False,
+            origin=here(),
         )
 
     def __len__(self) -> int:
