@@ -152,10 +152,8 @@ class WholeBodyController:
         self._body = Multibody(model, dict.fromkeys([*self._soles.values(), settings.torso, settings.hand, *own]))
         self.weight = self._body.mass * GRAVITY
         self.stepping = Stepping.of(config)
-        half = 0.5 * settings.feet_distance
         posture = model.posture(settings.posture, "whole_body.posture", ":")
-        feet = {Foot.LEFT: [0.0, half], Foot.RIGHT: [0.0, -half]}
-        self._start = self._body.stand(posture, feet, settings.torso)
+        self._start = self._body.stand(posture, settings.feet_distance, settings.torso)
         still = self._body.at(*self._start, np.zeros(self._body.nv))
         self.point_mass = PointMass(float(still.com[2]), settings.interval, settings.intervals)
         free = _matching(settings.free, model)

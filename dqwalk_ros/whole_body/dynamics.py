@@ -175,15 +175,17 @@ class Multibody:
         full = pin.integrate(self._pin, self._configuration(x_base, q), moved)
         return DQ.from_pose(full[:3], full[[6, 3, 4, 5]]).vec8(), full[self._iq]
 
-    def stand(self, posture: Array, feet: Mapping[Foot, ArrayLike], upright: str) -> tuple[Array, Array]:
-        """Return a standing state: both soles flat at given positions on the ground, the CoM above their middle.
+    def stand(self, posture: Array, apart: float, upright: str) -> tuple[Array, Array]:
+        """Return a standing state: soles flat on the ground side by side, the CoM above their middle, the origin.
+
+        Both soles' links and the link `upright` must be among the frames.
 
         Parameters
         ----------
         posture : ndarray, shape (n,)
             Joint angles that the arms keep, and from which the legs are iterated [rad].
-        feet : mapping of Foot to array_like, shape (2,)
-            Positions of the soles' links [m].
+        apart : float
+            Lateral distance of the soles' links [m].
         upright : str
             The link to keep upright.
 
@@ -197,17 +199,15 @@ class Multibody:
         ModelError
             If there is no such state.
         """
-        soles = {foot: self.model.soles[foot].frame for foot in feet}
-        body = Multibody(self.model, (*soles.values(), upright))
-        middle = np.mean([np.asarray(place, dtype=np.float64) for place in feet.values()], axis=0)
-        x_base, q, still = DQ.from_pose([*middle, 0.7]).vec8(), posture.copy(), np.zeros(self.nv)
+        places = {Foot.LEFT: np.array([0.0, 0.5 * apart, 0.0]), Foot.RIGHT: np.array([0.0, -0.5 * apart, 0.0])}
+        x_base, q, still = DQ.from_pose([0.0, 0.0, 0.7]).vec8(), posture.copy(), np.zeros(self.nv)
         for _ in range(200):
-            dynamics = body.at(x_base, q, still)
-            rows, errors = [dynamics.com_jacobian[:2]], [middle - dynamics.com[:2]]
-            for foot, frame in soles.items():
-                motion = dynamics.frames[frame]
+            dynamics = self.at(x_base, q, still)
+            rows, errors = [dynamics.com_jacobian[:2]], [-dynamics.com[:2]]
+            for foot, place in places.items():
+                motion = dynamics.frames[self.model.soles[foot].frame]
                 rows.append(motion.jacobian)
-                errors.append(np.append(feet[foot], 0.0) - motion.position)
+                errors.append(place - motion.position)
                 errors.append(-rotation_error(motion.rotation))
             rows.append(dynamics.frames[upright].jacobian[3:])
             errors.append(-rotation_error(dynamics.frames[upright].rotation))
@@ -217,9 +217,9 @@ class Multibody:
             step = inverse @ error + back - inverse @ (J @ back)
             if np.abs(error).max() < 1e-10 and np.abs(step).max() < 1e-6:
                 return x_base, q
-            x_base, q = body.integrate(x_base, q, np.clip(step, -0.2, 0.2))
+            x_base, q = self.integrate(x_base, q, np.clip(step, -0.2, 0.2))
         off = float(np.abs(error).max())
-        raise ModelError(f"'{self.model.name}' cannot stand with its soles at {dict(feet)}: the error is {off:.2g}")
+        raise ModelError(f"'{self.model.name}' cannot stand with its soles {apart:g} m apart: the error is {off:.2g}")
 
     def _configuration(self, x_base: ArrayLike, q: Array) -> Array:
         """Return pinocchio's configuration vector, shape (nq,)."""
