@@ -284,7 +284,7 @@ def test_a_controller_restarted_during_a_swing_continues_the_walk(make: Any) -> 
         zero = np.zeros(MODEL.n)
         stance, landing = stepping.stance(now), stepping.landing(now, 0.005)
         plant.step(
-            BodyCommand(now, zero, acceleration=np.zeros(6 + MODEL.n), effort=effort, stance=stance, landing=landing),
+            BodyCommand(now, zero, effort=effort, stance=stance, landing=landing),
             0.005,
         )
     assert "in balance" in last_status(node).message

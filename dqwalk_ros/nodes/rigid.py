@@ -84,7 +84,6 @@ class Rigid(SimulatedPlant):
         body = BodyCommand(
             now,
             np.zeros(len(effort)),
-            acceleration=np.zeros(6 + len(effort)),
             effort=effort,
             stance=self._stepping.stance(now),
             landing=self._stepping.landing(now, self.dt),

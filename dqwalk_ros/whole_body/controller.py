@@ -60,8 +60,6 @@ class BodyCommand(Command):
     ----------
     velocity : ndarray, shape (n,)
         Predicted joint velocities at the end of the period [rad/s].
-    acceleration : ndarray, shape (6 + n,)
-        Predicted generalized acceleration.
     effort : ndarray, shape (n,)
         tau of (S1) [N m].
     stance : tuple of Foot
@@ -70,7 +68,6 @@ class BodyCommand(Command):
         The foot that touches down at the end of the period.
     """
 
-    acceleration: Array
     effort: Array
     stance: tuple[Foot, ...]
     landing: Foot | None = None
@@ -275,7 +272,6 @@ class WholeBodyController:
         return BodyCommand(
             state.time,
             state.dq + dt * acceleration[6:],
-            acceleration=acceleration,
             effort=effort,
             stance=stance,
             landing=self.stepping.landing(state.time, dt),

@@ -18,27 +18,23 @@ import numpy as np
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.whole_body.dynamics import Dynamics, rotation_error
 
-__all__ = ["Distance", "FrameOrientation", "FrameOutsideSphere", "FramePosition", "JointPosture", "Objective"]
+__all__ = [
+    "Distance",
+    "FrameObjective",
+    "FrameOrientation",
+    "FrameOutsideSphere",
+    "FramePosition",
+    "JointPosture",
+    "Objective",
+]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Objective(ABC):
-    """An objective with the cost 1/2 weight ||J v' + J' v - pi||^2, where pi is a desired acceleration.
-
-    Attributes
-    ----------
-    kp : float
-        Stiffness [1/s^2]; the damping is critical, 2 sqrt(kp).
-    """
+    """An objective with the cost 1/2 weight ||J v' + J' v - pi||^2, where pi is a desired acceleration."""
 
     name: str
     weight: float = 1.0
-    kp: float = 100.0
-
-    @property
-    def kd(self) -> float:
-        """Critical damping [1/s]."""
-        return 2.0 * math.sqrt(self.kp)
 
     @property
     def frames(self) -> tuple[str, ...]:
@@ -55,7 +51,33 @@ class Objective(ABC):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FramePosition(Objective):
+class FrameObjective(Objective):
+    """An objective of one link, by a PD controller.
+
+    Attributes
+    ----------
+    frame : str
+        The link.
+    kp : float
+        Stiffness [1/s^2]; the damping is critical, 2 sqrt(kp).
+    """
+
+    frame: str
+    kp: float = 100.0
+
+    @property
+    def kd(self) -> float:
+        """Critical damping [1/s]."""
+        return 2.0 * math.sqrt(self.kp)
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """The link."""
+        return (self.frame,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FramePosition(FrameObjective):
     """Moves a link's origin to a target by a saturated PD controller (S17).
 
     Attributes
@@ -66,14 +88,8 @@ class FramePosition(Objective):
         Largest acceleration by the position error along each axis [m/s^2].
     """
 
-    frame: str
     target: Array
     saturation: float = math.inf
-
-    @property
-    def frames(self) -> tuple[str, ...]:
-        """The link."""
-        return (self.frame,)
 
     def jacobian(self, dynamics: Dynamics) -> Array:
         """Jacobian of the position, shape (3, nv)."""
@@ -87,7 +103,7 @@ class FramePosition(Objective):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrameOrientation(Objective):
+class FrameOrientation(FrameObjective):
     """Turns a link to a target orientation by a PD controller (S18).
 
     Attributes
@@ -96,13 +112,7 @@ class FrameOrientation(Objective):
         Rotation matrix in the world; by default the identity.
     """
 
-    frame: str
     target: Array | None = None
-
-    @property
-    def frames(self) -> tuple[str, ...]:
-        """The link."""
-        return (self.frame,)
 
     def jacobian(self, dynamics: Dynamics) -> Array:
         """Jacobian of the angular velocity, shape (3, nv)."""

@@ -176,15 +176,12 @@ class Preview:
         [m]
     lower, upper : ndarray, shape (1 + N + K, 2)
         Bounds of y; those of c''_0 are infinite.
-    steps : int
-        Number K of previewed footsteps.
     """
 
     M: Array
     offset: Array
     lower: Array
     upper: Array
-    steps: int
 
     @property
     def cops(self) -> slice:
@@ -240,7 +237,7 @@ def previewed(
     if base < 0:  # the first foot stands already
         side = 1.0 if stepping.first is Foot.LEFT else -1.0
         lower[N + 1] = upper[N + 1] = 0.0, side * 0.5 * config.feet_distance
-    return Preview(M, offset, lower, upper, K)
+    return Preview(M, offset, lower, upper)
 
 
 def swing_acceleration(remaining: float) -> tuple[float, float]:
