@@ -32,14 +32,14 @@ from dqwalk_ros.identification.servo_model import simulate
 from dqwalk_ros.plants import upward
 from dqwalk_ros.plants.bus import Bus
 from dqwalk_ros.plants.mujoco import held_torques
-from dqwalk_ros.servos import Drive, Servos
+from dqwalk_ros.servos import IDENTIFIED, Drive, Servos
 from dqwalk_ros.simulation import Trace
 from dqwalk_ros.urdf import Origin
 
 __all__ = ["NAMES", "Identified", "Mounting", "goals_of", "identify", "parameters"]
 
 
-NAMES = ("delay", "stiffness", "damping", "backlash", "friction")
+NAMES = ("delay", *IDENTIFIED)
 """Identified parameters of each servo [s, N m/rad, s, rad, N m]; the damping is divided by the stiffness."""
 
 _STEP = 0.001
