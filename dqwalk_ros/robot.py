@@ -179,6 +179,19 @@ class RobotModel:
             chain.append(body)
         return chain[::-1]
 
+    def matching(self, pattern: str, key: str) -> list[int]:
+        """Return the indices of the joints whose names match `pattern`, in which '*' matches any text.
+
+        Raises
+        ------
+        ConfigError
+            If no moving joint matches; the message names the parameter `key`.
+        """
+        found = [k for k, name in enumerate(self.joint_names) if fnmatch.fnmatchcase(name, pattern)]
+        if not found:
+            raise ConfigError(f"{key} names '{pattern}'; the joints are {', '.join(self.joint_names)}")
+        return found
+
     def posture(self, entries: Sequence[str], key: str = "standing.posture", between: str = "=") -> Array:
         """Return the joint angles of a posture, shape (n,) [rad]; joints without an entry are at zero.
 
@@ -197,15 +210,11 @@ class RobotModel:
         q = np.zeros(self.n)
         for entry in entries:
             name, _, text = entry.partition(between)
-            hits = [k for k, joint in enumerate(self.joint_names) if fnmatch.fnmatch(joint, name.strip())]
             try:
                 angle = float(text)
             except ValueError:
                 raise ConfigError(f"{key} has '{entry}'; it must be JOINT{between}RADIANS") from None
-            if not hits:
-                known = ", ".join(self.joint_names)
-                raise ConfigError(f"{key} names '{name}'; the joints are {known}")
-            q[hits] = angle
+            q[self.matching(name.strip(), key)] = angle
         return q
 
     @property

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import fnmatch
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
-from dqwalk_ros.errors import ModelError, StateError
+from dqwalk_ros.errors import StateError
 from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.state import Command, State
 from dqwalk_ros.whole_body.dynamics import Dynamics, Multibody, rotation_error
@@ -126,9 +125,9 @@ class WholeBodyController:
     Raises
     ------
     ModelError
-        If the robot lacks a link or a joint that `config` names, or cannot stand in the configured posture.
+        If the robot lacks a link that `config` names, or cannot stand in the configured posture.
     ConfigError
-        If ``whole_body.posture`` has an invalid entry.
+        If ``whole_body.posture`` or ``whole_body.free`` has an invalid entry, or names a joint that the robot lacks.
     """
 
     def __init__(
@@ -153,7 +152,9 @@ class WholeBodyController:
         self._start = self._body.stand(posture, settings.feet_distance, settings.torso)
         still = self._body.at(*self._start, np.zeros(self._body.nv))
         self.point_mass = PointMass(float(still.com[2]), settings.interval, settings.intervals)
-        free = _matching(settings.free, model)
+        free = np.zeros(model.n, dtype=bool)
+        for pattern in settings.free:
+            free[model.matching(pattern, "whole_body.free")] = True
         kp = np.where(free, 0.0, settings.joint_kp)
         kd = np.where(free, settings.joint_kd, 2.0 * math.sqrt(settings.joint_kp))
         self._upright = FrameOrientation(
@@ -308,11 +309,3 @@ class WholeBodyController:
             sole=None if swing is None else dynamics.frames[soles[swing.foot]],
             settled=self._landing if settled else None,
         )
-
-
-def _matching(patterns: Sequence[str], model: RobotModel) -> NDArray[np.bool_]:
-    """Return whether each joint matches one of the patterns, shape (n,)."""
-    for pattern in patterns:
-        if not fnmatch.filter(model.joint_names, pattern):
-            raise ModelError(f"whole_body.free names '{pattern}', and '{model.name}' has no such joint")
-    return np.array([any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns) for name in model.joint_names])
