@@ -10,7 +10,6 @@ So stall P k is a stiffness, and stall / no_load_speed (back EMF) is a damping t
 from __future__ import annotations
 
 import fnmatch
-import re
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,6 +22,7 @@ from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config, find_share
 from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.robot import RobotModel
+from dqwalk_ros.urdf import Urdf
 
 __all__ = ["IDENTIFIED", "Drive", "ServoType", "Servos", "load_types"]
 
@@ -222,15 +222,15 @@ class Drive:
 
 def _entries(key: str, entries: tuple[str, ...], model: RobotModel) -> list[tuple[list[int], str]]:
     """Return the joint indices and the text of each entry JOINT=TEXT; locked joints match, but have no index."""
-    known = re.findall(r'<joint\b[^>]*?\bname="([^"]+)"', model.urdf)
     out = []
     for entry in entries:
         name, equals, text = (part.strip() for part in entry.partition("="))
         if not equals or not text:
             raise ConfigError(f"{key} has '{entry}'; it must be JOINT=...")
-        if not fnmatch.filter(known, name):
+        joints = [k for k, joint in enumerate(model.joint_names) if fnmatch.fnmatchcase(joint, name)]
+        if not joints and not fnmatch.filter(Urdf(model.urdf, model.name).joints, name):
             raise ConfigError(f"{key} names '{name}'; the joints are {', '.join(model.joint_names)}")
-        out.append(([k for k, joint in enumerate(model.joint_names) if fnmatch.fnmatch(joint, name)], text))
+        out.append((joints, text))
     return out
 
 

@@ -23,7 +23,7 @@ __all__ = ["GRAVITY", "PointMass", "Preview", "Stepping", "Swing", "previewed", 
 
 
 GRAVITY = 9.81
-"""g [m/s^2]."""
+"""g [m/s^2], as in the models of pinocchio and MuJoCo."""
 _EPS = 1e-9
 
 
