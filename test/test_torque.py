@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from dqwalk_ros.config import load
-from dqwalk_ros.errors import PlantError
 from dqwalk_ros.robot import load_model
 from dqwalk_ros.whole_body import SCENARIOS, Scenario, WholeBodyController, WholeBodyTrace, experiments, torque_plant
+from dqwalk_ros.whole_body.dynamics import Multibody
 from dqwalk_ros.whole_body.torque_plant import TorquePlant
 
 CONFIG = load("whole_body")
@@ -42,8 +42,6 @@ def test_a_push_is_an_impulse() -> None:
     plant.push([0.0, 15.0, 0.0])
     for _ in range(12):
         state = plant.step(still, CONFIG.dt)
-    from dqwalk_ros.whole_body.dynamics import Multibody
-
     body = Multibody(MODEL)
     d = body.at(state.x_base, state.q, state.v)
     assert body.mass * d.com_velocity == pytest.approx([0.0, 15.0, -body.mass * 9.81 * 0.06], abs=0.05)
@@ -70,16 +68,6 @@ def test_the_time_and_the_impulse_of_a_push_do_not_depend_on_the_period(dt: floa
     assert data.time == pytest.approx(state.time, abs=1e-9)
     assert plant._mj.opt.timestep <= 0.001 + 1e-9
     assert given == pytest.approx(15.0, rel=1e-6)
-
-
-def test_invalid_arguments_are_errors() -> None:
-    controller = WholeBodyController(CONFIG, MODEL)
-    plant = TorquePlant(MODEL, controller.start, pushed="chest")
-    with pytest.raises(PlantError, match="impulse"):
-        plant.push([1.0])
-    command = controller.step(controller.start, CONFIG.dt)
-    with pytest.raises(PlantError, match="torques"):
-        plant.step(replace(command, effort=np.full(MODEL.n, np.nan)), CONFIG.dt)
 
 
 @pytest.mark.long
