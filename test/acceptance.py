@@ -26,7 +26,6 @@ from dqwalk_ros.robot import load_model
 from dqwalk_ros.text_table import aligned
 from dqwalk_ros.whole_body import PAPER_TIMES, SCENARIOS, Scenario, WholeBodyController, WholeBodyTrace
 from dqwalk_ros.whole_body.demands import KEPT, Demand, checks, spread, summary
-from dqwalk_ros.whole_body.trace import MARGINS
 
 _TARGET = SCENARIOS["1"].targets[:1]
 _HARD: dict[str, tuple[float, float, dict[str, float]]] = {
@@ -170,7 +169,7 @@ def _in_place(w: WholeBodyTrace) -> list[Requirement]:
     drift = float(np.abs(places[2:] - places[:-2]).max()) if len(places) > 2 else float("nan")
     speed = float(np.abs(w.com_velocity[:, 1]).max())
     missed = int((w.residual > 1e-6).sum())
-    least = {name: float(w.margins[name].min()) for name in MARGINS}
+    least = {name: float(margin.min()) for name, margin in w.margins.items()}
     tightest = min(least, key=lambda name: least[name])
     return [
         _stands(topic, "without the hand's objective", w),

@@ -10,13 +10,11 @@ import numpy as np
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.text_table import aligned
-from dqwalk_ros.whole_body.trace import MARGINS, Reaction, WholeBodyTrace
+from dqwalk_ros.whole_body.trace import Reaction, WholeBodyTrace
 
 __all__ = ["KEPT", "Demand", "checks", "render_checks", "spread", "summary"]
 
 
-KEPT = dict.fromkeys(MARGINS, -1e-6) | {"joint": -1e-5}
-"""Smallest margins accepted; they allow for the errors of the integration of (S9) and of impacts."""
 _LIMITS = {
     "cop_margin": ("CoP to the edge of its rectangle", "m"),
     "friction": ("force to the edge of the friction pyramid", "m g"),
@@ -25,6 +23,9 @@ _LIMITS = {
     "joint": ("joint to its limit", "rad"),
     "step": ("footstep to the edge of its box", "m"),
 }
+"""Text and unit of each of `WholeBodyTrace.margins`."""
+KEPT = dict.fromkeys(_LIMITS, -1e-6) | {"joint": -1e-5}
+"""Smallest margins accepted; they allow for the errors of the integration of (S9) and of impacts."""
 _AUTHORS = {
     "Test 1": {4.0: 0.082, 8.0: 0.130, "rms": 0.0084, "max": 0.0143},
     "Test 2": {4.0: 0.100, "rms": 0.0076, "max": 0.0161, 2.5: 0.104, 7.0: 0.111},

@@ -15,10 +15,7 @@ from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.whole_body.controller import BodyState, WholeBodyController
 from dqwalk_ros.whole_body.scenario import Scenario
 
-__all__ = ["MARGINS", "BodyLog", "Collector", "Reaction", "WholeBodyTrace"]
-
-
-MARGINS = ("cop_margin", "friction", "normal", "torque", "joint", "step")
+__all__ = ["BodyLog", "Collector", "Reaction", "WholeBodyTrace"]
 
 
 @dataclass(frozen=True)
@@ -174,6 +171,7 @@ class Collector:
     def __init__(self, controller: WholeBodyController, scenario: Scenario) -> None:
         self._controller, self._scenario = controller, scenario
         self._rows: dict[str, list[object]] = {}
+        self._margins: list[dict[str, float]] = []
         self.reactions: list[Reaction] = []
 
     def add(self, state: BodyState, effort: Array, wrenches: Mapping[Foot, Array]) -> None:
@@ -202,23 +200,23 @@ class Collector:
             "tilt": tilt,
             **{name: getattr(answer, name) for name in ("residual", "violation", "iterations", "method")},
             "times": tick.times,
-            **self._margins(state.q, effort, wrenches),
-            "step": np.minimum(dP - preview.lower[preview.feet], preview.upper[preview.feet] - dP).min(),
         }
+        step = float(np.minimum(dP - preview.lower[preview.feet], preview.upper[preview.feet] - dP).min())
+        self._margins.append({**self._distances(state.q, effort, wrenches), "step": step})
         for name, value in row.items():
             self._rows.setdefault(name, []).append(value)
 
     def trace(self, note: str) -> WholeBodyTrace:
         """Return the trace of all periods collected, with the reason `note` for an early end of the walk."""
         controller = self._controller
-        columns = {name: np.array(rows) for name, rows in self._rows.items() if name not in ("method", *MARGINS)}
+        columns = {name: np.array(rows) for name, rows in self._rows.items() if name != "method"}
         return WholeBodyTrace(
             scenario=self._scenario,
             config=controller.config,
             model=controller.model,
             **columns,
             method=tuple(map(str, self._rows["method"])),
-            margins={name: np.array(self._rows[name], dtype=np.float64) for name in MARGINS},
+            margins={name: np.array([row[name] for row in self._margins]) for name in self._margins[0]},
             reactions=tuple(self.reactions),
             note=note,
             again=False,
@@ -226,9 +224,9 @@ class Collector:
         )
 
     def __len__(self) -> int:
-        return len(self._rows.get("time", ()))
+        return len(self._margins)
 
-    def _margins(self, q: Array, effort: Array, wrenches: Mapping[Foot, Array]) -> dict[str, float]:
+    def _distances(self, q: Array, effort: Array, wrenches: Mapping[Foot, Array]) -> dict[str, float]:
         """Return the least distance from each limit; the forces are those of the plant, not the planned ones."""
         settings, model, weight = self._controller.config.whole_body, self._controller.model, self._controller.weight
         half = 0.5 * np.array([settings.cop_length, settings.cop_width])
