@@ -6,7 +6,7 @@ The model of each servo is that of `servos` after a delay T:
 
 with the inertia M about the joint including its rotor, the error dead(e, b) beyond the backlash b of the gears, and the
 torque tau of gravity and of the motion of all other joints, by inverse dynamics at the measured angles. The parameters
-minimize the error of the simulated model (`servo_model`) with respect to the recording (maximum likelihood).
+minimize the error of the simulated model with respect to the recording (maximum likelihood).
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from scipy.signal import savgol_filter
 from scipy.special import log_ndtr
 
 from dqwalk_ros.arrays import Array
+from dqwalk_ros.compiled import jit
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import BagError
 from dqwalk_ros.identification.exercise import limbs
 from dqwalk_ros.identification.replay import require_exercise
-from dqwalk_ros.identification.servo_model import simulate
 from dqwalk_ros.plants import upward
 from dqwalk_ros.plants.bus import Bus
 from dqwalk_ros.plants.mujoco import held_torques
@@ -275,7 +275,7 @@ class _Servo:
         K, D = float(nominal.stiffness[joint]), float((nominal.back_emf + nominal.damping)[joint])
         rotor = max(float(nominal.armature[joint]), 1e-5)
         play, friction = max(float(nominal.backlash[joint]), 0.002), max(float(nominal.friction[joint]), 0.01)
-        # T, K, D, b, f, rotor inertia, zero of the goals, creep and lead of friction: see `servo_model.simulate`
+        # T, K, D, b, f, rotor inertia, zero of the goals, creep and lead of friction: see `_simulated`
         self.x = np.array([0.05, K, D, play, friction, rotor, 0.0, 0.005, 0.003])
         self._scale = np.array([0.02, K, 0.02 * K, 0.005, 0.1, rotor, 1e-3, 0.01, 0.01])
         self._low = np.array([0.0, 0.05 * K, 0.0, 0.0, 0.0, 0.1 * rotor, -0.05, 1e-4, 0.0])
@@ -361,8 +361,79 @@ def _run(piece: _Piece, x: Array, limit: float) -> Array:
     """Return the error of the model with respect to the recording of a piece, shape (m,) [rad]."""
     times = np.concatenate([piece.before[0], piece.time])
     goals = np.concatenate([piece.before[1], piece.goal])
-    out: Array = simulate(piece.time, piece.q, piece.tau, piece.inertia, times, goals, x, limit, _STEP) - piece.q
+    out: Array = _simulated(piece.time, piece.q, piece.tau, piece.inertia, times, goals, x, limit, _STEP) - piece.q
     out[: np.searchsorted(piece.time, piece.time[0] + _SLACK)] = 0.0  # the initial state is not known exactly
+    return out
+
+
+@jit
+def _simulated(time, measured, tau, inertia, sent, goals, x, limit, step):  # type: ignore[no-untyped-def]
+    """Return the angles of the model, starting at rest at the first measured angle.
+
+    Friction has its full value if abs(v + lead v') > creep, and is proportional to v + lead v' below. For ideal dry
+    friction creep and lead are zero; in a physics engine both are positive.
+
+    Parameters
+    ----------
+    time : ndarray, shape (m,)
+        [s]
+    measured : ndarray, shape (m,)
+        Measured angles, of which only the first is used [rad].
+    tau : ndarray, shape (m,)
+        Load torque [N m].
+    inertia : ndarray, shape (m,)
+        Inertia about the joint without the rotor [kg m^2].
+    sent, goals : ndarray, shape (k,)
+        Times at which the goals were sent [s], and goals [rad].
+    x : ndarray, shape (9,)
+        T [s], K [N m/rad], D [N m s/rad], b [rad] and f [N m] of the model, inertia of the rotor [kg m^2], zero of the
+        goals [rad], creep [rad/s] and lead [s].
+    limit : float
+        Largest torque [N m].
+    step : float
+        Largest integration step [s].
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        Angles [rad].
+    """
+    delay, K, D, b, f, rotor, zero, creep, lead = x
+    out = np.empty(time.shape[0])
+    q, v = measured[0], 0.0
+    out[0] = q
+    last = sent.shape[0] - 1
+    at = 0
+    while at < last and sent[at + 1] + delay <= time[0]:
+        at += 1
+    for k in range(time.shape[0] - 1):
+        count = max(1, round((time[k + 1] - time[k]) / step))
+        h = (time[k + 1] - time[k]) / count
+        M = 0.5 * (inertia[k] + inertia[k + 1]) + rotor
+        for i in range(count):
+            now = time[k] + i * h
+            goal = goals[at]
+            while at < last and sent[at + 1] + delay < now + h:  # the goal changes within this step
+                part = min(max((sent[at + 1] + delay - now) / h, 0.0), 1.0)
+                goal = part * goal + (1.0 - part) * goals[at + 1]
+                at += 1
+            load = tau[k] + (i + 0.5) / count * (tau[k + 1] - tau[k])
+            e = goal + zero - q
+            e = e - min(max(e, -0.5 * b), 0.5 * b)
+            drive = min(max(K * e, -limit), limit)
+            free = (M * v + h * (drive - load)) / (M + h * D)
+            brake = h * f / (M + h * D)
+            soft, ahead = brake / creep, lead / h
+            slow = (free + soft * ahead * v) / (1.0 + soft * (1.0 + ahead))
+            slips = slow + ahead * (slow - v)
+            if slips > creep:
+                v = free - brake
+            elif slips < -creep:
+                v = free + brake
+            else:
+                v = slow
+            q += h * v
+        out[k + 1] = q
     return out
 
 
