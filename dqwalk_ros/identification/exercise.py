@@ -101,8 +101,6 @@ class Slot:
     ----------
     joint : int
         Index of the joint.
-    limb : tuple of int
-        Indices of all joints of its limb.
     posture : ndarray, shape (n,)
         Angles in the middle of the motion, of which only those of the limb are used [rad].
     sweep : float
@@ -110,7 +108,6 @@ class Slot:
     """
 
     joint: int
-    limb: tuple[int, ...]
     posture: Array
     sweep: float
 
@@ -161,8 +158,8 @@ def _slot(model: RobotModel, joint: int, limb: list[int], random: np.random.Gene
     tries[1:, line] = random.uniform(low[line], high[line], (_TRIES - 1, len(line)))
     for q in sorted(tries, key=lambda q: -_loaded(model, q, joint, sweep)):
         if near(q, joint, sweep):
-            return Slot(joint, tuple(limb), q, sweep)
-    return Slot(joint, tuple(limb), rest, sweep)
+            return Slot(joint, q, sweep)
+    return Slot(joint, rest, sweep)
 
 
 def _loaded(model: RobotModel, q: Array, joint: int, sweep: float) -> float:
@@ -246,17 +243,17 @@ def path_of(model: RobotModel, cycles: int) -> Array:
     way = np.linspace(0.0, 1.0, round(_WAY / _GRID))
     way = way**3 * (10.0 - 15.0 * way + 6.0 * way**2)
     out = np.zeros((max(map(len, each)) * size + size // 4, model.n))
-    for limb in each:
+    for limb, in_order in zip(limbs(model), each, strict=True):
         here, at = np.zeros(model.n), 0
-        for slot in limb:
-            for i in slot.limb:
+        for slot in in_order:
+            for i in limb:
                 out[at : at + size, i] = slot.posture[i]
                 out[at : at + len(way), i] = here[i] + way * (slot.posture[i] - here[i])
             motion = _motion(slot.sweep)
             begin = at + size - len(motion)
             out[begin : at + size, slot.joint] += motion
             here, at = slot.posture, at + size
-        for i in limb[0].limb:  # back to the initial posture
+        for i in limb:  # back to the initial posture
             out[at : at + len(way), i] = (1.0 - way) * here[i]
             out[at + len(way) :, i] = 0.0
     return out
