@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from dqwalk_ros.adopt.anatomy import Anatomy, find_anatomy
-from dqwalk_ros.adopt.check import Finding, check
+from dqwalk_ros.adopt.check import check
 from dqwalk_ros.adopt.parameters import (
     Numbers,
     dynamic_parameters,
@@ -33,10 +33,11 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import ModelError
 from dqwalk_ros.robot import Foot, RobotModel, load_model, parse_model
 from dqwalk_ros.shapes import Shapes
+from dqwalk_ros.stability import Finding
 from dqwalk_ros.text_table import aligned
 from dqwalk_ros.urdf import Origin, Urdf
 
-__all__ = ["Adoption", "Finding", "adopt", "changed", "check", "table", "write_dynamic", "write_yaml"]
+__all__ = ["Adoption", "adopt", "changed", "table", "write_dynamic", "write_yaml"]
 
 _CROUCH = 0.91
 """Distance of hip and ankle as a fraction of the straight leg, for the longer steps of the whole-body controller."""

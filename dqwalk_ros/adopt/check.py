@@ -19,7 +19,7 @@ from dqwalk_ros.standing.footsteps import Footsteps
 from dqwalk_ros.statics import gravity_torques
 from dqwalk_ros.urdf import Urdf
 
-__all__ = ["Finding", "check"]
+__all__ = ["check"]
 
 
 _BELOW = 0.012
