@@ -7,16 +7,14 @@ time on one idle core.
 from __future__ import annotations
 
 import argparse
-import time
 from dataclasses import replace
 
 import numpy as np
 
 from benchmark.timing import table  # first: it sets the number of threads
 from dqwalk_ros.config import load
-from dqwalk_ros.robot import load_model
-from dqwalk_ros.whole_body import SCENARIOS, WholeBodyController, follow
-from dqwalk_ros.whole_body.rigid_plant import RigidPlant
+from dqwalk_ros.whole_body import SCENARIOS
+from dqwalk_ros.whole_body.experiments import walk
 
 STAGES = ("model", "assembly", "solution", "whole tick")
 PAPER = "the paper, 2012: solution 0.92 ms on average, peaks to 20 ms"
@@ -28,12 +26,10 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="3 s of Test 2 instead of both tests")
     args = parser.parse_args()
     config = load("whole_body")
-    model = load_model(config.robot)
     scenarios = [replace(SCENARIOS["2"], duration=3.0)] if args.quick else list(SCENARIOS.values())
     times, methods = [], []
     for scenario in scenarios:
-        controller = WholeBodyController(config, model, clock=time.thread_time)
-        walked = follow(controller, RigidPlant(model, controller.start, pushed="chest"), scenario)
+        walked = walk(config, scenario)
         times.append(walked.times)
         methods += walked.method
         print(f"{scenario.name}: {len(walked.time)} ticks {walked.note}", flush=True)
