@@ -262,19 +262,17 @@ class WholeBodyController:
         answer = self._solver.solve(problem)
         acceleration, wrenches = answer.x[: d.nv], scene.wrenches(self.config.whole_body, answer.x)
         effort = d.H[6:] @ acceleration + d.h[6:]
-        for sole, wrench in zip(scene.stance, wrenches, strict=True):
-            effort -= sole.jacobian[:, 6:].T @ wrench
+        for foot, wrench in wrenches.items():
+            effort -= scene.stance[foot].jacobian[:, 6:].T @ wrench
         if scene.swing is not None and scene.settled is None:
             self._landing = scene.footsteps(answer.x)[0]
-        stance = self.stepping.stance(state.time)
-        planned = dict(zip(stance, wrenches, strict=True))
         spent = (times[1] - times[0], times[2] - times[1], answer.solve_time, self._clock() - times[0])
-        self._last = BodyTick(scene, problem, answer, planned, spent)
+        self._last = BodyTick(scene, problem, answer, wrenches, spent)
         return BodyCommand(
             state.time,
             state.dq + dt * acceleration[6:],
             effort=effort,
-            stance=stance,
+            stance=tuple(scene.stance),
             landing=self.stepping.landing(state.time, dt),
         )
 
@@ -302,7 +300,7 @@ class WholeBodyController:
             dynamics=dynamics,
             mass=self.point_mass,
             weight=self.weight,
-            stance=tuple(dynamics.frames[soles[foot]] for foot in stepping.stance(now)),
+            stance={foot: dynamics.frames[soles[foot]] for foot in stepping.stance(now)},
             preview=previewed(settings, stepping, self.point_mass, now, dynamics.com, self._places),
             support=self._places[max(self._places)],
             swing=swing,

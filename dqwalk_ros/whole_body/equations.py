@@ -7,7 +7,7 @@ wrenches, in units of the robot's weight; and for each axis the variables of the
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import WholeBodyConfig
-from dqwalk_ros.robot import RobotModel
+from dqwalk_ros.robot import Foot, RobotModel
 from dqwalk_ros.whole_body.dynamics import Dynamics, FrameMotion, rotation_error
 from dqwalk_ros.whole_body.hierarchy import BALANCE, LAW, LIMIT, Hierarchy
 from dqwalk_ros.whole_body.objectives import Distance, Objective
@@ -86,7 +86,7 @@ class Scene:
         Control period, for which the accelerations are held [s].
     weight : float
         m g [N].
-    stance : tuple of FrameMotion
+    stance : mapping of Foot to FrameMotion
         Soles on the ground.
     support : ndarray, shape (2,)
         Position of the foot that landed last, from which P is measured [m].
@@ -101,7 +101,7 @@ class Scene:
     dynamics: Dynamics
     mass: PointMass
     weight: float
-    stance: tuple[FrameMotion, ...]
+    stance: Mapping[Foot, FrameMotion]
     preview: Preview
     support: Array
     swing: Swing | None
@@ -118,11 +118,13 @@ class Scene:
         P = np.stack([x[self.layout.y(axis)][self.preview.feet] for axis in (0, 1)], axis=1)
         return self.support + np.cumsum(P, axis=0)
 
-    def wrenches(self, config: WholeBodyConfig, x: Array) -> list[Array]:
+    def wrenches(self, config: WholeBodyConfig, x: Array) -> dict[Foot, Array]:
         """Return force and moment of the ground on each sole of the stance, shape (6,) [N, N m]."""
         edges, at = friction_edges(config.friction), self.layout
-        found = [np.concatenate([edges @ x[at.force(k)], x[at.moment(k)]]) for k in range(at.contacts)]
-        return [self.weight * wrench for wrench in found]
+        return {
+            foot: self.weight * np.concatenate([edges @ x[at.force(k)], x[at.moment(k)]])
+            for k, foot in enumerate(self.stance)
+        }
 
 
 class _Rows:
@@ -214,7 +216,7 @@ def _whole_body(config: WholeBodyConfig, model: RobotModel, scene: Scene, rows: 
     most = np.minimum(model.effort_max, config.effort)
     torque = rows.add(-1.0 - d.h[6:] / most, 1.0 - d.h[6:] / most, LIMIT, model.n)
     torque[:, : at.nv] = d.H[6:] / most[:, None]  # (S1) tau = H_1 v' + h_1 - J_c,1' f, in units of its limit
-    for k, sole in enumerate(scene.stance):
+    for k, sole in enumerate(scene.stance.values()):
         lam, mu, J = at.force(k), at.moment(k), sole.jacobian
         base[:, lam] = -J[:3, :6].T @ edges  # (S4) f = G lambda
         base[:, mu] = -J[3:, :6].T  # (S3) a wrench: force and moment
