@@ -68,7 +68,8 @@ def plant(solver: str, *, lockstep: bool, dt: float) -> Iterator[Plant]:
     rclpy.init()
     try:
         node = rclpy.create_node("benchmark_plant")
-        states = node.create_publisher(JointState, "joint_states", ros.stream(1, reliable=lockstep))
+        profile = 1 if lockstep else ros.best_effort(1)
+        states = node.create_publisher(JointState, "joint_states", profile)
         write, index = ros.JointWriter(model.joint_names), {name: i for i, name in enumerate(model.joint_names)}
         made = Plant(
             node=node,
@@ -88,7 +89,7 @@ def plant(solver: str, *, lockstep: bool, dt: float) -> Iterator[Plant]:
             for status in msg.status:
                 made.computed += [float(pair.value) for pair in status.values if pair.key == "compute time"]
 
-        node.create_subscription(JointState, "joint_velocity_commands", on_command, ros.stream(1, reliable=lockstep))
+        node.create_subscription(JointState, "joint_velocity_commands", on_command, profile)
         node.create_subscription(DiagnosticArray, "diagnostics", on_diagnostics, 10)
         wait_for(made, lambda: states.get_subscription_count() and node.count_publishers("joint_velocity_commands"))
         yield made

@@ -124,12 +124,12 @@ class WalkNode(Node):
     def advertise(self, name: str) -> Publisher:
         """Create the publisher of a topic, with the type and the quality of service given in `dqwalk_ros.topics`."""
         topic = _TOPICS[name]
-        profile = ros.latched(topic.depth) if topic.latched else ros.stream(topic.depth)
+        profile = ros.latched(topic.depth) if topic.latched else topic.depth
         overrides = None if topic.latched else QoSOverridingOptions.with_default_policies()
         kind = ros.message_type(topic.type)
         return self.create_publisher(kind, topic.name, profile, qos_overriding_options=overrides)
 
-    def listen(self, kind: Any, topic: str, callback: Callable[[Any], None], profile: QoSProfile) -> None:
+    def listen(self, kind: Any, topic: str, callback: Callable[[Any], None], profile: QoSProfile | int) -> None:
         """Subscribe to a topic; the parameters ``qos_overrides`` may change its quality of service."""
         overrides = QoSOverridingOptions.with_default_policies()
         self.create_subscription(kind, topic, callback, profile, qos_overriding_options=overrides)
@@ -195,7 +195,7 @@ class WalkNode(Node):
         known_at = self._made + _DISCOVERED
         if not self._within(known_at - time.monotonic(), lambda: ros.publishers_of(self, topic).count(me) > 1):
             return
-        heard = self.create_subscription(JointState, topic, lambda msg: None, ros.stream(1, reliable=False), raw=True)
+        heard = self.create_subscription(JointState, topic, lambda msg: None, ros.best_effort(1), raw=True)
         try:
             with heard.handle:
                 if self._within(_HEARD, lambda: heard.handle.take_message(heard.msg_type, True) is not None):

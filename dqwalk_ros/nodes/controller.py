@@ -130,7 +130,7 @@ class Controller(AnsweringNode):
         self._show_phase()
 
         # In real time only the newest state is of use; in lockstep every state must arrive.
-        self.listen(JointState, "joint_states", self._on_state, ros.stream(1, reliable=self.lockstep))
+        self.listen(JointState, "joint_states", self._on_state, 1 if self.lockstep else ros.best_effort(1))
         self.create_subscription(Bool, "plant_ready", self._on_plant_ready, ros.latched())
         self._imu = InertialSensor(self, self._model.imu_link, self._take) if config.plant.imu else None
         steered = not walk_type(config).phases(config)

@@ -376,14 +376,12 @@ def listen(config: Config, seconds: float, namespace: str = "") -> Heard:
                 if status.level == DiagnosticStatus.ERROR:
                     heard.errors[status.name] = status.message
 
-        node.create_subscription(
-            JointState, "joint_states", partial(store, heard.states), ros.stream(100, reliable=False)
-        )
-        node.create_subscription(Imu, "imu", partial(store, heard.imus), ros.stream(100, reliable=False))
-        node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, ros.stream(100))
+        node.create_subscription(JointState, "joint_states", partial(store, heard.states), ros.best_effort(100))
+        node.create_subscription(Imu, "imu", partial(store, heard.imus), ros.best_effort(100))
+        node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 100)
         node.create_subscription(Bool, "plant_ready", on_ready, ros.latched())
         node.create_subscription(String, "phase", on_phase, ros.latched())
-        node.create_subscription(JointState, VELOCITY, on_command, ros.stream(100, reliable=False))
+        node.create_subscription(JointState, VELOCITY, on_command, ros.best_effort(100))
         end = time.monotonic() + max(seconds, _DISCOVERY)
         started = False
         while (left := end - time.monotonic()) > 0.0:

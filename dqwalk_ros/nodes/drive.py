@@ -98,7 +98,7 @@ class RobotDrive(WalkNode):
             raise ConfigError("'output.joints' names a joint twice")
         self._own = np.array([self._joints.index(name) for name in own])  # the joints of the walk among them
         topic = o.topic or _TOPICS[o.type, o.interface]
-        self._output = self.create_publisher(_TYPES[o.type], topic, ros.stream(1))
+        self._output = self.create_publisher(_TYPES[o.type], topic, 1)
         self._commands = CommandInput(self, self._model)
         self._commands.unable = "starting"
         self._reader = ros.JointReader(self._joints)
@@ -107,8 +107,8 @@ class RobotDrive(WalkNode):
         self._goals: Bus | None = None  # None before the first command
         self._commanded = np.zeros(self._model.n)  # angles at the end of the last command [rad]
         self._rejected = 0
-        self.listen(JointState, "joint_states", self._on_state, ros.stream(1, reliable=False))
-        self.create_subscription(JointState, VELOCITY, self._on_command, ros.stream(1))
+        self.listen(JointState, "joint_states", self._on_state, ros.best_effort(1))
+        self.create_subscription(JointState, VELOCITY, self._on_command, 1)
         self.create_timer(_CHECK, self._check)
         self.create_timer(1.0 / config.monitor.rate, self._diagnose)
         description = f"{len(self._joints)} joints on {self._output.topic_name}, {o.interface} as {o.type}"

@@ -43,7 +43,7 @@ class FootstepInput:
         self._node, self._controller, self._odometry = node, controller, odometry
         self._total = 0
         self._status = node.create_publisher(String, "footstep_status", ros.latched())
-        node.create_subscription(Path, "footsteps", self._on_path, ros.stream(1))
+        node.create_subscription(Path, "footsteps", self._on_path, 1)
 
     def _on_path(self, msg: Path) -> None:
         walk = self._controller.walk

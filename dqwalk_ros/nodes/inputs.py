@@ -64,7 +64,7 @@ class InertialSensor:
         self._newest: Imu | None = None
         self._waiting: JointState | None = None
         self._first = math.inf  # time of receipt of the first state [s]
-        node.listen(Imu, "imu", self._on_imu, ros.stream(1, reliable=node.lockstep))
+        node.listen(Imu, "imu", self._on_imu, 1 if node.lockstep else ros.best_effort(1))
 
     def _on_imu(self, msg: Imu) -> None:
         self._newest = msg
@@ -122,9 +122,9 @@ class Steering:
         self._receiving = False
         self.rejected = 0
         if node.config.node.stamped_cmd_vel:
-            node.listen(TwistStamped, "cmd_vel", lambda msg: self._on_twist(msg.twist), ros.stream(1))
+            node.listen(TwistStamped, "cmd_vel", lambda msg: self._on_twist(msg.twist), 1)
         else:
-            node.listen(Twist, "cmd_vel", self._on_twist, ros.stream(1))
+            node.listen(Twist, "cmd_vel", self._on_twist, 1)
         node.create_timer(_CHECK_TYPES, self._check_types)
 
     def _check_types(self) -> None:

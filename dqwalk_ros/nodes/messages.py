@@ -29,6 +29,7 @@ from dqwalk_ros.state import Command, State
 __all__ = [
     "JointReader",
     "JointWriter",
+    "best_effort",
     "checked_pose",
     "deserialized",
     "diagnostics",
@@ -44,16 +45,14 @@ __all__ = [
     "publishers_of",
     "stamp_of",
     "status",
-    "stream",
     "time_msg",
     "wrench",
 ]
 
 
-def stream(depth: int = 1, *, reliable: bool = True) -> QoSProfile:
-    """Return the quality of service of a topic that is published periodically."""
-    reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-    return QoSProfile(depth=depth, reliability=reliability)
+def best_effort(depth: int) -> QoSProfile:
+    """Return the quality of service of a subscription for which the newest message matters, and a lost one does not."""
+    return QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def latched(depth: int = 1) -> QoSProfile:

@@ -53,8 +53,8 @@ class Odometry:
     def __init__(self, node: WalkNode, model: RobotModel) -> None:
         self._node, self._model, self._config = node, model, node.config.odometry
         self._poses = node.advertise("base_pose")
-        self._odom = node.create_publisher(OdometryMessage, "odom", ros.stream(10))
-        self._send_transforms = _sender(node, "/tf", ros.stream(100))
+        self._odom = node.create_publisher(OdometryMessage, "odom", 10)
+        self._send_transforms = _sender(node, "/tf", 100)
         base, footprint, odom = self._config.base_frame, self._config.footprint_frame, self._config.odom_frame
         links = model.frames
         self._link = base if base in links else model.root  # its pose is that of base_frame
@@ -179,7 +179,7 @@ def _transform(stamp: int, parent: str, child: str, x: DQ) -> TransformStamped:
     return msg
 
 
-def _sender(node: WalkNode, topic: str, profile: QoSProfile) -> Callable[[list[TransformStamped]], None] | None:
+def _sender(node: WalkNode, topic: str, profile: QoSProfile | int) -> Callable[[list[TransformStamped]], None] | None:
     """Return a function that publishes transforms on a topic; None if tf2_msgs is not installed."""
     try:
         from tf2_msgs.msg import TFMessage

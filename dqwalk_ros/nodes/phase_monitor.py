@@ -77,11 +77,12 @@ class PhaseMonitor(WalkNode):
         self._received = time.monotonic()
         self._rejected = 0
         self._pub = {
-            "com": self.create_publisher(PointStamped, "com", ros.stream(10)),
-            "support_polygon": self.create_publisher(PolygonStamped, "support_polygon", ros.stream(10)),
-            "walk_markers": self.create_publisher(MarkerArray, "walk_markers", ros.stream(10)),
+            "com": self.create_publisher(PointStamped, "com", 10),
+            "support_polygon": self.create_publisher(PolygonStamped, "support_polygon", 10),
+            "walk_markers": self.create_publisher(MarkerArray, "walk_markers", 10),
         }
-        profile = ros.stream(_DEPTH, reliable=self.config.plant.lockstep)  # in lockstep states arrive in bursts
+        # in lockstep no state may be lost, and they arrive in bursts
+        profile = _DEPTH if self.config.plant.lockstep else ros.best_effort(_DEPTH)
         self.create_subscription(JointState, "joint_states", self._on_state, profile, raw=True)
         self.create_timer(0.1, self._check_timeout)
         self._timeout_published = 0.0  # steady time [s]

@@ -116,7 +116,7 @@ class PhaseLog:
         self._assessors: dict[int, Assessor] = {}
         self._imu: deque[bytes] = deque(maxlen=_MEASURED)  # those that no state has needed yet
         self._vertical: tuple[int, Array | None] = (0, None)  # stamp [ns], unit vector in the sensor's frame
-        node.create_subscription(Imu, "imu", self._on_imu, ros.stream(_MEASURED), raw=True)
+        node.create_subscription(Imu, "imu", self._on_imu, _MEASURED, raw=True)
         for name, callback in {
             "walk_config": self._on_config,
             "robot_description": self._on_description,

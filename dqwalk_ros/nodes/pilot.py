@@ -57,9 +57,9 @@ class Pilot(WalkNode):
         self._begin = self._now = -1  # stamps [ns]
         self._waited = 0  # periods without a controller
         self._stop_request: Future | None = None
-        self._twists = self.create_publisher(Twist, "cmd_vel", ros.stream(1))
+        self._twists = self.create_publisher(Twist, "cmd_vel", 1)
         self._stopping = self.create_client(Trigger, "controller/stop")
-        self.create_subscription(JointState, "joint_states", self._on_state, ros.stream(1, reliable=False))
+        self.create_subscription(JointState, "joint_states", self._on_state, ros.best_effort(1))
         self.create_timer(_PERIOD, self._steer)
         count = len(self._course.legs)
         legs = "1 leg" if count == 1 else f"{count} legs"

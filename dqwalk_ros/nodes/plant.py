@@ -62,12 +62,12 @@ class SimulatedPlant(WalkNode):
         self._moved = self._now()
         self._states = self.advertise("joint_states")
         self._state_msg = ros.JointWriter(self.model.joint_names)
-        self._clock_topic = self.create_publisher(Clock, "/clock", ros.stream(10)) if self.config.plant.clock else None
+        self._clock_topic = self.create_publisher(Clock, "/clock", 10) if self.config.plant.clock else None
         if self.lockstep:
-            self.listen(JointState, self.topic, self._on_answer, ros.stream(1))
+            self.listen(JointState, self.topic, self._on_answer, 1)
             self.create_timer(_FIRST_ASK, self._ask)
         else:
-            self.listen(JointState, self.topic, self._on_command, ros.stream(1))
+            self.listen(JointState, self.topic, self._on_command, 1)
             self.create_timer(self.dt, self._on_period)
         self.create_timer(1.0 / self.config.monitor.rate, self._diagnose)
 
@@ -251,7 +251,7 @@ class Physics(SimulatedPlant):
         self._pushed_until = -1  # tick
         self._max_impulse = _MAX_SPEED * self.model.mass  # [N s]
         self.create_service(Trigger, "~/reset", self._reset)
-        self.create_subscription(WrenchStamped, "push", self._on_push, ros.stream(10))
+        self.create_subscription(WrenchStamped, "push", self._on_push, 10)
         self.log_ready()
         if not self.config.plant.imu:
             self.get_logger().warning(

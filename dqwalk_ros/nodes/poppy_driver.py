@@ -90,9 +90,9 @@ class PoppyDriver(WalkNode):
         self._latencies: list[float] = []  # since the last diagnostics [s]
         self._lag = np.zeros(len(self._plant.names))  # largest since the last diagnostics [rad]
         self._states = self.advertise("joint_states")
-        self._goals = self.create_publisher(JointState, "joint_goals", ros.stream(10))
-        self.create_subscription(JointState, VELOCITY, self._on_command, ros.stream(1))
-        self.create_subscription(String, "phase", self._on_phase, ros.stream(1))
+        self._goals = self.create_publisher(JointState, "joint_goals", 10)
+        self.create_subscription(JointState, VELOCITY, self._on_command, 1)
+        self.create_subscription(String, "phase", self._on_phase, 1)
         self.create_service(Trigger, "~/activate", self._on_activate)
         self.create_service(SetBool, "~/compliant", self._on_compliant)
         self.create_timer(self._period, self._on_period)

@@ -133,7 +133,7 @@ class Recorder(WalkNode):
         self.get_logger().info(f"recording to {self._path}")
 
     def _subscribe(self, topic_name: str, name: str, topic: Topic) -> None:
-        profile = ros.latched(topic.depth) if topic.latched else ros.stream(_DEPTH)
+        profile = ros.latched(topic.depth) if topic.latched else _DEPTH
         kind = ros.message_type(topic.type)
         self.create_subscription(kind, topic_name, partial(self._on_message, name, topic), profile, raw=True)
 

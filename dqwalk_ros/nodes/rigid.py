@@ -62,7 +62,7 @@ class Rigid(SimulatedPlant):
         self._pushes: list[WrenchStamped] = []  # to be applied before the next state
         streams = ("base_pose", "base_twist", "left_wrench", "right_wrench", "push_applied")
         self._pub = {name: self.advertise(name) for name in streams}
-        self.create_subscription(WrenchStamped, "push", self._pushes.append, ros.stream(10))
+        self.create_subscription(WrenchStamped, "push", self._pushes.append, 10)
         mode = "lockstep" if self.lockstep else f"at most {1.0 / self.dt:g} Hz"
         self.get_logger().info(f"{model.name}: {model.n} joints, rigid, {mode}")
 

@@ -87,10 +87,10 @@ class WholeBodyController(AnsweringNode):
         self._new_target: Array | None = None  # not applied to a state yet
         self._applied = self.advertise("hand_target_applied")
         self._publish_description()
-        self.create_subscription(JointState, "joint_states", self._on_joints, ros.stream(10))
-        self.create_subscription(PoseStamped, "base_pose", self._on_pose, ros.stream(10))
-        self.create_subscription(TwistStamped, "base_twist", self._on_twist, ros.stream(10))
-        self.create_subscription(PoseStamped, "hand_target", self._on_target, ros.stream(10))
+        self.create_subscription(JointState, "joint_states", self._on_joints, 10)
+        self.create_subscription(PoseStamped, "base_pose", self._on_pose, 10)
+        self.create_subscription(TwistStamped, "base_twist", self._on_twist, 10)
+        self.create_subscription(PoseStamped, "hand_target", self._on_target, 10)
         self.create_service(Trigger, "~/reset", self._reset)
         self.get_logger().info(f"{model.name}: {model.n} joints, {model.mass:.1f} kg, no target yet")
 
