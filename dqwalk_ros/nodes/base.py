@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -137,11 +138,22 @@ class WalkNode(Node):
     def diagnose(
         self, what: str, hardware: str, level: str, message: str, values: Mapping[str, object], stamp: int
     ) -> None:
-        """Publish one status ``NAMESPACE/NODE: what`` on /diagnostics, with a state's stamp [ns]."""
+        """Publish one status ``NAMESPACE/NODE: what`` [REP-107] on /diagnostics, with a state's stamp [ns].
+
+        Its level is OK, WARN, ERROR or STALE; numbers are written with all digits.
+        """
         assert self._diagnostics is not None
-        name, space = self.get_fully_qualified_name().lstrip("/"), self.get_namespace().strip("/")
-        status = ros.status(f"{name}: {what}", f"{space}/{hardware}".lstrip("/"), level, message, values)
-        self._diagnostics.publish(ros.diagnostics(stamp, status))
+        texts = {key: repr(float(v)) if isinstance(v, float) else str(v) for key, v in values.items()}
+        status = DiagnosticStatus(
+            level=getattr(DiagnosticStatus, level),
+            name=f"{self.get_fully_qualified_name().lstrip('/')}: {what}",
+            hardware_id=f"{self.get_namespace().strip('/')}/{hardware}".lstrip("/"),
+            message=message,
+            values=[KeyValue(key=key, value=text) for key, text in texts.items()],
+        )
+        msg = DiagnosticArray(status=[status])
+        msg.header.stamp = ros.time_msg(stamp)
+        self._diagnostics.publish(msg)
 
     def report(self, event: str, **values: Any) -> None:
         """Print one line of JSON for the program that started this node (see `dqwalk_ros.runner`)."""

@@ -6,12 +6,11 @@ import array
 import importlib
 import math
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped, WrenchStamped
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -32,7 +31,6 @@ __all__ = [
     "best_effort",
     "checked_pose",
     "deserialized",
-    "diagnostics",
     "impulse",
     "imu",
     "inertial_of",
@@ -44,7 +42,6 @@ __all__ = [
     "pose",
     "publishers_of",
     "stamp_of",
-    "status",
     "time_msg",
     "wrench",
 ]
@@ -324,20 +321,3 @@ def impulse(msg: WrenchStamped, most: float) -> Array:
     if not np.abs(out).max() <= most:
         raise StateError(f"{f.x:g}, {f.y:g}, {f.z:g} N s are beyond {most:.0f} N s, or not finite")
     return out
-
-
-# ---------------------------------------------------------------------- diagnostics
-
-
-def status(name: str, hardware: str, level: str, message: str, values: Mapping[str, object]) -> DiagnosticStatus:
-    """Return one status [REP-107] of the level OK, WARN, ERROR or STALE; numbers are written with all digits."""
-    pairs = [KeyValue(key=key, value=repr(float(v)) if isinstance(v, float) else str(v)) for key, v in values.items()]
-    found = getattr(DiagnosticStatus, level)
-    return DiagnosticStatus(level=found, name=name, hardware_id=hardware, message=message, values=pairs)
-
-
-def diagnostics(stamp: int, *entries: DiagnosticStatus) -> DiagnosticArray:
-    """Return a DiagnosticArray with the stamp [ns]."""
-    msg = DiagnosticArray(status=list(entries))
-    msg.header.stamp = time_msg(stamp)
-    return msg
