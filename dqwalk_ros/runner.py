@@ -150,7 +150,7 @@ def run_walk(
             walk.show()
         processes.stop()
         reason = reason or _recording_error(processes, lockstep, int(walk.last["ticks"]))
-        pace = processes.reports[node].get("text", "")
+        pace = processes.reports[node].get("pace", "")
     return Outcome(
         finished=not reason,
         reason=reason,

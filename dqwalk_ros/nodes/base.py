@@ -155,10 +155,10 @@ class WalkNode(Node):
         msg.header.stamp = ros.time_msg(stamp)
         self._diagnostics.publish(msg)
 
-    def report(self, event: str, **values: Any) -> None:
+    def report(self, **values: Any) -> None:
         """Print one line of JSON for the program that started this node (see `dqwalk_ros.runner`)."""
         if self.is_child:
-            print(json.dumps({"event": event, **values}), flush=True)
+            print(json.dumps(values), flush=True)
 
     @property
     def uses_sim_time(self) -> bool:

@@ -397,7 +397,6 @@ class Controller(AnsweringNode):
         self._reported = now
         walking = self._has_begun
         self.report(
-            "walk",
             mode=self._mode.value,
             phase=self._walk.phase.name if walking else "",
             phase_index=self._walk.phase_index,

@@ -330,4 +330,4 @@ class Physics(SimulatedPlant):
             f"{np.median(late):.2f} ms (median), {np.percentile(late, 99):.1f} ms (p99), {late.max():.0f} ms at most"
         )
         self.get_logger().info(text)
-        self.report("pace", text=text, rate=rate, real_time=rate * self.dt)
+        self.report(pace=text)

@@ -224,4 +224,4 @@ class Recorder(WalkNode):
         missing = {name: count for name, count in self._missing.items() if count}
         if missing:
             log.warning("periods without a message: " + ", ".join(f"{n} {count}" for n, count in missing.items()))
-        self.report("recorded", bag=str(self._path), counts=self._counts, missing=missing)
+        self.report(counts=self._counts, missing=missing)
