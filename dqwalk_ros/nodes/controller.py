@@ -36,7 +36,7 @@ from dqwalk_ros.robot import Foot
 from dqwalk_ros.servos import Drive
 from dqwalk_ros.simulation import TraceRecorder, make_controller, walk_type, warm_up
 from dqwalk_ros.state import Command, State
-from dqwalk_ros.topics import FALLEN, FINISHED
+from dqwalk_ros.topics import FAILED, FALLEN, FINISHED
 from dqwalk_ros.walk import PhaseKind
 
 __all__ = ["Controller", "Mode"]
@@ -55,7 +55,7 @@ class Mode(enum.Enum):
     WALKING = "walking"
     PAUSED = "paused"
     DONE = FINISHED
-    FAILED = "failed"
+    FAILED = FAILED
     FALLEN = FALLEN
 
 
