@@ -59,11 +59,11 @@ LAYERS = (
 IMPORTERS = {
     "clarabel": {"qp"},
     "daqp": {"qp", "whole_body"},
+    "dynamixel_sdk": {"plants"},
     "matplotlib": {"adopt", "report"},
     "mujoco": {"plants", "report", "whole_body"},
     "numba": {"compiled"},
     "pinocchio": {"whole_body"},
-    "pypot": {"plants"},
     "rclpy": {"nodes"},
     "viser": {"report"},
 }

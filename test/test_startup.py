@@ -18,7 +18,7 @@ def python(code: str, here: Path = ROOT, **env: str) -> subprocess.CompletedProc
     return subprocess.run(words, capture_output=True, text=True, check=True, cwd=here, env=os.environ | env)
 
 
-OPTIONAL = ("mujoco", "viser", "pinocchio", "daqp", "distributed", "pyarrow", "trimesh", "pypot")
+OPTIONAL = ("mujoco", "viser", "pinocchio", "daqp", "distributed", "pyarrow", "trimesh", "dynamixel_sdk")
 WALK = ("report.bag", "report.html.page", "report.figures.paper", "cli.report", "cli.walk", "cli.results", "runner")
 IMPORTS = {
     "help": (
