@@ -11,10 +11,11 @@ from numpy.typing import ArrayLike
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.errors import PlantError
 from dqwalk_ros.robot import Foot
 from dqwalk_ros.state import Command, State
 
-__all__ = ["Inertial", "Plant", "Truth", "orientation_of", "pushed_periods", "tilt", "upward"]
+__all__ = ["Inertial", "Plant", "Truth", "checked", "orientation_of", "pushed_periods", "tilt", "upward"]
 
 
 class Plant(ABC):
@@ -115,6 +116,20 @@ class Truth:
         """Inclination against the floor of the sole with the larger load [rad]."""
         support = max(self.wrenches, key=lambda foot: float(self.wrenches[foot][2]))
         return float(tilt(self.soles[support]))
+
+
+def checked(values: ArrayLike, n: int, what: str) -> Array:
+    """Return the values of a command, one per joint, as an array (n,); `what` is their name in the error message.
+
+    Raises
+    ------
+    PlantError
+        If their number is wrong, or one is not finite.
+    """
+    out = np.asarray(values, dtype=np.float64)
+    if out.shape != (n,) or not math.isfinite(out @ out):
+        raise PlantError(f"the command must have {n} finite {what}, got {out}")
+    return out
 
 
 def pushed_periods(duration: float, dt: float) -> int:

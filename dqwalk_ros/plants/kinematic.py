@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dqwalk_ros.errors import PlantError
-from dqwalk_ros.plants import Plant
+from dqwalk_ros.plants import Plant, checked
 from dqwalk_ros.robot import RobotModel
 from dqwalk_ros.state import Command, State
 
@@ -50,9 +48,8 @@ class KinematicPlant(Plant):
         PlantError
             If the command is not finite or does not fit.
         """
-        u, q = np.asarray(command.velocity, dtype=np.float64), self._state.q
-        if u.shape != q.shape or not math.isfinite(u @ u):
-            raise PlantError(f"the command must have {q.size} finite velocities, got {u}")
+        q = self._state.q
+        u = checked(command.velocity, q.size, "velocities")
         u = np.minimum(np.maximum(u, -self._limit), self._limit)
         self._periods += 1
         # time is computed from the number of periods: a sum would accumulate rounding errors

@@ -20,7 +20,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import PlantError
 from dqwalk_ros.kinematics import Kinematics, quaternion_product
-from dqwalk_ros.plants import Inertial, Plant, Truth, upward
+from dqwalk_ros.plants import Inertial, Plant, Truth, checked, upward
 from dqwalk_ros.plants.bus import Bus
 from dqwalk_ros.plants.sensors import Reading, Sensors
 from dqwalk_ros.robot import Foot, RobotModel
@@ -61,7 +61,7 @@ class PhysicsPlant(Plant):
         servos: Servos | None = None,
         bus: Bus | None = None,
     ) -> None:
-        self.config, self.model, self._shape = config, model, (model.n,)
+        self.config, self.model = config, model
         self._effort_min, self._effort_max = -model.effort_max, model.effort_max
         q = np.zeros(model.n) if q0 is None else np.array(q0, dtype=np.float64)
         servos, drive = servos or Servos.of(config, model), Drive.of(config, model)
@@ -111,9 +111,10 @@ class PhysicsPlant(Plant):
         PlantError
             If the command has a wrong size or is not finite, or the simulation has diverged.
         """
-        u, tau = self._checked(command.velocity, "velocities"), command.effort
+        u, tau = checked(command.velocity, self.model.n, "velocities"), command.effort
         if tau is not None:
-            tau = np.minimum(np.maximum(self._checked(tau, "torques"), self._effort_min), self._effort_max)
+            tau = checked(tau, self.model.n, "torques")
+            tau = np.minimum(np.maximum(tau, self._effort_min), self._effort_max)
         mj, data = self.mj, self.data
         left = count = set_timestep(mj, dt, self.config.physics.timestep)
         h, now = mj.opt.timestep, data.time
@@ -167,13 +168,6 @@ class PhysicsPlant(Plant):
     def fallen(self) -> bool:
         """Whether the root link is below 60 % of its initial height or is inclined by more than 60 degrees."""
         return bool(self._xpos[self._root, 2] < 0.6 * self._height or self._xmat[self._root, 8] < 0.5)
-
-    def _checked(self, values: Array, what: str) -> Array:
-        """Return `values` as an array (n,); raise PlantError if the size is wrong or a number is not finite."""
-        values = np.asarray(values, dtype=np.float64)
-        if values.shape != self._shape or not math.isfinite(values.dot(values)):
-            raise PlantError(f"the command must have {self.model.n} finite {what}, got {values}")
-        return values
 
     def _measured(self) -> State:
         turning, link, orientation = np.empty(6), np.empty(4), np.empty(4)

@@ -23,7 +23,7 @@ from dqwalk_ros import strict_yaml
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import PoppyConfig, find_share
 from dqwalk_ros.errors import ConfigError, PlantError
-from dqwalk_ros.plants import Plant
+from dqwalk_ros.plants import Plant, checked
 from dqwalk_ros.plants.dynamixel import FULL_TORQUE, TYPES, Bus, Clock, Registers, find_port, open_port
 from dqwalk_ros.plants.emulated_servos import EmulatedPort, EmulatedServo, EmulatedServos
 from dqwalk_ros.plants.motor_watch import JUMPS, Measured, MotorWatch, Part
@@ -250,9 +250,7 @@ class PoppyPlant(Plant):
         PlantError
             If the command is not finite or does not have one velocity per joint of the model.
         """
-        u = np.asarray(command.velocity, dtype=np.float64)
-        if u.shape != (self._model.n,) or not np.isfinite(u).all():
-            raise PlantError(f"the command must have {self._model.n} finite velocities, got {u}")
+        u = checked(command.velocity, self._model.n, "velocities")
         moves = self.active and dt > 0.0 and not self.watch.faults and self.fresh
         if moves:
             self._set_goals(u, command.effort, dt)
