@@ -104,7 +104,7 @@ class PhaseMonitor(WalkNode):
         except StateError as error:
             self._reject(stamp, error)
             return
-        if self._is_foreign(msg):
+        if self._phases.is_foreign(msg):
             return
         self._received = time.monotonic()
         if stamp < self._newest:  # the plant restarted, or its clock was set back
@@ -113,10 +113,6 @@ class PhaseMonitor(WalkNode):
         self._newest, self._next = stamp, stamp + round(1e9 / self.config.monitor.rate)
         self._waiting.append((self._received, stamp, msg))
         self._evaluate_waiting()
-
-    def _is_foreign(self, msg: JointState) -> bool:
-        """Return whether a message has no joint of the robot, as far as that is known."""
-        return self._phases.reader is not None and self._phases.reader.is_foreign(msg)
 
     def _reject(self, stamp: int, error: StateError) -> None:
         self._rejected += 1
@@ -132,7 +128,7 @@ class PhaseMonitor(WalkNode):
 
     def _evaluate(self, stamp: int, msg: JointState) -> None:
         phase_at = self._phases.at(stamp)
-        if phase_at is None or self._phases.reader is None or self._is_foreign(msg):
+        if phase_at is None or self._phases.reader is None or self._phases.is_foreign(msg):
             return
         began, assess = phase_at
         try:

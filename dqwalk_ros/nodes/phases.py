@@ -133,6 +133,10 @@ class PhaseLog:
         """Whether the walk is in lockstep."""
         return self.config is not None and self.config.plant.lockstep
 
+    def is_foreign(self, msg: JointState) -> bool:
+        """Return whether a message has no joint of the robot, as far as that is known."""
+        return self.reader is not None and self.reader.is_foreign(msg)
+
     def _on_config(self, msg: String) -> None:
         try:
             config = from_yaml(msg.data, source="walk_config")

@@ -136,7 +136,7 @@ class Viewer(WalkNode):
     # ------------------------------------------------------------------ the states
 
     def _on_state(self, msg: JointState) -> None:
-        if self._phases.reader is None or not self._phases.reader.is_foreign(msg):
+        if not self._phases.is_foreign(msg):
             self._state = msg
 
     def _on_pose(self, msg: PoseStamped) -> None:
