@@ -69,6 +69,7 @@ class WholeBodyController(AnsweringNode):
 
     claims = "joint_effort_commands"
     gate = BodyGate
+    _gate: BodyGate
     field, stopping = "effort", "zero torque"
     states = awaited = "body state"
     what = "balance"
@@ -168,7 +169,6 @@ class WholeBodyController(AnsweringNode):
             if moving and stamp >= _DAY:
                 raise StateError("the robot moves, and its stamps are not simulated time: start the walk at rest")
             begin = 0 if moving else stamp
-        assert isinstance(self._gate, BodyGate)
         self._gate.accept_body(stamp, read.q, read.dq, x_base.translation(), twist)
         self._begin = begin
         return BodyState(1e-9 * (stamp - begin), read.q, dq=read.dq, x_base=x_base.vec8(), v_base=twist)
