@@ -311,8 +311,7 @@ class Physics(SimulatedPlant):
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self.lockstep:
-            response.success, response.message = False, "lockstep time cannot be set back: restart the node"
-            return response
+            return self.answer(response, False, "lockstep time cannot be set back: restart the node")
         self.plant = self.make_plant()
         self.commands.gate.hold()
         self.trouble = ""
