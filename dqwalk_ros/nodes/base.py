@@ -65,6 +65,8 @@ class WalkNode(Node):
     pause : float
         Time between two rounds of handling messages [s], for a node outside the control loop; 0 handles each message
         on arrival.
+    has_diagnostics : bool
+        Whether the node publishes on /diagnostics.
 
     Raises
     ------
@@ -73,7 +75,7 @@ class WalkNode(Node):
     """
 
     pause = 0.0
-
+    has_diagnostics = True
     claims = ""
     """Topic that only one node of this name may publish; see `refuse_a_second`."""
 
@@ -88,8 +90,6 @@ class WalkNode(Node):
         self.done = Future()
         self.is_child: bool = options.child
         self._diagnostics = self.advertise("diagnostics") if self.has_diagnostics else None
-
-    has_diagnostics = True
 
     @property
     def lockstep(self) -> bool:
