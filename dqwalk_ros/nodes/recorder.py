@@ -143,7 +143,7 @@ class Recorder(WalkNode):
             ends = () if name in self._others else self.get_publishers_info_by_topic(self.resolve_topic_name(name))
             for end in ends[:1]:
                 latched = end.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
-                topic = self._others[name] = Topic(name, end.topic_type, latched, 100, "", "other")
+                topic = self._others[name] = Topic(name, end.topic_type, latched, 100, "")
                 try:
                     self._subscribe(name, name, topic)
                 except (ImportError, AttributeError):
@@ -152,7 +152,7 @@ class Recorder(WalkNode):
     def _on_message(self, name: str, topic: Topic, raw: bytes) -> None:
         self._handled += 1
         stamp = self._time.newest
-        if topic.source != "other" and topic.type.startswith(_STAMPED):
+        if name not in OTHERS and topic.type.startswith(_STAMPED):
             try:
                 own = ros.stamp_of(raw)
             except StateError as error:
