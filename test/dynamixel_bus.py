@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from dqwalk_ros.plants.dynamixel import PRESENT, TORQUE_ENABLE, TYPES, Bus
+from dqwalk_ros.plants.dynamixel import PRESENT, TORQUE_ENABLE, TYPES, DynamixelBus
 from dqwalk_ros.plants.emulated_servos import EmulatedPort, EmulatedServo, EmulatedServos
 from dqwalk_ros.plants.poppy import Motor, load_motors
 
@@ -157,7 +157,7 @@ class Memory:
     clock : SteppedTime
     servos : dict of str to FaultyServos
         By bus.
-    buses : dict of str to Bus
+    buses : dict of str to DynamixelBus
     """
 
     def __init__(self, *, sync_read: bool = True, seed: int = 1, **angles: float) -> None:
@@ -166,9 +166,9 @@ class Memory:
         self.sync_read = sync_read
 
     @property
-    def buses(self) -> dict[str, Bus]:
+    def buses(self) -> dict[str, DynamixelBus]:
         return {
-            name: Bus(
+            name: DynamixelBus(
                 name,
                 lambda servos=servos: TimedPort(servos, self.clock),
                 list(servos.servos),

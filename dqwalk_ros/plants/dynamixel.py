@@ -21,7 +21,17 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.errors import PlantError
 
-__all__ = ["ERROR_BITS", "FULL_TORQUE", "TYPES", "Bus", "Clock", "Registers", "ServoType", "find_port", "open_port"]
+__all__ = [
+    "ERROR_BITS",
+    "FULL_TORQUE",
+    "TYPES",
+    "Clock",
+    "DynamixelBus",
+    "Registers",
+    "ServoType",
+    "find_port",
+    "open_port",
+]
 
 Clock = Callable[[], float]
 
@@ -228,7 +238,7 @@ def find_port(ids: Sequence[int]) -> str:
     return best
 
 
-class Bus:
+class DynamixelBus:
     """The servos of one bus.
 
     Parameters

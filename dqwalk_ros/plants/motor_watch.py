@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import PoppyConfig
-from dqwalk_ros.plants.dynamixel import ERROR_BITS, Bus
+from dqwalk_ros.plants.dynamixel import ERROR_BITS, DynamixelBus
 
 __all__ = ["JUMPS", "Measured", "MotorWatch", "Part"]
 
@@ -31,7 +31,7 @@ _SWITCHED_OFF = 4 | 32
 class Part:
     """A bus, and the indices of its servos among all motors."""
 
-    bus: Bus
+    bus: DynamixelBus
     places: NDArray[np.intp]
 
 
@@ -153,7 +153,7 @@ class MotorWatch:
                     "calibration, then ~/activate"
                 )
 
-    def _registers(self, bus: Bus, i: int, place: int, gain: int | None, found: dict[str, str]) -> None:
+    def _registers(self, bus: DynamixelBus, i: int, place: int, gain: int | None, found: dict[str, str]) -> None:
         name, registers = self._names[place], bus.registers[i]
         if bus.error[i] & _SWITCHED_OFF and gain is not None:
             bits = " and ".join(text for bit, text in ERROR_BITS.items() if bit & bus.error[i] & _SWITCHED_OFF)

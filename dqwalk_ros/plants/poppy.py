@@ -24,7 +24,7 @@ from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import PoppyConfig, find_share
 from dqwalk_ros.errors import ConfigError, PlantError
 from dqwalk_ros.plants import Plant, checked
-from dqwalk_ros.plants.dynamixel import FULL_TORQUE, TYPES, Bus, Clock, Registers, find_port, open_port
+from dqwalk_ros.plants.dynamixel import FULL_TORQUE, TYPES, Clock, DynamixelBus, Registers, find_port, open_port
 from dqwalk_ros.plants.emulated_servos import EmulatedPort, EmulatedServo, EmulatedServos
 from dqwalk_ros.plants.motor_watch import JUMPS, Measured, MotorWatch, Part
 from dqwalk_ros.robot import RobotModel
@@ -149,7 +149,7 @@ class PoppyPlant(Plant):
         Age above which angles are not used [s].
     posture : ndarray, shape (n,)
         First pose of the joints of the model [rad]; zero for the other joints. It is clipped to the limits.
-    buses : mapping of str to Bus, optional
+    buses : mapping of str to DynamixelBus, optional
         By the name of the bus in the table of motors; `open_buses` by default.
     clock : callable
         Monotonic time of the buses [s].
@@ -188,7 +188,7 @@ class PoppyPlant(Plant):
         max_age: float,
         posture: Array,
         *,
-        buses: Mapping[str, Bus] | None = None,
+        buses: Mapping[str, DynamixelBus] | None = None,
         clock: Clock = time.monotonic,
         each: Callable[..., Iterable[Any]] | None = None,
     ) -> None:
@@ -516,12 +516,12 @@ def _calibration(entries: tuple[str, ...], motors: Mapping[str, Motor]) -> dict[
     return out
 
 
-def open_buses(motors: Mapping[str, Motor], config: PoppyConfig) -> dict[str, Bus]:
+def open_buses(motors: Mapping[str, Motor], config: PoppyConfig) -> dict[str, DynamixelBus]:
     """Open the buses of a table of motors, or emulated buses if `config.dummy` is set.
 
     Returns
     -------
-    dict of str to Bus
+    dict of str to DynamixelBus
         By the name of the bus.
 
     Raises
@@ -529,7 +529,7 @@ def open_buses(motors: Mapping[str, Motor], config: PoppyConfig) -> dict[str, Bu
     PlantError
         If dynamixel_sdk is missing, or a port cannot be opened.
     """
-    buses: dict[str, Bus] = {}
+    buses: dict[str, DynamixelBus] = {}
     named = {"lower": config.lower_port, "upper": config.upper_port}
     for name in sorted({motor.bus for motor in motors.values()}):
         own = [motor for motor in motors.values() if motor.bus == name]
@@ -541,7 +541,7 @@ def open_buses(motors: Mapping[str, Motor], config: PoppyConfig) -> dict[str, Bu
                 opened: Callable[[], Any] = partial(EmulatedPort, servos)
             else:
                 opened = partial(open_port, find_port(ids) if port == "auto" else port)
-            buses[name] = Bus(name, opened, ids, types, sync_read=config.sync_read)
+            buses[name] = DynamixelBus(name, opened, ids, types, sync_read=config.sync_read)
         except (OSError, PlantError) as error:
             for bus in buses.values():
                 bus.close()
