@@ -70,7 +70,7 @@ class RobotDrive(WalkNode):
         plant_ready              std_msgs/Bool, latched: whether that topic has a subscriber, and states arrive
         /diagnostics             diagnostic_msgs/DiagnosticArray
 
-    Sections of the schema: dt, robot, plant, servo, output.
+    Sections of the schema: dt, robot, plant, servo, monitor.rate, output.
 
     Example::
 

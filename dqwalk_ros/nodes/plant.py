@@ -188,7 +188,7 @@ class Integrator(SimulatedPlant):
         /clock                   rosgraph_msgs/Clock with plant.clock: the time of its stamps, for all nodes
         /diagnostics             diagnostic_msgs/DiagnosticArray
 
-    Sections of the schema: dt, robot, plant, node.
+    Sections of the schema: dt, robot, standing.posture, plant, monitor.rate, node.
 
     Example::
 
@@ -228,7 +228,7 @@ class Physics(SimulatedPlant):
         /diagnostics             diagnostic_msgs/DiagnosticArray: ERROR when the robot has fallen
         ~/reset                  std_srvs/Trigger: puts the robot back on its feet (real time)
 
-    Sections of the schema: dt, robot, plant, physics, servo, node.
+    Sections of the schema: dt, robot, plant, physics, sensors, servo, monitor.rate, node.
 
     Example::
 

@@ -49,7 +49,7 @@ class PoppyDriver(WalkNode):
         ~/activate               std_srvs/Trigger: switch the torque on, go to the first pose
         ~/compliant              std_srvs/SetBool: true switches the torque off, false is ~/activate
 
-    Sections of the schema: dt, robot, standing.posture, plant, poppy.
+    Sections of the schema: dt, robot, standing.posture, plant, monitor.rate, poppy.
 
     Example::
 

@@ -92,7 +92,7 @@ class Recorder(WalkNode):
 
         the folder --bag: an .mcap file and metadata.yaml, for ros2 bag, Foxglove and `dqwalk report`
 
-    Sections of the schema: plant.
+    Sections of the schema: dt, plant.
 
     Example::
 

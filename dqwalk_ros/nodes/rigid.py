@@ -44,7 +44,7 @@ class Rigid(SimulatedPlant):
         /clock                   rosgraph_msgs/Clock with plant.clock: the time of its stamps, for all nodes
         /diagnostics             diagnostic_msgs/DiagnosticArray
 
-    Sections of the schema: dt, robot, plant, whole_body.
+    Sections of the schema: dt, robot, plant, monitor.rate, node, whole_body.
 
     Example::
 
