@@ -68,7 +68,10 @@ def _tone(color: str, cycle: int, cycles: int) -> tuple[float, float, float]:
 
 
 def _ordinal(i: int) -> str:
-    return ("first", "second", "third", "fourth", "fifth", "sixth")[i] if i < 6 else f"{i + 1}th"
+    if i < 6:
+        return ("first", "second", "third", "fourth", "fifth", "sixth")[i]
+    n = i + 1
+    return f"{n}{'th' if n % 100 in (11, 12, 13) else {1: 'st', 2: 'nd', 3: 'rd'}.get(n % 10, 'th')}"
 
 
 def _time_response(series: Series, panels: Sequence[_Panel], axes: Sequence[Axes], double: bool) -> None:
