@@ -556,7 +556,7 @@ class DaqpSolver:
                 u, z = np.empty(n), np.empty(k + 2 * n)
                 _check(problem, *_daqp_solution(*problem.arrays, s, curvature, v, info["lam"], u, z))
                 return Solution(u, z, info["iterations"], spent)
-        except QPError:
+        except (QPError, RuntimeError):  # DAQP's own error is that a Hessian is not positive definite
             pass
         self.fallbacks += 1
         self._models.pop(shape, None)  # the next warm start must not use this active set

@@ -161,3 +161,12 @@ def test_walks_do_not_depend_on_the_solver():
         ways.append(state.q)
     assert np.abs(ways[0] - ways[1]).max() < 1e-12
     assert np.abs(ways[0]).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_an_indefinite_hessian_is_refused(name):
+    problem = random_problem(np.random.default_rng(1))
+    problem.H[:] = np.diag([-1.0, *np.ones(7)])
+    with pytest.raises(QPError, match="not positive definite") as caught:
+        SOLVERS[name]().solve(problem)
+    assert caught.value.status == "NotConvex"
