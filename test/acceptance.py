@@ -255,7 +255,7 @@ def main() -> int:
     bags = [args.out / "bag_1", args.out / "bag_2"]
     for walked, path in zip(both, bags, strict=True):
         bag.write_body(walked, path, overwrite=True)
-    output = Report(out=args.out, formats=("png",), figures=True)
+    output = Report(out=args.out, formats=("png",), no_figures=False)
     write_report(output, report, "", reaching.drawn(both), more=bags)
     return 0 if all(one.ok for one in demands if one.must) else 1
 
