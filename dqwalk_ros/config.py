@@ -679,7 +679,7 @@ def find_share(folder: str, name: str) -> pathlib.Path:
     raise ConfigError(f"no file '{name}' in {folder}/ of this package; looked in {', '.join(map(str, roots))}")
 
 
-SHIPPED = ("paper", "poppy", "poppy_dynamic", "poppy_dynamic_50hz", "poppy_rough", "whole_body")
+SHIPPED = ("paper", "poppy", "poppy_dynamic", "poppy_dynamic_50hz", "whole_body")
 """Names of the configurations in ``config/``."""
 
 

@@ -171,7 +171,7 @@ def test_the_output_of_config_can_be_loaded(capsys, tmp_path):
     ("arguments", "expected"),
     [
         (["config", "nowhere.yaml"], "nowhere.yaml"),
-        (["config", "popy"], "one of paper, poppy, poppy_dynamic, poppy_dynamic_50hz, poppy_rough, whole_body"),
+        (["config", "popy"], "one of paper, poppy, poppy_dynamic, poppy_dynamic_50hz, whole_body"),
         (["config", "paper", "--section", "gait"], "leave out CONFIG"),
         (["simulate", "--cmd-vel", "0.1,0,0,5"], "gait.steps=0"),
         (["walk", "--config", "poppy", "--set", "gait.steps=4", "--cmd-vel", "0.1,0,0,5"], "gait.steps=0"),
