@@ -98,7 +98,7 @@ class Shapes:
         return {}, ""
 
     def _hull(self, name: str, which: str) -> Array | None:
-        """Return the corners of the convex hull of a link's surfaces; None if there are none."""
+        """Return the corners of the convex hull of a link's surfaces; None for a link without any."""
         key = name, which
         if key not in self._hulls:
             found = [surface.vertices for surface in self.of(name, which)]
