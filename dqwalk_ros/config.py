@@ -272,7 +272,9 @@ class ServoConfig:
     armature: float = _par(0.01, "inertia of the rotor, reflected through the gears", "kg m^2", 0.0, 1.0)
     rate: float = _par(0.0, "rate at which positions are written; 0: every period", "Hz", 0.0, 1e4)
     latency: float = _par(0.0, "delay from writing a position to its effect in the simulation", "s", 0.0, 0.5)
-    window: float = _par(0.15, "largest distance of goal and angle; larger: more torque", "rad", 1e-3, 3.0)
+    window: float = _par(
+        0.15, "largest distance of goal and expected angle; smaller: yields more, larger: more torque", "rad", 1e-3, 3.0
+    )
     assumed_stiffness: float = _par(
         60.0, "stiffness that converts torques to position offsets; 0: no feedforward", "N m/rad", 0.0, 1e4
     )

@@ -217,6 +217,26 @@ def test_goals_are_delayed_and_held() -> None:
     np.testing.assert_allclose(seen, steps, atol=1e-12)
 
 
+@pytest.mark.parametrize("latency", [0.0, 0.02, 0.033])
+def test_goals_stay_near_the_position_at_which_the_command_finds_the_joint(latency: float) -> None:
+    """A delayed joint that follows is not held back; one that is blocked is left behind by the window only."""
+    config = CONFIG.updated(
+        {"servo.assumed_latency": latency, "servo.window": 0.006, "servo.resolution": 0.0, "servo.latency": latency}
+    )
+    servos, drive, q = Servos.of(config, MODEL), Drive.of(config, MODEL), np.zeros(MODEL.n)
+    assert drive.delay == pytest.approx(latency)
+    follows, blocked = (Bus(config.servo, servos, drive, q, q - 9.0, q + 9.0) for _ in range(2))
+    dt, u = 0.005, np.full(MODEL.n, 1.0)
+    for k in range(40):
+        time = k * dt
+        follows.command(u, None, np.full(MODEL.n, max(time - latency, 0.0)), time, dt)
+        np.testing.assert_allclose(follows.wanted, time + dt, atol=1e-12)
+        blocked.command(u, None, q, time, dt)
+    for k in range(40, 40 + math.ceil(latency / dt) + 1):
+        blocked.command(np.zeros(MODEL.n), None, q, k * dt, dt)
+    np.testing.assert_allclose(blocked.wanted, config.servo.window, atol=1e-12)
+
+
 @pytest.mark.parametrize("dt", [0.005, 0.0025, 0.0045, 0.0125, 1.0 / 60.0])
 def test_the_time_of_the_engine_is_that_of_the_state(dt: float) -> None:
     """The engine's step divides the period, also a period that is not the configured one."""

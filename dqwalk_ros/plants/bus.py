@@ -1,8 +1,10 @@
 """Conversion of commands (velocities and torques) to goal positions of servos, with rate and latency of the bus.
 
-The goal integrates the commanded velocity and is limited to a window around the measured position: an integral action
-with anti-windup, which compensates the deflection of a servo under load. Feedforward torques are converted to an offset
-of the goal by the assumed stiffness of the servos.
+The goal integrates the commanded velocity and is limited to a window around the position at which the command will find
+the joint, the measured one plus the motion commanded within the delay: an integral action with anti-windup, which
+compensates the deflection of a servo under load. With a small window a leg yields to a force that is not fed forward,
+such as that of a stone under its sole. Feedforward torques are converted to an offset of the goal by the assumed
+stiffness of the servos.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import numpy as np
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.compiled import jit
 from dqwalk_ros.config import ServoConfig
+from dqwalk_ros.estimation.delay import CommandHistory
 from dqwalk_ros.servos import Drive, Servos
 
 __all__ = ["Bus"]
@@ -50,6 +53,7 @@ class Bus:
         self._wanted = q.copy()
         self._offset = np.zeros_like(q) if effort is None else drive.angles(effort)
         self._goal = q + self._offset
+        self._history = CommandHistory(drive.delay, len(q))
         self._written = -math.inf
         self._queue: deque[tuple[float, Array]] = deque()
 
@@ -75,8 +79,10 @@ class Bus:
         c = self._config
         if effort is not None:
             self._offset = self._drive.angles(effort)
+        expected = q + self._history.pending(time)
+        self._history.add(time, velocity, dt)
         self._wanted, goal = _goals(
-            self._wanted, velocity, dt, q, c.window, self._lower, self._upper, self._offset, self._step
+            self._wanted, velocity, dt, expected, c.window, self._lower, self._upper, self._offset, self._step
         )
         if c.rate <= 0.0 or time - self._written >= 1.0 / c.rate - 1e-9:
             self._written = time
@@ -90,11 +96,11 @@ class Bus:
 
 
 @jit
-def _goals(wanted, velocity, dt, q, window, lower, upper, offset, step):  # type: ignore[no-untyped-def]
+def _goals(wanted, velocity, dt, expected, window, lower, upper, offset, step):  # type: ignore[no-untyped-def]
     """Return the commanded positions after one period, and the goals rounded to the servos' steps, both (n,) [rad]."""
-    moved, goal = np.empty_like(q), np.empty_like(q)
-    for i in range(q.shape[0]):
-        near = min(max(wanted[i] + dt * velocity[i], q[i] - window), q[i] + window)
+    moved, goal = np.empty_like(wanted), np.empty_like(wanted)
+    for i in range(wanted.shape[0]):
+        near = min(max(wanted[i] + dt * velocity[i], expected[i] - window), expected[i] + window)
         moved[i] = min(max(near, lower[i]), upper[i])
         goal[i] = np.rint((moved[i] + offset[i]) / step[i]) * step[i]
     return moved, goal
