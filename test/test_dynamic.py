@@ -575,24 +575,25 @@ def test_poppy_as_built_walks_dynamically(seed: int) -> None:
 ON_RUBBLE = CONFIG.updated(
     {
         "gait.steps": 17, "gait.step_length": 0.0328, "standing.swing_duration": 0.31, "standing.eta_feet": 0.6,
-        "physics.rubble": 0.005, "servo.types": ["*=MX-28", "?_hip_y=MX-64", "abs_[xy]=MX-64"], "servo.p_gain": 254,
-        "sensors.attitude_noise": 0.004, "sensors.gyro_noise": 0.02, "sensors.encoder": 0.001534,
-        "sensors.velocity_filter": 0.01,
+        "servo.window": 0.004, "servo.types": ["*=MX-28", "?_hip_y=MX-64", "abs_[xy]=MX-64"], "servo.p_gain": 254,
+        "physics.rubble": 0.005, "sensors.attitude_noise": 0.004, "sensors.gyro_noise": 0.02,
+        "sensors.encoder": 0.001534, "sensors.velocity_filter": 0.01,
     }
 )  # fmt: skip
 
 
-def test_quick_steps_walk_on_rubble_of_5_mm() -> None:
-    walked = [robustness.walk(ON_RUBBLE, 0, {"sensors.seed": seed}) for seed in (1, 2, 4)]
-    assert sum(one.stood and one.steps >= 17 for one in walked) >= 2, walked
+def test_yielding_legs_walk_on_rubble_of_5_mm() -> None:
+    """With a window of 0.15 rad, so legs as stiff as their servos, two of these four walks fell."""
+    walked = [robustness.walk(ON_RUBBLE, 0, {"sensors.seed": seed}) for seed in (6, 7, 8, 9)]
+    assert sum(one.stood and one.steps >= 17 for one in walked) >= 3, walked
 
 
 @pytest.mark.long
 @pytest.mark.timeout(600)
-def test_most_walks_on_rubble_stand() -> None:
+def test_nearly_all_walks_on_rubble_stand() -> None:
     stood = sum(robustness.walk(ON_RUBBLE, 0, {"sensors.seed": seed}).stood for seed in range(1, 21))
     print(f"\nrubble of 5 mm: {stood} of 20 stood")
-    assert stood >= 11
+    assert stood >= 18
 
 
 def test_poppy_walks_in_physics_and_recovers_from_a_push(tmp_path: Path) -> None:
