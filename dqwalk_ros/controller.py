@@ -186,8 +186,7 @@ class VelocityController:
         self.problem = now.problem(dt, self._limit)  # (U6)
         self.solution = self._solve(self.problem)
         u = np.minimum(np.maximum(self.solution.u, self.problem.lower), self.problem.upper)
-        if self._drive.delay > 0.0:
-            self._history.add(state.time, u, dt)
+        self._history.add(state.time, u, dt)
         return Command(state.time, u, self._effort(kin, state, u))
 
     def _estimated(self, state: State) -> State:

@@ -29,7 +29,7 @@ class CommandHistory:
     Attributes
     ----------
     delay : float
-        T, which may be changed [s].
+        T, which may be changed [s]; without a delay, commands are not kept.
     """
 
     def __init__(self, delay: float, n: int) -> None:
@@ -39,6 +39,8 @@ class CommandHistory:
 
     def add(self, time: float, velocity: Array, dt: float) -> None:
         """Add the command u (n,) [rad/s] that answers the state at `time` [s], for the period `dt` [s]."""
+        if self.delay == 0.0:
+            return
         if not self._sums:
             self._sums.append((time, self._sum))
         self._sum = self._sum + dt * velocity

@@ -69,6 +69,7 @@ class PhysicsPlant(Plant):
         self.data: Any = mujoco.MjData(self.mj)
         self._qpos, self._qvel = self.data.qpos, self.data.qvel  # views, and so are these
         self._xpos, self._xquat, self._xmat = self.data.xpos, self.data.xquat, self.data.xmat
+        self._cvel = self.data.cvel
         self._sensed, self._torque = self.data.sensordata, self.data.qfrc_actuator
         joints = [self.mj.joint(name) for name in model.joint_names]
         self._qadr = np.array([int(j.qposadr[0]) for j in joints])
@@ -77,7 +78,7 @@ class PhysicsPlant(Plant):
         self._pelvis = self.mj.body(model.pelvis).id
         self._imu = self.mj.body(model.imu_link).id
         mounting = DQ(model.frames[model.imu_link].pose).conj() * DQ(model.frames[model.imu].pose)
-        self._mounting, self._to_sensor = mounting.vec4(), mounting.rotation_matrix().T
+        self._mounting, self._to_sensor = mounting.vec4(), mounting.conj().rotation_matrix()
         self._soles = {foot: self.mj.body(model.soles[foot].frame).id for foot in Foot}
         self._ground = {foot: self.mj.sensor(f"ground_{foot.value}").adr[0] for foot in Foot}
         self._goals = self.data.ctrl.reshape(-1, model.n)  # a view; a second row where there is backlash
@@ -92,7 +93,7 @@ class PhysicsPlant(Plant):
         self._sensors = Sensors(config.sensors)
         self._level = _level(config)
         self._elapsed = 0.0  # [ns]
-        set_timestep(self.mj, config.dt, config.physics.timestep)
+        self._dt, self._count = config.dt, set_timestep(self.mj, config.dt, config.physics.timestep)
         mujoco.mj_step(self.mj, self.data, max(1, round(config.physics.settle / self.mj.opt.timestep)))
         mujoco.mj_step1(self.mj, self.data)
         self._effort = self._torque[self._vadr] - self._back_emf * self._qvel[self._vadr]
@@ -116,10 +117,12 @@ class PhysicsPlant(Plant):
             tau = checked(tau, self.model.n, "torques")
             tau = np.minimum(np.maximum(tau, self._effort_min), self._effort_max)
         mj, data = self.mj, self.data
-        left = count = set_timestep(mj, dt, self.config.physics.timestep)
-        h, now = mj.opt.timestep, data.time
+        if dt != self._dt:
+            self._dt, self._count = dt, set_timestep(mj, dt, self.config.physics.timestep)
+        left = count = self._count
+        h, now = dt / count, data.time
         self._bus.command(u, tau, self._state.q, now, dt)
-        q, torque = self._qpos[self._qadr], np.zeros(mj.nv)
+        q, torque = self._qpos[self._qadr], np.zeros_like(self._qvel)
         while left:
             self._goals[:], until = self._bus.output(now)
             steps = min(left, max(1, math.ceil((until - now) / h - 1e-6))) if until < math.inf else left
@@ -170,15 +173,15 @@ class PhysicsPlant(Plant):
         return bool(self._xpos[self._root, 2] < 0.6 * self._height or self._xmat[self._root, 8] < 0.5)
 
     def _measured(self) -> State:
-        turning, link, orientation = np.empty(6), np.empty(4), np.empty(4)
-        mujoco.mj_objectVelocity(self.mj, self.data, mujoco.mjtObj.mjOBJ_XBODY, self._imu, turning, 1)
-        mujoco.mju_mulQuat(link, self._level, self._xquat[self._imu])
-        mujoco.mju_mulQuat(orientation, link, self._mounting)
+        orientation, gyro = _imu(
+            self._level, self._xquat[self._imu], self._mounting, self._xmat[self._imu], self._to_sensor,
+            self._cvel[self._imu],
+        )  # fmt: skip
         time = round(self._elapsed) * 1e-9  # rounded to nanoseconds, like a ROS stamp
         q, dq = self._qpos[self._qadr], self._qvel[self._vadr]
         # the acceleration of an exact sensor is computed only when `inertial` is read
         acceleration = _NO_ACCELERATION if self._sensors.exact else self._acceleration()
-        exact = Reading(orientation, self._to_sensor @ turning[:3], acceleration, q, dq)
+        exact = Reading(orientation, gyro, acceleration, q, dq)
         r = self._reading = self._sensors.measure(time, exact)
         felt = None if self._sensors.exact else r.acceleration
         return State(time, r.q, r.dq, upward(*r.orientation.tolist()), r.gyro, felt)
@@ -215,6 +218,19 @@ class PhysicsPlant(Plant):
         body, sensor = self._soles[foot], self._ground[foot]
         wrench: Array = _moved_wrench(self._sensed[sensor : sensor + 9], self._xpos[body], self._xmat[body])
         return wrench
+
+
+@jit
+def _imu(level, link, mounting, R, to_sensor, velocity):  # type: ignore[no-untyped-def]
+    """Return the orientation (4,) of the inertial sensor in a level world, and its angular velocity in its axes (3,).
+
+    `level`, `link` and `mounting` (4,) are the orientations of the floor, of the link on the floor, and of the sensor
+    on the link; `R` (9,), by row, is that of the link too. The first three numbers of `velocity` (6,) are the angular
+    velocity in world axes.
+    """
+    a = quaternion_product(level[0], level[1], level[2], level[3], link[0], link[1], link[2], link[3])
+    b = quaternion_product(a[0], a[1], a[2], a[3], mounting[0], mounting[1], mounting[2], mounting[3])
+    return np.array(b), to_sensor @ (R.reshape((3, 3)).T @ velocity[:3])
 
 
 @jit
