@@ -153,6 +153,8 @@ class PoppyDriver(WalkNode):
         """Hold while a fault or a missing torque prevents motion."""
         plant = self._plant
         reason = "; ".join(plant.watch.faults.values())
+        if reason and plant.active and not plant.ready:
+            self.get_logger().warning(f"not moving to the first pose: {reason}", **throttled())
         if not reason and not plant.active:
             reason = "the torque is off: call ~/activate"
         if not reason and not plant.ready:
