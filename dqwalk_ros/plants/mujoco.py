@@ -78,7 +78,8 @@ class PhysicsPlant(Plant):
         self._pelvis = self.mj.body(model.pelvis).id
         self._imu = self.mj.body(model.imu_link).id
         mounting = DQ(model.frames[model.imu_link].pose).conj() * DQ(model.frames[model.imu].pose)
-        self._mounting, self._to_sensor = mounting.vec4(), mounting.conj().rotation_matrix()
+        self._mounting = mounting.vec4()
+        self._to_sensor = np.ascontiguousarray(mounting.rotation_matrix().T)
         self._soles = {foot: self.mj.body(model.soles[foot].frame).id for foot in Foot}
         self._ground = {foot: self.mj.sensor(f"ground_{foot.value}").adr[0] for foot in Foot}
         self._goals = self.data.ctrl.reshape(-1, model.n)  # a view; a second row where there is backlash
