@@ -6,6 +6,7 @@ import contextlib
 import os
 import random
 import select
+import sys
 import threading
 import time
 import tty
@@ -22,6 +23,8 @@ from dqwalk_ros.plants.poppy import Motor, load_motors
 MOTORS = load_motors("poppy")
 BUSES = ("lower", "upper")
 TEMPERATURE, VOLTAGE, LOAD = 43, 42, 40
+_SWITCH = 5e-4
+"""Longest time for which another thread of the test delays a reply [s]."""
 
 
 class FaultyServos(EmulatedServos):
@@ -286,6 +289,8 @@ class Terminals:
     """Both buses over pseudo-terminals, in real time."""
 
     def __init__(self, folder: Path, **angles: float) -> None:
+        # a reply needs the interpreter several times; the default of 5 ms each is longer than the driver waits for it
+        sys.setswitchinterval(_SWITCH)
         self.servos = {name: FaultyServos(servos_of(name, angles)) for name in BUSES}
         self.terminals = {name: Terminal(servos, folder / name) for name, servos in self.servos.items()}
 

@@ -76,27 +76,7 @@ class Robot(Live):
     def until_moving(self, timeout: float = 20.0) -> None:
         """Wait until commands move the goal of the knee."""
         before = self.buses.of(KNEE).joint(KNEE).word(GOAL)
-        self.until(
-            lambda: self._not_held() and abs(self.buses.of(KNEE).joint(KNEE).word(GOAL) - before) > 20,
-            timeout,
-            "a goal that moves",
-        )
-
-    def until_first_pose(self, timeout: float = 60.0) -> None:
-        """Wait for the first pose."""
-        self.until(lambda: self._not_held() and self.ready, timeout, "the first pose")
-
-    def _not_held(self) -> bool:
-        """Return whether no motor needs an operator; if one does, be this operator.
-
-        A busy machine may delay the emulated replies for longer than an outage after which the motion resumes.
-        """
-        status = next((s for s in reversed(self.statuses("poppy_driver")) if s.name.endswith("motors")), None)
-        if status is None or not status.message.endswith("then ~/activate"):
-            return True
-        self.got["diagnostics"].clear()
-        self.call("poppy_driver/activate")
-        return False
+        self.until(lambda: abs(self.buses.of(KNEE).joint(KNEE).word(GOAL) - before) > 20, timeout, "a goal that moves")
 
     def is_still(self, seconds: float = 0.5) -> bool:
         """Return whether no goal changes for a time [s]."""
@@ -118,7 +98,7 @@ class Robot(Live):
         """Activate the driver; wait for the first pose, and until commands have an effect."""
         answer = self.call("poppy_driver/activate")
         assert answer.success, answer.message
-        self.until_first_pose()
+        self.until(lambda: self.ready, 30.0, "the first pose")
         self.until_moving()
 
     def set_compliant(self, on: bool) -> SetBool.Response:
@@ -156,7 +136,7 @@ def walking(robot: Robot) -> Iterator[Robot]:
     robot.until(lambda: robot.got["joint_states"], 30.0, "a state")
     if not robot.ready:
         robot.until(lambda: robot.call("poppy_driver/activate").success, 10.0, "the torque")
-        robot.until_first_pose()
+        robot.until(lambda: robot.ready, 30.0, "the first pose")
     robot.until_moving()
     robot.got["joint_states"].clear()
     yield robot
@@ -230,7 +210,7 @@ def test_old_angles_are_not_published(walking: Robot, fault: str) -> None:
     walking.until(lambda: walking.ready is False, 20.0, "plant_ready: false")
     walking.clear_faults()
     walking.until(lambda: walking.call("poppy_driver/activate").success, 10.0, "the torque")
-    walking.until_first_pose()
+    walking.until(lambda: walking.ready, 30.0, "the first pose")
     walking.until_moving()
 
 
@@ -290,7 +270,7 @@ def test_the_torque_at_exit_is_as_configured(nodes: Any, torque_off: bool) -> No
     settings = {"poppy.torque_off_at_end": torque_off, "poppy.activate": True}
     robot = nodes(CONFIG.updated(settings), kind=Robot)
     robot.start("poppy_driver")
-    robot.until_first_pose()
+    robot.until(lambda: robot.ready, 60.0, "the first pose")
     for servos in robot.buses.servos.values():
         servos.damaged = 0.3  # must have no effect
     robot.processes.signal("poppy_driver", signal.SIGINT)
@@ -312,7 +292,7 @@ def test_the_first_pose_is_the_posture_of_the_walk(nodes: Any) -> None:
     settings = {"standing.posture": ["r_knee_y=0.5"], "poppy.activate": True}
     robot = nodes(CONFIG.updated(settings), kind=Robot)
     robot.start("poppy_driver")
-    robot.until_first_pose()
+    robot.until(lambda: robot.ready, 60.0, "the first pose")
     knee = angle_of(robot.buses.of(RIGHT_KNEE).joint(RIGHT_KNEE), MOTORS[RIGHT_KNEE])
     assert knee == pytest.approx(0.5, abs=CONFIG.poppy.start_tolerance)
 
