@@ -381,6 +381,14 @@ def test_quiet_prints_nothing(tmp_path, capsys):
     assert {path.name for path in (tmp_path / "w").iterdir()} == {"bag", "report.json"}
 
 
+def test_an_unusable_opengl_platform_is_named(tmp_path):
+    words = [sys.executable, "-m", "dqwalk_ros.cli", "movie", str(tmp_path)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, env=HERE | {"MUJOCO_GL": "paper"})
+    assert done.returncode == 1
+    assert is_one_line(done.stderr), done.stderr
+    assert "MUJOCO_GL=paper" in done.stderr
+
+
 def test_a_closed_pipe_is_no_error():
     words = f"{sys.executable} -m dqwalk_ros.cli config | head -1"
     done = subprocess.run(words, shell=True, capture_output=True, text=True, check=False, env=HERE)

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from dqwalk_ros.cli.options import Numbers, bag_argument, command, namespace_option, quiet_option
-from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.errors import ConfigError, PlantError
 
 __all__ = ["movie"]
 
@@ -56,8 +56,16 @@ def movie(
         os.environ.setdefault("MUJOCO_GL", "egl")  # before MuJoCo is imported
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.report import bag as bags
-    from dqwalk_ros.report.movie import save_movie, save_strip
 
+    try:
+        from dqwalk_ros.report.movie import save_movie, save_strip
+    except ModuleNotFoundError:
+        raise
+    except Exception as error:  # MuJoCo loads the library of MUJOCO_GL when it is imported
+        platform = os.environ.get("MUJOCO_GL", "")
+        raise PlantError(
+            f"nothing can be drawn with MUJOCO_GL={platform}: {error}; install its library, or try egl"
+        ) from error
     trace = bags.read(bag, namespace=namespace)
     with Progress(quiet=quiet) as bar:
         if out.suffix.lower() == ".png":
