@@ -53,7 +53,7 @@ def footprints(length: float = 0.05, width: float = 0.08, first: float = 1.0) ->
 
 
 @pytest.mark.parametrize(
-    "course",
+    "reference",
     [
         Pressed(np.array([0.0, 0.04]), np.array([0.05, -0.04]), np.array([0.04, 0.01]), 0.1, OMEGA),
         Pressed(np.array([0.0, 0.04]), np.array([0.0, 0.04]), np.array([0.03, 0.01]), 0.4, OMEGA),
@@ -61,11 +61,11 @@ def footprints(length: float = 0.05, width: float = 0.08, first: float = 1.0) ->
     ],
     ids=["double", "single", "rest"],
 )
-def test_xi_diverges_from_z(course: Pressed | Rest) -> None:
+def test_xi_diverges_from_z(reference: Pressed | Rest) -> None:
     h = 1e-6
-    for t in np.linspace(0.05, 0.9, 7) * course.duration:
-        xi, z = course.at(t)
-        slope = (course.at(t + h)[0] - course.at(t - h)[0]) / (2.0 * h)
+    for t in np.linspace(0.05, 0.9, 7) * reference.duration:
+        xi, z = reference.at(t)
+        slope = (reference.at(t + h)[0] - reference.at(t - h)[0]) / (2.0 * h)
         assert slope == pytest.approx(OMEGA * (xi - z), abs=1e-7)
 
 
@@ -208,16 +208,16 @@ def test_a_push_changes_position_and_time_of_the_step() -> None:
 
 def test_a_double_support_lasts_until_xi_has_arrived() -> None:
     a, b = np.array([0.0, 0.0]), np.array([0.05, -0.08])
-    course = Pressed(a, b, np.array([0.06, -0.06]), 0.1, OMEGA)
-    xi, z = course.at(0.03)
-    assert transfer_time(course, z, xi, 0.0) == pytest.approx(0.07, abs=0.005)
+    reference = Pressed(a, b, np.array([0.06, -0.06]), 0.1, OMEGA)
+    xi, z = reference.at(0.03)
+    assert transfer_time(reference, z, xi, 0.0) == pytest.approx(0.07, abs=0.005)
     behind = xi + np.array([0.0, 0.006])
-    longer = transfer_time(course, z, behind, 0.07)
+    longer = transfer_time(reference, z, behind, 0.07)
     assert longer > 0.08
-    begin, _ = Pressed(z, b, course.end, longer, OMEGA).at(0.0)  # of the longer double support
+    begin, _ = Pressed(z, b, reference.end, longer, OMEGA).at(0.0)  # of the longer double support
     assert begin[1] == pytest.approx(behind[1], abs=2e-3)
-    assert transfer_time(course, z, xi - np.array([0.0, 0.015]), 0.07) == pytest.approx(0.07)
-    assert transfer_time(course, z, behind, 0.45) == pytest.approx(0.45, abs=0.011)  # longer than what is tried
+    assert transfer_time(reference, z, xi - np.array([0.0, 0.015]), 0.07) == pytest.approx(0.07)
+    assert transfer_time(reference, z, behind, 0.45) == pytest.approx(0.45, abs=0.011)  # longer than what is tried
 
 
 def test_a_robot_that_is_held_does_not_wait_for_ever() -> None:

@@ -158,12 +158,12 @@ def adjusted(
     return duration, shift + _SMOOTH * (wanted - shift), over
 
 
-def transfer_time(course: Pressed, z: Array, xi: Array, least: float) -> float:
+def transfer_time(reference: Pressed, z: Array, xi: Array, least: float) -> float:
     """Return the remaining time of a double support after which xi is at its planned end to the side.
 
     Parameters
     ----------
-    course : Pressed
+    reference : Pressed
         The double support, with its zero-moment point at the end.
     z : ndarray, shape (2,)
         Present zero-moment point; from there it moves linearly [m].
@@ -172,7 +172,7 @@ def transfer_time(course: Pressed, z: Array, xi: Array, least: float) -> float:
     least : float
         Least remaining time [s].
     """
-    return float(_transfer_time(z, course.b, course.end, course.omega, xi[1], max(least, _GRID)))
+    return float(_transfer_time(z, reference.b, reference.end, reference.omega, xi[1], max(least, _GRID)))
 
 
 @jit

@@ -18,7 +18,7 @@ from dqwalk_ros.arrays import Array
 from dqwalk_ros.compiled import jit
 from dqwalk_ros.paths import minimum_jerk
 
-__all__ = ["Course", "Pressed", "Rest", "before", "single_supports"]
+__all__ = ["Pressed", "Reference", "Rest", "before", "single_supports"]
 
 
 _OFFSET = 0.4
@@ -72,7 +72,7 @@ def _resting(start, goal, duration, omega, elapsed):  # type: ignore[no-untyped-
     return xi, xi - slope / duration * way / omega
 
 
-class Course(Protocol):
+class Reference(Protocol):
     """Planned divergent component xi and zero-moment point z during a phase of `duration` [s]."""
 
     duration: float
@@ -83,7 +83,7 @@ class Course(Protocol):
 
 @dataclass
 class Pressed:
-    """Course of a support: z moves linearly from `a` to `b`, and xi ends at `end`; a single support if a = b.
+    """Reference of a support: z moves linearly from `a` to `b`, and xi ends at `end`; a single support if a = b.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class Pressed:
 
 @dataclass
 class Rest:
-    """Course of a stance: xi moves from `start` to `goal` on a minimum-jerk path, at rest at both ends.
+    """Reference of a stance: xi moves from `start` to `goal` on a minimum-jerk path, at rest at both ends.
 
     Attributes
     ----------

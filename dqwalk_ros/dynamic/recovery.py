@@ -13,7 +13,7 @@ from functools import cached_property
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config, load
-from dqwalk_ros.dynamic.walk import DynamicWalk, divergent_component
+from dqwalk_ros.dynamic.walk import DynamicWalk, com_and_xi
 from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.robot import Foot, RobotModel
@@ -175,7 +175,7 @@ class RecoveringWalk(StandingWalk):
     def _beyond_sole(self, kin: Kinematics, state: State) -> float:
         """Return how far xi is beyond what the base sole can bear, ahead, back or towards the swing foot [m]."""
         steps, sole = self._steps, self.model.soles[kin.base]
-        _, xi = divergent_component(kin.com, steps.com_velocity(kin, state), kin.up, steps.pendulum.omega)
+        _, xi = com_and_xi(kin.com, steps.com_velocity(kin, state), kin.up, steps.pendulum.omega)
         x, y = (xi - sole.center[:2]).tolist()
         inward = -y if kin.base is Foot.LEFT else y
         along = abs(x) - 0.5 * sole.length + steps.config.dynamic.catch_margin

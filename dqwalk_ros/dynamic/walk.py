@@ -22,7 +22,7 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.dynamic.adjust import Step, adjusted, left_over, transfer_time
 from dqwalk_ros.dynamic.ground import Ground, turned
 from dqwalk_ros.dynamic.pendulum import Pendulum, swing_inertia
-from dqwalk_ros.dynamic.plan import Course, Pressed, Rest, single_supports
+from dqwalk_ros.dynamic.plan import Pressed, Reference, Rest, single_supports
 from dqwalk_ros.dynamic.swing import Swing
 from dqwalk_ros.errors import StateError
 from dqwalk_ros.geometry import ConvexPolygon, moved_inside
@@ -38,7 +38,7 @@ from dqwalk_ros.targets import Follow, FollowPose, Target
 from dqwalk_ros.tasks import Task
 from dqwalk_ros.walk import Phase, PhaseKind, Rule, Timed, com_target
 
-__all__ = ["DynamicWalk", "divergent_component"]
+__all__ = ["DynamicWalk", "com_and_xi"]
 
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -81,7 +81,7 @@ class _Flight:
     """
 
     rule: Timed
-    course: Pressed
+    reference: Pressed
     step: Step
     swing: Swing
     goal: Array
@@ -110,7 +110,7 @@ class DynamicWalk(StandingWalk):
         self._force, self._pressure = GRAVITY * _UP, np.zeros(2)
         self._commanded, self._u, self._acceleration = -math.inf, np.zeros(model.n), np.zeros(model.n)
         self._ground: Ground
-        self._course: Course
+        self._reference: Reference
         self._flight: _Flight | None = None
         self._pushed = False
         self._descends = False  # whether the swing foot of the next single support is in the air already
@@ -274,7 +274,7 @@ class DynamicWalk(StandingWalk):
         omega, up = self.pendulum.omega, kin.up
         dt = state.time - self._time
         self._time = state.time
-        c, xi = divergent_component(kin.com, self.com_velocity(kin, state), up, omega)
+        c, xi = com_and_xi(kin.com, self.com_velocity(kin, state), up, omega)
         if not 0.0 <= dt <= _GAP:
             dt, self._com, self._xi, self._smooth = 0.0, c, xi if self._descends else c, xi
             self._ground = Ground(up, self._unsure)
@@ -288,11 +288,11 @@ class DynamicWalk(StandingWalk):
         flight = self._flight
         if flight is not None:
             phase = self._adjust_step(flight, phase, c, self._smooth, t)
-        elif isinstance(self._course, Pressed):
-            phase = self._adjust_transfer(self._course, phase, self._smooth, t)
-        self._xi, z = self._course.at(t)
+        elif isinstance(self._reference, Pressed):
+            phase = self._adjust_transfer(self._reference, phase, self._smooth, t)
+        self._xi, z = self._reference.at(t)
         if flight is None:  # a command takes effect after the delay
-            _, z = self._course.at(t + self._advance)
+            _, z = self._reference.at(t + self._advance)
         z = z + (1.0 + self._gain) * (xi - self._xi)
         if flight is not None:  # the foot must be on the ground before the weight is transferred
             place, velocity, acceleration = flight.swing.step(t, flight.rule.duration - self._advance)
@@ -301,7 +301,7 @@ class DynamicWalk(StandingWalk):
         self._pressure = moved_inside(z, *self._support, self.config.standing.pressure_margin)
         self._force = _force(c, self._pressure, omega, up)
         ahead = min(self._advance, 0.5 * self.config.dt + _MOST_AHEAD)
-        later, _ = self._course.at(t + ahead)
+        later, _ = self._reference.at(t + ahead)
         self._targets["com"].set(*_converging(self._com, self._xi, later, omega, ahead))
         self._targets["upright"].set(up[:2], np.zeros(2))
         self._known = phase
@@ -334,31 +334,31 @@ class DynamicWalk(StandingWalk):
             if flight.lost < _CONFIRMED:
                 return phase
         rule.duration, flight.shift, over = adjusted(step, xi, t, rule.duration, flight.shift, d)
-        flight.course.duration = rule.duration
-        flight.course.end = step.landing + step.offset + flight.shift
+        flight.reference.duration = rule.duration
+        flight.reference.end = step.landing + step.offset + flight.shift
         flight.swing.goal = flight.goal + flight.shift
         flight.most = max(flight.most, float(np.abs(over).max()))
         if np.abs(over).max() > _RESIDUAL:
             self._com = self._com + _YIELD * (c - self._com)
         return phase
 
-    def _adjust_transfer(self, course: Pressed, phase: Phase, xi: Array, t: float) -> Phase:
+    def _adjust_transfer(self, reference: Pressed, phase: Phase, xi: Array, t: float) -> Phase:
         """Extend a double support to the measured xi (2,) [m] at `t` [s] after its beginning.
 
         A push towards the swing foot brings it to the ground early, and the impact throws the robot back. A single
         support that begins with xi too far behind would have to end sooner than the other foot can land. A robot that
         is held does not wait for ever. Return the phase, at its last state with the decision.
         """
-        rule, left, planned = phase.rule, course.duration - t, self._duration(phase.kind)
+        rule, left, planned = phase.rule, reference.duration - t, self._duration(phase.kind)
         assert isinstance(rule, Timed)
-        due, z = course.at(t)
+        due, z = reference.at(t)
         waits = left > 1e-9 and t < planned + _LONGEST_WAIT
         if self.config.dynamic.catch and abs(xi[1] - due[1]) > self._threshold and waits:
             most = self.config.dynamic.hurry
-            left += min(max(transfer_time(course, z, xi, planned - t) - left, -most), most)
-            course.duration = rule.duration = t + left
-            course.a = course.b - (course.b - z) * course.duration / left
-        longer = course.duration - planned
+            left += min(max(transfer_time(reference, z, xi, planned - t) - left, -most), most)
+            reference.duration = rule.duration = t + left
+            reference.a = reference.b - (reference.b - z) * reference.duration / left
+        longer = reference.duration - planned
         if left > 1.5 * self.config.dt or longer < self.config.dt or phase.decision:
             return phase
         text = f"the double support lasts {1e3 * longer:.0f} ms longer, until the divergent component has arrived"
@@ -391,28 +391,28 @@ class DynamicWalk(StandingWalk):
         corners, omega, rule = self.model.soles[phase.base].corners[:, :2], self.pendulum.omega, phase.rule
         assert isinstance(rule, Timed)
         if phase.swing_target is not None:
-            self._course = self._flight_course(phase, kin, rule, base)
+            self._reference = self._flight_reference(phase, kin, rule, base)
         else:
             corners = np.concatenate([corners, other.points(self.model.soles[phase.base.other].corners[:, :2])])
             if phase.kind is PhaseKind.STANCE:
-                self._course = Rest(self._xi, 0.5 * (base + end), rule.duration, omega)
+                self._reference = Rest(self._xi, 0.5 * (base + end), rule.duration, omega)
             else:
                 start, _ = self._plan(phase.support, other, self._step_now, self._done)
                 if before is not None and before.kind is PhaseKind.SINGLE_SUPPORT:
-                    self._course = Pressed(base, end, start, rule.duration, omega)
+                    self._reference = Pressed(base, end, start, rule.duration, omega)
                 else:
                     rule.duration = self.config.dynamic.start_duration
-                    self._course = Rest(self._xi, start, rule.duration, omega)
+                    self._reference = Rest(self._xi, start, rule.duration, omega)
         self._support = ConvexPolygon.hull(corners).edges()
         tree = kin.tree
         self._legs = tree.moves[tree.frames[self.model.pelvis][0]]
 
-    def _flight_course(self, phase: Phase, kin: Kinematics, rule: Timed, base: Array) -> Pressed:
-        """Initialize a single support and return its course."""
+    def _flight_reference(self, phase: Phase, kin: Kinematics, rule: Timed, base: Array) -> Pressed:
+        """Initialize a single support and return its reference."""
         d, omega, target = self.config.dynamic, self.pendulum.omega, phase.swing_target
         assert target is not None
         _, end = self._plan(phase.support, Footprint(), self._step_now, self._done, target)
-        course = Pressed(base, base, end, rule.duration, omega)
+        reference = Pressed(base, base, end, rule.duration, omega)
         sole, landing = self.model.soles[phase.base], self._aim(phase.base.other, Footprint.of(target))
         half = 0.5 * np.array([sole.length, sole.width]) - d.catch_margin
         step = Step(
@@ -424,8 +424,8 @@ class DynamicWalk(StandingWalk):
         swing = Swing(start, target, self.config.gait.step_height, rule.duration if descends else 0.0)
         rule.begun = swing.begun
         # after an adjusted step, the next step is adjusted from its beginning
-        self._flight = _Flight(rule, course, step, swing, swing.goal, lost=_CONFIRMED if self._pushed else 0)
-        return course
+        self._flight = _Flight(rule, reference, step, swing, swing.goal, lost=_CONFIRMED if self._pushed else 0)
+        return reference
 
     def _plan(
         self, foot: Foot, stands: Footprint, step: Array, done: int, target: Array | None = None
@@ -484,7 +484,7 @@ def _along_ground(v, up):  # type: ignore[no-untyped-def]
 
 
 @jit
-def divergent_component(com, velocity, up, omega):  # type: ignore[no-untyped-def]
+def com_and_xi(com, velocity, up, omega):  # type: ignore[no-untyped-def]
     """Return the projection c (2,) of the CoM (3,) on the ground along the vertical `up` (3,), and xi = c + c'/w (2,).
 
     `velocity` (3,) is that of the CoM [m/s], and `omega` (2,) are the frequencies of the pendulum [1/s].
