@@ -25,6 +25,7 @@ from typing import Any, Self
 
 from dqwalk_ros.compiled import COMPILING
 from dqwalk_ros.config import Config, to_yaml
+from dqwalk_ros.interrupts import deferred_interrupts
 from dqwalk_ros.simulation import walk_type
 from dqwalk_ros.standing.course import Course
 
@@ -135,7 +136,7 @@ def run_walk(
             domain = stack.enter_context(private_domain())
         processes = stack.enter_context(Processes(folder, domain))
         walk = _Progress(config, processes, node, Course.parse(course).duration, progress)
-        interrupted = stack.enter_context(_interrupts())
+        interrupted = stack.enter_context(deferred_interrupts())
         processes.start("recorder", ["--bag", str(bag), *ros])
         processes.start("phase_monitor", ros)
         processes.start(node, ros)
@@ -239,21 +240,6 @@ def _recording_error(processes: Processes, lockstep: bool, ticks: int) -> str:
     if lockstep and missing:
         return "the bag is incomplete: " + ", ".join(f"{n} of {name} are missing" for name, n in missing.items())
     return ""
-
-
-@contextlib.contextmanager
-def _interrupts() -> Iterator[list[signal.Signals]]:
-    """Collect the signals SIGINT and SIGTERM in the list that is yielded, instead of ending the process."""
-    received: list[signal.Signals] = []
-    handlers = {}
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGINT, signal.SIGTERM):
-            handlers[number] = signal.signal(number, lambda n, _: received.append(signal.Signals(n)))
-    try:
-        yield received
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
 
 
 class Processes:

@@ -22,6 +22,7 @@ from dqwalk_ros.dynamic.recovery import RecoveringWalk
 from dqwalk_ros.dynamic.walk import DynamicWalk
 from dqwalk_ros.errors import ConfigError, DqwalkError, PlantError
 from dqwalk_ros.estimation.base import BaseEstimator
+from dqwalk_ros.interrupts import deferred_interrupts, is_interrupt
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.plants import Inertial, Plant, Truth, orientation_of
 from dqwalk_ros.plants.kinematic import KinematicPlant
@@ -166,18 +167,25 @@ def closed_loop(
     ------
     DqwalkError
         Any error of controller and plant.
+    KeyboardInterrupt
+        On Ctrl-C, in the middle of a step; `simulate` completes the step.
     """
     dt = controller.config.dt
     begin = plant.state.time
-    while True:
-        if before_step is not None:
-            before_step(plant.state.time - begin)
-        state = plant.state
-        command = controller.step(state, dt)
-        yield state, command
-        if controller.finished or plant.fallen:
-            return
-        plant.step(command, dt)
+    try:
+        while True:
+            if before_step is not None:
+                before_step(plant.state.time - begin)
+            state = plant.state
+            command = controller.step(state, dt)
+            yield state, command
+            if controller.finished or plant.fallen:
+                return
+            plant.step(command, dt)
+    except SystemError as error:
+        if is_interrupt(error):
+            raise KeyboardInterrupt from error
+        raise
 
 
 _REPORT_EVERY = 0.1
@@ -217,16 +225,23 @@ def simulate(
     due = 0.0
     state = plant.state
     try:
-        for state, command in closed_loop(controller, plant, before_step):
-            recorder.add(state, command, controller, plant)
-            if state.time >= end:
-                break
-            if progress is not None and time.monotonic() >= due:
-                due = time.monotonic() + _REPORT_EVERY
-                progress(
-                    controller.phase_index / total,
-                    f"{controller.phase.name}  t = {state.time:.1f} s  error {controller.error:.4f}",
-                )
+        steps = closed_loop(controller, plant, before_step)
+        first = next(steps)  # it may compile for a minute, and Ctrl-C acts at once
+        with deferred_interrupts() as interrupted:
+            for state, command in itertools.chain([first], steps):
+                recorder.add(state, command, controller, plant)
+                if state.time >= end:
+                    break
+                if interrupted:
+                    recorder.note(f"interrupted at {state.time:.3f} s")
+                    recorder.interrupted = True
+                    break
+                if progress is not None and time.monotonic() >= due:
+                    due = time.monotonic() + _REPORT_EVERY
+                    progress(
+                        controller.phase_index / total,
+                        f"{controller.phase.name}  t = {state.time:.1f} s  error {controller.error:.4f}",
+                    )
         if plant.fallen:
             recorder.note(f"the robot fell in {controller.phase.name} at {state.time:.2f} s")
     except DqwalkError as error:
@@ -234,9 +249,6 @@ def simulate(
             raise
         recorder.note(str(error))
         recorder.add(plant.state, None, controller, plant)
-    except KeyboardInterrupt:
-        recorder.note(f"interrupted at {plant.state.time:.3f} s")
-        recorder.interrupted = True
     return recorder.trace()
 
 

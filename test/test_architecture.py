@@ -14,6 +14,7 @@ PACKAGE = ROOT / "dqwalk_ros"
 LAYERS = (
     "arrays",
     "errors",
+    "interrupts",
     "provenance",
     "strict_yaml",
     "text_table",

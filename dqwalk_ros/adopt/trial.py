@@ -107,6 +107,8 @@ def walk(config: Config, model: RobotModel, plant: str, steps: int, progress: Ca
     try:
         controller, body = make_controller(changed, model), make_plant(plant, changed, model)
         trace = simulate(controller, body, progress=lambda done, text: progress(done, f"{plant}: {text}"))
+        if trace.interrupted:
+            raise KeyboardInterrupt  # and no other trial begins
     except DqwalkError as error:
         return Trial(plant, False, 0.0, str(error))
     why = () if trace.finished else tuple(causes(analyse(trace)))

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import click
 
 from dqwalk_ros.errors import ConfigError, DqwalkError, ModelError
+from dqwalk_ros.interrupts import is_interrupt
 
 __all__ = ["FAILED", "OK", "USAGE", "dqwalk", "main"]
 
@@ -110,7 +111,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         extra = _EXTRAS.get((error.name or "").partition(".")[0])
         how = f": pip install 'dqwalk_ros[{extra}]'" if extra else ""
         return _fail(f"the Python module '{error.name}' is not installed{how}", FAILED)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:
+        if not is_interrupt(error):
+            raise
         return _fail("interrupted", FAILED)
     except MemoryError:
         return _fail("not enough memory", FAILED)

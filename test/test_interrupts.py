@@ -1,0 +1,82 @@
+"""Ctrl-C in the middle of a walk."""
+
+from __future__ import annotations
+
+import itertools
+import signal
+from unittest import mock
+
+import numpy as np
+import pytest
+from robots import legs
+
+from dqwalk_ros.adopt import trial
+from dqwalk_ros.config import load
+from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.simulation import closed_loop, make_controller, simulate
+
+PAPER = load("paper")
+
+
+def interrupted_walk(*signals, step=5):
+    """Return the trace of a walk in which the signals arrive before a step is computed."""
+    steps = itertools.count()
+
+    def before_step(_):
+        if next(steps) == step:
+            for number in signals:
+                signal.raise_signal(number)
+
+    return simulate(make_controller(PAPER, legs()), KinematicPlant(legs()), before_step=before_step, max_time=0.1)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_step_is_completed_and_recorded(number):
+    before = signal.getsignal(number)
+    trace = interrupted_walk(number)
+    assert trace.interrupted
+    assert trace.notes == ("interrupted at 0.025 s",)
+    assert len(trace) == len(trace.q) == len(trace.u) == 6
+    assert np.isfinite(trace.u).all()
+    assert signal.getsignal(number) is before
+
+
+def test_a_second_interrupt_acts_at_once():
+    with pytest.raises(KeyboardInterrupt):
+        interrupted_walk(signal.SIGINT, signal.SIGINT)
+
+
+def test_an_ignored_interrupt_remains_ignored():
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        trace = interrupted_walk(signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert not trace.interrupted
+    assert len(trace) == 21
+
+
+def system_error(cause):
+    error = SystemError("a compiled function returned a result with an exception set")
+    error.__cause__ = cause
+    return error
+
+
+@pytest.mark.parametrize(
+    ("error", "raised"),
+    [
+        (system_error(KeyboardInterrupt()), KeyboardInterrupt),
+        (system_error(system_error(KeyboardInterrupt())), KeyboardInterrupt),
+        (system_error(None), SystemError),
+    ],
+)
+def test_an_interrupt_within_a_compiled_function_is_a_keyboard_interrupt(error, raised):
+    """Numba raises a SystemError if the interrupt arrives while a function returns an array."""
+    plant = KinematicPlant(legs())
+    with mock.patch.object(plant, "step", side_effect=error), pytest.raises(raised):
+        list(closed_loop(make_controller(PAPER, legs()), plant))
+
+
+def test_no_trial_begins_after_an_interrupt():
+    with pytest.raises(KeyboardInterrupt):
+        trial.walk(PAPER, legs(), "kinematic", 1, lambda *_: signal.raise_signal(signal.SIGINT))
