@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.packages import find_package_file
@@ -131,6 +130,8 @@ class Shapes:
 
 def _corners(points: Array) -> Array:
     """Return the corners (M, 3) of the convex hull of points (N, 3), or all points if they span no volume."""
+    from scipy.spatial import ConvexHull, QhullError  # slow to import, and few robots need it
+
     try:
         corners: Array = points[ConvexHull(points).vertices]
         return corners

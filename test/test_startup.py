@@ -52,6 +52,10 @@ IMPORTS = {
         "KinematicPlant(load_model(load('paper').robot))",
         ("numba",),
     ),
+    "nodes": (
+        "import dqwalk_ros.nodes.controller, dqwalk_ros.nodes.phase_monitor",
+        (*OPTIONAL, "matplotlib", "scipy.spatial", "scipy.optimize"),
+    ),
     "report": ("import dqwalk_ros.report as a\na.report, a.analyse, a.render", ("matplotlib",)),
     "make walk": ("\n".join(f"import dqwalk_ros.{name}" for name in WALK), OPTIONAL),  # it installs no extras
 }
