@@ -15,6 +15,7 @@ __all__ = [
     "StateError",
     "StudyError",
     "ViewerError",
+    "how_to_install",
     "listed",
 ]
 
@@ -23,6 +24,30 @@ def listed(names: Collection[str]) -> str:
     """Return some names that came from outside, for a message that fits on a line and cannot act on a terminal."""
     shown = [ascii(name)[1:-1][:60] for name in sorted(names)[:12]]
     return ", ".join([*shown, f"and {len(names) - 12} more"] if len(names) > 12 else shown)
+
+
+_ON_PYPI = {
+    "daqp": "daqp",
+    "distributed": "distributed",
+    "dynamixel_sdk": "dynamixel-sdk",
+    "mujoco": "mujoco",
+    "pinocchio": "pin",
+    "pyarrow": "pyarrow",
+    "serial": "pyserial",
+    "viser": "viser",
+    "xacro": "xacro",
+}
+"""Name on PyPI of each Python module that may be missing."""
+_OF_ROS = ("rclpy", "_interfaces", "_msgs", "_srvs")
+"""Endings of the names of ROS modules."""
+
+
+def how_to_install(module: str) -> str:
+    """Return how a missing Python module, or the package of a submodule, is installed; empty if it is not known."""
+    package = module.partition(".")[0]
+    if package.endswith(_OF_ROS):
+        return "source the setup file of a ROS 2 Jazzy, or pip install -e '.[ros]' in the folder of dqwalk_ros"
+    return f"pip install {_ON_PYPI[package]}" if package in _ON_PYPI else ""
 
 
 class DqwalkError(Exception):

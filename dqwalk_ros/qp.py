@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.arrays import Array
 from dqwalk_ros.compiled import jit
-from dqwalk_ros.errors import QPError
+from dqwalk_ros.errors import ConfigError, QPError, how_to_install
 
 __all__ = [
     "ClarabelSolver",
@@ -502,7 +502,7 @@ class DaqpSolver:
 
     Raises
     ------
-    QPError
+    ConfigError
         If daqp is not installed.
     """
 
@@ -512,11 +512,9 @@ class DaqpSolver:
         try:
             import daqp
         except ImportError as error:
-            raise QPError(
-                "qp.solver is 'daqp', which is not installed: pip install 'dqwalk_ros[daqp]', "
-                "or set qp.solver to clarabel",
-                status="NotInstalled",
-            ) from error
+            how = how_to_install("daqp")
+            why = f"qp.solver is daqp, which is not installed: {how}, or --set qp.solver=clarabel"
+            raise ConfigError(why) from error
         self._make_model = daqp.Model
         self._models: dict[tuple[int, int, int], tuple[Any, tuple[Array, ...]]] = {}
         self._fallback = ClarabelSolver()

@@ -20,7 +20,7 @@ from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.dynamic.recovery import RecoveringWalk
 from dqwalk_ros.dynamic.walk import DynamicWalk
-from dqwalk_ros.errors import ConfigError, DqwalkError, PlantError
+from dqwalk_ros.errors import ConfigError, DqwalkError, PlantError, how_to_install
 from dqwalk_ros.estimation.base import BaseEstimator
 from dqwalk_ros.interrupts import deferred_interrupts, is_interrupt
 from dqwalk_ros.kinematics import Kinematics
@@ -116,7 +116,7 @@ def make_plant(name: str, config: Config, model: RobotModel) -> Plant:
     except ModuleNotFoundError as error:
         if error.name != "mujoco":
             raise
-        raise PlantError("the physics engine is not installed: pip install 'dqwalk_ros[sim]'") from error
+        raise PlantError(f"the physics engine is not installed: {how_to_install('mujoco')}") from error
     plant: Plant = PhysicsPlant(config, model, make_walk(config, model).posture)
     return plant
 

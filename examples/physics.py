@@ -1,9 +1,9 @@
-"""The standing walk in MuJoCo: one step of the whole Poppy (pip install 'dqwalk_ros[sim]')."""
+"""The standing walk in MuJoCo: one step of the whole Poppy (pip install mujoco)."""
 
 from dqwalk_ros import load, load_model, make_controller
 from dqwalk_ros.simulation import make_plant, simulate
 
-config = load("poppy").updated({"gait.steps": 1, "qp.solver": "daqp"})
+config = load("poppy").updated({"gait.steps": 1})
 model = load_model(config.robot)
 trace = simulate(make_controller(config, model), make_plant("physics", config, model))
 

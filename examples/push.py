@@ -5,7 +5,7 @@ import numpy as np
 from dqwalk_ros import load, load_model, make_controller
 from dqwalk_ros.simulation import closed_loop, make_plant
 
-config = load("poppy").updated({"gait.steps": 0, "qp.solver": "daqp"})
+config = load("poppy").updated({"gait.steps": 0})
 model = load_model(config.robot)
 controller, plant = make_controller(config, model), make_plant("physics", config, model)
 begin = plant.state.time

@@ -1,4 +1,4 @@
-"""A study: the same walk with varied parameters in two processes; outcomes are saved (dqwalk_ros[study])."""
+"""A study: the same walk with varied parameters in two processes (pip install distributed pyarrow)."""
 
 import tempfile
 from pathlib import Path
@@ -7,8 +7,7 @@ from dqwalk_ros.studies import read, walk_all
 
 TEXT = """\
 config: paper
-set: {task.eta: 2.0, task.damping: 0.02, ssp.threshold: 0.02, dsp.stall_rate: 0.005, gait.phase_timeout: 3.0,
-      qp.solver: daqp}
+set: {task.eta: 2.0, task.damping: 0.02, ssp.threshold: 0.02, dsp.stall_rate: 0.005, gait.phase_timeout: 3.0}
 vary:
   gait.step_length: [0.01, 0.02]
 """

@@ -3,7 +3,7 @@
 from dqwalk_ros import KinematicPlant, load, load_model, make_controller, simulate
 from dqwalk_ros.report import analyse, render, report
 
-config = load("paper").updated({"qp.solver": "daqp"})
+config = load("paper")
 model = load_model(config.robot)
 trace = simulate(make_controller(config, model), KinematicPlant(model), max_time=5.0)
 

@@ -1,4 +1,4 @@
-"""The whole-body controller: the hand follows a target, on a robot of HRP-2's size (dqwalk_ros[wholebody])."""
+"""The whole-body controller: the hand follows a target, on a robot of HRP-2's size (pip install daqp pin)."""
 
 import dataclasses
 

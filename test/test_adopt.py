@@ -73,6 +73,8 @@ def test_files_are_found_from_any_working_directory(
     for name in ("robot.yaml", "paper.yaml"):
         assert load_model(load(small.folder / name).robot).joint_names == small.model.joint_names
     assert make_controller(load(small.folder / "robot.yaml"), small.model)  # with the steps of dynamic.yaml
+    # none takes an optional solver
+    assert {load(file).qp.solver for file in small.folder.glob("*.yaml")} == {"clarabel"}
     text = (small.folder / "robot.yaml").read_text()
     values = [line for line in text.splitlines() if re.match(r"\s+\w+: \S", line)]
     assert all("  # " in line for line in values), "every value has its reason in a comment"

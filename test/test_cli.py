@@ -398,9 +398,14 @@ def test_a_closed_pipe_is_no_error():
 
 @pytest.mark.parametrize(
     ("module", "named"),
-    [("rclpy", "'rclpy' is not installed\n"), ("viser.infra", "is not installed: pip install 'dqwalk_ros[view]'\n")],
-)
-def test_a_missing_python_module_is_named_with_its_extra(monkeypatch, capsys, tmp_path, module, named):
+    [
+        ("own_module", "'own_module' is not installed\n"),
+        ("rclpy", "'rclpy' is not installed: source the setup file of a ROS 2 Jazzy, "
+                  "or pip install -e '.[ros]' in the folder of dqwalk_ros\n"),
+        ("pinocchio.utils", "'pinocchio.utils' is not installed: pip install pin\n"),
+    ],
+)  # fmt: skip
+def test_a_missing_python_module_is_named_with_its_package(monkeypatch, capsys, tmp_path, module, named):
     def run_walk(*_, **__):
         raise ModuleNotFoundError(f"No module named '{module}'", name=module)
 

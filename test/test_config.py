@@ -203,3 +203,8 @@ def test_every_shipped_configuration_is_named() -> None:
     files = {path.stem: path for path in (Path(__file__).parent.parent / "config").glob("*.yaml")}
     walks = {name for name, path in files.items() if "robot:" in path.read_text(encoding="utf-8")}
     assert set(SHIPPED) == walks
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_every_shipped_configuration_is_solved_without_optional_packages(name: str) -> None:
+    assert load(name).qp.solver == "clarabel"

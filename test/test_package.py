@@ -15,6 +15,8 @@ from xml.etree import ElementTree
 import pytest
 
 import dqwalk_ros
+from dqwalk_ros import errors
+from dqwalk_ros.errors import how_to_install
 from dqwalk_ros.nodes.command_line import NODES
 from dqwalk_ros.runner import private_domain
 
@@ -41,6 +43,14 @@ def test_every_node_is_installed() -> None:
     how = {"cwd": ROOT, "env": os.environ | {"PYTHONPATH": str(ROOT)}, "capture_output": True, "text": True}
     shown = subprocess.run([sys.executable, script, "--help"], **how, check=True).stdout
     assert shown.startswith(f"usage: dqwalk_{name} ")
+
+
+def test_packages_to_install_are_those_of_setup_py() -> None:
+    """The name on PyPI that an error gives is one that an extra installs."""
+    from packaging.requirements import Requirement
+
+    named = {how_to_install(module).removeprefix("pip install ") for module in errors._ON_PYPI}
+    assert named <= {Requirement(one).name for one in metadata.requires("dqwalk_ros") or ()}
 
 
 def test_package_xml_declares_what_the_nodes_import() -> None:

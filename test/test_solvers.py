@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from types import SimpleNamespace
 
 import clarabel
@@ -11,10 +12,10 @@ import pytest
 from test_assembly import DT, KINDS, phase_of, setting
 from walks import problem_at, problem_of
 
-from dqwalk_ros.errors import QPError
+from dqwalk_ros.errors import ConfigError, QPError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.plants.kinematic import KinematicPlant
-from dqwalk_ros.qp import ClarabelSolver, DaqpSolver, _ClarabelProgram
+from dqwalk_ros.qp import ClarabelSolver, DaqpSolver, _ClarabelProgram, make_solver
 from dqwalk_ros.simulation import make_controller
 from dqwalk_ros.state import State
 
@@ -86,6 +87,12 @@ def test_an_infeasible_problem_names_its_rows(name):
         solver.solve(dataclasses.replace(problem, W=W, w=w))
     assert "row1" in caught.value.rows
     assert solver.solve(problem).residuals(problem).largest < 1e-7  # the next problem is solved
+
+
+def test_a_missing_daqp_is_explained(monkeypatch):
+    monkeypatch.setitem(sys.modules, "daqp", None)
+    with pytest.raises(ConfigError, match=r"daqp, which is not installed: pip install daqp, or --set qp.solver=clar"):
+        make_solver("daqp")
 
 
 @pytest.mark.parametrize("name", SOLVERS)

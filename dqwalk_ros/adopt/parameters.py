@@ -316,5 +316,4 @@ def dynamic_parameters(numbers: Numbers, damping: float) -> list[Entry]:
         Entry(
             "servo.assumed_lead", rounded(0.7 * damping, 2), "0.7 of servo.damping: more, and steps get long", "guess"
         ),
-        Entry("qp.solver", "daqp", "the fastest", "default"),
     ]

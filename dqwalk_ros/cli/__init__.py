@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import click
 
-from dqwalk_ros.errors import ConfigError, DqwalkError, ModelError
+from dqwalk_ros.errors import ConfigError, DqwalkError, ModelError, how_to_install
 from dqwalk_ros.interrupts import is_interrupt
 
 __all__ = ["FAILED", "OK", "USAGE", "dqwalk", "main"]
@@ -57,10 +57,6 @@ examples:
 exit code: 0 success; 1 the walk failed or violated a constraint, or a file cannot be read or written; 2 wrong
 arguments or configuration
 """
-
-
-_EXTRAS = {"distributed": "study", "mujoco": "sim", "pinocchio": "wholebody", "pyarrow": "study", "viser": "view"}
-"""Extra of the package that installs a Python module."""
 
 
 class _Commands(click.Group):
@@ -108,9 +104,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] == "dqwalk_ros":
             raise
-        extra = _EXTRAS.get((error.name or "").partition(".")[0])
-        how = f": pip install 'dqwalk_ros[{extra}]'" if extra else ""
-        return _fail(f"the Python module '{error.name}' is not installed{how}", FAILED)
+        how = how_to_install(error.name or "")
+        return _fail(f"the Python module '{error.name}' is not installed{how and f': {how}'}", FAILED)
     except (KeyboardInterrupt, SystemError) as error:
         if not is_interrupt(error):
             raise

@@ -46,7 +46,7 @@ def movie(
 
     MuJoCo draws the robot with the visual shapes of its URDF; without a display it uses EGL, or what MUJOCO_GL says
     (osmesa). Bags of walks in physics contain the true pose of the pelvis; for others it is that of odometry.
-    Needs dqwalk_ros[sim].
+    Needs MuJoCo: pip install mujoco
     """
     if out.suffix.lower() not in (".gif", ".webp", ".png"):
         raise ConfigError(f"--out needs a .gif, a .webp, or a .png for a strip, not '{out}'")

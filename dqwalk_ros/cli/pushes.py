@@ -84,7 +84,7 @@ def pushes(
 
     Pushes the pelvis of a walking robot in physics, in eight directions, standing on both feet and in the middle of a
     step on either foot, finds by bisection the impulse at which it falls, and prints the largest impulse survived.
-    Needs dqwalk_ros[sim].
+    Needs MuJoCo: pip install mujoco
     """
     from dqwalk_ros.cli.results import write_study
     from dqwalk_ros.report.figures.studies import pushes_figure

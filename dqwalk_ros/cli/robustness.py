@@ -66,7 +66,7 @@ def robustness(
     """Walk in physics with different robots and floors.
 
     Walks every combination of friction, mass, servo stiffness, backlash, output rate and latency (432 of them) and
-    prints the fraction that stood and why the others did not. Needs dqwalk_ros[sim].
+    prints the fraction that stood and why the others did not. Needs MuJoCo: pip install mujoco
     """
     from dqwalk_ros.cli.results import write_study
     from dqwalk_ros.report.figures.studies import robustness_figure

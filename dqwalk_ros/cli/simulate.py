@@ -30,7 +30,7 @@ examples:
   dqwalk simulate --set gait.step_length=0.03 --set dsp.flat_feet=false
   dqwalk simulate --config my_robot.yaml --format png,pdf
   dqwalk simulate --view                                   show it in the browser while it is computed
-  dqwalk simulate --config poppy --plant physics           the standing walk, in MuJoCo (dqwalk_ros[sim])
+  dqwalk simulate --config poppy --plant physics           the standing walk, in MuJoCo (pip install mujoco)
   dqwalk simulate --config poppy --plant physics --cmd-vel 0.015,0,0,20 --cmd-vel=-0.01,0,0,20    forward, then back
 """)
 @walk_options(

@@ -33,7 +33,7 @@ writes to the folder of --out:
   walks.parquet    all walks in order: parameters, finished, end, duration, error, margins (pandas.read_parquet)
   study.png        which walks finished, and their margins
 
-needs: pip install 'dqwalk_ros[study]'
+needs: pip install distributed pyarrow
 
 examples:
   dqwalk study studies/step_length.yaml --jobs 2

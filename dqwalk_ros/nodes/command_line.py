@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from dqwalk_ros.config import Config, Spec
+from dqwalk_ros.errors import how_to_install
 
 __all__ = ["NODES", "docstring", "main", "parameters_of", "parse", "script", "sections_of"]
 
@@ -130,15 +131,10 @@ def main(name: str, argv: Sequence[str]) -> int:
         base = importlib.import_module("dqwalk_ros.nodes.base")
         made = getattr(importlib.import_module(f"dqwalk_ros.nodes.{module}"), kind)
     except ModuleNotFoundError as error:
-        missing = (error.name or "").split(".")[0]
-        if missing == "dqwalk_ros":
+        if (error.name or "").partition(".")[0] == "dqwalk_ros":
             raise
-        extra = {"pinocchio": "wholebody", "mujoco": "sim", "viser": "view"}.get(missing)
-        how = f"pip install 'dqwalk_ros[{extra or 'ros'}]'"
-        how = how if extra else f"source a ROS 2 Jazzy setup file, or install the wheels with: {how}"
-        print(
-            f"{name}: needs {missing if extra else f'ROS 2 (no Python module {error.name!r})'}: {how}", file=sys.stderr
-        )
+        how = how_to_install(error.name or "")
+        print(f"{name}: the Python module {error.name!r} is not installed{how and f': {how}'}", file=sys.stderr)
         return 2
     code: int = base.main(made, options)
     return code
