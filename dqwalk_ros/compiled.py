@@ -3,6 +3,8 @@
 Numba recompiles a cached function only when its own file changes, although its machine code contains the functions
 that it calls from other files. So the cache folder is named after a digest of all source files of this package in which
 the word jit occurs: a change in any of them recompiles all.
+
+Numba executes what it finds in the cache, so the cache is in a folder that no other user can have filled, or nowhere.
 """
 
 from __future__ import annotations
@@ -11,29 +13,36 @@ import hashlib
 import logging
 import os
 import pathlib
-import tempfile
 from collections.abc import Callable
 from typing import Any
 
 import numba
 from numba.core import event
 
+from dqwalk_ros.own_folder import own_folder, temporary
+
 __all__ = ["COMPILING", "jit"]
 
 
 def _cache_folder() -> pathlib.Path:
-    """Return the folder of the cache: in the user's cache folder, or in the temporary one where that is read-only."""
+    """Return the folder of the cache: in the cache folder of the user, or if need be in the temporary one."""
     package = pathlib.Path(__file__).parent
     sources = (file.read_bytes() for file in sorted(package.rglob("*.py")))
     digest = hashlib.sha256(b"".join(text for text in sources if b"jit" in text)).hexdigest()
-    cache = pathlib.Path(os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache")
-    if not os.access(next(folder for folder in (cache, *cache.parents) if folder.exists()), os.W_OK):
-        cache = pathlib.Path(tempfile.gettempdir()) / f"user-{os.getuid()}"
-    return cache / "dqwalk_ros" / digest[:16]
+    caches = pathlib.Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+    try:
+        folder = own_folder(caches / "dqwalk_ros")
+    except OSError:
+        folder = own_folder(temporary())
+    return folder / digest[:16]
 
 
+_no_cache = ""
 if "NUMBA_CACHE_DIR" not in os.environ:
-    numba.config.CACHE_DIR = str(_cache_folder())  # type: ignore[attr-defined]
+    try:
+        numba.config.CACHE_DIR = str(_cache_folder())  # type: ignore[attr-defined]
+    except OSError as error:
+        _no_cache = f"; in each process, because there is no cache ({error.strerror}: '{error.filename}')"
 
 
 COMPILING = "compiling for this machine; this takes about a minute, once for each kind of walk"
@@ -49,7 +58,7 @@ class _CompilationNotice(event.Listener):
         """Log the warning, once."""
         if not self._logged:
             self._logged = True
-            logging.getLogger("dqwalk_ros").warning(COMPILING)
+            logging.getLogger("dqwalk_ros").warning(f"{COMPILING}{_no_cache}")
 
     def on_end(self, event: Any) -> None:
         """Do nothing."""
@@ -60,4 +69,4 @@ event.register("numba:compile", _CompilationNotice())  # type: ignore[no-untyped
 
 def jit(function: Callable[..., Any]) -> Any:
     """Return `function` compiled on its first call; floating-point operations are not reordered (no fast-math)."""
-    return numba.njit(cache=True, fastmath=False, error_model="numpy")(function)
+    return numba.njit(cache=not _no_cache, fastmath=False, error_model="numpy")(function)

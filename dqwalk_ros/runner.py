@@ -7,7 +7,6 @@ nodes report their progress as lines of JSON on their standard output.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import math
 import os
@@ -15,7 +14,6 @@ import random
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -26,6 +24,7 @@ from typing import Any, Self
 from dqwalk_ros.compiled import COMPILING
 from dqwalk_ros.config import Config, to_yaml
 from dqwalk_ros.interrupts import deferred_interrupts
+from dqwalk_ros.own_folder import lock
 from dqwalk_ros.simulation import walk_type
 from dqwalk_ros.standing.course import Course
 
@@ -368,12 +367,8 @@ def private_domain() -> Iterator[int]:
     candidates = list(range(1, 102))  # the ports of domains above 101 overlap with the ephemeral ports of the kernel
     random.shuffle(candidates)
     for number in candidates:
-        path = Path(tempfile.gettempdir()) / f"dqwalk_ros.domain{number}.{os.getuid()}.lock"
-        with path.open("w") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                continue
-            yield number
+        if (held := lock(f"domain{number}")) is not None:
+            with held:
+                yield number
             return
     raise RuntimeError("all 101 ROS domains of this machine are taken by walks")

@@ -15,6 +15,7 @@ LAYERS = (
     "arrays",
     "errors",
     "interrupts",
+    "own_folder",
     "provenance",
     "strict_yaml",
     "text_table",

@@ -5,15 +5,11 @@ from __future__ import annotations
 import argparse
 import contextlib
 import ctypes
-import fcntl
 import json
-import os
 import signal
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -32,6 +28,7 @@ from dqwalk_ros.config import OF_RCLPY, Config
 from dqwalk_ros.errors import ConfigError, DqwalkError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes import parameters, wheels
+from dqwalk_ros.own_folder import lock
 from dqwalk_ros.topics import BODY_TOPICS, PHASE_LOG, TOPICS
 
 __all__ = ["WalkNode", "main", "throttled"]
@@ -199,9 +196,7 @@ class WalkNode(Node):
             return
         topic, me = self.resolve_topic_name(self.claims), self.get_fully_qualified_name()
         runs = ConfigError(f"{me} is already running and publishes {topic}: stop it, or use a namespace")
-        name = f"dqwalk_ros.domain{self.context.get_domain_id()}{me.replace('/', '.')}.{os.getuid()}.lock"
-        with contextlib.suppress(OSError):  # no lock if the file cannot be created
-            self._lock = (Path(tempfile.gettempdir()) / name).open("w")
+        with contextlib.suppress(OSError):  # no lock if there is no folder for it
             if not self._within(_HEARD, self._is_locked):
                 raise runs
         known_at = self._made + _DISCOVERED
@@ -216,11 +211,9 @@ class WalkNode(Node):
             self.destroy_subscription(heard)
 
     def _is_locked(self) -> bool:
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return False
-        return True
+        me = self.get_fully_qualified_name().replace("/", ".")
+        self._lock = lock(f"domain{self.context.get_domain_id()}{me}")
+        return self._lock is not None
 
     @staticmethod
     def _within(seconds: float, happens: Callable[[], bool]) -> bool:

@@ -30,6 +30,7 @@ from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.errors import StateError
 from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes import wheels
 from dqwalk_ros.nodes.inputs import VELOCITY
 from dqwalk_ros.nodes.safety import outside_limits
 from dqwalk_ros.robot import Foot, RobotModel
@@ -350,6 +351,7 @@ def listen(config: Config, seconds: float, namespace: str = "") -> Heard:
 
     The first state is waited for as long, and for `_DISCOVERY` at least.
     """
+    wheels.find_log_folder()
     context = Context()
     rclpy.init(context=context)
     heard = Heard(seconds)

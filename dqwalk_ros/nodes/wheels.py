@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import faulthandler
 import gc
 import os
@@ -32,8 +33,9 @@ from rclpy.signals import SignalHandlerOptions
 
 from dqwalk_ros.config import find_share
 from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.own_folder import own_folder, temporary
 
-__all__ = ["STEADY", "TimerWaker", "first_line", "init", "shutdown", "spin"]
+__all__ = ["STEADY", "TimerWaker", "find_log_folder", "first_line", "init", "shutdown", "spin"]
 
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 """For every timer and throttled log: those of rclpy's default clock stop when the system's clock is set back."""
@@ -57,6 +59,7 @@ def init(argv: Sequence[str]) -> list[int]:
         For invalid ROS arguments, or missing security keys.
     """
     received: list[int] = []
+    find_log_folder()
     if "FASTRTPS_DEFAULT_PROFILES_FILE" not in os.environ and rclpy.get_rmw_implementation_identifier() == _FAST_DDS:
         local = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST"
         profile = find_share("config", "fastdds_localhost.xml" if local else "fastdds.xml")
@@ -71,6 +74,14 @@ def init(argv: Sequence[str]) -> list[int]:
     except Exception as error:  # rclpy raises its own, undocumented types
         raise ConfigError(first_line(error)) from error
     return received
+
+
+def find_log_folder() -> None:
+    """Have ROS log into this user's temporary folder where there is no home to log into: it would not start."""
+    given = {"ROS_HOME", "ROS_LOG_DIR"} & os.environ.keys()
+    if not given and not os.access(os.environ.get("HOME", ""), os.W_OK):
+        with contextlib.suppress(OSError):  # then ROS gives the reason
+            os.environ["ROS_LOG_DIR"] = str(own_folder(temporary()) / "log")
 
 
 def first_line(error: BaseException) -> str:
