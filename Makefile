@@ -45,7 +45,7 @@ simulate: $(VENV)/.installed  ## the same walk in one process, without ROS
 	$(BIN)/dqwalk simulate --config $(CONFIG) --cycles $(CYCLES) --out $(OUT) --force
 
 reach: $(VENV)/.installed-wholebody  ## every requirement of the whole-body controller with its measured value, and figures 2 to 5
-	PYTHONPATH=test OPENBLAS_NUM_THREADS=1 $(BIN)/python -m acceptance --jobs $(JOBS) --out results/reach $(ARGS)
+	PYTHONPATH=test/support OPENBLAS_NUM_THREADS=1 $(BIN)/python -m acceptance --jobs $(JOBS) --out results/reach $(ARGS)
 
 test: $(VENV)/.installed-test  ## run all tests but those of test-long, browser and colcon (JOBS=2 at a time)
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m 'not colcon and not native and not long and not browser' $(ARGS)
@@ -65,27 +65,27 @@ docs: $(VENV)/.installed  ## build the documentation as a website in site/
 chaos: $(VENV)/.installed-test  ## put a live walk through every fault of docs/faults.md, and print what it did
 	command -v cc gcc >/dev/null 2>&1 || { $(SUDO) apt-get update -qq && \
 	    $(SUDO) apt-get install -y -qq --no-install-recommends gcc libc6-dev; }
-	PYTHONPATH=test $(BIN)/python -m pytest -q -p chaos -m long --timeout 900 test/test_chaos.py test/test_chaos_clocks.py \
-	    test/test_chaos_whole_body.py $(ARGS)
+	PYTHONPATH=test/support $(BIN)/python -m pytest -q -p chaos -m long --timeout 900 test/faults/test_chaos.py test/faults/test_chaos_clocks.py \
+	    test/faults/test_chaos_whole_body.py $(ARGS)
 
 fuzz: $(VENV)/.installed-test  ## 10 000 hostile robots, parameter files and messages
-	DQWALK_FUZZ=10000 $(BIN)/python -m pytest --timeout 3000 --durations 6 test/test_fuzz.py $(ARGS)
+	DQWALK_FUZZ=10000 $(BIN)/python -m pytest --timeout 3000 --durations 6 test/faults/test_fuzz.py $(ARGS)
 
 mutation: $(VENV)/.installed-test  ## change each line that keeps a robot safe, and see whether a test notices (an hour)
-	$(BIN)/python test/mutations.py $(ARGS)
+	$(BIN)/python test/support/mutations.py $(ARGS)
 
 soak: $(VENV)/.installed-test  ## an hour of walking in lockstep, recorded: memory, files, gaps (ARGS='--minutes 60')
-	$(BIN)/python -m benchmark.soak $(ARGS)
+	$(BIN)/python -m benchmark.lab.soak $(ARGS)
 
 driver: $(VENV)/.installed-test  ## the Poppy driver on dummy motors: rate, angles, limits (ARGS=--full for the paper's cycle)
-	$(BIN)/python -m benchmark.driver $(ARGS)
+	$(BIN)/python -m benchmark.lab.driver $(ARGS)
 
 robots: $(VENV)/.installed-sim  ## adopt every biped of two PyPI packages, walk it in MuJoCo, and print a table
 	$(BIN)/python -m pip install --quiet --target results/robots/packages --no-deps example-robot-data jvrc-description
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmark.robots results/robots/packages --out results/robots $(ARGS)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmark.lab.robots results/robots/packages --out results/robots $(ARGS)
 
 see: $(VENV)/.installed-test  ## how soon the page is there, how smooth, what it costs the walk, how long a report takes
-	$(BIN)/python -m benchmark.see $(ARGS)
+	$(BIN)/python -m benchmark.lab.see $(ARGS)
 
 lint: $(VENV)/.installed-dev  ## ruff and mypy
 	$(BIN)/ruff check .

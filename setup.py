@@ -6,19 +6,7 @@ from glob import glob
 from setuptools import find_packages, setup
 
 NAME = "dqwalk_ros"
-NODES = (
-    "controller",
-    "drive",
-    "integrator",
-    "phase_monitor",
-    "physics",
-    "pilot",
-    "poppy_driver",
-    "recorder",
-    "rigid",
-    "viewer",
-    "whole_body_controller",
-)
+NODES = sorted(os.listdir("scripts"))
 
 # The wheels of ROS 2 Jazzy, for a machine without ROS (Linux, x86_64, Python 3.11 to 3.13). An extra, never a plain
 # requirement: where ROS is installed they must not come beside it.

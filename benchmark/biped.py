@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.paper.dual_quaternions import DQ
 
 __all__ = ["PHASES", "Chain", "Walk", "biped", "chain_urdf", "states", "walk_of"]
 

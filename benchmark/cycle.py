@@ -13,7 +13,7 @@ import numpy as np
 from benchmark.timing import machine, table  # first: it sets the number of threads
 from dqwalk_ros.config import load
 from dqwalk_ros.plants.kinematic import KinematicPlant
-from dqwalk_ros.robot import load_model
+from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import make_controller, simulate
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmark.biped import Chain
-from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.paper.dual_quaternions import DQ
 
 __all__ = ["parameters"]
 

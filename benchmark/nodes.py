@@ -26,7 +26,7 @@ import psutil
 
 from benchmark.timing import machine, table
 from dqwalk_ros.config import find_share, load
-from dqwalk_ros.robot import load_model
+from dqwalk_ros.robot.model import load_model
 
 RATES = {200: 60.0, 500: 20.0, 1000: 20.0}
 """In real time: states per second, and the duration [s] with ``--seconds 60``."""

@@ -15,13 +15,14 @@ import numpy as np
 
 from benchmark.biped import Chain, Walk, chain_urdf
 from dqwalk_ros.config import Config
-from dqwalk_ros.constraints import Constraint, JointMaximum, JointMinimum, PointInCylinder, PointOverPlane
-from dqwalk_ros.geometry import Cylinder, Line, Plane
-from dqwalk_ros.kinematics import CenterOfMass, Kinematics, Point
-from dqwalk_ros.qp import make_solver
-from dqwalk_ros.robot import Foot, RobotModel, load_model
-from dqwalk_ros.tasks import ComOverFoot, FramePose, Task
-from dqwalk_ros.walk import Phase, PhaseKind
+from dqwalk_ros.paper.constraints import Constraint, JointMaximum, JointMinimum, PointInCylinder, PointOverPlane
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.geometry import Cylinder, Line, Plane
+from dqwalk_ros.paper.kinematics import CenterOfMass, Kinematics, Point
+from dqwalk_ros.paper.qp import make_solver
+from dqwalk_ros.paper.tasks import ComOverFoot, FramePose, Task
+from dqwalk_ros.paper.walk import Phase, PhaseKind
+from dqwalk_ros.robot.model import RobotModel, load_model
 
 __all__ = ["make_clarabel", "make_daqp", "phase_of", "robot_of"]
 

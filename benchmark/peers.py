@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmark.biped import Chain, Walk, chain_urdf
 from benchmark.denavit import parameters
-from dqwalk_ros.dual_quaternions import DQ
+from dqwalk_ros.paper.dual_quaternions import DQ
 
 __all__ = ["PEERS"]
 

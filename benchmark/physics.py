@@ -15,7 +15,7 @@ import numpy as np
 from benchmark.timing import machine, table  # first: it sets the number of threads
 from dqwalk_ros.config import load
 from dqwalk_ros.plants.mujoco import PhysicsPlant
-from dqwalk_ros.robot import load_model
+from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import make_controller
 
 CHUNK = 100

@@ -20,8 +20,8 @@ import numpy as np
 from benchmark.biped import PHASES, Chain, Walk, biped, states, walk_of
 from benchmark.peer_adapter import make_clarabel, make_daqp, phase_of, robot_of
 from benchmark.timing import interleaved, machine, table  # first: it sets the number of threads
-from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.qp import make_solver
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.qp import make_solver
 
 Array = np.ndarray
 Tick = Callable[[Array], Array]

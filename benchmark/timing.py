@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from dqwalk_ros import provenance
+from dqwalk_ros.support import provenance
 
 __all__ = ["Times", "interleaved", "machine", "table"]
 

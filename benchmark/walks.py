@@ -32,17 +32,18 @@ import numpy as np
 from benchmark.timing import machine, table  # first: it sets the number of threads
 from dqwalk_ros.adopt import adopt
 from dqwalk_ros.config import Config, load, overlaid
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import DqwalkError
-from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.state import Command, State
+from dqwalk_ros.paper.statics import GRAVITY, share
+from dqwalk_ros.paper.walk import PhaseKind
 from dqwalk_ros.plants.mujoco import PhysicsPlant
-from dqwalk_ros.robot import Foot, RobotModel, load_model
+from dqwalk_ros.robot.model import RobotModel, load_model
+from dqwalk_ros.robot.urdf import Origin, Urdf
 from dqwalk_ros.simulation import closed_loop, make_controller, make_walk
-from dqwalk_ros.state import Command, State
-from dqwalk_ros.statics import GRAVITY, share
 from dqwalk_ros.studies.bisection import largest
-from dqwalk_ros.urdf import Origin, Urdf
-from dqwalk_ros.walk import PhaseKind
+from dqwalk_ros.support.errors import DqwalkError
 
 ROBOT = Path("test/data/small_humanoid.urdf")
 TIMINGS = ((0.33, 0.2), (0.5, 0.08), (0.5, 0.2), (0.7, 0.2))  # single and double support [s]

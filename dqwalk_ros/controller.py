@@ -9,19 +9,20 @@ import math
 
 import numpy as np
 
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.assembly import Evaluation
 from dqwalk_ros.config import Config
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import ConfigError, PhaseError, QPError, StateError
 from dqwalk_ros.estimation.delay import CommandHistory
 from dqwalk_ros.estimation.vertical import filtered_vertical
-from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.qp import Problem, Solution, explained, lead_back, make_solver
-from dqwalk_ros.robot import Foot, RobotModel
-from dqwalk_ros.servos import Drive
-from dqwalk_ros.state import Command, State
-from dqwalk_ros.walk import Phase, Walk
+from dqwalk_ros.paper.assembly import Evaluation
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.qp import Problem, Solution, explained, lead_back, make_solver
+from dqwalk_ros.paper.state import Command, State
+from dqwalk_ros.paper.walk import Phase, Walk
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.robot.servos import Drive
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import ConfigError, PhaseError, QPError, StateError
 
 __all__ = ["VelocityController"]
 

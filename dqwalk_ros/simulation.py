@@ -13,24 +13,25 @@ from functools import cached_property
 
 import numpy as np
 
-from dqwalk_ros import provenance
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.controller import VelocityController
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.dynamic.recovery import RecoveringWalk
-from dqwalk_ros.dynamic.walk import DynamicWalk
-from dqwalk_ros.errors import ConfigError, DqwalkError, PlantError, how_to_install
 from dqwalk_ros.estimation.base import BaseEstimator
-from dqwalk_ros.interrupts import deferred_interrupts, is_interrupt
-from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.plants import Inertial, Plant, Truth, orientation_of
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.state import Command, State
+from dqwalk_ros.paper.statics import GRAVITY
+from dqwalk_ros.paper.walk import PaperWalk, Phase, PhaseKind, Walk
+from dqwalk_ros.plants.base import Inertial, Plant, Truth, orientation_of
 from dqwalk_ros.plants.kinematic import KinematicPlant
-from dqwalk_ros.robot import Foot, RobotModel
-from dqwalk_ros.standing.walk import StandingWalk
-from dqwalk_ros.state import Command, State
-from dqwalk_ros.statics import GRAVITY
-from dqwalk_ros.walk import PaperWalk, Phase, PhaseKind, Walk
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support import provenance
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import ConfigError, DqwalkError, PlantError, how_to_install
+from dqwalk_ros.support.interrupts import deferred_interrupts, is_interrupt
+from dqwalk_ros.walks.dynamic.recovery import RecoveringWalk
+from dqwalk_ros.walks.dynamic.walk import DynamicWalk
+from dqwalk_ros.walks.standing.walk import StandingWalk
 
 __all__ = [
     "WALKS",
@@ -72,7 +73,7 @@ def walk_type(config: Config) -> type[Walk]:
     except (ImportError, AttributeError, ValueError) as error:
         raise ConfigError(f"gait.walk is '{own}'; the class cannot be imported: {error}") from error
     if not (isinstance(found, type) and issubclass(found, Walk)):
-        raise ConfigError(f"gait.walk is '{own}'; it must be a subclass of dqwalk_ros.walk.Walk")
+        raise ConfigError(f"gait.walk is '{own}'; it must be a subclass of dqwalk_ros.paper.walk.Walk")
     return found
 
 
@@ -376,7 +377,7 @@ class Trace:
     notes : tuple of str
         Errors of the walk, and data that the recording lacks.
     origin : mapping of str to str
-        Software versions and machine (`dqwalk_ros.provenance`); empty if unknown.
+        Software versions and machine (`dqwalk_ros.support.provenance`); empty if unknown.
     physics : PhysicsRecord or None
         Data of the physics engine, if the plant was one.
     epoch : int

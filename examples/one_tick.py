@@ -3,11 +3,12 @@
 import numpy as np
 
 from dqwalk_ros.config import load
-from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.qp import make_solver
-from dqwalk_ros.robot import Foot, load_model
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.qp import make_solver
+from dqwalk_ros.paper.walk import PhaseKind
+from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import make_walk
-from dqwalk_ros.walk import PhaseKind
 
 config = load("paper")  # section 5 of the paper
 model = load_model(config.robot)

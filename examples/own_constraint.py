@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 
 from dqwalk_ros import KinematicPlant, VelocityController, load, load_model, simulate
-from dqwalk_ros.constraints import Constraint
-from dqwalk_ros.kinematics import CenterOfMass
-from dqwalk_ros.walk import PaperWalk
+from dqwalk_ros.paper.constraints import Constraint
+from dqwalk_ros.paper.kinematics import CenterOfMass
+from dqwalk_ros.paper.walk import PaperWalk
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

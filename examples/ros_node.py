@@ -19,7 +19,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from dqwalk_ros import load, load_model, make_controller
-from dqwalk_ros.state import State
+from dqwalk_ros.paper.state import State
 
 
 class Walker(Node):

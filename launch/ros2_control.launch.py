@@ -21,7 +21,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterFile
 
 from dqwalk_ros.config import find_share
-from dqwalk_ros.packages import expanded
+from dqwalk_ros.robot.packages import expanded
 
 PLUGINS = [
     "mock_components/GenericSystem",

@@ -21,9 +21,8 @@ from launch.logging import get_logger
 from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
 
-from dqwalk_ros.config import find_share, load, overlaid, put_on
-from dqwalk_ros.errors import ConfigError
-from dqwalk_ros.overlay import replaced
+from dqwalk_ros.config import find_share, load, overlaid, put_on, replaced
+from dqwalk_ros.support.errors import ConfigError
 
 PLANTS = {
     "integrator": "integrator",
@@ -127,7 +126,7 @@ def nodes(context: LaunchContext) -> list[object]:
     if given["view"] == "true":
         others.append(node("viewer"))
     if rviz:
-        from dqwalk_ros.robot import load_model
+        from dqwalk_ros.robot.model import load_model
 
         described = {"robot_description": load_model(put_on(load(config), map(Path, files[1:])).robot).urdf}
         shown = ["-d", str(find_share("config", "walk.rviz"))]

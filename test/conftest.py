@@ -12,9 +12,10 @@ import declared
 import pytest
 import robots
 
+from dqwalk_ros.cli.runner import private_domain
 from dqwalk_ros.config import Config, load
-from dqwalk_ros.robot import Foot, RobotModel
-from dqwalk_ros.runner import private_domain
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.robot.model import RobotModel
 
 # a background job of a script ignores SIGINT, and one of nohup SIGHUP, and a started process inherits this
 for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
@@ -24,11 +25,33 @@ for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIG
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 
+HERE = Path(__file__).parent
+
 SLOWEST = (
-    *("test_runner", "test_nodes", "test_walk", "test_driver", "test_study", "test_adopt", "test_bag", "test_dynamic"),
-    *("test_whole_body_nodes", "test_damaged_bags", "test_cli", "test_poppy_faults", "test_physics_nodes"),
-    *("test_html_report", "test_poppy_walks", "test_whole_body", "test_interoperability", "test_identify"),
-    *("test_two_robots", "test_startup", "test_drive", "test_strangers", "test_causes", "test_navigation"),
+    "cli/test_runner.py",
+    "nodes/test_nodes.py",
+    "paper/test_paper_walk.py",
+    "nodes/test_poppy_driver.py",
+    "studies/test_studies.py",
+    "adopt/test_adopt.py",
+    "report/test_bag.py",
+    "walks/test_dynamic.py",
+    "whole_body/test_nodes.py",
+    "report/test_damaged_bags.py",
+    "cli/test_cli.py",
+    "plants/test_poppy_faults.py",
+    "nodes/test_plant.py",
+    "report/test_html.py",
+    "plants/test_poppy_walks.py",
+    "whole_body/test_controller.py",
+    "interop/test_interoperability.py",
+    "identification/test_fit.py",
+    "interop/test_two_robots.py",
+    "package/test_startup.py",
+    "nodes/test_drive.py",
+    "faults/test_strangers.py",
+    "report/test_causes.py",
+    "interop/test_navigation.py",
 )
 """Files that take longest, longest first. They are started first, so that all workers of pytest-xdist end together."""
 
@@ -47,7 +70,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     rank = {name: place for place, name in enumerate(SLOWEST)}
-    items.sort(key=lambda item: rank.get(item.path.stem, len(rank)))
+    items.sort(key=lambda item: rank.get(item.path.relative_to(HERE).as_posix(), len(rank)))
 
 
 def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> declared.Module:

@@ -29,13 +29,14 @@ from dqwalk_ros.adopt.parameters import (
 from dqwalk_ros.adopt.posture import over_one_foot, stand
 from dqwalk_ros.adopt.skeleton import Entry
 from dqwalk_ros.config import Config, RobotConfig, load
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import ModelError
-from dqwalk_ros.robot import Foot, RobotModel, load_model, parse_model
-from dqwalk_ros.shapes import Shapes
-from dqwalk_ros.stability import Finding
-from dqwalk_ros.text_table import aligned
-from dqwalk_ros.urdf import Origin, Urdf
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.robot.model import RobotModel, load_model, parse_model
+from dqwalk_ros.robot.shapes import Shapes
+from dqwalk_ros.robot.standing_limits import Finding
+from dqwalk_ros.robot.urdf import Origin, Urdf
+from dqwalk_ros.support.errors import ModelError
+from dqwalk_ros.support.text_table import aligned
 
 __all__ = ["Adoption", "adopt", "changed", "table", "write_dynamic", "write_yaml"]
 

@@ -18,11 +18,11 @@ import numpy as np
 
 from dqwalk_ros.adopt.skeleton import Entry, Skeleton
 from dqwalk_ros.adopt.soles import FoundSole, find_soles, foot_links, plane_below
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.errors import ModelError
-from dqwalk_ros.robot import Foot
-from dqwalk_ros.shapes import Shapes
-from dqwalk_ros.urdf import Urdf
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.robot.shapes import Shapes
+from dqwalk_ros.robot.urdf import Urdf
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import ModelError
 
 __all__ = ["Anatomy", "find_anatomy"]
 

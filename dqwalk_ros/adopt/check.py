@@ -7,17 +7,18 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.robot import Foot, RobotModel, find_urdf
-from dqwalk_ros.servos import Servos
-from dqwalk_ros.shapes import Shapes
-from dqwalk_ros.stability import Finding, servo_findings
-from dqwalk_ros.standing.footsteps import Footsteps
-from dqwalk_ros.statics import gravity_torques
-from dqwalk_ros.urdf import Urdf
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.statics import gravity_torques
+from dqwalk_ros.robot.model import RobotModel, find_urdf
+from dqwalk_ros.robot.servos import Servos
+from dqwalk_ros.robot.shapes import Shapes
+from dqwalk_ros.robot.standing_limits import Finding, servo_findings
+from dqwalk_ros.robot.urdf import Urdf
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.walks.standing.footsteps import Footsteps
 
 __all__ = ["check"]
 

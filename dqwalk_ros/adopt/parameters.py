@@ -12,11 +12,12 @@ import numpy as np
 from dqwalk_ros.adopt.anatomy import Anatomy
 from dqwalk_ros.adopt.posture import Standing
 from dqwalk_ros.adopt.skeleton import Entry
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.robot import Foot, RobotModel
-from dqwalk_ros.stability import leg_inertia
-from dqwalk_ros.statics import GRAVITY, gravity_torques
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.statics import GRAVITY, gravity_torques
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.robot.standing_limits import leg_inertia
+from dqwalk_ros.support.arrays import Array
 
 __all__ = [
     "Numbers",

@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.report.figures.style import BLUE, GREEN, INK, RED, drawing, new_figure
-from dqwalk_ros.robot import Foot, RobotModel, find_urdf
-from dqwalk_ros.shapes import Shapes
-from dqwalk_ros.urdf import Urdf
+from dqwalk_ros.robot.model import RobotModel, find_urdf
+from dqwalk_ros.robot.shapes import Shapes
+from dqwalk_ros.robot.urdf import Urdf
+from dqwalk_ros.support.arrays import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

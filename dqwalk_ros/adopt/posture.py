@@ -9,11 +9,12 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from dqwalk_ros.adopt.anatomy import Anatomy
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import ModelError
-from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import ModelError
 
 __all__ = ["Standing", "over_one_foot", "stand"]
 

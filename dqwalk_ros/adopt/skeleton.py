@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.shapes import Shapes
-from dqwalk_ros.urdf import Urdf
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.robot.shapes import Shapes
+from dqwalk_ros.robot.urdf import Urdf
+from dqwalk_ros.support.arrays import Array
 
 __all__ = ["Entry", "Skeleton"]
 

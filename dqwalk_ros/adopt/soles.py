@@ -9,10 +9,10 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from dqwalk_ros.adopt.skeleton import Skeleton
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import ModelError
-from dqwalk_ros.robot import Foot
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import ModelError
 
 __all__ = ["FoundSole", "find_soles", "foot_links", "plane_below"]
 

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 
 import click
 
-from dqwalk_ros.errors import ConfigError, DqwalkError, ModelError, how_to_install
-from dqwalk_ros.interrupts import is_interrupt
+from dqwalk_ros.support.errors import ConfigError, DqwalkError, ModelError, how_to_install
+from dqwalk_ros.support.interrupts import is_interrupt
 
 __all__ = ["FAILED", "OK", "USAGE", "dqwalk", "main"]
 

@@ -17,7 +17,7 @@ from dqwalk_ros.cli.options import (
     quiet_option,
     set_option,
 )
-from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.support.errors import ConfigError
 
 if TYPE_CHECKING:
     from dqwalk_ros.adopt import Adoption

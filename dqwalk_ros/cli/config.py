@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from dqwalk_ros.cli.options import command, config_of, parse_overrides, set_option
-from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.support.errors import ConfigError
 
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config, Spec
@@ -53,7 +53,7 @@ def config(config: str | None, section: str | None, check: bool, changes: tuple[
 def _check(name: str, made: Config) -> int:
     """Print the parameters that do not fit the robot; return 1 if there are any."""
     from dqwalk_ros.adopt.check import check
-    from dqwalk_ros.robot import load_model
+    from dqwalk_ros.robot.model import load_model
 
     model = load_model(made.robot)
     for repair in model.repairs:

@@ -42,7 +42,7 @@ def doctor(
     what to do. docs/hardware.md leads from a boxed robot to a first step. Exit code 1 if a check failed.
     """
     from dqwalk_ros.adopt.check import check
-    from dqwalk_ros.robot import load_model
+    from dqwalk_ros.robot.model import load_model
 
     made = config_of(config, changes, plant=plant, params=params)
     model = load_model(made.robot)

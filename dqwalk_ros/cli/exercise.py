@@ -68,13 +68,13 @@ def exercise(
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import prepare
     from dqwalk_ros.identification.exercise import duration, exercise_config
-    from dqwalk_ros.robot import load_model
+    from dqwalk_ros.robot.model import load_model
 
     made = exercise_config(config_of(config, changes, plant=plant, params=params), cycles)
     made = made.updated(parse_overrides(changes), source="command line")
     if plant == "poppy" and not made.servo.types:  # take the types of the servos from the table of motors
-        from dqwalk_ros.plants.poppy import load_motors
-        from dqwalk_ros.servos import load_types
+        from dqwalk_ros.plants.poppy.plant import load_motors
+        from dqwalk_ros.robot.servos import load_types
 
         known, motors = load_types(made.servo.table), load_motors(made.poppy.motors)
         types = [f"{name}={motor.type}" for name, motor in motors.items() if motor.type in known]
@@ -82,7 +82,7 @@ def exercise(
     prepare(out, force=force)
     with Progress(quiet=quiet) as bar:
         if ros or plant == "poppy":
-            from dqwalk_ros.runner import run_walk
+            from dqwalk_ros.cli.runner import run_walk
 
             outcome = run_walk(made, out / "bag", plant=plant, lockstep=plant != "poppy", progress=bar)
             reason = "" if outcome.finished else str(outcome)

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import click
 
 from dqwalk_ros.cli.options import command, config_of, config_option, set_option
-from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.support.errors import ConfigError
 
 if TYPE_CHECKING:
-    from dqwalk_ros.arrays import Array
-    from dqwalk_ros.robot import Foot
-    from dqwalk_ros.standing.footsteps import Footsteps
+    from dqwalk_ros.paper.foot import Foot
+    from dqwalk_ros.support.arrays import Array
+    from dqwalk_ros.walks.standing.footsteps import Footsteps
 
 __all__ = ["footsteps", "reached"]
 
@@ -41,10 +41,11 @@ def footsteps(config: str, support: str, changes: tuple[str, ...]) -> int:
     """
     import numpy as np
 
-    from dqwalk_ros.kinematics import Kinematics
-    from dqwalk_ros.robot import Foot, load_model
-    from dqwalk_ros.standing.walk import StandingWalk
-    from dqwalk_ros.text_table import aligned
+    from dqwalk_ros.paper.foot import Foot
+    from dqwalk_ros.paper.kinematics import Kinematics
+    from dqwalk_ros.robot.model import load_model
+    from dqwalk_ros.support.text_table import aligned
+    from dqwalk_ros.walks.standing.walk import StandingWalk
 
     made, foot = config_of(config, changes), Foot(support)
     if made.gait.style != "standing":
@@ -79,7 +80,7 @@ def reached(steps: Footsteps, support: Foot, length: float, side: float, turn: f
     """
     import numpy as np
 
-    from dqwalk_ros.standing.footsteps import Footprint
+    from dqwalk_ros.walks.standing.footsteps import Footprint
 
     begin, wanted = steps.stride(support, 0.0, 0.0, 0.0), steps.stride(support, length, side, turn)
     found = Footprint.of(steps.step(support, length, side, turn))

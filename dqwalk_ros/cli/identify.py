@@ -52,7 +52,7 @@ def identify(bag: Path, mass: float | None, out: Path | None, quiet: bool) -> in
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.identification import fit
     from dqwalk_ros.report.bag import read, read_orientations
-    from dqwalk_ros.robot import parse_model
+    from dqwalk_ros.robot.model import parse_model
 
     trace = read(bag)
     mass = mass or trace.config.physics.mass_scale * trace.model.mass
@@ -71,7 +71,7 @@ def identify(bag: Path, mass: float | None, out: Path | None, quiet: bool) -> in
 
 def table(found: Identified) -> str:
     """Return the result as aligned text."""
-    from dqwalk_ros.text_table import aligned
+    from dqwalk_ros.support.text_table import aligned
 
     unit = (1e3, 1.0, 1e3, 180.0 / math.pi, 1.0)
     digits = (1, 1, 1, 2, 3)

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from dqwalk_ros.cli.options import Numbers, bag_argument, command, namespace_option, quiet_option
-from dqwalk_ros.errors import ConfigError, PlantError
+from dqwalk_ros.support.errors import ConfigError, PlantError
 
 __all__ = ["movie"]
 

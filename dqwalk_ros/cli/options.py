@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.support.errors import ConfigError
 
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config
@@ -251,8 +251,7 @@ def config_of(
     ConfigError
         If any of them is invalid.
     """
-    from dqwalk_ros.config import load, overlaid, put_on
-    from dqwalk_ros.overlay import replaced
+    from dqwalk_ros.config import load, overlaid, put_on, replaced
     from dqwalk_ros.simulation import walk_type
 
     values: dict[str, Any] = {"gait.steps": 0} if course else {}
@@ -276,7 +275,7 @@ def parse_overrides(pairs: Sequence[str]) -> dict[str, Any]:
     ConfigError
         If a text does not have this form.
     """
-    from dqwalk_ros import strict_yaml
+    from dqwalk_ros.support import strict_yaml
 
     values: dict[str, Any] = {}
     for pair in pairs:

@@ -19,7 +19,7 @@ from dqwalk_ros.cli.options import (
     plant_option,
     set_option,
 )
-from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.support.errors import ConfigError
 
 if TYPE_CHECKING:
     from dqwalk_ros.studies.pushes import Limit
@@ -88,7 +88,7 @@ def pushes(
     """
     from dqwalk_ros.cli.results import write_study
     from dqwalk_ros.report.figures.studies import pushes_figure
-    from dqwalk_ros.robot import load_model
+    from dqwalk_ros.robot.model import load_model
     from dqwalk_ros.studies import pushes as study
 
     made = config_of(config, changes, plant=plant, params=params)
@@ -111,7 +111,7 @@ def table(found: Sequence[Limit], duration: float, scale: float) -> str:
 
     `duration` is that of the pushes [s], `scale` is M sqrt(g h) of the robot [N s].
     """
-    from dqwalk_ros.text_table import aligned
+    from dqwalk_ros.support.text_table import aligned
 
     moments = list(dict.fromkeys(one.moment for one in found))
 

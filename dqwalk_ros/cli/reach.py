@@ -21,7 +21,7 @@ from dqwalk_ros.cli.options import (
     plant_option,
     set_option,
 )
-from dqwalk_ros.errors import BagError, ConfigError
+from dqwalk_ros.support.errors import BagError, ConfigError
 
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config
@@ -85,7 +85,7 @@ def reach(
     """
     from dqwalk_ros.cli.results import create
     from dqwalk_ros.config import Config
-    from dqwalk_ros.robot import load_model
+    from dqwalk_ros.robot.model import load_model
     from dqwalk_ros.whole_body import PAPER_TIMES, SCENARIOS, WholeBodyController
     from dqwalk_ros.whole_body.scenario import fitted
 
@@ -117,8 +117,8 @@ def _tests(config: Config, output: Report, plant: str, scenarios: Sequence[Scena
     """Run the scenarios one after the other and write the results; return the exit code."""
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import write_report
-    from dqwalk_ros.report import bag
-    from dqwalk_ros.report.figures import reaching
+    from dqwalk_ros.whole_body import figures as reaching
+    from dqwalk_ros.whole_body.bag import write_body
     from dqwalk_ros.whole_body.demands import checks, render_checks, summary
     from dqwalk_ros.whole_body.experiments import walk
 
@@ -142,7 +142,7 @@ def _tests(config: Config, output: Report, plant: str, scenarios: Sequence[Scena
             print(render_checks(walked, found) + "\n")
     bags = [output.folder / ("bag" if len(walks) == 1 else f"bag_{k}") for k in range(1, len(walks) + 1)]
     for walked, path in zip(walks, bags, strict=True):
-        bag.write_body(walked, path, overwrite=output.force)
+        write_body(walked, path, overwrite=output.force)
     write_report(output, reports, "", reaching.drawn(walks), more=bags)
     return 0 if all(report["ok"] for report in reports) else 1
 
@@ -152,8 +152,8 @@ def _pushes(config: Config, output: Report, plant: str, when: float, exact: floa
     from dqwalk_ros.cli.results import write_report
     from dqwalk_ros.report.figures.studies import pushes_figure
     from dqwalk_ros.report.figures.style import Drawn
-    from dqwalk_ros.studies import torso_pushes
-    from dqwalk_ros.text_table import aligned
+    from dqwalk_ros.support.text_table import aligned
+    from dqwalk_ros.whole_body import torso_pushes
     from dqwalk_ros.whole_body.preview import Stepping
 
     plants = ("physics", "rigid") if plant == "both" else (plant,)

@@ -33,7 +33,7 @@ def replay(bag: Path, params: tuple[Path, ...], quiet: bool) -> int:
     from dqwalk_ros.config import put_on
     from dqwalk_ros.identification.replay import replay as run
     from dqwalk_ros.report.bag import read
-    from dqwalk_ros.text_table import aligned
+    from dqwalk_ros.support.text_table import aligned
 
     trace = read(bag)
     beside = bag.resolve().parent / "identified.yaml"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from dqwalk_ros.cli.options import Report, bag_argument, command, namespace_option, output_options
-from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.support.errors import ConfigError
 
 if TYPE_CHECKING:
     from dqwalk_ros.report import Series
@@ -98,9 +98,9 @@ def _body(bag: Content, namespace: str | None, output: Report, *, html: bool, as
     """Evaluate and draw a whole-body walk; return the exit code."""
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import create, write_report
-    from dqwalk_ros.report.bag import read_body
-    from dqwalk_ros.report.figures import reaching
-    from dqwalk_ros.report.html import body as page
+    from dqwalk_ros.whole_body import figures as reaching
+    from dqwalk_ros.whole_body import page
+    from dqwalk_ros.whole_body.bag import read_body
     from dqwalk_ros.whole_body.demands import checks, render_checks, summary
     from dqwalk_ros.whole_body.experiments import retrace
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from dqwalk_ros import report as reporting
 from dqwalk_ros.cli.options import Output, Report
-from dqwalk_ros.errors import BagError
+from dqwalk_ros.support.errors import BagError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -21,8 +21,8 @@ from dqwalk_ros.cli.options import (
     plant_option,
     set_option,
 )
-from dqwalk_ros.errors import ConfigError
-from dqwalk_ros.text_table import without_numbers
+from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.support.text_table import without_numbers
 
 if TYPE_CHECKING:
     from dqwalk_ros.studies.robustness import Cell

@@ -47,8 +47,8 @@ def simulate(config: Config, course: tuple[str, ...], plant: str, view: bool, po
     from dqwalk_ros.cli.results import prepare, write_results
     from dqwalk_ros.report import analyse, bag
     from dqwalk_ros.report.table import why
-    from dqwalk_ros.robot import load_model
-    from dqwalk_ros.standing.course import Course
+    from dqwalk_ros.robot.model import load_model
+    from dqwalk_ros.walks.standing.course import Course
 
     model, legs = load_model(config.robot), Course.parse(course)
     controller = simulation.make_controller(config, model)

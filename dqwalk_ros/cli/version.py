@@ -10,7 +10,7 @@ __all__ = ["version"]
 @command("")
 def version() -> int:
     """Show the versions of this package and its dependencies."""
-    from dqwalk_ros import provenance
+    from dqwalk_ros.support import provenance
 
     for name, value in provenance.machine().items():
         print(f"{name:<12} {value}")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from dqwalk_ros.cli.options import Report, command, output_options, walk_options
-from dqwalk_ros.errors import BagError
+from dqwalk_ros.support.errors import BagError
 
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config
@@ -37,8 +37,8 @@ def walk(config: Config, course: tuple[str, ...], plant: str, realtime: bool, ou
     """
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import prepare, write_results
+    from dqwalk_ros.cli.runner import run_walk
     from dqwalk_ros.report import analyse, bag
-    from dqwalk_ros.runner import run_walk
 
     prepare(output.folder, force=output.force)
     with Progress(quiet=output.quiet) as progress:

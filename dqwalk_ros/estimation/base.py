@@ -17,13 +17,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.compiled import jit
 from dqwalk_ros.config import Config
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.robot import Foot, RobotModel
-from dqwalk_ros.statics import GRAVITY, share
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.statics import GRAVITY, share
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
 
 __all__ = ["BaseEstimate", "BaseEstimator"]
 

@@ -11,7 +11,7 @@ from collections import deque
 
 import numpy as np
 
-from dqwalk_ros.arrays import Array
+from dqwalk_ros.support.arrays import Array
 
 __all__ = ["CommandHistory"]
 

@@ -17,8 +17,8 @@ from collections import deque
 
 import numpy as np
 
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.servos import Drive
+from dqwalk_ros.robot.servos import Drive
+from dqwalk_ros.support.arrays import Array
 
 __all__ = ["DriveWatch"]
 

@@ -11,9 +11,9 @@ import math
 
 import numpy as np
 
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.compiled import jit
-from dqwalk_ros.state import State
+from dqwalk_ros.paper.state import State
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
 
 __all__ = ["filtered_vertical"]
 

@@ -16,14 +16,15 @@ from functools import cached_property
 
 import numpy as np
 
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
-from dqwalk_ros.errors import ConfigError
-from dqwalk_ros.kinematics import JointAngles, Kinematics
-from dqwalk_ros.robot import Foot, RobotModel
-from dqwalk_ros.state import State
-from dqwalk_ros.tasks import Task
-from dqwalk_ros.walk import Phase, PhaseKind, Timed, Walk, joint_limits
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import JointAngles, Kinematics
+from dqwalk_ros.paper.state import State
+from dqwalk_ros.paper.tasks import Task
+from dqwalk_ros.paper.walk import Phase, PhaseKind, Timed, Walk, joint_limits
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import ConfigError
 
 __all__ = ["NAME", "Exercise", "Slot", "duration", "exercise_config", "limbs", "path_of", "slots"]
 

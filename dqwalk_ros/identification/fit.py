@@ -23,18 +23,18 @@ from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 from scipy.special import log_ndtr
 
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.compiled import jit
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import BagError
 from dqwalk_ros.identification.exercise import limbs
 from dqwalk_ros.identification.replay import require_exercise
-from dqwalk_ros.plants import upward
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.plants.base import upward
 from dqwalk_ros.plants.bus import Bus
 from dqwalk_ros.plants.mujoco import held_torques
-from dqwalk_ros.servos import IDENTIFIED, Drive, Servos
+from dqwalk_ros.robot.servos import IDENTIFIED, Drive, Servos
+from dqwalk_ros.robot.urdf import Origin
 from dqwalk_ros.simulation import Trace
-from dqwalk_ros.urdf import Origin
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
+from dqwalk_ros.support.errors import BagError
 
 __all__ = ["NAMES", "Identified", "Mounting", "goals_of", "identify", "parameters"]
 

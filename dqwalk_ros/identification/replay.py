@@ -6,15 +6,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config, SensorsConfig
-from dqwalk_ros.errors import BagError
 from dqwalk_ros.identification.exercise import NAME
+from dqwalk_ros.paper.state import Command
 from dqwalk_ros.plants.mujoco import PhysicsPlant
-from dqwalk_ros.robot import parse_model
-from dqwalk_ros.servos import Servos
+from dqwalk_ros.robot.model import parse_model
+from dqwalk_ros.robot.servos import Servos
 from dqwalk_ros.simulation import Trace, make_walk
-from dqwalk_ros.state import Command
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import BagError
 
 __all__ = ["replay", "require_exercise"]
 

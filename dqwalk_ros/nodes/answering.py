@@ -16,14 +16,14 @@ import numpy as np
 from rclpy.publisher import Publisher
 from std_msgs.msg import String
 
-from dqwalk_ros import provenance
 from dqwalk_ros.config import to_yaml
-from dqwalk_ros.errors import DqwalkError, QPError, StateError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.safety import DuplicateStates, FaultCounter, StateGate
-from dqwalk_ros.robot import load_model
-from dqwalk_ros.state import Command
+from dqwalk_ros.paper.state import Command
+from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.support import provenance
+from dqwalk_ros.support.errors import DqwalkError, QPError, StateError
 
 __all__ = ["AnsweringNode", "Fields"]
 

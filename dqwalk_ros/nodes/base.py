@@ -25,11 +25,11 @@ from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 
 from dqwalk_ros.config import OF_RCLPY, Config
-from dqwalk_ros.errors import ConfigError, DqwalkError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes import parameters, wheels
-from dqwalk_ros.own_folder import lock
-from dqwalk_ros.topics import BODY_TOPICS, PHASE_LOG, TOPICS
+from dqwalk_ros.support.errors import ConfigError, DqwalkError
+from dqwalk_ros.support.own_folder import lock
+from dqwalk_ros.support.topics import BODY_TOPICS, PHASE_LOG, TOPICS
 
 __all__ = ["WalkNode", "main", "throttled"]
 
@@ -120,7 +120,7 @@ class WalkNode(Node):
         return super().create_timer(*args, **{"clock": wheels.STEADY, **keywords})
 
     def advertise(self, name: str) -> Publisher:
-        """Create the publisher of a topic, with the type and the quality of service given in `dqwalk_ros.topics`."""
+        """Create the publisher of a topic, with the type and the quality of service of `support.topics`."""
         topic = _TOPICS[name]
         profile = ros.latched(topic.depth) if topic.latched else topic.depth
         overrides = None if topic.latched else QoSOverridingOptions.with_default_policies()
@@ -153,7 +153,7 @@ class WalkNode(Node):
         self._diagnostics.publish(msg)
 
     def report(self, **values: Any) -> None:
-        """Print one line of JSON for the program that started this node (see `dqwalk_ros.runner`)."""
+        """Print one line of JSON for the program that started this node (see `dqwalk_ros.cli.runner`)."""
         if self.is_child:
             print(json.dumps(values), flush=True)
 

@@ -17,30 +17,31 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from dqwalk_ros.config import Config, Spec
-from dqwalk_ros.errors import how_to_install
+from dqwalk_ros.support.errors import how_to_install
 
 __all__ = ["NODES", "docstring", "main", "parameters_of", "parse", "script", "sections_of"]
 
 NODES = {
-    "controller": "controller.Controller",
-    "drive": "drive.RobotDrive",
-    "integrator": "plant.Integrator",
-    "phase_monitor": "phase_monitor.PhaseMonitor",
-    "physics": "plant.Physics",
-    "pilot": "pilot.Pilot",
-    "poppy_driver": "poppy_driver.PoppyDriver",
-    "recorder": "recorder.Recorder",
-    "rigid": "rigid.Rigid",
-    "viewer": "viewer.Viewer",
-    "whole_body_controller": "whole_body_controller.WholeBodyController",
+    "controller": "nodes.controller:Controller",
+    "drive": "nodes.drive:RobotDrive",
+    "integrator": "nodes.plant:Integrator",
+    "phase_monitor": "nodes.phase_monitor:PhaseMonitor",
+    "physics": "nodes.plant:Physics",
+    "pilot": "nodes.pilot:Pilot",
+    "poppy_driver": "nodes.poppy_driver:PoppyDriver",
+    "recorder": "nodes.recorder:Recorder",
+    "rigid": "whole_body.nodes.rigid:Rigid",
+    "viewer": "nodes.viewer:Viewer",
+    "whole_body_controller": "whole_body.nodes.controller:WholeBodyController",
 }
-"""Module and class of each node."""
+"""Module, relative to this package, and class of each node."""
 
 
 def docstring(name: str) -> str:
     """Return the docstring of a node's class."""
-    module, _, kind = NODES[name].partition(".")
-    tree = ast.parse(Path(__file__).with_name(f"{module}.py").read_text(encoding="utf-8"))
+    module, _, kind = NODES[name].partition(":")
+    file = Path(__file__).parents[1].joinpath(*module.split(".")).with_suffix(".py")
+    tree = ast.parse(file.read_text(encoding="utf-8"))
     (found,) = (node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == kind)
     return inspect.cleandoc(ast.get_docstring(found) or "")
 
@@ -126,10 +127,10 @@ def main(name: str, argv: Sequence[str]) -> int:
         Without the program's name.
     """
     options = parse(name, argv)  # help and usage errors need no ROS
-    module, _, kind = NODES[name].partition(".")
+    module, _, kind = NODES[name].partition(":")
     try:
         base = importlib.import_module("dqwalk_ros.nodes.base")
-        made = getattr(importlib.import_module(f"dqwalk_ros.nodes.{module}"), kind)
+        made = getattr(importlib.import_module(f"dqwalk_ros.{module}"), kind)
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] == "dqwalk_ros":
             raise

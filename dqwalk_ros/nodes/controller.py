@@ -18,10 +18,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import DqwalkError, StateError
 from dqwalk_ros.estimation.drive import DriveWatch
-from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.answering import AnsweringNode, Fields
 from dqwalk_ros.nodes.footsteps import FootstepInput
@@ -29,15 +26,18 @@ from dqwalk_ros.nodes.inputs import InertialSensor, Steering
 from dqwalk_ros.nodes.odometry import Odometry
 from dqwalk_ros.nodes.phases import PhasePublisher
 from dqwalk_ros.nodes.safety import Contradictions
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.state import Command, State
+from dqwalk_ros.paper.walk import PhaseKind
 from dqwalk_ros.report.causes import causes
 from dqwalk_ros.report.metrics import analyse
 from dqwalk_ros.report.scene import beginning
-from dqwalk_ros.robot import Foot
-from dqwalk_ros.servos import Drive
+from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.simulation import TraceRecorder, make_controller, walk_type, warm_up
-from dqwalk_ros.state import Command, State
-from dqwalk_ros.topics import FAILED, FALLEN, FINISHED
-from dqwalk_ros.walk import PhaseKind
+from dqwalk_ros.support.errors import DqwalkError, StateError
+from dqwalk_ros.support.topics import FAILED, FALLEN, FINISHED
 
 __all__ = ["Controller", "Mode"]
 

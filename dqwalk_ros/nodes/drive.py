@@ -17,14 +17,14 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.errors import ConfigError, StateError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.inputs import VELOCITY, CommandInput
 from dqwalk_ros.plants.bus import Bus
-from dqwalk_ros.robot import load_model
-from dqwalk_ros.servos import Drive, Servos
+from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.robot.servos import Drive, Servos
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import ConfigError, StateError
 
 __all__ = ["RobotDrive"]
 

@@ -9,16 +9,16 @@ from __future__ import annotations
 from nav_msgs.msg import Path
 from std_msgs.msg import String
 
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.controller import VelocityController
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import StateError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode
 from dqwalk_ros.nodes.odometry import Odometry
-from dqwalk_ros.robot import Foot
-from dqwalk_ros.standing.walk import StandingWalk
-from dqwalk_ros.walk import PhaseKind
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.walk import PhaseKind
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import StateError
+from dqwalk_ros.walks.standing.walk import StandingWalk
 
 __all__ = ["FootstepInput"]
 

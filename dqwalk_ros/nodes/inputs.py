@@ -17,12 +17,12 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Bool
 
-from dqwalk_ros.errors import StateError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.safety import CommandGate, DuplicatePublishers, Watchdog
-from dqwalk_ros.robot import RobotModel
-from dqwalk_ros.state import Command, State
+from dqwalk_ros.paper.state import Command, State
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support.errors import StateError
 
 if TYPE_CHECKING:
     from dqwalk_ros.controller import VelocityController

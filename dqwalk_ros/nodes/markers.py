@@ -6,14 +6,14 @@ import numpy as np
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.nodes.messages import pose_fields, time_msg, xyz
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.walk import Phase
 from dqwalk_ros.report.scene import COM, FOOT, Moment, Region, Rgb, Scene, color_of
-from dqwalk_ros.robot import RobotModel, Sole
-from dqwalk_ros.walk import Phase
+from dqwalk_ros.robot.model import RobotModel, Sole
+from dqwalk_ros.support.arrays import Array
 
 __all__ = ["markers"]
 

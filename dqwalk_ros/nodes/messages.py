@@ -18,12 +18,12 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Imu, JointState
 
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import StateError
 from dqwalk_ros.nodes.safety import JointOrder
-from dqwalk_ros.plants import Inertial, upward
-from dqwalk_ros.state import Command, State
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.state import Command, State
+from dqwalk_ros.plants.base import Inertial, upward
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import StateError
 
 __all__ = [
     "JointReader",

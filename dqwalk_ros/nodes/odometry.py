@@ -23,15 +23,15 @@ from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from rclpy.qos import QoSProfile
 
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.dual_quaternions import DQ
 from dqwalk_ros.estimation.base import BaseEstimate, BaseEstimator
-from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode
-from dqwalk_ros.robot import RobotModel
-from dqwalk_ros.standing.footsteps import flat
-from dqwalk_ros.state import State
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.state import State
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.walks.standing.footsteps import flat
 
 __all__ = ["Odometry"]
 

@@ -17,10 +17,10 @@ from typing import Any
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
-from dqwalk_ros import strict_yaml
 from dqwalk_ros.config import OF_RCLPY, Config, Spec, beside
-from dqwalk_ros.errors import ConfigError
 from dqwalk_ros.nodes.command_line import NODES
+from dqwalk_ros.support import strict_yaml
+from dqwalk_ros.support.errors import ConfigError
 
 __all__ = ["declare"]
 

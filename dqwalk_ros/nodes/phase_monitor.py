@@ -17,16 +17,17 @@ from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
-from dqwalk_ros.errors import DqwalkError, StateError
-from dqwalk_ros.kinematics import Kinematics
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.markers import markers
 from dqwalk_ros.nodes.phases import PhaseLog
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.report.metrics import support_polygon
 from dqwalk_ros.report.verdict import Assessor
-from dqwalk_ros.robot import Foot, load_model
-from dqwalk_ros.topics import FINISHED
+from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.support.errors import DqwalkError, StateError
+from dqwalk_ros.support.topics import FINISHED
 
 __all__ = ["PhaseMonitor"]
 

@@ -13,17 +13,18 @@ from rclpy.publisher import Publisher
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
 
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config, from_yaml, since, to_yaml
 from dqwalk_ros.controller import VelocityController
-from dqwalk_ros.errors import DqwalkError, StateError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.walk import Phase, PhaseKind, com_target
 from dqwalk_ros.report.verdict import Assessor
-from dqwalk_ros.robot import Foot, RobotModel, parse_model
+from dqwalk_ros.robot.model import RobotModel, parse_model
 from dqwalk_ros.simulation import make_walk
-from dqwalk_ros.topics import TOPICS
-from dqwalk_ros.walk import Phase, PhaseKind, com_target
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import DqwalkError, StateError
+from dqwalk_ros.support.topics import TOPICS
 
 __all__ = ["PhaseLog", "PhasePublisher"]
 

@@ -11,14 +11,14 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from dqwalk_ros.errors import ConfigError, PlantError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.inputs import VELOCITY, CommandInput
-from dqwalk_ros.plants.poppy import PoppyPlant
-from dqwalk_ros.robot import load_model
-from dqwalk_ros.state import Command
-from dqwalk_ros.topics import FALLEN
+from dqwalk_ros.paper.state import Command
+from dqwalk_ros.plants.poppy.plant import PoppyPlant
+from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.support.errors import ConfigError, PlantError
+from dqwalk_ros.support.topics import FALLEN
 
 __all__ = ["PoppyDriver"]
 

@@ -17,11 +17,11 @@ from typing import Any
 from rclpy.qos import DurabilityPolicy
 from rosbags.rosbag2 import WriterError
 
-from dqwalk_ros.errors import StateError
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.report.bag.storage import connect, flush, open_writer
-from dqwalk_ros.topics import BODY_TOPICS, PHASE_LOG, TOPICS, Topic
+from dqwalk_ros.support.errors import StateError
+from dqwalk_ros.support.topics import BODY_TOPICS, PHASE_LOG, TOPICS, Topic
 
 __all__ = ["OTHERS", "Recorder", "WalkTime"]
 

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.errors import StateError, listed
-from dqwalk_ros.robot import RobotModel
-from dqwalk_ros.state import State
+from dqwalk_ros.paper.state import State
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import StateError, listed
 
 __all__ = [
     "BodyGate",

@@ -14,17 +14,17 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from sensor_msgs.msg import JointState
 
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import DqwalkError, StateError
-from dqwalk_ros.kinematics import Kinematics, compose
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.phases import PhaseLog
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.kinematics import Kinematics, compose
+from dqwalk_ros.paper.walk import Phase
 from dqwalk_ros.report.scene import Moment, Scene
 from dqwalk_ros.report.viewer.page import FRAME, Page
-from dqwalk_ros.robot import RobotModel
-from dqwalk_ros.walk import Phase
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import DqwalkError, StateError
 
 __all__ = ["Viewer"]
 

@@ -32,8 +32,8 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from dqwalk_ros.config import find_share
-from dqwalk_ros.errors import ConfigError
-from dqwalk_ros.own_folder import own_folder, temporary
+from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.support.own_folder import own_folder, temporary
 
 __all__ = ["STEADY", "TimerWaker", "find_log_folder", "first_line", "init", "shutdown", "spin"]
 

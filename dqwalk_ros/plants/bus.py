@@ -14,11 +14,11 @@ from collections import deque
 
 import numpy as np
 
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.compiled import jit
 from dqwalk_ros.config import ServoConfig
 from dqwalk_ros.estimation.delay import CommandHistory
-from dqwalk_ros.servos import Drive, Servos
+from dqwalk_ros.robot.servos import Drive, Servos
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
 
 __all__ = ["Bus"]
 

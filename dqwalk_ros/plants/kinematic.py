@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dqwalk_ros.errors import PlantError
-from dqwalk_ros.plants import Plant, checked
-from dqwalk_ros.robot import RobotModel
-from dqwalk_ros.state import Command, State
+from dqwalk_ros.paper.state import Command, State
+from dqwalk_ros.plants.base import Plant, checked
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support.errors import PlantError
 
 __all__ = ["KinematicPlant"]
 

@@ -14,19 +14,20 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.compiled import jit
 from dqwalk_ros.config import Config
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import PlantError
-from dqwalk_ros.kinematics import Kinematics, quaternion_product
-from dqwalk_ros.plants import Inertial, Plant, Truth, checked, upward
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics, quaternion_product
+from dqwalk_ros.paper.state import Command, State
+from dqwalk_ros.paper.statics import GRAVITY, gravity_torques
+from dqwalk_ros.plants.base import Inertial, Plant, Truth, checked, upward
 from dqwalk_ros.plants.bus import Bus
 from dqwalk_ros.plants.sensors import Reading, Sensors
-from dqwalk_ros.robot import Foot, RobotModel
-from dqwalk_ros.servos import Drive, Servos
-from dqwalk_ros.state import Command, State
-from dqwalk_ros.statics import GRAVITY, gravity_torques
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.robot.servos import Drive, Servos
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
+from dqwalk_ros.support.errors import PlantError
 
 __all__ = ["PhysicsPlant", "build", "held_torques", "robot_spec", "set_timestep"]
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import SensorsConfig
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.plants import Inertial
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.plants.base import Inertial
+from dqwalk_ros.support.arrays import Array
 
 __all__ = ["Reading", "Sensors"]
 

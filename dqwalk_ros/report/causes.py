@@ -12,13 +12,13 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.paths import ComPath, com_path
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.paths import ComPath, com_path
+from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.report.metrics import Series, hull_margin, support_polygon
-from dqwalk_ros.servos import Servos
-from dqwalk_ros.stability import Finding, divergent_component, longest_delay, servo_findings
-from dqwalk_ros.statics import GRAVITY
+from dqwalk_ros.robot.servos import Servos
+from dqwalk_ros.robot.standing_limits import Finding, divergent_component, longest_delay, servo_findings
+from dqwalk_ros.support.arrays import Array
 
 __all__ = ["causes", "lost"]
 

@@ -15,16 +15,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.constraints import Constraint, PointInCylinder
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import ModelError
-from dqwalk_ros.geometry import ConvexPolygon
-from dqwalk_ros.kinematics import CenterOfMassOnGround, Kinematics, Observer, Pose, compose, support_tree
-from dqwalk_ros.plants import tilt
-from dqwalk_ros.robot import Foot, RobotModel, Sole, parse_model
+from dqwalk_ros.paper.constraints import Constraint, PointInCylinder
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.geometry import ConvexPolygon
+from dqwalk_ros.paper.kinematics import CenterOfMassOnGround, Kinematics, Observer, Pose, compose, support_tree
+from dqwalk_ros.paper.walk import Phase, PhaseKind
+from dqwalk_ros.plants.base import tilt
+from dqwalk_ros.robot.model import RobotModel, Sole, parse_model
 from dqwalk_ros.simulation import PhaseRecord, PhysicsRecord, Trace
-from dqwalk_ros.walk import Phase, PhaseKind
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import ModelError
 
 __all__ = [
     "Circle", "Ending", "Ground", "Series", "Span", "analyse", "hull_margin", "left_of", "pelvis_in_odom",

@@ -15,16 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import PlantError
-from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.plants.mujoco import build
 from dqwalk_ros.report.metrics import pelvis_in_odom
 from dqwalk_ros.report.scene import BodyShape, shapes_of
-from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.simulation import Trace
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import PlantError
 
 __all__ = ["Camera", "frames", "save_movie", "save_strip", "scenery_of"]
 

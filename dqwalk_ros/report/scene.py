@@ -14,9 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
-from dqwalk_ros.constraints import (
+from dqwalk_ros.paper.constraints import (
     Constraint,
     JointMaximum,
     JointMinimum,
@@ -24,17 +23,19 @@ from dqwalk_ros.constraints import (
     PointInsideWall,
     PointOverPlane,
 )
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import ModelError
-from dqwalk_ros.kinematics import Kinematics, compose
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics, compose
+from dqwalk_ros.paper.walk import Phase
 from dqwalk_ros.report.metrics import left_of, support_polygon
 from dqwalk_ros.report.verdict import Assessment, Assessor
-from dqwalk_ros.robot import Foot, RobotModel, find_urdf
-from dqwalk_ros.shapes import PRIMITIVES, meshes_of
+from dqwalk_ros.robot.model import RobotModel, find_urdf
+from dqwalk_ros.robot.shapes import PRIMITIVES, meshes_of
+from dqwalk_ros.robot.standing_limits import divergent_component
+from dqwalk_ros.robot.urdf import Urdf
 from dqwalk_ros.simulation import Trace, make_walk
-from dqwalk_ros.stability import divergent_component
-from dqwalk_ros.urdf import Urdf
-from dqwalk_ros.walk import Phase
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import ModelError
 
 __all__ = [
     "BodyShape", "Gauge", "Moment", "Moments", "Region", "Scene", "View", "beginning", "region", "shapes_of",

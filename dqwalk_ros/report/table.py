@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from dqwalk_ros.text_table import aligned
+from dqwalk_ros.support.text_table import aligned
 
 __all__ = ["distances", "numbers", "phases", "quasi_static", "render", "steps", "why"]
 

@@ -16,16 +16,17 @@ from typing import Any
 import numpy as np
 
 from dqwalk_ros import __version__
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config, MonitorConfig
-from dqwalk_ros.constraints import Constraint
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.paper.constraints import Constraint
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.statics import GRAVITY
+from dqwalk_ros.paper.walk import Phase, PhaseKind
 from dqwalk_ros.report.causes import causes
 from dqwalk_ros.report.metrics import FALLEN, Ending, Ground, Series, Span, left_of, support_polygon
-from dqwalk_ros.robot import Foot, RobotModel
-from dqwalk_ros.statics import GRAVITY
-from dqwalk_ros.walk import Phase, PhaseKind
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support.arrays import Array
 
 __all__ = ["Assessment", "Assessor", "Violation", "report", "violations"]
 

@@ -13,9 +13,9 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from dqwalk_ros import strict_yaml
 from dqwalk_ros.config import Config, load
-from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.support import strict_yaml
+from dqwalk_ros.support.errors import ConfigError
 
 __all__ = ["MAX_WALKS", "OWN", "Study", "digest", "read"]
 

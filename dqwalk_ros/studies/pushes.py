@@ -14,16 +14,17 @@ import numpy as np
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.controller import VelocityController
-from dqwalk_ros.errors import DqwalkError, PlantError
-from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.plants import pushed_periods
-from dqwalk_ros.robot import Foot, load_model
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.statics import GRAVITY
+from dqwalk_ros.paper.walk import PhaseKind
+from dqwalk_ros.plants.base import pushed_periods
+from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, make_walk
-from dqwalk_ros.statics import GRAVITY
 from dqwalk_ros.studies.bisection import largest
 from dqwalk_ros.studies.plan import digest
 from dqwalk_ros.studies.runner import Store, run
-from dqwalk_ros.walk import PhaseKind
+from dqwalk_ros.support.errors import DqwalkError, PlantError
 
 __all__ = ["MOMENTS", "Limit", "Push", "every_limit", "impulse_scale", "limit", "limits", "pushed"]
 

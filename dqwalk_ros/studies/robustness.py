@@ -13,12 +13,12 @@ from typing import Any
 import msgspec
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.errors import ConfigError, DqwalkError
-from dqwalk_ros.robot import load_model
+from dqwalk_ros.paper.walk import PhaseKind
+from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import closed_loop, make_controller, make_plant
 from dqwalk_ros.studies.plan import MAX_WALKS, digest
 from dqwalk_ros.studies.runner import Store, run
-from dqwalk_ros.walk import PhaseKind
+from dqwalk_ros.support.errors import ConfigError, DqwalkError
 
 __all__ = ["Cell", "Outcome", "assumed", "axes_of", "cells", "walk", "walk_all"]
 

@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 
 import msgspec
 
-from dqwalk_ros.errors import ConfigError, StudyError
+from dqwalk_ros.support.errors import ConfigError, StudyError
 
 __all__ = ["Store", "run"]
 

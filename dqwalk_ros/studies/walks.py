@@ -13,15 +13,15 @@ import msgspec
 import numpy as np
 
 from dqwalk_ros import report
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config, RobotConfig
-from dqwalk_ros.errors import ConfigError, DqwalkError, StudyError
+from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.plants.kinematic import KinematicPlant
-from dqwalk_ros.robot import RobotModel, load_model
+from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.simulation import make_controller, simulate
-from dqwalk_ros.state import Command, State
 from dqwalk_ros.studies.plan import OWN, Study
 from dqwalk_ros.studies.runner import Store, run
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import ConfigError, DqwalkError, StudyError
 
 __all__ = ["Outcome", "set_up", "walk", "walk_all"]
 

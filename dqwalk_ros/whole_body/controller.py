@@ -10,11 +10,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
-from dqwalk_ros.errors import StateError
-from dqwalk_ros.robot import Foot, RobotModel
-from dqwalk_ros.state import Command, State
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.state import Command, State
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import StateError
 from dqwalk_ros.whole_body.dynamics import Dynamics, Multibody, rotation_error
 from dqwalk_ros.whole_body.equations import Scene, hierarchy
 from dqwalk_ros.whole_body.hierarchy import Answer, Hierarchy, HierarchySolver

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.text_table import aligned
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.text_table import aligned
 from dqwalk_ros.whole_body.trace import Reaction, WholeBodyTrace
 
 __all__ = ["KEPT", "Demand", "checks", "render_checks", "spread", "summary"]

@@ -13,9 +13,10 @@ from functools import cache
 
 import numpy as np
 
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import WholeBodyConfig
-from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.whole_body.dynamics import Dynamics, FrameMotion, rotation_error
 from dqwalk_ros.whole_body.hierarchy import BALANCE, LAW, LIMIT, Hierarchy
 from dqwalk_ros.whole_body.objectives import Distance, Objective

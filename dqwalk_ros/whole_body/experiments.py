@@ -8,10 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
-from dqwalk_ros.errors import ConfigError, DqwalkError
-from dqwalk_ros.robot import Foot, RobotModel, load_model
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.robot.model import RobotModel, load_model
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import ConfigError, DqwalkError
 from dqwalk_ros.whole_body.controller import BodyCommand, BodyState, WholeBodyController
 from dqwalk_ros.whole_body.rigid_plant import BodyPlant, RigidPlant
 from dqwalk_ros.whole_body.scenario import Scenario

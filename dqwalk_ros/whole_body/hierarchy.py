@@ -18,8 +18,8 @@ import daqp
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.errors import QPError
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import QPError
 
 __all__ = ["BALANCE", "LAW", "LIMIT", "Answer", "Hierarchy", "HierarchySolver"]
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dqwalk_ros.arrays import Array
+from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.whole_body.dynamics import Dynamics, rotation_error
 
 __all__ = [

@@ -15,9 +15,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config, WholeBodyConfig
-from dqwalk_ros.robot import Foot
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.support.arrays import Array
 
 __all__ = ["GRAVITY", "PointMass", "Preview", "Stepping", "Swing", "previewed", "swing_acceleration", "swing_jerk"]
 

@@ -13,9 +13,10 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.errors import PlantError
-from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import PlantError
 from dqwalk_ros.whole_body.controller import BodyCommand, BodyState
 from dqwalk_ros.whole_body.dynamics import Dynamics, Multibody
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dqwalk_ros.errors import ConfigError
+from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.whole_body.controller import WholeBodyController
 from dqwalk_ros.whole_body.preview import GRAVITY
 

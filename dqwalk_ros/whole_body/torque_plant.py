@@ -11,11 +11,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import PlantError
+from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.plants.mujoco import robot_spec, set_timestep
-from dqwalk_ros.robot import RobotModel
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import PlantError
 from dqwalk_ros.whole_body.controller import BodyCommand, BodyState
 from dqwalk_ros.whole_body.rigid_plant import BodyPlant
 

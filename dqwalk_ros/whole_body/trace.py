@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
-from dqwalk_ros.provenance import here
-from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.provenance import here
 from dqwalk_ros.whole_body.controller import BodyState, WholeBodyController
 from dqwalk_ros.whole_body.scenario import Scenario
 

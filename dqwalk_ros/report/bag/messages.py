@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import BagError
+from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.report.bag.storage import Column, Source, content_of, typestore
-from dqwalk_ros.text_table import without_numbers
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import BagError
+from dqwalk_ros.support.text_table import without_numbers
 
 __all__ = [
     "NS", "Fault", "JointStates", "Stamps", "Status", "Table", "aligned", "at_stamps", "diagnostics", "diagnostics_of",

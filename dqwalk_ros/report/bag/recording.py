@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros import config as configuration
-from dqwalk_ros import provenance
 from dqwalk_ros.config import Config
-from dqwalk_ros.errors import BagError, ConfigError, ModelError, listed
 from dqwalk_ros.report.bag.messages import NS, JointStates, Stamps, joint_states, texts
 from dqwalk_ros.report.bag.storage import Column, Content, Source, content_of
-from dqwalk_ros.robot import RobotModel, load_model, parse_model
-from dqwalk_ros.topics import Topic
+from dqwalk_ros.robot.model import RobotModel, load_model, parse_model
+from dqwalk_ros.support import provenance
+from dqwalk_ros.support.errors import BagError, ConfigError, ModelError, listed
+from dqwalk_ros.support.topics import Topic
 
 __all__ = ["Recording", "is_body", "open_recording"]
 
@@ -28,7 +28,7 @@ class Recording:
     Attributes
     ----------
     columns : dict of str to Column
-        By the names in `dqwalk_ros.topics`.
+        By the names in `dqwalk_ros.support.topics`.
     states : JointStates
         All readable messages of joint_states.
     rows : ndarray of int, shape (N,)
@@ -115,7 +115,7 @@ def _configurations(found: Sequence[str], source: str) -> tuple[Config, dict[int
 def _columns_of(
     content: Content, namespace: str | None, wanted: Mapping[str, str], required: Sequence[str]
 ) -> dict[str, Column]:
-    """Return the columns of one namespace by the names in `dqwalk_ros.topics`."""
+    """Return the columns of one namespace by the names in `dqwalk_ros.support.topics`."""
     found: dict[str, set[str]] = {}
     for topic, kind in content.topics.items():
         prefix, _, name = topic.rpartition("/")

@@ -34,8 +34,8 @@ from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLi
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 from rosbags.typesys import Stores, get_typestore
 
-from dqwalk_ros.errors import BagError
-from dqwalk_ros.topics import BODY_TOPICS, TOPICS, Topic
+from dqwalk_ros.support.errors import BagError
+from dqwalk_ros.support.topics import BODY_TOPICS, TOPICS, Topic
 
 __all__ = [
     "Column", "Content", "Source", "connect", "content_of", "flush", "load", "open_writer", "typestore",

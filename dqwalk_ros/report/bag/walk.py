@@ -8,12 +8,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from dqwalk_ros import provenance
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import to_yaml
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import BagError, listed
-from dqwalk_ros.kinematics import Kinematics
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.walk import PhaseKind, com_target
 from dqwalk_ros.report.bag import messages
 from dqwalk_ros.report.bag.messages import (
     NS,
@@ -36,10 +35,12 @@ from dqwalk_ros.report.bag.recording import Recording, open_recording
 from dqwalk_ros.report.bag.storage import Column, Source, write_columns
 from dqwalk_ros.report.metrics import pelvis_in_odom
 from dqwalk_ros.report.verdict import Assessor
-from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.simulation import PhaseRecord, PhysicsRecord, Trace
-from dqwalk_ros.topics import FAILED, FALLEN, FINISHED, ODOM, REQUIRED, TOPICS, WORLD
-from dqwalk_ros.walk import PhaseKind, com_target
+from dqwalk_ros.support import provenance
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import BagError, listed
+from dqwalk_ros.support.topics import FAILED, FALLEN, FINISHED, ODOM, REQUIRED, TOPICS, WORLD
 
 __all__ = ["read", "read_orientations", "write"]
 

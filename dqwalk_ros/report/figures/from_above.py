@@ -13,9 +13,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 from matplotlib.patheffects import Normal, Stroke
 
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.geometry import ConvexPolygon
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.geometry import ConvexPolygon
 from dqwalk_ros.report.figures.style import (
     BLUE,
     DASHED,
@@ -32,7 +32,8 @@ from dqwalk_ros.report.figures.style import (
 )
 from dqwalk_ros.report.metrics import Ground, Series, Span, urdf_soles
 from dqwalk_ros.report.verdict import TILT
-from dqwalk_ros.robot import Foot, Sole
+from dqwalk_ros.robot.model import Sole
+from dqwalk_ros.support.arrays import Array
 
 __all__ = ["on_the_ground", "top_view"]
 

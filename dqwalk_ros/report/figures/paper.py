@@ -12,7 +12,6 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.report.figures.style import (
     BLUE,
     DASHED,
@@ -26,6 +25,7 @@ from dqwalk_ros.report.figures.style import (
     set_time_limits,
 )
 from dqwalk_ros.report.metrics import Series, Span
+from dqwalk_ros.support.arrays import Array
 
 __all__ = ["figure7", "figure8", "figure9"]
 

@@ -13,8 +13,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure  # not pyplot: no global state, no display
 
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.report.metrics import Series
+from dqwalk_ros.support.arrays import Array
 
 __all__ = [
     "BLUE",

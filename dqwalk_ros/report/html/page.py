@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from dqwalk_ros import provenance
 from dqwalk_ros.report import table as tables
 from dqwalk_ros.report.bag.messages import Status, faults
 from dqwalk_ros.report.figures.style import Drawn, write_figure
 from dqwalk_ros.report.html.replay import replay_data
 from dqwalk_ros.report.metrics import Series
+from dqwalk_ros.support import provenance
 
 __all__ = ["Markup", "Subject", "bad", "figures", "heading", "origin_table", "replay", "table", "write", "write_page"]
 

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.kinematics import compose
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import compose
 from dqwalk_ros.report.metrics import Series
 from dqwalk_ros.report.scene import BodyShape, Moments, Scene, shapes_of, tightest
-from dqwalk_ros.robot import Foot, RobotModel
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support.arrays import Array
 
 __all__ = ["FRAMES", "replay_data", "robot_data", "walk_data"]
 

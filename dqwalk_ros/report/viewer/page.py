@@ -16,13 +16,13 @@ import numpy as np
 import viser
 import websockets.asyncio.server
 
-from dqwalk_ros.arrays import Array
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import ViewerError
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.report.scene import COM, DIVERGENT, FOOT, BodyShape, Moment, Region, Scene, View, color_of, tightest
 from dqwalk_ros.report.viewer.panels import TIGHT, History, margins_html, status_html
-from dqwalk_ros.robot import Foot
 from dqwalk_ros.simulation import walk_type
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import ViewerError
 
 __all__ = ["HOST", "Page"]
 

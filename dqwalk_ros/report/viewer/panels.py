@@ -6,8 +6,8 @@ from html import escape
 
 import numpy as np
 
+from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.report.scene import COM, FOOT, Gauge, Rgb, View, color_of, tightest
-from dqwalk_ros.robot import Foot
 
 __all__ = ["TIGHT", "History", "margins_html", "status_html"]
 

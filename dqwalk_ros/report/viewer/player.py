@@ -21,19 +21,20 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from dqwalk_ros.arrays import Array
 from dqwalk_ros.config import Config
 from dqwalk_ros.controller import VelocityController
-from dqwalk_ros.dual_quaternions import DQ
-from dqwalk_ros.errors import DqwalkError, ViewerError
-from dqwalk_ros.kinematics import Kinematics
-from dqwalk_ros.qp import make_solver
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.qp import make_solver
+from dqwalk_ros.paper.state import State
 from dqwalk_ros.report.scene import Moment, Moments, Scene
 from dqwalk_ros.report.viewer.page import FRAME, Page
 from dqwalk_ros.report.viewer.panels import History
-from dqwalk_ros.robot import Foot, load_model
+from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import PhaseRecord, Trace
-from dqwalk_ros.state import State
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import DqwalkError, ViewerError
 
 __all__ = ["Feed", "Player"]
 

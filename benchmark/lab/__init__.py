@@ -1,0 +1,1 @@
+"""Laboratory programs: soak, see, driver, robots."""

@@ -1,0 +1,92 @@
+"""Every parameter of the package: its default, unit, meaning and bounds.
+
+A parameter is one line of a section in `sections`. The same schema serves plain Python (`load`), the command line
+(``dqwalk config``), the parameters of the ROS nodes and the documentation; a configuration file is a ROS parameter
+file::
+
+    /**:
+      ros__parameters:
+        dt: 0.005
+        ssp: {com_radius: 0.05}
+"""
+
+from __future__ import annotations
+
+from dqwalk_ros.config.files import (
+    OF_RCLPY,
+    SHIPPED,
+    beside,
+    find_share,
+    from_yaml,
+    load,
+    overlaid,
+    put_on,
+    replaced,
+    since,
+    to_yaml,
+)
+from dqwalk_ros.config.schema import Spec, Value
+from dqwalk_ros.config.sections import (
+    Config,
+    DspConfig,
+    DynamicConfig,
+    EstimationConfig,
+    GaitConfig,
+    JointsConfig,
+    MonitorConfig,
+    NodeConfig,
+    OdometryConfig,
+    OutputConfig,
+    PelvisConfig,
+    PhysicsConfig,
+    PlantConfig,
+    PoppyConfig,
+    QpConfig,
+    RobotConfig,
+    SafetyConfig,
+    SensorsConfig,
+    ServoConfig,
+    SspConfig,
+    StandingConfig,
+    TaskConfig,
+    WholeBodyConfig,
+)
+
+__all__ = [
+    "OF_RCLPY",
+    "SHIPPED",
+    "Config",
+    "DspConfig",
+    "DynamicConfig",
+    "EstimationConfig",
+    "GaitConfig",
+    "JointsConfig",
+    "MonitorConfig",
+    "NodeConfig",
+    "OdometryConfig",
+    "OutputConfig",
+    "PelvisConfig",
+    "PhysicsConfig",
+    "PlantConfig",
+    "PoppyConfig",
+    "QpConfig",
+    "RobotConfig",
+    "SafetyConfig",
+    "SensorsConfig",
+    "ServoConfig",
+    "Spec",
+    "SspConfig",
+    "StandingConfig",
+    "TaskConfig",
+    "Value",
+    "WholeBodyConfig",
+    "beside",
+    "find_share",
+    "from_yaml",
+    "load",
+    "overlaid",
+    "put_on",
+    "replaced",
+    "since",
+    "to_yaml",
+]

@@ -1,0 +1,191 @@
+"""Configurations as files: ROS parameter files of this package or of a user, and what the file of a plant replaces."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import re
+import sys
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import yaml
+
+from dqwalk_ros.config.schema import Value
+from dqwalk_ros.config.sections import Config
+from dqwalk_ros.support import strict_yaml
+from dqwalk_ros.support.errors import ConfigError
+
+__all__ = [
+    "OF_RCLPY", "SHIPPED", "beside", "find_share", "from_yaml", "load", "overlaid", "put_on", "replaced", "since",
+    "to_yaml",
+]  # fmt: skip
+
+OF_RCLPY = ("use_sim_time", "qos_overrides", "start_type_description_service")
+"""Parameters that rclpy declares for every node; ``ros2 param dump`` writes them, `from_yaml` ignores them."""
+
+SHIPPED = ("paper", "poppy", "poppy_dynamic", "poppy_dynamic_50hz", "whole_body")
+"""Names of the configurations in ``config/``."""
+
+
+def find_share(folder: str, name: str) -> pathlib.Path:
+    """Return the path of a data file of this package (``config/``, ``urdf/``, ``launch/``).
+
+    It is searched in the source tree, in the ament index and in ``sys.prefix``, in this order.
+
+    Raises
+    ------
+    ConfigError
+        If the file is not found; the message lists the folders searched.
+    """
+    roots = [pathlib.Path(__file__).resolve().parents[2]]
+    prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    roots += [pathlib.Path(p) / "share" / "dqwalk_ros" for p in [*prefixes, sys.prefix]]
+    for root in roots:
+        path = root / folder / name
+        if path.is_file():
+            return path
+    raise ConfigError(f"no file '{name}' in {folder}/ of this package; looked in {', '.join(map(str, roots))}")
+
+
+def load(source: str | os.PathLike[str]) -> Config:
+    """Read a configuration: a path, or the name of a shipped one (``"paper"``).
+
+    Raises
+    ------
+    ConfigError
+        If the file is missing, is not YAML, or has an unknown key or a value out of bounds.
+    """
+    path = pathlib.Path(source)
+    if not path.is_file():
+        if path.suffix or len(path.parts) > 1:
+            raise ConfigError(f"no configuration file '{path}'")
+        if str(path) not in SHIPPED:
+            raise ConfigError(f"no configuration '{path}': neither a file nor one of {', '.join(SHIPPED)}")
+        path = find_share("config", f"{path}.yaml")
+    return beside(path, from_yaml(strict_yaml.read_text(path), source=str(path)))
+
+
+def beside(path: pathlib.Path, config: Config) -> Config:
+    """Return `config` with absolute paths of the files that it names relative to its own file `path`."""
+    named = {"robot.urdf": config.robot.urdf, "gait.recover": config.gait.recover}
+    found = {name: path.parent / file for name, file in named.items() if file and (path.parent / file).is_file()}
+    return config.updated({name: str(file.resolve()) for name, file in found.items()}) if found else config
+
+
+def from_yaml(text: str, *, source: str = "text", onto: Config | None = None) -> Config:
+    """Read a configuration from the text of a ROS parameter file; all other parameters are those of `onto`.
+
+    Raises
+    ------
+    ConfigError
+        As `load`; the message names the line.
+    """
+    tree = strict_yaml.read(text, source=source)
+    if not isinstance(tree, dict) or not all(isinstance(node, dict) for node in tree.values()):
+        raise ConfigError(f"{source}: expected '/**: {{ros__parameters: {{...}}}}'")
+    config = onto or Config()
+    for node, body in tree.items():
+        if set(body) != {"ros__parameters"} or not isinstance(body["ros__parameters"], dict):
+            raise ConfigError(f"{source}: node '{node}' must hold 'ros__parameters' and nothing else")
+        values = _flattened(body["ros__parameters"], "", source)
+        values = {name: value for name, value in values.items() if name.split(".")[0] not in OF_RCLPY}
+        try:
+            config = config.updated(values)
+        except ConfigError:
+            for name, value in values.items():  # find the parameter, for the line in the message
+                line = strict_yaml.line_of(text, [str(node), "ros__parameters", *name.split(".")])
+                config.updated({name: value}, source=f"{source}, line {line}")
+            raise
+    return config
+
+
+def put_on(config: Config, files: Iterable[pathlib.Path]) -> Config:
+    """Return a configuration with the parameters of files applied, one after the other.
+
+    Raises
+    ------
+    ConfigError
+        If a file is missing or cannot be used.
+    """
+    for path in files:
+        if not path.is_file():
+            raise ConfigError(f"no parameter file '{path}'")
+        config = from_yaml(strict_yaml.read_text(path), source=str(path), onto=config)
+    return config
+
+
+def overlaid(config: Config, plant: str) -> Config:
+    """Return a configuration with the parameters of ``config/plants/NAME.yaml`` applied."""
+    return put_on(config, [find_share("config/plants", f"{plant}.yaml")])
+
+
+def replaced(own: Config, plant: str, used: Config, how: str) -> str:
+    """Return a warning that names the values of a configuration which ``config/plants/NAME.yaml`` replaces; or "".
+
+    Values that are the default, and ``monitor.*``, are replaced without a warning.
+
+    Parameters
+    ----------
+    own : Config
+        The configuration without the plant's file.
+    used : Config
+        The configuration with the plant's file and with all that is applied after it.
+    how : str
+        How to apply a value after the plant's file.
+    """
+    given, of_plant, last = own.flat(), overlaid(own, plant).flat(), used.flat()
+    changes = [
+        f"{spec.name} {_shown(given[spec.name])} by {_shown(of_plant[spec.name])}"
+        for spec in Config.specs()
+        if not spec.name.startswith("monitor.")
+        and given[spec.name] not in (spec.default, of_plant[spec.name])
+        and last[spec.name] == of_plant[spec.name]
+    ]
+    if not changes:
+        return ""
+    return f"config/plants/{plant}.yaml replaces values of the configuration: {', '.join(changes)}; to keep one: {how}"
+
+
+def _shown(value: Value) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(list(value) if isinstance(value, tuple) else value)
+
+
+def _flattened(tree: Mapping[Any, Any], prefix: str, source: str) -> dict[str, Any]:
+    """Return ``{dotted name: value}`` of nested dictionaries."""
+    out: dict[str, Any] = {}
+    for key, value in tree.items():
+        if not isinstance(key, str):
+            raise ConfigError(f"{source}: the key {prefix}{key!r} is not a text")
+        found = _flattened(value, f"{prefix}{key}.", source) if isinstance(value, dict) else {prefix + key: value}
+        if duplicates := [name for name in found if name in out]:  # gait.cycles and gait: {cycles: }
+            raise ConfigError(f"{source}: '{duplicates[0]}' is given twice")
+        out.update(found)
+    return out
+
+
+_SINCE = "# in force from the state with the stamp {} ns"
+
+
+def since(text: str) -> int | None:
+    """Return the stamp [ns] of the state from which a configuration written by `to_yaml` applies; None: from the start.
+
+    A configuration that was changed during a walk contains this stamp as a comment.
+    """
+    found = re.match(_SINCE.format(r"(-?\d+)"), text)
+    return int(found.group(1)) if found else None
+
+
+def to_yaml(config: Config, since: int | None = None) -> str:
+    """Return the configuration as the text of a ROS parameter file; `from_yaml` reads it back exactly.
+
+    An empty list has no type in a ROS parameter file and is written as a list with one empty text. `since` is the stamp
+    [ns] of the first state that the configuration applies to, if it was changed during the walk; see `since`.
+    """
+    tree: dict[str, Any] = {}
+    for name, value in config.flat().items():
+        section, _, key = name.rpartition(".")
+        target = tree.setdefault(section, {}) if section else tree
+        target[key] = (list(value) or [""]) if isinstance(value, tuple) else value
+    begin = "" if since is None else _SINCE.format(since) + "\n"
+    return begin + yaml.dump({"/**": {"ros__parameters": tree}}, Dumper=yaml.CSafeDumper, sort_keys=False)

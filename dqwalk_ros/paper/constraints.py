@@ -1,0 +1,429 @@
+"""Distances and the vector-field inequality that keeps them, sections 3 and 4 [Urban2020, Marinho2019].
+
+Every signed distance d increases towards the safe side, so that the package has one kind of inequality,
+d' >= -eta (d - bound). Where the paper has <= (cylinders, upper joint limits), the distance here is the negative of the
+paper's. A distance that is kept equal to its bound by d' = -eta (d - bound) is an equality such as (U8).
+
+A constraint lists the features of the robot that it depends on (`watches`), and computes from their coordinates s the
+distance d and its gradient dd/ds. The Jacobian of the distance is this gradient times the Jacobian of s, by the chain
+rule (`walk.Phase.evaluate`).
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.geometry import ConvexPolygon, Cylinder, Plane, point_to_line_squared, point_to_wall
+from dqwalk_ros.paper.kinematics import (
+    CenterOfMass,
+    CenterOfMassOnGround,
+    Direction,
+    Feature,
+    JointAngles,
+    Point,
+    Rotation,
+)
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
+
+__all__ = [
+    "Affine",
+    "AxisLevel",
+    "ComInsideEdges",
+    "Constraint",
+    "FrameHeld",
+    "JointMaximum",
+    "JointMinimum",
+    "PointInCylinder",
+    "PointInsideWall",
+    "PointOverPlane",
+    "PointsOverPlane",
+    "inside_cylinder",
+    "inside_wall",
+    "pose_error",
+    "vfi",
+]
+
+
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+@jit
+def vfi(d, bound, eta, return_speed, dt):  # type: ignore[no-untyped-def]
+    """Right-hand side w of W u >= w, the vector-field inequality d' >= -eta (d - bound), shape (k,).
+
+    Parameters
+    ----------
+    d, bound : ndarray, shape (k,)
+        Signed distances and their lower bounds.
+    eta : ndarray, shape (k,)
+        Rates [1/s], limited to 1/dt here: in discrete time the bound is kept only if eta dt <= 1.
+    return_speed : ndarray, shape (k,)
+        Upper limit of w, for distances below their bound [unit of the distance per second].
+    dt : float
+        Control period [s].
+    """
+    return np.minimum(-np.minimum(eta, 1.0 / dt) * (d - bound), return_speed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Constraint(ABC):
+    """Keep a signed distance at or above its bound: J u >= -eta (d - bound).
+
+    Attributes
+    ----------
+    name : str
+    eta : float
+        Rate [1/s]: a distance d may approach its bound at the speed eta (d - bound).
+    bound : float
+        Least distance allowed.
+    return_speed : float
+        Largest speed at which a distance below its bound is required to return [unit of the distance per second]. It
+        keeps the quadratic program feasible after a disturbance that violates the constraint.
+    """
+
+    name: str
+    eta: float
+    bound: float = 0.0
+    return_speed: float = math.inf
+
+    @property
+    @abstractmethod
+    def watches(self) -> tuple[Feature, ...]:
+        """Features that the distance depends on; `value` takes their stacked coordinates s."""
+
+    @property
+    def parameters(self) -> Array:
+        """Constants of its compiled function, for the classes that `assembly` evaluates in compiled code."""
+        return np.empty(0)
+
+    @abstractmethod
+    def value(self, s: Array) -> tuple[Array | float, Array]:
+        """Return the distance, a float or (k,), and its gradient (m,) or (k, m) with respect to s (m,), at s."""
+
+    def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the names of the k rows."""
+        return (self.name,)
+
+
+class Affine(Constraint):
+    """A constraint whose distance is affine in the coordinates of its features, d = A s - b, with constant A and b."""
+
+    @property
+    @abstractmethod
+    def A(self) -> Array:
+        """Gradient, shape (k, m)."""
+
+    @property
+    @abstractmethod
+    def b(self) -> Array | float:
+        """Offset, shape (k,), or one number for all rows."""
+
+    def value(self, s: Array) -> tuple[Array, Array]:
+        """Return A s - b and A."""
+        return self.A @ s - self.b, self.A
+
+
+# ---------------------------------------------------------------------- points, section 3
+
+
+@jit
+def inside_cylinder(s, a):  # type: ignore[no-untyped-def]
+    """Return r^2 - |p x l - m|^2 [m^2] of p = s and its gradient (3,), with a = (l, m, r): (U7) and (U14)."""
+    square, gradient = point_to_line_squared(s, a[:3], a[3:6])
+    return a[6] ** 2 - square, -gradient
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointInCylinder(Constraint):
+    """Keep a point inside a fixed infinite cylinder, (U7) and (U14): r^2 - d^2 >= 0 [m^2], d from the axis."""
+
+    point: Point | CenterOfMass
+    cylinder: Cylinder
+
+    @property
+    def watches(self) -> tuple[Feature, ...]:
+        """The point."""
+        return (self.point,)
+
+    @cached_property
+    def parameters(self) -> Array:
+        """Direction and moment of the axis, and the radius, shape (7,)."""
+        return np.array([*self.cylinder.axis.l, *self.cylinder.axis.m, self.cylinder.radius])
+
+    def value(self, s: Array) -> tuple[float, Array]:
+        """Squared radius minus squared distance from the axis [m^2]."""
+        d, gradient = inside_cylinder(s, self.parameters)
+        return d, gradient
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointOverPlane(Affine):
+    """Keep a point on the positive side of a fixed plane, (U11) [m]; as an equality it is (U8)."""
+
+    point: Point | CenterOfMass
+    plane: Plane
+
+    @property
+    def watches(self) -> tuple[Feature, ...]:
+        """The point."""
+        return (self.point,)
+
+    @cached_property
+    def A(self) -> Array:
+        """The normal of the plane: d = <p, n> - d_plane, (U8) and (U11)."""
+        return self.plane.n[None]
+
+    @property
+    def b(self) -> float:
+        """Distance of the plane from the origin [m]."""
+        return self.plane.d
+
+
+@jit
+def inside_wall(s, a):  # type: ignore[no-untyped-def]
+    """Signed distance of p from the vertical plane through a[:3] and b, s = (p, b), side a[3]: (U9) and (U10) [m]."""
+    return point_to_wall(s, a[:3], a[3])
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointInsideWall(Constraint):
+    """Keep a point on one side of the vertical plane through a fixed and a moving point, (U9) and (U10) [m].
+
+    Attributes
+    ----------
+    point : Point or CenterOfMass
+    fixed : ndarray, shape (3,)
+        Point of the base foot [m].
+    moving : Point
+        Point of the end foot, with which the plane moves.
+    side : float
+        1 if the allowed side is to the left of the line from `fixed` to `moving`, -1 if it is to the right.
+    """
+
+    point: Point | CenterOfMass
+    fixed: Array
+    moving: Point
+    side: float
+
+    @property
+    def watches(self) -> tuple[Feature, ...]:
+        """The point, and the moving point of the plane."""
+        return (self.point, self.moving)
+
+    @cached_property
+    def parameters(self) -> Array:
+        """The fixed point of the plane, and the side, shape (4,)."""
+        return np.array([*self.fixed, self.side])
+
+    def value(self, s: Array) -> tuple[float, Array]:
+        """Signed distance from the plane [m]; its gradient at the moving point gives the residual of [Marinho2019]."""
+        d, gradient = inside_wall(s, self.parameters)
+        return d, gradient
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointsOverPlane(Affine):
+    """Keep points of a frame, such as the corners of a sole, on the positive side of a fixed plane, one row each [m].
+
+    Attributes
+    ----------
+    frame : str
+    points : ndarray, shape (k, 3)
+        Coordinates in the frame [m].
+    plane : Plane
+    """
+
+    frame: str
+    points: Array
+    plane: Plane
+
+    @cached_property
+    def watches(self) -> tuple[Feature, ...]:
+        """The points."""
+        return tuple(Point(self.frame, p) for p in self.points)
+
+    @cached_property
+    def A(self) -> Array:
+        """The normal of the plane, in one row per point."""
+        return np.asarray(np.kron(np.eye(len(self.points)), self.plane.n), dtype=np.float64)
+
+    @property
+    def b(self) -> float:
+        """Distance of the plane from the origin [m]."""
+        return self.plane.d
+
+    def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
+        """One name per point."""
+        return tuple(f"{self.name}/{k}" for k in range(len(self.points)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComInsideEdges(Affine):
+    """Keep the vertical through the CoM inside a convex polygon in the base sole's plane, one row per edge [m].
+
+    Each edge is a plane; section 3.1 allows "as many planes as necessary".
+
+    Attributes
+    ----------
+    polygon : ConvexPolygon
+        Fixed in the base frame.
+    """
+
+    polygon: ConvexPolygon
+    watches = (CenterOfMassOnGround(),)
+
+    @property
+    def A(self) -> Array:
+        """Inward normals of the edges."""
+        return self.polygon.edges()[0]
+
+    @property
+    def b(self) -> Array:
+        """Offsets of the edges [m]."""
+        return self.polygon.edges()[1]
+
+    def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
+        """One name per edge."""
+        return tuple(f"{self.name}/{k}" for k in range(len(self.polygon.vertices)))
+
+
+# ---------------------------------------------------------------------- frames
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisLevel(Affine):
+    """Inner product of a frame's z axis with a fixed direction: for small angles, the inclination along it [rad].
+
+    As an equality along x and along y it keeps a sole parallel to the ground.
+    """
+
+    frame: str
+    direction: Array
+
+    @property
+    def watches(self) -> tuple[Feature, ...]:
+        """The z axis of the frame."""
+        return (Direction(self.frame, _UP),)
+
+    @property
+    def A(self) -> Array:
+        """The direction."""
+        return self.direction[None]
+
+    @property
+    def b(self) -> float:
+        """Zero."""
+        return 0.0
+
+
+@jit
+def pose_error(s, p_d, r_d, lever):  # type: ignore[no-untyped-def]
+    """Pose error (p - p_d, 2 lever Im(r r_d*)) [m, rad times `lever`], and its gradient.
+
+    `s` (7,) are the coordinates of a `Point` and a `Rotation`, p (3,) and r (4,), in which the error is affine. For
+    small errors 2 Im(r r_d*) is the rotation vector from r_d to r [rad].
+
+    Returns
+    -------
+    error : ndarray, shape (6,)
+    gradient : ndarray, shape (6, 7)
+    """
+    w, x, y, z = r_d
+    sign = 1.0 if s[3] * w + s[4] * x + s[5] * y + s[6] * z >= 0.0 else -1.0  # r and -r are the same orientation
+    gradient = np.zeros((6, 7))
+    gradient[0, 0] = gradient[1, 1] = gradient[2, 2] = 1.0
+    imaginary = np.array([[-x, w, -z, y], [-y, z, w, -x], [-z, -y, x, w]])  # Im of H-4(r_d*)
+    gradient[3:, 3:] = 2.0 * sign * lever * imaginary
+    error = gradient @ s
+    error[:3] -= p_d
+    return error, gradient
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameHeld(Constraint):
+    """Pose error of a frame, six rows: p - p_d [m] and 2 Im(r r_d*), for small errors the rotation vector [rad].
+
+    As an equality it holds the frame at the pose.
+
+    Attributes
+    ----------
+    frame : str
+    pose : ndarray, shape (8,)
+        x_d in the base frame.
+    """
+
+    frame: str
+    pose: Array
+
+    @property
+    def watches(self) -> tuple[Feature, ...]:
+        """Position and orientation of the frame."""
+        return (Point(self.frame), Rotation(self.frame))
+
+    @cached_property
+    def parameters(self) -> Array:
+        """Position and orientation, shape (7,)."""
+        return np.array([*DQ(self.pose).translation(), *self.pose[:4]])
+
+    def value(self, s: Array) -> tuple[Array, Array]:
+        """Pose error, shape (6,)."""
+        e, gradient = pose_error(s, self.parameters[:3], self.parameters[3:], 1.0)
+        return e, gradient
+
+    def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
+        """One name per axis, translation first."""
+        return tuple(f"{self.name}/{axis}" for axis in range(6))
+
+
+# ---------------------------------------------------------------------- joints
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointMaximum(Affine):
+    """Upper joint limits, (U12): q_max - q >= 0 [rad]."""
+
+    q_max: Array
+    watches = (JointAngles(),)
+
+    @cached_property
+    def A(self) -> Array:
+        """Minus the identity: d = -q - (-q_max), (U12)."""
+        return -np.eye(len(self.q_max))
+
+    @property
+    def b(self) -> Array:
+        """Minus the limits [rad]."""
+        return -self.q_max
+
+    def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
+        """One name per joint, such as ``joint_max/l_knee_y``."""
+        return tuple(f"{self.name}/{joint}" for joint in joint_names)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointMinimum(Affine):
+    """Lower joint limits, (U13): q - q_min >= 0 [rad]."""
+
+    q_min: Array
+    watches = (JointAngles(),)
+
+    @cached_property
+    def A(self) -> Array:
+        """The identity: d = q - q_min, (U13)."""
+        return np.eye(len(self.q_min))
+
+    @property
+    def b(self) -> Array:
+        """The limits [rad]."""
+        return self.q_min
+
+    def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
+        """One name per joint, such as ``joint_min/l_knee_y``."""
+        return tuple(f"{self.name}/{joint}" for joint in joint_names)

@@ -1,0 +1,163 @@
+"""Plants: simulators and robots that execute commands; ground truth of simulators; measurement of the vertical."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.state import Command, State
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import PlantError
+
+__all__ = ["Inertial", "Plant", "Truth", "checked", "orientation_of", "pushed_periods", "tilt", "upward"]
+
+
+class Plant(ABC):
+    """A simulator or a robot."""
+
+    @property
+    @abstractmethod
+    def state(self) -> State:
+        """The present measured state."""
+
+    @abstractmethod
+    def step(self, command: Command, dt: float) -> State:
+        """Execute a command for one period `dt` [s] and return the state after it."""
+
+    @property
+    def commanded(self) -> Array:
+        """Angles to which commanded velocities are added, shape (n,) [rad]: goals of servos, else the measured."""
+        return self.state.q
+
+    @property
+    def truth(self) -> Truth | None:
+        """Ground truth of a simulator; None if it is not available."""
+        return None
+
+    @property
+    def inertial(self) -> Inertial | None:
+        """Measurements of the inertial sensor; None without such a sensor."""
+        return None
+
+    def push(self, force: ArrayLike) -> None:
+        """Push the pelvis of a simulated robot with `force` (3,) [N] in world axes until the next call."""
+        raise NotImplementedError
+
+    @property
+    def fallen(self) -> bool:
+        """Whether the robot lies on the ground."""
+        return False
+
+
+@dataclass(slots=True, eq=False)
+class Inertial:
+    """Measurements of the inertial sensor.
+
+    Attributes
+    ----------
+    orientation : ndarray, shape (4,)
+        Unit quaternion (real part first) of the sensor's frame in the world.
+    gyro : ndarray, shape (3,)
+        Angular velocity in its frame [rad/s].
+    acceleration : ndarray, shape (3,)
+        Specific force in its frame: 9.81 upwards at rest [m/s^2].
+    """
+
+    orientation: Array
+    gyro: Array
+    acceleration: Array
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Ground truth of a simulator, which no sensor of the robot measures.
+
+    Attributes
+    ----------
+    pelvis : ndarray, shape (8,)
+        Pose of the pelvis in the world, whose xy plane is the floor.
+    soles : dict of Foot to ndarray, shape (8,)
+        Poses of the soles in the world.
+    wrenches : dict of Foot to ndarray, shape (6,)
+        Force [N] and torque [N m] of the ground on each sole, about its origin, in its axes.
+    com : ndarray, shape (3,)
+        Centre of mass in the world [m].
+    q : ndarray, shape (n,)
+        Joint angles [rad].
+    effort : ndarray, shape (n,)
+        Torques of the servos on the joints, the mean of the last control period [N m].
+    """
+
+    pelvis: Array
+    soles: dict[Foot, Array]
+    wrenches: dict[Foot, Array]
+    com: Array
+    q: Array
+    effort: Array
+
+    @property
+    def cop(self) -> Array | None:
+        """Centre of pressure of both feet in the world, shape (3,) [m]; None without ground contact."""
+        total, moment = 0.0, np.zeros(3)
+        for foot, w in self.wrenches.items():
+            if w[2] > 1e-3:
+                total += w[2]
+                moment += w[2] * DQ(self.soles[foot]).transform_point([-w[4] / w[2], w[3] / w[2], 0.0])
+        return moment / total if total > 1e-2 else None
+
+    @property
+    def tilt(self) -> float:
+        """Inclination against the floor of the sole with the larger load [rad]."""
+        support = max(self.wrenches, key=lambda foot: float(self.wrenches[foot][2]))
+        return float(tilt(self.soles[support]))
+
+
+def checked(values: ArrayLike, n: int, what: str) -> Array:
+    """Return the values of a command, one per joint, as an array (n,); `what` is their name in the error message.
+
+    Raises
+    ------
+    PlantError
+        If their number is wrong, or one is not finite.
+    """
+    out = np.asarray(values, dtype=np.float64)
+    if out.shape != (n,) or not math.isfinite(out @ out):
+        raise PlantError(f"the command must have {n} finite {what}, got {out}")
+    return out
+
+
+def pushed_periods(duration: float, dt: float) -> int:
+    """Return the number of periods `dt` [s] of a push, whose force acts for whole periods: nearest to `duration` [s].
+
+    The force for a given impulse is the impulse divided by this number and by `dt`.
+    """
+    return max(1, round(duration / dt))
+
+
+def tilt(x: Array) -> Array:
+    """Return the angle between the z axes of the poses `x` (..., 8) and that of the world [rad]."""
+    out: Array = 2.0 * np.arcsin(np.clip(np.hypot(x[..., 1], x[..., 2]), 0.0, 1.0))
+    return out
+
+
+def upward(w: float, i: float, j: float, k: float) -> Array:
+    """Return the unit vector against gravity (3,) in a frame with the orientation w + i + j + k, of any norm.
+
+    The result does not depend on the yaw of the frame.
+    """
+    size = math.sqrt(w * w + i * i + j * j + k * k)
+    w, i, j, k = w / size, i / size, j / size, k / size
+    return np.array([2.0 * (i * k - w * j), 2.0 * (j * k + w * i), 1.0 - 2.0 * (i * i + j * j)])
+
+
+def orientation_of(up: Array) -> Array:
+    """Return a unit quaternion (4,), an orientation whose `upward` is the unit vector `up` (3,)."""
+    r = np.array([1.0 + up[2], up[1], -up[0], 0.0])
+    size = float(np.linalg.norm(r))
+    return r / size if size > 1e-9 else np.array([0.0, 1.0, 0.0, 0.0])

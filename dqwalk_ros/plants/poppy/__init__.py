@@ -1,0 +1,1 @@
+"""The servos of Poppy Humanoid."""

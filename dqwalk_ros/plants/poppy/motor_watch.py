@@ -1,0 +1,208 @@
+"""Detects faults of the motors of a robot; each message names the motor, the cause and the remedy."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros.config import PoppyConfig
+from dqwalk_ros.plants.poppy.dynamixel import ERROR_BITS, DynamixelBus
+from dqwalk_ros.support.arrays import Array
+
+__all__ = ["JUMPS", "Measured", "MotorWatch", "Part"]
+
+
+JUMPS = 3
+"""Number of consecutive implausible angles after which the joint is reported to have jumped."""
+_BRIEF = 1.0
+"""Longest timeout after which the motion continues; after a longer one an operator must activate the robot [s]."""
+_TWICE = 2
+"""Number of consecutive readings of a high temperature or a low voltage that are a fault."""
+_COOLER, _FULLER = 5.0, 0.5
+"""Hysteresis of temperature [K] and voltage [V] for the end of a fault."""
+_SWITCHED_OFF = 4 | 32
+"""Error bits of faults at which a servo switches its torque off: overheating and overload."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A bus, and the indices of its servos among all motors."""
+
+    bus: DynamixelBus
+    places: NDArray[np.intp]
+
+
+@dataclass
+class Measured:
+    """Measurements of N motors.
+
+    Attributes
+    ----------
+    q, dq : ndarray, shape (N,)
+        Accepted angles [rad], nan before the first, and velocities [rad/s].
+    at : ndarray, shape (N,)
+        Times at which these angles were requested [s].
+    jumps : ndarray of int, shape (N,)
+        Number of implausible angles since.
+    load : ndarray, shape (N,)
+        Percent of the largest torque.
+    """
+
+    q: Array
+    dq: Array
+    at: Array
+    jumps: NDArray[np.intp]
+    load: Array
+
+
+class MotorWatch:
+    """Detects faults of the motors after each reading.
+
+    Parameters
+    ----------
+    names : sequence of str
+        The N joints.
+    max_age : float
+        Age above which angles are not used [s].
+
+    Attributes
+    ----------
+    passing : dict of str to str
+        Messages of the current faults, by kind and joint.
+    lasting : dict of str to str
+        Messages of the faults that remain until an operator switches the torque on again.
+    unsure : ndarray of bool, shape (N,)
+        Motors that did not answer in time and whose registers have not been read since.
+    """
+
+    def __init__(self, names: tuple[str, ...], parts: list[Part], config: PoppyConfig, max_age: float) -> None:
+        self._names, self._parts, self._config, self._max_age = names, parts, config, max_age
+        n = len(names)
+        self.passing: dict[str, str] = {}
+        self.lasting: dict[str, str] = {}
+        self.unsure = np.zeros(n, bool)
+        self._looked = np.full(n, -np.inf)
+        self._counts: dict[str, int] = {}
+        self._pushing_since = np.full(n, np.inf)
+        self._silent_since: dict[str, float] = {}
+
+    @property
+    def faults(self) -> dict[str, str]:
+        """Messages of all faults."""
+        return self.passing | self.lasting
+
+    def forget(self) -> None:
+        """Clear the lasting faults, when the torque is switched on or off."""
+        self.lasting.clear()
+        self._pushing_since[:] = np.inf
+
+    def look(self, now: float, measured: Measured, goal: Array | None, gain: NDArray[np.intp]) -> None:
+        """Update the faults from the measurements.
+
+        Parameters
+        ----------
+        now : float
+            Time of the buses' clock [s].
+        goal : ndarray, shape (N,), optional
+            Goals of the servos [rad]; None if the torque is off.
+        gain : ndarray of int, shape (N,)
+            Commanded gains; negative if any gain is allowed.
+        """
+        on = goal is not None
+        found: dict[str, str] = {}
+        self._timeouts(now, measured, on, found)
+        for part in self._parts:
+            for i, place in enumerate(part.places):
+                self._registers(part.bus, i, int(place), int(gain[place]) if on else None, found)
+        if goal is not None:
+            self._blocked_joints(now, measured, goal)
+        if on and not found and self.unsure.any():
+            some = ", ".join(self._names[i] for i in np.flatnonzero(self.unsure))
+            found["silent"] = f"{some}: being checked after a timeout"
+        self.passing = found
+
+    def _timeouts(self, now: float, measured: Measured, on: bool, found: dict[str, str]) -> None:
+        old = now - measured.at > self._max_age
+        self.unsure |= old
+        for part in self._parts:
+            bus, silent = part.bus, np.flatnonzero(old[part.places])
+            if bus.lost:
+                found[f"silent/{bus.name}"] = f"{bus.name} bus: {bus.lost}; plug it in"
+            elif len(silent) == len(part.places) and len(set(bus.cause)) == 1:
+                found[f"silent/{bus.name}"] = (
+                    f"{bus.name} bus: every motor {bus.cause[0]}; is the power on, and the cable plugged in?"
+                )
+            else:
+                for i in silent:
+                    name = self._names[part.places[i]]
+                    why = bus.cause[i] or "sends implausible angles"
+                    found[f"silent/{name}"] = (
+                        f"{name} (motor {bus.ids[i]}, {bus.name} bus) {why}; check its cable and its LED"
+                    )
+        self._silent_since = {key: self._silent_since.get(key, now) for key in found}
+        if on:
+            for key, since in self._silent_since.items():
+                if now - since > _BRIEF or ": the port is gone" in found[key]:
+                    self.lasting[key] = f"{found[key]}; then ~/activate"
+            for k in np.flatnonzero(measured.jumps >= JUMPS):
+                self.lasting[f"jump/{self._names[k]}"] = (
+                    f"{self._names[k]} has jumped to another angle and stays there; check its horn and its "
+                    "calibration, then ~/activate"
+                )
+
+    def _registers(self, bus: DynamixelBus, i: int, place: int, gain: int | None, found: dict[str, str]) -> None:
+        name, registers = self._names[place], bus.registers[i]
+        if bus.error[i] & _SWITCHED_OFF and gain is not None:
+            bits = " and ".join(text for bit, text in ERROR_BITS.items() if bit & bus.error[i] & _SWITCHED_OFF)
+            self.lasting[f"error/{name}"] = (
+                f"{name} reports {bits} and has switched its torque off; support the robot, let the motor cool, "
+                "then ~/activate"
+            )
+        if registers is None:
+            return
+        new = registers.at > self._looked[place]
+        self._looked[place] = registers.at
+        if new:
+            self.unsure[place] = False
+            if gain is not None and not (registers.torque and registers.torque_limit and gain in (registers.gain, -1)):
+                self.lasting[f"torque/{name}"] = (
+                    f"{name} has lost its torque or its gain: was its power cut? support the robot, then ~/activate"
+                )
+        c = self._config
+        self._report_repeated(
+            f"hot/{name}",
+            registers.temperature > c.hot - _COOLER * (f"hot/{name}" in self.passing),
+            new,
+            f"{name} is at {registers.temperature:.0f} degC, too hot; let it cool (poppy.hot)",
+            found,
+        )
+        self._report_repeated(
+            f"voltage/{name}",
+            registers.voltage < c.low_voltage + _FULLER * (f"voltage/{name}" in self.passing) or bool(bus.error[i] & 1),
+            new,
+            f"{name} has {registers.voltage:.1f} V, too little; charge the battery (poppy.low_voltage)",
+            found,
+        )
+
+    def _report_repeated(self, key: str, bad: bool, new: bool, text: str, found: dict[str, str]) -> None:
+        """Report a fault at its second consecutive reading."""
+        if new:
+            self._counts[key] = self._counts.get(key, 0) + 1 if bad else 0
+        if self._counts.get(key, 0) >= _TWICE:
+            found[key] = text
+
+    def _blocked_joints(self, now: float, measured: Measured, goal: Array) -> None:
+        """Report joints that have been at full load or far from their goals for too long."""
+        c = self._config
+        behind = np.abs(goal - measured.q)
+        pushing = (behind > 0.95 * c.max_lead) | (np.abs(measured.load) >= c.max_load)
+        self._pushing_since = np.where(pushing, np.minimum(self._pushing_since, now), np.inf)
+        for k in np.flatnonzero(now - self._pushing_since > c.blocked_after):
+            self.lasting.setdefault(
+                f"blocked/{self._names[k]}",
+                f"{self._names[k]} cannot follow: {math.degrees(behind[k]):.0f} deg behind its goal at "
+                f"{abs(measured.load[k]):.0f} % load; free it, then ~/activate",
+            )

@@ -1,0 +1,560 @@
+"""The servos of Poppy Humanoid as a plant, which is commanded by joint velocities and measures joint angles.
+
+A servo accepts a goal position and a speed. So velocities are integrated to goals, and feedforward torques are
+converted to offsets of the goals by the stiffness of the servo. The distance of a goal from the measured angle is
+limited, the speed is never zero (which means unlimited speed to the servo), and the motion to the first pose is slow.
+A fault of a motor, a cable or the power supply stops the motion (`motor_watch.py`).
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+
+from dqwalk_ros.config import PoppyConfig, find_share
+from dqwalk_ros.paper.state import Command, State
+from dqwalk_ros.plants.base import Plant, checked
+from dqwalk_ros.plants.poppy.dynamixel import (
+    FULL_TORQUE,
+    TYPES,
+    Clock,
+    DynamixelBus,
+    Registers,
+    find_port,
+    open_port,
+)
+from dqwalk_ros.plants.poppy.emulated_servos import EmulatedPort, EmulatedServo, EmulatedServos
+from dqwalk_ros.plants.poppy.motor_watch import JUMPS, Measured, MotorWatch, Part
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support import strict_yaml
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import ConfigError, PlantError
+
+__all__ = ["Motor", "PoppyPlant", "load_motors", "open_buses", "register_speed"]
+
+
+MIN_SPEED = 1.4
+"""Least speed: two units of 0.684 deg/s of the servo's speed register [deg/s]. A speed of less than half a unit is
+rounded to 0, which means unlimited speed."""
+_SLACK = 0.02
+"""Tolerance of the largest possible motion between two measurements [rad]: 13 encoder steps of an MX."""
+_REACH = 0.04
+"""Longest time of motion at full speed that is accepted as plausible [s]: two periods of the bus."""
+_TRIES = 5
+"""Number of attempts to write or read registers of a motor before an error is reported."""
+_ARRIVAL = 3.0
+"""Time in which the joints must reach the first pose after their goals [s]."""
+
+
+_Degrees = Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]
+
+
+class Motor(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One servo.
+
+    Attributes
+    ----------
+    name : str
+        Name of its joint.
+    id : int
+        Id on the bus.
+    type : str
+        Key of `TYPES`, such as ``MX-28``.
+    bus : str
+        Name of the bus.
+    direct : bool
+        Whether positive angles of the servo are positive angles of the joint.
+    offset : float
+        Offset of the joint angle, see `user` [deg].
+    raw : tuple of float
+        Lower and upper limit of the servo angle [deg].
+    """
+
+    name: str
+    id: Annotated[int, msgspec.Meta(ge=0, le=252)]
+    type: str
+    bus: str
+    direct: bool
+    offset: _Degrees
+    raw: tuple[_Degrees, _Degrees]
+
+    def user(self, raw: float) -> float:
+        """Return the joint angle for a servo angle [deg]."""
+        return (raw if self.direct else -raw) - self.offset
+
+    def servo(self, user: float) -> float:
+        """Return the servo angle for a joint angle [deg]."""
+        return user + self.offset if self.direct else -(user + self.offset)
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Limits of the joint [deg], lower first."""
+        a, b = self.user(self.raw[0]), self.user(self.raw[1])
+        return min(a, b), max(a, b)
+
+
+def load_motors(source: str) -> dict[str, Motor]:
+    """Read a table of motors from a path, or from the file of this name in config/motors/.
+
+    Returns
+    -------
+    dict of str to Motor
+        By the name of the joint.
+
+    Raises
+    ------
+    ConfigError
+        If the file is missing or not a valid table; the message names the motor.
+    """
+    path = Path(source)
+    if not path.is_file():
+        path = find_share("config/motors", f"{source}.yaml" if not path.suffix else source)
+    text = strict_yaml.read_text(path)
+    tree = strict_yaml.read(text, source=str(path))
+    table = tree.get("motors") if isinstance(tree, dict) else None
+    if not isinstance(table, dict) or not table:
+        raise ConfigError(f"{path}: expected 'motors: {{JOINT: {{id, type, bus, direct, offset, raw}}}}'")
+    out: dict[str, Motor] = {}
+    for name, entry in table.items():
+        try:
+            motor = msgspec.convert(dict(name=str(name), **entry), Motor)
+            if motor.type not in TYPES:
+                raise ValueError(f"the type must be one of {', '.join(TYPES)}")
+            if not motor.raw[0] < motor.raw[1]:
+                raise ValueError("raw must be [lower, upper]")
+            if motor.id in (other.id for other in out.values()):
+                raise ValueError(f"another motor has the id {motor.id}")
+        except (TypeError, ValueError) as error:
+            line = strict_yaml.line_of(text, ("motors", str(name)))
+            raise ConfigError(f"{path}, line {line}: motor '{name}': {error}") from error
+        out[motor.name] = motor
+    return out
+
+
+def register_speed(speed: float, highest: float) -> float:
+    """Return abs(speed) [deg/s] limited to `MIN_SPEED` and `highest`; `MIN_SPEED` if `speed` is not finite."""
+    return min(max(abs(speed), MIN_SPEED), highest) if math.isfinite(speed) else MIN_SPEED
+
+
+class PoppyPlant(Plant):
+    """The servos of a Poppy, or emulated servos.
+
+    No joint moves and no torque is switched on before `activate`.
+
+    Parameters
+    ----------
+    model : RobotModel
+        Model whose joints are commanded; the other joints move to their first pose and hold it.
+    max_age : float
+        Age above which angles are not used [s].
+    posture : ndarray, shape (n,)
+        First pose of the joints of the model [rad]; zero for the other joints. It is clipped to the limits.
+    buses : mapping of str to DynamixelBus, optional
+        By the name of the bus in the table of motors; `open_buses` by default.
+    clock : callable
+        Monotonic time of the buses [s].
+    each : callable, optional
+        Applies a function to all buses, like `map`; by default in parallel threads.
+
+    Attributes
+    ----------
+    motors : dict of str to Motor
+        By the name of the joint.
+    names : tuple of str
+        All N joints, those of the model first.
+    active : bool
+        Whether the torque is on and has been confirmed by the motors.
+    ready : bool
+        Whether the robot has reached its first pose since; commands have no effect before.
+    measured : Measured
+        Angles, velocities and loads.
+    watch : MotorWatch
+        Faults of the motors, during which no joint moves.
+    goal : ndarray, shape (N,)
+        Goals of the servos, including feedforward [rad].
+
+    Raises
+    ------
+    PlantError
+        If dynamixel_sdk is missing, or motors do not answer or are not those of the table.
+    ConfigError
+        If the model has a joint without a motor, or the table of motors or the calibration is invalid.
+    """
+
+    def __init__(
+        self,
+        model: RobotModel,
+        config: PoppyConfig,
+        max_age: float,
+        posture: Array,
+        *,
+        buses: Mapping[str, DynamixelBus] | None = None,
+        clock: Clock = time.monotonic,
+        each: Callable[..., Iterable[Any]] | None = None,
+    ) -> None:
+        self._model, self._config, self._max_age, self._clock = model, config, max_age, clock
+        self.motors = load_motors(config.motors)
+        if missing := [name for name in model.joint_names if name not in self.motors]:
+            raise ConfigError(f"the motors '{config.motors}' lack {', '.join(missing)} of {model.name}")
+        zero = _calibration(config.calibration, self.motors)
+        self.names = (*model.joint_names, *(name for name in self.motors if name not in model.joint_names))
+        self._table = [self.motors[name] for name in self.names]
+        types = [TYPES[motor.type] for motor in self._table]
+        n, every = model.n, len(self.names)
+        self._zero = np.array([zero.get(name, 0.0) for name in self.names])  # [deg]
+        low, high = np.array([motor.limits for motor in self._table]).T
+        self._low, self._high = np.radians(low - self._zero), np.radians(high - self._zero)
+        self._low[:n] = np.maximum(self._low[:n], model.q_min)
+        self._high[:n] = np.minimum(self._high[:n], model.q_max)
+        self._first = np.clip(np.concatenate([posture, np.zeros(every - n)]), self._low, self._high)
+        self._fastest = np.radians([kind.free_speed for kind in types])
+        with_gain = np.array([kind.has_gain for kind in types]) & (config.p_gain > 0)
+        self._gain = np.where(with_gain, config.p_gain, -1)
+
+        buses = buses if buses is not None else open_buses(self.motors, config)
+        place = {(motor.bus, motor.id): k for k, motor in enumerate(self._table)}
+        self.parts = [Part(bus, np.array([place[name, i] for i in bus.ids])) for name, bus in buses.items()]
+        self._pool = ThreadPoolExecutor(len(self.parts))
+        self._each = each if each is not None else self._pool.map
+        self._turn = 0
+        self._received = np.full(every, -np.inf)
+        self.measured = Measured(
+            np.full(every, np.nan), np.zeros(every), np.full(every, -np.inf), np.zeros(every, np.intp), np.zeros(every)
+        )
+        self.watch = MotorWatch(self.names, self.parts, config, max_age)
+        self.active = self.ready = False
+        self.goal, self._commanded = np.full(every, np.nan), np.full(every, np.nan)
+        self._speed, self._feedforward = np.zeros(every), np.zeros(every)
+        self._time, self._arrived_at = 0.0, np.inf
+        self._resend = 0
+        try:
+            self._identify_motors()
+        except BaseException:
+            self._close_buses()
+            raise
+
+    # ------------------------------------------------------------------ commands and states
+
+    def step(self, command: Command, dt: float) -> State:
+        """Call `tell` and return the state of `read`."""
+        self.tell(command, dt)
+        return self.read()
+
+    def tell(self, command: Command, dt: float) -> None:
+        """Send goals that move the joints as commanded for `dt` [s], or towards the first pose until it is reached.
+
+        No goals are sent while the torque is off, a fault is present or the angles are too old.
+
+        Raises
+        ------
+        PlantError
+            If the command is not finite or does not have one velocity per joint of the model.
+        """
+        u = checked(command.velocity, self._model.n, "velocities")
+        moves = self.active and dt > 0.0 and not self.watch.faults and self.fresh
+        if moves:
+            self._set_goals(u, command.effort, dt)
+        if moves or self._resend:
+            self._resend = max(self._resend - 1, 0)
+            list(self._each(lambda part: self._send(part, list(range(len(part.places)))), self.parts))
+        self._time += dt
+
+    def read(self) -> State:
+        """Read the angles and further registers of one motor of each bus, update the faults, and return the state."""
+        turn, self._turn = self._turn, self._turn + 1
+
+        def cycle(part: Part) -> None:
+            part.bus.read()
+            unsure = np.flatnonzero(self.watch.unsure[part.places])
+            first = turn % 2 and len(unsure)
+            part.bus.inspect(int(unsure[turn // 2 % len(unsure)]) if first else turn % len(part.places))
+
+        list(self._each(cycle, self.parts))
+        self._accept_angles()
+        before = set(self.watch.lasting)
+        self.watch.look(self._clock(), self.measured, self.goal if self.active else None, self._gain)
+        for k, name in enumerate(self.names):  # relieve a blocked joint
+            if (key := f"blocked/{name}") in self.watch.lasting and key not in before:
+                self.goal[k] = self._commanded[k] = self.measured.q[k]
+                self._resend = _TRIES
+        if self.active and not self.ready:
+            self._check_arrival()
+        return self.state
+
+    @property
+    def state(self) -> State:
+        """Last measured angles and velocities of the joints of the model."""
+        n = self._model.n
+        return State(self._time, self.measured.q[:n].copy(), self.measured.dq[:n].copy())
+
+    @property
+    def age(self) -> float:
+        """Age of the oldest of the angles [s]."""
+        return float(self._clock() - self.measured.at.min())
+
+    @property
+    def fresh(self) -> bool:
+        """Whether no angle is older than `max_age`."""
+        return self.age <= self._max_age
+
+    @property
+    def left(self) -> float:
+        """Largest angle between a joint and its first pose [rad]."""
+        return float(np.abs(self._first - self.measured.q).max())
+
+    @property
+    def stiffness(self) -> Array:
+        """Stiffness of each servo by its measured gain, shape (N,) [N m/rad]; infinite if unknown or emulated."""
+        out = np.full(len(self.names), np.inf)
+        if not self._config.dummy:  # emulated servos carry no load
+            for part in self.parts:
+                for kind, place, registers in zip(part.bus.types, part.places, part.bus.registers, strict=True):
+                    if registers is not None:
+                        out[place] = kind.stiffness(registers.gain)
+        return out
+
+    def _set_goals(self, u: Array, effort: Array | None, dt: float) -> None:
+        """Set goals and speeds for the next `dt` [s]."""
+        q, lead, n = self.measured.q, self._config.max_lead, self._model.n
+        turns = np.zeros(len(q))
+        if self.ready:
+            turns[:n] = np.clip(u, -self._model.velocity_max, self._model.velocity_max)
+            if effort is not None:
+                self._feedforward[:n] = effort / np.maximum(self.stiffness[:n], 1e-3)
+        else:
+            speed = self._config.start_speed
+            turns = np.clip((self._first - self._commanded) / dt, -speed, speed)
+        # a joint outside its limits may only move towards them
+        low, high = np.minimum(self._low, self._commanded), np.maximum(self._high, self._commanded)
+        self._commanded = np.clip(np.clip(self._commanded + dt * turns, low, high), q - lead, q + lead)
+        self.goal = np.clip(np.clip(self._commanded + self._feedforward, low, high), q - lead, q + lead)
+        # fast enough to reach the goal within a period and to reduce the remaining error
+        self._speed = 1.5 * np.abs(turns) + np.abs(self.goal - q) / max(dt, 1e-3)
+
+    def _check_arrival(self) -> None:
+        """Set `ready` once the first pose is reached; report a fault if it is not reached in time."""
+        faults, now = self.watch.faults, self._clock()
+        if faults or np.abs(self._first - self._commanded).max() > 1e-9:
+            self._arrived_at = np.inf
+            return
+        self._arrived_at = min(self._arrived_at, now)
+        behind = np.abs(self._first - self.measured.q)
+        self.ready = bool(behind.max() < self._config.start_tolerance)
+        if not self.ready and now - self._arrived_at > _ARRIVAL:
+            k = int(behind.argmax())
+            self.watch.lasting["first pose"] = (
+                f"{self.names[k]} does not reach the first pose: {math.degrees(behind[k]):.0f} deg remain; free it, "
+                "raise poppy.p_gain or poppy.start_tolerance, then ~/activate"
+            )
+
+    # ------------------------------------------------------------------ torque
+
+    def activate(self) -> None:
+        """Switch the torque on in the current pose and confirm it; afterwards `step` moves to the first pose.
+
+        Raises
+        ------
+        PlantError
+            If a fault is present, or a motor does not confirm its registers; the torque is then off.
+        """
+        self.active = self.ready = False
+        self.watch.forget()
+        for _ in range(_TRIES):  # earlier faults may have ended
+            self.read()
+            if not (faults := self.watch.faults):
+                break
+        else:
+            raise PlantError("; ".join(faults.values()))
+        self.goal, self._commanded = self.measured.q.copy(), self.measured.q.copy()
+        self._speed[:] = self._feedforward[:] = 0.0
+        self._arrived_at = np.inf
+        degrees = np.degrees(self.goal) + self._zero
+
+        def prepare(part: Part, left: list[int]) -> None:
+            part.bus.write_torque_limit(FULL_TORQUE, left)
+            for gain in set(self._gain[part.places[left]]) - {-1}:
+                part.bus.write_gain(int(gain), [i for i in left if self._gain[part.places[i]] == gain])
+            self._send(part, left)
+
+        def prepared(part: Part, i: int, registers: Registers) -> bool:
+            k = part.places[i]
+            goal = part.bus.types[i].position(self._table[k].servo(degrees[k]))
+            right_gain = self._gain[k] in (registers.gain, -1)
+            return registers.torque_limit == FULL_TORQUE and right_gain and registers.goal == goal
+
+        if bad := self._confirm(prepare, prepared):
+            raise PlantError(f"{', '.join(bad)} cannot be set up: no torque was switched on")
+        if bad := self._confirm(lambda part, left: part.bus.write_torque(True, left), lambda _, __, r: r.torque):
+            self.release()
+            raise PlantError(f"the torque of {', '.join(bad)} did not switch on: all torque is off again")
+        self.active = True
+
+    def release(self) -> None:
+        """Switch the torque off and confirm it.
+
+        Raises
+        ------
+        PlantError
+            If motors do not confirm that their torque is off; the message names them.
+        """
+        self.active = self.ready = False
+        self.watch.forget()
+        off = self._confirm(lambda part, left: part.bus.write_torque(False, left), lambda _, __, r: not r.torque)
+        if off:
+            raise PlantError(f"{', '.join(off)} did not confirm that the torque is off: switch the power off")
+
+    def close(self) -> None:
+        """Hold the goals, or switch the torque off if `torque_off_at_end` is set; then close the buses in any case.
+
+        Raises
+        ------
+        PlantError
+            If motors do not confirm that their torque is off.
+        """
+        try:
+            if self._config.torque_off_at_end:
+                self.release()
+            elif self.active:  # keep the goals, and move to them at the least speed
+                self._speed[:] = 0.0
+                for part in self.parts:
+                    self._send(part, list(range(len(part.places))))
+        finally:
+            self._close_buses()
+
+    def _close_buses(self) -> None:
+        self._pool.shutdown()
+        for part in self.parts:
+            part.bus.close()
+
+    def _confirm(
+        self, write: Callable[[Part, list[int]], None], confirms: Callable[[Part, int, Registers], bool]
+    ) -> list[str]:
+        """Repeat a write until all motors confirm it; return the joints of those that do not."""
+
+        def one_bus(part: Part) -> list[str]:
+            left = list(range(len(part.places)))
+            for _ in range(_TRIES):
+                write(part, left)
+                left = [i for i in left if (found := part.bus.inspect(i)) is None or not confirms(part, i, found)]
+                if not left:
+                    break
+            return [self.names[part.places[i]] for i in left]
+
+        return [name for names in self._each(one_bus, self.parts) for name in names]
+
+    # ------------------------------------------------------------------ the buses
+
+    def _identify_motors(self) -> None:
+        """Check the model number of each motor, and read all registers and angles once."""
+        wrong, silent = [], []
+        for part in self.parts:
+            for i, motor in enumerate(self._table[k] for k in part.places):
+                numbers = (part.bus.model(i) for _ in range(_TRIES))
+                model = next((number for number in numbers if number is not None), None)
+                if model is None:
+                    silent.append(f"{motor.name} ({motor.id}, {part.bus.name} bus) {part.bus.cause[i]}")
+                    if len(silent) >= _TRIES:  # enough for the message
+                        break
+                elif model != TYPES[motor.type].model:
+                    wrong.append(f"{motor.name} ({motor.id}) is model {model}, not an {motor.type}")
+        if silent:
+            raise PlantError(
+                f"the motors do not answer: {', '.join(silent)}; is the robot on, and are both buses plugged in? "
+                "(poppy.dummy:=true tries the driver without a robot)"
+            )
+        if wrong:
+            raise PlantError(f"the motors are not those of the table '{self._config.motors}': {', '.join(wrong)}")
+        self._confirm(lambda part, left: None, lambda part, i, found: True)
+        for _ in range(_TRIES):
+            self.read()
+            if np.isfinite(self.measured.q).all():
+                return
+        bad = [name for name, q in zip(self.names, self.measured.q, strict=True) if not math.isfinite(q)]
+        raise PlantError(f"no valid angle from {', '.join(bad)}")
+
+    def _send(self, part: Part, places: list[int]) -> None:
+        """Send goals and speeds to the motors of a bus at `places`."""
+        words = {}
+        for i in places:
+            k = part.places[i]
+            angle = math.degrees(self.goal[k]) + self._zero[k]
+            speed = register_speed(math.degrees(self._speed[k]), self._config.max_speed)
+            words[i] = (self._table[k].servo(angle), speed)
+        part.bus.write_goals(words)
+
+    def _accept_angles(self) -> None:
+        """Accept the new angles that a joint can have reached since its last accepted angle."""
+        m = self.measured
+        at, degrees = np.empty(len(self.names)), np.empty(len(self.names))
+        for part in self.parts:
+            at[part.places], m.load[part.places] = part.bus.at, part.bus.load
+            degrees[part.places] = [self._table[k].user(x) for k, x in zip(part.places, part.bus.position, strict=True)]
+        q = np.radians(degrees - self._zero)
+        new = at > self._received
+        passed = np.subtract(at, m.at, out=np.zeros_like(at), where=new)
+        self._received = at
+        far = np.abs(q - m.q) > self._fastest * np.minimum(passed, _REACH) + _SLACK  # false while m.q is nan
+        m.jumps = np.where(new, np.where(far, m.jumps + 1, 0), m.jumps)
+        # a joint without torque may have been turned by hand
+        take = new & (~far | (m.jumps >= JUMPS if not self.active else False))
+        m.jumps[take] = 0
+        m.dq[take] = np.nan_to_num((q - m.q) / np.maximum(passed, 1e-3))[take]
+        m.q[take], m.at[take] = q[take], at[take]
+
+
+def _calibration(entries: tuple[str, ...], motors: Mapping[str, Motor]) -> dict[str, float]:
+    """Return the zero offsets of joints [deg] from texts such as ``l_hip_y=-3``."""
+    out = {}
+    for entry in entries:
+        name, _, value = entry.partition("=")
+        try:
+            out[name] = float(value)
+        except ValueError:
+            out[name] = math.nan
+        if name not in motors or not abs(out[name]) <= 45.0:
+            raise ConfigError(f"poppy.calibration: '{entry}' should be JOINT=DEGREES, at most 45, such as l_hip_y=-3")
+    return out
+
+
+def open_buses(motors: Mapping[str, Motor], config: PoppyConfig) -> dict[str, DynamixelBus]:
+    """Open the buses of a table of motors, or emulated buses if `config.dummy` is set.
+
+    Returns
+    -------
+    dict of str to DynamixelBus
+        By the name of the bus.
+
+    Raises
+    ------
+    PlantError
+        If dynamixel_sdk is missing, or a port cannot be opened.
+    """
+    buses: dict[str, DynamixelBus] = {}
+    named = {"lower": config.lower_port, "upper": config.upper_port}
+    for name in sorted({motor.bus for motor in motors.values()}):
+        own = [motor for motor in motors.values() if motor.bus == name]
+        ids, types = [motor.id for motor in own], [TYPES[motor.type] for motor in own]
+        port = named.get(name, "auto")
+        try:
+            if config.dummy:
+                servos = EmulatedServos([EmulatedServo(i, kind) for i, kind in zip(ids, types, strict=True)])
+                opened: Callable[[], Any] = partial(EmulatedPort, servos)
+            else:
+                opened = partial(open_port, find_port(ids) if port == "auto" else port)
+            buses[name] = DynamixelBus(name, opened, ids, types, sync_read=config.sync_read)
+        except (OSError, PlantError) as error:
+            for bus in buses.values():
+                bus.close()
+            raise PlantError(
+                f"the {name} bus cannot be opened (port {port}): {error}; is it plugged in, and not used by another "
+                "program? (poppy.dummy:=true tries the driver without a robot)"
+            ) from error
+    return buses

@@ -1,0 +1,1 @@
+"""A robot from its description: links and joints, shapes, soles, servos."""

@@ -1,0 +1,401 @@
+"""The robot as a tree of rigid bodies, read from a URDF [Urban2020, section 3.4].
+
+A `RobotModel` contains the joints that move, the masses of the bodies between them, and the soles. Locked joints are
+fixed; dropped joints are removed with all links after them. Its attribute `urdf` describes the same reduced robot for
+the physics engine and the dynamics library. Nothing in this file is specific to one robot.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import math
+import pathlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from dqwalk_ros.config import RobotConfig, find_share
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.robot.urdf import Joint, Link, Origin, Urdf
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import ConfigError, ModelError
+
+__all__ = ["Body", "Frame", "RobotModel", "Sole", "find_urdf", "load_model", "parse_model"]
+
+
+@dataclass(frozen=True)
+class Sole:
+    """A rectangular sole; its points are in the frame of its link, x forward, z up, ground at z = 0.
+
+    Attributes
+    ----------
+    frame : str
+        Name of the URDF link.
+    center : ndarray, shape (3,)
+        Centre of the rectangle [m].
+    length, width : float
+        Along x and y [m].
+    """
+
+    frame: str
+    center: Array
+    length: float
+    width: float
+
+    @property
+    def tip(self) -> Array:
+        """Middle of the front edge, shape (3,) [m]."""
+        tip: Array = self.center + np.array([0.5 * self.length, 0.0, 0.0])
+        return tip
+
+    @property
+    def heel(self) -> Array:
+        """Middle of the rear edge, shape (3,) [m]."""
+        return self.center - [0.5 * self.length, 0.0, 0.0]
+
+    @property
+    def corners(self) -> Array:
+        """The four corners, counter-clockwise from the front left, shape (4, 3) [m]."""
+        half = 0.5 * np.array([self.length, self.width, 0.0])
+        return self.center + half * [[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]]
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid body: a link and all links that fixed or locked joints connect to it.
+
+    Attributes
+    ----------
+    parent : int
+        Index of the parent body, -1 for the root.
+    joint : int
+        Index of the joint that moves it, -1 for the root.
+    origin : ndarray, shape (8,)
+        Pose of the joint in the frame of the parent body.
+    axis : ndarray, shape (3,)
+        Unit vector of the joint axis in the joint's frame, which is also the body's frame.
+    mass : float
+        [kg]
+    com : ndarray, shape (3,)
+        Centre of mass in the body's frame [m].
+    """
+
+    parent: int
+    joint: int
+    origin: Array
+    axis: Array
+    mass: float
+    com: Array
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame fixed to a body: index of the body, and pose (8,) in the body's frame."""
+
+    body: int
+    pose: Array
+
+
+@dataclass(frozen=True, eq=False)
+class RobotModel:
+    """The model of a biped; `load_model` reads it from a URDF.
+
+    Attributes
+    ----------
+    joint_names : tuple of str
+        Names of the n joints that move, parents before children.
+    q_min, q_max, velocity_max, effort_max : ndarray, shape (n,)
+        Limits of joint angles [rad], velocities [rad/s] and torques [N m].
+    bodies : tuple of Body
+        Parents before children; body 0 is the root.
+    frames : mapping of str to Frame
+        Frames of all remaining links of the URDF.
+    soles : mapping of Foot to Sole
+    pelvis : str
+        Frame whose height (U11) bounds.
+    imu : str
+        Frame of the inertial sensor, as it is mounted.
+    imu_link : str
+        The link that its messages name.
+    urdf : str
+        URDF of the reduced robot: repaired, without dropped links, with locked joints as fixed joints.
+    repairs : tuple of str
+        Each invalid value of the file, and the value that replaces it.
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    q_min: Array
+    q_max: Array
+    velocity_max: Array
+    effort_max: Array
+    bodies: tuple[Body, ...]
+    frames: Mapping[str, Frame]
+    soles: Mapping[Foot, Sole]
+    pelvis: str
+    imu: str
+    imu_link: str
+    urdf: str = field(repr=False)
+    repairs: tuple[str, ...] = ()
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joint_names)
+
+    @property
+    def root(self) -> str:
+        """Name of the URDF's root link, the floating base."""
+        return self.links[0]
+
+    @cached_property
+    def links(self) -> tuple[str, ...]:
+        """Names of the links whose frames are those of the bodies."""
+        first: dict[int, str] = {}
+        for name, frame in self.frames.items():
+            first.setdefault(frame.body, name)
+        return tuple(first[body] for body in range(len(self.bodies)))
+
+    def chain(self, body: int) -> list[int]:
+        """Return the indices of the bodies from the root to `body`, both included."""
+        chain = [body]
+        while (body := self.bodies[body].parent) >= 0:
+            chain.append(body)
+        return chain[::-1]
+
+    def matching(self, pattern: str, key: str) -> list[int]:
+        """Return the indices of the joints whose names match `pattern`, in which '*' matches any text.
+
+        Raises
+        ------
+        ConfigError
+            If no moving joint matches; the message names the parameter `key`.
+        """
+        found = [k for k, name in enumerate(self.joint_names) if fnmatch.fnmatchcase(name, pattern)]
+        if not found:
+            raise ConfigError(f"{key} names '{pattern}'; the joints are {', '.join(self.joint_names)}")
+        return found
+
+    def posture(self, entries: Sequence[str], key: str = "standing.posture", between: str = "=") -> Array:
+        """Return the joint angles of a posture, shape (n,) [rad]; joints without an entry are at zero.
+
+        Parameters
+        ----------
+        entries : sequence of str
+            JOINT=RADIANS, where '*' in JOINT matches any text.
+        key, between : str
+            Name of the parameter in error messages, and the character between joint and angle.
+
+        Raises
+        ------
+        ConfigError
+            If an entry has another form or matches no moving joint.
+        """
+        q = np.zeros(self.n)
+        for entry in entries:
+            name, _, text = entry.partition(between)
+            try:
+                angle = float(text)
+            except ValueError:
+                raise ConfigError(f"{key} has '{entry}'; it must be JOINT{between}RADIANS") from None
+            q[self.matching(name.strip(), key)] = angle
+        return q
+
+    @property
+    def urdf_without_shapes(self) -> str:
+        """`urdf` without visual and collision shapes."""
+        return Urdf(self.urdf, self.name).text(shapes=False)
+
+    @property
+    def mass(self) -> float:
+        """Total mass M of (U4) [kg]."""
+        return sum(body.mass for body in self.bodies)
+
+
+def find_urdf(urdf: str) -> pathlib.Path:
+    """Return the path of a URDF: `urdf` itself if it is a file, or the file of this name in urdf/.
+
+    Raises
+    ------
+    ModelError
+        If there is no such file.
+    """
+    path = pathlib.Path(urdf)
+    if path.is_file():
+        return path
+    try:
+        return find_share("urdf", urdf)
+    except ConfigError as error:
+        raise ModelError(str(error)) from error
+
+
+def load_model(config: RobotConfig) -> RobotModel:
+    """Read the robot that `config` describes.
+
+    Raises
+    ------
+    ModelError
+        If the URDF cannot be read or lacks a link or joint that `config` names; the message names it.
+    """
+    return _model(Urdf.load(find_urdf(config.urdf)), config, published=False)
+
+
+def parse_model(text: str, config: RobotConfig) -> RobotModel:
+    """Return the model of a URDF text that was published or recorded: of a full robot, or `RobotModel.urdf`.
+
+    Joints that `config` drops or locks may already be removed or fixed in it.
+
+    Raises
+    ------
+    ModelError
+        As `load_model`.
+    """
+    return _model(Urdf(text, "robot_description"), config, published=True)
+
+
+def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
+    """Return the model of a description, reduced as `config` says; see `parse_model` for `published`."""
+    urdf.cut(urdf.matching(config.drop, "robot.drop", strict=not published))
+    urdf.weld(_locked(urdf, config, published))
+    if not sum(link.mass for link in urdf.links.values()) > 0.0:
+        raise ModelError(f"{urdf.source}: the robot has no mass, so it has no centre of mass")
+    if config.mass > 0.0:
+        urdf.scale_mass(config.mass)
+    urdf.give_mass()
+    feet = {foot: _sole_frame(urdf, config, foot) for foot in Foot}
+    imu = config.imu or config.pelvis
+    if published and imu == "imu" and imu not in urdf.links:  # older recordings name it even if it does not exist
+        imu = config.pelvis
+    named = {"pelvis": config.pelvis, "left_sole": feet[Foot.LEFT], "right_sole": feet[Foot.RIGHT], "imu": imu}
+    for key, name in named.items():
+        if name not in urdf.links:
+            raise ModelError(f"{urdf.source}: robot.{key} names the link '{name}', which is not there or was dropped")
+    tree = _tree(urdf)
+    frames, mounted = tree["frames"], imu
+    if any(config.imu_rpy):
+        mounted, turn = f"{imu}_mounted", Origin(rpy=config.imu_rpy).pose
+        frames[mounted] = Frame(frames[imu].body, (DQ(frames[imu].pose) * turn).vec8())
+    if len({frames[name].body for name in feet.values()}) == 1:
+        raise ModelError(
+            f"{urdf.source}: no joint moves the soles '{feet[Foot.LEFT]}' and '{feet[Foot.RIGHT]}' against each other; "
+            "name two with robot.left_sole and robot.right_sole, and lock fewer joints"
+        )
+    return RobotModel(
+        name=urdf.name,
+        **tree,
+        soles={foot: _sole(urdf, config, foot, name, tree) for foot, name in feet.items()},
+        pelvis=config.pelvis,
+        imu=mounted,
+        imu_link=imu,
+        urdf=urdf.text(),
+        repairs=tuple(urdf.repairs),
+    )
+
+
+def _sole_frame(urdf: Urdf, config: RobotConfig, foot: Foot) -> str:
+    """Return the link of a sole, or the frame on it that the configuration describes, which is added."""
+    name, xyz, rpy = (getattr(config, f"{foot.value}_sole{end}") for end in ("", "_xyz", "_rpy"))
+    if name not in urdf.links or not any((*xyz, *rpy)):
+        return str(name)
+    placed = f"{name}_placed"
+    if placed not in urdf.links:  # a `RobotModel.urdf` has it already
+        urdf.add_frame(placed, name, Origin(xyz, rpy))
+    return placed
+
+
+def _locked(urdf: Urdf, config: RobotConfig, published: bool) -> dict[str, float]:
+    """Return the joints to be fixed, with their angles [rad]: those of ``robot.lock``, and joints with a mimic."""
+    angles: dict[str, float] = {}
+    for entry in config.lock:
+        pattern, given, word = entry.partition("=")
+        try:
+            angle = float(word) if given else 0.0
+        except ValueError:
+            angle = math.nan
+        if not math.isfinite(angle):
+            raise ModelError(f"robot.lock has '{entry}'; an entry is JOINT or JOINT=RADIANS")
+        for name in urdf.matching([pattern.strip()], "robot.lock", strict=not published):
+            if given or name not in angles:
+                angles[name] = angle
+    for joint in urdf.joints.values():
+        if joint.mimic and joint.name not in angles and joint.moves:
+            angles[joint.name] = joint.multiplier * angles.get(joint.mimic, 0.0) + joint.offset
+            urdf.repairs.append(f"joint '{joint.name}' mimics '{joint.mimic}': locked at {angles[joint.name]:g}")
+    return angles
+
+
+def _tree(urdf: Urdf) -> dict[str, Any]:
+    """Return bodies, frames and joints of a reduced description, as arguments of `RobotModel`."""
+    links = urdf.links
+    moving: list[Joint] = []
+    frames: dict[str, Frame] = {}
+    parts: list[list[tuple[float, Array]]] = [[]]
+    tree: list[tuple[int, int, DQ, Array]] = [(-1, -1, DQ(1.0), np.zeros(3))]
+
+    def attach(link: Link, body: int, pose: DQ) -> None:
+        frames[link.name] = Frame(body, pose.vec8())
+        if link.mass:
+            parts[body].append((link.mass, pose.transform_point(link.com)))
+
+    attach(links[urdf.root], 0, DQ(1.0))
+    waiting = [(joint, 0, DQ(1.0)) for joint in reversed(urdf.child_joints(urdf.root))]
+    while waiting:
+        joint, body, pose = waiting.pop()  # body of the joint's parent link, and pose of that link in the body
+        origin = pose * joint.origin.pose
+        if joint.moves:
+            if joint.type not in ("revolute", "continuous"):
+                raise ModelError(
+                    f"{urdf.source}: joint '{joint.name}' is {joint.type}; lock or drop it, only revolute ones move"
+                )
+            tree.append((body, len(moving), origin, joint.axis))
+            moving.append(joint)
+            parts.append([])
+            body, origin = len(tree) - 1, DQ(1.0)
+        attach(links[joint.child], body, origin)
+        waiting += [(child, body, origin) for child in reversed(urdf.child_joints(joint.child))]
+
+    bodies = []
+    for (parent, index, origin, axis), masses in zip(tree, parts, strict=True):
+        mass = sum(m for m, _ in masses)
+        com = sum((m * c for m, c in masses), np.zeros(3)) / mass if mass else np.zeros(3)
+        bodies.append(Body(parent, index, origin.vec8(), axis, mass, com))
+    limits = [_range(joint.lower, joint.upper) for joint in moving]
+    return {
+        "joint_names": tuple(joint.name for joint in moving),
+        "q_min": np.array([lower for lower, _ in limits]),
+        "q_max": np.array([upper for _, upper in limits]),
+        "velocity_max": np.array([joint.velocity for joint in moving]),
+        "effort_max": np.array([joint.effort for joint in moving]),
+        "bodies": tuple(bodies),
+        "frames": frames,
+    }
+
+
+def _range(lower: float, upper: float) -> tuple[float, float]:
+    """Return finite limits [rad]: -pi and pi without limits, a range of 2 pi with only one limit."""
+    if math.isinf(lower) and math.isinf(upper):
+        return -math.pi, math.pi
+    return (upper - math.tau if math.isinf(lower) else lower), (lower + math.tau if math.isinf(upper) else upper)
+
+
+def _sole(urdf: Urdf, config: RobotConfig, foot: Foot, name: str, tree: Mapping[str, Any]) -> Sole:
+    """Return the sole with the frame `name`; the default of its size is the collision box of its link."""
+    link, frame = urdf.links[getattr(config, f"{foot.value}_sole")], tree["frames"][name]
+    center = np.zeros(3)
+    length, width = config.sole_length, config.sole_width
+    box = next((shape for shape in link.collisions if shape.kind == "box"), None)
+    if not (length and width):
+        if box is None:
+            raise ModelError(
+                f"{urdf.source}: link '{link.name}' has no collision box; give robot.sole_length and sole_width"
+            )
+        length, width = length or box.size[0], width or box.size[1]
+    if box is not None and name == link.name:
+        center[:2] = box.origin.xyz[:2]
+    if config.sole_center == "foot_com":
+        center[:2] = DQ(frame.pose).conj().transform_point(tree["bodies"][frame.body].com)[:2]
+    return Sole(name, center, length, width)

@@ -1,0 +1,105 @@
+"""Files of other ROS packages: resolution of ``package://`` names, and expansion of xacro files that include them.
+
+A package is searched among the installed ones, and among the folders around the file that refers to it. So a robot
+description that was cloned or unpacked can be used without installing it.
+"""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import urllib.parse
+from collections.abc import Sequence
+
+from dqwalk_ros.support.errors import ModelError
+
+__all__ = ["expanded", "find_package_file"]
+
+
+def expanded(path: pathlib.Path, **arguments: str) -> bytes:
+    """Return the URDF of a xacro file; `arguments` are the values of its xacro arguments.
+
+    Raises
+    ------
+    ModelError
+        If the Python package xacro is not installed, the file needs a ROS package that is not found, or xacro reports
+        an error.
+    """
+    try:
+        import xacro
+        from xacro import substitution_args
+    except ImportError as error:
+        raise ModelError(
+            f"'{path}' is a xacro file: pip install xacro, or expand it (xacro {path.name} > robot.urdf)"
+        ) from error
+    original = substitution_args._eval_find
+    missing: list[str] = []
+
+    def find(package: str) -> str:
+        folder = _package(package, path)
+        if folder is None:
+            missing.append(package)
+            raise LookupError(package)
+        return str(folder)
+
+    substitution_args._eval_find = find
+    try:
+        return str(xacro.process_file(str(path), mappings=arguments).toxml()).encode()
+    except (Exception, SystemExit) as error:  # xacro raises errors of its own, of XML parsing and of Python
+        if missing:
+            raise ModelError(f"'{path}' needs the ROS package '{missing[0]}', which is not installed") from error
+        raise ModelError(f"xacro refuses '{path}': {' '.join(str(error).split())[:300]}") from error
+    finally:
+        substitution_args._eval_find = original
+
+
+def _package(name: str, near: pathlib.Path) -> pathlib.Path | None:
+    """Return the folder of a ROS package: an installed one, or a folder of that name around the file `near`."""
+    prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    places = [pathlib.Path(p) / "share" / name for p in prefixes]
+    for folder in near.resolve().parents:
+        places += [folder] if folder.name == name else []
+        places += [folder / name]
+    extra = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
+    places += [pathlib.Path(p) / name for p in extra if p]
+    return next((place for place in places if place.is_dir()), None)
+
+
+def find_package_file(
+    uri: str, near: str | os.PathLike[str], places: Sequence[str | os.PathLike[str]] = ()
+) -> pathlib.Path | None:
+    """Return the path of a file that a URDF refers to; None if it does not exist.
+
+    Parameters
+    ----------
+    uri : str
+        ``package://PACKAGE/...``, ``file://...``, or a path relative to the URDF.
+    near : path
+        Path of the URDF. A package is an installed one, or a folder of that name around the URDF.
+    places : sequence of path
+        Additional folders that contain packages; they are searched first.
+    """
+    near = pathlib.Path(near)
+    scheme, separator, rest = uri.partition("://")
+    if not separator:
+        found = [near.parent / uri]
+    elif scheme in ("package", "model"):
+        package, _, inside = rest.partition("/")
+        more = [pathlib.Path(place) for place in places]
+        folder = _package(package, near)
+        found = [*(place / package / inside for place in more), *(place / inside for place in more)]
+        found += [folder / inside] if folder else []
+        # a package that was copied under another name, or only in part
+        parts = pathlib.PurePosixPath(rest.lstrip("/")).parts
+        tails = [pathlib.PurePosixPath(*parts[k:]) for k in range(len(parts) - 1)]
+        found += [above / tail for tail in tails for above in near.resolve().parents[:6]]
+    else:
+        found = [pathlib.Path(rest), pathlib.Path(urllib.parse.unquote(rest))]
+    return next((place for place in found if _is_file(place)), None)
+
+
+def _is_file(place: pathlib.Path) -> bool:
+    try:
+        return place.is_file()
+    except (OSError, ValueError):
+        return False

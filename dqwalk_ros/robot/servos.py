@@ -1,0 +1,250 @@
+"""Models of position servos: the servos of the simulated robot, and the model of them that the controller uses.
+
+A Dynamixel converts its position error e to a duty cycle, and the duty cycle to a torque on the output axis:
+
+    duty = clip(P k e, -1, 1),    tau = stall (duty - dq / no_load_speed)
+
+So stall P k is a stiffness, and stall / no_load_speed (back EMF) is a damping that also limits the speed.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from dqwalk_ros.config import Config, find_share
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.robot.urdf import Urdf
+from dqwalk_ros.support import strict_yaml
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import ConfigError
+
+__all__ = ["IDENTIFIED", "Drive", "ServoType", "Servos", "load_types"]
+
+
+_LATE = 0.045
+"""Delay at which no damping is fed back where the servo has damping of its own [s]. At 40 ms the full damping excites
+the joint; without any, the dynamic walk falls with delays of 15 to 26 ms."""
+
+
+@dataclass(frozen=True)
+class ServoType:
+    """One row of config/servos.yaml, which explains each column and its unit."""
+
+    stall_torque: float
+    no_load_speed: float
+    voltage: float
+    duty: float
+    p_register: bool
+    backlash: float
+    resolution: float
+    friction: float
+    armature: float
+
+
+def load_types(source: str) -> dict[str, ServoType]:
+    """Read a table of servo types from a path, or from the file of this name in config/.
+
+    Raises
+    ------
+    ConfigError
+        If the file is missing or not a valid table; the message names the type.
+    """
+    path = Path(source)
+    if not path.is_file():
+        path = find_share("config", f"{source}.yaml" if not path.suffix else source)
+    tree = strict_yaml.read(strict_yaml.read_text(path), source=str(path))
+    try:
+        return msgspec.convert(tree, dict[str, dict[str, ServoType]])["servos"]
+    except (msgspec.ValidationError, KeyError) as error:
+        raise ConfigError(f"{path}: expected 'servos: {{TYPE: {{stall_torque, ...}}}}': {error}") from error
+
+
+@dataclass(frozen=True)
+class Servos:
+    """The servos of the simulated robot: tau = clip(stiffness e - damping dq, +-torque) - back_emf dq.
+
+    All arrays have the shape (n,); e is the position error.
+
+    Attributes
+    ----------
+    stiffness : ndarray
+        [N m/rad]
+    damping, back_emf : ndarray
+        [N m s/rad]
+    torque : ndarray
+        Stall torque [N m].
+    backlash : ndarray
+        Total play of the gears [rad].
+    friction : ndarray
+        Dry friction [N m].
+    armature : ndarray
+        Inertia of the rotor, reflected through the gears [kg m^2].
+    resolution : ndarray
+        Step size of the goal positions [rad]; 0: continuous.
+    """
+
+    stiffness: Array
+    damping: Array
+    back_emf: Array
+    torque: Array
+    backlash: Array
+    friction: Array
+    armature: Array
+    resolution: Array
+
+    @classmethod
+    def of(cls, config: Config, model: RobotModel) -> Servos:
+        """Return the servos of the section ``servo``; those of the joints in ``servo.types`` are from the table.
+
+        Raises
+        ------
+        ConfigError
+            If a type is not in the table, or an entry matches no joint.
+        """
+        c = config.servo
+        stiffness = np.full(model.n, c.stiffness)
+        out = cls(
+            stiffness=stiffness,
+            damping=c.damping * stiffness,
+            back_emf=np.zeros(model.n),
+            torque=np.minimum(c.torque_scale * model.effort_max, 1e3),
+            backlash=np.full(model.n, c.backlash),
+            friction=np.full(model.n, c.friction),
+            armature=np.full(model.n, c.armature),
+            resolution=np.full(model.n, c.resolution),
+        )
+        types = load_types(c.table) if c.types else {}
+        for joints, name in _entries("servo.types", c.types, model):
+            if name not in types:
+                raise ConfigError(f"servo.types names '{name}'; servo.table has {', '.join(types)}")
+            t = types[name]
+            stall = t.stall_torque * c.voltage / t.voltage
+            out.stiffness[joints] = stall * t.duty * (c.p_gain if t.p_register else 1)
+            out.damping[joints] = 0.0
+            out.back_emf[joints] = t.stall_torque / t.no_load_speed  # independent of the voltage
+            out.torque[joints] = stall
+            out.backlash[joints] = t.backlash
+            out.friction[joints] = t.friction
+            out.armature[joints] = t.armature
+            out.resolution[joints] = t.resolution
+        return out
+
+    @classmethod
+    def identified(cls, config: Config, model: RobotModel) -> Servos:
+        """Return the servos as ``servo.assumed`` says, where it says it; all others as `of` does.
+
+        Raises
+        ------
+        ConfigError
+            As `of`, or if an entry of ``servo.assumed`` cannot be read.
+        """
+        out = cls.of(config, model)
+        for joints, text in _entries("servo.assumed", config.servo.assumed, model):
+            told = _numbers(text)
+            for name in ("stiffness", "backlash", "friction"):
+                getattr(out, name)[joints] = told.get(name, getattr(out, name)[joints])
+            if "damping" in told:
+                out.damping[joints], out.back_emf[joints] = 0.0, told["damping"] * out.stiffness[joints]
+        return out
+
+
+@dataclass(frozen=True)
+class Drive:
+    """The model of the servos that the controller uses; it may differ from the true servos.
+
+    Attributes
+    ----------
+    stiffness : ndarray, shape (n,)
+        Stiffness by which feedforward torques are converted to offsets of the goal [N m/rad]; 0: no feedforward.
+    damping : ndarray, shape (n,)
+        Torque per joint velocity that is fed back, less the part that the lead compensates where it would act late
+        [N m s/rad].
+    lead : ndarray, shape (n,)
+        Feedforward torque per commanded velocity, which compensates the lag of a damped servo [N m s/rad].
+    armature : ndarray, shape (n,)
+        Inertia of the rotor, reflected through the gears [kg m^2].
+    delay : float
+        Time from a measurement to the effect of its command [s]: latency, half of the period at which goals are
+        written, and the lag by damping minus the lead.
+    """
+
+    stiffness: Array
+    damping: Array
+    lead: Array
+    armature: Array
+    delay: float
+
+    @classmethod
+    def of(cls, config: Config, model: RobotModel) -> Drive:
+        """Return the model given by ``servo.assumed_*``, ``servo.types`` and, with precedence, ``servo.assumed``.
+
+        Raises
+        ------
+        ConfigError
+            As `Servos.of`, or if an entry of ``servo.assumed`` is not valid.
+        """
+        c = config.servo
+        stiffness, lag, lead, armature = (
+            np.full(model.n, value)
+            for value in (c.assumed_stiffness, c.assumed_damping, c.assumed_lead, c.assumed_armature)
+        )
+        if c.types:
+            servos = Servos.of(config, model)
+            typed = servos.back_emf > 0.0
+            stiffness[typed], lag[typed] = servos.stiffness[typed], (servos.back_emf / servos.stiffness)[typed]
+            lead[typed], armature[typed] = np.minimum(lead, lag)[typed], servos.armature[typed]
+        for joints, text in _entries("servo.assumed", c.assumed, model):
+            given = _numbers(text)
+            stiffness[joints] = given.get("stiffness", stiffness[joints])
+            if "damping" in given:
+                lag[joints] = given["damping"]
+                lead[joints] = np.minimum(lead[joints], lag[joints])
+        period = 1.0 / c.assumed_rate if c.assumed_rate > 0.0 else 0.0
+        delay = c.assumed_latency + 0.5 * period + max(float((lag - lead).mean()), 0.0)
+        damping = np.maximum(lag - min(delay / _LATE, 1.0) * lead, 0.0)
+        return cls(stiffness, damping * stiffness, lead * stiffness, armature, delay)
+
+    def angles(self, effort: Array) -> Array:
+        """Return the offsets of the goals (n,) [rad] that produce the torques `effort` (n,) [N m]."""
+        return effort * self._compliance
+
+    @cached_property
+    def _compliance(self) -> Array:
+        """Inverse of the stiffness, zero where the stiffness is zero, shape (n,) [rad/(N m)]."""
+        return np.divide(1.0, self.stiffness, out=np.zeros_like(self.stiffness), where=self.stiffness > 0.0)
+
+
+def _entries(key: str, entries: tuple[str, ...], model: RobotModel) -> list[tuple[list[int], str]]:
+    """Return the joint indices and the text of each entry JOINT=TEXT; locked joints match, but have no index."""
+    out = []
+    for entry in entries:
+        name, equals, text = (part.strip() for part in entry.partition("="))
+        if not equals or not text:
+            raise ConfigError(f"{key} has '{entry}'; it must be JOINT=...")
+        joints = [k for k, joint in enumerate(model.joint_names) if fnmatch.fnmatchcase(joint, name)]
+        if not joints and not fnmatch.filter(Urdf(model.urdf, model.name).joints, name):
+            raise ConfigError(f"{key} names '{name}'; the joints are {', '.join(model.joint_names)}")
+        out.append((joints, text))
+    return out
+
+
+def _numbers(text: str) -> dict[str, float]:
+    """Return the numbers of a text such as 'stiffness 49.2, damping 0.009', by name."""
+    try:
+        pairs = [part.split() for part in text.split(",")]
+        found = {name: float(value) for name, value in pairs}
+    except ValueError:
+        found = {}
+    if not found or set(found) - set(IDENTIFIED) or not all(0.0 <= value < 1e4 for value in found.values()):
+        raise ConfigError(f"servo.assumed has '{text}'; it must be 'stiffness 49.2, damping 0.009' of {IDENTIFIED}")
+    return found
+
+
+IDENTIFIED = ("stiffness", "damping", "backlash", "friction")
+"""Names allowed in an entry of ``servo.assumed`` [N m/rad, s, rad, N m]."""

@@ -1,0 +1,1 @@
+"""Errors, texts, compilation and other helpers that know nothing of robots."""

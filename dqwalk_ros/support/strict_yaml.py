@@ -1,0 +1,125 @@
+"""Reader of YAML files: scalars as rcl reads them, without anchors and duplicate keys, at most 1 MiB long."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import yaml
+
+from dqwalk_ros.support.errors import ConfigError
+
+__all__ = ["MAX_BYTES", "line_of", "read", "read_text"]
+
+MAX_BYTES = 1 << 20
+"""Largest size of a file."""
+_MOST_NESTED = 50
+"""Largest depth of nested lists and dictionaries; the parser itself would overflow the stack."""
+
+
+class _Loader(yaml.CSafeLoader):
+    """Loader that refuses merge keys and duplicate keys."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        lines: dict[Any, int] = {}
+        for key, _ in node.value:
+            if key.tag == "tag:yaml.org,2002:merge":
+                raise _at(key, "merge keys are not allowed")
+            text = str(key.value)
+            if text in lines:
+                raise _at(key, f"the key {text!r:.80} was given in line {lines[text]} already")
+            lines[text] = key.start_mark.line + 1
+        return super().construct_mapping(node, deep=deep)
+
+
+# YAML 1.1 reads 1e-3 as a text; rcl and YAML 1.2 read it as a number
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
+)
+
+
+def _at(place: Any, problem: str) -> yaml.MarkedYAMLError:
+    """Return an error with the position of a node or event."""
+    return yaml.MarkedYAMLError(problem=problem, problem_mark=place.start_mark)
+
+
+def read_text(path: str | os.PathLike[str]) -> str:
+    """Return the text of a file of at most 1 MiB.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, is not UTF-8, or is longer than 1 MiB.
+    """
+    try:
+        with open(path, encoding="utf-8") as file:
+            text = file.read(MAX_BYTES + 1)
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"cannot read '{path}': {error}") from error
+    if len(text) > MAX_BYTES:
+        raise ConfigError(f"{path}: longer than {MAX_BYTES >> 20} MiB")
+    return text
+
+
+def read(text: str, *, source: str = "text") -> Any:
+    """Return the content of a YAML text as dictionaries, lists and scalars.
+
+    Raises
+    ------
+    ConfigError
+        If the text is not YAML, or has an anchor, a merge key or a duplicate key; the message names the line.
+    """
+    if len(text) > MAX_BYTES:
+        raise ConfigError(f"{source}: longer than {MAX_BYTES >> 20} MiB")
+    try:
+        _check_events(text)
+        return yaml.load(text, _Loader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = f"line {mark.line + 1}: " if mark is not None else ""
+        raise ConfigError(f"{source}: {line}not YAML: {error.problem or error.context}") from error
+    except (yaml.YAMLError, ValueError, OverflowError, KeyError, AttributeError, TypeError) as error:
+        # a date that does not exist, a number with 5000 digits, a control character, ...
+        raise ConfigError(f"{source}: not YAML: {' '.join(str(error).split())[:300]}") from error
+
+
+def _check_events(text: str) -> None:
+    """Check that a text has no anchors and aliases, and is nested at most `_MOST_NESTED` deep.
+
+    Raises
+    ------
+    yaml.YAMLError
+        If it has, or is not YAML.
+    """
+    depth = 0
+    for event in yaml.parse(text, _Loader):
+        if getattr(event, "anchor", None):
+            raise _at(event, "anchors and aliases are not allowed")
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > _MOST_NESTED:
+            raise _at(event, "nested too deeply")
+
+
+@lru_cache(maxsize=1)
+def _composed(text: str) -> Any:
+    """Return the syntax tree of a text; cached, as `line_of` is called for many keys of the same text."""
+    return yaml.compose(text, _Loader)
+
+
+def line_of(text: str, path: Sequence[str]) -> int:
+    """Return the line (from 1) of the key `path` in a YAML text that `read` accepts.
+
+    Where the text does not contain the whole path, it is the line of the deepest key that it does contain.
+    """
+    node, left, line = _composed(text), ".".join(path), 1
+    while left and isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            if left == key.value or left.startswith(f"{key.value}."):  # a key may be dotted
+                node, left, line = value, left[len(key.value) + 1 :], key.start_mark.line + 1
+                break
+        else:
+            break
+    return line

@@ -1,0 +1,1 @@
+"""Walks beyond the paper's: standing on the true soles, and dynamic."""

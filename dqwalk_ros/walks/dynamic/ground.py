@@ -1,0 +1,72 @@
+"""The ground's inclination, by which a sole that tips is told from one that stands on a slope.
+
+A push tips the supporting sole on its edge, and with it all that is planned in its axes: a swing foot that lands 95 mm
+beside a sole that has tipped by one degree is 1.7 mm too high, and bears no weight when it should. The inertial sensor
+measures the inclination of the sole; its mean over several steps is that of the ground.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dqwalk_ros.paper.kinematics import direction, quaternion_product
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
+from dqwalk_ros.walks.standing.footsteps import Footprint
+
+__all__ = ["Ground", "turned"]
+
+
+_MEMORY = 2.0
+"""Time constant of the mean inclination of the supporting soles [s]."""
+
+
+class Ground:
+    """Estimate of the ground's inclination.
+
+    Parameters
+    ----------
+    up : ndarray, shape (3,)
+        The vertical, the unit vector against gravity, in axes of a sole that stands flat on the ground.
+    unsure : float
+        Part of an inclination that is not taken for tipping, because a sole yields and the sensor is noisy [rad].
+    """
+
+    def __init__(self, up: Array, unsure: float) -> None:
+        self._vertical, self._unsure = up, unsure
+
+    def observe(self, up: Array, dt: float) -> None:
+        """Include the vertical `up` (3,) in axes of the supporting sole, `dt` [s] after the last one, in the mean."""
+        self._vertical = self._vertical + dt / (_MEMORY + dt) * (up - self._vertical)
+
+    def change_base(self, other: Footprint) -> None:
+        """Change to the axes of the other sole; `other` is the footprint of the previous one in these axes."""
+        along = other.points(self._vertical[:2]) - other.points(np.zeros(2))
+        self._vertical = np.array([*along, self._vertical[2]])
+
+    def tip(self, up: Array) -> Array:
+        """Return the rotation from a flat sole's axes to those of the sole with the vertical `up` (3,), vec8 (8,).
+
+        It is smaller than the inclination against the ground by the dead zone.
+        """
+        x: Array = _towards(self._vertical, up, self._unsure)
+        return x
+
+
+@jit
+def _towards(a, b, less):  # type: ignore[no-untyped-def]
+    """Return the rotation that takes the direction of `a` (3,) towards that of `b` (3,), to `less` [rad], vec8 (8,)."""
+    axis, x = np.cross(a, b), np.zeros(8)
+    size = math.sqrt(axis @ axis)
+    half = 0.5 * max(math.atan2(size, a @ b) - less, 0.0)
+    x[0], x[1:4] = math.cos(half), math.sin(half) / max(size, 1e-12) * axis
+    return x
+
+
+@jit
+def turned(x, place):  # type: ignore[no-untyped-def]
+    """Return a pose (7,), position and unit quaternion, turned about the origin by the rotation `x`, vec8 (8,)."""
+    r = quaternion_product(x[0], x[1], x[2], x[3], place[3], place[4], place[5], place[6])
+    return np.concatenate((direction(x, place[:3]), np.array(r)))

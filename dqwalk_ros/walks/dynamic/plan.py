@@ -1,0 +1,167 @@
+"""The divergent component of motion over footprints, in closed form [Englsberger2015].
+
+A linear inverted pendulum c'' = w^2 (c - z), with the centre of mass c along the ground, the zero-moment point z and a
+frequency w for each axis, has an unstable part xi' = w (xi - z) and a stable part c' = w (xi - c), in which c converges
+to xi. So only the divergent component xi = c + c'/w must be planned. Its equation is solved backwards in time, where it
+is stable, from the last planned step to the current one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from dqwalk_ros.paper.paths import minimum_jerk
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
+
+__all__ = ["Pressed", "Reference", "Rest", "before", "single_supports"]
+
+
+_OFFSET = 0.4
+"""xi at the start of the last planned step, as a fraction of the distance from the middle of the feet to its foot."""
+_LAST = 0.25
+"""xi at the end of the last single support, as a fraction of the distance from the middle of the feet to its foot."""
+
+
+@jit
+def before(a, b, end, time, omega):  # type: ignore[no-untyped-def]
+    """Return the divergent component a given time before it is at `end`, while z moves linearly from `a` to `b`.
+
+    The solution of xi' = w (xi - z): with e = exp(-w T) and b = a it is z + e (xi(T) - z).
+
+    Parameters
+    ----------
+    a, b : ndarray, shape (2,)
+        Zero-moment point at the beginning and at the end [m].
+    end : ndarray, shape (2,)
+        xi at the end [m].
+    time : float
+        T [s].
+    omega : ndarray, shape (2,)
+        w [1/s].
+
+    Returns
+    -------
+    ndarray, shape (2,)
+        xi at the beginning [m].
+    """
+    if time < 1e-9:
+        return end
+    e = np.exp(-omega * time)
+    return e * end + (1.0 - e) * a + (b - a) / (omega * time) * (1.0 - e * (1.0 + omega * time))
+
+
+@jit
+def _pressed(a, b, end, duration, omega, elapsed):  # type: ignore[no-untyped-def]
+    """Return xi and z (2,) of `Pressed`."""
+    left = min(max(duration - elapsed, 0.0), duration)
+    z = b - left / duration * (b - a)
+    return before(z, b, end, left, omega), z
+
+
+@jit
+def _resting(start, goal, duration, omega, elapsed):  # type: ignore[no-untyped-def]
+    """Return xi and z (2,) of `Rest`."""
+    place, slope, _ = minimum_jerk(elapsed / duration)
+    way = goal - start
+    xi = start + place * way
+    return xi, xi - slope / duration * way / omega
+
+
+class Reference(Protocol):
+    """Planned divergent component xi and zero-moment point z during a phase of `duration` [s]."""
+
+    duration: float
+
+    def at(self, elapsed: float) -> tuple[Array, Array]:
+        """Return xi and z (2,) [m], `elapsed` [s] into the phase."""
+
+
+@dataclass
+class Pressed:
+    """Reference of a support: z moves linearly from `a` to `b`, and xi ends at `end`; a single support if a = b.
+
+    Attributes
+    ----------
+    a, b : ndarray, shape (2,)
+        Zero-moment point at the beginning and at the end [m].
+    end : ndarray, shape (2,)
+        xi at the end [m].
+    duration : float
+        [s]
+    omega : ndarray, shape (2,)
+        Frequencies of the pendulum [1/s].
+    """
+
+    a: Array
+    b: Array
+    end: Array
+    duration: float
+    omega: Array
+
+    def at(self, elapsed: float) -> tuple[Array, Array]:
+        """Return xi and z (2,) [m], `elapsed` [s] into the phase."""
+        xi, z = _pressed(self.a, self.b, self.end, self.duration, self.omega, elapsed)
+        return xi, z
+
+
+@dataclass
+class Rest:
+    """Reference of a stance: xi moves from `start` to `goal` on a minimum-jerk path, at rest at both ends.
+
+    Attributes
+    ----------
+    start, goal : ndarray, shape (2,)
+        xi at the beginning and at the end [m].
+    duration : float
+        [s]
+    omega : ndarray, shape (2,)
+        Frequencies of the pendulum [1/s].
+    """
+
+    start: Array
+    goal: Array
+    duration: float
+    omega: Array
+
+    def at(self, elapsed: float) -> tuple[Array, Array]:
+        """Return xi and z (2,) [m], `elapsed` [s] into the phase."""
+        xi, z = _resting(self.start, self.goal, self.duration, self.omega, elapsed)
+        return xi, z
+
+
+def single_supports(
+    aims: Sequence[Array], single: float, double: float, omega: Array, *, ends: bool
+) -> list[tuple[Array, Array]]:
+    """Return xi at the beginning and at the end of each single support.
+
+    Parameters
+    ----------
+    aims : sequence of ndarray, shape (2,)
+        Zero-moment points on the current support foot and on those of the following steps [m]; two or more.
+    single, double : float
+        Durations of single and double support [s].
+    omega : ndarray, shape (2,)
+        Frequencies of the pendulum [1/s].
+    ends : bool
+        Whether the walk ends on the last two feet; otherwise it continues with steps like the last one.
+
+    Returns
+    -------
+    list of tuple of ndarray, shape (2,)
+        xi at the beginning and at the end of the single support on each of `aims` but the last [m].
+    """
+    a, b = aims[-2], aims[-1]
+    middle = 0.5 * (a + b)
+    end = middle + _LAST * (a - middle) if ends else before(a, b, middle + _OFFSET * (b - middle), double, omega)
+    out = []
+    for k in range(len(aims) - 2, -1, -1):
+        start = before(aims[k], aims[k], end, single, omega)
+        out.append((start, end))
+        if k:
+            end = before(aims[k - 1], aims[k], start, double, omega)
+    return out[::-1]

@@ -1,0 +1,134 @@
+"""Path of a swing foot, whose landing position and time may change during the swing."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.kinematics import quaternion_product
+from dqwalk_ros.paper.paths import minimum_jerk
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
+
+__all__ = ["Swing"]
+
+
+_LIFT, _LAND = 0.02, 0.06
+"""Fractions of the duration at the beginning and at the end without motion along the ground."""
+_GENTLE = 2.7
+"""Exponent of the height at the end: with 2.5 stiff legs touch the ground too early, with 3 soft ones land late."""
+_TOP = 2.0 / (2.0 + _GENTLE)
+_SCALE = 1.0 / (_TOP**2 * (1.0 - _TOP) ** _GENTLE)
+
+
+class Swing:
+    """Path of a sole: minimum jerk along the ground, and an arch in height.
+
+    Parameters
+    ----------
+    start, goal : ndarray, shape (8,)
+        Poses in the base frame, as unit dual quaternions.
+    height : float
+        Largest height of the path [m].
+    descent : float
+        Duration of a whole swing of which only the descent remains; zero for a swing that starts on the ground [s].
+
+    Attributes
+    ----------
+    begun : float
+        Time of the whole path before its start, on the descent from its largest height; zero if it starts on the
+        ground [s].
+    goal : ndarray, shape (2,)
+        Landing position, which may be changed during the swing [m].
+    """
+
+    def __init__(self, start: Array, goal: Array, height: float, descent: float = 0.0) -> None:
+        a, b = DQ(start), DQ(goal)
+        half = 0.5 * (b * a.conj()).rotation_vector()
+        x, y, z = a.translation()
+        done = 0.0
+        if descent > 0.0:
+            done = _descent(z / height)
+            z, height = 0.0, z / _arch(done)[0]
+        self.goal = b.translation()[:2]
+        self.begun = done * descent
+        self._path = np.array([z, height, *a.vec4(), *half, np.linalg.norm(half)])
+        self._state = np.array([done, self.begun, x, y, 0.0, 0.0])
+
+    def step(self, elapsed: float, duration: float) -> tuple[Array, Array, Array]:
+        """Advance to a time and return the motion there.
+
+        Parameters
+        ----------
+        elapsed : float
+            Time since the lift-off; must not decrease [s].
+        duration : float
+            Current duration of the whole swing [s].
+
+        Returns
+        -------
+        pose : ndarray, shape (7,)
+            Position [m] and unit quaternion.
+        velocity : ndarray, shape (6,)
+            Linear [m/s] and angular [rad/s].
+        acceleration : ndarray, shape (2,)
+            Along the ground [m/s^2].
+        """
+        pose, velocity, acceleration = _advanced(self._state, self.goal, self._path, elapsed, duration)
+        return pose, velocity, acceleration
+
+
+@jit
+def _advanced(state, goal, path, elapsed, duration):  # type: ignore[no-untyped-def]
+    """Advance `state` (6,) to the time `elapsed`; see `Swing.step`.
+
+    It is the completed fraction of the time, the time [s], and place and velocity along the ground; `path` (10,) is the
+    height of the start and of the arch [m], the orientation at the start, half the rotation vector and its norm.
+    """
+    since, left = elapsed - state[1], max(duration - state[1], 1e-3)
+    # the completed fraction of the time increases linearly to 1 at the end
+    s = min(state[0] + (1.0 - state[0]) / left * since, 1.0)
+    rate = (1.0 - s) / max(duration - elapsed, 1e-3) if s < 1.0 else 0.0
+    (before, _), (place, slope), p, v = _along(state[0]), _along(s), state[2:4].copy(), np.zeros(2)
+    if before < 1.0:  # the same fraction of the remaining distance as for a fixed goal
+        p += (place - before) / (1.0 - before) * (goal - p)
+    if place < 1.0 - 1e-9:
+        v = slope * rate / (1.0 - place) * (goal - p)
+    acceleration = (v - state[4:]) / since if since > 0.0 else np.zeros(2)
+    state[0], state[1], state[2:4], state[4:] = s, elapsed, p, v
+    arch, steep = _arch(s)
+    start, height, r, half, angle = path[0], path[1], path[2:6], path[6:9], path[9]
+    z, rise = start * (1.0 - s) + height * arch, -start + height * steep
+    sin = math.sin(angle * place) / angle if angle > 0.0 else 0.0
+    axis = sin * half
+    turned = quaternion_product(math.cos(angle * place), axis[0], axis[1], axis[2], r[0], r[1], r[2], r[3])
+    pose = np.concatenate((p, np.array([z]), np.array(turned)))
+    return pose, np.concatenate((v, np.array([rise * rate]), 2.0 * slope * rate * half)), acceleration
+
+
+@jit
+def _along(s):  # type: ignore[no-untyped-def]
+    """Return the completed fraction of the distance along the ground at the fraction `s` of the time, and its slope."""
+    span = 1.0 - _LIFT - _LAND
+    place, slope, _ = minimum_jerk((s - _LIFT) / span)
+    return place, slope / span
+
+
+@jit
+def _arch(s):  # type: ignore[no-untyped-def]
+    """Return the height 0..1 at the fraction `s` of the time, and its slope: s^2 (1 - s)^2.7, scaled.
+
+    It ends without velocity and acceleration: a foot that hits the ground unloads the supporting sole, which slips. A
+    foot that comes down more slowly touches the ground too early.
+    """
+    left = 1.0 - s
+    slope = _SCALE * s * left ** (_GENTLE - 1.0) * (2.0 - (2.0 + _GENTLE) * s)
+    return _SCALE * s**2 * left**_GENTLE, slope
+
+
+def _descent(part: float) -> float:
+    """Return the fraction of the time at which the arch has come down to a part of its height."""
+    s = np.linspace(_TOP, 1.0, 200)
+    return float(s[np.argmax(_SCALE * s**2 * (1.0 - s) ** _GENTLE <= max(part, 0.1))]) if part < 1.0 else _TOP

@@ -1,0 +1,534 @@
+"""The dynamic walk: its phases, and the update of their targets for every state.
+
+Single supports of a fixed duration alternate with short double supports. The divergent component of motion is planned
+over the next footprints (`plan`), and its error is fed back to the zero-moment point, through which the ground reaction
+force acts. Before and after the walk, a stance brings the CoM to rest between the feet.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from dqwalk_ros.config import Config
+from dqwalk_ros.paper.constraints import Constraint
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.geometry import ConvexPolygon, moved_inside
+from dqwalk_ros.paper.kinematics import CenterOfMass, CenterOfMassOnGround, Direction, Kinematics
+from dqwalk_ros.paper.state import State
+from dqwalk_ros.paper.statics import GRAVITY, ground_torques
+from dqwalk_ros.paper.targets import Follow, FollowPose, Target
+from dqwalk_ros.paper.tasks import Task
+from dqwalk_ros.paper.walk import Phase, PhaseKind, Rule, Timed, com_target
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.robot.servos import Drive
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
+from dqwalk_ros.support.errors import StateError
+from dqwalk_ros.walks.dynamic.adjust import Step, adjusted, left_over, transfer_time
+from dqwalk_ros.walks.dynamic.ground import Ground, turned
+from dqwalk_ros.walks.dynamic.pendulum import Pendulum, swing_inertia
+from dqwalk_ros.walks.dynamic.plan import Pressed, Reference, Rest, single_supports
+from dqwalk_ros.walks.dynamic.swing import Swing
+from dqwalk_ros.walks.standing.balance import com_velocity
+from dqwalk_ros.walks.standing.footsteps import Footprint
+from dqwalk_ros.walks.standing.walk import StandingWalk
+
+__all__ = ["DynamicWalk", "com_and_xi"]
+
+
+_UP = np.array([0.0, 0.0, 1.0])
+_AHEAD = 6
+"""Number of planned footprints."""
+_LATE = 0.05
+"""Delay at which the feedback gain is halved [s]."""
+_TOLERANT = 0.02
+"""Delay at which the error threshold of the step adjustment is doubled [s]."""
+_UNSURE = math.radians(60.0)
+"""Inclination up to which a sole is not taken to tip, per delay beyond one period [rad/s].
+
+Without it a walk with sensor noise and a delay of 40 ms falls.
+"""
+_RESIDUAL, _YIELD = 0.002, 0.1
+"""Error [m] above which the path of the CoM approaches the measured CoM, and the fraction of this at each state."""
+_CONFIRMED = 3
+"""Number of consecutive states above the threshold after which a step is adjusted, to reject measurement noise."""
+_LONGEST_WAIT = 3.0
+"""Time after the planned end of a double support from which on it is not extended further [s]."""
+_SMOOTH = 0.02
+"""Time constant of the filter of the measured xi for the step adjustment [s]."""
+_ACCELERATION = 0.01
+"""Time constant of the filter of the commanded accelerations [s]."""
+_MOST_AHEAD = 0.005
+"""Longest time by which the reference of the CoM of a delayed robot is ahead of the middle of the control period [s].
+
+Without it the weight is transferred late; with 15 ms some walks with a delay of 40 ms fall, with 33 ms half of them.
+"""
+_GAP = 0.1
+"""Time without a state after which the reference is reset to the measured state [s]."""
+
+
+@dataclass(eq=False)
+class _Flight:
+    """A single support whose landing may be adjusted.
+
+    `goal` is the planned landing position and `shift` its displacement [m]; `lost` is the number of consecutive states
+    whose error exceeds the threshold, and `most` the largest error that the ankle cannot compensate [m].
+    """
+
+    rule: Timed
+    reference: Pressed
+    step: Step
+    swing: Swing
+    goal: Array
+    shift: Array = field(default_factory=lambda: np.zeros(2))
+    lost: int = 0
+    most: float = 0.0
+
+
+class DynamicWalk(StandingWalk):
+    """Walk with steps of a fixed duration; phase order, steering and end are as in `StandingWalk`, after a stance."""
+
+    is_tunable = False  # the plan extends beyond the next phase
+
+    def __init__(self, config: Config, model: RobotModel) -> None:
+        super().__init__(config, model)
+        self._step_now = np.zeros(3)  # length, side and turn of the current step
+        self._drive = Drive.of(config, model)
+        self._mass, delay = model.mass, self._drive.delay
+        self._advance = max(delay - config.dt, 0.0)
+        self._gain = config.standing.balance / (1.0 + delay / _LATE)
+        self._threshold = config.dynamic.catch_beyond * (1.0 + delay / _TOLERANT)
+        self._unsure = _UNSURE * self._advance
+        self._known: Phase | None = None
+        self._time = -math.inf
+        self._com = self._xi = self._smooth = np.zeros(2)
+        self._force, self._pressure = GRAVITY * _UP, np.zeros(2)
+        self._commanded, self._u, self._acceleration = -math.inf, np.zeros(model.n), np.zeros(model.n)
+        self._ground: Ground
+        self._reference: Reference
+        self._flight: _Flight | None = None
+        self._pushed = False
+        self._descends = False  # whether the swing foot of the next single support is in the air already
+        self._targets: dict[str, Target] = {}
+        self._legs = np.zeros(model.n, dtype=np.bool_)  # whether a joint is between the base sole and the pelvis
+
+    @staticmethod
+    def phases(config: Config) -> int:
+        """Return the number of phases, with both stances and the steps that place the feet together; 0 if steered."""
+        return 2 * config.gait.steps + 4 if config.gait.steps else 0
+
+    @cached_property
+    def pendulum(self) -> Pendulum:
+        """Pendulum model of the robot in its initial posture."""
+        kin = Kinematics(self.model, self.posture, self._first)
+        phase = self.one_foot(self._first, self.posture, kin.pose(kin.swing))
+        found = Pendulum.of(phase, kin)
+        return replace(found, omega=found.omega * np.array([1.0, self.config.dynamic.side_frequency]))
+
+    @cached_property
+    def _inertia(self) -> dict[Foot, Array]:
+        """Inertia (n, n) of the swing leg with its rotors, in the initial posture, for each base sole [kg m^2]."""
+        out = {}
+        for base in Foot:
+            M = swing_inertia(Kinematics(self.model, self.posture, base))
+            out[base] = M + np.diag(np.where(M.diagonal() > 0.0, self._drive.armature, 0.0))
+        return out
+
+    @cached_property
+    def _height(self) -> Array:
+        """Height of the CoM in the posture, shape (1,) [m]."""
+        return Kinematics(self.model, self.posture, self._first).com[2:]
+
+    def prepare(self) -> None:
+        """Compute the constants of the pendulum and of the swing leg."""
+        _ = self.pendulum, self._inertia, self._height
+
+    # ------------------------------------------------------------------ order
+
+    def place(self, support: Foot, footprints: Sequence[Array]) -> None:
+        """Reject commanded footprints, because this walk plans its own; an empty sequence has no effect.
+
+        Raises
+        ------
+        StateError
+            If `footprints` is not empty.
+        """
+        if footprints:
+            raise StateError("a dynamic walk does not accept footsteps; gait.style must be standing")
+
+    def following(self, phase: Phase | None) -> tuple[PhaseKind, Foot, Array | None] | None:
+        """Return kind, support foot and swing target of the phase after `phase`; None after the last one."""
+        steps = self.config.gait.steps
+        if phase is None:
+            return PhaseKind.STANCE, self._first, None
+        if phase.kind is PhaseKind.STANCE:
+            over = self._together and (steps or self._stopping)
+            return None if over else (PhaseKind.DOUBLE_SUPPORT, self._leading(), None)
+        if phase.kind is PhaseKind.DOUBLE_SUPPORT:
+            self._step_now, self._together = self._after(self._step_now, self._done)
+            self._done += 1
+            footprint = self.footsteps.wanted(phase.support, *self._step_now.tolist())
+            return PhaseKind.SINGLE_SUPPORT, phase.support, footprint
+        kind = PhaseKind.STANCE if self._together else PhaseKind.DOUBLE_SUPPORT
+        return kind, phase.support.other, None
+
+    def restarts(self, phase: Phase) -> float | None:
+        """Return 0: after an interruption a phase begins again immediately, because its reference has advanced."""
+        return 0.0
+
+    def _after(self, step: Array, done: int) -> tuple[Array, bool]:
+        """Return the step after `step` and `done` completed steps, and whether it places the feet side by side."""
+        gait, ramp = self.config.gait, self.config.dynamic.ramp
+        if gait.steps:
+            ramp = min(ramp, (gait.steps - 1) // 2)
+            full = np.array([gait.step_length, gait.step_side, gait.step_turn])
+            most, ended = np.abs(full), self._stopping or done >= gait.steps
+            wanted = np.zeros(3) if ended or done >= gait.steps - ramp else full
+        else:
+            most = np.array([gait.most_length, gait.most_side, gait.most_turn])
+            wanted = np.zeros(3) if self._stopping else np.array(self._twist) * self._period
+            ended = not wanted.any()
+        change = most / (ramp + 1)
+        new = step + np.clip(wanted - step, -change, change)
+        return new, bool(ended and np.abs(new).max() < 1e-9)
+
+    # ------------------------------------------------------------------ phases
+
+    def both_feet(self, kind: PhaseKind, support: Foot, q_start: Array) -> Phase:
+        """Return the phase that moves the CoM to the sole of `support`, or in a stance to the middle of both soles."""
+        kin = Kinematics(self.model, q_start, support.other)
+        goal = com_target(self.model, kind, kin.base, q_start)[:2]
+        return self._phase(kind, support, kin, None, (self._com_task(goal),), (self._held(kin),), ())
+
+    def one_foot(self, support: Foot, q_start: Array, swing_target: Array) -> Phase:
+        """Return the single support on the foot `support` in which the other foot moves to `swing_target` (8,)."""
+        s = self.config.standing
+        kin = Kinematics(self.model, q_start, support)
+        x = DQ(swing_target)
+        task = FollowPose(
+            name="swing",
+            weight=s.swing_weight,
+            frame=kin.swing,
+            target=Target(np.array([*x.translation(), *swing_target[:4]]), np.zeros(6)),
+            convergence=s.swing_rate,
+            lever=s.lever,
+        )
+        com = self._com_task(self.model.soles[support].center[:2])
+        return self._phase(PhaseKind.SINGLE_SUPPORT, support, kin, swing_target, (task, com), (), (self._gap(support),))
+
+    def _com_task(self, place: Array) -> Task:
+        d, target = self.config.dynamic, Target(place, np.zeros(2))
+        return Follow(
+            name="com", weight=d.com_weight, feature=CenterOfMassOnGround(), target=target, convergence=d.com_rate
+        )
+
+    def _phase(
+        self,
+        kind: PhaseKind,
+        support: Foot,
+        kin: Kinematics,
+        swing_target: Array | None,
+        tasks: Sequence[Task],
+        equalities: tuple[Constraint, ...],
+        inequalities: tuple[Constraint, ...],
+    ) -> Phase:
+        d = self.config.dynamic
+        also = (
+            Follow(
+                name="height",
+                weight=d.height_weight,
+                feature=CenterOfMass(),
+                A=_UP[None],
+                target=Target(self._height, np.zeros(1)),
+                convergence=d.height_rate,
+            ),
+            Follow(
+                name="upright",
+                weight=d.upright_weight,
+                feature=Direction(self.model.pelvis, _UP),
+                A=np.eye(2, 3),
+                target=Target(np.zeros(2), np.zeros(2)),
+                convergence=d.upright_rate,
+            ),
+        )
+        return super()._phase(kind, support, kin, swing_target, (*tasks, *also), equalities, inequalities)
+
+    def _rule(self, kind: PhaseKind, support: Foot) -> Rule:
+        return Timed(self._duration(kind))
+
+    def _duration(self, kind: PhaseKind) -> float:
+        s, d = self.config.standing, self.config.dynamic
+        if kind is PhaseKind.STANCE:
+            return d.stop_duration
+        return s.swing_duration if kind is PhaseKind.SINGLE_SUPPORT else s.transfer_duration
+
+    # ------------------------------------------------------------------ update for every state
+
+    def observe(self, phase: Phase, kin: Kinematics, state: State) -> Phase:
+        """Update the targets of the phase, adjust the step, and compute the desired ground reaction force."""
+        omega, up = self.pendulum.omega, kin.up
+        dt = state.time - self._time
+        self._time = state.time
+        c, xi = com_and_xi(kin.com, self.com_velocity(kin, state), up, omega)
+        if not 0.0 <= dt <= _GAP:
+            dt, self._com, self._xi, self._smooth = 0.0, c, xi if self._descends else c, xi
+            self._ground = Ground(up, self._unsure)
+        self._com = self._com + dt * omega * (self._xi - self._com)  # c' = w (xi - c)
+        if phase is not self._known:
+            self._begin(phase, kin)
+        self._ground.observe(up, dt)
+        assert isinstance(phase.rule, Timed)
+        t = kin.elapsed + phase.rule.begun
+        self._smooth = _filtered(self._smooth, self._pressure, xi, omega, dt)
+        flight = self._flight
+        if flight is not None:
+            phase = self._adjust_step(flight, phase, c, self._smooth, t)
+        elif isinstance(self._reference, Pressed):
+            phase = self._adjust_transfer(self._reference, phase, self._smooth, t)
+        self._xi, z = self._reference.at(t)
+        if flight is None:  # a command takes effect after the delay
+            _, z = self._reference.at(t + self._advance)
+        z = z + (1.0 + self._gain) * (xi - self._xi)
+        if flight is not None:  # the foot must be on the ground before the weight is transferred
+            place, velocity, acceleration = flight.swing.step(t, flight.rule.duration - self._advance)
+            self._targets["swing"].set(turned(self._ground.tip(up), place), velocity)
+            z[0] += self.pendulum.swing * acceleration[0]
+        self._pressure = moved_inside(z, *self._support, self.config.standing.pressure_margin)
+        self._force = _force(c, self._pressure, omega, up)
+        ahead = min(self._advance, 0.5 * self.config.dt + _MOST_AHEAD)
+        later, _ = self._reference.at(t + ahead)
+        self._targets["com"].set(*_converging(self._com, self._xi, later, omega, ahead))
+        self._targets["upright"].set(up[:2], np.zeros(2))
+        self._known = phase
+        return phase
+
+    def com_velocity(self, kin: Kinematics, state: State) -> Array:
+        """Return the velocity of the CoM, shape (3,) [m/s]; zero if the joint velocities are unknown."""
+        if state.dq is None:
+            return np.zeros(3)
+        body, pose = kin.tree.frames[self.model.imu]
+        gyro = np.empty(0) if state.gyro is None else state.gyro
+        v: Array = com_velocity(
+            kin.com, kin.com_jacobian, kin.lines, kin.poses, body, pose, kin.tree.moves[body], state.dq, gyro
+        )
+        return v
+
+    def _adjust_step(self, flight: _Flight, phase: Phase, c: Array, xi: Array, t: float) -> Phase:
+        """Adjust landing time and position of the current step to the measured xi (2,) [m] at `t` [s] after lift-off.
+
+        Return the phase, which includes the decision as soon as the landing can no longer be changed.
+        """
+        d, rule, step = self.config.dynamic, flight.rule, flight.step
+        if not d.catch or t < d.untouched:
+            return phase
+        if t > rule.duration - d.settled:
+            return phase if phase.decision or flight.lost < _CONFIRMED else self._with_decision(flight, phase)
+        if flight.lost < _CONFIRMED:
+            over, _ = left_over(step, xi, t, step.duration - t)
+            flight.lost = flight.lost + 1 if np.abs(over).max() > self._threshold else 0
+            if flight.lost < _CONFIRMED:
+                return phase
+        rule.duration, flight.shift, over = adjusted(step, xi, t, rule.duration, flight.shift, d)
+        flight.reference.duration = rule.duration
+        flight.reference.end = step.landing + step.offset + flight.shift
+        flight.swing.goal = flight.goal + flight.shift
+        flight.most = max(flight.most, float(np.abs(over).max()))
+        if np.abs(over).max() > _RESIDUAL:
+            self._com = self._com + _YIELD * (c - self._com)
+        return phase
+
+    def _adjust_transfer(self, reference: Pressed, phase: Phase, xi: Array, t: float) -> Phase:
+        """Extend a double support to the measured xi (2,) [m] at `t` [s] after its beginning.
+
+        A push towards the swing foot brings it to the ground early, and the impact throws the robot back. A single
+        support that begins with xi too far behind would have to end sooner than the other foot can land. A robot that
+        is held does not wait for ever. Return the phase, at its last state with the decision.
+        """
+        rule, left, planned = phase.rule, reference.duration - t, self._duration(phase.kind)
+        assert isinstance(rule, Timed)
+        due, z = reference.at(t)
+        waits = left > 1e-9 and t < planned + _LONGEST_WAIT
+        if self.config.dynamic.catch and abs(xi[1] - due[1]) > self._threshold and waits:
+            most = self.config.dynamic.hurry
+            left += min(max(transfer_time(reference, z, xi, planned - t) - left, -most), most)
+            reference.duration = rule.duration = t + left
+            reference.a = reference.b - (reference.b - z) * reference.duration / left
+        longer = reference.duration - planned
+        if left > 1.5 * self.config.dt or longer < self.config.dt or phase.decision:
+            return phase
+        text = f"the double support lasts {1e3 * longer:.0f} ms longer, until the divergent component has arrived"
+        return replace(phase, decision=text)
+
+    def _with_decision(self, flight: _Flight, phase: Phase) -> Phase:
+        """Return the phase with the final landing position and a text that explains the change."""
+        late, ahead = flight.rule.duration - flight.step.duration, float(flight.shift[0])
+        when, where = "later" if late > 0.0 else "earlier", "forward" if ahead > 0.0 else "back"
+        text = (
+            f"the step lands {1e3 * abs(late):.0f} ms {when} and {1e3 * abs(ahead):.0f} mm further {where}: "
+            f"an error of {1e3 * flight.most:.0f} mm that the ankle cannot compensate"
+        )
+        assert phase.swing_target is not None
+        moved = DQ.from_pose([*flight.shift, 0.0]) * DQ(phase.swing_target)
+        return replace(phase, swing_target=moved.vec8(), decision=text)
+
+    def _begin(self, phase: Phase, kin: Kinematics) -> None:
+        """Plan a phase for the current poses of the feet, in the axes of the base sole of the phase."""
+        before, self._known = self._known, phase
+        other = Footprint.of(kin.pose(kin.swing))
+        if before is not None and before.base is not phase.base:  # transform from the previous base sole
+            self._ground.change_base(other)
+            self._com, self._xi = other.points(self._com), other.points(self._xi)
+            self._smooth, self._pressure = other.points(self._smooth), other.points(self._pressure)
+        self._targets = {task.name: task.target for task in phase.tasks if isinstance(task, Follow | FollowPose)}
+        self._pushed = self._flight.most > self._threshold if self._flight else self._pushed
+        self._flight = None
+        base, end = self._aim(phase.base, Footprint()), self._aim(phase.base.other, other)
+        corners, omega, rule = self.model.soles[phase.base].corners[:, :2], self.pendulum.omega, phase.rule
+        assert isinstance(rule, Timed)
+        if phase.swing_target is not None:
+            self._reference = self._flight_reference(phase, kin, rule, base)
+        else:
+            corners = np.concatenate([corners, other.points(self.model.soles[phase.base.other].corners[:, :2])])
+            if phase.kind is PhaseKind.STANCE:
+                self._reference = Rest(self._xi, 0.5 * (base + end), rule.duration, omega)
+            else:
+                start, _ = self._plan(phase.support, other, self._step_now, self._done)
+                if before is not None and before.kind is PhaseKind.SINGLE_SUPPORT:
+                    self._reference = Pressed(base, end, start, rule.duration, omega)
+                else:
+                    rule.duration = self.config.dynamic.start_duration
+                    self._reference = Rest(self._xi, start, rule.duration, omega)
+        self._support = ConvexPolygon.hull(corners).edges()
+        tree = kin.tree
+        self._legs = tree.moves[tree.frames[self.model.pelvis][0]]
+
+    def _flight_reference(self, phase: Phase, kin: Kinematics, rule: Timed, base: Array) -> Pressed:
+        """Initialize a single support and return its reference."""
+        d, omega, target = self.config.dynamic, self.pendulum.omega, phase.swing_target
+        assert target is not None
+        _, end = self._plan(phase.support, Footprint(), self._step_now, self._done, target)
+        reference = Pressed(base, base, end, rule.duration, omega)
+        sole, landing = self.model.soles[phase.base], self._aim(phase.base.other, Footprint.of(target))
+        half = 0.5 * np.array([sole.length, sole.width]) - d.catch_margin
+        step = Step(
+            z=base, landing=landing, offset=end - landing, duration=rule.duration, omega=omega,
+            low=sole.center[:2] - half, high=sole.center[:2] + half, reach=np.array([d.catch_length, d.catch_side]),
+        )  # fmt: skip
+        descends, self._descends = self._descends, False
+        start = (DQ(self._ground.tip(kin.up)).conj() * DQ(kin.pose(kin.swing))).vec8()
+        swing = Swing(start, target, self.config.gait.step_height, rule.duration if descends else 0.0)
+        rule.begun = swing.begun
+        # after an adjusted step, the next step is adjusted from its beginning
+        self._flight = _Flight(rule, reference, step, swing, swing.goal, lost=_CONFIRMED if self._pushed else 0)
+        return reference
+
+    def _plan(
+        self, foot: Foot, stands: Footprint, step: Array, done: int, target: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Return xi (2,) [m] at the beginning and at the end of the single support on `foot` at the pose `stands`."""
+        together = self._together and target is not None
+        landing = None if target is None else Footprint.of(target)
+        aims = [self._aim(foot, stands)]
+        while len(aims) <= _AHEAD:
+            if landing is None:
+                step, together = self._after(step, done)
+                done += 1
+                landing = self.footsteps.stride(foot, *step.tolist())
+            foot, stands, landing = foot.other, stands.then(landing), None
+            aims.append(self._aim(foot, stands))
+            if together:
+                break
+        s = self.config.standing
+        plan = single_supports(aims, s.swing_duration, s.transfer_duration, self.pendulum.omega, ends=together)
+        return plan[0]
+
+    def _aim(self, foot: Foot, stands: Footprint) -> Array:
+        """Return the desired zero-moment point on the sole of `foot` at the pose `stands`, shape (2,) [m]."""
+        d, side = self.config.dynamic, 1.0 if foot is Foot.LEFT else -1.0
+        return stands.points(self.model.soles[foot].center[:2] + np.array([d.aim_ahead, -side * d.aim_inside]))
+
+    def effort(self, phase: Phase, kin: Kinematics, state: State, u: Array) -> Array:
+        """Return the feedforward torques for a ground reaction force through the zero-moment point, shape (n,) [N m].
+
+        The joints between the base sole and the pelvis carry the ground reaction force less the weight of the links
+        below them: the support leg hardly moves, so the inertial forces act above it. The joints of the swing leg are
+        accelerated as commanded by `u` (n,) [rad/s].
+        """
+        m, f, up = self._mass, self._force, kin.up
+        both = phase.kind is not PhaseKind.SINGLE_SUPPORT
+        tau = ground_torques(kin, m * f, self._pressure, both=both)
+        tau += m * _of_legs(kin.lines, kin.com, kin.com_jacobian, self._legs, self._pressure, f, GRAVITY * up)
+        acceleration = self._accelerated(state.time, u)
+        if not both:
+            tau += self._inertia[phase.base] @ acceleration
+        return tau
+
+    def _accelerated(self, time: float, u: Array) -> Array:
+        """Return the filtered acceleration (n,) [rad/s^2] of the commands, of which `u` (n,) is that at `time` [s]."""
+        passed, before = time - self._commanded, self._u
+        self._commanded, self._u = time, u
+        known = 0.0 < passed <= _GAP
+        self._acceleration = _approached(self._acceleration, before, u, passed) if known else np.zeros_like(u)
+        return self._acceleration
+
+
+@jit
+def _along_ground(v, up):  # type: ignore[no-untyped-def]
+    """Return the projection of a vector (3,) on the ground along the vertical `up` (3,), shape (2,)."""
+    return v[:2] - v[2] / up[2] * up[:2]
+
+
+@jit
+def com_and_xi(com, velocity, up, omega):  # type: ignore[no-untyped-def]
+    """Return the projection c (2,) of the CoM (3,) on the ground along the vertical `up` (3,), and xi = c + c'/w (2,).
+
+    `velocity` (3,) is that of the CoM [m/s], and `omega` (2,) are the frequencies of the pendulum [1/s].
+    """
+    c = _along_ground(com, up)
+    return c, c + _along_ground(velocity, up) / omega
+
+
+@jit
+def _filtered(smooth, pressure, xi, omega, dt):  # type: ignore[no-untyped-def]
+    """Return the filtered xi (2,): that of `dt` [s] ago, moved as the pendulum, approaches the measured one."""
+    moved = smooth + dt * omega * (smooth - pressure)  # xi' = w (xi - z)
+    return moved + dt / (_SMOOTH + dt) * (xi - moved)
+
+
+@jit
+def _force(c, z, omega, up):  # type: ignore[no-untyped-def]
+    """Return the ground reaction force per mass (3,) [m/s^2] of the pendulum with the zero-moment point z (2,)."""
+    a = omega**2 * (c - z)
+    return GRAVITY * up + np.array([a[0], a[1], -(a[0] * up[0] + a[1] * up[1]) / up[2]])
+
+
+@jit
+def _converging(c, xi, later, omega, time):  # type: ignore[no-untyped-def]
+    """Return position and velocity (2,) of the CoM after a `time` [s] in which xi (2,) moves to `later` (2,)."""
+    c = c + (1.0 - np.exp(-omega * time)) * (0.5 * (xi + later) - c)  # c' = w (xi - c)
+    return c, omega * (later - c)
+
+
+@jit
+def _approached(acceleration, before, u, passed):  # type: ignore[no-untyped-def]
+    """Return the filtered acceleration (n,) after velocities have changed from `before` to `u` (n,) in a time [s]."""
+    return acceleration + (u - before - passed * acceleration) / (_ACCELERATION + passed)
+
+
+@jit
+def _of_legs(lines, com, J_com, legs, pressure, force, weight):  # type: ignore[no-untyped-def]
+    """Return the torques per mass by which the joints `legs` (n,) carry more than others, shape (n,) [N m/kg].
+
+    These are moved by the zero-moment point z instead of the CoM c, on which a = f - g up acts: with (l x z).f =
+    l.(z x f), (l x z + m).f - (l x c + m).(g up) - a.J_CoM.
+    """
+    z, a = np.array([pressure[0], pressure[1], 0.0]), force - weight
+    moment = np.cross(z, force) - np.cross(com, weight)
+    tau = lines @ np.concatenate((moment, a)) - a @ J_com
+    return np.where(legs, tau, 0.0)

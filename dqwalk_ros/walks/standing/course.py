@@ -1,0 +1,80 @@
+"""A course: a sequence of velocity commands for a steered walk."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+from dqwalk_ros.support.errors import ConfigError
+
+__all__ = ["Course", "Leg"]
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One part of a course: a constant velocity for a given time.
+
+    Attributes
+    ----------
+    forward, left : float
+        Linear velocity [m/s].
+    turn : float
+        Angular velocity, positive to the left [rad/s].
+    duration : float
+        [s]
+    """
+
+    forward: float
+    left: float
+    turn: float
+    duration: float
+
+
+@dataclass(frozen=True)
+class Course:
+    """The legs of a course, in their order.
+
+    Attributes
+    ----------
+    legs : tuple of Leg
+    """
+
+    legs: tuple[Leg, ...]
+
+    @classmethod
+    def parse(cls, texts: Sequence[str]) -> Self:
+        """Read legs such as ``"0.01,0,0.02,30"``: forward, left [m/s], turn [rad/s], duration [s].
+
+        Raises
+        ------
+        ConfigError
+            If a text has another form.
+        """
+        legs = []
+        for text in texts:
+            try:
+                numbers = [float(part) for part in text.split(",")]
+            except ValueError:
+                numbers = []
+            if len(numbers) != 4 or not all(map(math.isfinite, numbers)) or numbers[3] <= 0.0:
+                raise ConfigError(
+                    "--cmd-vel wants FORWARD,LEFT,TURN,SECONDS [m/s, m/s, rad/s, s], "
+                    f"such as 0.01,0,0.02,30, not '{text}'"
+                )
+            legs.append(Leg(*numbers))
+        return cls(tuple(legs))
+
+    @property
+    def duration(self) -> float:
+        """Total duration of the legs [s]."""
+        return sum(leg.duration for leg in self.legs)
+
+    def at(self, time: float) -> tuple[float, float, float] | None:
+        """Return forward, left [m/s] and turn [rad/s] at a time since the start [s]; None after the last leg."""
+        for leg in self.legs:
+            if time < leg.duration:
+                return leg.forward, leg.left, leg.turn
+            time -= leg.duration
+        return None

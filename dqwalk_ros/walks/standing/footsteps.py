@@ -1,0 +1,260 @@
+"""Footstep planning: footprints beside the path of the body, moved to the nearest pose that the legs can reach."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from dqwalk_ros.config import Config
+from dqwalk_ros.paper.constraints import pose_error
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics, Observer, Point, Rotation
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import StateError
+
+__all__ = ["Footprint", "Footsteps", "flat"]
+
+
+_LEVER = 0.1
+"""Length that weights angles against distances in the search for the nearest reachable pose [m/rad]."""
+_KEPT, _POSTURE = 30.0, 1e-3
+"""Weights of the residuals that must vanish, and of the standing posture [m/rad], relative to the distance."""
+_UPRIGHT, _FREE = [2, 3, 4], [0, 1, 5]
+_FREE_WEIGHT = np.array([1.0, 1.0, _LEVER])
+_STEPS, _STILL, _DAMPING = 60, 1e-5, 1e-4
+"""Levenberg-Marquardt method: largest number of iterations, change at which it ends [m], and least damping."""
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """A planar pose on level ground, as complex numbers: real part ahead, imaginary part to the left.
+
+    Attributes
+    ----------
+    place : complex
+        Position [m].
+    ahead : complex
+        Direction, of absolute value one.
+    """
+
+    place: complex = 0.0
+    ahead: complex = 1.0
+
+    @classmethod
+    def of(cls, x: Array) -> Self:
+        """Return the projection of a pose (8,) to the ground."""
+        a, b, c, d = x[:4].tolist()
+        p, ahead = DQ(x).translation(), complex(a * a + b * b - c * c - d * d, 2.0 * (b * c + a * d))
+        return cls(complex(p[0], p[1]), ahead / abs(ahead))
+
+    @property
+    def pose(self) -> Array:
+        """Pose of a sole that stands on it, shape (8,)."""
+        half = self.ahead**0.5
+        return DQ.from_pose([self.place.real, self.place.imag, 0.0], [half.real, 0.0, 0.0, half.imag]).vec8()
+
+    def then(self, other: Footprint) -> Footprint:
+        """Return the footprint `other`, given relative to this one, in the frame of this one's coordinates."""
+        return Footprint(self.place + self.ahead * other.place, self.ahead * other.ahead)
+
+    def points(self, p: Array) -> Array:
+        """Return the points `p` (..., 2), given relative to this footprint, in the frame of its coordinates [m]."""
+        x, y = p[..., 0], p[..., 1]
+        out = np.empty(p.shape)
+        out[..., 0] = self.place.real + self.ahead.real * x - self.ahead.imag * y
+        out[..., 1] = self.place.imag + self.ahead.imag * x + self.ahead.real * y
+        return out
+
+
+class Footsteps:
+    """Plans the footprints of a standing walk.
+
+    Parameters
+    ----------
+    config : Config
+    model : RobotModel
+    posture : ndarray, shape (n,)
+        The standing posture [rad].
+    """
+
+    def __init__(self, config: Config, model: RobotModel, posture: Array) -> None:
+        self._model = model
+        self._q_ref = posture
+        half = 0.5j * config.gait.step_width
+        if not half:  # the distance in the zero posture
+            kin = Kinematics(model, np.zeros(model.n), Foot.RIGHT)
+            half = 0.5 * Footprint.of(kin.pose(kin.swing)).place
+        self._place = {Foot.RIGHT: -half, Foot.LEFT: half}  # positions of the soles relative to the middle between them
+        self._known: dict[tuple[object, ...], Array] = {}
+        self.config = config
+
+    def beside(self, support: Foot) -> Array:
+        """Return the pose of the other sole with the feet side by side, in the frame of the `support` sole, (8,)."""
+        return self.step(support, 0.0, 0.0, 0.0)
+
+    def step(self, support: Foot, length: float, side: float, turn: float) -> Array:
+        """Return the reachable landing pose of the swing sole, flat, in the frame of the `support` sole, shape (8,).
+
+        The body, in the middle between the feet, moves by (length, side) [m] and turns by `turn` [rad]; the swing foot
+        lands in its position relative to the moved body.
+        """
+        key = (support, round(length, 6), round(side, 6), round(turn, 6))
+        if key not in self._known:
+            self._known[key] = self.reachable(support, self.wanted(support, length, side, turn))
+        return self._known[key]
+
+    def wanted(self, support: Foot, length: float, side: float, turn: float) -> Array:
+        """Return the landing pose of `step` without regard to the reach of the legs, shape (8,)."""
+        return self.stride(support, length, side, turn).pose
+
+    def stride(self, support: Foot, length: float, side: float, turn: float) -> Footprint:
+        """Return `wanted` as a footprint, relative to that of `support`."""
+        body = Footprint(complex(length, side) - self._place[support], cmath.rect(1.0, turn))
+        return body.then(Footprint(self._place[support.other]))
+
+    def planned(self, support: Foot, wanted: Sequence[Array]) -> list[Array]:
+        """Return the reachable footprints (8,) nearest to commanded ones, each in the frame of its support sole.
+
+        Parameters
+        ----------
+        support : Foot
+            The first support foot; the feet alternate.
+        wanted : sequence of ndarray, shape (8,)
+            Poses, each in the frame of the footprint before it; the first one in the frame of the `support` sole.
+
+        Raises
+        ------
+        StateError
+            If a footprint violates a limit; the message names the footprint and the limit.
+        """
+        out = []
+        for k, x in enumerate(wanted, start=1):
+            try:
+                out.append(self._allowed(support, x))
+            except StateError as error:
+                raise StateError(f"footstep {k}, of the {support.other.value} foot: {error}") from None
+            support = support.other
+        return out
+
+    def _allowed(self, support: Foot, wanted: Array) -> Array:
+        """Return the reachable footprint nearest to a commanded one (8,); raise StateError if it violates a limit."""
+        gait, s = self.config.gait, self.config.standing
+        x = DQ(wanted)
+        height, up = float(x.translation()[2]), float(x.rotation_matrix()[2, 2])
+        if abs(height) > gait.footstep_tolerance:
+            raise StateError(f"{1e3 * height:.0f} mm above the ground, where both soles stand")
+        if up < math.cos(gait.footstep_tolerance / s.lever):
+            raise StateError(
+                f"it leans by {math.degrees(math.acos(min(max(up, -1.0), 1.0))):.1f} deg; the floor is level"
+            )
+        off, ahead = x.translation() - DQ(self.wanted(support, 0.0, 0.0, 0.0)).translation(), x.rotation_matrix()[:, 0]
+        turn = math.atan2(ahead[1], ahead[0])
+        if abs(off[0]) > gait.most_length + gait.footstep_tolerance:
+            raise StateError(
+                f"{off[0]:.3g} m ahead of its place beside the other; gait.most_length is {gait.most_length:g} m"
+            )
+        if abs(turn) > gait.most_turn + gait.footstep_tolerance / s.lever:
+            raise StateError(f"turned by {turn:.3g} rad; gait.most_turn is {gait.most_turn:g} rad")
+        here, there = self._model.soles[support], self._model.soles[support.other]
+        side = 1.0 if support is Foot.RIGHT else -1.0
+        corners = DQ(flat(wanted)).transform_point(there.corners)
+        gap = float((side * (corners[:, 1] - here.center[1])).min() - 0.5 * here.width)
+        if gap < s.sole_gap - 1e-9:
+            raise StateError(
+                f"{1e3 * gap:.0f} mm beside the other sole; standing.sole_gap is {1e3 * s.sole_gap:.0f} mm"
+            )
+        reached, _, stuck = self._nearest(support, wanted)
+        off_by = DQ(flat(wanted)).conj() * DQ(reached)
+        far, angle = float(np.linalg.norm(off_by.translation())), abs(float(off_by.rotation_vector()[2]))
+        if max(far, s.lever * angle) > gait.footstep_tolerance:
+            where = ", ".join(f"{1e3 * v:.0f}" for v in DQ(reached).translation()[:2])
+            why = f"{', '.join(stuck)} at the limit" if stuck else "no ankle that gives way"
+            raise StateError(
+                f"out of reach by {1e3 * far:.0f} mm and {math.degrees(angle):.1f} deg ({why}); the nearest is at "
+                f"{where} mm in the other sole, gait.footstep_tolerance is {1e3 * gait.footstep_tolerance:.0f} mm"
+            )
+        return reached
+
+    def reachable(self, support: Foot, wanted: Array) -> Array:
+        """Return the reachable flat pose of the swing sole nearest to `wanted` (8,), shape (8,)."""
+        return self._nearest(support, wanted)[0]
+
+    def posture(self, support: Foot, wanted: Array) -> Array:
+        """Return the posture (n,) [rad] with the CoM over the `support` sole and the other one at `reachable`."""
+        return self._nearest(support, wanted)[1]
+
+    def _nearest(self, support: Foot, wanted: Array) -> tuple[Array, Array, tuple[str, ...]]:
+        """Return the nearest reachable footprint (8,), the posture (n,), and the names of the joints at a limit there.
+
+        Two postures with the same footprint are computed together: one with the CoM over the support sole, in which the
+        swing foot lands, and one with the CoM over the swing sole, in which the next double support ends. The method is
+        Levenberg-Marquardt from the standing posture, with the joint limits as an active set. Large weights enforce
+        height, roll and pitch of the footprint, the positions of the CoM, and the equality of both footprints.
+        """
+        model, n = self._model, self._model.n
+        frame = model.soles[support.other].frame
+        p_d, r_d = DQ(wanted).translation(), wanted[:4].copy()
+        sole = Observer([Point(frame), Rotation(frame)], Kinematics(model, self._q_ref, support).tree)
+        over = [model.soles[support].center, model.soles[support.other].center]
+        q_ref = np.tile(np.clip(self._q_ref, model.q_min, model.q_max), 2)
+        low, high = np.tile(model.q_min, 2), np.tile(model.q_max, 2)
+
+        def residual(q: Array) -> tuple[Array, Array]:
+            J, e = np.zeros((16 + 2 * n, 2 * n)), np.zeros(16 + 2 * n)
+            for k in range(2):
+                part, rows = slice(k * n, (k + 1) * n), slice(8 * k, 8 * k + 8)
+                kin = Kinematics(model, q[part], support)
+                s, J_s = sole(kin)
+                off, gradient = pose_error(s, p_d, r_d, 1.0)
+                turn = gradient @ J_s
+                center, J_center = over[0], np.zeros((3, n))
+                if k == 1:
+                    center, J_center = kin.point(frame, over[1]), kin.point_jacobian(frame, over[1])
+                com, J_com = (kin.com - center)[:2], (kin.com_jacobian - J_center)[:2]
+                e[rows] = np.concatenate([_KEPT * off[_UPRIGHT], _FREE_WEIGHT * off[_FREE], _KEPT * com])
+                J[rows, part] = np.concatenate(
+                    [_KEPT * turn[_UPRIGHT], _FREE_WEIGHT[:, None] * turn[_FREE], _KEPT * J_com]
+                )
+            # the footprint of the second posture must be that of the first one
+            e[11:14] = _KEPT * (e[11:14] - e[3:6])
+            J[11:14, n:] *= _KEPT
+            J[11:14, :n] = -_KEPT * J[3:6, :n]
+            e[16:] = _POSTURE * (q - q_ref)
+            J[16:] = _POSTURE * np.eye(2 * n)
+            return e, J
+
+        q, damping = q_ref, _DAMPING
+        e, J = residual(q)
+        for _ in range(_STEPS):
+            gradient = J.T @ e
+            stuck = ((q <= low) & (gradient > 0.0)) | ((q >= high) & (gradient < 0.0))
+            free = np.flatnonzero(~stuck)
+            step = np.zeros(2 * n)
+            H = J[:, free].T @ J[:, free]
+            step[free] = np.linalg.solve(H + damping * np.eye(len(free)), -gradient[free])
+            moved = np.clip(q + step, low, high)
+            e_moved, J_moved = residual(moved)
+            if e_moved @ e_moved >= e @ e:
+                damping *= 10.0
+                if damping > 1e6:
+                    break
+                continue
+            done = np.abs(e_moved - e)[:16].max() < _STILL
+            q, e, J, damping = moved, e_moved, J_moved, max(0.2 * damping, _DAMPING)
+            if done:
+                break
+        at_limit = ((q <= low + 1e-6) | (q >= high - 1e-6)).reshape(2, n).any(axis=0)
+        joints = tuple(model.joint_names[i] for i in np.flatnonzero(at_limit))
+        return flat(Kinematics(model, q[:n], support).pose(frame)), q[:n], joints
+
+
+def flat(x: Array) -> Array:
+    """Return the pose (8,) with z = 0 and vertical z axis that is nearest to `x` (8,)."""
+    return Footprint.of(x).pose

@@ -1,0 +1,1 @@
+"""The ROS nodes of the whole-body controller and of its plant."""

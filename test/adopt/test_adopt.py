@@ -1,0 +1,310 @@
+"""Adoption of unknown robots: detected anatomy, rejected robots, and walks of the generated configurations."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from robots import edited
+
+from dqwalk_ros import cli
+from dqwalk_ros.adopt import Adoption, adopt
+from dqwalk_ros.adopt.anatomy import find_anatomy
+from dqwalk_ros.adopt.check import check
+from dqwalk_ros.config import load, overlaid
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.robot.shapes import Shapes
+from dqwalk_ros.robot.urdf import Urdf
+from dqwalk_ros.simulation import make_controller, make_plant, simulate
+from dqwalk_ros.studies.pushes import Push, pushed
+from dqwalk_ros.support.errors import ConfigError, ModelError
+
+DATA = Path(__file__).parents[1] / "data"
+SMALL, SMALLER = DATA / "small_humanoid.urdf", DATA / "smaller_humanoid.urdf"
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Adoption:
+    return adopt(SMALL, tmp_path_factory.mktemp("small"))
+
+
+def test_anatomy_is_detected(small: Adoption) -> None:
+    anatomy = small.anatomy
+    assert anatomy.legs[Foot.LEFT] == tuple(
+        f"l_{name}" for name in ("hip_yaw", "hip_roll", "hip_pitch", "knee", "ankle_pitch", "ankle_roll")
+    )
+    assert anatomy.kinds == "YRPPPR"
+    assert (anatomy.pelvis, anatomy.torso, anatomy.imu) == ("trunk", "trunk", "imu")
+    assert anatomy.hands == {Foot.LEFT: "l_lower_arm", Foot.RIGHT: "r_lower_arm"}
+    # the feet are boxes of 115 x 75 x 12 mm, made 1.1 times as large
+    for foot, side in ((Foot.LEFT, 1.0), (Foot.RIGHT, -1.0)):
+        sole = anatomy.soles[foot]
+        np.testing.assert_allclose([sole.length, sole.width], [0.1265, 0.0825], atol=1e-4)
+        np.testing.assert_allclose(sole.pose.translation(), 1.1 * np.array([0.012, side * 0.008, -0.042]), atol=1e-4)
+
+
+def test_the_initial_posture_is_statically_stable(small: Adoption) -> None:
+    """Soles level and side by side, CoM above their midpoint, knees forward although these joints bend both ways."""
+    model, q = small.model, small.model.posture(small.config.standing.posture)
+    kin = Kinematics(model, q, Foot.LEFT)
+    np.testing.assert_allclose(kin.pose(model.soles[Foot.RIGHT].frame)[:4], [1.0, 0.0, 0.0, 0.0], atol=1e-3)
+    right = kin.point(model.soles[Foot.RIGHT].frame)
+    np.testing.assert_allclose(right, [0.0, -small.config.gait.step_width, 0.0], atol=1e-3)
+    np.testing.assert_allclose(kin.com[:2], 0.5 * right[:2], atol=1e-3)
+    assert kin.point("l_shank")[0] > kin.point("l_foot")[0]
+    assert not check(small.config, model)
+
+
+def test_arms_that_cannot_be_straight_are_locked_at_their_limit(small: Adoption) -> None:
+    assert "l_elbow=-0.1" in small.config.robot.lock
+
+
+def test_files_are_found_from_any_working_directory(
+    small: Adoption, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("robot.yaml", "paper.yaml"):
+        assert load_model(load(small.folder / name).robot).joint_names == small.model.joint_names
+    assert make_controller(load(small.folder / "robot.yaml"), small.model)  # with the steps of dynamic.yaml
+    # none takes an optional solver
+    assert {load(file).qp.solver for file in small.folder.glob("*.yaml")} == {"clarabel"}
+    text = (small.folder / "robot.yaml").read_text()
+    values = [line for line in text.splitlines() if re.match(r"\s+\w+: \S", line)]
+    assert all("  # " in line for line in values), "every value has its reason in a comment"
+    assert re.search(r"eta: 2\.0 +# as for every robot \(default\)\n", text)
+
+
+def test_a_backward_facing_root_link_is_detected(tmp_path: Path) -> None:
+    """The same robot below a root link rotated by 180 degrees."""
+    root = '<link name="base"/><joint name="base_joint" type="fixed"><parent link="base"/><child link="trunk"/>'
+    root += '<origin rpy="0 0 3.14159265358979"/></joint>'
+    path = edited(tmp_path, SMALL, (r'(<robot name="small_humanoid">)', r"\1" + root))
+    found = adopt(path, tmp_path / "out")
+    assert found.anatomy.legs[Foot.LEFT][0] == "l_hip_yaw"
+    assert not found.findings
+    ahead = next(e for e in found.evidence if e.what == "ahead")
+    assert ahead.value == "-x of base"
+    assert "against it: x of the root link" in ahead.source
+
+
+def test_exchanged_names_of_left_and_right_are_reported(tmp_path: Path) -> None:
+    path = edited(tmp_path, SMALL, (r'"l_', '"x_'), (r'"r_', '"l_'), (r'"x_', '"r_'))
+    urdf = Urdf.load(path)
+    found = {entry.what: entry for entry in find_anatomy(urdf, Shapes(urdf, path)).evidence}
+    assert found["side names"].value == "may be exchanged"
+    assert found["side names"].source.startswith("by feet, ")  # the knees bend both ways
+
+
+def test_knees_that_bend_backward_do_not_exchange_the_sides(tmp_path: Path) -> None:
+    left = (r'(name="l_knee".*?lower="-2.2" upper=)"2.2"', r'\1"0.1"')
+    right = (r'(name="r_knee".*?lower=)"-2.2"', r'\1"-0.1"')  # its axis points to the other side
+    path = edited(tmp_path, SMALL, left, right)
+    urdf = Urdf.load(path)
+    found = {entry.what: entry for entry in find_anatomy(urdf, Shapes(urdf, path)).evidence}
+    assert "against it: the direction in which the knees bend" in found["ahead"].source
+    assert "side names" not in found
+
+
+@pytest.mark.parametrize(("old", "new"), [("0.1265 0.0825", "0.1165 0.0825"), ("-0.0088 -0.0396", "0 -0.0396")])
+def test_soles_that_do_not_mirror_each_other_are_a_guess(old: str, new: str, small: Adoption, tmp_path: Path) -> None:
+    """A sole that is shorter, and one that is further inside."""
+    path = edited(tmp_path, SMALL, (f'(<link name="r_foot">.*?<collision>.*?){old}', rf"\g<1>{new}"))
+    urdf = Urdf.load(path)
+    soles = find_anatomy(urdf, Shapes(urdf, path)).soles.values()
+    assert {sole.confidence for sole in soles} == {"guess"}
+    assert {sole.confidence for sole in small.anatomy.soles.values()} == {"sure"}
+
+
+@pytest.mark.parametrize("names", [("left_", "right_"), ("Lft", "Rgt")])
+def test_words_for_left_and_right_tell_the_sides(names: tuple[str, str], tmp_path: Path) -> None:
+    path = edited(tmp_path, SMALL, (r'"l_', f'"{names[0]}'), (r'"r_', f'"{names[1]}'))
+    urdf = Urdf.load(path)
+    found = find_anatomy(urdf, Shapes(urdf, path))
+    assert found.legs[Foot.LEFT][0] == f"{names[0]}hip_yaw"
+    assert "the names of left and right" in next(e for e in found.evidence if e.what == "ahead").source
+
+
+REFUSED = {
+    "no shapes": ((r"<visual>.*?</visual>|<collision>.*?</collision>", ""), "no moving part has a shape"),
+    "point feet": ((r'<box size="0.1265 0.0825 0.0132"/>', '<box size="0.01 0.01 0.0132"/>'), "points or edges"),
+    "edges": ((r'<box size="0.1265 0.0825 0.0132"/>', '<box size="0.1265 1e-30 0.0132"/>'), "has no flat area"),
+    "bare feet": (
+        (r'(<link name="._(?:foot|ankle_link)">.*?</inertial>).*?</link>', r"\1</link>"),
+        "'l_foot' and 'r_foot' below have no shape; add a box as <collision>",
+    ),
+    "one leg": ((r'name="r_knee" type="revolute"', 'name="r_knee" type="fixed"'), "mirror each other"),
+    "truncated": ((r"</robot>", ""), "not XML"),
+    "grams": ((r'(mass value="[^"]*)', r"\1e3"), "edited.urdf weigh 4059 kg"),
+    "no masses": ((r"<inertial>.*?</inertial>", ""), "edited.urdf: the robot has no mass"),
+    "missing meshes": (
+        (r"<(box|cylinder|sphere) [^>]*/>", '<mesh filename="package://no/a.stl"/>'),
+        "--package-path",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_unsuitable_robots_are_rejected_with_one_line(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    change, expected = REFUSED[name]
+    path = edited(tmp_path, SMALL, change)
+    assert cli.main(["adopt", str(path), "--out", str(tmp_path / "out"), "--yes"]) == 2
+    error = capsys.readouterr().err
+    assert expected in error
+    assert error.count("\n") == 1
+    assert "reading the robot" in error
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_invalid_value_given_by_the_user_leaves_no_file(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"^'gait.step_length' must be a number"):
+        adopt(SMALL, tmp_path / "out", changes={"gait.step_length": 7.0})
+    assert not (tmp_path / "out").exists()
+
+
+MUTATIONS: dict[str, tuple[dict[str, Any], str]] = {
+    "soles exchanged": (
+        {"robot.left_sole": "dqwalk_right_sole", "robot.right_sole": "dqwalk_left_sole"},
+        "left and right are exchanged",
+    ),
+    "soles 35 mm high": (
+        {"robot.left_sole_xyz": [0.0, 0.0, 0.035], "robot.right_sole_xyz": [0.0, 0.0, 0.035]},
+        "reaches 35 mm below its sole",
+    ),
+    "soles that look back": (
+        {"robot.left_sole_rpy": [0.0, 0.0, np.pi], "robot.right_sole_rpy": [0.0, 0.0, np.pi]},
+        "point backward",
+    ),
+    "knees the other way": ({"standing.posture": ["l_knee=-0.57", "r_knee=0.57"]}, "not level|ahead of|behind|degrees"),
+    "a soft servo": ({"servo.stiffness": 22.0}, "m g h"),
+    "a quarter of the damping": ({"servo.damping": 0.005}, "damping ratio"),
+    "half the effort": ({"servo.torque_scale": 0.35}, "to stand on one foot"),
+}
+
+
+@pytest.mark.parametrize("name", MUTATIONS)
+def test_check_reports_wrong_parameters(name: str, small: Adoption) -> None:
+    changes, expected = MUTATIONS[name]
+    config = small.config.updated(changes)
+    found = check(config, load_model(config.robot))
+    assert any(re.search(expected, str(finding)) for finding in found), found
+
+
+def test_config_check_loads_the_robot(small: Adoption, capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(small.folder / "robot.yaml")
+    assert cli.main(["config", path, "--check"]) == 0
+    assert cli.main(["config", path, "--check", "--set", "servo.stiffness=10"]) == 1
+    assert "servo.stiffness" in capsys.readouterr().out
+    assert cli.main(["config", path, "--check", "--set", "robot.urdf=/nonexistent.urdf"]) == 2
+
+
+def test_a_small_robot_walks(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dqwalk_ros.adopt.trial._STEPS", 1)
+    assert cli.main(["adopt", str(SMALLER), "--out", str(tmp_path), "--yes", "--quiet"]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"kinematic: walked 0\.\d", out)
+    assert re.search(r"physics: walked 0\.\d", out)
+    assert re.search(r"dynamic walk: walked 0\.\d", out)
+    assert out.endswith("\nadopted: the standing and the dynamic walk stand in physics\n")
+
+
+def test_the_dynamic_walk_has_the_froude_number_of_its_comment_and_the_drive_of_the_standing_walk(
+    small: Adoption,
+) -> None:
+    config = load(small.folder / "dynamic.yaml")
+    period = config.standing.transfer_duration + config.standing.swing_duration
+    assert config.gait.step_length / period == pytest.approx(0.05 * math.sqrt(9.81 * small.anatomy.leg), rel=0.05)
+    assert config.servo.stiffness == small.config.servo.stiffness
+    assert config.robot == small.config.robot
+
+
+def test_values_given_by_the_user_are_in_both_walks_unless_they_concern_the_steps(tmp_path: Path) -> None:
+    changes = {
+        "servo.stiffness": 70.0,
+        "gait.step_length": 0.02,
+        "standing.swing_duration": 2.0,
+        "servo.assumed_lead": 0.01,
+    }
+    adopt(SMALL, tmp_path, changes=changes)
+    standing, dynamic = load(tmp_path / "robot.yaml"), load(tmp_path / "dynamic.yaml")
+    assert standing.servo.stiffness == dynamic.servo.stiffness == 70.0
+    assert standing.servo.assumed_lead == dynamic.servo.assumed_lead == 0.01
+    assert standing.gait.step_length == 0.02
+    assert standing.standing.swing_duration == 2.0
+    assert dynamic.gait.step_length > 0.03
+    assert dynamic.standing.swing_duration < 0.5
+
+
+def test_the_standing_walk_catches_a_push_by_steps_of_the_dynamic_walk(small: Adoption) -> None:
+    config = overlaid(small.config, "physics").updated({"qp.solver": "daqp"})
+    push = Push("left", -0.5 * math.pi, 1.4)  # in mid-step, towards the swing foot
+    assert pushed(config, push) == ""
+    assert pushed(config.updated({"gait.recover": ""}), push)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("urdf", [SMALL, SMALLER])
+def test_small_robots_walk_three_metres_dynamically(urdf: Path, tmp_path: Path) -> None:
+    adopt(urdf, tmp_path)
+    config = overlaid(load(tmp_path / "dynamic.yaml"), "physics")
+    config = config.updated({"gait.steps": math.ceil(3.0 / config.gait.step_length) + 8})
+    model = load_model(config.robot)
+    trace = simulate(make_controller(config, model), make_plant("physics", config, model))
+    assert trace.finished, trace.notes
+    assert trace.physics is not None
+    way = DQ(trace.physics.pelvis[[0, -1]]).translation()[:, 0]
+    assert way[1] - way[0] > 3.0
+
+
+def test_meshes_in_folders_with_special_characters_are_found(tmp_path: Path) -> None:
+    """The adopted file refers to meshes by URI, in which a space and a plus sign are percent-encoded."""
+    folder = tmp_path / "my robots+more"
+    folder.mkdir()
+    trimesh.creation.box((0.1265, 0.0825, 0.0132)).export(folder / "foot.stl")
+    box, mesh = r'<box size="0.1265 0.0825 0.0132"/>', '<mesh filename="foot.stl"/>'
+    found = adopt(edited(folder, SMALL, (box, mesh)), tmp_path / "out")
+    assert "%20" in (found.folder / "robot.urdf").read_text()
+    high = found.config.updated({"robot.left_sole_xyz": [0.0, 0.0, 0.035], "robot.right_sole_xyz": [0.0, 0.0, 0.035]})
+    assert "reaches 35 mm below its sole" in str(check(high, load_model(high.robot))[0])
+    (folder / "foot.stl").unlink()
+    assert "no shape of the left foot can be read" in str(check(found.config, found.model)[0])
+
+
+def test_a_configuration_is_replaced_with_force_only(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    command = ["adopt", str(SMALL), "--out", str(out), "--yes", "--no-walk", "--quiet"]
+    out.mkdir()
+    (out / "robot.yaml").write_text("edited")
+    assert cli.main(command) == 2
+    error = capsys.readouterr().err
+    assert "robot.yaml' exists" in error
+    assert "--force" in error
+    assert "reading the robot" not in error  # nothing was computed
+    assert [file.name for file in out.iterdir()] == ["robot.yaml"]
+    assert (out / "robot.yaml").read_text() == "edited"
+    assert cli.main([*command, "--force"]) == 0
+    assert load(out / "robot.yaml").robot.urdf
+
+
+def test_adopt_refuses_a_file_as_its_folder_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "out").write_text("")
+    assert cli.main(["adopt", str(SMALL), "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert "is a file, not a folder" in error
+    assert "reading the robot" not in error
+
+
+def test_a_missing_robot_file_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="cannot read"):
+        adopt(tmp_path / "nowhere.urdf", tmp_path)

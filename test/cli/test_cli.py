@@ -1,0 +1,438 @@
+"""The command line: help, results and exit codes."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import logging
+import os
+import re
+import signal
+import subprocess
+import sys
+import termios
+from pathlib import Path
+
+import pytest
+from recorded import SHORT, short_walk
+
+from dqwalk_ros import __version__, cli
+from dqwalk_ros.cli.options import config_of, parse_overrides
+from dqwalk_ros.cli.progress import Progress
+from dqwalk_ros.config import SHIPPED, Config, from_yaml, load
+from dqwalk_ros.report import bag
+from dqwalk_ros.report.figures.style import new_figure
+from dqwalk_ros.support.errors import ConfigError
+
+FAST = [word for key, value in SHORT.items() for word in ("--set", f"{key}={value}")]
+
+
+ROOT = Path(__file__).parents[2]
+HERE = {
+    **os.environ,
+    "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
+}
+
+
+def is_one_line(text):
+    """Return whether a text is one line that starts with the name of the program, without traceback."""
+    return text.startswith("dqwalk: ") and text.count("\n") == 1 and "Traceback" not in text
+
+
+# ---------------------------------------------------------------------- help
+
+
+@pytest.mark.parametrize("command", [[], ["simulate"], ["walk"], ["report"], ["config"]])
+def test_help_contains_examples(command, capsys):
+    assert cli.main([*command, "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert "examples:" in shown
+    assert shown.count(f"dqwalk {' '.join(command)}".strip()) > 3
+    assert max(map(len, shown.splitlines())) <= 120
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ([], "dqwalk --help"),
+        (["fly"], "'fly'; the commands are simulate"),
+        (["simulate", "--cycles", "many"], "'many' is not a valid integer"),
+        (["simulate", "--cycels", "1"], "'--cycles'"),
+        (["report"], "Missing argument 'BAG'; `dqwalk report --help`"),
+        (["simulate", "--format", "gif"], "png, pdf or svg"),
+        (["movie", "bag", "--between", "1,2,3"], "2 numbers"),
+        (["movie", "bag", "--between", "5,2"], "in their order"),
+    ],
+)
+def test_wrong_arguments_give_one_line_and_exit_code_2(arguments, expected, capsys):
+    assert cli.main(arguments) == 2
+    output = capsys.readouterr().err
+    assert is_one_line(output), output
+    assert expected in output
+
+
+def test_error_messages_contain_no_control_characters(capsys):
+    assert cli.main(["config", "\x1b[31mred\n.yaml"]) == 2
+    assert capsys.readouterr().err == "dqwalk: no configuration file '\\x1b[31mred\\n.yaml'\n"
+
+
+def test_version(capsys):
+    assert cli.main(["version"]) == 0
+    out = capsys.readouterr().out
+    assert {"dqwalk_ros", "python", "numpy", "system"} <= {line.split()[0] for line in out.splitlines()}
+    assert __version__ in out
+
+
+# ---------------------------------------------------------------------- config
+
+
+def test_config_lists_every_parameter(capsys):
+    assert cli.main(["config"]) == 0
+    out = capsys.readouterr().out
+    for spec in Config.specs():
+        assert f"{spec.name} " in out
+    assert "a number in [0.0001, 1]" in out
+    assert "one of left, right" in out
+
+
+OWN = """
+/**:
+  ros__parameters:
+    dt: 0.01
+    robot: {urdf: poppy.urdf, lock: ["head_*", "?_shoulder_*", "?_arm_*", "?_elbow_*"], mass: 3.0}
+    gait: {style: standing, steps: 4}
+    servo: {assumed_latency: 0.012}
+    monitor: {tolerance: 0.1}
+"""
+
+
+def test_what_the_file_of_the_plant_replaces_is_said_once(tmp_path, capsys):
+    """The values of a configuration were replaced without a word, and others were used than the documentation says."""
+    own, kept = tmp_path / "own.yaml", tmp_path / "kept.yaml"
+    own.write_text(OWN)
+    made = config_of(str(own), plant="poppy_as_built")
+    assert (made.dt, made.servo.assumed_latency, made.monitor.tolerance) == (0.02, 0.04, 0.005)
+    assert capsys.readouterr().err == (
+        "dqwalk: config/plants/poppy_as_built.yaml replaces values of the configuration: dt 0.01 by 0.02, "
+        "robot.mass 3.0 by 3.2, servo.assumed_latency 0.012 by 0.04; to keep one: --params FILE or --set KEY=VALUE, "
+        "which are applied last\n"
+    )
+    kept.write_text("/**: {ros__parameters: {servo: {assumed_latency: 0.012}, robot: {mass: 3.0}}}")
+    made = config_of(str(own), ["dt=0.01"], plant="poppy_as_built", params=[kept])
+    assert (made.dt, made.robot.mass, made.servo.assumed_latency) == (0.01, 3.0, 0.012)
+    assert not capsys.readouterr().err
+
+
+@pytest.mark.parametrize("plant", ["integrator", "physics", "poppy_as_built", "ros2_control", "poppy"])
+def test_nothing_is_said_of_a_shipped_configuration(capsys, plant):
+    for name in SHIPPED:
+        config_of(name, plant=plant)
+    assert not capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["doctor", "pushes", "exercise"])
+def test_parameter_files_are_read_by_every_command_with_a_plant(command, tmp_path, capsys):
+    params = tmp_path / "params.yaml"
+    params.write_text("/**: {ros__parameters: {gait: {stride: 1.0}}}")
+    assert cli.main([command, "--params", str(params)]) == 2
+    assert "unknown parameter 'gait.stride'" in capsys.readouterr().err
+
+
+def test_doctor_has_params(tmp_path, capsys):
+    """The file of `dqwalk identify` applies to the check as to the walk."""
+    params = tmp_path / "params.yaml"
+    params.write_text("/**: {ros__parameters: {robot: {left_sole: r_sole, right_sole: l_sole}}}")
+    words = ["doctor", "--offline", "--plant", "ros2_control"]
+    assert cli.main(words) == 0
+    assert cli.main([*words, "--params", str(params)]) == 1
+    assert cli.main([*words, "--params", str(tmp_path / "none.yaml")]) == 2
+    assert "no parameter file" in capsys.readouterr().err
+
+
+def test_config_of_one_section(capsys):
+    assert cli.main(["config", "--section", "ssp"]) == 0
+    out = capsys.readouterr().out
+    assert "ssp.com_radius" in out
+    assert "dsp." not in out
+    assert cli.main(["config", "--section", "legs"]) == 2
+
+
+def test_the_output_of_config_can_be_loaded(capsys, tmp_path):
+    assert cli.main(["config", "paper", "--set", "gait.step_length=0.04"]) == 0
+    text = capsys.readouterr().out
+    assert from_yaml(text) == load("paper").updated({"gait.step_length": 0.04})
+    (tmp_path / "mine.yaml").write_text(text)
+    assert cli.main(["config", str(tmp_path / "mine.yaml"), "--check"]) == 0
+    assert "can be used" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["config", "nowhere.yaml"], "nowhere.yaml"),
+        (["config", "popy"], "one of paper, poppy, poppy_dynamic, poppy_dynamic_50hz, whole_body"),
+        (["config", "paper", "--section", "gait"], "leave out CONFIG"),
+        (["simulate", "--cmd-vel", "0.1,0,0,5"], "gait.steps=0"),
+        (["walk", "--config", "poppy", "--set", "gait.steps=4", "--cmd-vel", "0.1,0,0,5"], "gait.steps=0"),
+        (["config", "paper", "--set", "ssp.com_radios=0.04"], "did you mean 'ssp.com_radius'"),
+        (["config", "paper", "--set", "ssp.com_radius=wide"], "must be a number"),
+        (["config", "paper", "--set", "ssp.com_radius=7"], "must be a number in [0.0001, 1], got 7"),
+        (["config", "paper", "--set", "ssp.com_radius"], "KEY=VALUE"),
+        (["config", "--set", "nothing=1"], "unknown parameter"),
+        (["config", "paper", "--set", "gait.cycles=2024-13-45"], "--set gait.cycles: not YAML"),
+        (["config", "paper", "--set", f"gait.cycles={'9' * 6000}"], "--set gait.cycles: not YAML"),
+        (["config", "paper", "--set", f"gait.cycles={'[' * 100}"], "not YAML: nested too deeply"),
+        (["config", "paper", "--set", "gait.cycles=[&a [1, 1], *a]"], "anchors and aliases are not allowed"),
+        (["simulate", "--cycles", "0"], "gait.cycles"),
+        (["simulate", "--set", "robot.urdf=nowhere.urdf"], "nowhere.urdf"),
+        (["simulate", "--set", "robot.right_sole=l_sole"], "no joint moves the soles"),
+        (["simulate", "--set", "robot.lock=['*']"], "no joint moves the soles"),
+        (["simulate", "--set", "gait.walk=nowhere:Walk"], "No module named 'nowhere'"),
+        (["simulate", "--set", "gait.walk=dqwalk_ros.paper.walk"], "'dqwalk_ros.paper.walk'; it must be MODULE:CLASS"),
+        (["reach", "--config", "paper"], "'paper' is not a configuration of the whole-body controller"),
+        (["study", str(ROOT / "config/paper.yaml")], "paper.yaml: this is a configuration, not a study"),
+    ],
+)
+def test_an_invalid_configuration_gives_one_line_and_exit_code_2(arguments, expected, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(arguments) == 2
+    output = capsys.readouterr().err
+    assert is_one_line(output), output
+    assert expected in output
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_overrides_are_read_as_yaml():
+    values = parse_overrides(["a.b=1", "c=1e-3", "d=true", "e=[x, y]", "f=left", "g=k=v", "h=0.5", "i="])
+    assert values == {"a.b": 1, "c": 1e-3, "d": True, "e": ["x", "y"], "f": "left", "g": "k=v", "h": 0.5, "i": ""}
+    with pytest.raises(ConfigError):
+        parse_overrides(["=1"])
+    with pytest.raises(ConfigError):
+        parse_overrides(["a=[1"])
+
+
+# ---------------------------------------------------------------------- simulate and report
+
+
+def leaves(report, name=""):
+    """Return the leaves of a report by their paths."""
+    if isinstance(report, dict | list):
+        items = report.items() if isinstance(report, dict) else enumerate(report)
+        return {key: value for k, v in items for key, value in leaves(v, f"{name}/{k}").items()}
+    return {name: report}
+
+
+@pytest.fixture(scope="module")
+def walked(tmp_path_factory):
+    """Output folder and output of a complete cycle simulated by the command line."""
+    out, shown = tmp_path_factory.mktemp("cli") / "walk", io.StringIO()
+    with contextlib.redirect_stdout(shown):
+        assert cli.main(["simulate", *FAST, "--cycles", "1", "--first", "right", "--out", str(out)]) == 0
+    return out, shown.getvalue()
+
+
+def test_simulate_writes_bag_report_and_figures(walked):
+    out, shown = walked
+    names = {"bag", "report.json", "figure7.png", "figure8.png", "figure9.png", "top_view.png"}
+    assert {path.name for path in out.iterdir()} == names
+    report = json.loads((out / "report.json").read_text())
+    assert report["ok"] is True
+    assert min((out / name).stat().st_size for name in names if name.endswith("png")) > 20_000
+    assert report["walk"]["steps"] == 2
+    assert [phase["name"] for phase in report["phases"]] == [
+        "double_support/right",
+        "single_support/right",
+        "double_support/left",
+        "single_support/left",
+    ]
+    assert "OK: every constraint was kept" in shown
+    assert str(out / "figure7.png") in shown
+    assert report["config"]["task.eta"] == 0.4
+
+
+def test_report_of_the_bag_equals_the_report_of_simulate(walked, tmp_path, capsys):
+    out, _ = walked
+    assert cli.main(["report", str(out / "bag"), "--out", str(tmp_path), "--json", "--no-figures", "--quiet"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    before = json.loads((out / "report.json").read_text())
+    for one in (report, before):
+        one.pop("solve_time")  # not stored in a bag
+    assert leaves(report) == pytest.approx(leaves(before), abs=1e-9)
+    assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
+
+
+def test_report_is_written_beside_the_bag_in_every_format(walked, capsys, monkeypatch):
+    out, _ = walked
+    monkeypatch.setattr("dqwalk_ros.report.figures.FIGURES", {"figure8": (lambda series: new_figure(2.0, 1.0), "")})
+    assert cli.main(["report", str(out / "bag"), "--format", "svg,pdf"]) == 0
+    assert re.search("reading.*computing.*drawing", capsys.readouterr().err, re.DOTALL)
+    assert {path.suffix for path in (out / "bag_report").iterdir()} == {".json", ".svg", ".pdf"}
+
+
+def test_an_earlier_walk_is_not_overwritten_without_force(walked, capsys):
+    out, _ = walked
+    before = (out / "bag/metadata.yaml").read_text()
+    assert cli.main(["simulate", *FAST, "--out", str(out)]) == 1
+    output = capsys.readouterr().err
+    assert is_one_line(output)
+    assert "--force" in output
+    assert (out / "bag/metadata.yaml").read_text() == before
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [("env.sh", "dqwalk: 'env.sh' is a file, not a folder\n"), ("env.sh/walk", "'env.sh/walk': Not a directory\n")],
+)
+def test_a_folder_that_cannot_be_created_is_an_error_without_number(name, expected, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("env.sh").touch()
+    assert cli.main(["simulate", *FAST, "--out", name]) == 1
+    error = capsys.readouterr().err
+    assert is_one_line(error)
+    assert error.endswith(expected)
+
+
+def test_force_replaces_bags_only(tmp_path):
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag/thesis.tex").touch()
+    assert cli.main(["simulate", *FAST, "--out", str(tmp_path), "--force", "--quiet"]) == 1
+    assert (tmp_path / "bag/thesis.tex").exists()
+
+
+def test_a_violated_constraint_gives_exit_code_1_and_the_reason(tmp_path, capsys):
+    import dataclasses
+
+    trace = short_walk()
+    q = trace.q.copy()
+    q[100, trace.model.joint_names.index("l_knee_y")] = -1.0
+    bag.write(dataclasses.replace(trace, q=q), tmp_path / "b")
+    assert cli.main(["report", str(tmp_path / "b"), "--no-figures"]) == 1
+    shown = capsys.readouterr().out
+    assert "NOT OK" in shown
+    assert "l_knee_y" in shown
+
+
+def test_the_folder_of_results_is_not_a_bag_but_contains_it(walked, capsys):
+    out, _ = walked
+    assert cli.main(["report", str(out)]) == 1
+    assert f"did you mean '{out}/bag'?" in capsys.readouterr().err
+
+
+def test_a_missing_walk_to_compare_is_an_error_before_any_result(walked, tmp_path, capsys):
+    out, _ = walked
+    assert cli.main(["report", f"{out}/bag", "--compare", f"{tmp_path}/none", "--out", f"{tmp_path}/r", "--quiet"]) == 1
+    assert is_one_line(capsys.readouterr().err)
+    assert not (tmp_path / "r").exists()
+
+
+def test_a_step_too_long_fails_with_a_reason_and_a_bag(tmp_path, capsys):
+    too_long = ["--set", "gait.step_length=0.2", "--set", "gait.phase_timeout=20", "--no-figures"]
+    assert cli.main(["simulate", *FAST, *too_long, "--out", str(tmp_path / "w")]) == 1
+    output = capsys.readouterr().err
+    assert "single_support" in output
+    assert "Traceback" not in output
+    trace = bag.read(tmp_path / "w/bag")
+    assert not trace.finished
+    assert [record.name for record in trace.phases] == ["double_support/left", "single_support/left"]
+    report = json.loads((tmp_path / "w/report.json").read_text())
+    assert report["walk"]["finished"] is False
+    assert report["ok"] is False
+    assert [v["what"] for v in report["violations"]] == ["finished"]  # no constraint was violated
+    assert cli.main(["report", str(tmp_path / "w/bag"), "--no-figures", "--quiet"]) == 1
+
+
+def test_ctrl_c_saves_the_walk_so_far(tmp_path):
+    """A walk with the paper's parameters, interrupted during a phase."""
+    out = tmp_path / "walk"
+    ours, terminal = os.openpty()  # on a terminal the progress is shown ten times a second, else every five seconds
+    termios.tcsetwinsize(terminal, (24, 120))
+    process = subprocess.Popen(
+        [sys.executable, "-u", "-m", "dqwalk_ros.cli", "simulate", "--out", str(out), "--cycles", "20", "--no-figures"],
+        stdout=subprocess.PIPE,
+        stderr=terminal,
+        text=True,
+        env=HERE,
+    )
+    os.close(terminal)
+    stderr = ""
+    with os.fdopen(ours, "rb", buffering=0) as shown:
+        while stderr.count("support/") < 3:
+            stderr += shown.read(1000).decode()
+        process.send_signal(signal.SIGINT)
+        with contextlib.suppress(OSError):  # the other end of the terminal is closed
+            while True:
+                stderr += shown.read(1000).decode()
+    stdout, _ = process.communicate(timeout=60)
+    assert process.returncode == 1, stderr
+    assert "interrupted" in stderr
+    assert "Traceback" not in stderr
+    trace = bag.read(out / "bag")
+    assert not trace.finished
+    assert len(trace.time) > 100
+    report = json.loads((out / "report.json").read_text())
+    assert report["walk"]["ticks"] == len(trace.time)
+    assert "stopped before its end" in stdout
+
+
+def test_quiet_prints_nothing(tmp_path, capsys):
+    assert cli.main(["simulate", *FAST, "--out", str(tmp_path / "w"), "--quiet", "--no-figures"]) == 0
+    assert capsys.readouterr() == ("", "")
+    assert {path.name for path in (tmp_path / "w").iterdir()} == {"bag", "report.json"}
+
+
+def test_an_unusable_opengl_platform_is_named(tmp_path):
+    words = [sys.executable, "-m", "dqwalk_ros.cli", "movie", str(tmp_path)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, env=HERE | {"MUJOCO_GL": "paper"})
+    assert done.returncode == 1
+    assert is_one_line(done.stderr), done.stderr
+    assert "MUJOCO_GL=paper" in done.stderr
+
+
+def test_a_closed_pipe_is_no_error():
+    words = f"{sys.executable} -m dqwalk_ros.cli config | head -1"
+    done = subprocess.run(words, shell=True, capture_output=True, text=True, check=False, env=HERE)
+    assert done.returncode == 0
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize(
+    ("module", "named"),
+    [
+        ("own_module", "'own_module' is not installed\n"),
+        ("rclpy", "'rclpy' is not installed: source the setup file of a ROS 2 Jazzy, "
+                  "or pip install -e '.[ros]' in the folder of dqwalk_ros\n"),
+        ("pinocchio.utils", "'pinocchio.utils' is not installed: pip install pin\n"),
+    ],
+)  # fmt: skip
+def test_a_missing_python_module_is_named_with_its_package(monkeypatch, capsys, tmp_path, module, named):
+    def run_walk(*_, **__):
+        raise ModuleNotFoundError(f"No module named '{module}'", name=module)
+
+    monkeypatch.setattr("dqwalk_ros.cli.runner.run_walk", run_walk)
+    assert cli.main(["walk", "--out", str(tmp_path)]) == 1
+    assert capsys.readouterr().err.endswith(named)
+
+
+# ---------------------------------------------------------------------- progress
+
+
+def test_progress_shows_fraction_text_and_time_left(capsys):
+    with Progress() as bar:
+        bar(0.5, "single_support/left")
+        bar(2.0, "never more than all")
+    assert "single_support/left" not in capsys.readouterr().out
+    with Progress() as bar:
+        bar.stage(0.5, "reading")
+    assert re.search("50 %.*reading", capsys.readouterr().err)
+    with Progress(quiet=True) as bar:
+        bar(0.5, "never")
+        bar.stage(0.5, "never")
+    assert capsys.readouterr().err == ""
+
+
+def test_a_log_message_does_not_continue_the_line_of_the_progress_bar(capsys):
+    with Progress() as bar:
+        bar(0.5, "single_support/left")
+        logging.getLogger("dqwalk_ros").warning("compiling")
+    assert "compiling" in re.split(r"[\r\n]", capsys.readouterr().err)

@@ -1,0 +1,204 @@
+"""The runner of a walk in several processes: it stops all of them and reports why a walk failed."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import psutil
+import pytest
+from live import SHORT
+
+from dqwalk_ros import cli
+from dqwalk_ros.cli.runner import Processes, _recording_error, environment, private_domain, run_walk
+from dqwalk_ros.config import load
+from dqwalk_ros.report import bag
+from dqwalk_ros.support.compiled import COMPILING
+from dqwalk_ros.support.errors import BagError
+
+
+def children() -> list[psutil.Process]:
+    return [p for p in psutil.Process().children(recursive=True) if "dqwalk_ros.nodes" in " ".join(p.cmdline())]
+
+
+def test_a_step_that_is_too_long_ends_with_the_reason(tmp_path: Path) -> None:
+    own = {"dt": 0.02, "dsp.eta_ground": 40.0, "gait.step_length": 0.3, "gait.phase_timeout": 5.0}
+    config = load("paper").updated(SHORT | own)
+    outcome = run_walk(config, tmp_path / "bag")
+    assert not outcome.finished
+    assert "single_support/left" in outcome.reason
+    assert "com_cylinder" in outcome.reason
+    assert outcome.ticks > 10
+    assert not children()
+    walked = bag.read(tmp_path / "bag")  # with the walk until then
+    assert not walked.finished
+    assert len(walked.time) >= outcome.ticks
+
+
+def test_an_existing_bag_is_not_changed(make: Any, tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "precious").write_text("data")
+    with pytest.raises(BagError, match="exists already"):
+        make("recorder", load("paper"), "--bag", str(tmp_path / "bag"))
+    assert [file.name for file in (tmp_path / "bag").iterdir()] == ["precious"]
+
+
+@pytest.mark.parametrize(
+    ("log", "code", "expected"),
+    [
+        ("[INFO] [1.0] [recorder]: recording to x\n", -9, "recorder was killed by SIGKILL"),
+        ("[WARN] [1.0] [recorder]: slow\n", -15, "recorder was killed by SIGTERM: [WARN] [1.0] [recorder]: slow"),
+        ("[ERROR] [1.0]: full\n[INFO] x\n", -6, "recorder was killed by SIGABRT: [ERROR] [1.0]: full"),
+        ("", -40, "recorder was killed by signal 40"),
+        ("", -11, "recorder was killed by SIGSEGV"),
+        ("[INFO] recording\nno space\n", 1, "recorder ended (1): no space"),
+    ],
+)
+def test_the_end_of_a_node_is_named_by_its_signal(tmp_path: Path, log: str, code: int, expected: str) -> None:
+    (tmp_path / "recorder.log").write_text(log)
+    assert Processes(tmp_path).end_of("recorder", code) == expected
+
+
+@pytest.mark.parametrize(
+    ("target", "lockstep"),
+    [  # in lockstep the other nodes wait 12 s for the acknowledgements of the killed one
+        ("controller", False),
+        *(pytest.param(name, True, marks=pytest.mark.long) for name in ("controller", "integrator", "phase_monitor")),
+    ],
+)
+def test_a_killed_node_ends_the_walk_unless_it_is_the_monitor(tmp_path: Path, target: str, lockstep: bool) -> None:
+    """The monitor is not in the control loop."""
+    killed = False
+
+    def kill(fraction: float, text: str) -> None:
+        nonlocal killed
+        if not killed and "support" in text:
+            for process in children():
+                if process.cmdline()[3] == target:
+                    process.kill()
+                    killed = True
+
+    in_the_loop = target != "phase_monitor"  # a fast machine must not finish before the kill
+    config = load("paper").updated({**SHORT, "task.eta": 0.3, "ssp.threshold": 1e-3} if in_the_loop else SHORT)
+    outcome = run_walk(config, tmp_path / "bag", progress=kill, lockstep=lockstep)
+    assert killed
+    assert outcome.finished is not in_the_loop
+    if not outcome.finished:
+        assert outcome.reason.startswith(f"{target} was killed by SIGKILL")
+        assert "[INFO]" not in outcome.reason
+    assert not children()
+
+
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.long), signal.SIGKILL])
+def test_no_node_remains_when_the_runner_has_ended(tmp_path: Path, number: signal.Signals) -> None:
+    code = (
+        "import json, sys\n"
+        "from dqwalk_ros.config import load\n"
+        "from dqwalk_ros.cli.runner import run_walk\n"
+        "show = lambda fraction, text: print(json.dumps(text), flush=True)\n"
+        f"out = run_walk(load('paper').updated({SHORT!r}), sys.argv[1], progress=show)\n"
+        "print(json.dumps('reason ' + out.reason), flush=True)\n"
+    )
+    with private_domain() as domain:
+        runner = subprocess.Popen(
+            [sys.executable, "-c", code, str(tmp_path / "bag")],
+            env=environment(domain),
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert runner.stdout is not None
+        for line in runner.stdout:
+            if "support" in json.loads(line):
+                break
+        nodes = psutil.Process(runner.pid).children(recursive=True)
+        assert len(nodes) == 4
+        os.kill(runner.pid, number)
+        rest = runner.stdout.read()
+        runner.wait(30)
+        deadline = time.monotonic() + 20.0
+        while any(node.is_running() and node.status() != psutil.STATUS_ZOMBIE for node in nodes):
+            assert time.monotonic() < deadline, [node.cmdline() for node in nodes if node.is_running()]
+            time.sleep(0.1)
+    if number is not signal.SIGKILL:
+        assert f"reason interrupted by {number.name}" in rest
+    assert len(bag.read(tmp_path / "bag")) > 0
+
+
+def test_progress_is_shown_and_a_suspended_recorder_loses_no_messages(tmp_path: Path) -> None:
+    held: list[threading.Timer] = []
+    shown: list[tuple[float, str]] = []
+
+    def hold(fraction: float, text: str) -> None:
+        shown.append((fraction, text))
+        if not held and "support" in text:
+            nodes = children()
+            for node in nodes:  # a suspended receiver can break the middleware's transport through shared memory
+                assert "/dev/shm/fastrtps" not in Path(f"/proc/{node.pid}/maps").read_text()
+            recorder = next(node for node in nodes if node.cmdline()[3] == "recorder")
+            recorder.suspend()
+            held.append(threading.Timer(1.5, recorder.resume))
+            held[0].start()
+
+    outcome = run_walk(load("paper").updated(SHORT), tmp_path / "bag", progress=hold)
+    assert held
+    assert outcome.finished, outcome.reason + (tmp_path / "log" / "recorder.log").read_text()
+    assert "lockstep: true" in (tmp_path / "log" / "params.yaml").read_text()
+    walked = bag.read(tmp_path / "bag")
+    assert len(walked) >= outcome.ticks
+    assert len(walked.phases) == 4
+    assert not walked.notes
+    assert any("double_support/left" in text and "ticks/s" in text for _, text in shown)
+    fractions = [fraction for fraction, _ in shown]
+    assert min(fractions) >= 0.0
+    assert max(fractions) > 0.5
+
+
+def test_a_bag_without_the_end_of_the_walk_is_incomplete() -> None:
+    """Without a later message of the topic the recorder sees no gap."""
+    counts = {"joint_states": 1268, "joint_velocity_commands": 2}
+    processes = SimpleNamespace(reports={"recorder": {"missing": {}, "counts": counts}})
+    error = _recording_error(processes, True, 1267)
+    assert error == "the bag is incomplete: 1265 of joint_velocity_commands are missing"
+    assert not _recording_error(processes, False, 1267)
+    counts["joint_velocity_commands"] = 1267
+    assert not _recording_error(processes, True, 1267)
+
+
+def test_an_exercise_that_failed_is_not_to_be_identified(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    robot = ["exercise", "--plant", "poppy", "--set", f"poppy.lower_port={tmp_path}/nothing", "--out", str(tmp_path)]
+    assert cli.main(robot) == 1
+    output = capsys.readouterr()
+    assert "the lower bus cannot be opened" in output.err
+    assert not children()
+    assert "next:" not in output.out
+
+
+@pytest.mark.long
+def test_the_first_start_on_a_machine_says_that_it_compiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Said(Exception):
+        pass
+
+    def progress(fraction: float, text: str) -> None:
+        if text.startswith(COMPILING):
+            raise Said
+        assert "phase" not in text
+
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    with pytest.raises(Said):
+        run_walk(load("paper").updated(SHORT), tmp_path / "bag", progress=progress)
+    assert not children()
+
+
+def test_private_domains_are_not_shared() -> None:
+    with private_domain() as one, private_domain() as two:
+        assert one != two
+        assert 1 <= one <= 101

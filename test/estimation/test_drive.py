@@ -1,0 +1,89 @@
+"""Monitoring of the drive: differences from the assumed parameters are identified during a walk."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import dqwalk_ros as dq
+from dqwalk_ros.estimation.drive import DriveWatch
+from dqwalk_ros.robot.servos import Drive
+from dqwalk_ros.simulation import closed_loop, make_controller, make_plant
+
+N, STIFFNESS, DELAY = 4, 50.0, 0.05
+
+
+def simulated(
+    watch: DriveWatch, *, extra: float = 0.0, stiffness: float = STIFFNESS, begin: float = 0.0, seconds: float = 20.0
+) -> DriveWatch:
+    """Simulate joints with delay, compliance under load, and encoder quantization."""
+    dt, phase, K = 0.005, np.arange(N), np.full(N, stiffness)
+
+    def path(t: float) -> np.ndarray:
+        return 0.2 * np.sin(1.1 * t + phase) + 0.05 * np.sin(3.0 * t)
+
+    def load(t: float) -> np.ndarray:
+        return 0.5 + 0.4 * np.cos(0.7 * t + phase) + 0.1 * np.sin(4.0 * t)
+
+    for k in range(round(seconds / dt)):
+        t = begin + dt * k
+        past = t - DELAY - extra
+        q = path(past) + (1.0 / STIFFNESS - 1.0 / K) * load(past)
+        q = np.rint(q / 0.001534) * 0.001534
+        watch.add(t, q, (path(t + dt) - path(t)) / dt, load(t))
+    return watch
+
+
+def watch() -> DriveWatch:
+    return DriveWatch(Drive(np.full(N, STIFFNESS), *np.zeros((3, N)), DELAY))
+
+
+def test_a_drive_as_assumed_gives_no_warning() -> None:
+    found = simulated(watch())
+    assert found.delay == pytest.approx(0.0, abs=0.003)
+    assert found.stiffness == pytest.approx(1.0, abs=0.1)
+    assert found.warnings() == []
+
+
+@pytest.mark.parametrize("extra", [0.02, 0.04, -0.02])
+def test_a_deviating_delay_is_measured(extra: float) -> None:
+    found = simulated(watch(), extra=extra)
+    assert found.delay == pytest.approx(extra, abs=0.003)
+    assert bool(found.warnings()) is (extra > 0.0)
+    assert all(f"{1e3 * found.delay:.0f} ms" in text for text in found.warnings())
+
+
+def test_a_loss_of_stiffness_during_a_walk_is_detected() -> None:
+    found = simulated(watch())
+    assert found.warnings() == []
+    simulated(found, stiffness=0.6 * STIFFNESS, begin=20.0, seconds=40.0)
+    assert found.stiffness == pytest.approx(0.6, rel=0.1)
+    (text,) = found.warnings()
+    assert text.endswith("% of the stiffness of the beginning")
+
+
+def test_no_estimate_without_enough_data_and_gaps_are_tolerated() -> None:
+    found = simulated(watch(), seconds=5.0)
+    assert math.isnan(found.delay)
+    simulated(found, begin=30.0)
+    assert found.delay == pytest.approx(0.0, abs=0.003)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("latency", "stiffness"), [(0.0, 60.0), (0.03, 60.0), (0.0, 40.0)])
+def test_delay_and_stiffness_are_identified_in_physics(latency: float, stiffness: float) -> None:
+    """The controller assumes a latency of 0 and a stiffness of 60 N m/rad."""
+    assumed = dq.load("poppy").updated({
+        "gait.steps": 3, "qp.solver": "daqp", "servo.assumed_damping": 0.02, "servo.assumed_rate": 200.0,
+    })  # fmt: skip
+    model = dq.load_model(assumed.robot)
+    plant = make_plant("physics", assumed.updated({"servo.latency": latency, "servo.stiffness": stiffness}), model)
+    found = DriveWatch(Drive.of(assumed, model))
+    for state, command in closed_loop(make_controller(assumed, model), plant):
+        if command.effort is not None:
+            found.add(state.time, state.q, command.velocity, command.effort)
+    assert found.delay == pytest.approx(latency, abs=0.01)
+    if not latency:
+        assert found.stiffness == pytest.approx(stiffness / 60.0, rel=0.15)

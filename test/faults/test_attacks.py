@@ -1,0 +1,184 @@
+"""Attacks on nodes that once succeeded: each is rejected with its reason, and no node exits because of it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from full_disk import limited_file_size
+from inside import state
+from rclpy.serialization import serialize_message
+
+from dqwalk_ros.config import load, overlaid
+from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.paper.state import Command
+from dqwalk_ros.report.bag.storage import load as load_bag
+from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.simulation import make_plant
+from dqwalk_ros.support.errors import PlantError
+
+PAPER = load("paper").updated({"dt": 0.02})
+MODEL = load_model(PAPER.robot)
+GARBAGE = [b"", b"\x00", b"\x00\x01\x00\x00", bytes(11), b"\x00\x01\x00\x00" + struct.pack("<iI", 1, 0) + b"\xff" * 40]
+"""The last one has a valid stamp."""
+
+
+def serialized_state(stamp: float) -> bytes:
+    return bytes(serialize_message(state(MODEL.joint_names, np.zeros(MODEL.n), stamp)))
+
+
+def readable_states(path: Path) -> int:
+    """Return the number of states that can be read from a bag."""
+    return len(load_bag(path, lambda name, kind: True).columns["/joint_states"].raws)
+
+
+# ---------------------------------------------------------------------- recorder, monitor, viewer
+
+
+def test_the_recorder_skips_invalid_messages(make: Any, tmp_path: Path) -> None:
+    one = make("recorder", PAPER, "--bag", str(tmp_path / "bag"))
+    for k in range(100):
+        one.send("joint_states", serialized_state(1.0 + 0.02 * k))
+        if k == 50:
+            for raw in (*GARBAGE[:-1], serialized_state(-5.0)):
+                one.send("joint_states", raw)
+                one.send("center_of_pressure", raw)
+            one.send("joint_states", serialized_state(2_145_916_800.0))
+    assert "joint_states not recorded: a message of 4 bytes has no header" in one.log
+    assert "joint_states not recorded: its stamp is -5 s, before 1970" in one.log
+    one.node.close()
+    assert readable_states(tmp_path / "bag") == 101
+
+
+def test_missing_centres_of_pressure_are_not_counted_as_lost(make: Any, tmp_path: Path) -> None:
+    one = make("recorder", PAPER, "--bag", str(tmp_path / "bag"))
+    for k in (0, 1, 40):
+        one.send("joint_states", serialized_state(1.0 + 0.02 * k))
+        at = ros.point(round(1e9 * (1.0 + 0.02 * k)), "world", np.zeros(3))
+        one.send("center_of_pressure", bytes(serialize_message(at)))
+    assert one.node._missing["joint_states"] == 38
+    assert one.node._missing["center_of_pressure"] == 0
+
+
+def test_commands_read_long_before_their_states_are_recorded_at_their_stamps(make: Any, tmp_path: Path) -> None:
+    """A suspended recorder wakes with full queues, in lockstep of many seconds; each is read as a whole."""
+    one, stamps = make("recorder", PAPER, "--bag", str(tmp_path / "bag")), PAPER.dt * np.arange(200, 3000)
+    one.send("joint_states", serialized_state(stamps[0]))
+    for topic in ("joint_velocity_commands", "joint_states"):
+        for k, stamp in enumerate(stamps):
+            msg = state(MODEL.joint_names, np.full(MODEL.n, 1e-3 * k), stamp)
+            one.send(topic, bytes(serialize_message(msg)))
+    assert not any(one.node._missing.values())
+    one.node.close()
+    found = load_bag(tmp_path / "bag", lambda name, kind: True).columns["/joint_velocity_commands"].times
+    np.testing.assert_array_equal(found, np.round(1e9 * stamps).astype(np.int64))
+
+
+def test_the_recorder_reports_a_deleted_folder(make: Any, tmp_path: Path) -> None:
+    one = make("recorder", PAPER, "--bag", str(tmp_path / "bag"))
+    one.send("joint_states", serialized_state(1.0))
+    one.node._flush()
+    shutil.rmtree(tmp_path / "bag")
+    one.node._flush()
+    assert "its folder was removed" in one.log
+    assert one.node.done.result() == 1
+    one.node.close()
+
+
+def test_the_recorder_reports_a_full_disk_and_keeps_the_recording(make: Any, tmp_path: Path) -> None:
+    one = make("recorder", PAPER, "--bag", str(tmp_path / "bag"))
+    rng = np.random.default_rng(1)
+    with limited_file_size(300_000):
+        for k in range(10_000):
+            q = rng.uniform(-1.0, 1.0, MODEL.n)  # random, so that it cannot be compressed
+            one.send("joint_states", bytes(serialize_message(state(MODEL.joint_names, q, 1.0 + 0.02 * k))))
+            if not k % 100:
+                one.node._flush()
+            if one.node.done.done():
+                break
+        assert one.node.done.result() == 1
+        one.node.close()
+    assert "cannot write" in one.log
+    assert 100 < readable_states(tmp_path / "bag") <= k
+
+
+def test_monitor_and_viewer_ignore_invalid_messages(make: Any) -> None:
+    walk, monitor, viewer = (
+        make("controller", PAPER),
+        make("phase_monitor", PAPER),
+        make("viewer", PAPER, "--port", "0"),
+    )
+    walk.send("joint_states", state(MODEL.joint_names, np.zeros(MODEL.n), 1.0))
+    for topic in ("walk_config", "robot_description", "phase", "phase_start", "com_target"):
+        for node in (monitor, viewer):
+            node.send(topic, walk.got[topic][-1])
+    for raw in GARBAGE:
+        monitor.send("joint_states", raw)
+    assert "joint_states rejected: a message of 1 bytes has no header" in monitor.log
+    assert "a message that cannot be read" in monitor.log
+    monitor.node._next = -1
+    monitor.send("joint_states", serialized_state(1.0))
+    assert "double_support" in monitor.got["diagnostics"][-1].status[0].message
+    for text in ("0.5 ms", "-1", "nan", "1e999", "\x1b[31m"):
+        messages = [KeyValue(key="iterations", value=text), KeyValue(key="solve time", value=text)]
+        status = DiagnosticStatus(name="controller: walk", level=b"\x00", message=text, values=messages)
+        viewer.send("/diagnostics", DiagnosticArray(status=[status]))
+    viewer.send("joint_states", state(MODEL.joint_names, np.zeros(MODEL.n), 1.0))
+    viewer.node._show()
+    viewer.node.close()
+
+
+# ---------------------------------------------------------------------- controller, plant
+
+
+def test_states_stamped_before_1970_are_rejected(make: Any) -> None:
+    one = make("controller", PAPER)
+    for k in range(5):
+        one.send("joint_states", state(MODEL.joint_names, np.zeros(MODEL.n), -100.0 + 0.02 * k))
+    assert "joint_states rejected (1 so far): its stamp is -100 s, before 1970" in one.log
+    assert not one.got["joint_velocity_commands"]
+
+
+def test_long_lists_of_names_are_shortened_to_one_line(make: Any) -> None:
+    one = make("controller", PAPER)
+    names = [*MODEL.joint_names[1:], *(f"\x1b[31mjoint\n{k}" for k in range(20_000))]
+    one.send("joint_states", state(names, np.zeros(len(names)), 1.0))
+    messages = json.dumps([status.message for msg in one.got["diagnostics"] for status in msg.status])
+    for text in (messages, *(line for _, line in one.log.lines)):
+        assert text.isprintable()
+        assert len(text) < 2000
+    assert "and 19988 more" in one.log
+    doubled = [*MODEL.joint_names, "\x1b[31m", "\x1b[31m"]
+    one.send("joint_states", state(doubled, np.zeros(len(doubled)), 1.02))
+    assert "joints named twice: \\x1b[31m" in one.log
+
+
+def test_a_reset_of_the_simulated_robot_ends_the_walk(make: Any) -> None:
+    """In physics, during a swing: the walk has failed, the commands are zero and the robot stands."""
+    config = overlaid(load("poppy"), "physics").updated({"qp.solver": "daqp"})
+    model = load_model(config.robot)
+    node, plant = make("controller", config), make_plant("physics", config, model)
+    for k in range(500):
+        if k == 400:
+            assert node.got["phase"][-1].data.startswith("single_support")
+            plant = make_plant("physics", config, model)
+        u = node.exchange(plant, model, 1.0 + k * config.dt)
+    assert node.got["phase"][-1].data == "failed"
+    assert not u.any()
+    assert not plant.fallen
+
+
+def test_a_diverged_simulation_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo leaves a log
+    config = overlaid(load("poppy"), "physics")
+    plant = make_plant("physics", config, load_model(config.robot))
+    plant.push([1e300, 0.0, 0.0])
+    zero = Command(0.0, np.zeros(plant.model.n))
+    with pytest.raises(PlantError, match="not finite any more"):
+        plant.step(zero, config.dt)

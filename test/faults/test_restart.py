@@ -1,0 +1,113 @@
+"""The robot stands after its controller was killed, reset, paused or frozen in the middle of a step."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+import signal
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dqwalk_ros.config import load, overlaid
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.state import Command
+from dqwalk_ros.paper.walk import PhaseKind
+from dqwalk_ros.plants.base import Plant
+from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, make_walk
+
+MOMENTS = 20
+"""Instants of one step: the second double support of a walk, and the single support after it."""
+BEGIN, STEP = 3.0, 3.0
+"""Start and duration of that step [s]."""
+HELD = {"kill": 1.1, "reset": 0.2, "pause": 2.0, "freeze": 0.0}
+FROZEN = (0.3, 2.0, 30.0)
+AFTER = 5.0
+"""Time for which it must not fall afterwards [s]: a foot in the air is put down, and the next one lifted."""
+
+CONFIG = functools.cache(lambda plant: overlaid(load("poppy"), plant).updated({"gait.steps": 6}))
+
+
+def step_without_controller(plant: Plant, steps: list[tuple[float, Command]], dt: float) -> None:
+    """Step the plant with a fixed command for each span of time [s]."""
+    for span, command in steps:
+        for _ in range(round(span / dt)):
+            plant.step(command, dt)
+
+
+DEFAULT = {("physics", "kill", 14), ("poppy_as_built", "reset", 12), ("poppy_as_built", "freeze", 15)}
+CASES = [
+    pytest.param(*case, id="-".join(map(str, case)), marks=() if case in DEFAULT else pytest.mark.long)
+    for case in itertools.product(("physics", "poppy_as_built"), HELD, range(MOMENTS))
+]
+
+
+@pytest.mark.parametrize(("plant", "fault", "moment"), CASES)
+def test_the_robot_does_not_fall_when_its_controller_fails(plant: str, fault: str, moment: int) -> None:
+    config = CONFIG(plant)
+    model = load_model(config.robot)
+    controller, robot = make_controller(config, model), make_plant("physics", config, model)
+    at = BEGIN + (moment + 0.5) / MOMENTS * STEP
+    last = next(command for state, command in closed_loop(controller, robot) if state.time >= at)
+    still, timeout = Command(at, np.zeros(model.n)), config.plant.command_timeout
+    span = HELD[fault] or FROZEN[moment % len(FROZEN)]
+    silent = [(timeout, last), (span, still)] if fault in ("kill", "freeze") else [(span, still)]
+    step_without_controller(robot, silent, config.dt)
+    assert not robot.fallen
+    if fault in ("kill", "reset"):
+        controller = make_controller(config, model)
+    end = robot.state.time + AFTER
+    for state, _ in closed_loop(controller, robot):
+        if state.time >= end:
+            break
+    assert not robot.fallen
+    assert state.time >= end
+
+
+@pytest.mark.parametrize("support", list(Foot))
+def test_a_foot_in_the_air_is_put_down_first(support: Foot) -> None:
+    config = CONFIG("physics").updated({"gait.first_support": support.value})
+    model = load_model(config.robot)
+    walk = make_walk(config, model)
+    assert walk.beginning(Kinematics(model, walk.posture, Foot.LEFT))[:2] == (PhaseKind.DOUBLE_SUPPORT, support)
+    for bent in Foot:
+        q = walk.posture.copy()
+        for joint, angle in (("hip_y", -0.3), ("knee_y", 0.6), ("ankle_y", -0.3)):
+            q[model.joint_names.index(f"{bent.value[0]}_{joint}")] += angle
+        kind, stands, target = walk.beginning(Kinematics(model, q, Foot.LEFT))
+        assert (kind, stands) == (PhaseKind.SINGLE_SUPPORT, bent.other)
+        assert DQ(target).translation()[2] == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("degrees", [-6.0, 6.0])
+def test_no_foot_is_in_the_air_on_a_slope_to_the_side(degrees: float) -> None:
+    config = CONFIG("physics")
+    model = load_model(config.robot)
+    walk, slope = make_walk(config, model), math.radians(degrees)
+    up = [0.0, math.sin(slope), math.cos(slope)]
+    kind, *_ = walk.beginning(Kinematics(model, walk.posture, Foot.LEFT, up))
+    assert kind is PhaseKind.DOUBLE_SUPPORT
+
+
+@pytest.mark.long
+def test_a_new_controller_continues_the_walk_in_mid_swing(nodes: Any) -> None:
+    """Through ROS, in real time; the old one is killed."""
+    live = nodes(CONFIG("poppy_as_built").updated({"gait.steps": 100}))
+    live.start("physics")
+    live.start("controller")
+    live.until(lambda: live.phase == "single_support/right", 120.0, "the second swing")
+    began = live.stamp()
+    live.until(lambda: live.stamp() > began + 0.7, 20.0, "its middle")
+    live.processes.signal("controller", signal.SIGKILL)
+    live.processes.wait("controller", 10.0)
+    seen = len(live.phases())
+    live.start("controller")
+    live.until(lambda: sum("support/" in p for p in live.phases()[seen:]) >= 5, 120.0, "two more steps")
+    walked = [p for p in live.phases()[seen:] if "support/" in p]
+    assert walked[:2] == ["single_support/right", "double_support/left"]
+    assert "fell" not in live.processes.log("physics")

@@ -1,0 +1,155 @@
+"""`dqwalk doctor` reports each fault that prevents walking, and a robot without faults as ready."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from inside import state
+from sensor_msgs.msg import Imu
+
+from dqwalk_ros.cli import main
+from dqwalk_ros.config import load
+from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.doctor import CHECKS, Heard, examine
+from dqwalk_ros.plants.base import Inertial
+from dqwalk_ros.robot.model import load_model
+
+CONFIG = load("poppy").updated({"plant.imu": True})
+MODEL = load_model(CONFIG.robot)
+POSTURE = MODEL.posture(CONFIG.standing.posture)
+UPRIGHT = Inertial(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.array([0.0, 0.0, 9.81]))
+EPOCH = 1_700_000_000.0
+
+
+def robot(
+    q: np.ndarray = POSTURE, *, period: float = CONFIG.dt, age: float = 0.001, names: Any = MODEL.joint_names,
+    inertial: Inertial | None = UPRIGHT, frame: str = MODEL.imu, **heard: Any,
+) -> Heard:  # fmt: skip
+    times = [EPOCH + k * period for k in range(100)]
+    received = [round((t + age) * 1e9) for t in times]
+    states = [(state(names, q, t, velocity=np.zeros(len(q))), at) for t, at in zip(times, received, strict=True)]
+    imus: list[tuple[Imu, int]] = []
+    if inertial is not None:
+        imus = [(ros.imu(round(t * 1e9), frame, inertial), at) for t, at in zip(times, received, strict=True)]
+    values = {"publishers": ("/driver",), "subscribers": ("driver",), "ready": True, **heard}
+    return Heard(1.0, **{"states": states, "imus": imus, **values})
+
+
+def failed_checks(heard: Heard) -> dict[str, str]:
+    return {finding.what: finding.text for finding in examine(CONFIG, MODEL, heard) if not finding.ok}
+
+
+def test_a_ready_robot_passes_all_checks() -> None:
+    findings = list(examine(CONFIG, MODEL, robot()))
+    assert [finding.what for finding in findings] == list(CHECKS)
+    assert all(finding.ok for finding in findings), failed_checks(robot())
+
+
+def test_a_simulation_behind_real_time_is_no_fault() -> None:
+    assert "latency" in failed_checks(robot(age=0.2))
+    assert not failed_checks(robot(age=0.2, simulated=True))
+
+
+@pytest.mark.parametrize("phase", ["idle", "finished", "failed", "fallen"])
+def test_a_controller_without_a_walk_is_no_fault(phase: str) -> None:
+    assert not failed_checks(robot(phase=phase, controllers=("/controller",)))
+
+
+def test_stamps_that_do_not_advance_have_no_latency() -> None:
+    heard = robot(simulated=True)
+    unstamped = [(state(MODEL.joint_names, POSTURE, 0.0), at) for _, at in heard.states]
+    found = failed_checks(replace(heard, states=unstamped))
+    assert "header.stamp" in found["latency"]
+    assert "only 1 different stamps" in found["rate"]
+
+
+def test_the_latency_of_simulated_time_is_unknown() -> None:
+    latency = next(f for f in examine(CONFIG, MODEL, robot(age=EPOCH, simulated=True)) if f.what == "latency")
+    assert latency.ok
+    assert latency.text.startswith("unknown: the stamps of the simulation")
+
+
+def test_the_states_of_a_gripper_are_ignored() -> None:
+    heard = robot()
+    fingers = [(state(["finger"], [0.1], EPOCH + 0.003 * k), round((EPOCH + 1.0) * 1e9)) for k in range(300)]
+    assert not failed_checks(replace(heard, states=[*heard.states, *fingers]))
+
+
+def bent(joint: str, angle: float) -> np.ndarray:
+    q = POSTURE.copy()
+    q[MODEL.joint_names.index(joint)] += angle
+    return q
+
+
+def swaying(joint: str) -> Heard:
+    heard = robot()
+    angles = enumerate(np.linspace(0.1, 0.0, len(heard.states)))
+    states = [(state(MODEL.joint_names, bent(joint, x), EPOCH + k * CONFIG.dt), heard.states[k][1]) for k, x in angles]
+    return replace(heard, states=states)
+
+
+FAULTS: dict[str, tuple[Callable[[], Heard], str, str]] = {
+    "silent": (lambda: robot(states=[], publishers=()), "states", "start the driver"),
+    "another robot": (lambda: robot(names=["x", *MODEL.joint_names[1:]]), "joints", "joints missing: l_hip_x"),
+    "slow": (lambda: robot(period=0.02), "rate", "set dt to 0.02 in a file for --params and params:="),
+    "clocks": (lambda: robot(age=-3.0), "latency", "chrony"),
+    "late": (lambda: robot(age=0.03), "latency", "set servo.assumed_latency in a file for --params"),
+    "in mid-walk": (lambda: robot(phase="single_support/left"), "rest", "end it (~/stop"),
+    "commanded": (lambda: robot(moving=True, controllers=("/pilot",)), "rest", "/pilot publishes"),
+    "in motion": (lambda: swaying("l_hip_y"), "rest", "l_hip_y moved by 0.10 rad"),
+    "limit": (lambda: robot(bent("l_knee_y", -1.0)), "limits", "l_knee_y by"),
+    "calibration": (lambda: robot(bent("r_ankle_y", 0.1)), "soles", "calibrate the legs"),
+    "arms up": (lambda: robot(bent("abs_z", 0.5)), "first pose", "abs_z is furthest"),
+    "no imu": (lambda: robot(inertial=None), "inertial sensor", "nothing on imu"),
+    "imu elsewhere": (lambda: robot(frame="camera"), "inertial sensor", "they must agree"),
+    "imu askew": (
+        lambda: robot(inertial=Inertial(np.array([0.9689, 0.2474, 0.0, 0.0]), np.zeros(3), UPRIGHT.acceleration)),
+        "inertial sensor",
+        "mounted askew",
+    ),
+    "imu in g": (
+        lambda: robot(inertial=Inertial(UPRIGHT.orientation, np.zeros(3), np.array([0.0, 0.0, 1.0]))),
+        "inertial sensor",
+        "check its units",
+    ),
+    "no subscriber": (lambda: robot(subscribers=()), "commands", "start poppy_driver"),
+    "limp": (lambda: robot(ready=False), "plant", "~/activate"),
+    "hot": (lambda: robot(errors={"motors": "l_knee_y is 71 degC"}), "/diagnostics", "71 degC"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_are_reported_with_a_remedy(fault: str) -> None:
+    heard, check, expected = FAULTS[fault]
+    found = failed_checks(heard())
+    assert expected in found[check]
+    assert check == next(iter(found))  # no other check fails before it
+
+
+def test_doctor_with_live_nodes(nodes: Any, domain: int, monkeypatch: pytest.MonkeyPatch, capfd: Any) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    arguments = ["doctor", "--plant", "integrator", "--seconds", "1", "--set", "plant.imu=false"]
+    with monkeypatch.context() as shorter:
+        shorter.setattr("dqwalk_ros.nodes.doctor._DISCOVERY", 1.0)
+        assert main(arguments) == 1
+    output = capfd.readouterr().out
+    assert "start the driver" in output
+    assert output.endswith("failed; repair the first one first\n")
+    long_phase = {"standing.transfer_duration": 60.0, "gait.phase_timeout": 900.0}  # longer than doctor listens
+    live = nodes(CONFIG.updated({"plant.imu": False, **long_phase}))
+    live.start("integrator")
+    live.until(lambda: len(live.got["joint_states"]) > 20, 60.0, "states")
+    main(arguments)
+    output = capfd.readouterr().out
+    assert "  joints                 all 15" in output
+    assert "  soles  " in output
+    assert "  commands               integrator" in output
+    assert "no walk is under way" in output
+    live.start("controller")
+    live.until(lambda: live.phase.startswith("double_support"), 120.0, "a walk")
+    assert main(arguments) == 1
+    assert "! rest                   a walk is under way, phase is 'double_support" in capfd.readouterr().out

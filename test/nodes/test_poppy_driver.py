@@ -1,0 +1,308 @@
+"""The Poppy driver as a node in real time, with emulated servos over pseudo-terminals, with and without faults.
+
+`make driver` prints the results of a walk on emulated servos.
+"""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+from dynamixel_bus import LOAD, MOTORS, TEMPERATURE, VOLTAGE, FaultyServos, Terminals, angle_of
+from live import LATCHED, Live
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, String
+from std_srvs.srv import SetBool
+
+from dqwalk_ros.cli.runner import private_domain
+from dqwalk_ros.config import Config, load
+from dqwalk_ros.plants.poppy.dynamixel import GOAL, TORQUE_ENABLE
+
+ROOT = Path(__file__).resolve().parents[2]
+CONFIG = load("paper").updated({"dt": 0.02, "monitor.rate": 20.0})
+KNEE, RIGHT_KNEE = "l_knee_y", "r_knee_y"
+
+
+class Robot(Live):
+    """The driver on its buses, and a controller that moves the left knee back and forth.
+
+    Attributes
+    ----------
+    buses : Terminals
+    speed : float
+        Velocity of the knee [rad/s].
+    ready : bool or None
+        Last message of plant_ready; None before the first.
+    """
+
+    def __init__(self, folder: Path, domain: int, config: Config, name: str = "test") -> None:
+        self.buses = Terminals(folder, l_knee_y=20.0)
+        super().__init__(folder, domain, config.updated(self.buses.settings), name=name)
+        self.speed = 0.3
+        self.ready: bool | None = None
+        self.node.create_subscription(Bool, "plant_ready", self._on_ready, LATCHED)
+        self._commands = self.node.create_publisher(JointState, "joint_velocity_commands", QoSProfile(depth=1))
+        self._compliant = self.node.create_client(SetBool, "poppy_driver/compliant")
+        self.node.create_subscription(JointState, "joint_states", self._answer, QoSProfile(depth=1))
+
+    def _on_ready(self, msg: Bool) -> None:
+        self.ready = msg.data
+
+    def _answer(self, msg: JointState) -> None:
+        names = [
+            name for name in msg.name if name.startswith(("l_hip", "l_knee", "l_ankle", "r_hip", "r_knee", "r_ankle"))
+        ]
+        knee = msg.position[msg.name.index(KNEE)]
+        self.speed = -abs(self.speed) if knee > 0.5 else abs(self.speed) if knee < 0.2 else self.speed
+        command = JointState(header=msg.header, name=names, velocity=[self.speed * (n == KNEE) for n in names])
+        self._commands.publish(command)
+
+    def goals(self) -> list[int]:
+        """Return the goals in the registers of all servos."""
+        return [self.buses.of(name).joint(name).word(GOAL) for name in MOTORS]
+
+    def torques(self) -> set[int]:
+        """Return the set of values in the torque registers of all servos."""
+        return {self.buses.of(name).joint(name).memory[TORQUE_ENABLE] for name in MOTORS}
+
+    def until_moving(self, timeout: float = 20.0) -> None:
+        """Wait until commands move the goal of the knee."""
+        before = self.buses.of(KNEE).joint(KNEE).word(GOAL)
+        self.until(lambda: abs(self.buses.of(KNEE).joint(KNEE).word(GOAL) - before) > 20, timeout, "a goal that moves")
+
+    def is_still(self, seconds: float = 0.5) -> bool:
+        """Return whether no goal changes for a time [s]."""
+        before = self.goals()
+        self.spin(seconds)
+        return self.goals() == before
+
+    def until_error(self, text: str, timeout: float = 10.0) -> None:
+        """Wait until a status of the driver is ERROR and contains a text."""
+        start = len(self.got["diagnostics"])
+
+        def found() -> bool:
+            new = [s for array in self.got["diagnostics"][start:] for s in array.status]
+            return any(text in s.message and s.level == b"\x02" for s in new)
+
+        self.until(found, timeout, f"an ERROR with {text!r}")
+
+    def activate(self) -> None:
+        """Activate the driver; wait for the first pose, and until commands have an effect."""
+        answer = self.call("poppy_driver/activate")
+        assert answer.success, answer.message
+        self.until(lambda: self.ready, 30.0, "the first pose")
+        self.until_moving()
+
+    def set_compliant(self, on: bool) -> SetBool.Response:
+        self.until(self._compliant.service_is_ready, 20.0, "the service")
+        future = self._compliant.call_async(SetBool.Request(data=on))
+        self.until(future.done, 20.0, "an answer")
+        return future.result()
+
+    def clear_faults(self) -> None:
+        """Remove all faults and plug the ports in."""
+        for name, servos in self.buses.servos.items():
+            servos.clear_faults()
+            for servo in servos.servos.values():
+                servo.error = 0
+                servo.memory[TEMPERATURE], servo.memory[VOLTAGE] = 38, 120
+            if self.buses.terminals[name].gone:
+                self.buses.terminals[name].plug_in()
+
+    def close(self) -> None:
+        super().close()
+        self.buses.close()
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
+    with private_domain() as domain, closing(Robot(tmp_path_factory.mktemp("robot"), domain, CONFIG)) as one:
+        one.start("poppy_driver")
+        yield one
+
+
+@pytest.fixture
+def walking(robot: Robot) -> Iterator[Robot]:
+    """The robot, moving and without faults."""
+    robot.clear_faults()
+    robot.until(lambda: robot.got["joint_states"], 30.0, "a state")
+    if not robot.ready:
+        robot.until(lambda: robot.call("poppy_driver/activate").success, 10.0, "the torque")
+        robot.until(lambda: robot.ready, 30.0, "the first pose")
+    robot.until_moving()
+    robot.got["joint_states"].clear()
+    yield robot
+    assert robot.processes.exit_code("poppy_driver") is None, robot.logs()
+
+
+def stamp(msg: JointState) -> float:
+    return msg.header.stamp.sec + 1e-9 * msg.header.stamp.nanosec
+
+
+def test_angles_are_published_and_nothing_moves_before_activate(robot: Robot) -> None:
+    robot.until(lambda: len(robot.got["joint_states"]) > 50, 60.0, "states")
+    assert robot.torques() == {0}
+    robot.until(lambda: robot.ready is False, 20.0, "plant_ready: false")
+    robot.until(
+        lambda: any("the torque is off: call ~/activate" in s.message for s in robot.statuses("poppy_driver")),
+        5.0,
+        "a status that asks for ~/activate",
+    )
+    state = robot.got["joint_states"][-1]
+    assert state.position[state.name.index(KNEE)] == pytest.approx(0.349, abs=0.002)
+    assert robot.is_still()
+    robot.activate()
+    assert robot.torques() == {1}
+    assert robot.set_compliant(True).success
+    assert robot.torques() == {0}
+    robot.until(lambda: robot.ready is False, 20.0, "plant_ready: false")
+    robot.got["joint_states"].clear()
+    robot.until(lambda: len(robot.got["joint_states"]) > 10, 20.0, "states while the torque is off")
+
+
+def test_the_latency_of_the_goals_is_published(walking: Robot) -> None:
+
+    def latencies() -> dict[str, str]:
+        values = {v.key: v.value for s in walking.statuses("poppy_driver")[-10:] for v in s.values}
+        return values if "latency" in values else {}
+
+    values = walking.until(latencies, 10.0, "a latency")
+    assert 0.0 < float(values["latency"]) < 0.1
+    assert float(values["longest latency"]) >= float(values["latency"])
+
+
+def disconnect_bus(robot: Robot, servos: FaultyServos) -> None:
+    servos.dead = True
+
+
+def unplug(robot: Robot, servos: FaultyServos) -> None:
+    robot.buses.terminals["lower"].unplug()
+
+
+def send_garbage(robot: Robot, servos: FaultyServos) -> None:
+    servos.garbage = 1.0
+
+
+BUS_FAULTS = {
+    "the bus is silent": (disconnect_bus, "lower bus: every motor does not answer"),
+    "the port is unplugged": (unplug, "lower bus: the port is gone"),
+    "garbage": (send_garbage, "lower bus: "),
+}
+"""Faults that the serial port takes part in; `test_poppy_faults.py` has all of them, and those of the motors."""
+
+
+@pytest.mark.parametrize("fault", BUS_FAULTS)
+def test_old_angles_are_not_published(walking: Robot, fault: str) -> None:
+    begin, text = BUS_FAULTS[fault]
+    begin(walking, walking.buses.servos["lower"])
+    began = time.time()
+    walking.until_error(text)
+    assert walking.is_still(1.5)  # longer than an outage after which the motion resumes
+    assert max(map(stamp, walking.got["joint_states"]), default=0.0) <= began + 0.02
+    walking.until(lambda: walking.ready is False, 20.0, "plant_ready: false")
+    walking.clear_faults()
+    walking.until(lambda: walking.call("poppy_driver/activate").success, 10.0, "the torque")
+    walking.until(lambda: walking.ready, 30.0, "the first pose")
+    walking.until_moving()
+
+
+def overheat(servos: FaultyServos) -> None:
+    servos.joint(KNEE).memory[TEMPERATURE] = 70
+
+
+def block(servos: FaultyServos) -> None:
+    servos.joint(KNEE).blocked = True
+
+
+MOTOR_FAULTS = {
+    "a motor is hot": (overheat, "l_knee_y is at 70 degC, too hot"),
+    "a joint is blocked": (block, "l_knee_y cannot follow"),
+}
+
+
+@pytest.mark.parametrize("fault", MOTOR_FAULTS)
+def test_a_motor_fault_holds_the_robot(walking: Robot, fault: str) -> None:
+    begin, text = MOTOR_FAULTS[fault]
+    begin(walking.buses.servos["lower"])
+    walking.until_error(text)
+    walking.until(walking.is_still, 20.0, "goals that stay")  # the goal of a blocked joint is reset first
+    walking.until(lambda: walking.ready is False, 20.0, "plant_ready: false")
+    walking.buses.servos["lower"].joint(KNEE).write(LOAD, bytes(2))
+
+
+def test_a_hot_motor_prevents_switching_the_torque_on(walking: Robot) -> None:
+    overheat(walking.buses.servos["lower"])
+    walking.until_error("too hot")
+    assert walking.set_compliant(True).success
+    answer = walking.set_compliant(False)
+    assert not answer.success
+    assert "l_knee_y is at 70 degC, too hot" in answer.message
+    assert walking.is_still()
+    assert walking.torques() == {0}
+
+
+def test_the_torque_is_switched_off_after_a_fall(walking: Robot) -> None:
+    phase = walking.offer(String, "phase", "poppy_driver")
+    phase.publish(String(data="fallen"))
+    walking.until(lambda: walking.torques() == {0}, 10.0, "the torque off")
+    walking.node.destroy_publisher(phase)
+    walking.until(lambda: walking.ready is False, 20.0, "plant_ready: false")
+
+
+def test_two_drivers_do_not_share_a_port(walking: Robot, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "dqwalk_ros.nodes", "poppy_driver", "--ros-args", "--params-file"]
+    second = subprocess.run([*command, str(walking.params)], capture_output=True, text=True, check=False, timeout=60.0)
+    assert second.returncode == 2
+    assert "the lower bus cannot be opened" in second.stderr
+    walking.until_moving()
+
+
+@pytest.mark.parametrize("torque_off", [False, True])
+def test_the_torque_at_exit_is_as_configured(nodes: Any, torque_off: bool) -> None:
+    settings = {"poppy.torque_off_at_end": torque_off, "poppy.activate": True}
+    robot = nodes(CONFIG.updated(settings), kind=Robot)
+    robot.start("poppy_driver")
+    robot.until(lambda: robot.ready, 60.0, "the first pose")
+    for servos in robot.buses.servos.values():
+        servos.damaged = 0.3  # must have no effect
+    robot.processes.signal("poppy_driver", signal.SIGINT)
+    assert robot.processes.wait("poppy_driver", 15.0) == 0
+    assert "Traceback" not in robot.processes.log("poppy_driver")
+    assert robot.torques() == {0 if torque_off else 1}
+
+
+def test_a_fault_on_the_way_to_the_first_pose_is_logged(nodes: Any) -> None:
+    robot = nodes(CONFIG.updated({"poppy.activate": True, "poppy.start_speed": 0.02}), kind=Robot)
+    robot.start("poppy_driver")
+    robot.until(lambda: "moving to the first pose: " in robot.processes.log("poppy_driver"), 60.0, "the motion")
+    robot.buses.servos["lower"].dead = True
+    expected = "not moving to the first pose: lower bus: every motor does not answer"
+    robot.until(lambda: expected in robot.processes.log("poppy_driver"), 20.0, "a warning")
+
+
+def test_the_first_pose_is_the_posture_of_the_walk(nodes: Any) -> None:
+    settings = {"standing.posture": ["r_knee_y=0.5"], "poppy.activate": True}
+    robot = nodes(CONFIG.updated(settings), kind=Robot)
+    robot.start("poppy_driver")
+    robot.until(lambda: robot.ready, 60.0, "the first pose")
+    knee = angle_of(robot.buses.of(RIGHT_KNEE).joint(RIGHT_KNEE), MOTORS[RIGHT_KNEE])
+    assert knee == pytest.approx(0.5, abs=CONFIG.poppy.start_tolerance)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1000)
+@pytest.mark.parametrize("options", [[], ["--full"]], ids=["a fast cycle", "the paper's cycle"])
+def test_a_cycle_on_emulated_motors(options: list[str]) -> None:
+    """The walk finishes, at 50 Hz, with all angles within their limits and close to their goals."""
+    words = [sys.executable, "-m", "benchmark.lab.driver", *options]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    print(done.stdout)
+    assert done.returncode == 0, done.stdout + done.stderr

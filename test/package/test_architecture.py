@@ -1,0 +1,137 @@
+"""The rings: a module imports only from rings above its own, without circles, and heavy dependencies in few rings."""
+
+from __future__ import annotations
+
+import ast
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = ROOT / "dqwalk_ros"
+
+RINGS = (
+    "support",
+    "config",
+    "paper",
+    "robot",
+    "estimation",
+    "controller",
+    "walks",
+    "plants",
+    "simulation",
+    "report",
+    "identification",
+    "studies",
+    "adopt",
+    "nodes",
+    "whole_body",
+    "cli",
+)
+"""From the top down: folders of the package, and the files on its root floor."""
+
+IMPORTERS = {
+    "clarabel": {"paper"},
+    "daqp": {"paper", "whole_body"},
+    "dynamixel_sdk": {"plants"},
+    "matplotlib": {"adopt", "report", "whole_body"},
+    "mujoco": {"plants", "report", "whole_body"},
+    "numba": {"support"},
+    "pinocchio": {"whole_body"},
+    "rclpy": {"nodes", "whole_body"},
+    "viser": {"report"},
+}
+"""The only rings that may import dependencies that are heavy or optional."""
+
+FILES = sorted(PACKAGE.rglob("*.py"))
+
+
+def ring(file: Path) -> str:
+    return file.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+@cache
+def imports(file: Path) -> list[str]:
+    """Return every module a file imports, also within functions, except for type checking."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    skipped = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        for inner in ast.walk(node)
+    }
+    found = []
+    for node in ast.walk(tree):
+        if id(node) in skipped:
+            continue
+        if isinstance(node, ast.Import):
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{file}: imports are absolute"
+            found += [f"{node.module}.{alias.name}" for alias in node.names]
+    return found
+
+
+def test_every_module_is_in_a_ring():
+    assert {ring(file) for file in FILES} - {"__init__", "__main__"} <= set(RINGS)
+
+
+def test_the_root_floor_is_small():
+    assert len(list(PACKAGE.glob("*.py"))) <= 8
+
+
+def test_a_module_imports_only_rings_above_its_own():
+    wrong = []
+    for file in FILES:
+        if ring(file) == "__init__":
+            continue  # names only, loaded on first use
+        for name in imports(file):
+            package, _, rest = name.partition(".")
+            if package == "dqwalk_ros" and rest not in ("__version__",):
+                above = rest.split(".")[0]
+                if RINGS.index(above) > RINGS.index(ring(file)):
+                    wrong.append(f"{file.relative_to(PACKAGE)} imports {name}, which is below it")
+    assert not wrong
+
+
+def module(file: Path) -> str:
+    """Return the dotted name of a file below the package."""
+    return ".".join(file.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
+
+
+def test_no_circle_of_imports():
+    """Also inside a folder, and of imports within functions."""
+    files = {module(file): file for file in FILES}
+    todo = {
+        name: {found for text in imports(file) for found in (text, text.rpartition(".")[0]) if found in files} - {name}
+        for name, file in files.items()
+        if file.name != "__init__.py" or "import_module" not in file.read_text(encoding="utf-8")
+    }
+    while done := [name for name, needed in todo.items() if not needed & todo.keys()]:
+        for name in done:
+            del todo[name]
+    assert not todo
+
+
+@pytest.mark.parametrize("package", IMPORTERS)
+def test_heavy_dependencies_are_imported_in_their_rings_only(package):
+    importers = {ring(file) for file in FILES if any(name.split(".")[0] == package for name in imports(file))}
+    assert importers <= IMPORTERS[package]
+
+
+def test_files_are_not_too_long():
+    lines = {str(file.relative_to(PACKAGE)): len(file.read_text(encoding="utf-8").splitlines()) for file in FILES}
+    too_long = {name: n for name, n in lines.items() if n > (700)}
+    assert not too_long, "split these files into folders"
+
+
+def test_public_names_have_docstrings():
+    """Also those that ``__all__`` does not list, which ruff leaves out."""
+    missing = []
+    for file in FILES:
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        public = [n for n in tree.body if isinstance(n, ast.FunctionDef | ast.ClassDef) and not n.name.startswith("_")]
+        missing += [f"{file.name}: {node.name}" for node in public if not ast.get_docstring(node)]
+        missing += [file.name] if tree.body and not ast.get_docstring(tree) else []
+    assert not missing

@@ -1,0 +1,115 @@
+"""The documentation: links exist, commands parse, Python runs, node pages agree with the schema."""
+
+from __future__ import annotations
+
+import json
+import re
+import runpy
+import shlex
+from pathlib import Path
+from types import SimpleNamespace
+from xml.etree import ElementTree
+
+import click
+import pytest
+import yaml
+
+from dqwalk_ros.cli import dqwalk
+from dqwalk_ros.config import Config
+from dqwalk_ros.nodes.command_line import NODES, docstring, parameters_of, sections_of
+from dqwalk_ros.support.topics import TOPICS
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
+OURS = [ROOT / "docs/tutorial.md", ROOT / "docs/see.md"]
+
+
+def blocks(page, language):
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.S | re.M)
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if p.exists()], ids=lambda p: str(p.relative_to(ROOT)))
+def test_link_targets_exist(page):
+    text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.S | re.M)
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if not re.match(r"https?:|mailto:|#", target):
+            file = page.parent / target.partition("#")[0]
+            assert file.exists(), f"{page.name} links to {target}"
+            assert file.resolve().parent != ROOT / "docs/nodes", f"{page.name} links to {target}, a page of the website"
+
+
+@pytest.mark.parametrize("page", OURS, ids=lambda p: p.name)
+def test_documented_commands_are_valid(page):
+    count = 0
+    for block in blocks(page, "bash"):
+        for line in block.splitlines():
+            words = shlex.split(line, comments=True)
+            if words and words[0] == "dqwalk":
+                name, *words = words[1 : words.index(">")] if ">" in words else words[1:]
+                with click.Context(dqwalk) as context:
+                    dqwalk.get_command(context, name).make_context(name, words)  # raises if a word is unknown
+                count += 1
+    assert count >= 5
+
+
+@pytest.mark.parametrize("page", OURS, ids=lambda p: p.name)
+def test_documented_python_runs(page):
+    for block in blocks(page, "python"):
+        exec(compile(block, str(page), "exec"), {"__name__": "__main__"})
+
+
+@pytest.mark.parametrize("node", sorted(NODES))
+def test_node_pages_match_the_schema(node):
+    made = runpy.run_path(str(ROOT / "docs/make_nodes.py"))["page"](node)
+    rows = dict(re.findall(r"^\| `([\w.]+)` \| ([^|]+) \|", made, re.M))
+    assert list(rows) == [spec.name for spec in parameters_of(node)]
+    assert rows or node == "viewer"
+    for spec in Config.specs():
+        if spec.name in rows and spec.type is float:
+            assert float(rows[spec.name].split()[0]) == spec.default
+    assert all(line.replace("::", ":") in made for line in docstring(node).splitlines())
+
+
+@pytest.mark.parametrize("node", sorted(NODES))
+def test_every_section_that_a_node_lists_has_parameters(node):
+    """The driver's help listed 'standing (posture)', and so lacked that parameter."""
+    names = [spec.name for spec in parameters_of(node)]
+    assert sections_of(node) or node == "viewer"
+    for word in sections_of(node):
+        assert any(name == word or name.startswith(f"{word}.") for name in names), word
+
+
+@pytest.mark.parametrize(
+    ("name", "folder"), [("equations", "dqwalk_ros/paper"), ("whole_body", "dqwalk_ros/whole_body")]
+)
+def test_named_places_of_equations_exist(name, folder):
+    count = 0
+    for row in re.findall(r"^\|.*\|$", (ROOT / f"docs/{name}.md").read_text(), re.M):
+        places = re.findall(r"`(\w+\.py)`(?:: |, )((?:`\w+`(?:, )?)+)", row)
+        places += re.findall(r"`(\w+\.py): (\w+(?:\.\w+)?)`", row)
+        for file, names in places:
+            text = (ROOT / folder / file).read_text()
+            for found in re.findall(r"\w+", names):
+                assert re.search(rf"^ *(def|class) {found}\b", text, re.M), f"{file} has no {found}"
+                count += 1
+    assert count >= 1
+
+
+def test_topics_in_layouts_exist():
+    known = {f"/{name}" for name in TOPICS} | {"/com", "/support_polygon", "/walk_markers"}
+    layout = json.loads((ROOT / "config/foxglove.json").read_text())
+    named = set(layout["configById"]["3D!walk"]["topics"])
+    named |= {re.match(r"/\w+", found).group() for found in re.findall(r'"value": "(/[^"]+)"', json.dumps(layout))}
+    assert named <= known
+    curves = [c.get("name") for c in ElementTree.parse(ROOT / "config/plotjuggler.xml").iter("curve")]
+    assert {re.match(r"/\w+", name).group() for name in curves} <= known
+    rviz = yaml.safe_load((ROOT / "config/walk.rviz").read_text())["Visualization Manager"]["Displays"]
+    topics = {d[key]["Value"] for d in rviz for key in ("Topic", "Description Topic") if key in d}
+    assert {f"/{name}" for name in topics} <= known
+
+
+def test_the_first_page_of_the_website_links_to_every_node():
+    add = runpy.run_path(str(ROOT / "docs/make_nodes.py"))["on_page_markdown"]
+    index, other = (SimpleNamespace(file=SimpleNamespace(src_uri=name)) for name in ("index.md", "see.md"))
+    assert re.findall(r"\]\(nodes/(\w+)\.md\)", add("# Title\n", index)) == list(NODES)
+    assert add("# Title\n", other) == "# Title\n"

@@ -1,0 +1,233 @@
+"""The launch files: the started nodes and, if ROS is installed (`make colcon`), the result of `ros2 launch`."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+import types
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+
+from dqwalk_ros.config import SHIPPED, Config, from_yaml, load
+from dqwalk_ros.nodes.command_line import NODES
+from dqwalk_ros.robot.model import load_model, parse_model
+from dqwalk_ros.robot.packages import expanded
+from dqwalk_ros.support.errors import ConfigError
+
+ROOT = Path(__file__).resolve().parents[2]
+FILE = ROOT / "launch" / "walk.launch.py"
+ARGUMENTS = {
+    *("config", "plant", "lockstep", "namespace", "use_sim_time", "autostart", "dummy", "respawn"),
+    *("log_level", "rviz", "view", "bag", "interface", "params"),
+}
+
+
+class StandIn:
+    """A stand-in for the classes of `launch` and `launch_ros`, which the ROS wheels lack; it keeps its arguments."""
+
+    def __init__(self, *args: Any, **given: Any) -> None:
+        self.args, self.given = args, given
+
+    def perform(self, context: dict[str, str]) -> str:
+        """Return the value of a LaunchConfiguration."""
+        return context[self.args[0]]
+
+
+class Launch(types.ModuleType):
+    """A module in which every name is a subclass of `StandIn`."""
+
+    def __getattr__(self, name: str) -> type[StandIn]:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        setattr(self, name, type(name, (StandIn,), {}))
+        return getattr(self, name)
+
+
+@pytest.fixture
+def warnings(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Return the warnings that a launch file logs."""
+    logged: list[str] = []
+    module = Launch("launch.logging")
+    module.get_logger = lambda _: types.SimpleNamespace(warning=logged.append)
+    monkeypatch.setitem(sys.modules, "launch.logging", module)
+    return logged
+
+
+@pytest.fixture
+def defined(monkeypatch: pytest.MonkeyPatch, warnings: list[str]) -> dict[str, Any]:
+    """Return the names that the launch file defines."""
+    inner = ("", ".actions", ".event_handlers", ".events", ".events.process", ".substitutions")
+    for module in (*(f"launch{name}" for name in inner), "launch_ros", "launch_ros.actions"):
+        monkeypatch.setitem(sys.modules, module, Launch(module))
+    return runpy.run_path(str(FILE))
+
+
+Start = Callable[..., tuple[dict[str, StandIn], list[StandIn]]]
+
+
+@pytest.fixture
+def start(defined: dict[str, Any]) -> Start:
+    """Return a function of launch arguments that returns the nodes by name and the other actions."""
+
+    def start(**given: str) -> tuple[dict[str, StandIn], list[StandIn]]:
+        actions = defined["nodes"]({name: default for name, (default, *_) in defined["ARGUMENTS"].items()} | given)
+        nodes = {one.given["name"]: one for one in actions if type(one).__name__ == "Node"}
+        return nodes, [one for one in actions if one not in nodes.values()]
+
+    return start
+
+
+def config_of(node: StandIn) -> Config:
+    """Return the parameters of a node; later ones override earlier ones."""
+    config = Config()
+    for one in node.given["parameters"]:
+        own = {k: v for k, v in one.items() if k != "use_sim_time"} if isinstance(one, dict) else None
+        config = config.updated(own) if own is not None else from_yaml(Path(one).read_text(), onto=config)
+    return config
+
+
+def test_every_argument_is_described(defined: dict[str, Any]) -> None:
+    assert set(defined["ARGUMENTS"]) == ARGUMENTS
+    assert all(len(description) > 20 for _, description, _ in defined["ARGUMENTS"].values())
+
+
+def test_every_started_node_is_installed(defined: dict[str, Any], start: Start) -> None:
+    started = {name for plant in defined["PLANTS"] for name in start(plant=plant, view="true", bag="walk")[0]}
+    assert started == set(NODES) - {"pilot", "whole_body_controller", "rigid"}
+
+
+def test_the_end_of_a_controller_does_not_end_other_nodes(start: Start) -> None:
+    """Other robots of the same launch, and the driver with its ~/compliant, must keep running."""
+    for plant in ("integrator", "physics", "ros2_control", "poppy"):
+        nodes, others = start(plant=plant)
+        assert not others, plant
+        assert not any("on_exit" in node.given for node in nodes.values())
+
+
+def test_in_lockstep_the_end_of_the_controller_ends_its_own_nodes(start: Start) -> None:
+    nodes, (handler,) = start(lockstep="true", bag="walk", namespace="left")
+    (on_exit,) = handler.args
+    assert on_exit.given["target_action"] is nodes["controller"]
+    ended = [one.given["event"] for one in on_exit.given["on_exit"](types.SimpleNamespace(returncode=0), None)]
+    assert {type(event).__name__ for event in ended} == {"ShutdownProcess"}
+    targets = [event.given["process_matcher"].args[0] for event in ended]
+    assert targets == [node for name, node in nodes.items() if name != "controller"]
+    with pytest.raises(RuntimeError, match="the controller ended with 1"):  # else `ros2 launch` exits with 0
+        on_exit.given["on_exit"](types.SimpleNamespace(returncode=1), None)
+
+
+@pytest.mark.parametrize("plant", ["poppy", "ros2_control"])
+def test_a_real_robot_uses_the_balanced_walk_and_waits_for_start(start: Start, plant: str) -> None:
+    """With the paper's walk, or with a start at the first state, it would fall."""
+    nodes, _ = start(plant=plant)
+    for name in ("controller", "poppy_driver" if plant == "poppy" else "drive"):
+        config = config_of(nodes[name])
+        assert config.gait == load("poppy").gait
+        assert not config.node.autostart
+    assert config_of(start(plant=plant, autostart="true")[0]["controller"]).node.autostart
+
+
+def test_each_argument_reaches_the_nodes(start: Start) -> None:
+    """`ros2 launch` ignores arguments that are not declared: poppy.dummy:=true had no effect."""
+    nodes, _ = start(
+        plant="poppy", namespace="left", use_sim_time="true", log_level="debug", respawn="true", dummy="true", bag="b"
+    )
+    for name, node in nodes.items():
+        assert node.given["namespace"] == "left"
+        assert node.given["remappings"] == [("/tf", "tf"), ("/tf_static", "tf_static")]
+        assert node.given["parameters"][-1] == {"use_sim_time": True}
+        assert node.given["ros_arguments"][-2:] == ["--log-level", "debug"]
+        assert node.given.get("respawn", False) is (name in ("controller", "phase_monitor"))
+    assert config_of(nodes["poppy_driver"]).poppy.dummy
+    assert nodes["recorder"].given["arguments"] == ["--bag", "b"]
+    assert all(config_of(node).node.wait_for_recorder for node in nodes.values())
+    assert config_of(start(plant="integrator", use_sim_time="true")[0]["integrator"]).plant.clock
+    assert config_of(start(plant="ros2_control", interface="velocity")[0]["drive"]).output.interface == "velocity"
+    assert config_of(start(config=str(ROOT / "config" / "poppy.yaml"))[0]["controller"]).gait == load("poppy").gait
+
+
+def test_params_replace_what_the_plant_sets_and_a_warning_names_the_rest(
+    start: Start, warnings: list[str], tmp_path: Path
+) -> None:
+    config, params = tmp_path / "robot.yaml", tmp_path / "identified.yaml"
+    servo = "{assumed_latency: 0.012, assumed_damping: 0.03}"
+    config.write_text(f"/**: {{ros__parameters: {{monitor: {{tolerance: 0.1}}, servo: {servo}}}}}")
+    params.write_text("/**: {ros__parameters: {servo: {assumed_latency: 0.012}}}")
+    nodes, _ = start(plant="ros2_control", config=str(config), params=str(params))
+    for name in ("controller", "drive", "phase_monitor"):
+        made = config_of(nodes[name])
+        assert (made.servo.assumed_latency, made.servo.assumed_damping) == (0.012, 0.02)
+    (warning,) = warnings
+    assert "servo.assumed_damping 0.03 by 0.02; to keep one: params:=FILE" in warning
+    with pytest.raises(ConfigError, match=r"no parameter file .*other\.yaml"):
+        start(plant="ros2_control", params=str(tmp_path / "other.yaml"))
+
+
+def test_shipped_configurations_and_those_of_other_packages_start_without_a_warning(
+    start: Start, warnings: list[str], defined: dict[str, Any], tmp_path: Path
+) -> None:
+    for plant in defined["PLANTS"]:
+        for config in ("", *(str(ROOT / "config" / f"{name}.yaml") for name in SHIPPED if name != "whole_body")):
+            start(plant=plant, config=config)
+    foreign = tmp_path / "foreign.yaml"
+    foreign.write_text("/arm: {ros__parameters: {port: x}}")
+    start(plant="physics", config=str(foreign))
+    assert not warnings
+
+
+def test_ros2_control_passes_its_params_to_the_walk(monkeypatch: pytest.MonkeyPatch, defined: dict[str, Any]) -> None:
+    for module in ("launch.launch_description_sources", "launch_ros.parameter_descriptions"):
+        monkeypatch.setitem(sys.modules, module, Launch(module))
+    own = runpy.run_path(str(FILE.with_name("ros2_control.launch.py")))
+    given = {name: default for name, (default, *_) in own["ARGUMENTS"].items()} | {"params": "identified.yaml"}
+    *_, handler = own["nodes"](given)
+    (walk,) = handler.args[0].given["on_exit"]
+    assert dict(walk.given["launch_arguments"])["params"] == "identified.yaml"
+
+
+def test_rviz_shows_exactly_the_published_joints(start: Start) -> None:
+    """RobotModel fails if the description has 25 joints and joint_states has 10."""
+    nodes, _ = start(rviz="true")
+    (described,) = (p for p in nodes["robot_state_publisher"].given["parameters"] if "robot_description" in p)
+    joints = ElementTree.fromstring(described["robot_description"]).iter("joint")
+    config = config_of(nodes["controller"])
+    published = load_model(config.robot).joint_names
+    assert {joint.get("name") for joint in joints if joint.get("type") != "fixed"} == set(published)
+    assert not config.node.robot_description  # robot_state_publisher publishes it
+    assert Path(nodes["rviz2"].given["arguments"][-1]).is_file()
+
+
+def test_the_ros2_control_description_matches_the_walking_robot() -> None:
+    """All joints have both command interfaces; controllers list them in the order that the node drive uses."""
+    config = load("poppy")
+    urdf = expanded(ROOT / "urdf" / "poppy.ros2_control.urdf.xacro", plugin="a/Plugin").decode()
+    assert parse_model(urdf, config.robot).joint_names == load_model(config.robot).joint_names
+    root = ElementTree.fromstring(urdf)
+    (component,) = root.iter("ros2_control")
+    assert component.findtext("hardware/plugin") == "a/Plugin"
+    moving = {joint.get("name") for joint in root.iter("joint") if joint.get("type") == "revolute"}
+    commanded = {joint.get("name"): [i.get("name") for i in joint.iter("command_interface")] for joint in component}
+    assert {name for name, interfaces in commanded.items() if interfaces} == moving
+    assert all(interfaces in ([], ["position", "velocity"]) for interfaces in commanded.values())
+    controllers = yaml.safe_load((ROOT / "config" / "ros2_control" / "controllers.yaml").read_text())
+    for interface in ("position", "velocity"):
+        controller = controllers[f"/**/forward_{interface}_controller"]["ros__parameters"]
+        assert controller["interface_name"] == interface
+        assert tuple(controller["joints"]) == load_model(config.robot).joint_names
+    assert 1.0 / controllers["/**/controller_manager"]["ros__parameters"]["update_rate"] == config.dt
+
+
+@pytest.mark.native
+def test_ros2_launch_reads_the_launch_file() -> None:
+    """Needs an installed ROS: the ROS wheels do not contain `launch`."""
+    import launch
+    from launch.launch_description_sources import PythonLaunchDescriptionSource
+
+    description = PythonLaunchDescriptionSource(str(FILE)).get_launch_description(launch.LaunchContext())
+    arguments = {argument.name: argument for argument in description.get_launch_arguments()}
+    assert set(arguments) == {*ARGUMENTS, "discovery"}

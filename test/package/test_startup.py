@@ -1,0 +1,88 @@
+"""Start-up time: heavy modules are imported when needed, and compilation is announced."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def python(code: str, here: Path = ROOT, **env: str) -> subprocess.CompletedProcess[str]:
+    words = [sys.executable, "-c", code]
+    return subprocess.run(words, capture_output=True, text=True, check=True, cwd=here, env=os.environ | env)
+
+
+OPTIONAL = ("mujoco", "viser", "pinocchio", "daqp", "distributed", "pyarrow", "trimesh", "dynamixel_sdk")
+WALK = ("report.bag", "report.html.page", "report.figures.paper", "cli.report", "cli.walk", "cli.results", "cli.runner")
+IMPORTS = {
+    "help": (
+        "import dqwalk_ros.cli\ndqwalk_ros.cli.main(['simulate', '--help'])",
+        (
+            "numpy",
+            "scipy",
+            "numba",
+            "clarabel",
+            "matplotlib",
+            "yourdfpy",
+            "rclpy",
+            "yaml",
+            "msgspec",
+            "rosbags",
+            "tqdm",
+        ),
+    ),
+    "core": (
+        "from dqwalk_ros import simulation, controller\nfrom dqwalk_ros.plants import kinematic",
+        (*OPTIONAL, "rclpy", "matplotlib"),
+    ),
+    "solvers": (  # the slow parts of scipy
+        "from dqwalk_ros import controller\nfrom dqwalk_ros.paper.qp import make_solver\n"
+        "make_solver('clarabel'), make_solver('daqp')",
+        ("scipy.sparse", "scipy.optimize"),
+    ),
+    "integrator": (
+        "from dqwalk_ros.nodes.plant import Integrator\nfrom dqwalk_ros.robot.model import load_model\n"
+        "from dqwalk_ros.config import load\nfrom dqwalk_ros.plants.kinematic import KinematicPlant\n"
+        "KinematicPlant(load_model(load('paper').robot))",
+        ("numba",),
+    ),
+    "nodes": (
+        "import dqwalk_ros.nodes.controller, dqwalk_ros.nodes.phase_monitor",
+        (*OPTIONAL, "matplotlib", "scipy.spatial", "scipy.optimize"),
+    ),
+    "report": ("import dqwalk_ros.report as a\na.report, a.analyse, a.render", ("matplotlib",)),
+    "make walk": ("\n".join(f"import dqwalk_ros.{name}" for name in WALK), OPTIONAL),  # it installs no extras
+}
+"""Code, and modules that it must not import."""
+
+
+@pytest.mark.parametrize("name", IMPORTS)
+def test_modules_are_imported_when_needed(name):
+    code, unused = IMPORTS[name]
+    shown = python(f"{code}\nimport sys\nprint([name for name in {unused!r} if name in sys.modules])").stdout
+    assert shown.splitlines()[-1] == "[]"
+
+
+CODE = "import numpy as np\nfrom dqwalk_ros.paper.kinematics import compose\nx = np.eye(8)[0]\nprint(compose(x, x))"
+ANNOUNCED = "compiling for this machine"
+
+
+def test_compilation_is_announced_and_repeated_when_a_called_function_changes(tmp_path):
+    """numba itself checks only the file of the function."""
+    package = tmp_path / "dqwalk_ros"
+    shutil.copytree(ROOT / "dqwalk_ros", package, ignore=shutil.ignore_patterns("__pycache__"))
+    here = {"XDG_CACHE_HOME": str(tmp_path), "NUMBA_DISABLE_JIT": "0", "PYTHONPATH": str(tmp_path)}
+    first = python(CODE, tmp_path, **here)
+    assert first.stderr.count(ANNOUNCED) == 1
+    assert ANNOUNCED not in python(CODE, tmp_path, **here).stderr
+    product = package / "paper" / "dual_quaternions.py"  # has compiled functions, and is not the file of `compose`
+    product.write_text(product.read_text().replace("a1 * b1 - a2 * b2", "2.0 * a1 * b1 - a2 * b2"))
+    changed = python(CODE, tmp_path, **here)
+    assert ANNOUNCED in changed.stderr
+    assert changed.stdout != first.stdout

@@ -1,0 +1,187 @@
+"""The quadratic program of a phase compared with its definition (U6), from values and Jacobians."""
+
+from __future__ import annotations
+
+import dataclasses
+import pickle
+from functools import cache
+
+import numpy as np
+import pytest
+from walks import DT, KINDS, phase_of, problem_at, setting, values
+
+from dqwalk_ros.config import load
+from dqwalk_ros.paper.assembly import DEPENDENT
+from dqwalk_ros.paper.constraints import Constraint, PointOverPlane
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics, Point
+from dqwalk_ros.paper.tasks import Posture
+from dqwalk_ros.paper.walk import PhaseKind
+from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.simulation import make_walk
+
+
+def configurations(count, seed=0):
+    model = setting()[1]
+    return np.random.default_rng(seed).uniform(model.q_min, model.q_max, (count, model.n))
+
+
+def vfi_rows(row, kin):
+    """Return the vector-field inequality of one constraint, section 4."""
+    d, J = values(row, kin)
+    return J, np.minimum(-min(row.eta, 1.0 / DT) * (d - row.bound), row.return_speed)
+
+
+def hold_rows(row, kin):
+    """Return an equality, made linearly independent by its singular values, and its right-hand side as last column."""
+    E, e = vfi_rows(row, kin)
+    e = np.maximum(e, -row.return_speed)
+    U, s, V = np.linalg.svd(E, full_matrices=False)
+    kept = s > DEPENDENT * s[0]
+    return np.c_[(s * kept)[:, None] * V, np.where(kept, U.T @ e, 0.0)]
+
+
+def assert_equal(phase, kin):
+    """Compare the program with (U6) as in the paper, from errors, rates, distances and Jacobians."""
+    problem, n = problem_at(phase, kin, DT), kin.q.size
+    H, c = phase.damping**2 * np.eye(n), np.zeros(n)
+    for task in phase.tasks:
+        (e, J), s = values(task, kin), np.concatenate([kin.value(feature) for feature in task.watches])
+        H += task.weight * J.T @ J
+        c -= task.weight * J.T @ task.rate(s, e, kin.elapsed, phase.eta)
+    G = np.concatenate([np.c_[vfi_rows(row, kin)] for row in phase.inequalities])
+    above, below = phase.limits
+    pairs = {
+        "H": (problem.H, H),
+        "c": (problem.c, c),
+        "G, h": (np.c_[problem.G, problem.h], G),
+        "upper": (problem.upper, -vfi_rows(above, kin)[1]),
+        "lower": (problem.lower, vfi_rows(below, kin)[1]),
+    }
+    for name, (ours, exact) in pairs.items():
+        np.testing.assert_allclose(ours, exact, rtol=1e-11, atol=1e-12, err_msg=name)
+    # equalities are the same up to an orthogonal transformation
+    ours = np.c_[problem.E, problem.e]
+    exact = np.concatenate([np.empty((0, n + 1)), *(hold_rows(row, kin) for row in phase.equalities)])
+    np.testing.assert_allclose(ours.T @ ours, exact.T @ exact, rtol=1e-9, atol=1e-11)
+    assert np.count_nonzero(np.abs(ours).max(axis=1)) == np.count_nonzero(np.abs(exact).max(axis=1))
+    assert len(problem.names) == problem.e.size + problem.h.size + 2 * n
+    return problem
+
+
+@pytest.mark.parametrize(("kind", "foot"), KINDS)
+def test_rows_match_their_definition(kind, foot):
+    phase = phase_of(kind, foot)
+    for q in configurations(25):
+        assert_equal(phase, Kinematics(setting()[1], q, phase.base))
+
+
+def test_velocity_limits_only_tighten_the_bounds():
+    phase, limit = phase_of(*KINDS[0]), np.linspace(0.0, 3.0, setting()[1].n)
+    limit[-1] = np.inf
+    for q in configurations(5, seed=2):
+        kin = Kinematics(setting()[1], 1.2 * q, phase.base)
+        free, limited = problem_at(phase, kin, DT), problem_at(phase, kin, DT, limit)
+        np.testing.assert_array_equal(limited.upper, np.clip(free.upper, -limit, limit))
+        np.testing.assert_array_equal(limited.lower, np.clip(free.lower, -limit, limit))
+        np.testing.assert_array_equal(limited.G, free.G)
+        assert (limited.upper < free.upper).any()
+
+
+class Higher(PointOverPlane):
+    """A user-defined constraint, which must not be evaluated as its parent class."""
+
+    def value(self, s):
+        d, gradient = super().value(s)
+        return d - 0.01, gradient
+
+
+class Apart(Constraint):
+    """A user-defined constraint of two points with two rows."""
+
+    @property
+    def watches(self):
+        return (Point("l_sole"), Point("r_sole"))
+
+    def value(self, s):
+        v = s[:3] - s[3:]
+        return np.array([v @ v - 0.01, s[2]]), np.array([[*(2.0 * v), *(-2.0 * v)], [0, 0, 1, 0, 0, 0]])
+
+    def row_names(self, joint_names):
+        return ("apart", "high")
+
+
+class Twice(Posture):
+    """A user-defined task."""
+
+    def value(self, s, elapsed):
+        e, gradient = super().value(s, elapsed)
+        return 2.0 * e, 2.0 * gradient
+
+
+@pytest.mark.parametrize(("kind", "foot"), KINDS[::2])
+def test_user_defined_tasks_and_constraints(kind, foot):
+    phase = phase_of(kind, foot)
+    plane = next(row for row in phase.inequalities if type(row) is PointOverPlane)
+    own = Higher(name="own", eta=3.0, bound=0.02, point=plane.point, plane=plane.plane)
+    apart, held = Apart(name="both", eta=1.0), dataclasses.replace(own, name="held")
+    task = Twice(name="own", weight=0.3, q_ref=np.full(setting()[1].n, 0.2))
+    mixed = dataclasses.replace(
+        phase,
+        inequalities=(own, *phase.inequalities, apart),
+        equalities=(*phase.equalities, held),
+        tasks=(*phase.tasks, task),
+    )
+    for q in configurations(5, seed=1):
+        kin = Kinematics(setting()[1], q, phase.base)
+        assert_equal(mixed, kin)
+        plain, more = phase.distances(kin), mixed.distances(kin)
+        assert more["own"] == pytest.approx(kin.point(plane.point.frame)[2] - plane.plane.d - 0.03)
+        assert {name: more[name] for name in plain} == pytest.approx(plain)
+
+
+def test_a_later_tick_does_not_change_an_earlier_problem():
+    phase = phase_of(PhaseKind.DOUBLE_SUPPORT, Foot.LEFT)
+    q, other = configurations(2)
+    model = setting()[1]
+    problem = problem_at(phase, Kinematics(model, q, phase.base), DT)
+    before = [array.copy() for array in problem.arrays[:6]]
+    problem_at(phase, Kinematics(model, other, phase.base), DT)
+    for ours, kept in zip(problem.arrays[:6], before, strict=True):
+        np.testing.assert_array_equal(ours, kept)
+
+
+def test_a_phase_can_be_pickled():
+    phase = phase_of(PhaseKind.SINGLE_SUPPORT, Foot.RIGHT)
+    kin = Kinematics(setting()[1], configurations(1)[0], phase.base)
+    H = problem_at(phase, kin, DT).H
+    np.testing.assert_array_equal(problem_at(pickle.loads(pickle.dumps(phase)), kin, DT).H, H)
+
+
+@cache
+def standing():
+    config = load("poppy")
+    return config, load_model(config.robot)
+
+
+@pytest.mark.parametrize("kind", list(PhaseKind))
+@pytest.mark.parametrize("foot", list(Foot))
+def test_rows_of_the_standing_walk_match_their_definition(kind, foot):
+    """On a tilted sole, at several times along the path, inside and outside the bounds."""
+    config, model = standing()
+    rng = np.random.default_rng(3)
+    q = model.posture(config.standing.posture) + 0.05 * rng.normal(size=model.n)
+    q_start = np.clip(q, model.q_min, model.q_max)
+    goal = DQ.from_pose([0.05, 0.1 if foot is Foot.RIGHT else -0.1, 0.0], [np.cos(0.1), 0.0, 0.0, np.sin(0.1)]).vec8()
+    phase = make_walk(config, model).phase(kind, foot, q_start, goal)
+    above, below = phase.limits
+    phase = dataclasses.replace(phase, limits=(above, dataclasses.replace(below, bound=0.05)))
+    for elapsed in (0.0, 0.3, 0.7, 1.2, 1.5, np.inf):
+        up = np.array([*(0.1 * rng.normal(size=2)), 1.0])
+        q = q_start + 0.1 * rng.normal(size=model.n)
+        kin = Kinematics(model, q, phase.base, up / np.linalg.norm(up), elapsed)
+        problem = assert_equal(phase, kin)
+        assert np.abs(problem.upper).max() > 0.5 >= -problem.upper.min()
+        e, _ = values(phase.tasks[0], kin)
+        assert phase.evaluate(kin).error == pytest.approx(np.linalg.norm(e), rel=1e-11)

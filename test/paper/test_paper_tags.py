@@ -1,0 +1,98 @@
+"""Every equation of the paper is executed: it is changed at its tag, and the walk must change.
+
+Each case changes one line of a copy of the package, and compares the rows of both phases and a walk ten times as
+fast as the paper's. If a second copy of the formula were executed instead, both would remain unchanged.
+"""
+
+from __future__ import annotations
+
+import pytest
+from mutated import changes_output, copy_package, output_of
+
+PLACES = {
+    "(U1)": ("dqwalk_ros/paper/kinematics.py", "2.0 * t[1], 2.0 * t[2]", "2.1 * t[1], 2.0 * t[2]"),
+    "(U2)": ("dqwalk_ros/paper/kinematics.py", "link[11] * (p + c)", "link[11] * (p - c)"),
+    "(U3)": ("dqwalk_ros/paper/kinematics.py", "0.5 * lines[i, :3], 0.5", "0.6 * lines[i, :3], 0.5"),
+    "(U4)": ("dqwalk_ros/paper/kinematics.py", "p_com[:] = subtree[0, :3]", "p_com[:] = 1.1 * subtree[0, :3]"),
+    "(U5)": (
+        "dqwalk_ros/paper/kinematics.py",
+        "subtree[b], subtree[b, 3], J_com",
+        "subtree[b], 1.1 * subtree[b, 3], J_com",
+    ),
+    "(U6)": ("dqwalk_ros/paper/qp.py", "H[i, i] += damping**2", "H[i, i] += damping"),
+    "vector-field inequality": (
+        "dqwalk_ros/paper/constraints.py",
+        "eta, 1.0 / dt) * (d - bound)",
+        "eta, 1.0 / dt) * d + 1e-3",
+    ),
+    "(U7)": (
+        "dqwalk_ros/paper/walk.py",
+        'name="sliding", eta=dsp.eta_sliding',
+        'name="sliding", eta=2.0 * dsp.eta_sliding',
+    ),
+    "(U7) and (U14)": ("dqwalk_ros/paper/constraints.py", "a[6] ** 2 - square", "a[6] ** 2 - 1.1 * square"),
+    "(U8)": ("dqwalk_ros/paper/walk.py", "point=tip, plane=Plane(_UP, 0.0)", "point=tip, plane=Plane(_UP, 1e-3)"),
+    "(U9)": ("dqwalk_ros/paper/walk.py", 'wall("tip_plane", dsp.eta_tip', 'wall("tip_plane", 2.0 * dsp.eta_tip'),
+    "(U10)": ("dqwalk_ros/paper/walk.py", 'wall("back_plane", dsp.eta_back', 'wall("back_plane", 2.0 * dsp.eta_back'),
+    "(U9) and (U10)": (
+        "dqwalk_ros/paper/constraints.py",
+        "point_to_wall(s, a[:3], a[3])",
+        "point_to_wall(s, a[:3], -a[3])",
+    ),
+    "(U11)": ("dqwalk_ros/paper/walk.py", "Plane(_UP, config.pelvis.height)", "Plane(_UP, 1.1 * config.pelvis.height)"),
+    "(U12)": ("dqwalk_ros/paper/constraints.py", "return -self.q_max", "return -0.9 * self.q_max"),
+    "(U13)": ("dqwalk_ros/paper/constraints.py", "return self.q_min", "return 0.9 * self.q_min"),
+    "(U14)": (
+        "dqwalk_ros/paper/walk.py",
+        'name="com_cylinder", eta=ssp.eta_com',
+        'name="com_cylinder", eta=2.0 * ssp.eta_com',
+    ),
+    "section 4.1": (
+        "dqwalk_ros/paper/tasks.py",
+        "[[1.0, 0.0, 0.0, -1.0, 0.0, 0.0]",
+        "[[1.0, 0.0, 0.0, -0.9, 0.0, 0.0]",
+    ),
+    "ection 4.2": ("dqwalk_ros/paper/tasks.py", "return sign * s - target", "return 1.01 * sign * s - target"),
+    "switching rule of section 5": (
+        "dqwalk_ros/paper/walk.py",
+        "fall < self._stall and",
+        "fall < 0.1 * self._stall and",
+    ),
+    "of Fig. 1": ("dqwalk_ros/paper/walk.py", "PHASES_PER_CYCLE < 2 else", "PHASES_PER_CYCLE < 1 else"),
+}
+"""Tag, file, the original line, and the changed line."""
+
+LOOK = """
+import numpy as np
+from dqwalk_ros import Foot, KinematicPlant, Kinematics, load, load_model, make_controller, make_walk, simulate
+from dqwalk_ros.paper.walk import PhaseKind
+config = load("paper").updated({"task.eta": 0.5, "task.damping": 0.03})
+model = load_model(config.robot)
+walk, q = make_walk(config, model), np.linspace(-0.05, 0.05, model.n)
+for kind, target in ((PhaseKind.DOUBLE_SUPPORT, None), (PhaseKind.SINGLE_SUPPORT, walk.footstep(Foot.LEFT))):
+    phase = walk.phase(kind, Foot.LEFT, np.zeros(model.n), target)
+    problem = phase.evaluate(Kinematics(model, q, phase.base)).problem(config.dt, model.velocity_max)
+    for part in problem.arrays[:6]:
+        print(np.array2string(part, precision=12, threshold=10**6))
+trace = simulate(make_controller(config, model), KinematicPlant(model), max_time=9.0)
+print([(phase.name, round(phase.time, 6)) for phase in trace.phases], trace.notes)
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("tag", PLACES)
+def test_the_equation_at_each_tag_is_executed(tag, tmp_path):
+    assert "double_support/left" in output_of(LOOK)
+    assert changes_output(tmp_path, LOOK, tag, *PLACES[tag])
+
+
+@pytest.mark.long
+def test_the_walk_uses_the_parameters_of_the_configuration(tmp_path):
+    copy_package(tmp_path)
+    assert output_of(LOOK, tmp_path) == output_of(LOOK)
+    output_of.cache_clear()
+    config = tmp_path / "config" / "paper.yaml"
+    text = config.read_text(encoding="utf-8")
+    assert text.count("eta_tip: 10.0") == 1
+    config.write_text(text.replace("eta_tip: 10.0", "eta_tip: 11"), encoding="utf-8")
+    assert output_of(LOOK, tmp_path) != output_of(LOOK)

@@ -1,0 +1,557 @@
+"""Faults on Poppy's motor buses: the robot stops, the motor is named, and no old angle is published as new."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+
+import numpy as np
+import pytest
+from dynamixel_bus import BUSES, LOAD, MOTORS, TEMPERATURE, VOLTAGE, FaultyServos, Memory
+from poppy_rig import CONFIG, DT, MAX_AGE, MODEL, Rig
+
+from dqwalk_ros.plants.poppy.dynamixel import GAIN, TORQUE_ENABLE, TORQUE_LIMIT, TYPES
+from dqwalk_ros.support.errors import PlantError
+
+KNEE = MOTORS["l_knee_y"].id
+READ, SYNC_WRITE = 2, 0x83
+STEP = 0.003
+"""Two encoder steps of an MX, and more than half a step of an AX, which the head has [rad]."""
+
+
+@pytest.fixture
+def rig(request: pytest.FixtureRequest) -> Rig:
+    """A robot in its first pose."""
+    rig = Rig(sync_read=getattr(request, "param", True))
+    rig.settle()
+    return rig
+
+
+read_either_way = pytest.mark.parametrize("rig", [True, False], indirect=True, ids=["read at once", "read one by one"])
+"""For faults that concern the angles; registers are read one by one in any case."""
+
+
+def check_holds(rig: Rig, seconds: float = 1.0) -> None:
+    """Check that no goal changes although motion is commanded."""
+    goals = {name: rig.memory.goal(name) for name in MOTORS}
+    rig.run(seconds, u=0.3)
+    assert goals == {name: rig.memory.goal(name) for name in MOTORS}
+
+
+def check_moves(rig: Rig) -> None:
+    """Check that a goal follows its command."""
+    goal = rig.memory.goal("l_knee_y")
+    rig.tick(0.3)
+    rig.tick(0.3)
+    assert rig.memory.goal("l_knee_y") > goal + 0.003
+
+
+# ---------------------------------------------------------------------- the bus
+
+
+def stop_answering(servos: FaultyServos) -> None:
+    servos.dead = True
+
+
+def silence_one_motor(servos: FaultyServos) -> None:
+    servos.silent = {KNEE}
+
+
+def unplug(servos: FaultyServos) -> None:
+    servos.unplugged = True
+
+
+def flip_bits(servos: FaultyServos) -> None:
+    servos.damaged = 1.0
+
+
+def send_garbage(servos: FaultyServos) -> None:
+    servos.garbage = 1.0
+
+
+BUS = {
+    "the bus is silent": (stop_answering, "lower bus: every motor does not answer; is the power on"),
+    "one motor is silent": (silence_one_motor, "l_knee_y (motor 14, lower bus) does not answer; check its cable"),
+    "the port is unplugged": (unplug, "lower bus: the port is gone: No such file or directory; plug it in"),
+    "one bit of each reply is flipped": (flip_bits, "lower bus: every motor"),
+    "replies are random bytes": (send_garbage, "lower bus: every motor"),
+}
+
+
+@read_either_way
+@pytest.mark.parametrize("fault", BUS)
+def test_old_angles_are_not_marked_fresh_and_nothing_moves(rig: Rig, fault: str) -> None:
+    cause, text = BUS[fault]
+    check_moves(rig)
+    cause(rig.memory.servos["lower"])
+    took = rig.until(lambda: not rig.plant.fresh, 0.3)
+    assert took <= MAX_AGE + 4 * DT
+    for _ in range(200):
+        rig.tick(0.3)
+        assert not rig.plant.fresh
+    assert text in rig.faults
+    check_holds(rig, 1.0)
+
+
+@read_either_way
+@pytest.mark.parametrize("fault", ["the bus is silent", "one motor is silent", "replies are random bytes"])
+def test_a_short_bus_failure_ends_when_the_motors_have_been_checked(rig: Rig, fault: str) -> None:
+    BUS[fault][0](rig.memory.servos["lower"])
+    rig.run(0.5, u=0.3)
+    rig.memory.servos["lower"].clear_faults()
+    rig.until(lambda: rig.plant.fresh, 0.3)
+    rig.until(lambda: not rig.plant.watch.faults, 2.0)
+    check_moves(rig)
+
+
+@read_either_way
+def test_a_replugged_port_is_reopened(rig: Rig) -> None:
+    unplug(rig.memory.servos["lower"])
+    rig.run(0.5)
+    rig.memory.servos["lower"].clear_faults()
+    rig.until(lambda: rig.plant.fresh, 2.0)
+    check_holds(rig)
+    rig.settle()
+    check_moves(rig)
+
+
+@read_either_way
+@pytest.mark.parametrize("fault", BUS)
+def test_a_long_bus_failure_requires_a_new_activation(rig: Rig, fault: str) -> None:
+    BUS[fault][0](rig.memory.servos["lower"])
+    rig.run(2.0, u=0.3)
+    assert "then ~/activate" in rig.faults
+    with pytest.raises(PlantError, match="lower bus"):
+        rig.plant.activate()
+    rig.memory.servos["lower"].clear_faults()
+    rig.until(lambda: rig.plant.fresh, 2.0)
+    check_holds(rig)
+    rig.settle()
+    check_moves(rig)
+
+
+@read_either_way
+def test_motors_that_lost_power_are_not_assumed_to_hold(rig: Rig) -> None:
+    """Their torque is off afterwards, and nothing moves until it is switched on again."""
+    servos = rig.memory.servos["lower"]
+    servos.dead = True
+    rig.run(0.5)
+    servos.cut_power()
+    servos.clear_faults()
+    rig.run(1.5, u=0.3)
+    assert "l_knee_y has lost its torque or its gain" in rig.faults
+    assert rig.plant.fresh
+    check_holds(rig)
+    rig.settle()
+    assert not rig.plant.watch.faults
+    assert all(rig.memory.torque(name) for name in MOTORS)
+    check_moves(rig)
+
+
+@read_either_way
+def test_a_short_power_cut_is_detected(rig: Rig) -> None:
+    """Even if no reply is missing."""
+    rig.memory.servos["lower"].cut_power()
+    assert rig.until(lambda: "has lost its torque" in rig.faults, 1.0) <= 11 * DT
+    check_holds(rig)
+
+
+@pytest.mark.parametrize(("address", "value"), [(TORQUE_ENABLE, 0), (TORQUE_LIMIT, 0), (GAIN, 32)])
+def test_torque_and_gain_are_read_back_continuously(rig: Rig, address: int, value: int) -> None:
+    servo = rig.memory.servo("l_knee_y")
+    servo.write(address, bytes([value] * (2 if address == TORQUE_LIMIT else 1)))
+    rig.until(lambda: "l_knee_y has lost its torque or its gain" in rig.faults, 11 * DT)
+    check_holds(rig)
+
+
+# ---------------------------------------------------------------------- one angle
+
+
+@read_either_way
+@pytest.mark.parametrize("angle", [90.0, -90.0, 20.0])
+def test_a_single_wrong_angle_causes_no_motion(rig: Rig, angle: float) -> None:
+    rig.run(0.2)
+    goal = rig.memory.goal("l_knee_y")
+    rig.memory.of("l_knee_y").slip = {KNEE: angle}
+    rig.tick()
+    rig.memory.of("l_knee_y").slip = {}
+    for _ in range(10):
+        rig.tick()
+        assert rig.memory.goal("l_knee_y") == pytest.approx(goal, abs=STEP)
+        assert rig.plant.measured.q[rig.plant.names.index("l_knee_y")] == pytest.approx(goal, abs=0.01)
+    assert not rig.plant.watch.faults
+
+
+@pytest.mark.parametrize(("beyond", "jumps"), [(0.5, 0), (2.0, 1)])
+def test_the_limit_of_a_plausible_angle_is_the_motion_at_full_speed(beyond: float, jumps: int) -> None:
+    """An MX-28 turns by 6.6 degrees in a period of 20 ms; 13 encoder steps, 1.1 degrees, more are tolerated."""
+    rig = Rig()
+    rig.settle()
+    rig.memory.of("l_knee_y").slip = {KNEE: TYPES["MX-28"].free_speed * DT + beyond}
+    rig.tick()
+    assert rig.plant.measured.jumps[rig.plant.names.index("l_knee_y")] == jumps
+
+
+@read_either_way
+def test_an_implausible_angle_counts_once_until_the_next_reply(rig: Rig) -> None:
+    """A motor that falls silent after a wrong angle has not jumped."""
+    servos, k = rig.memory.of("l_knee_y"), rig.plant.names.index("l_knee_y")
+    servos.slip = {KNEE: 40.0}
+    rig.tick()
+    servos.silent = {KNEE}
+    for _ in range(4):
+        rig.tick()
+        assert rig.plant.measured.jumps[k] == 1
+
+
+@read_either_way
+@pytest.mark.parametrize("angle", [90.0, -20.0, 17.0])
+def test_a_slipped_encoder_is_detected_at_once_and_stays_reported(rig: Rig, angle: float) -> None:
+    goal = rig.memory.goal("l_knee_y")
+    rig.memory.of("l_knee_y").slip = {KNEE: angle}
+    assert rig.until(lambda: "l_knee_y has jumped to another angle" in rig.faults, 0.3) <= 4 * DT
+    check_holds(rig, 2.0)
+    assert rig.memory.goal("l_knee_y") == pytest.approx(goal, abs=STEP)
+    assert not rig.plant.fresh
+    rig.plant.release()
+    rig.run(0.5)
+    assert rig.plant.fresh  # without torque, the measured angle is published
+
+
+# ---------------------------------------------------------------------- hot, weak and blocked motors
+
+
+def test_a_hot_motor_stops_the_robot_until_it_has_cooled(rig: Rig) -> None:
+    servo = rig.memory.servo("r_hip_y")
+    servo.memory[TEMPERATURE] = 66
+    rig.until(lambda: "r_hip_y is at 66 degC, too hot" in rig.faults, 1.0)
+    check_holds(rig)
+    servo.memory[TEMPERATURE] = 62
+    check_holds(rig)
+    servo.memory[TEMPERATURE] = 59
+    rig.until(lambda: not rig.plant.watch.faults, 1.0)
+    check_moves(rig)
+
+
+def test_a_hot_motor_prevents_activation(rig: Rig) -> None:
+    rig.memory.servo("r_hip_y").memory[TEMPERATURE] = 70
+    rig.run(0.6)
+    rig.plant.release()
+    with pytest.raises(PlantError, match="r_hip_y is at 70 degC, too hot"):
+        rig.plant.activate()
+    assert not any(rig.memory.torque(name) for name in MOTORS)
+    rig.run(1.0, u=0.3)
+    assert not rig.plant.active
+
+
+def test_a_hot_motor_stops_the_motion_to_the_first_pose() -> None:
+    rig = Rig(angles={"l_knee_y": 60.0})
+    rig.plant.activate()
+    rig.run(0.5)
+    rig.memory.servo("r_hip_y").memory[TEMPERATURE] = 75
+    rig.until(lambda: "too hot" in rig.faults, 1.0)
+    check_holds(rig)
+    assert not rig.plant.ready
+
+
+def test_an_empty_battery_stops_the_robot(rig: Rig) -> None:
+    for servo in rig.memory.servos["lower"].servos.values():
+        servo.memory[VOLTAGE] = 96
+    rig.until(lambda: "l_hip_x has 9.6 V, too little; charge the battery" in rig.faults, 1.0)
+    check_holds(rig)
+    rig.plant.release()
+    with pytest.raises(PlantError, match="too little"):
+        rig.plant.activate()
+
+
+@pytest.mark.parametrize(("bits", "text"), [(4, "overheating"), (32, "overload"), (36, "overheating and overload")])
+def test_a_motor_that_switched_its_torque_off_is_named(rig: Rig, bits: int, text: str) -> None:
+    servo = rig.memory.servo("l_knee_y")
+    servo.error = bits
+    servo.write(TORQUE_LIMIT, bytes(2))
+    rig.until(lambda: f"l_knee_y reports {text} and has switched its torque off" in rig.faults, 11 * DT)
+    check_holds(rig)
+    servo.error = 0
+    check_holds(rig)  # its torque stays off until the next activation
+    rig.settle()
+    check_moves(rig)
+
+
+@pytest.mark.parametrize("u", [0.3, -0.3])
+def test_a_blocked_joint_is_not_driven_for_long(rig: Rig, u: float) -> None:
+    rig.memory.servo("l_ankle_y").blocked = True
+    began = rig.memory.clock.now
+    while "l_ankle_y cannot follow" not in rig.faults:
+        rig.tick(u)
+        assert rig.memory.clock.now - began < rig.config.poppy.max_lead / 0.3 + rig.config.poppy.blocked_after + 0.2
+    requests = rig.memory.of("l_ankle_y").requests
+    requests.clear()
+    rig.tick(u)
+    assert rig.memory.goal("l_ankle_y") == pytest.approx(rig.memory.angle("l_ankle_y"), abs=STEP)
+    check_holds(rig)
+    sent = [packet for packet in requests if packet[4] == SYNC_WRITE]
+    assert len(sent) == 5, "a lost packet is repeated, and then no goal is sent"
+
+
+def test_a_motor_at_full_load_is_reported_as_blocked(rig: Rig) -> None:
+    rig.memory.servo("l_knee_y").write(LOAD, (1024 + 1000).to_bytes(2, "little"))
+    took = rig.until(lambda: "l_knee_y cannot follow" in rig.faults, 3.0)
+    assert took == pytest.approx(rig.config.poppy.blocked_after, abs=0.1)
+    check_holds(rig)
+
+
+def test_a_joint_blocked_before_the_first_pose_is_an_error() -> None:
+    rig = Rig(angles={"l_knee_y": 60.0})
+    rig.plant.activate()
+    rig.run(0.3)
+    rig.memory.servo("l_knee_y").blocked = True
+    rig.until(lambda: "l_knee_y cannot follow" in rig.faults, 3.0)
+    rig.tick()
+    assert rig.memory.goal("l_knee_y") == pytest.approx(rig.memory.angle("l_knee_y"), abs=STEP)
+    check_holds(rig, 3.0)
+    assert not rig.plant.ready
+
+
+def test_a_first_pose_not_reached_within_tolerance_is_an_error() -> None:
+    """A soft joint under load stops near the pose, but outside the tolerance."""
+    rig = Rig(angles={"l_knee_y": 60.0})
+    rig.plant.activate()
+    rig.until(lambda: rig.memory.angle("l_knee_y") < 0.13, 10.0)
+    rig.memory.servo("l_knee_y").blocked = True
+    took = rig.until(lambda: "l_knee_y does not reach the first pose" in rig.faults, 6.0)
+    assert took > 3.0, "it has some time after its goal"
+    assert not rig.plant.ready
+
+
+# ---------------------------------------------------------------------- switching the torque
+
+
+@pytest.mark.parametrize("sync_read", [True, False])
+def test_a_lost_reply_at_activation_leaves_no_torque_off(sync_read: bool) -> None:
+    """For any lost reply, the torque is on in all motors afterwards."""
+
+    def started(lost: int) -> int:
+        memory, count = Memory(sync_read=sync_read), iter(range(10**9))
+        for servos in memory.servos.values():
+            servos.drop_reply = lambda packet: next(count) == lost
+        rig = Rig.__new__(Rig)
+        rig.model, rig.config, rig.memory = MODEL, CONFIG, memory
+        rig.plant = rig.opened()
+        rig.plant.activate()
+        assert all(memory.torque(name) for name in MOTORS), lost
+        return next(count)
+
+    replies = started(-1)
+    for lost in range(0, replies, 7 if sync_read else 11):
+        started(lost)
+
+
+def test_a_torque_that_does_not_switch_on_is_an_error() -> None:
+    rig = Rig()
+    servo = rig.memory.servo("l_knee_y")
+    write = servo.write
+    servo.write = lambda address, data: None if address == TORQUE_ENABLE else write(address, data)
+    with pytest.raises(PlantError, match="the torque of l_knee_y did not switch on: all torque is off again"):
+        rig.plant.activate()
+    assert not rig.plant.active
+    assert not any(rig.memory.torque(name) for name in MOTORS)
+
+
+@pytest.mark.parametrize("address", [GAIN, 30, TORQUE_LIMIT])
+def test_a_motor_that_cannot_be_set_up_is_an_error(address: int) -> None:
+    rig = Rig(angles={"l_knee_y": 40.0})
+    servo = rig.memory.servo("l_knee_y")
+    write = servo.write
+    servo.write(30, (1000).to_bytes(2, "little"))
+    servo.write(TORQUE_LIMIT, bytes(2))
+    servo.write = lambda at, data: None if at == address else write(at, data)
+    with pytest.raises(PlantError, match="l_knee_y cannot be set up: no torque was switched on"):
+        rig.plant.activate()
+    assert not any(rig.memory.torque(name) for name in MOTORS)
+
+
+def test_a_motor_of_another_type_is_refused() -> None:
+    rig = Rig()
+    rig.plant.close()
+    rig.memory.servo("l_knee_y").write(0, (310).to_bytes(2, "little"))
+    with pytest.raises(PlantError, match=r"l_knee_y \(14\) is model 310, not an MX-28"):
+        rig.opened()
+
+
+def test_motors_that_are_missing_at_start_are_named() -> None:
+    rig = Rig()
+    rig.plant.close()
+    rig.memory.of("l_knee_y").silent = {KNEE, KNEE + 1}
+    with pytest.raises(PlantError, match=r"l_knee_y \(14, lower bus\) does not answer, l_ankle_y \(15.*robot on"):
+        rig.opened()
+
+
+def test_a_motor_without_a_valid_angle_at_start_is_named() -> None:
+    rig = Rig(sync_read=False)
+    rig.plant.close()
+    rig.memory.of("l_knee_y").drop_reply = lambda packet: packet[2] == KNEE and packet[4] == READ and packet[5] > 0
+    with pytest.raises(PlantError, match=r"no valid angle from l_knee_y$"):
+        rig.opened()
+
+
+@pytest.mark.parametrize("torque_off", [True, False])
+@pytest.mark.parametrize("fault", [None, *BUS])
+def test_close_releases_the_bus_and_leaves_the_torque_as_configured(torque_off: bool, fault: str | None) -> None:
+    rig = Rig(settings={"poppy.torque_off_at_end": torque_off})
+    rig.settle()
+    closed = []
+    for part in rig.plant.parts:
+        port = part.bus._port
+        port.closePort = lambda name=part.bus.name: closed.append(name)
+    if fault:
+        BUS[fault][0](rig.memory.servos["lower"])
+    if torque_off and fault:
+        with pytest.raises(PlantError, match=r"l_knee_y.* did not confirm .*: switch the power off"):
+            rig.plant.close()
+    else:
+        rig.plant.close()
+    assert sorted(closed) == list(BUSES)
+    # a servo executes a request even if its reply is damaged
+    unreachable = {"the bus is silent": "l_", "the port is unplugged": "l_", "one motor is silent": "l_knee_y"}.get(
+        fault or "", "-"
+    )
+    for name in MOTORS:
+        if not (name.startswith(unreachable) or (unreachable == "l_" and MOTORS[name].bus == "lower")):
+            assert rig.memory.torque(name) is not torque_off, name
+
+
+@read_either_way
+def test_every_error_of_the_port_is_handled(rig: Rig) -> None:
+    """Errors of pyserial, termios and the operating system are handled alike."""
+    import termios
+
+    for error in (OSError("x"), termios.error(5, "x"), TypeError("x"), ValueError("x"), NotImplementedError("x")):
+
+        def fail(*_: object, error: Exception = error) -> None:
+            raise error
+
+        bus = rig.plant.parts[0].bus
+        bus._port.writePort = fail
+        rig.run(0.3, u=0.3)
+        assert "the port is gone" in rig.faults
+        rig.until(lambda: rig.plant.fresh, 3.0)
+        rig.settle()
+
+
+# ---------------------------------------------------------------------- random faults in any order
+
+
+class RandomFaults:
+    """Random faults on both buses, and the invariants that must hold."""
+
+    FAULTS = ("none", "dead", "silent", "unplugged", "damaged", "garbage", "lossy", "slip", "blocked", "power", "bits",
+              "hot", "low", "late")  # fmt: skip
+
+    def __init__(self, rig: Rig, seed: int) -> None:
+        self.rig, self.rng = rig, random.Random(seed)
+        self.history: list[tuple[float, np.ndarray]] = []
+        self.wrong_until: dict[str, float] = {}  # until when a motor reports a wrong angle [s]
+        self.late = 0.0
+        self.published = self.moved = 0
+
+    def inject(self) -> str:
+        """Begin a fault on one of the buses, or end the present ones."""
+        servos = self.rig.memory.servos[self.rng.choice(BUSES)]
+        kind, servo = self.rng.choice(self.FAULTS), self.rng.choice(list(servos.servos.values()))
+        if kind in ("none", "late") or self.rng.random() < 0.5:
+            for healed in self.rig.memory.servos.values():
+                healed.clear_faults()
+                for one in healed.servos.values():
+                    one.error = 0
+                    one.memory[TEMPERATURE], one.memory[VOLTAGE] = 40, 120
+        self.late = self.rng.choice([0.05, 0.15, 0.4]) if kind == "late" else 0.0
+        share = self.rng.choice([0.05, 0.5, 1.0])
+        if kind == "dead":
+            servos.dead = True
+        elif kind == "silent":
+            servos.silent.add(servo.number)
+        elif kind == "unplugged":
+            servos.unplugged = True
+        elif kind == "damaged":
+            servos.damaged = share
+        elif kind == "garbage":
+            servos.garbage = share
+        elif kind == "lossy":
+            servos.drop_reply = lambda packet: self.rng.random() < share
+        elif kind == "slip":
+            servos.slip[servo.number] = self.rng.uniform(-180.0, 180.0)
+        elif kind == "blocked":
+            servo.blocked = True
+        elif kind == "power":
+            servos.cut_power()
+        elif kind == "bits":
+            servo.error = self.rng.choice([1, 4, 32, 64, 127])
+        elif kind == "hot":
+            servo.memory[TEMPERATURE] = self.rng.choice([70, 255])
+        elif kind == "low":
+            servo.memory[VOLTAGE] = self.rng.choice([0, 80])
+        return kind
+
+    def truth(self) -> np.ndarray:
+        return np.array([self.rig.memory.angle(name) for name in self.rig.plant.names])
+
+    def tick(self) -> None:
+        rig, plant, clock = self.rig, self.rig.plant, self.rig.memory.clock
+        names = plant.names
+        for name in names:
+            rig.memory.servo(name).advance(clock.now)
+            if rig.memory.of(name).slip.get(MOTORS[name].id):
+                self.wrong_until[name] = clock.now + 1.0
+        self.history.append((clock.now, self.truth()))
+        before = np.array([rig.memory.goal(name) for name in names])
+        took = rig.tick(self.rng.uniform(-1.0, 1.0), self.rng.uniform(-3.0, 3.0))
+        assert took < 0.5, "a period took too long"
+        clock.now += self.late if self.rng.random() < 0.2 else 0.0
+        self.history.append((clock.now, self.truth()))
+        after = np.array([rig.memory.goal(name) for name in names])
+        trusted = np.array([self.wrong_until.get(name, 0.0) < clock.now for name in names])
+
+        recent = [q for at, q in self.history if at >= clock.now - took - MAX_AGE - DT]
+        low, high = np.min(recent, axis=0) - STEP, np.max(recent, axis=0) + STEP
+        if plant.fresh:
+            self.published += 1
+            q = plant.measured.q
+            assert (((q >= low) & (q <= high)) | ~trusted).all(), "an old angle is marked fresh"
+        # a changed goal is near a recent angle of the joint; the first goals after a power cut are the servos' own
+        changed = (np.abs(after - before) > STEP) & trusted & np.array([rig.memory.torque(name) for name in names])
+        lead = rig.config.poppy.max_lead + STEP
+        self.moved += int(changed.any())
+        far = changed & ((after > high + lead) | (after < low - lead))
+        assert not far.any(), [names[k] for k in np.flatnonzero(far)]
+        del self.history[:-40]
+
+
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("seed", [*range(6), *(pytest.param(k, marks=pytest.mark.long) for k in range(6, 100))])
+def test_random_faults_cause_neither_stale_angles_nor_runaway_goals(seed: int) -> None:
+    """Ten seconds of faults in any order; a stopped robot is activated again at random times."""
+    rig = Rig(sync_read=bool(seed % 2))
+    rig.settle()
+    sequence, injected = RandomFaults(rig, seed), []
+    end, due = rig.memory.clock.now + 10.0, rig.memory.clock.now + 0.5
+    while rig.memory.clock.now < end:
+        if rig.memory.clock.now >= due:
+            injected.append(sequence.inject())
+            due = rig.memory.clock.now + sequence.rng.uniform(0.1, 1.5)
+        if not sequence.rng.randrange(50) and (rig.plant.watch.faults or not rig.plant.active):
+            with contextlib.suppress(PlantError):
+                rig.plant.activate()
+        sequence.tick()
+    assert sequence.published > 20, injected
+    assert sequence.moved > 5, injected
+    for servos in rig.memory.servos.values():
+        servos.clear_faults()
+    rig.run(2.0)
+    assert rig.plant.fresh
+    # the remaining faults end with a new activation
+    for servo in (s for servos in rig.memory.servos.values() for s in servos.servos.values()):
+        servo.error = 0
+        servo.memory[TEMPERATURE], servo.memory[VOLTAGE] = 40, 120
+    rig.run(1.0)
+    rig.settle()
+    check_moves(rig)

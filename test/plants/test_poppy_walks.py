@@ -1,0 +1,191 @@
+"""Poppy's driver on servos that carry the robot: MuJoCo behind both emulated buses, in simulated time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from dynamixel_bus import MOTORS, Memory
+
+import dqwalk_ros as dq
+from dqwalk_ros.config import Config, overlaid
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.state import Command, State
+from dqwalk_ros.plants.base import Inertial, Plant, Truth
+from dqwalk_ros.plants.bus import Bus
+from dqwalk_ros.plants.mujoco import PhysicsPlant
+from dqwalk_ros.plants.poppy.dynamixel import PRESENT, TYPES
+from dqwalk_ros.plants.poppy.emulated_servos import EmulatedServo
+from dqwalk_ros.plants.poppy.plant import PoppyPlant
+from dqwalk_ros.report import analyse, report
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.robot.servos import Drive, Servos
+from dqwalk_ros.simulation import make_controller, make_walk, simulate
+
+CONFIG = overlaid(dq.load("poppy"), "poppy_as_built").updated({"qp.solver": "daqp"})
+DYNAMIC = overlaid(dq.load("poppy_dynamic_50hz"), "poppy_as_built")
+MODEL = dq.load_model(CONFIG.robot)
+GAINS = (254, 127)
+LESS_EXACT: dict[str, Any] = {"least_inside": 93.0, "most_tilt": 2.0, "tolerated": frozenset({"cop", "landing"})}
+"""The dynamic walk: at 50 Hz a step begins and ends with a tick or two of pressure on the other sole, up to 6 % of all,
+and some steps land more than 5 mm off."""
+SAMPLE = 0.004  # time between two readings of the set points by the engine [s]
+
+
+class LoadedServo(EmulatedServo):
+    """A servo whose joint is moved by the engine: `moved` is only its set point, `present` what it measures."""
+
+    present = bytes(6)
+
+    def advance(self, now: float) -> None:
+        super().advance(now)
+        self.write(PRESENT, self.present)
+
+    def measure(self, degrees: float, speed: float, torque: float) -> None:
+        """Set position [deg], speed [deg/s] and load [N m] of its axis, in the units of the registers."""
+        words = [self.kind.position(degrees)]
+        for value in (speed / self.kind.speed_unit, 1023.0 * torque / self.kind.stall_torque):
+            words.append(min(round(abs(value)), 1023) | (1024 if value < 0.0 else 0))
+        self.present = b"".join(word.to_bytes(2, "little") for word in words)
+
+
+class RegisterBus(Bus):
+    """The set points of emulated servos, after the latency of the robot, are the goals of the servos in the engine."""
+
+    def __init__(self, config: Config, model: RobotModel, memory: Memory, q: np.ndarray) -> None:
+        super().__init__(config.servo, Servos.of(config, model), Drive.of(config, model), q, model.q_min, model.q_max)
+        self._names, self._memory = model.joint_names, memory
+
+    def command(self, velocity: np.ndarray, effort: object, q: np.ndarray, time: float, dt: float) -> None:
+        """Do nothing: the driver has written the goals to the registers."""
+
+    def output(self, time: float) -> tuple[np.ndarray, float]:
+        self._memory.clock.now = time
+        points = []
+        for name in self._names:
+            self._memory.servo(name).advance(time)
+            points.append(self._memory.angle(name))
+        self._queue.append((time + self._config.latency, np.array(points)))
+        return super().output(time)[0], time + SAMPLE
+
+
+class PoppyOnTheFloor(Plant):
+    """The driver, both buses, and the robot in MuJoCo; straps hold the robot until it is in its first pose."""
+
+    def __init__(self, config: Config, model: RobotModel) -> None:
+        posture = make_walk(config, model).posture
+        degrees = dict(zip(model.joint_names, np.degrees(posture), strict=True))
+        self.memory, self._names = Memory(**degrees), model.joint_names
+        for name in model.joint_names:
+            motor = MOTORS[name]
+            servo = LoadedServo(motor.id, TYPES[motor.type], motor.servo(degrees[name]))
+            self.memory.of(name).servos[motor.id] = servo
+        self.robot = PhysicsPlant(config, model, posture, bus=RegisterBus(config, model, self.memory, posture))
+        self.memory.clock.now = self.robot.data.time
+        self._measure()
+        memory, age = self.memory, config.plant.command_timeout
+        self.driver = PoppyPlant(model, config.poppy, age, posture, buses=memory.buses, clock=memory.clock, each=map)
+        self.driver.activate()
+        while not self.driver.ready:
+            self._state = self.driver.step(Command(0.0, np.zeros(model.n)), config.dt)
+            assert not self.driver.watch.faults
+        self._state = self._sensed(self.driver.state)
+
+    def step(self, command: Command, dt: float) -> State:
+        self.driver.tell(command, dt)
+        self.robot.step(Command(command.time, np.zeros_like(command.velocity)), dt)
+        self.memory.clock.now = self.robot.data.time
+        self._measure()
+        self._state = self._sensed(self.driver.read())
+        return self._state
+
+    def _measure(self) -> None:
+        state, effort = self.robot.state, self.robot.truth.effort
+        for k, name in enumerate(self._names):
+            motor = MOTORS[name]
+            sign = 1.0 if motor.direct else -1.0
+            angle, speed = np.degrees([state.q[k], sign * state.dq[k]])
+            self.memory.servo(name).measure(motor.servo(angle), speed, sign * effort[k])
+
+    def _sensed(self, measured: State) -> State:
+        """Return the angles of the motors with the measurements of the inertial sensor."""
+        return replace(self.robot.state, q=measured.q, dq=measured.dq)
+
+    @property
+    def state(self) -> State:
+        return self._state
+
+    @property
+    def truth(self) -> Truth:
+        return self.robot.truth
+
+    @property
+    def inertial(self) -> Inertial:
+        return self.robot.inertial
+
+    @property
+    def fallen(self) -> bool:
+        return self.robot.fallen
+
+
+def settings(gain: int, seed: int, steps: int, config: Config = CONFIG) -> Config:
+    changes = {"gait.steps": steps, "servo.p_gain": gain, "poppy.p_gain": gain, "sensors.seed": seed}
+    return config.updated(changes)
+
+
+def check_walk(
+    config: Config,
+    *,
+    ramp: int = 0,
+    least_inside: float = 99.9,
+    most_tilt: float = 1.0,
+    tolerated: frozenset = frozenset(),
+) -> None:
+    plant = PoppyOnTheFloor(config, MODEL)
+    trace = simulate(make_controller(config, MODEL), plant)
+    found = report(analyse(trace))
+    physics = found["physics"]
+    tilt, ahead = np.degrees(physics["tilt"]["value"]), physics["displacement"][0]
+    inside = 100.0 * physics["cop_inside"]
+    print(f"{physics['steps'] - 1} steps: {ahead:.3f} m, tilt at most {tilt:.2f} deg, pressure inside {inside:.2f} %")
+    assert trace.finished, trace.notes
+    assert not plant.driver.watch.faults
+    assert not {one["what"] for one in found["violations"]} - tolerated
+    assert not physics["fallen"]
+    assert tilt < most_tilt
+    assert inside > least_inside
+    assert ahead > 0.95 * 0.05 * (config.gait.steps - ramp) - 0.01
+    feet = [DQ(x).translation() for x in plant.truth.soles.values()]
+    assert abs(feet[0][0] - feet[1][0]) < 0.005  # together
+
+
+@pytest.mark.parametrize("gain", GAINS)
+def test_the_robot_walks_through_the_driver(gain: int) -> None:
+    check_walk(settings(gain, 0, 3))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("gain", GAINS)
+def test_20_steps_through_the_driver(gain: int, seed: int) -> None:
+    check_walk(settings(gain, seed, 20))
+
+
+def test_the_robot_walks_dynamically_through_the_driver() -> None:
+    check_walk(settings(254, 0, 6, DYNAMIC), ramp=2, **LESS_EXACT)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(20))
+def test_20_dynamic_steps_through_the_driver(seed: int) -> None:
+    check_walk(settings(254, seed, 20, DYNAMIC), ramp=3, **LESS_EXACT)
+
+
+@pytest.mark.parametrize("gain", GAINS)
+def test_the_driver_knows_the_stiffness_of_its_servos(gain: int) -> None:
+    """By the register of the gain, and by the data sheet that the simulated servos have too."""
+    config = settings(gain, 0, 1)
+    plant = PoppyOnTheFloor(config, MODEL)
+    np.testing.assert_allclose(plant.driver.stiffness[: MODEL.n], Servos.of(config, MODEL).stiffness, rtol=0.01)

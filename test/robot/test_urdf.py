@@ -1,0 +1,221 @@
+"""Robot descriptions: what is rejected, with element and line, what is repaired, what is written."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yourdfpy
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dqwalk_ros.robot.packages import find_package_file
+from dqwalk_ros.robot.urdf import Origin, Urdf
+from dqwalk_ros.support.errors import ModelError
+
+ROOT = Path(__file__).resolve().parents[2]
+OURS = [*(ROOT / "urdf").glob("*.urdf"), *(ROOT / "test" / "data").glob("*.urdf")]
+POPPY = (ROOT / "urdf" / "poppy.urdf").read_text(encoding="utf-8")
+MASS = '<mass value="1"/>'
+ROUND = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+
+
+def link(name: str = "b", inertial: str = "", more: str = "") -> str:
+    return f'<link name="{name}">{f"<inertial>{inertial}</inertial>" if inertial else ""}{more}</link>'
+
+
+def joint(name: str = "j", parent: str = "a", child: str = "b", kind: str = "revolute", more: str | None = None) -> str:
+    inside = '<axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="7" effort="3"/>' if more is None else more
+    return f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{inside}</joint>'
+
+
+def robot(*parts: str) -> str:
+    return '<robot name="r">\n' + "\n".join(parts) + "\n</robot>"
+
+
+A, B, J = link("a"), link("b", MASS + ROUND), joint()
+
+BAD = {
+    "empty": ("", "not XML"),
+    "not xml": ("hello", "not XML"),
+    "cut off": (POPPY[:5000], "not XML"),
+    "another root": ("<svg/>", "line 1: <svg>: not a URDF"),
+    "no links": (robot(), "no links"),
+    "doctype": (f'<!DOCTYPE robot SYSTEM "file:///etc/passwd">{robot(A)}', "line 1: <!DOCTYPE is not allowed"),
+    "bomb": ('<!DOCTYPE r [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]>' + robot(A), "DOCTYPE"),
+    "undefined entity": (robot("<link name='&xxe;'/>"), "not XML"),
+    "too deep": (robot(A, "<a>" * 100_000), "line 3: <a> lies too deep"),
+    "too large": (robot(A, " " * (1 << 25)), "more than 32 MiB"),
+    "nameless link": (robot("<link/>"), "line 2: <link> has no name"),
+    "doubled link": (robot(A, A), "line 3: <link> 'a' has the name of the one in line 2"),
+    "doubled joint": (
+        robot(A, B, link("c"), J, joint(child="c")),
+        "line 6: <joint> 'j' has the name of the one in line 5",
+    ),
+    "two roots": (robot(A, B), "one root link, this has 2: a, b"),
+    "a loop": (robot(A, B, J, joint("k", "b", "a")), "line 2: <link> 'a' is part of a loop"),
+    "a loop beside": (robot(A, B, link("c"), joint("j", "b", "c"), joint("k", "c", "b")), "'b' is part of a loop"),
+    "its own parent": (robot(A, B, joint("j", "b", "b")), "line 3: <link> 'b' is part of a loop"),
+    "two parents": (robot(A, B, J, joint("k")), "line 5: <joint> 'k' is the second joint"),
+    "no such parent": (robot(A, B, joint(parent="x")), "names the parent 'x'"),
+    "no such child": (robot(A, joint()), "names the child 'b'"),
+    "no parent": (robot(A, '<joint name="j" type="fixed"><child link="a"/></joint>'), 'one <parent link="..."/>'),
+    "joint type": (robot(A, B, joint(kind="magic")), "line 4: <joint> 'j' has the type 'magic'"),
+    "nan limit": (robot(A, B, joint(more='<limit lower="nan" upper="1"/>')), "line 4: <limit> has lower = 'nan'"),
+    "words": (robot(A, B, joint(more='<limit lower="0" upper="1_0"/>')), "has upper = '1_0'"),
+    "macro": (robot(A, B, joint(more='<limit lower="${-pi}" upper="1"/>')), "has lower = '\\$\\{-pi\\}'"),
+    "no axis": (robot(A, B, joint(more='<axis xyz="0 0 0"/><limit upper="1"/>')), "axis without direction"),
+    "flat axis": (robot(A, B, joint(more='<axis xyz="0 1"/><limit upper="1"/>')), "must have 3 numbers in xyz"),
+    "nan origin": (robot(A, B, joint(more='<origin xyz="0 nan 0"/>')), "<origin> has xyz = 'nan'"),
+    "far origin": (robot(A, B, joint(more='<origin xyz="0 1e9 0"/>')), "'1e9'"),
+    "negative mass": (robot(link("a", '<mass value="-1"/>')), "line 2: <link> 'a' has a negative mass"),
+    "nan mass": (robot(link("a", '<mass value="nan"/>')), "<mass> has value = 'nan'"),
+    "sphere": (robot(link("a", more='<visual><geometry><sphere radius="-1"/></geometry></visual>')), "negative size"),
+    "all at once": (robot("<link/>", A, joint(kind="magic")), "line 2: .*; line 4: "),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_invalid_descriptions_are_rejected_with_element_and_line(name: str) -> None:
+    text, expected = BAD[name]
+    began = time.process_time()
+    with pytest.raises(ModelError, match=expected):
+        Urdf(text, "bad.urdf")
+    assert time.process_time() - began < 2.0
+
+
+REPAIRED = {
+    "no name of the robot": ("<robot><link name='a'/></robot>", ""),
+    "many links": (robot(A, *(link(f"l{i}") + joint(f"j{i}", "a", f"l{i}", "fixed") for i in range(500))), ""),
+    "infinite limit": (robot(A, B, joint(more='<limit lower="-inf" upper="1e999" effort="1"/>')), ""),
+    "no limit": (robot(A, B, joint(more="")), "line 4: <joint> 'j' has no <limit>: it moves without one"),
+    "turned limits": (robot(A, B, joint(more='<limit lower="1" upper="-1"/>')), "lower 1 above upper -1: exchanged"),
+    "no range": (robot(A, B, joint(more='<limit effort="1"/>')), "without lower and upper: it moves"),
+    "equal limits": (robot(A, B, joint(more='<limit lower="1" upper="1"/>')), "no range, .*: fixed there"),
+    "no effort": (robot(A, B, joint(more='<limit upper="1" effort="0"/>')), "effort limit 0: taken as none"),
+    "long axis": (robot(A, B, joint(more='<axis xyz="0 0 2"/><limit upper="1"/>')), "axis of length 2: made a unit"),
+    "floating": (robot(A, B, joint(kind="floating")), "is floating: taken as fixed"),
+    "no mass": (robot(link("a", '<mass value="0"/>')), "line 2: <link> 'a' has the mass 0 kg: taken as a frame"),
+    "no inertia": (
+        robot(link("a", MASS)),
+        "principal moments 0, 0, 0 kg m.2, which no body has: 0.0001, 0.0001, 0.0001",
+    ),
+    "indefinite": (
+        robot(link("a", MASS + ROUND.replace('ixy="0"', 'ixy="2"'))),
+        "moments -1, 1, 3 .*: 2, 1, 3|: 1, 2, 3",
+    ),
+    "no body": (robot(link("a", MASS + ROUND.replace('izz="1"', 'izz="3"'))), "moments 1, 1, 3 "),
+    "world": (robot(link("world"), A, joint("j", "world", "a", "fixed")), "'world' is no part of the robot"),
+}
+
+
+@pytest.mark.parametrize("name", REPAIRED)
+def test_flaws_that_ros_tools_accept_are_repaired(name: str) -> None:
+    text, expected = REPAIRED[name]
+    urdf = Urdf(text, "odd.urdf")
+    if expected:
+        (repair,) = urdf.repairs
+        assert re.search(expected, repair), repair
+    else:
+        assert not urdf.repairs
+    for one in urdf.links.values():
+        a, b, c = np.linalg.eigvalsh(one.inertia)
+        assert not one.mass or (a > 0.0 and a + b >= c * 0.999)
+    again = Urdf(urdf.text(), "again")  # the written text needs no repair
+    assert not again.repairs
+    assert again.text() == urdf.text()
+
+
+def test_mesh_files_are_not_opened(tmp_path: Path) -> None:
+    trap = tmp_path / "trap.stl"
+    os.mkfifo(trap)  # opening it would block forever
+    mesh = f'<visual><geometry><mesh filename="{trap}" scale="0.1 0.1 0.1"/></geometry></visual>'
+    (shape,) = Urdf(robot(link("a", more=mesh)), "x").links["a"].visuals
+    assert (shape.kind, shape.mesh, shape.size) == ("mesh", str(trap), (0.1, 0.1, 0.1))
+
+
+@pytest.mark.parametrize("path", OURS, ids=lambda path: path.name)
+def test_own_descriptions_need_no_repair_and_match_yourdfpy(path: Path) -> None:
+    urdf = Urdf.load(path)
+    assert not urdf.repairs
+    known = yourdfpy.URDF.load(str(path), load_meshes=False, build_scene_graph=False).robot
+    assert list(urdf.links) == [one.name for one in known.links]
+    for one in known.joints:
+        mine = urdf.joints[one.name]
+        pose = np.eye(4) if one.origin is None else one.origin
+        np.testing.assert_allclose(mine.origin.pose.rotation_matrix(), pose[:3, :3], atol=1e-15)
+        np.testing.assert_allclose(mine.origin.pose.translation(), pose[:3, 3], atol=1e-15)
+        assert (mine.type, mine.parent, mine.child) == (one.type, one.parent, one.child)
+        if mine.moves:
+            np.testing.assert_array_equal(mine.axis, one.axis)
+            assert (mine.lower, mine.upper, mine.effort) == (one.limit.lower, one.limit.upper, one.limit.effort)
+    for one in known.links:
+        if one.inertial is not None:
+            pose = np.eye(4) if one.inertial.origin is None else one.inertial.origin
+            R = pose[:3, :3]
+            np.testing.assert_allclose(urdf.links[one.name].com, pose[:3, 3], atol=1e-15)
+            np.testing.assert_allclose(urdf.links[one.name].inertia, R @ one.inertial.inertia @ R.T, atol=1e-15)
+    again = yourdfpy.URDF.load(io.BytesIO(urdf.text().encode()), load_meshes=False).robot
+    assert {one.name for one in again.links} == set(urdf.links)
+    assert Urdf(urdf.text(), "again").text() == urdf.text()
+
+
+angles = st.floats(-4.0, 4.0) | st.sampled_from([0.0, np.pi / 2, -np.pi / 2, np.pi])
+
+
+@given(st.tuples(angles, angles, angles))
+def test_an_origin_is_recovered_from_its_pose(rpy: tuple[float, float, float]) -> None:
+    pose = Origin((1.0, 2.0, 3.0), rpy).pose
+    off = pose.conj() * Origin.of(pose).pose
+    np.testing.assert_allclose(off.rotation_matrix(), np.eye(3), atol=1e-8)
+    np.testing.assert_allclose(off.translation(), 0.0, atol=1e-8)
+
+
+def test_a_joint_fixed_at_an_angle_has_the_pose_of_that_angle() -> None:
+    urdf = Urdf(robot(A, B, joint(more='<origin xyz="1 0 0" rpy="1.5707963 0 0"/><axis xyz="0 0 1"/>')), "x")
+    turned = urdf.joints["j"].at(0.3).pose
+    urdf.weld({"j": 0.3})
+    assert not urdf.joints["j"].moves
+    np.testing.assert_array_equal(urdf.joints["j"].origin.pose.vec8(), turned.vec8())
+    assert turned.rotation_matrix()[2, 0] == pytest.approx(np.sin(0.3))  # about -y of the parent
+
+
+def test_package_files_are_found_near_the_description(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh = tmp_path / "my_robot" / "meshes" / "foot.stl"
+    near = tmp_path / "my_robot" / "urdf" / "deep" / "my.urdf"
+    for path in (mesh, near):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("")
+    assert find_package_file("package://my_robot/meshes/foot.stl", near) == mesh
+    assert find_package_file("package://another/meshes/foot.stl", near) == mesh  # the copy has another name
+    assert find_package_file("../../meshes/foot.stl", near).resolve() == mesh
+    assert find_package_file(f"file://{mesh}", near) == mesh
+    assert find_package_file("package://my_robot/meshes/hand.stl", near) is None
+    installed = tmp_path / "prefix" / "share" / "their_robot"
+    installed.mkdir(parents=True)
+    (installed / "a.stl").write_text("")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "prefix"))
+    assert find_package_file("package://their_robot/a.stl", near) == installed / "a.stl"
+
+
+def test_xacro_is_expanded(tmp_path: Path) -> None:
+    folder = tmp_path / "my_robot"
+    folder.mkdir()
+    (folder / "parts.xacro").write_text(
+        '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name="part" params="name">'
+        '<link name="${name}"/></xacro:macro></robot>'
+    )
+    path = folder / "my.urdf.xacro"
+    path.write_text(
+        '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+        '<xacro:include filename="$(find my_robot)/parts.xacro"/><xacro:part name="a"/></robot>'
+    )
+    assert list(Urdf.load(path).links) == ["a"]
+    path.write_text(path.read_text()[:-20])
+    with pytest.raises(ModelError, match="xacro refuses"):
+        Urdf.load(path)

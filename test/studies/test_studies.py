@@ -1,0 +1,440 @@
+"""Studies: their walks, interruption and resumption, and independence of the machine."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from distributed import LocalCluster
+from full_disk import limited_file_size
+from pyarrow import parquet
+
+from dqwalk_ros import cli
+from dqwalk_ros.cli.robustness import table
+from dqwalk_ros.config import load, overlaid
+from dqwalk_ros.paper.state import Command
+from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.studies import pushes, read, robustness, walk_all
+from dqwalk_ros.studies.bisection import largest
+from dqwalk_ros.studies.runner import Store, run
+from dqwalk_ros.support.errors import ConfigError, ModelError, PlantError, StudyError
+
+ROOT = Path(__file__).resolve().parents[2]
+SHORT = (
+    "config: paper\n"
+    "set: {dt: 0.02, task.eta: 2.0, task.damping: 0.02, ssp.threshold: 0.02, dsp.stall_rate: 0.005, qp.solver: daqp,"
+    " gait.phase_timeout: 3.0}\n"
+)
+POPPY = load("poppy")
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def small(tmp_path):
+    vary = "vary: {gait.step_length: {from: 0.01, to: 0.03, steps: 3}, dsp.flat_feet: [true, false]}\n"
+    return write(tmp_path / "small.yaml", SHORT + vary)
+
+
+# ---------------------------------------------------------------------- the points of a study
+
+
+def test_a_grid_is_every_combination_in_order(small):
+    lengths = [0.01, 0.02, 0.03]
+    expected = [{"gait.step_length": x, "dsp.flat_feet": y} for x, y in itertools.product(lengths, [True, False])]
+    assert read(small).points() == expected
+
+
+@pytest.mark.parametrize("sample", ["latin_hypercube", "sobol"])
+def test_samples_fill_the_ranges_and_are_reproducible(tmp_path, sample):
+    text = f"{SHORT}sample: {sample}\ncount: 16\nseed: 4\nvary: {{task.eta: {{from: 1, to: 2}}, dt: [0.005, 0.004]}}\n"
+    points = read(write(tmp_path / "s.yaml", text)).points()
+    assert points == read(tmp_path / "s.yaml").points()
+    etas = sorted(point["task.eta"] for point in points)
+    # one in each sixteenth of the range
+    assert all(i / 16 - 1e-9 <= eta - 1 <= (i + 1) / 16 + 1e-9 for i, eta in enumerate(etas))
+    assert sum(point["dt"] == 0.004 for point in points) == 8
+
+
+SIX = ", ".join(
+    f"{key}: {{from: 0.1, to: 0.2, steps: 100}}"
+    for key in ("start.a", "start.b", "start.c", "mass.d", "mass.e", "mass.f")
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("vary: {gait.step_lenght: [0.1]}", "step_lenght.*did you mean"),
+        ("vary: {gait.step_length: {from: 0.1, to: 9.0}}", "gait.step_length.*must be a number in"),
+        ("vary: {gait.step_length: 0.1}", "list of values"),
+        ("vary: {gait.step_length: {from: 0.1, to: 0.2, stepss: 3}}", "list of values"),
+        ("vary: {}", "vary"),
+        ("[1, 2]", "--help"),
+        ("sample: random\nvary: {dt: [0.005]}", "sample"),
+        ("sample: sobol\ncount: 12\nvary: {dt: [0.005]}", "power of two"),
+        ("vary: {start.l_knee_y: [a]}", "must be a finite number"),
+        ("vary: {mass.pelvis: [.nan]}", "must be a finite number"),
+        ("vary: {mass.pelvis: [-1.0]}", "must not be negative"),
+        ("colour: red\nvary: {dt: [0.005]}", "colour"),
+        ("vary: {dt: {from: 0.001, to: 0.005, steps: 1000000000}}", "list of values"),
+        (f"vary: {{{SIX}}}", r"1e\+12 walks are too many"),
+        ("count: 1000000000\nsample: sobol\nvary: {dt: [0.005]}", "count"),
+        ("vary: {dt: [2024-13-45]}", "not YAML"),
+        ("vary: " + "[" * 100, "nested too deeply"),
+        ("vary: " + "[" * 3000, "nested too deeply|nesting depth"),  # the newer libyaml's own limit
+    ],
+)
+def test_invalid_studies_are_rejected_before_the_first_walk(tmp_path, text, words):
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(ConfigError, match=words):
+        read(write(tmp_path / "wrong.yaml", text))
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # [kB]
+
+
+def test_a_failed_walk_is_a_result(tmp_path):
+    vary = "vary: {start.l_knee_y: [0.0, 0.1], gait.phase_timeout: [0.1], mass.pelvis: [1.0, 2.0]}\n"
+    rows = walk_all(read(write(tmp_path / "s.yaml", SHORT + vary)), tmp_path / "out")
+    assert len(rows) == 4
+    assert not any(row["finished"] for row in rows.values())
+    assert all("double_support/left" in row["end"] for row in rows.values())
+
+
+@pytest.mark.parametrize(("name", "words"), [("start.nobody", "no such joint.*l_knee_y"), ("mass.no", "no such link")])
+def test_a_wrong_joint_or_link_is_an_error_before_the_first_walk(tmp_path, name, words):
+    study = write(tmp_path / "s.yaml", f"{SHORT}vary: {{{name}: [1.0, 2.0]}}\n")
+    with pytest.raises(ConfigError, match=words):
+        walk_all(read(study), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    assert cli.main(["study", str(study), "--dry-run"]) == 2
+
+
+def test_starts_masses_and_disturbances_change_the_walk_reproducibly(tmp_path):
+    vary = "vary: {start.l_knee_y: [0.1], mass.pelvis: [1.0, 2.0], disturbance.velocity: [0.0, 0.01]}\n"
+    study = read(write(tmp_path / "s.yaml", SHORT + vary))
+    rows = walk_all(study, tmp_path / "a")
+    results = [(row["duration"], row["error"], row["margin/true"]) for row in rows.values()]
+    assert len(set(results)) == len(results)
+    assert walk_all(study, tmp_path / "b") == rows
+
+
+# ---------------------------------------------------------------------- schedulers, interruption and resumption
+
+
+def test_results_do_not_depend_on_the_scheduler(small, tmp_path):
+    study = read(small)
+    one = walk_all(study, tmp_path / "one")
+    assert walk_all(study, tmp_path / "two", jobs=2) == one
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, processes=False, protocol="tcp"
+    ) as cluster:
+        assert walk_all(study, tmp_path / "dask", scheduler=cluster.scheduler_address) == one
+    table = parquet.read_table(tmp_path / "one" / "walks.parquet").to_pylist()
+    assert table == list(one.values())
+    assert [row["walk"] for row in table] == list(range(6))
+    assert all(row["finished"] for row in table), [row["end"] for row in table]
+
+
+def test_a_missing_scheduler_is_an_error(small, tmp_path, monkeypatch):
+    monkeypatch.setattr("dqwalk_ros.studies.runner._CONNECT_TIMEOUT", "1s")
+    with pytest.raises(ConfigError, match="no Dask scheduler answers at tcp://"):
+        walk_all(read(small), tmp_path / "out", scheduler="tcp://127.0.0.1:9")
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT], ids=["killed", "Ctrl-C"])
+def test_an_interrupted_study_resumes_without_losing_a_walk(tmp_path, number):
+    text = SHORT + "vary: {gait.step_length: {from: 0.01, to: 0.03, steps: 12}}\n"
+    study, out = write(tmp_path / "long.yaml", text), tmp_path / "out"
+    command = [sys.executable, "-m", "dqwalk_ros.cli", "study", str(study), "--out", str(out), "--jobs", "1"]
+    process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    log, deadline = out / "walks.jsonl", time.monotonic() + 120
+    while not (log.exists() and len(log.read_text().splitlines()) > 3) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(number)
+    output = process.communicate(timeout=60)[1]
+    if number == signal.SIGINT:
+        assert process.returncode == 1
+        assert "of 12 walks are saved, the same command continues" in output
+        assert "Traceback" not in output
+    before = log.read_text().splitlines()
+    assert 3 < len(before) < 13
+    with log.open("a") as file:
+        file.write('{"walk": 11, "finis')  # an incomplete line, as after a kill during a write
+    walked = []
+    rows = walk_all(read(study), out, progress=lambda done, total, last: walked.append(done))
+    whole = [json.loads(line) for line in before[1:] if line.endswith("}")]
+    assert len(walked) == 12 - len(whole)
+    assert list(rows) == list(range(12))
+    assert [rows[line["walk"]] for line in whole] == whole
+
+
+class Number(msgspec.Struct):
+    square: float
+
+
+POINTS = [{"x": float(k)} for k in range(5)]
+
+
+def square(index: int, point: dict[str, float]) -> Number:
+    return Number(point["x"] ** 2)
+
+
+def ignores_interrupts(index: int, point: dict[str, float]) -> Number:
+    return Number(float(signal.getsignal(signal.SIGINT) is signal.SIG_IGN))
+
+
+def test_workers_ignore_ctrl_c(tmp_path):
+    store = Store(tmp_path / "walks.jsonl", "x", POINTS, Number)
+    assert {one.square for one in run(ignores_interrupts, store, jobs=2).values()} == {1.0}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"\xff\xfe\x00binary",
+        b'{"walk": [1], "square": 1.0}',
+        b'{"walk": 1}',
+        b'{"walk": 1, "square": "a"}',
+        b'{"walk": 7, "square": 1.0}',
+        b'{"walk": true, "square": 1.0}',
+        b"[" * 100_000,
+        b"",
+    ],
+)
+def test_the_walk_of_a_damaged_line_is_repeated(tmp_path, line):
+    path = tmp_path / "walks.jsonl"
+    path.write_bytes(b'{"study":"me"}\n{"walk":0,"square":0.0}\n' + line + b'\n{"walk":2,"square":4.0}\n')
+    store = Store(path, "me", POINTS, Number)
+    assert store.done == {0: Number(0.0), 2: Number(4.0)}
+    again = []
+    done = run(square, store, progress=lambda count, total, last: again.append(last.square))
+    store.close()
+    assert sorted(again) == [1.0, 9.0, 16.0]
+    assert [done[k].square for k in range(5)] == [0.0, 1.0, 4.0, 9.0, 16.0]
+    with_all = Store(path, "me", POINTS, Number)
+    assert with_all.done == done
+    with_all.close()
+
+
+def test_a_store_has_one_study_and_one_writer(tmp_path):
+    path = tmp_path / "walks.jsonl"
+    store = Store(path, "me", POINTS, Number)
+    with pytest.raises(ConfigError, match="another process"):
+        Store(path, "me", POINTS, Number)
+    store.add(3, Number(9.0))
+    store.close()
+    with pytest.raises(ConfigError, match="another study"):
+        Store(path, "you", POINTS, Number)
+    replaced = Store(path, "you", POINTS, Number, force=True)
+    assert replaced.done == {}
+    replaced.close()
+
+
+def test_a_folder_in_place_of_the_file_is_an_error(tmp_path):
+    (tmp_path / "walks.jsonl").mkdir()
+    with pytest.raises(StudyError, match="Is a directory"):
+        Store(tmp_path / "walks.jsonl", "me", POINTS, Number)
+
+
+def test_a_full_disk_is_an_error_and_loses_no_outcome(tmp_path):
+    path = tmp_path / "walks.jsonl"
+    store = Store(path, "me", POINTS * 20, Number)
+    with limited_file_size(200), pytest.raises(StudyError, match="cannot read and write"):
+        run(square, store)
+    store.close()
+    store = Store(path, "me", POINTS * 20, Number)
+    assert len(store.done) > 3
+    assert len(run(square, store)) == 100
+    store.close()
+
+
+def test_the_study_command_reports_its_results_and_errors(small, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert cli.main(["study", str(small), "--out", str(out), "--quiet", "--jobs", "1"]) == 0
+    assert cli.main(["study", str(small), "--out", str(out)]) == 0
+    shown = capsys.readouterr().out
+    assert "small: 6 of 6 walks finished" in shown
+    assert (out / "study.png").stat().st_size > 10_000
+    assert os.path.exists(out / "walks.parquet")
+    assert cli.main(["study", str(tmp_path / "none.yaml")]) == 2
+    assert capsys.readouterr().err == f"dqwalk: no study file '{tmp_path / 'none.yaml'}'\n"
+    (out / "walks.parquet").unlink()
+    (out / "walks.parquet").mkdir()
+    assert cli.main(["study", str(small), "--out", str(out)]) == 1
+    assert "walks.parquet" in capsys.readouterr().err
+
+
+# ---------------------------------------------------------------------- robustness
+
+
+def test_robustness_samples_cells_and_counts_failures():
+    axes = {"physics.friction": (0.4, 0.8), "servo.latency": (0.0, 0.02, 0.04)}
+    assert len(robustness.cells(axes)) == 6
+    drawn = robustness.cells(axes, sample=4, seed=1)
+    assert drawn == robustness.cells(axes, sample=4, seed=1)
+    assert len(drawn) == 4
+    done = [(values, robustness.Outcome(k > 0, 1.0, 3, "" if k else "fell")) for k, values in enumerate(drawn)]
+    text = table(done, axes)
+    assert text.startswith("3 of 4 cells stood (4 of the 6 combinations were walked)")
+    assert "failed at" in text
+
+
+def test_a_robot_that_does_not_exist_is_an_error_before_the_first_cell(tmp_path):
+    with pytest.raises(ModelError, match=r"nowhere\.urdf"):
+        robustness.walk_all(POPPY.updated({"robot.urdf": "nowhere.urdf"}), [{}], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_stiffness_is_varied_relative_to_the_robots_own():
+    assert robustness.axes_of(POPPY)["servo.stiffness"] == (25.0, 40.0, 60.0, 90.0)
+    big = robustness.axes_of(POPPY.updated({"servo.stiffness": 4000.0}))["servo.stiffness"]
+    assert big[2] == 4000.0
+    assert big[0] == pytest.approx(4000.0 * 25 / 60)
+
+
+def test_the_assumed_latency_can_be_wrong():
+    config = POPPY.updated({"servo.latency": 0.03, "sensors.age": 0.01})
+    for error, expected in ((0.0, 0.04), (0.02, 0.06), (-0.02, 0.02), (-0.1, 0.0)):
+        assert robustness.assumed(config, error)["servo.assumed_latency"] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("lead", "damping", "assumed"), [(0.0, 0.02, 0.0), (0.005, 0.02, 0.005), (0.02, 0.01, 0.01)])
+def test_the_lead_is_that_of_the_configuration_but_not_more_than_the_damping(lead, damping, assumed):
+    found = robustness.assumed(POPPY.updated({"servo.assumed_lead": lead, "servo.damping": damping}))
+    assert (found["servo.assumed_lead"], found["servo.assumed_damping"]) == (assumed, damping)
+
+
+def test_an_interrupted_robustness_study_says_how_to_continue(tmp_path, monkeypatch, capsys):
+    def walk(config, index, values):
+        if (tmp_path / "cells.jsonl").read_text().count("stood"):
+            raise KeyboardInterrupt
+        return robustness.Outcome(True, 1.0, 3, "")
+
+    monkeypatch.setattr(robustness, "walk", walk)
+    options = ["--axis", "physics.friction=0.4,0.8", "--sample", "5", "--jobs", "1", "--out", str(tmp_path)]
+    assert cli.main(["robustness", *options]) == 1
+    output = capsys.readouterr()
+    assert "interrupted; 1 of 5 cells are saved, the same command continues" in output.err
+    assert not output.out
+    assert [file.name for file in tmp_path.iterdir()] == ["cells.jsonl"]
+
+
+def test_robustness_as_built_varies_gain_and_seed():
+    axes = robustness.axes_of(overlaid(POPPY, "poppy_as_built"))
+    assert len(robustness.cells(axes)) == 40
+    assert axes["servo.p_gain"] == (254, 127)
+    values = [{"servo.p_gain": 254.0, "sensors.seed": k} for k in range(3)]
+    done = [(one, robustness.Outcome(True, 1.0, 3, "", 0.001 * k)) for k, one in enumerate(values)]
+    assert "the largest of each walk: median 0.06, worst 0.11 degrees" in table(done, axes)
+
+
+def test_a_robot_with_weak_servos_falls(tmp_path):
+    """8 N m/rad per joint is less than the gravitational stiffness m g h of the robot requires."""
+    values = {"servo.stiffness": 8.0, "servo.assumed_stiffness": 0.0, "standing.balance": 0.0}
+    config = POPPY.updated({"gait.steps": 1})
+    (cell,) = robustness.walk_all(config, [values], tmp_path)
+    assert not cell[1].stood
+    assert cell[1].reason
+    assert robustness.walk_all(config, [values], tmp_path) == [cell]  # from the file
+    with pytest.raises(ConfigError, match="another study"):
+        robustness.walk_all(config.updated({"gait.steps": 2}), [values], tmp_path)
+
+
+# ---------------------------------------------------------------------- pushes
+
+
+@pytest.mark.parametrize("limit", [0.77, 0.001, 3.999, 0.25])
+def test_the_largest_load_is_found_by_bisection(limit):
+    tried = []
+
+    def fails(load):
+        tried.append(load)
+        return "" if load < limit else "fell"
+
+    found = largest(fails, first=0.25, most=4.0, tolerance=0.02)
+    assert found.survived < limit <= found.failed <= found.survived + 0.02
+    assert found.reason == "fell"
+    assert len(tried) < 14
+    nothing = largest(lambda load: "", first=0.25, most=4.0, tolerance=0.02)
+    assert (nothing.survived, nothing.failed, nothing.reason) == (4.0, None, "")
+
+
+def test_pushes_scale_with_the_robot():
+    scale = pushes.impulse_scale(POPPY)
+    assert scale == pytest.approx(5.5, abs=0.3)
+    data = Path(__file__).parents[1] / "data"
+    big = load(data / "biped12.yaml").updated({"robot.urdf": str(data / "biped12.urdf")})
+    assert pushes.impulse_scale(big) > 1.5 * scale
+
+
+def test_limits_of_pushes_are_saved_and_printed(tmp_path, monkeypatch, capsys):
+    def pushed(config, push):
+        assert config.servo.assumed_damping == 0.02  # of config/plants/physics.yaml, as with `dqwalk simulate`
+        return "fell" if push.impulse > 0.8 + 0.1 * push.direction else ""
+
+    monkeypatch.setattr(pushes, "pushed", pushed)
+    command = ["pushes", "--moment", "standing", "--directions", "4", "--jobs", "1", "--out", str(tmp_path)]
+    assert cli.main(command) == 0
+    shown = capsys.readouterr().out
+    assert "M sqrt(g h)" in shown
+    rows = [line.split(",") for line in (tmp_path / "pushes.csv").read_text().splitlines()[1:]]
+    for moment, degrees, survived, failed, reason in rows:
+        limit = 0.8 + 0.1 * float(degrees) * 3.14159265 / 180
+        assert (moment, reason) == ("standing", "fell")
+        assert float(survived) <= limit < float(failed)
+    monkeypatch.setattr(pushes, "pushed", lambda config, push: pytest.fail("it is kept"))
+    assert cli.main([*command, "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")
+    assert (tmp_path / "pushes.txt").read_text() == shown
+
+
+def test_a_small_push_is_survived_and_a_large_one_is_not():
+    assert not pushes.pushed(POPPY, pushes.Push("standing", 0.0, 0.1))
+    assert "fell" in pushes.pushed(POPPY, pushes.Push("standing", 0.0, 3.0))
+
+
+@pytest.mark.parametrize(("duration", "dt"), [(0.1, 0.005), (0.1, 0.03), (0.012, 0.005), (0.001, 0.005)])
+def test_the_impulse_of_a_push_does_not_depend_on_the_period(monkeypatch, duration, dt):
+    """The integral of the force over the ticks is the impulse, also if the duration is no multiple of the period."""
+    given = []
+
+    class Pushed(KinematicPlant):
+        def push(self, force):
+            given.append(np.asarray(force) * dt)
+
+    class Standing:
+        finished = False
+
+        def __init__(self, config):
+            self.config = config
+
+        def step(self, state, dt):
+            return Command(state.time, np.zeros_like(state.q))
+
+    monkeypatch.setattr(pushes, "make_controller", lambda config, model: Standing(config))
+    monkeypatch.setattr(pushes, "make_plant", lambda name, config, model: Pushed(model, np.zeros(model.n)))
+    monkeypatch.setattr(pushes, "_due", lambda controller, time, number, part: time > 0.1)
+    monkeypatch.setattr(pushes, "_STANDS", 0.3)
+    assert not pushes.pushed(POPPY.updated({"dt": dt}), pushes.Push("standing", 0.0, 2.0, duration))
+    assert sum(given) == pytest.approx([2.0, 0.0, 0.0])
+
+
+def test_a_push_in_a_phase_that_never_begins_is_an_error(monkeypatch):
+    monkeypatch.setattr(pushes, "_due", lambda controller, time, number, part: False)
+    monkeypatch.setattr(pushes, "_LATE", -1.0)
+    monkeypatch.setattr(pushes, "_STANDS", 0.1)
+    with pytest.raises(PlantError, match="before the push"):
+        pushes.pushed(POPPY, pushes.Push("standing", 0.0, 0.1))

@@ -1,0 +1,180 @@
+"""Runs a node in the process of the test, which passes it messages and records its publications and its log.
+
+There is no executor: the test calls the callbacks itself, so that no result depends on timing.
+"""
+
+from __future__ import annotations
+
+import copy
+import functools
+import importlib
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
+
+from dqwalk_ros.config import Config, to_yaml
+from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.command_line import NODES, parse
+from dqwalk_ros.paper.state import Command
+from dqwalk_ros.plants.base import Inertial, Plant
+from dqwalk_ros.robot.model import RobotModel
+
+_yaml = functools.cache(to_yaml)
+
+
+class Log:
+    """Replaces rclpy's logger; throttling is ignored."""
+
+    def __init__(self) -> None:
+        self.lines: list[tuple[str, str]] = []
+
+    def __getattr__(self, level: str) -> Any:
+        return lambda text, **_: self.lines.append((level, text))
+
+    def __contains__(self, text: str) -> bool:
+        return any(text in line for _, line in self.lines)
+
+
+class RecordingPublisher:
+    """A publisher that also records its messages."""
+
+    def __init__(self, real: Any, box: list[Any]) -> None:
+        self._real, self._box = real, box
+
+    def publish(self, msg: Any) -> None:
+        if hasattr(msg, "get_fields_and_field_types"):  # a message of ROS, which this copies faster
+            self._box.append(deserialize_message(serialize_message(msg), type(msg)))
+        else:
+            self._box.append(copy.deepcopy(msg))
+        self._real.publish(msg)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._real, name)
+
+
+class Inside:
+    """One node, its published messages and its log.
+
+    Attributes
+    ----------
+    node : WalkNode
+    got : dict of str to list
+        Published messages, by topic.
+    log : Log
+    """
+
+    def __init__(
+        self, name: str, config: Config | str, folder: Path, *own: str, ros: tuple[str, ...] = (), domain: int
+    ) -> None:
+        self.got: dict[str, list[Any]] = {}
+        self.log = Log()
+        params = folder / f"{name}.yaml"
+        params.write_text(config if isinstance(config, str) else _yaml(config), encoding="utf-8")
+        module, _, kind = NODES[name].partition(":")
+        base = getattr(importlib.import_module(f"dqwalk_ros.{module}"), kind)
+        box, log = self.got, self.log
+
+        class RecordingNode(base):  # type: ignore[misc, valid-type]
+            def create_publisher(self, kind: Any, topic: str, *args: Any, **keywords: Any) -> Any:
+                real = Node.create_publisher(self, kind, topic, *args, **keywords)
+                return RecordingPublisher(real, box.setdefault(topic.lstrip("/"), []))
+
+            def get_logger(self) -> Any:
+                return log
+
+        self._domain = domain
+        self._foreign: list[tuple[Context, Node]] = []
+        self.context = Context()
+        rclpy.init(context=self.context, domain_id=domain)
+        arguments = ["--ros-args", "--params-file", str(params), *ros]
+        try:
+            self.node = RecordingNode(
+                parse(name, [*own, *arguments]), context=self.context, cli_args=arguments, use_global_arguments=False
+            )
+        except BaseException:
+            self.context.try_shutdown()
+            raise
+
+    def send(self, topic: str, msg: Any) -> None:
+        """Pass a message to the callback of a subscription."""
+        name = self.node.resolve_topic_name(topic)
+        (subscription,) = (s for s in self.node.subscriptions if s.topic_name == name)
+        subscription.callback(msg)
+
+    def exchange(
+        self, plant: Plant, model: RobotModel, stamp: float, q: Any = None, inertial: Inertial | None = None
+    ) -> np.ndarray:
+        """Send a controller the state of a plant, and the plant its command; return the velocities [rad/s].
+
+        Wrong measurements can be given by `q` and `inertial`.
+        """
+        now, inertial = plant.state, inertial or plant.inertial
+        if inertial is not None:
+            self.send("imu", ros.imu(round(stamp * 1e9), model.imu, inertial))
+        self.send("joint_states", state(model.joint_names, now.q if q is None else q, stamp, velocity=now.dq))
+        answer = self.got["joint_velocity_commands"][-1]
+        velocity, effort = np.array(answer.velocity), np.array(answer.effort) if answer.effort else None
+        plant.step(Command(stamp, velocity, effort), self.node.config.dt)
+        return velocity
+
+    def tick(self) -> None:
+        """Call the callback of every timer once."""
+        for timer in list(self.node.timers):
+            timer.callback()
+
+    def call(self, service: str, request: Any) -> Any:
+        """Call a service of the node."""
+        (found,) = (s for s in self.node.services if s.srv_name.endswith(service))
+        return found.callback(request, found.srv_type.Response())
+
+    def foreign_node(self, name: str) -> Node:
+        """Return a node in another ROS context of the same domain; `close` ends it."""
+        context = Context()
+        rclpy.init(context=context, domain_id=self._domain)
+        self._foreign.append((context, Node(name, context=context)))
+        return self._foreign[-1][1]
+
+    def close(self) -> None:
+        """Destroy the node and shut its contexts down."""
+        self.node.destroy_node()
+        for context in (*(context for context, _ in self._foreign), self.context):
+            context.try_shutdown()
+
+
+def until(happened: Callable[[], Any], timeout: float = 20.0) -> None:
+    """Wait until something has happened, such as the discovery of a node."""
+    deadline = time.monotonic() + timeout
+    while not happened():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def state(names: Any, q: Any, stamp: float, **fields: Any) -> JointState:
+    """Return a JointState; `stamp` [s]."""
+    msg = JointState(name=list(names), position=[float(x) for x in q])
+    for field, values in fields.items():
+        setattr(msg, field, [float(x) for x in values])
+    msg.header.stamp.sec, msg.header.stamp.nanosec = divmod(round(stamp * 1e9), 1_000_000_000)
+    return msg
+
+
+def values(status: Any) -> Mapping[str, str]:
+    """Return the values of a DiagnosticStatus."""
+    return {pair.key: pair.value for pair in status.values}
+
+
+def subscribed(one: Any, topic: str, kind: Any) -> Any:
+    """Subscribe to a topic and wait until the publisher is connected."""
+    listener = Node("listener", context=one.context)
+    listener.create_subscription(kind, topic, lambda _: None, 10)
+    (offered,) = (p for p in one.node.publishers if p.topic_name == topic)
+    until(offered.get_subscription_count)
+    return listener

@@ -1,0 +1,54 @@
+"""A user-defined walk as in docs/tutorial.md, in a module that ``gait.walk`` names."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from dqwalk_ros.paper.constraints import Constraint
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import CenterOfMass
+from dqwalk_ros.paper.walk import PaperWalk, PhaseKind
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ComAbove(Constraint):
+    """The centre of mass stays above a height [m]."""
+
+    height: float
+    watches = (CenterOfMass(),)
+
+    def value(self, s):
+        return s[2] - self.height, np.array([0.0, 0.0, 1.0])
+
+
+class HighWalk(PaperWalk):
+    """The paper's walk, with the centre of mass held high in double support."""
+
+    def both_feet(self, kind, support, q_start):
+        phase = super().both_feet(kind, support, q_start)
+        high = ComAbove(name="com_above", eta=5.0, height=0.25)
+        return dataclasses.replace(phase, inequalities=(*phase.inequalities, high))
+
+
+@dataclasses.dataclass(frozen=True)
+class Lasts:
+    """Ends a phase after some time [s]."""
+
+    duration: float
+
+    def is_over(self, error, elapsed):
+        return elapsed >= self.duration
+
+
+class StandingFirst(PaperWalk):
+    """The paper's walk, which begins with a short stance."""
+
+    def following(self, phase):
+        return (PhaseKind.STANCE, Foot.LEFT, None) if phase is None else super().following(phase)
+
+    def both_feet(self, kind, support, q_start):
+        phase = super().both_feet(kind, support, q_start)
+        stance = kind is PhaseKind.STANCE
+        return dataclasses.replace(phase, kind=kind, rule=Lasts(0.1)) if stance else phase

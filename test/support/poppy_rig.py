@@ -1,0 +1,85 @@
+"""A Poppy plant with emulated servos in memory and a test clock."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from dynamixel_bus import Memory
+
+from dqwalk_ros.config import load
+from dqwalk_ros.paper.state import Command
+from dqwalk_ros.plants.poppy.plant import PoppyPlant
+from dqwalk_ros.robot.model import load_model
+
+DT = 0.02
+MAX_AGE = 0.1
+WALK = {
+    "dt": DT,
+    "gait.step_length": 0.02,
+    "task.eta": 1.0,
+    "dsp.stall_rate": 3e-3,
+    "dsp.eta_ground": 25.0,
+    "ssp.threshold": 0.02,
+}
+CONFIG = load("paper").updated(WALK)
+MODEL = load_model(CONFIG.robot)
+
+
+class Rig:
+    """A plant, its servos and its clock.
+
+    Parameters
+    ----------
+    sync_read : bool
+    angles : dict of str to float
+        Initial angles of joints [deg].
+    settings : dict
+        Changes of the configuration.
+    """
+
+    def __init__(
+        self,
+        *,
+        sync_read: bool = True,
+        angles: dict[str, float] | None = None,
+        settings: dict[str, object] | None = None,
+    ) -> None:
+        self.model, self.config = MODEL, CONFIG.updated(settings or {})
+        self.memory = Memory(sync_read=sync_read, **(angles or {}))
+        self.plant = self.opened()
+
+    def opened(self) -> PoppyPlant:
+        memory, posture = self.memory, np.zeros(self.model.n)
+        own = {"buses": memory.buses, "clock": memory.clock, "each": map}
+        return PoppyPlant(self.model, self.config.poppy, MAX_AGE, posture, **own)
+
+    def tick(self, u: float = 0.0, effort: float | None = None) -> float:
+        """Execute one period; return the time that the plant took [s]."""
+        n, began = self.model.n, self.memory.clock.now
+        torque = None if effort is None else np.full(n, effort)
+        self.plant.step(Command(0.0, np.full(n, u), torque), DT)
+        took = self.memory.clock.now - began
+        self.memory.clock.now = max(self.memory.clock.now, began + DT)
+        return took
+
+    def run(self, seconds: float, u: float = 0.0) -> None:
+        end = self.memory.clock.now + seconds
+        while self.memory.clock.now < end:
+            self.tick(u)
+
+    def until(self, condition: Callable[[], object], seconds: float) -> float:
+        """Execute periods until a condition holds; return the time it took [s]."""
+        began = self.memory.clock.now
+        while not condition():
+            assert self.memory.clock.now - began < seconds, self.plant.watch.faults
+            self.tick()
+        return self.memory.clock.now - began
+
+    def settle(self) -> None:
+        self.plant.activate()
+        self.until(lambda: self.plant.ready, 30.0)
+
+    @property
+    def faults(self) -> str:
+        return "; ".join(self.plant.watch.faults.values())

@@ -1,0 +1,622 @@
+"""The dynamic walk: properties of its plan, steps and tasks, and a short walk in physics."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from walks import values
+
+import dqwalk_ros as dq
+from dqwalk_ros.config import find_share, overlaid
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics, Observer
+from dqwalk_ros.paper.state import State
+from dqwalk_ros.paper.targets import FollowPose, Target
+from dqwalk_ros.paper.walk import PhaseKind, Walk
+from dqwalk_ros.report import analyse, bag, report
+from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, simulate, warm_up
+from dqwalk_ros.studies import robustness
+from dqwalk_ros.studies.pushes import Push, pushed
+from dqwalk_ros.support import strict_yaml
+from dqwalk_ros.walks.dynamic.adjust import Step, adjusted, left_over, transfer_time
+from dqwalk_ros.walks.dynamic.ground import Ground, turned
+from dqwalk_ros.walks.dynamic.pendulum import angular_momentum, swing_inertia
+from dqwalk_ros.walks.dynamic.plan import Pressed, Rest, single_supports
+from dqwalk_ros.walks.dynamic.swing import Swing
+from dqwalk_ros.walks.dynamic.walk import DynamicWalk
+from dqwalk_ros.walks.standing.footsteps import Footprint
+
+CONFIG = dq.load("poppy_dynamic")
+MODEL = dq.load_model(CONFIG.robot)
+OMEGA = np.array([4.4, 3.7])
+MIRROR = np.array([1.0, -1.0])
+DYNAMIC = CONFIG.dynamic
+
+
+def random_posture(seed: int) -> np.ndarray:
+    q = MODEL.posture(CONFIG.standing.posture) + 0.2 * np.random.default_rng(seed).normal(size=MODEL.n)
+    return np.clip(q, MODEL.q_min, MODEL.q_max)
+
+
+def footprints(length: float = 0.05, width: float = 0.08, first: float = 1.0) -> list[np.ndarray]:
+    """Return the footprints of a foot and six following steps, `length` apart [m]; the first is on the left."""
+    return [np.array([k * length, first * 0.5 * width * (-1.0) ** k]) for k in range(7)]
+
+
+# ---------------------------------------------------------------------- the plan
+
+
+@pytest.mark.parametrize(
+    "reference",
+    [
+        Pressed(np.array([0.0, 0.04]), np.array([0.05, -0.04]), np.array([0.04, 0.01]), 0.1, OMEGA),
+        Pressed(np.array([0.0, 0.04]), np.array([0.0, 0.04]), np.array([0.03, 0.01]), 0.4, OMEGA),
+        Rest(np.array([0.0, 0.0]), np.array([0.01, 0.02]), 0.6, OMEGA),
+    ],
+    ids=["double", "single", "rest"],
+)
+def test_xi_diverges_from_z(reference: Pressed | Rest) -> None:
+    h = 1e-6
+    for t in np.linspace(0.05, 0.9, 7) * reference.duration:
+        xi, z = reference.at(t)
+        slope = (reference.at(t + h)[0] - reference.at(t - h)[0]) / (2.0 * h)
+        assert slope == pytest.approx(OMEGA * (xi - z), abs=1e-7)
+
+
+def test_the_plan_is_continuous() -> None:
+    aims = footprints()
+    plan = single_supports(aims, 0.4, 0.1, OMEGA, ends=False)
+    assert len(plan) == len(aims) - 1
+    for k, (start, end) in enumerate(plan):
+        assert Pressed(aims[k], aims[k], end, 0.4, OMEGA).at(0.0)[0] == pytest.approx(start)
+        if k + 1 < len(plan):
+            double = Pressed(aims[k], aims[k + 1], plan[k + 1][0], 0.1, OMEGA)
+            assert double.at(0.0)[0] == pytest.approx(end)
+            assert double.at(0.1)[0] == pytest.approx(plan[k + 1][0])
+
+
+@pytest.mark.parametrize("ends", [False, True])
+def test_plans_of_left_and_right_are_mirrored(ends: bool) -> None:
+    left = single_supports(footprints(), 0.4, 0.1, OMEGA, ends=ends)
+    right = single_supports(footprints(first=-1.0), 0.4, 0.1, OMEGA, ends=ends)
+    assert np.array(left) * MIRROR == pytest.approx(np.array(right))
+
+
+def test_distant_steps_hardly_affect_the_plan() -> None:
+    aims = footprints()
+    on, off = (single_supports(aims, 0.4, 0.1, OMEGA, ends=ends)[0][0] for ends in (False, True))
+    assert np.abs(on - off).max() < 1e-4
+
+
+def test_stepping_in_place_is_periodic() -> None:
+    plan = single_supports(footprints(length=0.0), 0.4, 0.1, OMEGA, ends=False)
+    assert plan[0][0] == pytest.approx(plan[2][0], abs=1e-4)
+    assert plan[0][0] * MIRROR == pytest.approx(plan[1][0], abs=1e-3)
+    assert plan[0][0][0] == pytest.approx(0.0, abs=1e-12)
+
+
+# ---------------------------------------------------------------------- the pendulum
+
+
+@pytest.mark.parametrize("base", list(Foot))
+def test_angular_momentum_matches_mujoco(base: Foot) -> None:
+    from dqwalk_ros.plants.mujoco import build
+
+    rng = np.random.default_rng(3)
+    q, u = random_posture(2), rng.normal(size=MODEL.n)
+    kin, h = Kinematics(MODEL, q, base), 1e-7
+    mj = build(CONFIG, MODEL)
+    data = mujoco.MjData(mj)
+
+    def place(kin: Kinematics) -> np.ndarray:
+        x = DQ(kin.pose(MODEL.root))
+        qpos = np.zeros(mj.nq)
+        qpos[:7] = [*x.translation(), *x.vec8()[:4]]
+        qpos[[mj.joint(name).qposadr[0] for name in MODEL.joint_names]] = kin.q
+        return qpos
+
+    a, b = place(Kinematics(MODEL, q - h * u, base)), place(Kinematics(MODEL, q + h * u, base))
+    mujoco.mj_differentiatePos(mj, data.qvel, 2.0 * h, a, b)
+    data.qpos[:] = place(kin)
+    mujoco.mj_forward(mj, data)
+    mujoco.mj_subtreeVel(mj, data)
+    assert angular_momentum(kin) @ u == pytest.approx(data.subtree_angmom[mj.body(MODEL.root).id], abs=1e-6)
+
+
+@pytest.mark.parametrize("base", list(Foot))
+def test_the_inertia_of_the_swing_leg_matches_mujoco(base: Foot) -> None:
+    from dqwalk_ros.plants.mujoco import build
+
+    mj = build(CONFIG, MODEL)
+    data = mujoco.MjData(mj)
+    joints = [mj.joint(name) for name in MODEL.joint_names]
+    q = random_posture(4)
+    data.qpos[[joint.qposadr[0] for joint in joints]] = q
+    mujoco.mj_forward(mj, data)
+    every, dofs = np.empty((mj.nv, mj.nv)), [joint.dofadr[0] for joint in joints]
+    mujoco.mj_fullM(mj, data, every)
+    expected = every[np.ix_(dofs, dofs)] - np.diag(mj.dof_armature[dofs])
+    leg = np.array([name.startswith(f"{base.other.value[0]}_") and "arm" not in name for name in MODEL.joint_names])
+    leg &= [any(part in name for part in ("hip", "knee", "ankle")) for name in MODEL.joint_names]
+    found = swing_inertia(Kinematics(MODEL, q, base))
+    assert leg.sum() == 5
+    assert found == pytest.approx(np.where(np.outer(leg, leg), expected, 0.0), abs=1e-9)
+
+
+def test_the_lateral_pendulum_frequency_is_reduced() -> None:
+    plainly = CONFIG.updated({"dynamic.side_frequency": 1.0})
+    found = [DynamicWalk(plainly.updated({"gait.first_support": foot.value}), MODEL).pendulum.omega for foot in Foot]
+    assert found[0] == pytest.approx(found[1], rel=1e-3)
+    plain = np.sqrt(9.80665 / Kinematics(MODEL, MODEL.posture(CONFIG.standing.posture), Foot.LEFT).com[2])
+    assert 0.75 < found[0][1] / plain < 0.85  # 0.81 by regression of c'' on c - z in the physics
+
+
+# ---------------------------------------------------------------------- steps
+
+
+def a_step() -> Step:
+    aims = footprints()
+    (_, end), *_ = single_supports(aims, 0.4, 0.1, OMEGA, ends=False)
+    half = np.array([0.06, 0.015])
+    return Step(
+        z=aims[0], landing=aims[1], offset=end - aims[1], duration=0.4, omega=OMEGA,
+        low=aims[0] - half, high=aims[0] + half, reach=np.array([0.1, 0.0]),
+    )  # fmt: skip
+
+
+def at(step: Step, elapsed: float) -> np.ndarray:
+    return Pressed(step.z, step.z, step.landing + step.offset, step.duration, OMEGA).at(elapsed)[0]
+
+
+def test_small_errors_do_not_change_the_step() -> None:
+    step = a_step()
+    for elapsed in (0.05, 0.15, 0.25):
+        for error in ([0.0, 0.0], [0.01, 0.0], [0.0, 0.003], [-0.008, -0.003]):  # within the range of the ankle
+            xi = at(step, elapsed) + np.array(error)
+            time, shift, over = adjusted(step, xi, elapsed, 0.4, np.zeros(2), DYNAMIC)
+            assert time == pytest.approx(0.4, abs=0.006)
+            assert np.abs(shift).max() < 0.002
+            assert over == pytest.approx([0.0, 0.0], abs=1e-3)
+
+
+def test_left_over_is_the_error_beyond_the_ankle_range() -> None:
+    step, elapsed, left = a_step(), 0.1, 0.3
+    xi = at(step, elapsed) + np.array([0.08, 0.02])
+    over, _ = left_over(step, xi, elapsed, left)
+    # with the zero-moment point in the corner of the sole, the error of xi at the end of the step
+    reached = step.high + np.exp(OMEGA * left) * (xi - step.high)
+    assert over == pytest.approx(reached - step.landing - step.offset)
+
+
+def test_a_push_changes_position_and_time_of_the_step() -> None:
+    step, xi = a_step(), at(a_step(), 0.15)
+    time, shift = 0.4, np.zeros(2)
+    for _ in range(20):
+        time, shift, _ = adjusted(step, xi + np.array([0.06, 0.0]), 0.15, time, shift, DYNAMIC)
+    assert shift[0] > 0.02
+    for _ in range(20):  # towards the other foot: the step must end earlier
+        time, shift, _ = adjusted(step, xi - np.array([0.0, 0.03]), 0.15, time, shift, DYNAMIC)
+    assert time < 0.35
+    assert shift[1] == 0.0  # there is no ankle roll
+
+
+def test_a_double_support_lasts_until_xi_has_arrived() -> None:
+    a, b = np.array([0.0, 0.0]), np.array([0.05, -0.08])
+    reference = Pressed(a, b, np.array([0.06, -0.06]), 0.1, OMEGA)
+    xi, z = reference.at(0.03)
+    assert transfer_time(reference, z, xi, 0.0) == pytest.approx(0.07, abs=0.005)
+    behind = xi + np.array([0.0, 0.006])
+    longer = transfer_time(reference, z, behind, 0.07)
+    assert longer > 0.08
+    begin, _ = Pressed(z, b, reference.end, longer, OMEGA).at(0.0)  # of the longer double support
+    assert begin[1] == pytest.approx(behind[1], abs=2e-3)
+    assert transfer_time(reference, z, xi - np.array([0.0, 0.015]), 0.07) == pytest.approx(0.07)
+    assert transfer_time(reference, z, behind, 0.45) == pytest.approx(0.45, abs=0.011)  # longer than what is tried
+
+
+def test_a_robot_that_is_held_does_not_wait_for_ever() -> None:
+    """In a double support a hand stops the robot, so the divergent component never arrives."""
+    config = CONFIG.updated({"gait.steps": 6})
+    controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
+    held = next(state for state, _ in closed_loop(controller, plant) if controller.phase_index == 5)
+    assert controller.phase.kind is PhaseKind.DOUBLE_SUPPORT
+    held, begun = dataclasses.replace(held, dq=np.zeros(MODEL.n), gyro=np.zeros(3)), held.time
+    while controller.phase_index == 5 and held.time - begun < 6.0:
+        held = dataclasses.replace(held, time=held.time + config.dt)
+        controller.step(held, config.dt)
+    assert 0.2 < held.time - begun < 4.0
+
+
+def test_a_push_towards_the_swing_foot_is_caught_on_the_spot() -> None:
+    """The foot lands early and throws the robot back; without a longer double support it fell."""
+    config = overlaid(CONFIG, "physics").updated({"gait.step_length": 0.0, "gait.steps": 4})
+    controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
+
+    def push(time: float) -> None:  # in the middle of the second step, in support on the right foot
+        due = controller.phase_index == 4 and 0.2 <= time + begin - controller.phase_time0 < 0.3
+        plant.push(np.array([0.0, 5.0 if due else 0.0, 0.0]))
+
+    begin = plant.state.time
+    trace = simulate(controller, plant, before_step=push)
+    assert trace.finished, trace.notes
+    assert any(record.decision.startswith("the double support lasts") for record in trace.phases)
+    assert all(record.decision == "" for record in trace.phases[:4])
+
+
+def test_a_swing_lands_at_a_changed_goal_and_time() -> None:
+    start, goal = DQ.from_pose([-0.05, 0.08, 0.002]).vec8(), DQ.from_pose([0.05, 0.08, 0.0]).vec8()
+    swing, dt, duration = Swing(start, goal, 0.02), 0.001, 0.4
+    places = []
+    for k in range(1, 450):
+        t = k * dt
+        if t > 0.2:
+            swing.goal, duration = np.array([0.08, 0.08]), 0.44
+        pose, velocity, _ = swing.step(t, duration)
+        places.append([*pose[:3], *velocity[:3]])
+    path = np.array(places)
+    slope = np.diff(path[:, :3], axis=0) / dt
+    assert path[-1, :3] == pytest.approx([0.08, 0.08, 0.0], abs=1e-6)
+    assert np.abs(path[-1, 3:]).max() < 1e-3
+    assert np.abs(slope - 0.5 * (path[1:, 3:] + path[:-1, 3:]))[np.arange(448) != 199].max() < 0.02
+    assert path[:, 2].max() == pytest.approx(0.02, abs=0.002)
+
+
+# ---------------------------------------------------------------------- the ground
+
+
+def random_vertical(random: np.random.Generator) -> np.ndarray:
+    """Return the vertical in axes of a sole that is inclined by some degrees."""
+    up = np.array([0.1, 0.1, 1.0]) * [*random.uniform(-1.0, 1.0, 2), 1.0]
+    return up / np.linalg.norm(up)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_sole_that_tips_leaves_the_swing_foot_at_its_height_above_the_ground(seed: int) -> None:
+    """Up to the dead zone of 0.5 degrees."""
+    random = np.random.default_rng(seed)
+    flat, up = random_vertical(random), random_vertical(random)
+    tip = Ground(flat, math.radians(0.5)).tip(up)
+    seen = DQ(tip).Ad(DQ([0.0, *flat])).vec3()  # the vertical, as far as the sole is taken to have tipped
+    angle = math.acos(flat @ up)
+    assert math.acos(flat @ seen) == pytest.approx(angle - math.radians(0.5))
+    assert math.acos(seen @ up) == pytest.approx(math.radians(0.5))
+    p, r = random.normal(size=3), random.normal(size=4)
+    moved = turned(tip, np.array([*p, *r / np.linalg.norm(r)]))
+    assert seen @ moved[:3] == pytest.approx(flat @ p)
+    before, after = DQ(r).P().normalized().conj().Ad(DQ([0.0, *flat])), DQ(moved[3:]).conj().Ad(DQ([0.0, *seen]))
+    assert after.vec3() == pytest.approx(before.vec3())  # the vertical in axes of the swing sole
+    assert Ground(flat, math.radians(0.5)).tip(flat) == pytest.approx(DQ(1.0).vec8())
+
+
+def test_the_ground_is_inclined_as_the_soles_are_in_the_mean() -> None:
+    random = np.random.default_rng(0)
+    slope = random_vertical(random)
+    ground = Ground(np.array([0.0, 0.0, 1.0]), 1e-3)
+    turn = Footprint(0.1 + 0.2j, np.exp(0.3j))  # of the previous sole in the axes of the next
+    for k in range(4000):
+        if k % 100 == 99:
+            ground.change_base(turn)
+            slope = DQ(turn.pose).P().Ad(DQ([0.0, *slope])).vec3()
+        ground.observe(slope + 0.02 * random.normal(size=3), 0.005)
+    assert ground.tip(slope) == pytest.approx(DQ(1.0).vec8(), abs=2e-3)
+
+
+def still(time: float, q: np.ndarray, up: np.ndarray) -> State:
+    return State(time, q, dq=np.zeros(MODEL.n), up=up, gyro=np.zeros(3))
+
+
+def swing_target(config: dq.Config, q: np.ndarray, before: np.ndarray, up: np.ndarray, ticks: int) -> np.ndarray:
+    """Return the target of the left foot after some states in support on the right one, position and quaternion.
+
+    In the double support before it the vertical is `before` in axes of the left sole, then `up` in those of the right.
+    """
+    walk = DynamicWalk(config, MODEL)
+    both = walk.phase(PhaseKind.DOUBLE_SUPPORT, Foot.RIGHT, q)
+    walk.observe(both, Kinematics(MODEL, q, Foot.LEFT, before, 0.0), still(1.0, q, before))
+    stands = Footprint.of(Kinematics(MODEL, q, Foot.RIGHT).pose(MODEL.soles[Foot.LEFT].frame))
+    phase = walk.phase(PhaseKind.SINGLE_SUPPORT, Foot.RIGHT, q, stands.pose)
+    for k in range(ticks + 1):
+        kin = Kinematics(MODEL, q, Foot.RIGHT, up, config.dt * k)
+        phase = walk.observe(phase, kin, still(1.0 + config.dt * (k + 1), q, up))
+    (target,) = (task.target for task in phase.tasks if isinstance(task, FollowPose))
+    return target.numbers[:7]
+
+
+def inclined(degrees: float) -> np.ndarray:
+    """Return the vertical in axes of a sole that is inclined about its x axis."""
+    return np.array([0.0, math.sin(math.radians(degrees)), math.cos(math.radians(degrees))])
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.04])
+def test_the_swing_foot_leaves_a_tipped_sole_and_lands_on_the_ground(latency: float) -> None:
+    """With a delay only if the sole tips by more than 60 degrees/s times it, here 2.25 degrees."""
+    changes = {"servo.latency": latency, "servo.assumed_latency": latency, "dynamic.catch": False}
+    config, q = CONFIG.updated(changes), MODEL.posture(CONFIG.standing.posture)
+    stands, up = Kinematics(MODEL, q, Foot.RIGHT).point(MODEL.soles[Foot.LEFT].frame), inclined(2.0)
+    begun, landed = (swing_target(config, q, inclined(0.0), up, ticks)[:3] for ticks in (0, 80))
+    assert begun == pytest.approx(stands, abs=2e-4)
+    assert up @ landed == pytest.approx(up @ stands if latency else 0.0, abs=1e-3)  # 3.3 mm above the ground
+
+
+def test_the_ground_stays_as_it_is_when_the_base_changes_to_a_turned_foot() -> None:
+    """On a slope the sole does not tip, although the vertical has other coordinates in its axes."""
+    config, q = CONFIG.updated({"dynamic.catch": False}), MODEL.posture(CONFIG.standing.posture)
+    q[MODEL.joint_names.index("l_hip_z")] = 0.4
+    turn = Footprint.of(Kinematics(MODEL, q, Foot.RIGHT).pose(MODEL.soles[Foot.LEFT].frame))
+    before = inclined(6.0)
+    up = DQ(turn.pose).P().Ad(DQ([0.0, *before])).vec3()
+    assert np.linalg.norm(up - before) > 0.03
+    assert swing_target(config, q, before, up, 80)[2] == pytest.approx(0.0, abs=2e-4)
+
+
+def test_a_push_that_tips_the_sole_outwards_is_caught_on_the_spot() -> None:
+    """A swing foot that landed in the plane of the tipped sole bore no weight, and the robot fell."""
+    config = overlaid(CONFIG, "physics").updated({"gait.step_length": 0.0, "qp.solver": "daqp"})
+    assert not pushed(config, Push("left", 0.5 * math.pi, 0.4))
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize(
+    ("length", "latency", "falls"),
+    [(0.0, 0.0, {0.4: 0, 0.45: 0, 0.55: 0, 0.6: 0}), (0.05, 0.0, {0.3: 0, 0.5: 0}), (0.05, 0.02, {0.25: 0, 0.3: 0})],
+)
+def test_pushes_of_every_direction_at_every_part_of_a_step(
+    length: float, latency: float, falls: dict[float, int]
+) -> None:
+    """Several impulses, because their limits are not monotone; `falls` is the number of falls allowed at each."""
+    changes = {"gait.step_length": length, "servo.latency": latency, "servo.assumed_latency": latency}
+    config = overlaid(CONFIG, "physics").updated({**changes, "qp.solver": "daqp"})
+    parts, angles = (0.1, 0.25, 0.5, 0.75), 0.25 * math.pi * np.arange(8)
+    points = [(foot, part, float(angle)) for foot in ("left", "right") for part in parts for angle in angles]
+    for impulse, allowed in falls.items():
+        fell = [p for p in points if pushed(config, Push(p[0], p[2], impulse, part=p[1]))]
+        stood = len(points) - len(fell)
+        print(f"\n{2.0 * length:g} m/s, {1e3 * latency:g} ms, {impulse} N s: {stood} of {len(points)} stood")
+        assert len(fell) <= allowed
+
+
+# ---------------------------------------------------------------------- no state is answered late
+
+
+@pytest.mark.parametrize("name", ["poppy", "poppy_dynamic"])
+def test_no_file_is_parsed_during_a_walk(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The URDF, for the pendulum, took 60 ms as the first single support began; walks in real time stopped."""
+    config = overlaid(dq.load(name), "physics")
+    model = dataclasses.replace(MODEL)  # nothing about it is known yet
+    controller, plant = make_controller(config, model), make_plant("physics", config, model)
+
+    def parse(*_: object) -> None:
+        pytest.fail("a file is parsed")
+
+    for module in ("dynamic.pendulum.Urdf", "dynamic.recovery.load", "strict_yaml.read"):
+        monkeypatch.setattr(f"dqwalk_ros.{module}", parse)
+    for state, _ in closed_loop(controller, plant):
+        if controller.phase.kind is PhaseKind.SINGLE_SUPPORT and state.time > controller.phase_time0 + 0.1:
+            return
+    pytest.fail("no single support began")
+
+
+@pytest.mark.parametrize("changes", [{}, {"gait.steps": 0}])
+@pytest.mark.parametrize("name", ["poppy", "poppy_dynamic"])
+def test_warming_up_reaches_every_kind_of_phase(
+    name: str, changes: dict[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun = []
+    begin = Walk.phase
+    monkeypatch.setattr(Walk, "phase", lambda self, kind, *rest: begun.append(kind) or begin(self, kind, *rest))
+    warm_up(overlaid(dq.load(name), "physics").updated(changes), MODEL)
+    assert {PhaseKind.DOUBLE_SUPPORT, PhaseKind.SINGLE_SUPPORT} <= set(begun)
+
+
+# ---------------------------------------------------------------------- tasks
+
+
+def test_follow_pose_feeds_the_target_velocity_forward() -> None:
+    kin = Kinematics(MODEL, random_posture(5), Foot.LEFT)
+    x = DQ(kin.pose(kin.swing))
+    place, velocity = np.array([*x.translation(), *x.vec4()[:4]]), np.arange(6.0)
+    task = FollowPose(name="swing", frame=kin.swing, target=Target(place, velocity), convergence=12.0, lever=0.2)
+    e, _ = values(task, kin)
+    assert e == pytest.approx(np.zeros(6), abs=1e-9)
+    s = Observer(task.watches, kin.tree)(kin)[0]
+    assert task.rate(s, e, 0.0, 1.0) == pytest.approx(velocity * [1, 1, 1, 0.2, 0.2, 0.2])
+
+
+# ---------------------------------------------------------------------- the walk
+
+
+def test_sequence_of_phases() -> None:
+    walk = DynamicWalk(CONFIG.updated({"gait.steps": 2}), MODEL)
+    names, phase, q = [], None, walk.posture
+    while (following := walk.following(phase)) is not None:
+        phase = walk.phase(following[0], following[1], q, following[2])
+        names.append(phase.name)
+    left, right = "left", "right"
+    assert names == [
+        "stance/left",
+        *(f"{kind}/{foot}" for foot in (left, right, left) for kind in ("double_support", "single_support")),
+        "stance/right",
+    ]
+    assert len(names) == DynamicWalk.phases(walk.config)
+
+
+def test_a_steered_walk_ramps_its_steps_and_stops_with_feet_together() -> None:
+    walk = DynamicWalk(CONFIG.updated({"gait.steps": 0}), MODEL)
+    stance = walk.phase(PhaseKind.STANCE, Foot.LEFT, walk.posture)
+    walk.following(None)
+    assert walk.is_waiting(stance)
+    assert walk.steer(1.0, 0.0, 0.0)[0] == pytest.approx(CONFIG.gait.most_length / 0.5)
+    assert not walk.is_waiting(stance)
+    step, lengths = np.zeros(3), []
+    for k in range(6):
+        step, _ = walk._after(step, k)
+        lengths.append(step[0])
+    assert lengths == pytest.approx([0.015, 0.03, 0.045, 0.06, 0.06, 0.06])
+    walk.steer(0.0, 0.0, 0.0)
+    for _ in range(3):
+        step, together = walk._after(step, 9)
+        assert not together
+    assert walk._after(step, 9)[1]
+
+
+def test_the_trunk_keeps_its_posture_over_many_steps() -> None:
+    """The CoM moves by some joints of the trunk as well, always in the same direction."""
+    config = CONFIG.updated({"gait.steps": 20})
+    trace = simulate(make_controller(config, MODEL), make_plant("kinematic", config, MODEL))
+    assert trace.finished, trace.notes
+    bent = np.degrees(trace.q[-1, [MODEL.joint_names.index(name) for name in ("abs_y", "abs_z", "bust_y", "bust_x")]])
+    assert np.abs(bent).max() < 2.0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("noise", [False, True])
+def test_cmd_vel_steers_the_dynamic_walk_on_a_circle(noise: bool) -> None:
+    """Of 0.5 m, to 3 cm; a sole that slips at the landing of the other would make the circle larger."""
+    sensors = {"attitude_noise": 0.004, "gyro_noise": 0.02, "encoder": 0.001534, "velocity_filter": 0.01, "seed": 1}
+    changes = {f"sensors.{key}": value for key, value in sensors.items()} if noise else {}
+    config = overlaid(CONFIG, "physics").updated({"gait.steps": 0, "qp.solver": "daqp", **changes})
+    controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
+
+    def steer(time: float) -> None:
+        controller.steer(0.08, 0.0, 0.16) if time < 46.0 else controller.stop()
+
+    trace = simulate(controller, plant, before_step=steer, max_time=60.0)
+    assert trace.finished, trace.notes
+    assert trace.physics is not None
+    second = np.ones(round(1.0 / config.dt)) * config.dt  # the mean over a second is without the sway
+    walking = (trace.time > 4.0) & (trace.time < 45.0)
+    pelvis = DQ(trace.physics.pelvis).translation()
+    x, y = (np.convolve(pelvis[:, k], second, "same")[walking] for k in range(2))
+    fit, *_ = np.linalg.lstsq(np.column_stack([2.0 * x, 2.0 * y, np.ones_like(x)]), x**2 + y**2, rcond=None)
+    radius = math.sqrt(fit[2] + fit[0] ** 2 + fit[1] ** 2)
+    off = np.abs(np.hypot(x - fit[0], y - fit[1]) - radius).max()
+    print(f"\ncircle of {radius:.3f} m, round to {1e3 * off:.1f} mm")
+    assert radius == pytest.approx(0.5, abs=0.03)
+    assert off < 0.01
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("latency", [0.0, 0.02])
+@pytest.mark.parametrize("speed", [0.10, 0.17])
+def test_a_biped_with_ankle_roll_walks_dynamically(speed: float, latency: float) -> None:
+    """With Poppy's parameters, but its aims and its lateral frequency."""
+    biped = dq.load(str(Path(__file__).parents[1] / "data" / "biped12.yaml"))
+    own = ("dynamic.aim_ahead", "dynamic.aim_inside", "dynamic.side_frequency", "standing.posture")
+    tree = strict_yaml.read(find_share("config", "poppy_dynamic.yaml").read_text(), source="poppy_dynamic.yaml")
+    sections = tree["/**"]["ros__parameters"]
+    common = {
+        f"{name}.{key}": value
+        for name in ("task", "standing", "dynamic", "servo", "joints", "qp")
+        for key, value in sections[name].items()
+        if f"{name}.{key}" not in own
+    }
+    changes = {
+        "gait.style": "dynamic", "gait.steps": 14, "gait.step_length": 0.5 * speed, "gait.most_length": 0.1,
+        "servo.stiffness": 200.0, "servo.assumed_stiffness": 200.0, "dynamic.upright_weight": 1.0,
+        "dynamic.catch_side": 0.05, "servo.latency": latency, "servo.assumed_latency": latency,
+    }  # fmt: skip
+    config = overlaid(biped, "physics").updated({**common, **changes})
+    model = dq.load_model(config.robot)
+    trace = simulate(make_controller(config, model), make_plant("physics", config, model))
+    found = report(analyse(trace))
+    print(f"\n{speed} m/s, {1e3 * latency:.0f} ms: tilt {math.degrees(found['physics']['tilt']['value']):.2f} degrees")
+    assert trace.finished, trace.notes
+    assert found["ok"]
+
+
+def test_the_commanded_acceleration_is_that_of_the_commands_and_zero_after_a_gap() -> None:
+    walk, a, dt = DynamicWalk(CONFIG, MODEL), np.linspace(-3.0, 3.0, MODEL.n), CONFIG.dt
+    found = [walk._accelerated(k * dt, a * k * dt) for k in range(40)]
+    assert np.abs(found[0]).max() == 0.0
+    assert found[-1] == pytest.approx(a, abs=1e-3)
+    assert np.abs(walk._accelerated(40 * dt + 0.2, 2.0 * a)).max() == 0.0
+
+
+def test_the_swing_foot_lands_gently() -> None:
+    """And not early: then, or if the ground stops it, it unloads the supporting sole."""
+    config = overlaid(CONFIG, "physics").updated({"gait.steps": 3, "qp.solver": "daqp"})
+    trace = simulate(make_controller(config, MODEL), make_plant("physics", config, MODEL))
+    assert trace.finished, trace.notes
+    assert trace.physics is not None
+    force, weight = {foot: trace.physics.wrenches[foot][:, 2] for foot in Foot}, 9.81 * MODEL.mass
+    landings = [record for record in trace.phases if record.kind is PhaseKind.SINGLE_SUPPORT]
+    for record in landings:
+        end = record.time + config.standing.swing_duration
+        near = np.flatnonzero(np.abs(trace.time - end) < 0.05)
+        touch = near[force[record.support.other][near] > 0.5][0]
+        assert trace.time[touch] > end - 0.0125
+        after = slice(touch, touch + round(0.05 / config.dt))
+        assert force[record.support][after].min() > 0.25 * weight
+        assert force[record.support.other][after].max() < 0.9 * weight
+    assert len(landings) == 4
+
+
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
+def test_poppy_as_built_walks_dynamically(seed: int) -> None:
+    changes = {"gait.steps": 10, "sensors.seed": seed}
+    config = overlaid(dq.load("poppy_dynamic_50hz"), "poppy_as_built").updated(changes)
+    model = dq.load_model(config.robot)
+    assert model.mass == pytest.approx(3.2)
+    trace = simulate(make_controller(config, model), make_plant("poppy_as_built", config, model))
+    assert trace.finished, trace.notes
+    physics = report(analyse(trace))["physics"]
+    assert not physics["fallen"]
+    assert math.degrees(physics["tilt"]["value"]) < 2.0
+    assert physics["cop_inside"] > 0.96
+
+
+ON_RUBBLE = CONFIG.updated(
+    {
+        "gait.steps": 17, "gait.step_length": 0.0328, "standing.swing_duration": 0.31, "standing.eta_feet": 0.6,
+        "servo.window": 0.004, "servo.types": ["*=MX-28", "?_hip_y=MX-64", "abs_[xy]=MX-64"], "servo.p_gain": 254,
+        "physics.rubble": 0.005, "sensors.attitude_noise": 0.004, "sensors.gyro_noise": 0.02,
+        "sensors.encoder": 0.001534, "sensors.velocity_filter": 0.01,
+    }
+)  # fmt: skip
+
+
+def test_yielding_legs_walk_on_rubble_of_5_mm() -> None:
+    """With a window of 0.15 rad, so legs as stiff as their servos, two of these four walks fell."""
+    walked = [robustness.walk(ON_RUBBLE, 0, {"sensors.seed": seed}) for seed in (6, 7, 8, 9)]
+    assert sum(one.stood and one.steps >= 17 for one in walked) >= 3, walked
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_nearly_all_walks_on_rubble_stand() -> None:
+    stood = sum(robustness.walk(ON_RUBBLE, 0, {"sensors.seed": seed}).stood for seed in range(1, 21))
+    print(f"\nrubble of 5 mm: {stood} of 20 stood")
+    assert stood >= 18
+
+
+def test_poppy_walks_in_physics_and_recovers_from_a_push(tmp_path: Path) -> None:
+    config = CONFIG.updated({"gait.steps": 4, "dynamic.stop_duration": 0.6})
+    controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
+
+    def push(time: float) -> None:  # outward, in the middle of the second step, in support on the right foot
+        due = controller.phase_index == 4 and 0.2 <= time + begin - controller.phase_time0 < 0.3
+        plant.push(np.array([0.0, -4.0 if due else 0.0, 0.0]))
+
+    begin = plant.state.time
+    trace = simulate(controller, plant, before_step=push)
+    assert trace.finished, trace.notes
+    # step lengths 25, 50, 50 and 25 mm
+    assert trace.physics is not None
+    pelvis = DQ(trace.physics.pelvis[[0, -1]]).translation()
+    assert pelvis[1, 0] - pelvis[0, 0] == pytest.approx(0.15, abs=0.04)
+    assert trace.phases[2].decision == ""  # before the push
+    pushed = [record for record in trace.phases[4:] if record.decision]
+    assert pushed
+    bag.write(trace, tmp_path / "bag")
+    again = bag.read(tmp_path / "bag")
+    assert [record.name for record in again.phases] == [record.name for record in trace.phases]
+    for record, read in zip(trace.phases, again.phases, strict=True):
+        if record.swing_target is not None:
+            assert read.swing_target == pytest.approx(record.swing_target, abs=1e-12)

@@ -1,0 +1,137 @@
+"""Commanded footsteps: reachable ones are executed, others are rejected with the violated limit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dqwalk_ros import cli
+from dqwalk_ros.config import load
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.simulation import make_plant
+from dqwalk_ros.support.errors import StateError
+from dqwalk_ros.walks.standing.walk import StandingWalk
+
+QUICK = {"standing.transfer_duration": 0.5, "standing.swing_duration": 0.5, "node.robot_description": False}
+CONFIG = load("poppy").updated({"gait.steps": 0, "plant.command_timeout": 10.0, **QUICK})
+MODEL = load_model(CONFIG.robot)
+STEPS = StandingWalk(CONFIG, MODEL).footsteps
+
+
+def turned(x: float, y: float, yaw: float = 0.0, z: float = 0.0) -> DQ:
+    return DQ.from_pose([x, y, z], [np.cos(0.5 * yaw), 0.0, 0.0, np.sin(0.5 * yaw)])
+
+
+BESIDE = DQ(STEPS.beside(Foot.LEFT))  # the right footprint in the left sole
+
+
+@pytest.mark.parametrize(
+    ("footprint", "limit"),
+    [
+        (turned(0.2, 0.0) * BESIDE, r"0\.2 m ahead .* gait\.most_length is 0\.06 m"),
+        (turned(0.0, 0.0, -0.5) * BESIDE, r"gait\.most_turn is 0\.14 rad"),
+        (turned(0.0, 0.12) * BESIDE, r"standing\.sole_gap is 4 mm"),
+        (turned(0.0, -0.04) * BESIDE, r"out of reach by .* gait\.footstep_tolerance is 10 mm"),
+        (turned(0.0, 0.0, 0.0, 0.05) * BESIDE, "50 mm above the ground"),
+        (BESIDE * DQ.from_pose([0.0, 0.0, 0.0], [np.cos(0.1), np.sin(0.1), 0.0, 0.0]), "leans by 11.5 deg"),
+    ],
+)
+def test_infeasible_footsteps_are_rejected_with_the_limit(footprint: DQ, limit: str) -> None:
+    with pytest.raises(StateError, match=limit) as refused:
+        STEPS.planned(Foot.LEFT, [BESIDE.vec8(), DQ(STEPS.beside(Foot.RIGHT)).vec8(), footprint.vec8()])
+    assert str(refused.value).startswith("footstep 3, of the right foot: ")
+
+
+def test_footsteps_are_moved_within_the_tolerance_to_be_reachable() -> None:
+    wanted = turned(0.03, -0.01) * BESIDE
+    (x,) = STEPS.planned(Foot.LEFT, [wanted.vec8()])
+    error = (wanted.conj() * DQ(x)).translation()
+    assert 1e-3 < np.linalg.norm(error) < CONFIG.gait.footstep_tolerance
+
+
+class KinematicRobot:
+    """The controller in this process, with joints that follow their commands exactly."""
+
+    def __init__(self, make: Any) -> None:
+        self.node = make("controller", CONFIG)
+        self.plant = make_plant("kinematic", CONFIG, MODEL)
+        self.ticks = 0
+
+    def until(self, wanted: str, max_ticks: int = 4000) -> list[str]:
+        statuses = self.node.got["footstep_status"]
+        while not (statuses and statuses[-1].data.startswith(wanted)):
+            assert self.ticks < max_ticks, [msg.data for msg in statuses]
+            self.node.exchange(self.plant, MODEL, 1.0 + self.ticks * CONFIG.dt)
+            self.ticks += 1
+        return [msg.data for msg in statuses]
+
+    def walk(self, ticks: int) -> None:
+        with pytest.raises(AssertionError):
+            self.until("nothing", self.ticks + ticks)
+
+    def send(self, *footprints: DQ, frame: str = "odom") -> str:
+        from geometry_msgs.msg import PoseStamped
+        from nav_msgs.msg import Path as PathMessage
+
+        from dqwalk_ros.nodes import messages as ros
+
+        path = PathMessage()
+        path.header.frame_id = frame
+        path.poses = [PoseStamped(pose=ros.pose_fields(x.vec8())) for x in footprints]
+        self.node.send("footsteps", path)
+        return str(self.node.got["footstep_status"][-1].data)
+
+
+@pytest.fixture
+def robot(make: Any) -> KinematicRobot:
+    return KinematicRobot(make)
+
+
+def test_footsteps_in_odom_are_walked(robot: KinematicRobot) -> None:
+    controller = robot.node.node._walk
+    assert "not in a stance" in robot.send(BESIDE)
+    robot.walk(10)
+    soles = {foot: DQ(x) for foot, x in controller.soles().items()}
+    left = soles[Foot.LEFT] * turned(0.04, 0.0, 0.05)
+    right = left * turned(0.03, 0.0) * BESIDE
+    assert robot.send(left, right) == "walking 0/2"
+    assert "not in a stance" not in robot.node.log.lines[-1]
+    statuses = robot.until("done")
+    assert statuses[-3:] == ["walking 1/2", "walking 1/2", "done 2/2"] or statuses[-2:] == ["walking 1/2", "done 2/2"]
+    assert controller.phase.name.startswith("stance")
+    for foot, wanted in ((Foot.LEFT, left), (Foot.RIGHT, right)):
+        error = (wanted.conj() * DQ(controller.soles()[foot])).translation()
+        assert np.linalg.norm(error) < CONFIG.gait.footstep_tolerance, foot
+    robot.walk(50)
+    assert controller.phase.name.startswith("stance")  # it waits in the stance phase
+
+
+def test_footsteps_in_a_sole_frame_and_cancellation_by_an_empty_path(robot: KinematicRobot) -> None:
+    robot.walk(10)
+    frame = MODEL.soles[Foot.LEFT].frame
+    assert "must be odom, or a sole" in robot.send(BESIDE, frame="map")
+    assert robot.send(*[turned(0.02 * k, 0.0) * (BESIDE if k % 2 else DQ(1.0)) for k in range(1, 6)], frame=frame) == (
+        "walking 0/5"
+    )
+    robot.until("walking 1/5")
+    assert "not in a stance" in robot.send(BESIDE)
+    assert robot.send() == "cancelled: 4 footsteps dropped, the feet are put together"
+    controller = robot.node.node._walk
+    names = []
+    while not (names and names[-1].startswith("stance")):
+        robot.walk(20)
+        names.append(controller.phase.name)
+        assert len(names) < 100
+    apart = DQ(controller.soles()[Foot.LEFT]).conj() * DQ(controller.soles()[Foot.RIGHT])
+    np.testing.assert_allclose(apart.translation(), BESIDE.translation(), atol=5e-3)
+
+
+def test_the_table_requests_round_steps(capsys: pytest.CaptureFixture[str]) -> None:
+    cli.main(["footsteps"])
+    asked = [line.split()[0] for line in capsys.readouterr().out.splitlines() if line.startswith(" ")]
+    assert asked[:9] == ["-100", "-75", "-50", "-25", "0", "25", "50", "75", "100"]
+    assert asked[9:20] == ["-60", "-40", "-20", "-10", "-5", "0", "5", "10", "20", "40", "60"]

@@ -1,0 +1,122 @@
+"""The standing walk catches by steps of the dynamic walk what its soles cannot bear."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="needs the extra sim")
+
+import dqwalk_ros as dq
+from dqwalk_ros.config import overlaid
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.walk import PhaseKind
+from dqwalk_ros.report import analyse, bag, report
+from dqwalk_ros.simulation import Trace, make_controller, make_plant, simulate
+from dqwalk_ros.studies.pushes import Push, limits, pushed
+from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.walks.dynamic.recovery import RecoveringWalk
+from dqwalk_ros.walks.dynamic.swing import Swing
+from dqwalk_ros.walks.standing.walk import StandingWalk
+
+CONFIG = overlaid(dq.load("poppy"), "physics").updated({"qp.solver": "daqp"})
+MODEL = dq.load_model(CONFIG.robot)
+WITHOUT = {"gait.recover": ""}
+INWARD = -0.5 * math.pi
+"""Direction of the swing foot in support on the left foot [rad]."""
+
+
+def walked(changes: dict[str, object], newtons: float = 0.0, max_time: float | None = None) -> Trace:
+    """Return a walk of one step, pushed for 0.1 s towards the swing foot in the middle of it."""
+    config = CONFIG.updated({"gait.steps": 1, **changes})
+    controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
+    begin, since = plant.state.time, math.inf
+
+    def push(time: float) -> None:
+        nonlocal since
+        if since == math.inf and controller.phase_index == 1 and begin + time >= controller.phase_time0 + 0.75:
+            since = time
+        plant.push(np.array([0.0, -newtons if since <= time < since + 0.1 - 1e-9 else 0.0, 0.0]))
+
+    return simulate(controller, plant, before_step=push, max_time=max_time)
+
+
+def test_a_push_in_mid_step_is_caught_by_a_step(tmp_path: Path) -> None:
+    pushed_by = 6.0  # 0.6 N s, towards the swing foot
+    assert not walked(WITHOUT, pushed_by).finished
+    trace = walked({}, pushed_by)
+    assert trace.finished, trace.notes
+    names = [record.name for record in trace.phases]
+    first = next(k for k, record in enumerate(trace.phases) if record.config is not None)
+    assert "steps catch a push" in trace.phases[first - 1].decision
+    assert names[first] == names[first - 1] == "single_support/left"
+    steps = [record for record in trace.phases if record.config is not None]
+    assert all(record.config is not None and record.config.gait.style == "dynamic" for record in steps)
+    assert steps[-1].kind is PhaseKind.STANCE
+    # then the standing walk continues with its steps
+    assert names[-3:] == ["double_support/right", "single_support/right", "stance/left"]
+    bag.write(trace, tmp_path / "bag")
+    again = bag.read(tmp_path / "bag")
+    assert [record.name for record in again.phases] == names
+    styles = [[(record.config or one.config).gait.style for record in one.phases] for one in (trace, again)]
+    assert styles[0] == styles[1]
+    assert report(analyse(again))["ok"]
+
+
+def test_without_a_push_the_walk_is_the_same() -> None:
+    alone, ready = (walked(changes, max_time=3.5) for changes in (WITHOUT, {}))
+    assert [record.name for record in ready.phases][1:] == ["single_support/left", "double_support/right"]
+    assert np.array_equal(alone.q, ready.q)
+    assert np.array_equal(alone.u, ready.u, equal_nan=True)
+    assert not any(record.decision for record in ready.phases)
+
+
+def test_the_steps_must_be_those_of_a_dynamic_walk() -> None:
+    with pytest.raises(ConfigError, match=r"gait\.style must be dynamic, not standing"):
+        make_controller(CONFIG.updated({"gait.recover": "poppy"}), MODEL)
+    with pytest.raises(ConfigError, match="no configuration 'nothing'"):
+        make_controller(CONFIG.updated({"gait.recover": "nothing"}), MODEL)
+    # a recorded walk is read without the file
+    recorded = StandingWalk(CONFIG.updated({"gait.recover": "nothing"}), MODEL)
+    assert recorded.phase(PhaseKind.STANCE, Foot.LEFT, recorded.posture).kind is PhaseKind.STANCE
+
+
+def test_a_tuned_parameter_also_applies_to_the_steps_unless_they_have_their_own() -> None:
+    tuned = {"gait.step_height": 0.03, "standing.swing_duration": 2.0}
+    walk = RecoveringWalk(CONFIG, MODEL)
+    before = walk._steps.config
+    walk.tune(CONFIG.updated(tuned))
+    assert before.gait.step_height == 0.02
+    assert walk._steps.config == before.updated({"gait.step_height": 0.03})
+    assert walk._steps.footsteps.config is walk._steps.config
+
+
+def test_a_foot_in_the_air_descends_from_where_it_is() -> None:
+    start, goal, dt = DQ.from_pose([-0.02, 0.09, 0.013]).vec8(), DQ.from_pose([0.01, 0.09, 0.0]).vec8(), 0.001
+    swing = Swing(start, goal, 0.02, 0.4)
+    assert 0.2 < swing.begun < 0.4
+    path = np.array([swing.step(swing.begun + k * dt, 0.4)[0][:3] for k in range(round((0.4 - swing.begun) / dt) + 1)])
+    assert path[0] == pytest.approx([-0.02, 0.09, 0.013], abs=1e-4)
+    assert path[-1] == pytest.approx([0.01, 0.09, 0.0], abs=1e-4)
+    assert np.diff(path[:, 2]).max() <= 0.0
+
+
+@pytest.mark.long
+def test_the_largest_pushes_of_the_standing_walk(tmp_path: Path) -> None:
+    """In mid-step: a step catches twice and more of what the soles bear, but to the outside, where no foot can land."""
+    steps, table = dq.load("poppy").updated({"qp.solver": "daqp"}), {}
+    for name, config in {"with": steps, "without": steps.updated(WITHOUT)}.items():
+        found = limits(config, tmp_path / name, ["left"], tolerance=0.05)
+        table[name] = {round(math.degrees(one.direction)): one.survived for one in found}
+    print()
+    for angle in table["with"]:
+        print(
+            f"{angle:4d} degrees: {table['without'][angle]:.2f} N s on the sole, {table['with'][angle]:.2f} with steps"
+        )
+    assert all(table["with"][angle] > table["without"][angle] for angle in table["with"])
+    assert min(table["with"][angle] for angle in (225, 270, 315)) > 0.7
+    assert pushed(steps, Push("right", -INWARD, 0.6)) == ""  # the same on the other foot
