@@ -23,7 +23,9 @@ examples:
 @plant_option(
     ["integrator", "physics", "poppy_as_built", "ros2_control", "poppy"], "poppy", "What executes the commands."
 )
-@click.option("--seconds", metavar="S", type=click.FloatRange(0.5, 600.0), default=5.0, help="Time to listen.")
+@click.option(
+    "--seconds", metavar="S", type=click.FloatRange(0.5, 600.0), default=5.0, help="Time to listen, 5 s at least."
+)
 @click.option("--namespace", metavar="NAME", default="", show_default=False, help="Namespace of the robot.")
 @click.option("--offline", is_flag=True, help="Do not listen to the robot.")
 @set_option

@@ -51,6 +51,8 @@ _STILL, _GRAVITY = 0.05, 0.6
 """Largest angular velocity at rest [rad/s], and largest deviation of the acceleration from 9.81 m/s^2."""
 _DISCOVERY = 5.0
 """Time within which a publisher is discovered [s]."""
+_LATCHED = 20.0
+"""Longest wait for the latched message of a publisher that was discovered [s]."""
 _POSTURE = 0.3
 """Largest distance of a joint from the first posture of the walk [rad]."""
 _MOVED = 0.05
@@ -87,6 +89,10 @@ class Heard:
         Whether a command other than zero was received.
     controllers : tuple of str
         Nodes that publish the commands.
+    diagnosed : bool
+        Whether a message of /diagnostics was received.
+    unheard : dict of str to tuple of str
+        Latched topics that are published, but of which no message was received, and their publishers.
     simulated : bool
         Whether the plant is a simulation, whose stamps count its own time.
     """
@@ -101,6 +107,8 @@ class Heard:
     phase: str = ""
     moving: bool = False
     controllers: tuple[str, ...] = ()
+    diagnosed: bool = False
+    unheard: dict[str, tuple[str, ...]] = field(default_factory=dict)
     simulated: bool = False
 
     def angles(self, model: RobotModel) -> Array:
@@ -141,6 +149,15 @@ class Failed(Exception):
 
 
 Check = Callable[[Config, RobotModel, Heard], str]
+
+
+def _require_heard(heard: Heard, topic: str) -> None:
+    """Raise `Failed` if a latched topic is published, but was not heard: what is not known has not been checked."""
+    if publishers := heard.unheard.get(topic):
+        raise Failed(
+            f"not heard: {', '.join(publishers)} publishes {topic}, but nothing has arrived: run this command again "
+            "while the machine is less busy; if that does not help, restart the node"
+        )
 
 
 def check_states(config: Config, model: RobotModel, heard: Heard) -> str:
@@ -208,6 +225,7 @@ def check_latency(config: Config, model: RobotModel, heard: Heard) -> str:
 
 def check_rest(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that the robot stands still, and that no walk is under way."""
+    _require_heard(heard, "phase")
     if heard.phase not in _AT_REST:
         raise Failed(
             f"a walk is under way, phase is '{heard.phase}': end it (~/stop of the controller, or Ctrl-C), put the "
@@ -298,6 +316,7 @@ def check_subscribers(config: Config, model: RobotModel, heard: Heard) -> str:
 
 def check_plant_ready(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that the plant accepts commands."""
+    _require_heard(heard, "plant_ready")
     if heard.ready is False:
         raise Failed(
             "plant_ready is false: call ~/activate of poppy_driver, or activate the controllers that drive uses"
@@ -309,7 +328,7 @@ def check_diagnostics(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that no node reports an error on /diagnostics."""
     if heard.errors:
         raise Failed("; ".join(f"{name}: {text}" for name, text in heard.errors.items()))
-    return "no errors"
+    return "no errors" if heard.diagnosed else "not heard: no node reports on /diagnostics"
 
 
 CHECKS: dict[str, Check] = {
@@ -348,9 +367,10 @@ def examine(config: Config, model: RobotModel, heard: Heard) -> Iterator[Result]
 
 
 def listen(config: Config, seconds: float, namespace: str = "") -> Heard:
-    """Receive the messages of a robot for `seconds`, counted from its first state.
+    """Receive the messages of a robot for `seconds`, counted from its first state, and for `_DISCOVERY` at least.
 
-    The first state is waited for as long, and for `_DISCOVERY` at least.
+    The first state is waited for as long. A walk is under way if its controller says so, so all publishers are to be
+    discovered, and the latched messages of the discovered ones are waited for, at most for another `_LATCHED`.
     """
     wheels.find_log_folder()
     context = Context()
@@ -360,24 +380,32 @@ def listen(config: Config, seconds: float, namespace: str = "") -> Heard:
         node = Node("doctor", namespace=namespace, context=context)
         executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)
+        latched: set[str] = set()  # topics of which a message was received
 
         def store(messages: list[tuple[Any, int]], msg: Any) -> None:
             messages.append((msg, node.get_clock().now().nanoseconds))
 
         def on_ready(msg: Bool) -> None:
+            latched.add("plant_ready")
             heard.ready = msg.data
 
         def on_phase(msg: String) -> None:
+            latched.add("phase")
             heard.phase = msg.data
 
         def on_command(msg: JointState) -> None:
             heard.moving = heard.moving or any(msg.velocity)
 
         def on_diagnostics(msg: DiagnosticArray) -> None:
+            heard.diagnosed = True
             for status in msg.status:
                 heard.errors.pop(status.name, None)
                 if status.level == DiagnosticStatus.ERROR:
                     heard.errors[status.name] = status.message
+
+        def unheard() -> dict[str, tuple[str, ...]]:
+            topics = {"phase", "plant_ready"} - latched
+            return {topic: found for topic in topics if (found := ros.publishers_of(node, topic))}
 
         node.create_subscription(JointState, "joint_states", partial(store, heard.states), ros.best_effort(100))
         node.create_subscription(Imu, "imu", partial(store, heard.imus), ros.best_effort(100))
@@ -385,12 +413,17 @@ def listen(config: Config, seconds: float, namespace: str = "") -> Heard:
         node.create_subscription(Bool, "plant_ready", on_ready, ros.latched())
         node.create_subscription(String, "phase", on_phase, ros.latched())
         node.create_subscription(JointState, VELOCITY, on_command, ros.best_effort(100))
-        end = time.monotonic() + max(seconds, _DISCOVERY)
+        began = time.monotonic()
+        discovered = began + _DISCOVERY
+        end = max(began + seconds, discovered)
         started = False
-        while (left := end - time.monotonic()) > 0.0:
-            executor.spin_once(timeout_sec=min(left, 0.1))
+        while (now := time.monotonic()) < end or (now < end + _LATCHED and unheard()):
+            executor.spin_once(timeout_sec=0.1)
             if heard.states and not started:
-                started, end = True, time.monotonic() + seconds
+                started, began = True, time.monotonic()
+                end = max(began + seconds, discovered)
+        heard.seconds = round(time.monotonic() - began, 1)
+        heard.unheard = unheard()
         heard.publishers = ros.publishers_of(node, "joint_states")
         heard.controllers = tuple(sorted(set(ros.publishers_of(node, VELOCITY))))
         ends = node.get_subscriptions_info_by_topic(node.resolve_topic_name(VELOCITY))

@@ -192,7 +192,8 @@ class CommandInput:
         self._forbidden = self.unable = ""
         self._moving = False
         self._published_ready: bool | None = None
-        self._ready = node.create_publisher(Bool, "plant_ready", ros.latched()) if topic == VELOCITY else None
+        reports = topic == VELOCITY and not node.lockstep  # where a plant holds, and says so
+        self._ready = node.create_publisher(Bool, "plant_ready", ros.latched()) if reports else None
         node.create_timer(_CHECK, self._check)
         node.add_on_set_parameters_callback(self._on_parameters)
 
@@ -229,7 +230,7 @@ class CommandInput:
     def _publish_ready(self) -> None:
         """Publish whether commands are executed, so that the controller does not continue without the robot."""
         ready = self.gate.ready and not self.unable
-        if self._ready is not None and not self._node.lockstep and ready is not self._published_ready:
+        if self._ready is not None and ready is not self._published_ready:
             self._published_ready = ready
             self._ready.publish(Bool(data=ready))
 

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
 from inside import state
-from sensor_msgs.msg import Imu
+from live import LATCHED
+from rclpy.context import Context
+from rclpy.node import Node
+from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import String
 
 from dqwalk_ros.cli import main
 from dqwalk_ros.config import load
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.doctor import CHECKS, Heard, examine
+from dqwalk_ros.nodes.doctor import CHECKS, Heard, examine, listen
 from dqwalk_ros.plants.base import Inertial
 from dqwalk_ros.robot.model import load_model
 
@@ -35,7 +42,7 @@ def robot(
     imus: list[tuple[Imu, int]] = []
     if inertial is not None:
         imus = [(ros.imu(round(t * 1e9), frame, inertial), at) for t, at in zip(times, received, strict=True)]
-    values = {"publishers": ("/driver",), "subscribers": ("driver",), "ready": True, **heard}
+    values = {"publishers": ("/driver",), "subscribers": ("driver",), "ready": True, "diagnosed": True, **heard}
     return Heard(1.0, **{"states": states, "imus": imus, **values})
 
 
@@ -57,6 +64,11 @@ def test_a_simulation_behind_real_time_is_no_fault() -> None:
 @pytest.mark.parametrize("phase", ["idle", "finished", "failed", "fallen"])
 def test_a_controller_without_a_walk_is_no_fault(phase: str) -> None:
     assert not failed_checks(robot(phase=phase, controllers=("/controller",)))
+
+
+def test_silence_on_diagnostics_is_not_the_absence_of_errors() -> None:
+    (found,) = (f for f in examine(CONFIG, MODEL, robot(diagnosed=False)) if f.what == "/diagnostics")
+    assert "not heard" in found.text
 
 
 def test_stamps_that_do_not_advance_have_no_latency() -> None:
@@ -98,6 +110,12 @@ FAULTS: dict[str, tuple[Callable[[], Heard], str, str]] = {
     "slow": (lambda: robot(period=0.02), "rate", "set dt to 0.02 in a file for --params and params:="),
     "clocks": (lambda: robot(age=-3.0), "latency", "chrony"),
     "late": (lambda: robot(age=0.03), "latency", "set servo.assumed_latency in a file for --params"),
+    "phase not heard": (lambda: robot(unheard={"phase": ("/controller",)}), "rest", "not heard: /controller publishes"),
+    "plant_ready not heard": (
+        lambda: robot(ready=None, unheard={"plant_ready": ("/driver",)}),
+        "plant",
+        "not heard: /driver publishes plant_ready",
+    ),
     "in mid-walk": (lambda: robot(phase="single_support/left"), "rest", "end it (~/stop"),
     "commanded": (lambda: robot(moving=True, controllers=("/pilot",)), "rest", "/pilot publishes"),
     "in motion": (lambda: swaying("l_hip_y"), "rest", "l_hip_y moved by 0.10 rad"),
@@ -128,6 +146,39 @@ def test_faults_are_reported_with_a_remedy(fault: str) -> None:
     found = failed_checks(heard())
     assert expected in found[check]
     assert check == next(iter(found))  # no other check fails before it
+
+
+@pytest.mark.parametrize("late", [True, False], ids=["late", "never"])
+def test_a_phase_that_is_published_is_waited_for(domain: int, monkeypatch: pytest.MonkeyPatch, late: bool) -> None:
+    """No walk is under way if its controller says so, and not if nothing was heard from it."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    monkeypatch.setattr("dqwalk_ros.nodes.doctor._DISCOVERY", 1.0)
+    monkeypatch.setattr("dqwalk_ros.nodes.doctor._LATCHED", 60.0 if late else 0.2)
+    context, over = Context(), threading.Event()
+    rclpy.init(context=context, domain_id=domain)
+    walk = Node("controller", context=context)
+    states = walk.create_publisher(JointState, "joint_states", 1)
+    phase = walk.create_publisher(String, "phase", LATCHED)
+    began: list[float] = []
+
+    def publish() -> None:
+        while not over.wait(0.02):
+            states.publish(state(MODEL.joint_names, POSTURE, 1.0))
+            if states.get_subscription_count() and not began:
+                began.append(time.monotonic())
+            if late and began and time.monotonic() > began[0] + 2.0:  # the time to listen is over then
+                phase.publish(String(data="single_support/left"))
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    try:
+        heard = listen(CONFIG, 0.5)
+    finally:
+        over.set()
+        thread.join()
+        context.try_shutdown()
+    assert heard.phase == ("single_support/left" if late else "")
+    assert heard.unheard == ({} if late else {"phase": ("/controller",)})
 
 
 def test_doctor_with_live_nodes(nodes: Any, domain: int, monkeypatch: pytest.MonkeyPatch, capfd: Any) -> None:
