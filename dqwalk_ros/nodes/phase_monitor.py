@@ -34,8 +34,9 @@ __all__ = ["PhaseMonitor"]
 _TIMEOUT = 1.0
 """Time without a state after which the walk is reported as stale [s]."""
 _RESEND = 4.0
-"""In lockstep a state is evaluated this long after its arrival [s]: on a busy machine the message with the start of its
-phase may be lost, and the middleware may take 3 s to send it again."""
+"""In lockstep, and before the walk is known, a state is evaluated this long after its arrival [s]: on a busy machine
+walk_config arrives after the first states, and a message with the start of a phase may be lost, which the middleware
+may take 3 s to send again."""
 _DEPTH = 5000
 """Depth of the queue of states: in lockstep a thousand arrive in the second that reading the URDF takes."""
 
@@ -122,7 +123,8 @@ class PhaseMonitor(WalkNode):
         self._publish_status(stamp, "ERROR", f"joint_states rejected: {error}", {})
 
     def _evaluate_waiting(self, *, all_of_them: bool = False) -> None:
-        until = time.monotonic() - (_RESEND if self._phases.lockstep and not all_of_them else 0.0)
+        known = self._phases.reader is not None and not self._phases.lockstep
+        until = time.monotonic() - (0.0 if known or all_of_them else _RESEND)
         while self._waiting and self._waiting[0][0] <= until:
             _, stamp, msg = self._waiting.popleft()
             self._evaluate(stamp, msg)

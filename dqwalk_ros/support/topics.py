@@ -70,6 +70,10 @@ no other subscriber: the depth of each subscriber decides which message it takes
 _PHASES = 100
 """History depth of messages of which there is one per phase, for late and slow subscribers such as the recorder."""
 
+_STATUSES = 1000
+"""History depth of /diagnostics: at the end of a walk in lockstep the monitor publishes those of its last seconds at
+once, and a slow recorder must not miss the first of them."""
+
 _ALL = (
     Topic(
         "joint_states",
@@ -113,7 +117,14 @@ _ALL = (
     Topic("walk_config", "std_msgs/msg/String", True, 1, "every parameter, as the text of a parameter file"),
     Topic("walk_origin", "std_msgs/msg/String", True, 1, "software versions and machine of the controller"),
     Topic("robot_description", "std_msgs/msg/String", True, 1, "URDF"),
-    Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", False, 10, "every distance, error and margin", "all"),
+    Topic(
+        "/diagnostics",
+        "diagnostic_msgs/msg/DiagnosticArray",
+        False,
+        _STATUSES,
+        "every distance, error and margin",
+        "all",
+    ),
     Topic("imu", "sensor_msgs/msg/Imu", False, _HISTORY, "measurements of the inertial sensor", "physics"),
     Topic("true_base_pose", "geometry_msgs/msg/PoseStamped", False, _HISTORY, "true pelvis pose in world", "physics"),
     Topic("true_joint_states", "sensor_msgs/msg/JointState", False, _HISTORY, "true joint angles", "physics"),

@@ -551,6 +551,23 @@ def test_margins_of_the_monitor_are_along_the_measured_vertical(make: Any) -> No
 
 
 @pytest.mark.parametrize("lockstep", [False, True])
+def test_states_that_arrive_before_the_walk_is_known_are_judged(make: Any, lockstep: bool) -> None:
+    """On a busy machine the first message of walk_config takes longer than hundreds of states in lockstep."""
+    config = PAPER.updated({"plant.lockstep": lockstep})
+    walk, monitor = make("controller", config), make("phase_monitor", config)
+    walk.send("joint_states", state(NAMES, ZERO, 1.0))
+    for k in range(10):
+        monitor.send("joint_states", serialize_message(state(NAMES, ZERO, 1.0 + 0.2 * k)))
+    for topic in ("walk_config", "robot_description", "phase", "phase_start", "com_target"):
+        monitor.send(topic, walk.got[topic][-1])
+    monitor.node.close()
+    assert [array.header.stamp.nanosec for array in monitor.got["diagnostics"]] == [
+        round(1e9 * (0.2 * k % 1.0)) for k in range(10)
+    ]
+    assert all("double_support" in array.status[0].message for array in monitor.got["diagnostics"])
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
 def test_monitor_and_viewer_ignore_the_states_of_a_gripper(make: Any, lockstep: bool) -> None:
     """In lockstep its stamps are those of another clock; before, each of them was taken for a restart of the plant."""
     config = PAPER.updated({"plant.lockstep": lockstep})
