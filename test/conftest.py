@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -63,6 +64,14 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile the package once, before pytest-xdist starts its workers."""
     if getattr(session.config.option, "numprocesses", None):
+        import warm
+
+        warm.compile_all()
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Compile the package before tests of nodes: on a busy machine this takes longer than the timeout of a test."""
+    if "rclpy" in sys.modules and not session.config.option.collectonly:
         import warm
 
         warm.compile_all()

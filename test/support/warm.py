@@ -42,7 +42,7 @@ def estimator() -> None:
 
 
 def compile_all() -> None:
-    """Compile in two processes, unless this was done since a compiled function changed; a test alone compiles less."""
+    """Compile in two processes, unless this was done since a compiled function changed."""
     done = Path(compose.stats.cache_path) / "all_for_tests"
     if not done.exists():
         parts = [subprocess.Popen([sys.executable, __file__, name]) for name in ("walks", "estimator")]
