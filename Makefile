@@ -13,6 +13,9 @@ STEPS  ?= 20
 
 SUDO   := $(if $(filter 0,$(shell id -u)),,sudo)
 BIN    := $(VENV)/bin
+# $(call installed,PROGRAM,PACKAGES): install packages of Ubuntu or Debian if they have not brought a program
+installed = command -v $(1) >/dev/null || \
+    { $(SUDO) apt-get update -qq && $(SUDO) apt-get install -y -qq --no-install-recommends $(2); }
 NATIVE := $(shell $(PYTHON) -c 'from importlib.util import find_spec as f; print("yes" if f("rclpy") and not f("ros_wheels_bootstrapper") else "")')
 ifeq ($(NATIVE),yes)
 VENV_OPTIONS := --system-site-packages
@@ -26,13 +29,13 @@ endif
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help venv walk walk-physics simulate reach test test-long browser docs chaos fuzz mutation soak driver robots see lint colcon clean
+.PHONY: help venv walk walk-physics simulate reach test test-long browser docs chaos fuzz mutation soak driver robots benchmark see lint colcon clean
 
 help:  ## show this
 	@echo "usage: make TARGET [CYCLES=$(CYCLES)] [CONFIG=$(CONFIG)] [STEPS=$(STEPS)] [OUT=$(OUT)]"
 	@sed -n 's/^\([a-z-]*\):.*##/  \1\t/p' $(MAKEFILE_LIST) | expand -t 16
 
-venv: $(VENV)/.installed  ## install the package and ROS 2 into .venv (after that: . .venv/bin/activate)
+venv: $(VENV)/.installed-commands  ## install all that the commands of dqwalk need into .venv (then: . .venv/bin/activate)
 
 walk: $(VENV)/.installed  ## walk one cycle through ROS 2: bag, figures and report in results/walk
 	$(BIN)/dqwalk walk --config $(CONFIG) --cycles $(CYCLES) --out $(OUT) --force
@@ -54,17 +57,14 @@ test-long: $(VENV)/.installed-test  ## the tests that take minutes, and variants
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m long $(ARGS)
 
 browser: $(VENV)/.installed-test  ## run the tests that look at the pages in headless Chromium (installs it with apt)
-	command -v chromium >/dev/null || { $(SUDO) apt-get update -qq && \
-	    $(SUDO) apt-get install -y -qq --no-install-recommends chromium fonts-dejavu-core; }
+	$(call installed,chromium,chromium fonts-dejavu-core)
 	$(BIN)/python -m pytest -m browser $(ARGS)
 
-docs: $(VENV)/.installed  ## build the documentation as a website in site/
-	$(BIN)/python -m pip install --quiet --editable '.[docs]'
+docs: $(VENV)/.installed-docs  ## build the documentation as a website in site/
 	$(BIN)/mkdocs build --strict
 
 chaos: $(VENV)/.installed-test  ## put a live walk through every fault of docs/faults.md, and print what it did
-	command -v cc gcc >/dev/null 2>&1 || { $(SUDO) apt-get update -qq && \
-	    $(SUDO) apt-get install -y -qq --no-install-recommends gcc libc6-dev; }
+	$(call installed,cc,gcc libc6-dev)
 	PYTHONPATH=test/support $(BIN)/python -m pytest -q -p chaos -m long --timeout 900 test/faults/test_chaos.py test/faults/test_chaos_clocks.py \
 	    test/faults/test_chaos_whole_body.py $(ARGS)
 
@@ -84,7 +84,11 @@ robots: $(VENV)/.installed-sim  ## adopt every biped of two PyPI packages, walk 
 	$(BIN)/python -m pip install --quiet --target results/robots/packages --no-deps example-robot-data jvrc-description
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmark.lab.robots results/robots/packages --out results/robots $(ARGS)
 
+benchmark: $(VENV)/.installed-test  ## measure computing times and write docs/benchmarks.md (ARGS='--only tick cycle')
+	$(BIN)/python -m benchmark.page $(ARGS)
+
 see: $(VENV)/.installed-test  ## how soon the page is there, how smooth, what it costs the walk, how long a report takes
+	$(call installed,chromium,chromium fonts-dejavu-core)
 	$(BIN)/python -m benchmark.lab.see $(ARGS)
 
 lint: $(VENV)/.installed-dev  ## ruff and mypy
@@ -110,22 +114,11 @@ $(BIN)/python:
 	@echo "==> $(VENV): $(if $(ROS_EXTRA),ROS 2 Jazzy from PyPI (about 250 MB),the ROS 2 of this machine ($(ROS_DISTRO)))"
 	$(PYTHON) -m venv $(VENV_OPTIONS) $(VENV)
 
+# what a target needs: the package and ROS 2, or those and an extra of setup.py
 $(VENV)/.installed: setup.py | $(BIN)/python
 	$(BIN)/python -m pip install --editable '.$(if $(ROS_EXTRA),[ros])'
 	@touch $@
 
-$(VENV)/.installed-wholebody: setup.py | $(BIN)/python
-	$(BIN)/python -m pip install --editable '.[$(ROS_EXTRA)wholebody]'
-	@touch $@ $(VENV)/.installed
-
-$(VENV)/.installed-sim: setup.py | $(BIN)/python
-	$(BIN)/python -m pip install --editable '.[$(ROS_EXTRA)sim]'
-	@touch $@ $(VENV)/.installed
-
-$(VENV)/.installed-test: setup.py | $(BIN)/python
-	$(BIN)/python -m pip install --editable '.[$(ROS_EXTRA)test]'
-	@touch $@ $(VENV)/.installed
-
-$(VENV)/.installed-dev: setup.py | $(BIN)/python
-	$(BIN)/python -m pip install --editable '.[$(ROS_EXTRA)dev]'
+$(VENV)/.installed-%: setup.py | $(BIN)/python
+	$(BIN)/python -m pip install --editable '.[$(ROS_EXTRA)$*]'
 	@touch $@ $(VENV)/.installed

@@ -44,6 +44,8 @@ TEST = [
 ]
 # the dynamics and the solver of the whole-body controller
 WHOLEBODY = ["daqp>=0.11", "pin>=2.7"]
+# every command of dqwalk
+COMMANDS = [*POPPY, *SIM, *STUDY, *VIEW, *WHOLEBODY]
 DEV = [*VIEW, "mypy>=1.10", "ruff>=0.6", "types-PyYAML>=6.0", "types-psutil>=5.9"]
 
 setup(
@@ -109,6 +111,7 @@ setup(
         "sim": SIM,
         "docs": ["mkdocs>=1.5"],
         "wholebody": WHOLEBODY,
+        "commands": COMMANDS,
         "test": TEST,
         "dev": DEV,
     },

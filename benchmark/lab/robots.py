@@ -69,8 +69,8 @@ def dynamic_speed(folder: Path) -> str:
     return f"{walked['physics']['way'] / walked['walk']['duration']:.3f}"
 
 
-def main() -> None:
-    """Print the table."""
+def main() -> int:
+    """Print the table; return 1 if it is empty."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("paths", nargs="+", type=Path)
     parser.add_argument("--out", type=Path, default=Path("results/robots"))
@@ -87,7 +87,8 @@ def main() -> None:
     head = ["robot", "kg", "adopted in [s]", "cure", "way [m]", "m/s", "tilt [deg]", "CoP inside [%]", "turned [deg]",
             "stands", "paper's walk", "dynamic walk [m/s]"]  # fmt: skip
     print(f"\n{machine()}\n\n{table(head, rows)}\n\nNot adopted:\n\n" + "\n".join(refused))
+    return 0 if rows else 1
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -37,7 +37,7 @@ writes to the folder of --out:
   robustness.png          the matrix: which cells stood, and after how many steps the others fell
 
 examples:
-  dqwalk robustness --jobs 4 --set qp.solver=daqp          daqp gives the same answers in less time
+  dqwalk robustness --jobs 4 --set qp.solver=daqp          the same answers in less time (pip install daqp)
   dqwalk robustness --sample 40
   dqwalk robustness --axis servo.stiffness=60 --axis servo.latency=0,0.06 --steps 4
   dqwalk robustness --axis latency_error=-0.02,0.02 --sample 72      the controller assumes a wrong latency
