@@ -62,7 +62,7 @@ setup(
     package_data={NAME: ["py.typed", "report/html/*.css", "report/html/*.js"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
-        (f"share/{NAME}", ["package.xml", "CHANGELOG.rst"]),
+        (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", sorted(glob("config/*.*"))),
         (f"share/{NAME}/config/motors", sorted(glob("config/motors/*.yaml"))),
         (f"share/{NAME}/config/security", sorted(glob("config/security/*.xml"))),
