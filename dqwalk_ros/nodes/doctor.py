@@ -28,10 +28,10 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes import wheels
 from dqwalk_ros.nodes.inputs import VELOCITY
-from dqwalk_ros.nodes.safety import outside_limits
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.robot.limits import outside_limits
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError

@@ -21,11 +21,11 @@ from std_srvs.srv import Trigger
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.inputs import VELOCITY, CommandInput
-from dqwalk_ros.nodes.safety import clamp_velocity
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.state import Command
 from dqwalk_ros.plants.base import Plant, pushed_periods
 from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.robot.limits import clamp_velocity
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.errors import DqwalkError, StateError
 from dqwalk_ros.support.topics import TOPICS, WORLD

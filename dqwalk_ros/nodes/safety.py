@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dqwalk_ros.paper.state import State
+from dqwalk_ros.robot.limits import clamp_velocity, named_angles, outside_limits, unreachable
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError, listed
@@ -31,9 +32,6 @@ __all__ = [
     "JointOrder",
     "StateGate",
     "Watchdog",
-    "clamp_effort",
-    "clamp_velocity",
-    "outside_limits",
 ]
 
 Clock = Callable[[], float]
@@ -239,43 +237,6 @@ class DuplicateStates:
         return ", ".join(sorted(set(publishers))) if self._suspected >= self.looks else ""
 
 
-def outside_limits(q: Array, model: RobotModel, slack: float) -> str:
-    """Return the joints beyond their limits by more than `slack` [rad], and by how much; ``""`` without any."""
-    beyond = np.maximum(model.q_min - q, q - model.q_max)
-    return _by(model, beyond, ~(beyond <= slack))
-
-
-def _by(model: RobotModel, angles: Array, which: NDArray[np.bool_]) -> str:
-    return ", ".join(f"{model.joint_names[i]} by {angles[i]:.3g} rad" for i in np.flatnonzero(which))
-
-
-def clamp_velocity(u: Array, q: Array, model: RobotModel, dt: float) -> Array:
-    """Return `u` within the velocity limits, and such that no joint leaves its range within `dt`.
-
-    A joint outside its range may move back or stay, but not further out. This is the last step before a plant executes
-    a command; commands of this package's controllers are within these limits already.
-
-    Parameters
-    ----------
-    u : ndarray, shape (n,)
-        Commanded velocities [rad/s], finite.
-    q : ndarray, shape (n,)
-        [rad]
-    dt : float
-        Duration of the motion [s].
-    """
-    if dt <= 0.0:
-        return np.zeros_like(u)
-    high = np.minimum(np.maximum((model.q_max - q) / dt, 0.0), model.velocity_max)
-    low = np.maximum(np.minimum((model.q_min - q) / dt, 0.0), -model.velocity_max)
-    return np.clip(u, low, high)
-
-
-def clamp_effort(effort: Array, model: RobotModel) -> Array:
-    """Return the torques (n,) [N m] within the effort limits of the joints."""
-    return np.clip(effort, -model.effort_max, model.effort_max)
-
-
 class StateGate:
     """Decides which measured states a controller accepts.
 
@@ -371,9 +332,9 @@ class StateGate:
             if self.jumped.count:  # waiting does not make a jump plausible
                 passed = min(passed, self._passed)
             self._passed = passed
-            reach = self._model.velocity_max * (max(passed, 0.0) + self._dt)
-            moved = np.abs(q - self._q)
-            if far := _by(self._model, moved, ~(moved <= reach)):
+            slack = self._dt * self._model.velocity_max
+            beyond = unreachable(q, self._q, passed, self._model.velocity_max, slack)
+            if far := named_angles(self._model, np.abs(q - self._q), beyond):
                 raise self._jump(f"a jump that the velocity limits do not allow: {far}")
         self.jumped.good()
         self._q, self._stamp = q, stamp

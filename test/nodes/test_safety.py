@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from dqwalk_ros.config import load
 from dqwalk_ros.nodes.safety import (
@@ -19,10 +15,8 @@ from dqwalk_ros.nodes.safety import (
     JointOrder,
     StateGate,
     Watchdog,
-    clamp_effort,
-    clamp_velocity,
-    outside_limits,
 )
+from dqwalk_ros.robot.limits import outside_limits
 from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.support.errors import StateError
 
@@ -198,10 +192,6 @@ def test_in_lockstep_jumps_are_judged_by_stamps_not_by_the_clock(model: RobotMod
         gate.accept(201 * PERIOD, 0.3 * np.eye(model.n)[0])
 
 
-def test_every_joint_outside_its_limits_is_named(model: RobotModel) -> None:
-    assert outside_limits(model.q_max + 0.2, model, 0.1).count(" by 0.2 rad") == model.n
-
-
 @pytest.mark.parametrize("beyond", [1e-9, 1e-4, 0.01, 0.0999])
 def test_joints_slightly_outside_their_limits_are_accepted(model: RobotModel, clock: FakeClock, beyond: float) -> None:
     for i in range(model.n):
@@ -344,55 +334,6 @@ def test_hold_discards_the_command(model: RobotModel, clock: FakeClock) -> None:
     assert gate.holding
 
 
-# ---------------------------------------------------------------------- the clamp
-
-speeds = st.floats(-1e6, 1e6, allow_nan=False)
-
-
-@settings(max_examples=40, deadline=None)
-@given(data=st.data())
-def test_clamped_velocities_cross_no_limit(model: RobotModel, data: st.DataObject) -> None:
-    u = np.array(data.draw(st.lists(speeds, min_size=model.n, max_size=model.n)))
-    at = np.array(data.draw(st.lists(st.floats(0.0, 1.0), min_size=model.n, max_size=model.n)))
-    dt = data.draw(st.floats(1e-4, 0.1))
-    q = model.q_min + at * (model.q_max - model.q_min)
-    v = clamp_velocity(u, q, model, dt)
-    assert (np.abs(v) <= model.velocity_max).all()
-    after = q + dt * v
-    assert (after <= model.q_max + 1e-12).all()
-    assert (after >= model.q_min - 1e-12).all()
-
-
-@settings(max_examples=40, deadline=None)
-@given(data=st.data())
-def test_outside_its_limits_a_joint_moves_only_inward(model: RobotModel, data: st.DataObject) -> None:
-    u = np.array(data.draw(st.lists(speeds, min_size=model.n, max_size=model.n)))
-    out = np.array(data.draw(st.lists(st.floats(1e-9, 0.5), min_size=model.n, max_size=model.n)))
-    v = clamp_velocity(u, model.q_max + out, model, DT)
-    assert (v <= 0.0).all()
-    v = clamp_velocity(u, model.q_min - out, model, DT)
-    assert (v >= 0.0).all()
-
-
-def test_outside_its_limits_a_joint_moves_only_if_commanded(model: RobotModel) -> None:
-    for q in (model.q_max + 0.1, model.q_min - 0.1):
-        assert not clamp_velocity(np.zeros(model.n), q, model, DT).any()
-    np.testing.assert_array_equal(
-        clamp_velocity(np.full(model.n, -0.2), model.q_max + 0.1, model, DT), np.full(model.n, -0.2)
-    )
-
-
-def test_a_command_beyond_the_limits_is_clamped_exactly_to_them(model: RobotModel) -> None:
-    """To the velocity limit far from the joint limit, and to reach the joint limit within one period near it."""
-    zero, fast = np.zeros(model.n), np.full(model.n, 1e3)
-    far = np.minimum(model.q_max / 1e-4, model.velocity_max)
-    np.testing.assert_allclose(clamp_velocity(fast, zero, model, 1e-4), far)
-    np.testing.assert_allclose(
-        clamp_velocity(-fast, zero, model, 1e-4), -np.minimum(-model.q_min / 1e-4, model.velocity_max)
-    )
-    np.testing.assert_allclose(0.1 * clamp_velocity(fast, model.q_max - 1e-3, model, 0.1), np.full(model.n, 1e-3))
-
-
 def test_two_publishers_are_reported_at_once_unless_one_may_be_stale(clock: FakeClock) -> None:
     judge = DuplicatePublishers(clock).judge
     assert judge([]) == judge(["/a"]) == ""
@@ -465,27 +406,6 @@ def test_different_commands_for_one_state_indicate_two_controllers(model: RobotM
     assert gate.contradicted
     clock.now += 0.02
     assert not gate.contradicted
-
-
-def test_without_elapsed_time_the_clamped_velocity_is_zero(model: RobotModel) -> None:
-    assert not clamp_velocity(np.ones(model.n), np.zeros(model.n), model, 0.0).any()
-    assert not clamp_velocity(np.ones(model.n), np.zeros(model.n), model, -1.0).any()
-
-
-def test_a_joint_without_a_velocity_limit_is_clamped_by_its_range(model: RobotModel) -> None:
-    free = dataclasses.replace(model, velocity_max=np.full(model.n, np.inf))
-    v = clamp_velocity(np.full(model.n, 1e9), np.zeros(model.n), free, DT)
-    np.testing.assert_allclose(DT * v, free.q_max)
-
-
-def test_torques_stay_within_the_limits(model: RobotModel) -> None:
-    limited = dataclasses.replace(model, effort_max=np.arange(1.0, model.n + 1.0))
-    requested = np.linspace(-30.0, 30.0, model.n)
-    clamped = clamp_effort(requested, limited)
-    assert (np.abs(clamped) <= limited.effort_max).all()
-    np.testing.assert_array_equal(
-        clamped[np.abs(requested) <= limited.effort_max], requested[np.abs(requested) <= limited.effort_max]
-    )
 
 
 # ---------------------------------------------------------------------- whole bodies
