@@ -16,7 +16,9 @@ from dqwalk_ros.paper.assembly import Evaluation
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
-from dqwalk_ros.paper.qp import Problem, Solution, explained, lead_back, make_solver
+from dqwalk_ros.paper.qp import make_solver
+from dqwalk_ros.paper.qp.infeasible import explained, lead_back
+from dqwalk_ros.paper.qp.problem import Problem, Solution
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.paper.walk import Phase, Walk
 from dqwalk_ros.robot.model import RobotModel

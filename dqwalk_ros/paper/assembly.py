@@ -31,7 +31,7 @@ from dqwalk_ros.paper.constraints import (
 )
 from dqwalk_ros.paper.kinematics import Kinematics, Observer
 from dqwalk_ros.paper.paths import ComPath, SwingPath, follow_com_path, follow_swing_path
-from dqwalk_ros.paper.qp import Problem, objective
+from dqwalk_ros.paper.qp.problem import Problem, objective
 from dqwalk_ros.paper.targets import Follow, FollowPose, Target, follow, follow_pose
 from dqwalk_ros.paper.tasks import ComOverFoot, FramePose, Posture, Task, pose_difference
 from dqwalk_ros.support.arrays import Array

@@ -18,6 +18,7 @@ import daqp
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros.paper.qp.daqp import EQUALITY, NO_BOUND
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import QPError
 
@@ -26,10 +27,6 @@ __all__ = ["BALANCE", "LAW", "LIMIT", "Answer", "Hierarchy", "HierarchySolver"]
 
 LAW, LIMIT, BALANCE = 0, 1, 2
 """Levels of rows: equations of motion and contact, which are never relaxed; the rest of level 1; level 2."""
-_EQUALITY = 5
-"""DAQP's code of an equality."""
-_INFINITE = 1e30
-"""DAQP ignores bounds of this size and larger."""
 _OPTIONS = {"primal_tol": 1e-9, "sing_tol": 1e-13, "iter_limit": 1000}
 """Options of DAQP: tolerance of the rows, tolerance for dependent active rows, and largest number of iterations."""
 _HELD = 1e-7
@@ -152,8 +149,8 @@ def _solve(H: Array, c: Array, A: Array, lower: Array, upper: Array, **options: 
         Multipliers for the warm start of a similar problem.
     iterations : int
     """
-    low, high = np.maximum(lower, -_INFINITE), np.minimum(upper, _INFINITE)
-    sense = np.where(low < high, 0, _EQUALITY).astype(np.int32)
+    low, high = np.maximum(lower, -NO_BOUND), np.minimum(upper, NO_BOUND)
+    sense = np.where(low < high, 0, EQUALITY).astype(np.int32)
     x, _, flag, info = daqp.solve(H, c, A, high, low, sense, **_OPTIONS, **options)
     return np.array(x) if flag == 1 and np.isfinite(x).all() else None, np.array(info["lam"]), info["iterations"]
 

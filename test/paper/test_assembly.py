@@ -146,9 +146,9 @@ def test_a_later_tick_does_not_change_an_earlier_problem():
     q, other = configurations(2)
     model = setting()[1]
     problem = problem_at(phase, Kinematics(model, q, phase.base), DT)
-    before = [array.copy() for array in problem.arrays[:6]]
+    before = [array.copy() for array in problem[:6]]
     problem_at(phase, Kinematics(model, other, phase.base), DT)
-    for ours, kept in zip(problem.arrays[:6], before, strict=True):
+    for ours, kept in zip(problem[:6], before, strict=True):
         np.testing.assert_array_equal(ours, kept)
 
 

@@ -7,7 +7,9 @@ import pytest
 from walks import problem_of
 
 from dqwalk_ros.config import load
-from dqwalk_ros.paper.qp import Problem, conflicts, explained, lead_back, make_solver
+from dqwalk_ros.paper.qp import make_solver
+from dqwalk_ros.paper.qp.infeasible import conflicts, explained, lead_back
+from dqwalk_ros.paper.qp.problem import Problem
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.simulation import make_controller

@@ -19,7 +19,7 @@ PLACES = {
         "subtree[b], subtree[b, 3], J_com",
         "subtree[b], 1.1 * subtree[b, 3], J_com",
     ),
-    "(U6)": ("dqwalk_ros/paper/qp.py", "H[i, i] += damping**2", "H[i, i] += damping"),
+    "(U6)": ("dqwalk_ros/paper/qp/problem.py", "H[i, i] += damping**2", "H[i, i] += damping"),
     "vector-field inequality": (
         "dqwalk_ros/paper/constraints.py",
         "eta, 1.0 / dt) * (d - bound)",
@@ -72,7 +72,7 @@ walk, q = make_walk(config, model), np.linspace(-0.05, 0.05, model.n)
 for kind, target in ((PhaseKind.DOUBLE_SUPPORT, None), (PhaseKind.SINGLE_SUPPORT, walk.footstep(Foot.LEFT))):
     phase = walk.phase(kind, Foot.LEFT, np.zeros(model.n), target)
     problem = phase.evaluate(Kinematics(model, q, phase.base)).problem(config.dt, model.velocity_max)
-    for part in problem.arrays[:6]:
+    for part in problem[:6]:
         print(np.array2string(part, precision=12, threshold=10**6))
 trace = simulate(make_controller(config, model), KinematicPlant(model), max_time=9.0)
 print([(phase.name, round(phase.time, 6)) for phase in trace.phases], trace.notes)

@@ -12,7 +12,8 @@ from walks import exact, problem_at, problem_of
 from dqwalk_ros.config import load
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
-from dqwalk_ros.paper.qp import ClarabelSolver, make_solver
+from dqwalk_ros.paper.qp import make_solver
+from dqwalk_ros.paper.qp.clarabel import ClarabelSolver
 from dqwalk_ros.paper.walk import PhaseKind
 from dqwalk_ros.simulation import make_walk
 from dqwalk_ros.support.errors import QPError
@@ -77,7 +78,7 @@ def test_problems_of_other_sizes_do_not_disturb_a_careful_solution(monkeypatch):
         np.testing.assert_allclose(solver.solve(problem).u, make_solver("clarabel").solve(problem).u, atol=1e-9)
         np.testing.assert_allclose(solver.solve(problem).u, exact(problem), atol=1e-7)
     assert len(careful_ones) == 15
-    sizes = {program.values[3].size for program in solver._programs.values()}  # of b
+    sizes = {program.posed[3].size for program in solver._programs.values()}  # of b
     assert sizes == {m + 2 * n for m in (13, 4, 2)}
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 from types import SimpleNamespace
 
@@ -12,7 +11,9 @@ import pytest
 from walks import DT, KINDS, phase_of, problem_at, problem_of, setting
 
 from dqwalk_ros.paper.kinematics import Kinematics
-from dqwalk_ros.paper.qp import ClarabelSolver, DaqpSolver, _ClarabelProgram, make_solver
+from dqwalk_ros.paper.qp import make_solver
+from dqwalk_ros.paper.qp.clarabel import ClarabelSolver, _ClarabelProgram
+from dqwalk_ros.paper.qp.daqp import DaqpSolver
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.simulation import make_controller
@@ -68,8 +69,8 @@ def test_rounding_errors_cause_no_motion(name):
     rng, solver = np.random.default_rng(5), SOLVERS[name]()
     for _ in range(40):
         problem = random_problem(rng, n=12, equalities=6)
-        still = dataclasses.replace(
-            problem, c=np.zeros(12), w=np.minimum(problem.w, -0.1), lower=np.full(12, -0.3), upper=np.full(12, 0.3)
+        still = problem._replace(
+            c=np.zeros(12), w=np.minimum(problem.w, -0.1), lower=np.full(12, -0.3), upper=np.full(12, 0.3)
         )
         still.w[:6] = 1e-16 * rng.normal(size=6)
         assert np.abs(solver.solve(still).u).max() < 1e-12
@@ -83,7 +84,7 @@ def test_an_infeasible_problem_names_its_rows(name):
     W, w = problem.W.copy(), problem.w.copy()
     W[1], w[1] = -W[0], 5.0 - w[0]
     with pytest.raises(QPError, match="row0") as caught:
-        solver.solve(dataclasses.replace(problem, W=W, w=w))
+        solver.solve(problem._replace(W=W, w=w))
     assert "row1" in caught.value.rows
     assert solver.solve(problem).residuals(problem).largest < 1e-7  # the next problem is solved
 
@@ -103,7 +104,7 @@ def test_nan_in_a_problem_is_an_error(name):
         array = getattr(problem, key).copy()
         array.flat[-1] = np.nan
         with pytest.raises(QPError) as caught:
-            SOLVERS[name]().solve(dataclasses.replace(problem, **{key: array}))
+            SOLVERS[name]().solve(problem._replace(**{key: array}))
         assert caught.value.status == "NotFinite"
 
 

@@ -14,7 +14,7 @@ from dqwalk_ros.config import Config, load
 from dqwalk_ros.paper.constraints import Constraint
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics, Observer
-from dqwalk_ros.paper.qp import Problem
+from dqwalk_ros.paper.qp.problem import Problem
 from dqwalk_ros.paper.tasks import Task
 from dqwalk_ros.paper.walk import Phase, PhaseKind
 from dqwalk_ros.plants.kinematic import KinematicPlant

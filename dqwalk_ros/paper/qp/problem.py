@@ -1,0 +1,269 @@
+"""The quadratic program (U6), its scale, and the check of its solution.
+
+The cost of a slow walk is small (joint velocities down to 1e-6 rad/s) compared with the absolute tolerances of a
+solver, so the problem is scaled first: u = s v, where s is the length of a gradient step (or of the longest step that a
+row requires), and the objective is divided by its mean curvature. A solution is accepted only if it fulfils the
+Karush-Kuhn-Tucker conditions. They determine the solution, which is unique, if the multipliers are of the order of the
+gradient. But their residuals are relative to the largest multiplier: if rows are nearly dependent, multipliers are
+large, and the two solvers may return different solutions, each of which satisfies all rows.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
+from dqwalk_ros.support.errors import QPError
+
+__all__ = [
+    "Numbers",
+    "Problem",
+    "Residuals",
+    "Solution",
+    "Solver",
+    "check",
+    "check_finite",
+    "kkt",
+    "objective",
+    "scale",
+]
+
+
+PRIMAL = 1e-7
+"""Largest scaled violation of a row that is accepted."""
+LEAST_SCALE = 1e-9
+"""Least scale s [rad/s]: shorter steps are rounding errors."""
+OPTIMAL = 1e-7
+"""Largest relative residual of the other Karush-Kuhn-Tucker conditions that is accepted."""
+
+
+@jit
+def objective(J: Array, rate: Array, damping: float, H: Array, c: Array) -> None:
+    """Fill H (n, n) and c (n,) of (U6): ||J u - rate||^2 + lambda^2 ||u||^2, with rate = -eta x.
+
+    Parameters
+    ----------
+    J : ndarray, shape (r, n)
+        Jacobian of the tasks.
+    rate : ndarray, shape (r,)
+        Desired task velocity.
+    damping : float
+        lambda.
+    H, c : ndarray, shapes (n, n) and (n,)
+    """
+    H[:] = J.T @ J
+    for i in range(H.shape[0]):
+        H[i, i] += damping**2
+    c[:] = -(rate @ J)
+
+
+Numbers = tuple[Array, Array, Array, Array, Array, Array, int]
+"""H, c, W, w, lower, upper and the number of equalities of a `Problem`."""
+
+
+class Problem(NamedTuple):
+    """min 1/2 u'Hu + c'u  subject to  E u = e,  G u >= h,  lower <= u <= upper.
+
+    Attributes
+    ----------
+    H : ndarray, shape (n, n)
+        J'J + lambda^2 I of (U6); positive definite.
+    c : ndarray, shape (n,)
+        eta J'x of (U6).
+    W, w : ndarray, shapes (l + m, n), (l + m,)
+        E above G, e above h: W_eq and w_eq of (U6), then its -W and -w without the joint limits.
+    lower, upper : ndarray, shape (n,)
+        Bounds of u by the joint limits (U12) and (U13) and by the largest velocities [rad/s].
+    equalities : int
+        Number of equality rows, l.
+    names : tuple of str
+        Names of the rows: equalities, inequalities, upper and lower limits.
+    """
+
+    H: Array
+    c: Array
+    W: Array
+    w: Array
+    lower: Array
+    upper: Array
+    equalities: int = 0
+    names: tuple[str, ...] = ()
+
+    @property
+    def E(self) -> Array:
+        """W_eq, shape (l, n)."""
+        return self.W[: self.equalities]
+
+    @property
+    def e(self) -> Array:
+        """w_eq, shape (l,)."""
+        return self.w[: self.equalities]
+
+    @property
+    def G(self) -> Array:
+        """Rows of the inequalities, shape (m, n)."""
+        return self.W[self.equalities :]
+
+    @property
+    def h(self) -> Array:
+        """Right-hand sides of the inequalities, shape (m,)."""
+        return self.w[self.equalities :]
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """n, number of equalities, number of inequalities."""
+        return self.c.shape[0], self.equalities, self.w.shape[0] - self.equalities
+
+    @property
+    def numbers(self) -> Numbers:
+        """All but the names, as compiled functions take them: numba reads a plain tuple faster than a named one."""
+        return self[:7]
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Scaled residuals of the Karush-Kuhn-Tucker conditions.
+
+    Attributes
+    ----------
+    stationarity, dual, complementarity : float
+        Relative to the length of the gradient step times the mean curvature, or to the largest multiplier.
+    primal : float
+        Largest violation of a row, in gradient steps.
+    row : int
+        Index of the row with the largest violation; -1 if all rows are satisfied.
+    """
+
+    stationarity: float
+    primal: float
+    dual: float
+    complementarity: float
+    row: int = -1
+
+    @property
+    def largest(self) -> float:
+        """The largest of the four residuals."""
+        return max(self.stationarity, self.primal, self.dual, self.complementarity)
+
+
+@dataclass(slots=True, eq=False)
+class Solution:
+    """An accepted solution of a `Problem`.
+
+    Attributes
+    ----------
+    u : ndarray, shape (n,)
+        Joint velocities [rad/s].
+    z : ndarray, shape (l + m + 2n,)
+        Multipliers of the equalities, inequalities, upper and lower limits; >= 0 except those of the equalities.
+    iterations : int
+        Number of iterations of the solver.
+    solve_time : float
+        Time taken by the solver [s].
+    """
+
+    u: Array
+    z: Array
+    iterations: int
+    solve_time: float
+
+    def active(self, problem: Problem) -> tuple[str, ...]:
+        """Return the names of the active inequalities, in decreasing order of their multipliers."""
+        start = problem.e.shape[0]
+        z = self.z[start:]
+        least = 1e-6 * max(float(np.abs(problem.c).max()), 1e-300)
+        order = np.argsort(-z)
+        return tuple(problem.names[start + i] for i in order if z[i] > least)
+
+    def residuals(self, problem: Problem) -> Residuals:
+        """Return the residuals of the Karush-Kuhn-Tucker conditions."""
+        s, curvature = scale(problem.numbers)
+        return Residuals(*kkt(problem.numbers, self.u, self.z, s, curvature))
+
+
+class Solver(Protocol):
+    """Interface of the solvers."""
+
+    name: str
+
+    def solve(self, problem: Problem) -> Solution:
+        """Return the solution; raise `QPError` if there is none."""
+
+
+# ---------------------------------------------------------------------- scaling and check of the solution
+
+
+@jit
+def scale(numbers: Numbers) -> tuple[float, float]:
+    """Return the scale s and the mean curvature of a problem; s is nan if any of its numbers is not finite."""
+    H, c, W, w, lower, upper, equalities = numbers
+    curvature, required = np.trace(H) / c.shape[0], 0.0  # the longest step that a row requires
+    for k in range(w.shape[0]):
+        required = max(required, abs(w[k]) if k < equalities else w[k])
+    for i in range(c.shape[0]):
+        required = max(required, lower[i], -upper[i])
+    s = max(math.sqrt(c @ c) / curvature, required)
+    if not math.isfinite(H.sum() + W.sum() + w.sum() + lower.sum() + upper.sum() + c.sum()):
+        return math.nan, curvature
+    return max(s, LEAST_SCALE), curvature
+
+
+@jit
+def kkt(numbers: Numbers, u: Array, z: Array, s: float, curvature: float) -> tuple[float, float, float, float, int]:
+    """Return stationarity, primal, dual, complementarity (see `Residuals`) and the row with the largest violation.
+
+    In the complementarity the slack is scaled like the violations, and limited to one gradient step.
+    """
+    H, c, W, w, lower, upper, l = numbers  # noqa: E741
+    k, n = w.shape[0], c.shape[0]
+    signed = z[:k].copy()
+    signed[l:] *= -1.0
+    gradient = H @ u + c + signed @ W + z[k : k + n] - z[k + n :]
+    force = max(s * curvature, np.abs(z).max())
+    primal, row, dual, complementarity = 0.0, -1, 0.0, 0.0
+    for i in range(l):
+        error = abs(W[i] @ u - w[i]) / s
+        if not error <= primal:
+            primal, row = error, i
+    slack = np.concatenate((W[l:] @ u - w[l:], upper - u, u - lower)) / s
+    for i in range(slack.shape[0]):
+        multiplier = z[l + i] / force
+        if not -slack[i] <= primal:
+            primal, row = -slack[i], l + i
+        dual = max(dual, -multiplier)
+        complementarity = max(complementarity, abs(multiplier) * min(abs(slack[i]), 1.0))
+    return np.abs(gradient).max() / force, primal, dual, complementarity, row
+
+
+def check(problem: Problem, stationarity: float, primal: float, dual: float, complementarity: float, row: int) -> None:
+    """Check the residuals of a solution.
+
+    Raises
+    ------
+    QPError
+        If it violates a row, or another of the Karush-Kuhn-Tucker conditions.
+    """
+    if not primal <= PRIMAL:
+        name = problem.names[row] if problem.names else str(row)
+        text = f"the solution violates the row '{name}' by {primal:.3g} (scaled)"
+        raise QPError(text, status="Violated", rows=[name])
+    other = max(stationarity, dual, complementarity)
+    if not other <= OPTIMAL:
+        raise QPError(f"the solution is not optimal: relative residual {other:.3g}", status="NotOptimal")
+
+
+def check_finite(s: float, curvature: float) -> None:
+    """Check the scale of a problem.
+
+    Raises
+    ------
+    QPError
+        If a number of the problem is not finite.
+    """
+    if not s * curvature > 0.0:
+        raise QPError("the problem contains a number that is not finite", status="NotFinite")
