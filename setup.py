@@ -40,7 +40,6 @@ TEST = [
     "pytest-timeout>=2.1",
     "pytest-xdist>=3.3",
     "quadprog>=0.1.11",
-    "yourdfpy>=0.0.56",
 ]
 # the dynamics and the solver of the whole-body controller
 WHOLEBODY = ["daqp>=0.11", "pin>=2.7"]
@@ -100,6 +99,7 @@ setup(
         "tqdm>=4.60",
         "trimesh>=4.0",
         "xacro>=2.0",
+        "yourdfpy>=0.0.56",
         "zstandard>=0.18",
     ],
     extras_require={

@@ -40,7 +40,7 @@ from dqwalk_ros.paper.statics import GRAVITY, share
 from dqwalk_ros.paper.walk import PhaseKind
 from dqwalk_ros.plants.mujoco import PhysicsPlant
 from dqwalk_ros.robot.model import RobotModel, load_model
-from dqwalk_ros.robot.urdf import Origin, Urdf
+from dqwalk_ros.robot.urdf import Urdf
 from dqwalk_ros.simulation import closed_loop, make_controller, make_walk
 from dqwalk_ros.studies.bisection import largest
 from dqwalk_ros.support.errors import DqwalkError
@@ -73,9 +73,9 @@ def pattern(config: Config, model: RobotModel, speed: float, steps: int, single:
     urdf = Urdf(model.urdf_without_shapes, model.name)
     for foot in Foot:
         sole = model.soles[foot]
-        urdf.add_frame(f"{foot.value}_foot", sole.frame, Origin(tuple(sole.center)))
+        urdf.add_frame(f"{foot.value}_foot", sole.frame, DQ.from_pose(sole.center))
     if "trunk" not in urdf.links:
-        urdf.add_frame("trunk", model.pelvis, Origin())
+        urdf.add_frame("trunk", model.pelvis, DQ(1.0))
     with tempfile.NamedTemporaryFile("w", suffix=".urdf") as file:
         file.write(urdf.text(shapes=False))
         file.flush()

@@ -34,7 +34,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.robot.model import RobotModel, load_model, parse_model
 from dqwalk_ros.robot.shapes import Shapes
 from dqwalk_ros.robot.standing_limits import Finding
-from dqwalk_ros.robot.urdf import Origin, Urdf
+from dqwalk_ros.robot.urdf import Urdf, moves
 from dqwalk_ros.support.errors import ModelError
 from dqwalk_ros.support.text_table import aligned
 
@@ -129,7 +129,7 @@ def adopt(
     _check_mass(path, urdf, anatomy)
     _align_root(urdf, anatomy)
     soles = _add_soles(urdf, anatomy)
-    urdf.links.update({name: shapes.named(link) for name, link in urdf.links.items()})  # paths of the meshes
+    shapes.name_files()
     text = urdf.text()
 
     sole = anatomy.soles[Foot.LEFT]
@@ -251,7 +251,7 @@ def write_dynamic(folder: pathlib.Path, numbers: Numbers, entries: Sequence[Entr
 
 
 def _check_mass(path: pathlib.Path, urdf: Urdf, anatomy: Anatomy) -> None:
-    mass = sum(link.mass for link in urdf.links.values())
+    mass = sum(link.inertial.mass for link in urdf.links.values())
     if not mass > 0.0:
         raise ModelError(f"{path}: the robot has no mass, so it has no centre of mass: its links lack <inertial>")
     if mass > _HEAVIEST * anatomy.leg**3:
@@ -267,16 +267,16 @@ def _align_root(urdf: Urdf, anatomy: Anatomy) -> None:
         return
     old, others = urdf.root, dict(urdf.joints)
     urdf.joints.clear()
-    urdf.add_frame("dqwalk_root", old, Origin.of(DQ.from_matrix(anatomy.turn)))
+    urdf.add_frame("dqwalk_root", old, DQ.from_matrix(anatomy.turn))
     (joint,) = urdf.joints.values()
-    urdf.joints[joint.name] = replace(joint, parent="dqwalk_root", child=old)
+    joint.parent, joint.child = "dqwalk_root", old
     urdf.joints.update(others)
 
 
 def _add_soles(urdf: Urdf, anatomy: Anatomy) -> dict[Foot, str]:
     names = {foot: f"dqwalk_{foot.value}_sole" for foot in Foot}
     for foot, sole in anatomy.soles.items():
-        urdf.add_frame(names[foot], sole.link, Origin.of(sole.pose))
+        urdf.add_frame(names[foot], sole.link, sole.pose)
     return names
 
 
@@ -293,8 +293,8 @@ def _whole_body(urdf: Urdf, text: str, robot: RobotConfig, numbers: Numbers) -> 
 
 def _lock(urdf: Urdf, free: set[str]) -> tuple[str, ...]:
     """Return the joints that are not free, with an angle [rad] where zero is outside their limits."""
-    locked = [joint for joint in urdf.joints.values() if joint.moves and joint.name not in free and not joint.mimic]
-    angles = {joint.name: min(max(0.0, joint.lower), joint.upper) for joint in locked}
+    locked = [joint for joint in urdf.joints.values() if moves(joint) and joint.name not in free and not joint.mimic]
+    angles = {joint.name: min(max(0.0, joint.limit.lower), joint.limit.upper) for joint in locked}
     return tuple(name if not angle else f"{name}={angle:.6g}" for name, angle in angles.items())
 
 

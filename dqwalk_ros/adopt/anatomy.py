@@ -400,10 +400,10 @@ def _knee_vote(skeleton: Skeleton, one: Sequence[str], two: Sequence[str], ahead
         middle = 0.5 * (heights[0] + heights[-1])
         knee = min(pitch[1:-1], key=lambda joint: abs(skeleton.place(joint)[2] - middle))
         joint = skeleton.joints[knee]
-        if not math.isfinite(joint.lower + joint.upper):
+        if not math.isfinite(joint.limit.lower + joint.limit.upper):
             return 0.0
-        lean = joint.lower + joint.upper
-        if abs(lean) < 0.3 * (joint.upper - joint.lower):
+        lean = joint.limit.lower + joint.limit.upper
+        if abs(lean) < 0.3 * (joint.limit.upper - joint.limit.lower):
             return 0.0
         shank = skeleton.place(pitch[-1]) - skeleton.place(knee)
         moved = np.cross(math.copysign(1.0, lean) * skeleton.axis(knee), shank)
@@ -436,7 +436,7 @@ def _find_hands(skeleton: Skeleton, legs: set[str], pelvis: str) -> tuple[dict[F
     carried: dict[str, list[str]] = {}
     for body in skeleton.joints:
         carried.setdefault(skeleton.way(body)[-2] if len(skeleton.way(body)) > 1 else "", []).append(body)
-    led = {joint.mimic for joint in skeleton.urdf.joints.values() if joint.mimic}
+    led = {joint.mimic.joint for joint in skeleton.urdf.joints.values() if joint.mimic}
     arms: list[tuple[float, tuple[str, ...], tuple[str, ...]]] = []
     for siblings in carried.values():
         free = [body for body in siblings if body not in legs]

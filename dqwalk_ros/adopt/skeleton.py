@@ -10,7 +10,7 @@ import numpy as np
 
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.robot.shapes import Shapes
-from dqwalk_ros.robot.urdf import Urdf
+from dqwalk_ros.robot.urdf import Urdf, moves, pose_at
 from dqwalk_ros.support.arrays import Array
 
 __all__ = ["Entry", "Skeleton"]
@@ -72,8 +72,8 @@ class Skeleton:
         waiting = [urdf.root]
         for link in waiting:
             for joint in urdf.child_joints(link):
-                angle = min(max(0.0, joint.lower), joint.upper) if joint.moves else 0.0
-                self._pose[joint.child] = self._pose[link] * joint.at(angle).pose
+                angle = min(max(0.0, joint.limit.lower), joint.limit.upper) if moves(joint) else 0.0
+                self._pose[joint.child] = self._pose[link] * pose_at(joint, angle)
                 chain = self.chain[link] + ((joint.name,) if joint.name in self.joints else ())
                 self.chain[joint.child] = chain
                 self.bodies.setdefault(chain[-1] if chain else "", []).append(joint.child)
@@ -105,17 +105,17 @@ class Skeleton:
 
     def mass(self, body: str) -> float:
         """Return the mass of a body [kg]."""
-        return sum(self.urdf.links[link].mass for link in self.bodies[body])
+        return float(sum(self.urdf.links[link].inertial.mass for link in self.bodies[body]))
 
     def heaviest(self, body: str) -> str:
         """Return the heaviest link of a body; the first one if all masses are equal."""
-        return max(self.bodies[body], key=lambda link: self.urdf.links[link].mass)
+        return max(self.bodies[body], key=lambda link: self.urdf.links[link].inertial.mass)
 
     def com(self, bodies: Sequence[str]) -> Array:
         """Return the centre of mass of some bodies, shape (3,) [m]."""
-        links = [self.urdf.links[name] for body in bodies for name in self.bodies[body]]
-        total = sum(link.mass for link in links)
-        parts = [link.mass * self._pose[link.name].transform_point(link.com) for link in links]
+        links = [(name, self.urdf.links[name].inertial) for body in bodies for name in self.bodies[body]]
+        total = sum(inertial.mass for _, inertial in links)
+        parts = [part.mass * self._pose[name].transform_point(part.origin[:3, 3]) for name, part in links]
         return sum(parts, np.zeros(3)) / total if total else np.zeros(3)
 
     def points(self, links: Sequence[str]) -> tuple[Array | None, str]:
@@ -140,9 +140,9 @@ def _coupled(urdf: Urdf) -> set[str]:
         joint = carrier.get(link)
         return set() if joint is None else {joint.name} | above(joint.parent)
 
-    moving = [above(joint.parent) for joint in joints if joint.moves and not joint.mimic]
+    moving = [above(joint.parent) for joint in joints if moves(joint) and not joint.mimic]
     return {
-        joint.mimic
+        joint.mimic.joint
         for joint in joints
-        if joint.mimic and joint.mimic not in above(joint.child) and sum(joint.name in way for way in moving) > 1
+        if joint.mimic and joint.mimic.joint not in above(joint.child) and sum(joint.name in way for way in moving) > 1
     }

@@ -30,7 +30,6 @@ from dqwalk_ros.plants.base import upward
 from dqwalk_ros.plants.bus import Bus
 from dqwalk_ros.plants.mujoco import held_torques
 from dqwalk_ros.robot.servos import IDENTIFIED, Drive, Servos
-from dqwalk_ros.robot.urdf import Origin
 from dqwalk_ros.simulation import Trace
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
@@ -451,4 +450,4 @@ def _mounting(trace: Trace, orientations: Array | None) -> Mounting | None:
     sine = float(np.linalg.norm(axis))
     turn = axis / max(sine, 1e-12) * math.atan2(sine, float(mean @ link))
     noise = up.std(axis=0) / math.sqrt(len(up))
-    return Mounting(np.array(Origin.of(DQ(0.5 * turn).exp()).rpy), np.array([noise[1], noise[0], math.nan]))
+    return Mounting(DQ(0.5 * turn).exp().roll_pitch_yaw(), np.array([noise[1], noise[0], math.nan]))

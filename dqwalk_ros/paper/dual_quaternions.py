@@ -6,6 +6,7 @@ and a `DQ` contains any number of them, shape ``(..., 8)``. A quaternion is a du
 
 from __future__ import annotations
 
+import math
 from typing import Self
 
 import numpy as np
@@ -137,6 +138,13 @@ class DQ:
         r = r / np.linalg.norm(r)
         return cls.from_pose(p, r if r[0] >= 0.0 else -r)
 
+    @classmethod
+    def from_roll_pitch_yaw(cls, rpy: ArrayLike, p: ArrayLike = (0.0, 0.0, 0.0)) -> Self:
+        """Return the pose of roll, pitch and yaw about the fixed axes x, y and z (3,) [rad], and p (3,) [m]."""
+        x, y, z = cls.rotation_about(rpy, np.eye(3)).vec4()
+        r = qmul(z, qmul(y, x))
+        return cls.from_pose(p, r if r[0] >= 0.0 else -r)
+
     # ------------------------------------------------------------------ parts
 
     def vec8(self) -> Array:
@@ -255,6 +263,14 @@ class DQ:
         r = self._h[..., :4]
         both = _left(r) @ _right(qconj(r))
         return both[..., 1:, 1:]
+
+    def roll_pitch_yaw(self) -> Array:
+        """Angles of the orientation of one pose about the fixed axes x, y and z, shape (3,) [rad]."""
+        R = self.rotation_matrix()
+        cos_pitch = math.hypot(R[0, 0], R[1, 0])
+        regular = cos_pitch > 1e-9  # otherwise the axes of roll and yaw coincide
+        roll = math.atan2(R[2, 1], R[2, 2]) if regular else math.atan2(-R[1, 2], R[1, 1])
+        return np.array([roll, math.atan2(-R[2, 0], cos_pitch), math.atan2(R[1, 0], R[0, 0]) if regular else 0.0])
 
     def Ad(self, other: DQ) -> Self:
         """Return x h x*: the quaternion, direction or line `other` given in the frame x, in the parent frame."""

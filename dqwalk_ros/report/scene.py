@@ -30,9 +30,9 @@ from dqwalk_ros.paper.walk import Phase
 from dqwalk_ros.report.metrics import left_of, support_polygon
 from dqwalk_ros.report.verdict import Assessment, Assessor
 from dqwalk_ros.robot.model import RobotModel, find_urdf
-from dqwalk_ros.robot.shapes import PRIMITIVES, meshes_of
+from dqwalk_ros.robot.shapes import PRIMITIVES, kind_and_size, meshes_of, rgba_of
 from dqwalk_ros.robot.standing_limits import divergent_component
-from dqwalk_ros.robot.urdf import Urdf
+from dqwalk_ros.robot.urdf import Urdf, pose_of
 from dqwalk_ros.simulation import Trace, make_walk
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
@@ -103,14 +103,15 @@ def shapes_of(config: Config, model: RobotModel) -> tuple[BodyShape, ...]:
     plain = [
         BodyShape(
             frame.body,
-            shape.kind,
-            shape.size,
-            (DQ(frame.pose) * shape.origin.pose).vec8(),
-            shape.color or _GREY,
+            kind,
+            size,
+            (DQ(frame.pose) * pose_of(shape.origin)).vec8(),
+            rgba_of(shape) or _GREY,
         )
         for name, frame in model.frames.items()
         for shape in urdf.links[name].visuals
-        if shape.kind in PRIMITIVES
+        for kind, size in [kind_and_size(shape)]
+        if kind in PRIMITIVES
     ]
     meshes = [
         BodyShape(frame.body, "mesh", (), frame.pose, surface.color or _GREY, surface.vertices, surface.faces)

@@ -13,16 +13,19 @@ import pathlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dqwalk_ros.config import RobotConfig, find_share
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.robot.urdf import Joint, Link, Origin, Urdf
+from dqwalk_ros.robot.urdf import Urdf, moves, pose_of
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, ModelError
+
+if TYPE_CHECKING:
+    from yourdfpy import Joint, Link
 
 __all__ = ["Body", "Frame", "RobotModel", "Sole", "find_urdf", "load_model", "parse_model"]
 
@@ -261,7 +264,7 @@ def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
     """Return the model of a description, reduced as `config` says; see `parse_model` for `published`."""
     urdf.cut(urdf.matching(config.drop, "robot.drop", strict=not published))
     urdf.weld(_locked(urdf, config, published))
-    if not sum(link.mass for link in urdf.links.values()) > 0.0:
+    if not sum(link.inertial.mass for link in urdf.links.values()) > 0.0:
         raise ModelError(f"{urdf.source}: the robot has no mass, so it has no centre of mass")
     if config.mass > 0.0:
         urdf.scale_mass(config.mass)
@@ -277,7 +280,7 @@ def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
     tree = _tree(urdf)
     frames, mounted = tree["frames"], imu
     if any(config.imu_rpy):
-        mounted, turn = f"{imu}_mounted", Origin(rpy=config.imu_rpy).pose
+        mounted, turn = f"{imu}_mounted", DQ.from_roll_pitch_yaw(config.imu_rpy)
         frames[mounted] = Frame(frames[imu].body, (DQ(frames[imu].pose) * turn).vec8())
     if len({frames[name].body for name in feet.values()}) == 1:
         raise ModelError(
@@ -303,7 +306,7 @@ def _sole_frame(urdf: Urdf, config: RobotConfig, foot: Foot) -> str:
         return str(name)
     placed = f"{name}_placed"
     if placed not in urdf.links:  # a `RobotModel.urdf` has it already
-        urdf.add_frame(placed, name, Origin(xyz, rpy))
+        urdf.add_frame(placed, name, DQ.from_roll_pitch_yaw(rpy, xyz))
     return placed
 
 
@@ -322,9 +325,10 @@ def _locked(urdf: Urdf, config: RobotConfig, published: bool) -> dict[str, float
             if given or name not in angles:
                 angles[name] = angle
     for joint in urdf.joints.values():
-        if joint.mimic and joint.name not in angles and joint.moves:
-            angles[joint.name] = joint.multiplier * angles.get(joint.mimic, 0.0) + joint.offset
-            urdf.repairs.append(f"joint '{joint.name}' mimics '{joint.mimic}': locked at {angles[joint.name]:g}")
+        led = joint.mimic
+        if led and joint.name not in angles:
+            angles[joint.name] = led.multiplier * angles.get(led.joint, 0.0) + led.offset
+            urdf.repairs.append(f"joint '{joint.name}' mimics '{led.joint}': locked at {angles[joint.name]:g}")
     return angles
 
 
@@ -338,15 +342,15 @@ def _tree(urdf: Urdf) -> dict[str, Any]:
 
     def attach(link: Link, body: int, pose: DQ) -> None:
         frames[link.name] = Frame(body, pose.vec8())
-        if link.mass:
-            parts[body].append((link.mass, pose.transform_point(link.com)))
+        if link.inertial.mass:
+            parts[body].append((link.inertial.mass, pose.transform_point(link.inertial.origin[:3, 3])))
 
     attach(links[urdf.root], 0, DQ(1.0))
     waiting = [(joint, 0, DQ(1.0)) for joint in reversed(urdf.child_joints(urdf.root))]
     while waiting:
         joint, body, pose = waiting.pop()  # body of the joint's parent link, and pose of that link in the body
-        origin = pose * joint.origin.pose
-        if joint.moves:
+        origin = pose * pose_of(joint.origin)
+        if moves(joint):
             if joint.type not in ("revolute", "continuous"):
                 raise ModelError(
                     f"{urdf.source}: joint '{joint.name}' is {joint.type}; lock or drop it, only revolute ones move"
@@ -363,13 +367,13 @@ def _tree(urdf: Urdf) -> dict[str, Any]:
         mass = sum(m for m, _ in masses)
         com = sum((m * c for m, c in masses), np.zeros(3)) / mass if mass else np.zeros(3)
         bodies.append(Body(parent, index, origin.vec8(), axis, mass, com))
-    limits = [_range(joint.lower, joint.upper) for joint in moving]
+    limits = [_range(joint.limit.lower, joint.limit.upper) for joint in moving]
     return {
         "joint_names": tuple(joint.name for joint in moving),
         "q_min": np.array([lower for lower, _ in limits]),
         "q_max": np.array([upper for _, upper in limits]),
-        "velocity_max": np.array([joint.velocity for joint in moving]),
-        "effort_max": np.array([joint.effort for joint in moving]),
+        "velocity_max": np.array([joint.limit.velocity for joint in moving]),
+        "effort_max": np.array([joint.limit.effort for joint in moving]),
         "bodies": tuple(bodies),
         "frames": frames,
     }
@@ -387,15 +391,15 @@ def _sole(urdf: Urdf, config: RobotConfig, foot: Foot, name: str, tree: Mapping[
     link, frame = urdf.links[getattr(config, f"{foot.value}_sole")], tree["frames"][name]
     center = np.zeros(3)
     length, width = config.sole_length, config.sole_width
-    box = next((shape for shape in link.collisions if shape.kind == "box"), None)
+    box = next((shape for shape in link.collisions if shape.geometry.box is not None), None)
     if not (length and width):
         if box is None:
             raise ModelError(
                 f"{urdf.source}: link '{link.name}' has no collision box; give robot.sole_length and sole_width"
             )
-        length, width = length or box.size[0], width or box.size[1]
+        length, width = length or box.geometry.box.size[0], width or box.geometry.box.size[1]
     if box is not None and name == link.name:
-        center[:2] = box.origin.xyz[:2]
+        center[:2] = box.origin[:2, 3]
     if config.sole_center == "foot_com":
         center[:2] = DQ(frame.pose).conj().transform_point(tree["bodies"][frame.body].com)[:2]
     return Sole(name, center, length, width)

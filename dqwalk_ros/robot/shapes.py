@@ -6,16 +6,19 @@ import pathlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.robot.packages import find_package_file
-from dqwalk_ros.robot.urdf import Link, Shape, Urdf
+from dqwalk_ros.robot.urdf import Urdf, pose_of
 from dqwalk_ros.support.arrays import Array
 
-__all__ = ["PRIMITIVES", "Shapes", "Surface", "meshes_of"]
+if TYPE_CHECKING:
+    from yourdfpy import Collision, Link, Visual
+
+__all__ = ["PRIMITIVES", "Shapes", "Surface", "kind_and_size", "meshes_of", "rgba_of"]
 
 
 PRIMITIVES = ("box", "cylinder", "sphere")
@@ -70,14 +73,13 @@ class Shapes:
         """Return the path of a mesh; None if it is not found."""
         return find_package_file(mesh, self._near, self._places)
 
-    def named(self, link: Link) -> Link:
-        """Return a copy of a link in which the meshes that are found are named by the URI of their file."""
-
-        def renamed(shape: Shape) -> Shape:
-            file = self.file(shape.mesh) if shape.kind == "mesh" else None
-            return shape if file is None else replace(shape, mesh=file.resolve().as_uri())
-
-        return replace(link, visuals=tuple(map(renamed, link.visuals)), collisions=tuple(map(renamed, link.collisions)))
+    def name_files(self) -> None:
+        """Name the meshes that are found by the URI of their file, in the description itself."""
+        for link in self._links.values():
+            for shape in (*link.visuals, *link.collisions):
+                mesh = shape.geometry.mesh
+                if mesh is not None and (file := self.file(mesh.filename)) is not None:
+                    mesh.filename = file.resolve().as_uri()
 
     def of(self, name: str, which: str) -> list[Surface]:
         """Return the surfaces of a link; `which` is ``visuals`` or ``collisions``."""
@@ -104,28 +106,48 @@ class Shapes:
             self._hulls[key] = _corners(np.concatenate(found)) if found else None
         return self._hulls[key]
 
-    def surface(self, link: Link, shape: Shape) -> Surface | None:
+    def surface(self, link: Link, shape: Visual | Collision) -> Surface | None:
         """Return a shape of a link as triangles; None if its mesh is not available, for the reason in `missing`."""
-        if shape.kind == "mesh":
-            file = self.file(shape.mesh)
+        kind, size = kind_and_size(shape)
+        if kind == "mesh":
+            name = shape.geometry.mesh.filename
+            file = self.file(name)
             if file is None:
-                self.missing[shape.mesh] = "not found"
+                self.missing[name] = "not found"
                 return None
             try:
                 vertices, faces, y_up = _mesh(str(file))
             except Exception as error:  # the reader of each mesh format raises its own exceptions
-                self.missing[shape.mesh] = " ".join(str(error).split())[:100] or type(error).__name__
+                self.missing[name] = " ".join(str(error).split())[:100] or type(error).__name__
                 return None
-            vertices = vertices * shape.size
+            vertices = vertices * size
             if y_up and _is_closer_rotated(vertices, link, shape):
                 vertices = vertices @ _Y_UP.T
             what = file.name
         else:
-            vertices, faces = _primitive(shape)
-            what = shape.kind
+            vertices, faces = _primitive(kind, size)
+            what = kind
         if not np.isfinite(vertices).all():
             return None
-        return Surface(shape.origin.pose.transform_point(vertices), faces, shape.color, what)
+        return Surface(pose_of(shape.origin).transform_point(vertices), faces, rgba_of(shape), what)
+
+
+def kind_and_size(shape: Visual | Collision) -> tuple[str, tuple[float, ...]]:
+    """Return the kind of a shape, and its size [m].
+
+    These are ``box`` (x, y, z), ``cylinder`` (radius, length along z), ``sphere`` (radius), or ``mesh`` (scale of x, y
+    and z).
+    """
+    kind, given = next((kind, given) for kind, given in vars(shape.geometry).items() if given is not None)
+    if kind == "mesh":
+        return kind, tuple((given.scale * np.ones(3)).tolist())
+    return kind, tuple(np.hstack([*vars(given).values()]).tolist())
+
+
+def rgba_of(shape: Visual | Collision) -> tuple[float, float, float, float] | None:
+    """Return red, green, blue and opacity of a shape, or None if it has no color."""
+    material = getattr(shape, "material", None)
+    return tuple(material.color.rgba.tolist()) if material else None
 
 
 def _corners(points: Array) -> Array:
@@ -153,7 +175,7 @@ def meshes_of(urdf: Urdf, near: pathlib.Path) -> list[tuple[str, Surface]]:
         (name, surface)
         for name, link in urdf.links.items()
         for shape in link.visuals
-        if shape.kind not in PRIMITIVES and (surface := shapes.surface(link, shape)) is not None
+        if kind_and_size(shape)[0] not in PRIMITIVES and (surface := shapes.surface(link, shape)) is not None
     ]
     full, cell = found, 0.5e-3
     while sum(len(surface.faces) for _, surface in found) > _MOST:
@@ -193,14 +215,14 @@ def _mesh(file: str) -> tuple[Array, NDArray[np.int64], bool]:
     return vertices, np.asarray(mesh.faces, dtype=np.int64), y_up
 
 
-def _is_closer_rotated(vertices: Array, link: Link, shape: Shape) -> bool:
+def _is_closer_rotated(vertices: Array, link: Link, shape: Visual | Collision) -> bool:
     """Return whether a mesh that is declared as y up is closer to the link's CoM after the rotation to z up.
 
     Some tools ignore the declaration, so it does not tell reliably which axis of the file is up.
     """
-    if not link.mass:
+    if not link.inertial.mass:
         return False
-    com = shape.origin.pose.conj().transform_point(link.com)
+    com = pose_of(shape.origin).conj().transform_point(link.inertial.origin[:3, 3])
 
     def distance(points: Array) -> float:
         low, high = points.min(axis=0), points.max(axis=0)
@@ -211,17 +233,15 @@ def _is_closer_rotated(vertices: Array, link: Link, shape: Shape) -> bool:
     return distance(vertices @ _Y_UP.T) < 0.8 * distance(vertices)
 
 
-def _primitive(shape: Shape) -> tuple[Array, NDArray[np.int64]]:
-    """Return vertices (N, 3) [m] and faces (M, 3) of a box, sphere, cylinder or capsule."""
+def _primitive(kind: str, size: Sequence[float]) -> tuple[Array, NDArray[np.int64]]:
+    """Return vertices (N, 3) [m] and faces (M, 3) of one of `PRIMITIVES`."""
     import trimesh
 
     make = trimesh.creation
-    if shape.kind == "box":
-        mesh = make.box(shape.size)
-    elif shape.kind == "sphere":
-        mesh = make.icosphere(subdivisions=2, radius=shape.size[0])
-    elif shape.kind == "cylinder":
-        mesh = make.cylinder(radius=shape.size[0], height=shape.size[1])
+    if kind == "box":
+        mesh = make.box(size)
+    elif kind == "sphere":
+        mesh = make.icosphere(subdivisions=2, radius=size[0])
     else:
-        mesh = make.capsule(radius=shape.size[0], height=shape.size[1])
+        mesh = make.cylinder(radius=size[0], height=size[1])
     return np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import re
 import time
@@ -14,8 +13,9 @@ import yourdfpy
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.robot.packages import find_package_file
-from dqwalk_ros.robot.urdf import Origin, Urdf
+from dqwalk_ros.robot.urdf import Urdf, moves, pose_at, pose_of
 from dqwalk_ros.support.errors import ModelError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -48,6 +48,11 @@ BAD = {
     "no links": (robot(), "no links"),
     "doctype": (f'<!DOCTYPE robot SYSTEM "file:///etc/passwd">{robot(A)}', "line 1: <!DOCTYPE is not allowed"),
     "bomb": ('<!DOCTYPE r [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]>' + robot(A), "DOCTYPE"),
+    "xacro without prefix": (
+        robot('<property name="m" value="1"/>', '<macro name="leg"><link name="a"/></macro>'),
+        "line 2: <property> is xacro without its prefix.* write <xacro:include>",
+    ),
+    "long name": (robot(link("a" * 100_000)), "line 2: <link> has an attribute of more than 65536 characters"),
     "undefined entity": (robot("<link name='&xxe;'/>"), "not XML"),
     "too deep": (robot(A, "<a>" * 100_000), "line 3: <a> lies too deep"),
     "too large": (robot(A, " " * (1 << 25)), "more than 32 MiB"),
@@ -98,6 +103,20 @@ REPAIRED = {
     "no range": (robot(A, B, joint(more='<limit effort="1"/>')), "without lower and upper: it moves"),
     "equal limits": (robot(A, B, joint(more='<limit lower="1" upper="1"/>')), "no range, .*: fixed there"),
     "no effort": (robot(A, B, joint(more='<limit upper="1" effort="0"/>')), "effort limit 0: taken as none"),
+    "limits beyond": (robot(A, B, joint(more='<limit lower="1e9" upper="1e9" effort="1e7"/>')), ""),
+    "capsule": (
+        robot(link("a", more='<collision><geometry><capsule radius="1" length="2"/></geometry></collision>')),
+        "line 2: <capsule> is taken as a cylinder of the same extent",
+    ),
+    "no color": (
+        robot(
+            link(
+                "a",
+                more='<visual><geometry><sphere radius="1"/></geometry><material><color rgba="1"/></material></visual>',
+            )
+        ),
+        "",
+    ),
     "long axis": (robot(A, B, joint(more='<axis xyz="0 0 2"/><limit upper="1"/>')), "axis of length 2: made a unit"),
     "floating": (robot(A, B, joint(kind="floating")), "is floating: taken as fixed"),
     "no mass": (robot(link("a", '<mass value="0"/>')), "line 2: <link> 'a' has the mass 0 kg: taken as a frame"),
@@ -124,11 +143,22 @@ def test_flaws_that_ros_tools_accept_are_repaired(name: str) -> None:
     else:
         assert not urdf.repairs
     for one in urdf.links.values():
-        a, b, c = np.linalg.eigvalsh(one.inertia)
-        assert not one.mass or (a > 0.0 and a + b >= c * 0.999)
+        a, b, c = np.linalg.eigvalsh(one.inertial.inertia)
+        assert not one.inertial.mass or (a > 0.0 and a + b >= c * 0.999)
     again = Urdf(urdf.text(), "again")  # the written text needs no repair
     assert not again.repairs
     assert again.text() == urdf.text()
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "latin-1", "GB2312", "Shift_JIS"])
+def test_a_file_is_read_in_its_encoding(encoding: str) -> None:
+    name = {"latin-1": "Fu\u00df", "utf-8": "\u00df\u8db3", "utf-16": "\u00df\u8db3"}.get(encoding, "\u8db3")
+    text = f'<?xml version="1.0" encoding="{encoding}"?>' + robot(link(name))
+    assert list(Urdf(text.encode(encoding), "x").links) == [name]
+    text = text.replace(encoding, "klingon")
+    assert list(Urdf(text, "x").links) == [name]  # a text has no encoding
+    with pytest.raises(ModelError, match="its encoding 'klingon' is not known: save it as UTF-8"):
+        Urdf(text.encode(), "x")
 
 
 def test_mesh_files_are_not_opened(tmp_path: Path) -> None:
@@ -136,52 +166,58 @@ def test_mesh_files_are_not_opened(tmp_path: Path) -> None:
     os.mkfifo(trap)  # opening it would block forever
     mesh = f'<visual><geometry><mesh filename="{trap}" scale="0.1 0.1 0.1"/></geometry></visual>'
     (shape,) = Urdf(robot(link("a", more=mesh)), "x").links["a"].visuals
-    assert (shape.kind, shape.mesh, shape.size) == ("mesh", str(trap), (0.1, 0.1, 0.1))
+    assert shape.geometry.mesh == yourdfpy.Mesh(str(trap), np.full(3, 0.1))
 
 
 @pytest.mark.parametrize("path", OURS, ids=lambda path: path.name)
-def test_own_descriptions_need_no_repair_and_match_yourdfpy(path: Path) -> None:
+def test_own_descriptions_need_no_repair_and_are_written_as_they_are(path: Path) -> None:
     urdf = Urdf.load(path)
     assert not urdf.repairs
+    text = urdf.text()
     known = yourdfpy.URDF.load(str(path), load_meshes=False, build_scene_graph=False).robot
-    assert list(urdf.links) == [one.name for one in known.links]
-    for one in known.joints:
-        mine = urdf.joints[one.name]
-        pose = np.eye(4) if one.origin is None else one.origin
-        np.testing.assert_allclose(mine.origin.pose.rotation_matrix(), pose[:3, :3], atol=1e-15)
-        np.testing.assert_allclose(mine.origin.pose.translation(), pose[:3, 3], atol=1e-15)
-        assert (mine.type, mine.parent, mine.child) == (one.type, one.parent, one.child)
-        if mine.moves:
-            np.testing.assert_array_equal(mine.axis, one.axis)
-            assert (mine.lower, mine.upper, mine.effort) == (one.limit.lower, one.limit.upper, one.limit.effort)
-    for one in known.links:
-        if one.inertial is not None:
-            pose = np.eye(4) if one.inertial.origin is None else one.inertial.origin
-            R = pose[:3, :3]
-            np.testing.assert_allclose(urdf.links[one.name].com, pose[:3, 3], atol=1e-15)
-            np.testing.assert_allclose(urdf.links[one.name].inertia, R @ one.inertial.inertia @ R.T, atol=1e-15)
-    again = yourdfpy.URDF.load(io.BytesIO(urdf.text().encode()), load_meshes=False).robot
-    assert {one.name for one in again.links} == set(urdf.links)
-    assert Urdf(urdf.text(), "again").text() == urdf.text()
+    for links, joints in [(one.links, one.joints) for one in (urdf, Urdf(text, "again"))]:
+        assert list(links) == [one.name for one in known.links]
+        assert list(joints) == [one.name for one in known.joints]
+        for one in known.joints:
+            mine = joints[one.name]
+            np.testing.assert_allclose(mine.origin, np.eye(4) if one.origin is None else one.origin, atol=1e-14)
+            assert (mine.type, mine.parent, mine.child) == (one.type, one.parent, one.child)
+            if moves(mine):
+                np.testing.assert_array_equal(mine.axis, one.axis)
+                assert mine.limit == one.limit
+        for one in known.links:
+            if one.inertial is not None:
+                pose = np.eye(4) if one.inertial.origin is None else one.inertial.origin
+                R, mine = pose[:3, :3], links[one.name].inertial
+                assert mine.mass == one.inertial.mass
+                np.testing.assert_allclose(mine.origin[:3, 3], pose[:3, 3], atol=1e-15)
+                np.testing.assert_allclose(mine.inertia, R @ one.inertial.inertia @ R.T, atol=1e-15)
+            shapes = (*links[one.name].visuals, *links[one.name].collisions)
+            for mine, other in zip(shapes, (*one.visuals, *one.collisions), strict=True):
+                assert mine.geometry == other.geometry
+                np.testing.assert_allclose(mine.origin, np.eye(4) if other.origin is None else other.origin, atol=1e-14)
+    assert Urdf(text, "again").text() == text
 
 
 angles = st.floats(-4.0, 4.0) | st.sampled_from([0.0, np.pi / 2, -np.pi / 2, np.pi])
 
 
 @given(st.tuples(angles, angles, angles))
-def test_an_origin_is_recovered_from_its_pose(rpy: tuple[float, float, float]) -> None:
-    pose = Origin((1.0, 2.0, 3.0), rpy).pose
-    off = pose.conj() * Origin.of(pose).pose
+def test_a_frame_is_written_at_its_pose(rpy: tuple[float, float, float]) -> None:
+    pose = DQ.from_roll_pitch_yaw(rpy, (1.0, 2.0, 3.0))
+    urdf = Urdf(robot(A), "x")
+    urdf.add_frame("b", "a", pose)
+    off = pose.conj() * pose_of(Urdf(urdf.text(), "again").joints["b_joint"].origin)
     np.testing.assert_allclose(off.rotation_matrix(), np.eye(3), atol=1e-8)
     np.testing.assert_allclose(off.translation(), 0.0, atol=1e-8)
 
 
 def test_a_joint_fixed_at_an_angle_has_the_pose_of_that_angle() -> None:
     urdf = Urdf(robot(A, B, joint(more='<origin xyz="1 0 0" rpy="1.5707963 0 0"/><axis xyz="0 0 1"/>')), "x")
-    turned = urdf.joints["j"].at(0.3).pose
+    turned = pose_at(urdf.joints["j"], 0.3)
     urdf.weld({"j": 0.3})
-    assert not urdf.joints["j"].moves
-    np.testing.assert_array_equal(urdf.joints["j"].origin.pose.vec8(), turned.vec8())
+    assert not moves(urdf.joints["j"])
+    np.testing.assert_allclose(pose_of(urdf.joints["j"].origin).vec8(), turned.vec8(), atol=1e-15)
     assert turned.rotation_matrix()[2, 0] == pytest.approx(np.sin(0.3))  # about -y of the parent
 
 

@@ -17,7 +17,7 @@ import pytest
 OPTIONAL = frozenset(
     {
         *("daqp", "distributed", "mink", "mujoco", "pin", "pink", "pinocchio", "placo", "playwright"),
-        *("pyarrow", "quadprog", "qpsolvers", "viser", "trimesh", "collada", "yourdfpy"),
+        *("pyarrow", "quadprog", "qpsolvers", "viser"),
     }
 )
 

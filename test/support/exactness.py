@@ -18,7 +18,7 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.robot.model import RobotModel, load_model
-from dqwalk_ros.robot.urdf import Urdf
+from dqwalk_ros.robot.urdf import Urdf, moves, pose_of
 from dqwalk_ros.support.errors import QPError
 from dqwalk_ros.whole_body import BodyCommand, BodyState, Scenario, WholeBodyController, WholeBodyTrace, follow
 from dqwalk_ros.whole_body.dynamics import Multibody
@@ -131,8 +131,8 @@ def inverse_dynamics(
     root = _Link(model.root, position, rotation, rotation @ v[3:6], linear, rotation @ a[3:6], ())
     force = np.zeros(6 + model.n)
     for link in _links(robot, model, root, q, v[6:], a[6:]):
-        body = robot.links[link.name]
-        arm, inertia = link.R @ body.com, link.R @ body.inertia @ link.R.T
+        body = robot.links[link.name].inertial
+        arm, inertia = link.R @ body.origin[:3, 3], link.R @ body.inertia @ link.R.T
         f = body.mass * (link.linear + np.cross(link.angular, arm) + np.cross(link.w, np.cross(link.w, arm)))
         n = inertia @ link.angular + np.cross(link.w, inertia @ link.w)
         place = link.p + arm
@@ -165,11 +165,11 @@ def _links(robot: Urdf, model: RobotModel, root: _Link, q: Array, dq: Array, ddq
         for joint in robot.joints.values():
             if joint.parent != link.name:
                 continue
-            origin = joint.origin.pose
+            origin = pose_of(joint.origin)
             arm, R = link.R @ origin.translation(), link.R @ origin.rotation_matrix()
             p, w, angular, joints = link.p + arm, link.w, link.angular, link.joints
             linear = link.linear + np.cross(angular, arm) + np.cross(w, np.cross(w, arm))
-            if joint.moves:
+            if moves(joint):
                 i, z = model.joint_names.index(joint.name), R @ joint.axis
                 R = R @ Rotation.from_rotvec(q[i] * np.asarray(joint.axis)).as_matrix()
                 angular = angular + ddq[i] * z + np.cross(w, dq[i] * z)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -18,8 +18,11 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.paper.walk import Phase
 from dqwalk_ros.robot.model import RobotModel
-from dqwalk_ros.robot.urdf import Link, Urdf
+from dqwalk_ros.robot.urdf import Urdf
 from dqwalk_ros.support.arrays import Array
+
+if TYPE_CHECKING:
+    from yourdfpy import Link
 
 __all__ = ["Pendulum", "angular_momentum", "swing_inertia"]
 
@@ -29,8 +32,9 @@ def angular_momentum(kin: Kinematics) -> Array:
     model, J_com = kin.model, kin.com_jacobian
     L = np.zeros(J_com.shape)
     for link in _links(model):
-        arm, J = kin.point(link.name, link.com) - kin.com, kin.point_jacobian(link.name, link.com)
-        L += link.mass * np.cross(arm, (J - J_com).T).T + _inertia(kin, link) @ kin.angular_jacobian(link.name)
+        mass, com = link.inertial.mass, link.inertial.origin[:3, 3]
+        arm, J = kin.point(link.name, com) - kin.com, kin.point_jacobian(link.name, com)
+        L += mass * np.cross(arm, (J - J_com).T).T + _inertia(kin, link) @ kin.angular_jacobian(link.name)
     return L
 
 
@@ -43,8 +47,9 @@ def swing_inertia(kin: Kinematics) -> Array:
     moved, above = (tree.moves[tree.frames[frame][0]] for frame in (kin.swing, model.pelvis))
     leg, M = moved & ~above, np.zeros((model.n, model.n))
     for link in _links(model):
-        J, turning = kin.point_jacobian(link.name, link.com) * leg, kin.angular_jacobian(link.name) * leg
-        M += link.mass * J.T @ J + turning.T @ _inertia(kin, link) @ turning
+        mass, com = link.inertial.mass, link.inertial.origin[:3, 3]
+        J, turning = kin.point_jacobian(link.name, com) * leg, kin.angular_jacobian(link.name) * leg
+        M += mass * J.T @ J + turning.T @ _inertia(kin, link) @ turning
     return M
 
 
@@ -52,13 +57,13 @@ def swing_inertia(kin: Kinematics) -> Array:
 def _links(model: RobotModel) -> tuple[Link, ...]:
     """Return the links that have a mass; computed once per model, because the URDF is parsed."""
     links = Urdf(model.urdf, model.name).links.values()
-    return tuple(link for link in links if link.mass > 0.0 and link.name in model.frames)
+    return tuple(link for link in links if link.inertial.mass > 0.0 and link.name in model.frames)
 
 
 def _inertia(kin: Kinematics, link: Link) -> Array:
     """Return the inertia of a link about its CoM in axes of the base frame, shape (3, 3) [kg m^2]."""
     R = np.column_stack([kin.direction(link.name, axis) for axis in np.eye(3)])
-    inertia: Array = R @ link.inertia @ R.T
+    inertia: Array = R @ link.inertial.inertia @ R.T
     return inertia
 
 
