@@ -20,11 +20,12 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 LOCAL, _, ON_ROS = README.partition("## On a machine with ROS 2 Jazzy")  # its commands: test_package.py
 
 TARGETS = re.findall(r"^([a-z-]+):.*##", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M)
-ROWS = re.findall(r"^\| `([^`]+)`", LOCAL, re.M)
+TABLES = "\n".join(line for line in LOCAL.splitlines() if line.startswith("|"))
+CELLS = re.findall(r"`((?:make|dqwalk|python) [^`]+)`", TABLES)
 BLOCKS = re.findall(r"^```bash\n(.*?)^```", LOCAL, re.M | re.S)
 LINES = [line.partition("#")[0].strip() for block in BLOCKS for line in block.splitlines()]
 PYTHON = [f"python -c {shlex.quote(code)}" for code in re.findall(r"^```python\n(.*?)^```", ON_ROS, re.M | re.S)]
-COMMANDS = list(dict.fromkeys([*(f"make {name}" for name in TARGETS), *LINES, *ROWS, *PYTHON]))
+COMMANDS = list(dict.fromkeys([*(f"make {name}" for name in TARGETS), *LINES, *CELLS, *PYTHON]))
 
 NEEDS_A_ROBOT = {"dqwalk doctor"}
 
