@@ -12,6 +12,7 @@ from typing import Any
 import declared
 import pytest
 import robots
+from stepped_time import SteppedTime
 
 from dqwalk_ros.cli.runner import private_domain
 from dqwalk_ros.config import Config, load
@@ -129,13 +130,14 @@ def domain() -> Iterator[int]:
 
 @pytest.fixture
 def make(tmp_path: Path, domain: int) -> Iterator[Any]:
-    """A function that makes nodes in the process of the test; see `inside.Inside`."""
+    """A function that makes nodes in the process of the test, with one clock; see `inside.Inside`."""
     from inside import Inside
 
     made: list[Inside] = []
+    clock = SteppedTime(100.0)
 
     def make(name: str, config: Config | str, *own: str, ros: tuple[str, ...] = ()) -> Inside:
-        made.append(Inside(name, config, tmp_path, *own, ros=ros, domain=domain))
+        made.append(Inside(name, config, tmp_path, *own, ros=ros, domain=domain, clock=clock))
         return made[-1]
 
     yield make

@@ -6,7 +6,6 @@ A subclass defines the command. Faults of a state, of the plant that publishes i
 from __future__ import annotations
 
 import argparse
-import time
 import traceback
 from collections import deque
 from collections.abc import Callable
@@ -74,13 +73,14 @@ class AnsweringNode(WalkNode):
             outside=config.safety.outside,
             jumps=config.safety.jumps,
             by_stamp=self.lockstep,
+            clock=self.steady,
         )
         self._failures = FaultCounter(config.safety.failures)
         self._plants = DuplicateStates(config.dt)
         self._duplicates = ""
         self._stale = False
         self._ticks = self._rejected = 0
-        self._diagnosed = -float("inf")  # steady time [s]
+        self._diagnosed = -float("inf")  # [s]
         self.create_timer(0.02, self._check_timeout)
         self.create_timer(0.25, self._check_plants)
 
@@ -250,7 +250,7 @@ class AnsweringNode(WalkNode):
 
     def _diagnose(self, level: str = "", message: str = "") -> None:
         """Publish diagnostics; without a level, those of the walk."""
-        self._diagnosed = time.perf_counter()
+        self._diagnosed = self.steady()
         of_walk, text, values = self._condition()
         if not level:
             trouble = self._problem or (f"two plants: {self._duplicates}" if self._duplicates else "")
@@ -259,4 +259,4 @@ class AnsweringNode(WalkNode):
         self.diagnose(self.what, self._model.name, level, message, values, max(self._stamp, 0))
 
     def _is_time_to_diagnose(self) -> bool:
-        return time.perf_counter() - self._diagnosed >= 1.0 / self.config.monitor.rate
+        return self.steady() - self._diagnosed >= 1.0 / self.config.monitor.rate

@@ -73,6 +73,8 @@ class WalkNode(Node):
 
     pause = 0.0
     has_diagnostics = True
+    steady: Callable[[], float] = staticmethod(time.monotonic)
+    """The time [s] by which the node measures ages and periods; steps of the system's clock do not change it."""
     claims = ""
     """Topic that only one node of this name may publish; see `refuse_a_second`."""
 

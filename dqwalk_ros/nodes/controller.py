@@ -391,7 +391,7 @@ class Controller(AnsweringNode):
         return "WARN" if drive else "OK", drive or self._label, values
 
     def _report_progress(self, final: bool = False) -> None:
-        now = time.perf_counter()
+        now = self.steady()
         if not (final or now - self._reported > 0.5):
             return
         self._reported = now

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
@@ -49,8 +48,6 @@ class InertialSensor:
         Link of the sensor: messages in another frame are rejected.
     on_state : callable
         Called again with a state that had to wait for its imu message.
-    clock : callable
-        Steady time [s].
     """
 
     def __init__(
@@ -58,9 +55,8 @@ class InertialSensor:
         node: WalkNode,
         frame: str,
         on_state: Callable[[JointState], None],
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._node, self._frame, self._on_state, self._clock = node, frame, on_state, clock
+        self._node, self._frame, self._on_state = node, frame, on_state
         self._newest: Imu | None = None
         self._waiting: JointState | None = None
         self._first = math.inf  # time of receipt of the first state [s]
@@ -87,7 +83,7 @@ class InertialSensor:
                 self._waiting = msg
                 return None
         elif newest is None:
-            now = self._clock()
+            now = self._node.steady()
             self._first = min(self._first, now)
             if now - self._first <= self._node.config.plant.command_timeout:
                 return None  # the node has just started
@@ -109,15 +105,11 @@ class Steering:
     ----------
     controller : VelocityController
         Of a standing walk with gait.steps: 0.
-    clock : callable
-        Steady time [s].
     """
 
-    def __init__(
-        self, node: WalkNode, controller: VelocityController, clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, node: WalkNode, controller: VelocityController) -> None:
         self._node, self._controller = node, controller
-        self._watchdog = Watchdog(lambda: node.config.gait.cmd_vel_timeout, clock)
+        self._watchdog = Watchdog(lambda: node.config.gait.cmd_vel_timeout, node.steady)
         self._asked = self._walked = _STILL
         self._receiving = False
         self.rejected = 0
@@ -185,9 +177,9 @@ class CommandInput:
 
     def __init__(self, node: WalkNode, model: RobotModel, topic: str = VELOCITY) -> None:
         self._node, self._topic = node, topic
-        self.gate = CommandGate(model, lambda: node.config.plant.command_timeout)
+        self.gate = CommandGate(model, lambda: node.config.plant.command_timeout, node.steady)
         self._reader = ros.JointReader(model.joint_names)
-        self._duplicates = DuplicatePublishers()
+        self._duplicates = DuplicatePublishers(node.steady)
         self._publishers, self._resolved = 1, node.resolve_topic_name(topic)
         self._forbidden = self.unable = ""
         self._moving = False

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import time
 from collections import deque
 from typing import Any
 
@@ -76,7 +75,7 @@ class PhaseMonitor(WalkNode):
         self._newest = 0  # stamp of the last state that was or will be evaluated [ns]
         self._next = -1  # earliest stamp of the next one [ns]
         self._waiting: deque[tuple[float, int, JointState]] = deque()  # time of receipt [s], stamp [ns], message
-        self._received = time.monotonic()
+        self._received = self.steady()
         self._rejected = 0
         self._pub = {
             "com": self.create_publisher(PointStamped, "com", 10),
@@ -99,7 +98,7 @@ class PhaseMonitor(WalkNode):
             self.get_logger().error(f"joint_states rejected: {error}", **throttled())
             return
         if self._newest <= stamp < self._next:
-            self._received = time.monotonic()
+            self._received = self.steady()
             return
         try:
             msg = ros.deserialized(raw, JointState)
@@ -108,7 +107,7 @@ class PhaseMonitor(WalkNode):
             return
         if self._phases.is_foreign(msg):
             return
-        self._received = time.monotonic()
+        self._received = self.steady()
         if stamp < self._newest:  # the plant restarted, or its clock was set back
             self._phases.forget_after(stamp)
             self._waiting.clear()
@@ -124,7 +123,7 @@ class PhaseMonitor(WalkNode):
 
     def _evaluate_waiting(self, *, all_of_them: bool = False) -> None:
         known = self._phases.reader is not None and not self._phases.lockstep
-        until = time.monotonic() - (0.0 if known or all_of_them else _RESEND)
+        until = self.steady() - (0.0 if known or all_of_them else _RESEND)
         while self._waiting and self._waiting[0][0] <= until:
             _, stamp, msg = self._waiting.popleft()
             self._evaluate(stamp, msg)
@@ -163,7 +162,7 @@ class PhaseMonitor(WalkNode):
 
     def _check_timeout(self) -> None:
         self._evaluate_waiting()
-        now = time.monotonic()
+        now = self.steady()
         if min(now - self._received, 2.0 * (now - self._timeout_published)) > _TIMEOUT and not self._waiting:
             self._timeout_published = now
             label = f"{self._phases.label}; " if self._phases.label else ""

@@ -8,7 +8,6 @@ commands, as hardware does.
 from __future__ import annotations
 
 import argparse
-import time
 from typing import Any
 
 import numpy as np
@@ -114,7 +113,7 @@ class SimulatedPlant(WalkNode):
 
     def _ask(self) -> None:
         """Publish the state again if no command has arrived."""
-        now = time.monotonic()
+        now = self.steady()
         if now - self._published_at < (_ASK_AGAIN if self.ticks else _FIRST_ASK) or not self._may_begin():
             return
         self._published_at = now
@@ -136,7 +135,7 @@ class SimulatedPlant(WalkNode):
 
     def _now(self) -> float:
         """Return the time by which periods are measured [s]: the steady clock, or /clock with use_sim_time."""
-        return 1e-9 * self.get_clock().now().nanoseconds if self.uses_sim_time else time.monotonic()
+        return 1e-9 * self.get_clock().now().nanoseconds if self.uses_sim_time else self.steady()
 
     def _on_period(self) -> None:
         now = self._now()
@@ -161,7 +160,7 @@ class SimulatedPlant(WalkNode):
             return
         before, self.ticks = self._stamp, self.ticks + 1
         self._stamp = round(self.ticks * self.dt * 1e9) if self.lockstep else self.real_time()
-        self._published_at = time.monotonic()
+        self._published_at = self.steady()
         self.on_step(before)
         self.publish()
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import time
 from typing import Any
 
 import numpy as np
@@ -85,7 +84,7 @@ class PoppyDriver(WalkNode):
         self._hardware = f"{model.name}{' (emulated motors)' if config.poppy.dummy else ''}"
         self._stamp = -1  # of the state published last [ns]
         self._answered = -1  # stamp of the state that the last command answered [ns]
-        self._sent_at = self._read_at = time.monotonic()
+        self._sent_at = self._read_at = self.steady()
         self._counts = {"ticks": 0, "periods missed": 0, "states withheld": 0}
         self._latencies: list[float] = []  # since the last diagnostics [s]
         self._lag = np.zeros(len(self._plant.names))  # largest since the last diagnostics [rad]
@@ -112,7 +111,7 @@ class PoppyDriver(WalkNode):
 
     def _on_period(self) -> None:
         plant, was_ready = self._plant, self._plant.ready
-        now = time.monotonic()
+        now = self.steady()
         self._counts["periods missed"] += max(int((now - self._read_at) / self._period) - 1, 0)
         self._read_at = now
         self._commands.log_motion()
@@ -127,7 +126,7 @@ class PoppyDriver(WalkNode):
 
     def _send_goals(self) -> None:
         """Move for the time since the last goals, at most two periods: lost time is not made up for."""
-        now, gate = time.monotonic(), self._commands.gate
+        now, gate = self.steady(), self._commands.gate
         passed, self._sent_at = now - self._sent_at, now
         dt = min(passed, 2.0 * self._period)
         u = gate.velocity(self._plant.state.q, dt)

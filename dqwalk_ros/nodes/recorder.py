@@ -9,7 +9,6 @@ published again in lockstep is recorded once.
 from __future__ import annotations
 
 import argparse
-import time
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -206,7 +205,7 @@ class Recorder(WalkNode):
 
     def is_drained(self) -> bool:
         """Return whether no message has arrived since the last call, or the time limit has passed."""
-        now = time.monotonic()
+        now = self.steady()
         self._stop_at = min(self._stop_at, now + self._drain_time)
         before, self._handled_before = self._handled_before, self._handled
         return before == self._handled or now > self._stop_at

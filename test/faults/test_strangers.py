@@ -20,7 +20,7 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.errors import ConfigError
 
-CONFIG = load("paper").updated({"dt": 0.02, "plant.command_timeout": 4.0})  # longer than any delay of these tests
+CONFIG = load("paper").updated({"dt": 0.02, "plant.command_timeout": 4.0})  # longer than any delay of the live tests
 MODEL = load_model(CONFIG.robot)
 
 
@@ -36,16 +36,16 @@ def test_commands_of_a_second_controller_are_ignored_from_the_first(make: Any) -
     node = plant.node
     plant.foreign_node("controller").create_publisher(JointState, "joint_velocity_commands", QoSProfile(depth=1))
     until(lambda: node.count_publishers("/joint_velocity_commands") == 1)
-    node._on_period()
+    plant.pass_period()
     plant.send("joint_velocity_commands", command(node._stamp, 0.1))
-    node._on_period()
+    plant.pass_period()
     moved = node.plant.state.q.copy()
     assert moved.any()
     plant.foreign_node("stranger").create_publisher(JointState, "joint_velocity_commands", QoSProfile(depth=1))
     until(lambda: node.count_publishers("/joint_velocity_commands") == 2)
     for _ in range(3):
         plant.send("joint_velocity_commands", command(node._stamp - 1, 8.0))
-        node._on_period()
+        plant.pass_period()
     assert node.plant.state.q == pytest.approx(moved, abs=0.0)
     assert "holding still: two controllers: " in plant.log
     assert not plant.got["plant_ready"][-1].data
@@ -62,7 +62,7 @@ def test_the_command_timeout_can_only_be_lowered_while_the_robot_moves(make: Any
         return result.successful
 
     assert accepts(5.0)
-    node._on_period()
+    plant.pass_period()
     plant.send("joint_velocity_commands", command(node._stamp, 0.1))
     assert not accepts(10.0)
     assert not accepts(5.1)

@@ -16,7 +16,7 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import make_plant
 
-SETTINGS = {"gait.steps": 0, "plant.command_timeout": 10.0, "qp.solver": "daqp"}
+SETTINGS = {"gait.steps": 0, "qp.solver": "daqp"}
 CONFIG = overlaid(load("poppy"), "physics").updated(SETTINGS)
 MODEL = load_model(CONFIG.robot)
 NEAR, WITHIN = 0.02, 0.05

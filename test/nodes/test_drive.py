@@ -41,13 +41,13 @@ class Ros2ControlWalk:
         self.config = POPPY.updated({**values, "qp.solver": "daqp", **more})
         self.robot = ControllerManager(make_plant("physics", self.config, MODEL), interface, joints, MODEL.imu, rate)
         self.controller, self.drive = make("controller", self.config), make("drive", self.config)
-        self.drive.node._commands.gate.watchdog._clock = lambda: self.robot.updates * self.dt
         self.controller.send("plant_ready", Bool(data=True))
         self.output, self._commands = self.drive.got[TOPIC[interface]], self.controller.got["joint_velocity_commands"]
         self._received = 0
 
     def update(self, *, killed: bool = False) -> None:
         """Simulate one period, with or without the controller of the walk."""
+        self.drive.clock.now += self.dt
         measured, imu = self.robot.update()
         self.drive.send("joint_states", measured)
         if not killed:

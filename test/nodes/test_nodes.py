@@ -212,7 +212,7 @@ INVALID_STATES = [
 
 
 def test_an_invalid_state_is_rejected_and_the_next_one_is_answered(make: Any) -> None:
-    one = make("controller", PAPER.updated({"node.autostart": False, "plant.command_timeout": 10.0}))
+    one = make("controller", PAPER.updated({"node.autostart": False}))
     answers, stamps = one.got["joint_velocity_commands"], itertools.count(1)
 
     def is_answered(names: Any, q: Any, dq: Any = ()) -> bool:
@@ -234,7 +234,7 @@ def test_an_invalid_state_is_rejected_and_the_next_one_is_answered(make: Any) ->
 
 @pytest.mark.parametrize("stamp", [0.0, 12.5])
 def test_states_whose_stamps_do_not_advance_are_an_error_and_cause_no_walk(make: Any, stamp: float) -> None:
-    one = make("controller", PAPER.updated({"plant.command_timeout": 10.0}))
+    one = make("controller", PAPER)
     commands = one.got["joint_velocity_commands"]
     for k in range(30):
         one.node._diagnosed = -math.inf

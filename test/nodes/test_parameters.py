@@ -14,7 +14,7 @@ from dqwalk_ros.simulation import make_controller, make_plant, simulate
 from dqwalk_ros.support.errors import ConfigError
 
 QUICK = {"standing.transfer_duration": 0.4, "standing.swing_duration": 0.4, "gait.steps": 2}
-CONFIG = load("poppy").updated({"plant.command_timeout": 10.0, **QUICK})
+CONFIG = load("poppy").updated(QUICK)
 MODEL = load_model(CONFIG.robot)
 HIGHER = CONFIG.updated({"gait.step_height": 0.03})
 

@@ -149,10 +149,10 @@ def test_in_lockstep_a_state_waits_for_the_imu_of_its_stamp(make: Any) -> None:
 
 
 def test_in_real_time_the_newest_imu_message_is_used_until_too_old(make: Any) -> None:
-    one, now = make("integrator", PAPER), [10.0]
-    sensor = InertialSensor(one.node, "imu", lambda _: None, clock=lambda: now[0])
+    one = make("integrator", PAPER)
+    sensor = InertialSensor(one.node, "imu", lambda _: None)
     assert sensor.join(*state_at(0)) is None
-    now[0] += 0.2
+    one.clock.now += 0.2
     with pytest.raises(StateError, match="no message yet"):
         sensor.join(*state_at(0))  # by the time of receipt: the stamps may stand still
     one.send("imu", imu_at(1_000_000_000))
@@ -187,8 +187,8 @@ def test_cmd_vel_times_out_by_the_time_of_receipt(make: Any) -> None:
             self.asked.append(asked)
             return min(asked[0], 0.01), *asked[1:]
 
-    one, controller, now = make("integrator", PAPER), Steered(), [0.0]
-    steering = Steering(one.node, controller, lambda: now[0])
+    one, controller = make("integrator", PAPER), Steered()
+    steering = Steering(one.node, controller)
     msg = Twist()
     msg.linear.x, msg.linear.y, msg.angular.z = 1.0, 0.5, -0.25
     steering.apply()
@@ -199,7 +199,7 @@ def test_cmd_vel_times_out_by_the_time_of_receipt(make: Any) -> None:
     msg.linear.x = float("nan")
     one.send("cmd_vel", msg)  # is ignored
     steering.apply()
-    now[0] = PAPER.gait.cmd_vel_timeout + 0.01
+    one.clock.now += PAPER.gait.cmd_vel_timeout + 0.01
     one.send("cmd_vel", msg)  # and does not restart the timeout
     steering.apply()
     assert controller.asked == [(0.0, 0.0, 0.0), (1.0, 0.5, -0.25), (1.0, 0.5, -0.25), (0.0, 0.0, 0.0)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from stepped_time import SteppedTime
 
 from dqwalk_ros.config import load
 from dqwalk_ros.nodes.safety import (
@@ -25,17 +26,9 @@ MS = 1_000_000
 PERIOD = 5 * MS
 
 
-class FakeClock:
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
 @pytest.fixture
-def clock() -> FakeClock:
-    return FakeClock()
+def clock() -> SteppedTime:
+    return SteppedTime(100.0)
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +72,7 @@ def test_wrong_joint_names_and_values_are_rejected_by_name(
 # ---------------------------------------------------------------------- watchdog and latch
 
 
-def test_the_watchdog_measures_silence_by_the_time_of_receipt(clock: FakeClock) -> None:
+def test_the_watchdog_measures_silence_by_the_time_of_receipt(clock: SteppedTime) -> None:
     dog = Watchdog(lambda: 0.1, clock)
     assert dog.silent  # no message yet
     dog.feed()
@@ -111,11 +104,11 @@ def test_the_fault_counter_latches_after_consecutive_faults_until_reset() -> Non
 # ---------------------------------------------------------------------- states
 
 
-def gate_of(model: RobotModel, clock: FakeClock, **options: object) -> StateGate:
+def gate_of(model: RobotModel, clock: SteppedTime, **options: object) -> StateGate:
     return StateGate(model, DT, lambda: 0.1, clock=clock, **options)  # type: ignore[arg-type]
 
 
-def test_states_of_a_walk_are_accepted(model: RobotModel, clock: FakeClock) -> None:
+def test_states_of_a_walk_are_accepted(model: RobotModel, clock: SteppedTime) -> None:
     gate = gate_of(model, clock)
     for k in range(100):
         assert gate.is_new(k * PERIOD)
@@ -124,7 +117,7 @@ def test_states_of_a_walk_are_accepted(model: RobotModel, clock: FakeClock) -> N
     assert gate.overtaken == 0
 
 
-def test_a_spike_is_rejected_and_does_not_feed_the_watchdog(model: RobotModel, clock: FakeClock) -> None:
+def test_a_spike_is_rejected_and_does_not_feed_the_watchdog(model: RobotModel, clock: SteppedTime) -> None:
     gate = gate_of(model, clock)
     zero = np.zeros(model.n)
     gate.accept(0, zero)
@@ -139,7 +132,7 @@ def test_a_spike_is_rejected_and_does_not_feed_the_watchdog(model: RobotModel, c
     assert not gate.watchdog.silent
 
 
-def test_consecutive_jumps_latch_until_reset(model: RobotModel, clock: FakeClock) -> None:
+def test_consecutive_jumps_latch_until_reset(model: RobotModel, clock: SteppedTime) -> None:
     gate = gate_of(model, clock, jumps=3)
     zero, far = np.zeros(model.n), 0.4 * np.eye(model.n)[1] * np.sign(model.q_max[1] + model.q_min[1])
     gate.accept(0, zero)
@@ -153,7 +146,7 @@ def test_consecutive_jumps_latch_until_reset(model: RobotModel, clock: FakeClock
     gate.accept(5 * PERIOD, far)
 
 
-def test_a_persistent_jump_is_never_accepted(model: RobotModel, clock: FakeClock) -> None:
+def test_a_persistent_jump_is_never_accepted(model: RobotModel, clock: SteppedTime) -> None:
     """The time during which it is rejected does not count as time in which the joint could move."""
     gate = gate_of(model, clock, jumps=1000)
     gate.accept(0, np.zeros(model.n))
@@ -165,7 +158,7 @@ def test_a_persistent_jump_is_never_accepted(model: RobotModel, clock: FakeClock
     gate.accept(100 * PERIOD, np.zeros(model.n))
 
 
-def test_a_stamp_in_the_future_does_not_allow_a_jump(model: RobotModel, clock: FakeClock) -> None:
+def test_a_stamp_in_the_future_does_not_allow_a_jump(model: RobotModel, clock: SteppedTime) -> None:
     gate = gate_of(model, clock)
     gate.accept(0, np.zeros(model.n))
     clock.now += DT
@@ -173,14 +166,14 @@ def test_a_stamp_in_the_future_does_not_allow_a_jump(model: RobotModel, clock: F
         gate.accept(100_000_000_000, np.full(model.n, 0.05) + 0.95 * np.eye(model.n)[2])
 
 
-def test_after_a_long_silence_another_posture_is_accepted(model: RobotModel, clock: FakeClock) -> None:
+def test_after_a_long_silence_another_posture_is_accepted(model: RobotModel, clock: SteppedTime) -> None:
     gate = gate_of(model, clock)
     gate.accept(0, np.zeros(model.n))
     clock.now += 1.0
     gate.accept(PERIOD, 0.3 * np.eye(model.n)[0])
 
 
-def test_in_lockstep_jumps_are_judged_by_stamps_not_by_the_clock(model: RobotModel, clock: FakeClock) -> None:
+def test_in_lockstep_jumps_are_judged_by_stamps_not_by_the_clock(model: RobotModel, clock: SteppedTime) -> None:
     gate = gate_of(model, clock, by_stamp=True)
     gate.accept(0, np.zeros(model.n))
     clock.now += 100.0
@@ -193,7 +186,9 @@ def test_in_lockstep_jumps_are_judged_by_stamps_not_by_the_clock(model: RobotMod
 
 
 @pytest.mark.parametrize("beyond", [1e-9, 1e-4, 0.01, 0.0999])
-def test_joints_slightly_outside_their_limits_are_accepted(model: RobotModel, clock: FakeClock, beyond: float) -> None:
+def test_joints_slightly_outside_their_limits_are_accepted(
+    model: RobotModel, clock: SteppedTime, beyond: float
+) -> None:
     for i in range(model.n):
         q = np.zeros(model.n)
         q[i] = model.q_max[i] + beyond
@@ -204,7 +199,7 @@ def test_joints_slightly_outside_their_limits_are_accepted(model: RobotModel, cl
 
 @pytest.mark.parametrize("beyond", [0.101, 0.5, 1e6])
 def test_joints_far_outside_their_limits_are_rejected_by_name(
-    model: RobotModel, clock: FakeClock, beyond: float
+    model: RobotModel, clock: SteppedTime, beyond: float
 ) -> None:
     for i, name in enumerate(model.joint_names):
         for sign, limit in ((1.0, model.q_max[i]), (-1.0, model.q_min[i])):
@@ -215,7 +210,7 @@ def test_joints_far_outside_their_limits_are_rejected_by_name(
             assert name in outside_limits(q, model, 0.1)
 
 
-def test_states_out_of_order_are_dropped_until_the_watchdog_times_out(model: RobotModel, clock: FakeClock) -> None:
+def test_states_out_of_order_are_dropped_until_the_watchdog_times_out(model: RobotModel, clock: SteppedTime) -> None:
     gate = gate_of(model, clock)
     gate.accept(10 * PERIOD, np.zeros(model.n))
     assert not gate.is_new(10 * PERIOD)
@@ -227,7 +222,7 @@ def test_states_out_of_order_are_dropped_until_the_watchdog_times_out(model: Rob
 
 
 @pytest.mark.parametrize("stamp", [0, 1000 * PERIOD])
-def test_stamps_that_do_not_advance_are_not_a_clock_set_back(model: RobotModel, clock: FakeClock, stamp: int) -> None:
+def test_stamps_that_do_not_advance_are_not_a_clock_set_back(model: RobotModel, clock: SteppedTime, stamp: int) -> None:
     gate, zero = gate_of(model, clock), np.zeros(model.n)
     assert gate.is_new(stamp)
     gate.accept(stamp, zero)
@@ -242,7 +237,7 @@ def test_stamps_that_do_not_advance_are_not_a_clock_set_back(model: RobotModel, 
     assert gate.is_new(stamp - PERIOD)  # after the timeout
 
 
-def test_states_that_arrive_twice_are_no_fault(model: RobotModel, clock: FakeClock) -> None:
+def test_states_that_arrive_twice_are_no_fault(model: RobotModel, clock: SteppedTime) -> None:
     gate, zero = gate_of(model, clock), np.zeros(model.n)
     for k in range(20):
         assert gate.is_new(k * PERIOD)
@@ -254,11 +249,11 @@ def test_states_that_arrive_twice_are_no_fault(model: RobotModel, clock: FakeClo
 # ---------------------------------------------------------------------- commands
 
 
-def commands_of(model: RobotModel, clock: FakeClock) -> CommandGate:
+def commands_of(model: RobotModel, clock: SteppedTime) -> CommandGate:
     return CommandGate(model, lambda: 0.1, clock)
 
 
-def test_the_plant_holds_before_the_first_and_after_the_last_command(model: RobotModel, clock: FakeClock) -> None:
+def test_the_plant_holds_before_the_first_and_after_the_last_command(model: RobotModel, clock: SteppedTime) -> None:
     gate, zero = commands_of(model, clock), np.zeros(model.n)
     assert gate.holding
     assert not gate.velocity(zero, DT).any()
@@ -271,7 +266,7 @@ def test_the_plant_holds_before_the_first_and_after_the_last_command(model: Robo
     assert not gate.velocity(zero, DT).any()
 
 
-def test_commands_for_a_wrong_state_are_ignored(model: RobotModel, clock: FakeClock) -> None:
+def test_commands_for_a_wrong_state_are_ignored(model: RobotModel, clock: SteppedTime) -> None:
     gate, u = commands_of(model, clock), np.full(model.n, 0.01)
     now = 1000 * PERIOD
     assert gate.accept(now - PERIOD, u, now)
@@ -281,14 +276,14 @@ def test_commands_for_a_wrong_state_are_ignored(model: RobotModel, clock: FakeCl
     np.testing.assert_array_equal(gate.velocity(np.zeros(model.n), DT), u)
 
 
-def test_commands_stamped_at_sending_are_accepted_until_too_old(model: RobotModel, clock: FakeClock) -> None:
+def test_commands_stamped_at_sending_are_accepted_until_too_old(model: RobotModel, clock: SteppedTime) -> None:
     gate, u, now = commands_of(model, clock), np.full(model.n, 0.01), 1000 * PERIOD
     sent = 5000 * PERIOD
     assert gate.accept(sent, u, now, clock=sent + 99 * MS)
     assert not gate.accept(sent + PERIOD, u, now, clock=sent + PERIOD + 101 * MS)
 
 
-def test_commands_delayed_by_200_ms_cause_no_motion(model: RobotModel, clock: FakeClock) -> None:
+def test_commands_delayed_by_200_ms_cause_no_motion(model: RobotModel, clock: SteppedTime) -> None:
     gate, u = commands_of(model, clock), np.full(model.n, 0.01)
     for k in range(1, 200):
         gate.accept(k * PERIOD, u, k * PERIOD + 200 * MS)
@@ -296,7 +291,7 @@ def test_commands_delayed_by_200_ms_cause_no_motion(model: RobotModel, clock: Fa
         assert gate.holding
 
 
-def test_ignored_commands_do_not_feed_the_watchdog(model: RobotModel, clock: FakeClock) -> None:
+def test_ignored_commands_do_not_feed_the_watchdog(model: RobotModel, clock: SteppedTime) -> None:
     gate, u = commands_of(model, clock), np.full(model.n, 0.01)
     gate.accept(100 * PERIOD, u, 100 * PERIOD)
     for _ in range(30):
@@ -306,7 +301,7 @@ def test_ignored_commands_do_not_feed_the_watchdog(model: RobotModel, clock: Fak
     assert gate.holding
 
 
-def test_after_the_clock_is_set_back_the_plant_holds_for_one_timeout(model: RobotModel, clock: FakeClock) -> None:
+def test_after_the_clock_is_set_back_the_plant_holds_for_one_timeout(model: RobotModel, clock: SteppedTime) -> None:
     gate, u = commands_of(model, clock), np.full(model.n, 0.01)
     ahead = 100_000_000_000
     gate.accept(ahead, u, ahead)
@@ -319,7 +314,7 @@ def test_after_the_clock_is_set_back_the_plant_holds_for_one_timeout(model: Robo
     assert accepted.index(True) == pytest.approx(20, abs=2)
 
 
-def test_a_refusal_holds_despite_commands(model: RobotModel, clock: FakeClock) -> None:
+def test_a_refusal_holds_despite_commands(model: RobotModel, clock: SteppedTime) -> None:
     gate = commands_of(model, clock)
     gate.refused = "two controllers: a, b"
     gate.accept(0, np.full(model.n, 0.01), 0)
@@ -327,14 +322,14 @@ def test_a_refusal_holds_despite_commands(model: RobotModel, clock: FakeClock) -
     assert not gate.velocity(np.zeros(model.n), DT).any()
 
 
-def test_hold_discards_the_command(model: RobotModel, clock: FakeClock) -> None:
+def test_hold_discards_the_command(model: RobotModel, clock: SteppedTime) -> None:
     gate = commands_of(model, clock)
     gate.accept(0, np.full(model.n, 0.01), 0)
     gate.hold()
     assert gate.holding
 
 
-def test_two_publishers_are_reported_at_once_unless_one_may_be_stale(clock: FakeClock) -> None:
+def test_two_publishers_are_reported_at_once_unless_one_may_be_stale(clock: SteppedTime) -> None:
     judge = DuplicatePublishers(clock).judge
     assert judge([]) == judge(["/a"]) == ""
     assert judge(["/b", "/a"]) == "/a, /b"
@@ -381,7 +376,7 @@ def test_the_rate_of_a_plant_is_measured_while_there_is_only_one() -> None:
     assert found == ""
 
 
-def test_the_plant_is_ready_until_commands_time_out(model: RobotModel, clock: FakeClock) -> None:
+def test_the_plant_is_ready_until_commands_time_out(model: RobotModel, clock: SteppedTime) -> None:
     gate = commands_of(model, clock)
     assert gate.ready  # no command yet
     gate.accept(0, np.zeros(model.n), 0)
@@ -395,7 +390,7 @@ def test_the_plant_is_ready_until_commands_time_out(model: RobotModel, clock: Fa
     assert not gate.ready
 
 
-def test_different_commands_for_one_state_indicate_two_controllers(model: RobotModel, clock: FakeClock) -> None:
+def test_different_commands_for_one_state_indicate_two_controllers(model: RobotModel, clock: SteppedTime) -> None:
     gate = commands_of(model, clock)
     for k in range(4):
         assert not gate.contradicted

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from stepped_time import SteppedTime
 
 from dqwalk_ros.plants.poppy.dynamixel import PRESENT, TORQUE_ENABLE, TYPES, DynamixelBus
 from dqwalk_ros.plants.poppy.emulated_servos import EmulatedPort, EmulatedServo, EmulatedServos
@@ -110,16 +111,6 @@ def servos_of(bus: str, angles: dict[str, float]) -> list[EmulatedServo]:
 
 
 # ---------------------------------------------------------------------- in memory
-
-
-class SteppedTime:
-    """A clock that the test advances."""
-
-    def __init__(self) -> None:
-        self.now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 class TimedPort(EmulatedPort):

@@ -1,6 +1,7 @@
 """Runs a node in the process of the test, which passes it messages and records its publications and its log.
 
-There is no executor: the test calls the callbacks itself, so that no result depends on timing.
+There is no executor: the test calls the callbacks itself, and advances the node's clock, so that no result depends on
+timing.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
+from stepped_time import SteppedTime
 
 from dqwalk_ros.config import Config, to_yaml
 from dqwalk_ros.nodes import messages as ros
@@ -69,12 +71,22 @@ class Inside:
     got : dict of str to list
         Published messages, by topic.
     log : Log
+    clock : SteppedTime
+        The steady clock of the node.
     """
 
     def __init__(
-        self, name: str, config: Config | str, folder: Path, *own: str, ros: tuple[str, ...] = (), domain: int
+        self,
+        name: str,
+        config: Config | str,
+        folder: Path,
+        *own: str,
+        ros: tuple[str, ...] = (),
+        domain: int,
+        clock: SteppedTime,
     ) -> None:
         self.got: dict[str, list[Any]] = {}
+        self.clock = clock
         self.log = Log()
         params = folder / f"{name}.yaml"
         params.write_text(config if isinstance(config, str) else _yaml(config), encoding="utf-8")
@@ -83,6 +95,8 @@ class Inside:
         box, log = self.got, self.log
 
         class RecordingNode(base):  # type: ignore[misc, valid-type]
+            steady = clock
+
             def create_publisher(self, kind: Any, topic: str, *args: Any, **keywords: Any) -> Any:
                 real = Node.create_publisher(self, kind, topic, *args, **keywords)
                 return RecordingPublisher(real, box.setdefault(topic.lstrip("/"), []))
@@ -114,8 +128,10 @@ class Inside:
     ) -> np.ndarray:
         """Send a controller the state of a plant, and the plant its command; return the velocities [rad/s].
 
+        This takes one period of the node's clock.
         Wrong measurements can be given by `q` and `inertial`.
         """
+        self.clock.now += self.node.config.dt
         now, inertial = plant.state, inertial or plant.inertial
         if inertial is not None:
             self.send("imu", ros.imu(round(stamp * 1e9), model.imu, inertial))
@@ -124,6 +140,11 @@ class Inside:
         velocity, effort = np.array(answer.velocity), np.array(answer.effort) if answer.effort else None
         plant.step(Command(stamp, velocity, effort), self.node.config.dt)
         return velocity
+
+    def pass_period(self) -> None:
+        """Let one period of a plant in real time pass."""
+        self.clock.now += self.node.config.dt
+        self.node._on_period()
 
     def tick(self) -> None:
         """Call the callback of every timer once."""

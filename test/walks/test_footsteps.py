@@ -17,7 +17,7 @@ from dqwalk_ros.support.errors import StateError
 from dqwalk_ros.walks.standing.walk import StandingWalk
 
 QUICK = {"standing.transfer_duration": 0.5, "standing.swing_duration": 0.5, "node.robot_description": False}
-CONFIG = load("poppy").updated({"gait.steps": 0, "plant.command_timeout": 10.0, **QUICK})
+CONFIG = load("poppy").updated({"gait.steps": 0, **QUICK})
 MODEL = load_model(CONFIG.robot)
 STEPS = StandingWalk(CONFIG, MODEL).footsteps
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import math
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -87,8 +86,7 @@ def test_a_walk_over_topics_equals_that_of_one_process_and_is_recorded(nodes: An
     live.until(lambda: len(efforts) > moved + 40, 60.0, "0.2 s more")
     statuses = live.statuses("whole_body_controller")
     assert {s.message for s in statuses} <= {"waiting for body state", "in balance"}
-    live.until(lambda: live.status("rigid") is not None, 20.0, "a status of the plant")
-    assert live.status("rigid").level == b"\x00"
+    live.until(lambda: live.status("rigid") and live.status("rigid").level == b"\x00", 20.0, "a plant that is well")
 
     stranger = live.node.create_publisher(JointState, "joint_effort_commands", 10)  # a second, faulty controller
     names = list(model.joint_names)
@@ -194,7 +192,7 @@ def test_when_states_time_out_zero_torques_are_sent_once_and_the_status_is_stale
     assert last_status(node).message == "waiting for body state"
     send_state(node, 0.0, START)
     assert max(map(abs, commands_of(node)[-1].effort)) > 10.0
-    time.sleep(1.5 * REAL.plant.command_timeout)
+    node.clock.now += 1.5 * REAL.plant.command_timeout
     node.tick()
     assert not any(commands_of(node)[-1].effort)
     assert (last_status(node).level, last_status(node).message) == (b"\x03", "body state timed out")
@@ -309,7 +307,7 @@ def effort_message(stamp: float, effort: Any) -> JointState:
 def test_the_plant_holds_without_a_command_and_applies_the_first_one_for_a_state(make: Any) -> None:
     """A controller without new states sends zero for a state that it has already answered: the first command counts."""
     node = make("rigid", REAL)
-    period = node.node._on_period
+    period = node.pass_period
     period()
     assert len(node.got["joint_states"]) == 1
     for _ in range(3):
@@ -320,7 +318,7 @@ def test_the_plant_holds_without_a_command_and_applies_the_first_one_for_a_state
     node.send("joint_effort_commands", effort_message(0.0, 0.0 * first))
     period()
     np.testing.assert_allclose(node.node.plant.effort, first)
-    time.sleep(1.5 * REAL.plant.command_timeout)
+    node.clock.now += 1.5 * REAL.plant.command_timeout
     period()
     assert "holding still: no command for 0.1 s" in node.log
     node.node._diagnose()

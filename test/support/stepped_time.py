@@ -1,0 +1,13 @@
+"""A clock that a test advances, so that no result depends on the speed of the machine."""
+
+from __future__ import annotations
+
+
+class SteppedTime:
+    """Attributes: now [s]."""
+
+    def __init__(self, now: float = 0.0) -> None:
+        self.now = now
+
+    def __call__(self) -> float:
+        return self.now
