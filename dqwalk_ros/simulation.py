@@ -24,10 +24,11 @@ from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.paper.walk import PaperWalk, Phase, PhaseKind, Walk
 from dqwalk_ros.plants.base import Inertial, Plant, Truth, orientation_of
 from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.plants.table import plant_type
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support import provenance
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.errors import ConfigError, DqwalkError, PlantError, how_to_install
+from dqwalk_ros.support.errors import ConfigError, DqwalkError
 from dqwalk_ros.support.interrupts import deferred_interrupts, is_interrupt
 from dqwalk_ros.walks.dynamic.recovery import RecoveringWalk
 from dqwalk_ros.walks.dynamic.walk import DynamicWalk
@@ -94,32 +95,21 @@ def make_controller(config: Config, model: RobotModel) -> VelocityController:
 
 
 def make_plant(name: str, config: Config, model: RobotModel) -> Plant:
-    """Return a plant with the robot in the initial posture of its walk.
+    """Return a simulator with the robot in the initial posture of its walk.
 
     Parameters
     ----------
-    name : {"kinematic", "integrator", "physics", "poppy_as_built"}
-        The first two are the same plant, and so are the last two; `config` contains their parameters.
+    name : str
+        A name of `plants.table.SIMULATORS`, or MODULE:CLASS; `config` contains its parameters.
     config : Config
     model : RobotModel
 
     Raises
     ------
     PlantError
-        If there is no such plant, or the physics engine is not installed.
+        If there is no such simulator, or the physics engine is not installed.
     """
-    if name in ("kinematic", "integrator"):
-        return KinematicPlant(model, make_walk(config, model).posture)
-    if name not in ("physics", "poppy_as_built"):
-        raise PlantError(f"no plant is called '{name}': kinematic, integrator, physics or poppy_as_built")
-    try:
-        from dqwalk_ros.plants.mujoco import PhysicsPlant
-    except ModuleNotFoundError as error:
-        if error.name != "mujoco":
-            raise
-        raise PlantError(f"the physics engine is not installed: {how_to_install('mujoco')}") from error
-    plant: Plant = PhysicsPlant(config, model, make_walk(config, model).posture)
-    return plant
+    return plant_type(name).of(config, model, make_walk(config, model).posture)
 
 
 def warm_up(config: Config, model: RobotModel) -> None:

@@ -22,24 +22,17 @@ from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
 
 from dqwalk_ros.config import find_share, load, overlaid, put_on, replaced
+from dqwalk_ros.plants.table import PLANTS, entry
 from dqwalk_ros.support.errors import ConfigError
 
-PLANTS = {
-    "integrator": "integrator",
-    "physics": "physics",
-    "poppy_as_built": "physics",
-    "ros2_control": "drive",
-    "poppy": "poppy_driver",
-}
 TRUE_OR_FALSE = ["true", "false"]
 ARGUMENTS = {
     "config": ("", "parameter file of all nodes, `dqwalk config` explains each key; empty: paper.yaml for "
                "the integrator, poppy.yaml for all other plants, where the robot must stand", None),
-    "plant": ("integrator", "what executes the commands: integrator, ideal joints; physics, MuJoCo; poppy_as_built, "
-              "MuJoCo with Poppy's servos, delays and sensors; ros2_control, a robot whose controllers are running "
-              "(ros2_control.launch.py starts Poppy's); poppy, the real robot with its own driver; "
-              "config/plants/NAME.yaml contains the parameters it requires of all nodes, which replace those of config",
-              list(PLANTS)),
+    "plant": ("integrator", "what executes the commands: " +
+              "; ".join(f"{name}, {each.meaning}" for name, each in PLANTS.items()) +
+              "; or MODULE:CLASS of your own. ros2_control.launch.py starts Poppy's controllers. config/plants/ has "
+              "the parameters a plant requires of all nodes, which replace those of config", None),
     "params": ("", "further parameter file, applied after those of config and plant, such as that of `dqwalk identify`",
                None),
     "lockstep": ("false", "true: each state waits for its command, so the walk is reproducible and as fast as the "
@@ -77,7 +70,7 @@ def nodes(context: LaunchContext) -> list[object]:
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     lockstep, rviz = given["lockstep"] == "true", given["rviz"] == "true"
     sim_time = given["use_sim_time"] == "true"
-    plant = PLANTS[given["plant"]]
+    plant = entry(given["plant"])
     config = given["config"] or str(
         find_share("config", "paper.yaml" if given["plant"] == "integrator" else "poppy.yaml")
     )
@@ -95,15 +88,19 @@ def nodes(context: LaunchContext) -> list[object]:
         values["output.interface"] = given["interface"]
     if given["dummy"] == "true":
         values["poppy.dummy"] = True
-    files = [config, str(find_share("config/plants", f"{given['plant']}.yaml")), *filter(None, [given["params"]])]
-    warn(config, given["plant"], given["params"])
+    required = [str(find_share("config/plants", f"{plant.parameters}.yaml"))] if plant.parameters else []
+    files = [config, *required, *filter(None, [given["params"]])]
+    if required:
+        warn(config, plant.parameters, given["params"])
+    if plant.type:
+        values["plant.name"] = given["plant"]
     remappings = [("/tf", "tf"), ("/tf_static", "tf_static")] if given["namespace"] else []
     if given["plant"] == "ros2_control":
         remappings.append(("imu", "imu_sensor_broadcaster/imu"))
 
     def node(name: str, package: str = "dqwalk_ros", **options: object) -> Node:
         own = options.pop("parameters", [*files, values])
-        simulated = name in ("integrator", "physics")
+        simulated = name == plant.node and plant.type
         time = {"plant.clock": True} if sim_time and simulated else {"use_sim_time": sim_time}
         return Node(
             package=package,
@@ -120,7 +117,7 @@ def nodes(context: LaunchContext) -> list[object]:
 
     again = {"respawn": given["respawn"] == "true" and not lockstep, "respawn_delay": 2.0}
     controller = node("controller", **again)
-    others = [node("phase_monitor", **again), node(plant)]
+    others = [node("phase_monitor", **again), node(plant.node)]
     if given["bag"]:
         others.append(node("recorder", arguments=["--bag", given["bag"]]))
     if given["view"] == "true":

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from dqwalk_ros.cli.options import command, config_of, config_option, params_option, plant_option, set_option
+from dqwalk_ros.plants.table import PLANTS, entry
 
 __all__ = ["doctor"]
 
@@ -20,9 +21,7 @@ examples:
 """)
 @config_option("poppy")
 @params_option
-@plant_option(
-    ["integrator", "physics", "poppy_as_built", "ros2_control", "poppy"], "poppy", "What executes the commands."
-)
+@plant_option(list(PLANTS), "poppy")
 @click.option(
     "--seconds", metavar="S", type=click.FloatRange(0.5, 600.0), default=5.0, help="Time to listen, 5 s at least."
 )
@@ -61,7 +60,7 @@ def doctor(
     print(f"listening for {seconds:g} s; the robot must stand still", flush=True)
     wrong = len(findings)
     heard = listen(made, seconds, namespace)
-    heard.simulated = plant in ("integrator", "physics", "poppy_as_built")
+    heard.simulated = bool(entry(plant).type)
     for found in examine(made, model, heard):
         print(found)
         wrong += not found.ok

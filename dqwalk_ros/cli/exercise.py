@@ -19,6 +19,7 @@ from dqwalk_ros.cli.options import (
     quiet_option,
     set_option,
 )
+from dqwalk_ros.plants.table import PHYSICS
 
 __all__ = ["exercise"]
 
@@ -41,11 +42,7 @@ then:
   dqwalk identify exercise/bag
 """)
 @config_option("poppy")
-@plant_option(
-    ["physics", "poppy_as_built", "poppy"],
-    "poppy_as_built",
-    "MuJoCo with ideal sensors, Poppy as it is built, or the real robot.",
-)
+@plant_option([*PHYSICS, "poppy"], "poppy_as_built")
 @click.option("--cycles", metavar="N", type=int, default=1, help="Exercise each joint N times.")
 @click.option("--ros", is_flag=True, help="Use ROS 2, as always for the real robot.")
 @params_option

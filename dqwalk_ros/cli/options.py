@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dqwalk_ros.plants.table import PLANTS, entry
 from dqwalk_ros.support.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -71,9 +72,17 @@ def config_option(default: str) -> Option:
     return click.option("--config", metavar="CONFIG", default=default, help="Name or path of a configuration.")
 
 
-def plant_option(plants: Sequence[str], default: str, about: str) -> Option:
-    """Return the option --plant."""
-    return click.option("--plant", type=click.Choice(plants), default=default, help=about)
+class _PlantName(click.Choice[str]):
+    """A name of the table of plants, or MODULE:CLASS of a user's own simulator."""
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        return value if ":" in value else super().convert(value, param, ctx)
+
+
+def plant_option(plants: Sequence[str], default: str) -> Option:
+    """Return the option --plant, for plants of the table."""
+    about = "; ".join(f"{name}: {PLANTS[name].meaning}" for name in plants)
+    return click.option("--plant", type=_PlantName(plants), default=default, help=f"{about}; MODULE:CLASS: your own.")
 
 
 def folder_option(default: str | None, shown: str = "") -> Option:
@@ -118,7 +127,7 @@ format_option = click.option(
 )
 
 
-def walk_options(plants: Sequence[str], about: str) -> Option:
+def walk_options(plants: Sequence[str]) -> Option:
     """Return a decorator that adds the options of a walk.
 
     The function gets its configuration as `config`, the name of its plant, by default the first of `plants`, as
@@ -138,7 +147,7 @@ def walk_options(plants: Sequence[str], about: str) -> Option:
             help="Steer a standing or dynamic walk: ahead, left [m/s], turn [rad/s], duration [s]; then the next one, "
             "or stop.",
         ),
-        plant_option(plants, plants[0], about),
+        plant_option(plants, plants[0]),
     ]
 
     def decorate(function: Function) -> Function:
@@ -258,9 +267,12 @@ def config_of(
     values |= parse_overrides(changes)
     values |= {name: value for name, value in (also or {}).items() if value is not None}
     own = load(config)
-    has_file = plant in ("physics", "poppy_as_built", "ros2_control", "poppy")
-    made = put_on(overlaid(own, plant) if has_file else own, params).updated(values, source="command line")
-    if has_file and (warning := replaced(own, plant, made, "--params FILE or --set KEY=VALUE, which are applied last")):
+    used = entry(plant) if plant else None
+    file = used.parameters if used else ""
+    if used and used.type:
+        values["plant.name"] = plant
+    made = put_on(overlaid(own, file) if file else own, params).updated(values, source="command line")
+    if file and (warning := replaced(own, file, made, "--params FILE or --set KEY=VALUE, which are applied last")):
         print(f"dqwalk: {warning}", file=sys.stderr)
     if course and walk_type(made).phases(made):
         raise ConfigError("--cmd-vel steers a standing or dynamic walk, such as --config poppy, with gait.steps=0")

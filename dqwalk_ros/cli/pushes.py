@@ -19,6 +19,7 @@ from dqwalk_ros.cli.options import (
     plant_option,
     set_option,
 )
+from dqwalk_ros.plants.table import PHYSICS
 from dqwalk_ros.support.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ examples:
   dqwalk pushes --moment standing --directions 16 --set standing.balance=1.0
 """)
 @config_option("poppy")
-@plant_option(["physics", "poppy_as_built"], "physics", "MuJoCo with ideal sensors, or Poppy as it is built.")
+@plant_option(PHYSICS, "physics")
 @click.option(
     "--moment",
     type=click.Choice(["all", "standing", "left", "right"]),

@@ -18,7 +18,6 @@ from dqwalk_ros.cli.options import (
     config_option,
     jobs_option,
     output_options,
-    plant_option,
     set_option,
 )
 from dqwalk_ros.support.errors import BagError, ConfigError
@@ -51,7 +50,12 @@ examples:
 @click.option("--when", metavar="S", type=float, default=2.5, help="--pushes: time of the push.")
 @click.option("--exact", metavar="R", type=float, default=1.0, help="--pushes: accuracy [N s].")
 @jobs_option
-@plant_option(["rigid", "physics", "both"], "rigid", "physics: MuJoCo, torque-controlled.")
+@click.option(
+    "--plant",
+    type=click.Choice(["rigid", "physics", "both"]),
+    default="rigid",
+    help="physics: MuJoCo, torque-controlled.",
+)
 @click.option("--paper-times", is_flag=True, help="The target jumps at 4 and 8 s (paper), not as in the thesis.")
 @click.option("--target", metavar="X,Y,Z", type=Numbers(3), help="One target of the hand instead of the test's [m].")
 @click.option("--push", metavar="T,X,Y,Z", type=Numbers(4), multiple=True, help="Another push [s, N s].")

@@ -21,6 +21,7 @@ from dqwalk_ros.cli.options import (
     plant_option,
     set_option,
 )
+from dqwalk_ros.plants.table import PHYSICS
 from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.support.text_table import without_numbers
 
@@ -44,7 +45,7 @@ examples:
   dqwalk robustness --plant poppy_as_built --steps 20                40 walks: two P gains, 20 seeds of the sensors
 """)
 @config_option("poppy")
-@plant_option(["physics", "poppy_as_built"], "physics", "MuJoCo with ideal sensors, or Poppy as it is built.")
+@plant_option(PHYSICS, "physics")
 @click.option("--steps", metavar="N", type=int, default=10, help="Steps of each walk.")
 @click.option("--axis", metavar="KEY=A,B", multiple=True, help="Vary a parameter over these values.")
 @click.option("--sample", metavar="N", type=int, default=0, show_default="all", help="Walk N random combinations.")

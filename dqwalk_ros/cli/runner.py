@@ -22,21 +22,14 @@ from pathlib import Path
 from typing import Any, Self
 
 from dqwalk_ros.config import Config, to_yaml
+from dqwalk_ros.plants.table import entry
 from dqwalk_ros.simulation import walk_type
 from dqwalk_ros.support.compiled import COMPILING
 from dqwalk_ros.support.interrupts import deferred_interrupts
 from dqwalk_ros.support.own_folder import lock
 from dqwalk_ros.walks.standing.course import Course
 
-__all__ = ["PLANTS", "Outcome", "Processes", "environment", "private_domain", "run_walk"]
-
-PLANTS = {
-    "integrator": "integrator",
-    "physics": "physics",
-    "poppy_as_built": "physics",
-    "poppy": "poppy_driver",
-}
-"""The node of each plant."""
+__all__ = ["Outcome", "Processes", "environment", "private_domain", "run_walk"]
 
 _GRACE = {signal.SIGINT: 20.0, signal.SIGTERM: 3.0, signal.SIGKILL: 2.0}
 """Time that a process has to end after each signal [s]."""
@@ -102,8 +95,8 @@ def run_walk(
     ----------
     bag : path-like
         Folder that the recorder creates; it must not exist.
-    plant : {"integrator", "physics", "poppy_as_built", "poppy"}
-        The plant; `config` must already contain the values of ``config/plants/NAME.yaml``.
+    plant : str
+        A name of `plants.table.PLANTS`, or MODULE:CLASS; `config` must already contain its parameters.
     course : sequence of str
         Legs for the node pilot, see `standing.course.Course.parse`; they require ``gait.steps: 0``.
     lockstep : bool
@@ -123,13 +116,14 @@ def run_walk(
             "node.exit_when_done": True,
             "node.wait_for_recorder": True,
             "node.wait_for_monitor": True,
+            "plant.name": plant if entry(plant).type else "",
             "poppy.activate": plant == "poppy",
         }
     )
     params = folder / "params.yaml"
     params.write_text(to_yaml(config), encoding="utf-8")
     ros = ["--ros-args", "--params-file", str(params)]
-    node = PLANTS[plant]
+    node = entry(plant).node
     with contextlib.ExitStack() as stack:
         if domain is None and "ROS_DOMAIN_ID" not in os.environ:
             domain = stack.enter_context(private_domain())

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from dqwalk_ros.cli.options import Report, command, output_options, port_option, walk_options
+from dqwalk_ros.plants.table import SIMULATORS
 
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config
@@ -33,10 +34,7 @@ examples:
   dqwalk simulate --config poppy --plant physics           the standing walk, in MuJoCo (pip install mujoco)
   dqwalk simulate --config poppy --plant physics --cmd-vel 0.015,0,0,20 --cmd-vel=-0.01,0,0,20    forward, then back
 """)
-@walk_options(
-    ["kinematic", "integrator", "physics", "poppy_as_built"],
-    "Ideal joints (both names), MuJoCo, or MuJoCo with Poppy's own servos, delays and sensors.",
-)
+@walk_options(SIMULATORS)
 @click.option("--view", is_flag=True, help="Show the walk in the browser, live, then as a replay.")
 @port_option
 @output_options("walk")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from dqwalk_ros.cli.options import Report, command, output_options, walk_options
+from dqwalk_ros.plants.table import PLANTS
 from dqwalk_ros.support.errors import BagError
 
 if TYPE_CHECKING:
@@ -24,9 +25,7 @@ examples:
   dqwalk walk --config poppy --plant physics --set gait.steps=20        20 steps in MuJoCo
   dqwalk walk --config poppy --plant physics --cmd-vel 0.015,0,0.03,30  steered by the node pilot on cmd_vel
 """)
-@walk_options(
-    ["integrator", "physics", "poppy_as_built", "poppy"], "Ideal joints, MuJoCo, or the real robot (in real time)."
-)
+@walk_options([name for name in PLANTS if name != "ros2_control"])
 @click.option("--realtime", is_flag=True, help="Run in real time, at 1/dt, instead of in lockstep.")
 @output_options("walk")
 def walk(config: Config, course: tuple[str, ...], plant: str, realtime: bool, output: Report) -> int:

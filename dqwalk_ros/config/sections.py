@@ -343,6 +343,9 @@ class SensorsConfig:
 class PlantConfig:
     """Communication with the plant, a simulator or a robot driver."""
 
+    name: str = parameter(
+        "", "plant of a simulating node: a name of plants/table.py, or MODULE:CLASS; empty: the node's"
+    )
     lockstep: bool = parameter(False, "each state waits for its command: deterministic, fast; false: real time")
     clock: bool = parameter(False, "a simulated plant publishes /clock; the other nodes then need use_sim_time: true")
     imu: bool = parameter(False, "each state comes with a message on imu; the controller waits for both")

@@ -23,7 +23,7 @@ from dqwalk_ros.nodes.inputs import VELOCITY, CommandInput
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.state import Command
 from dqwalk_ros.plants.base import Plant, pushed_periods
-from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.plants.table import plant_type
 from dqwalk_ros.robot.limits import clamp_velocity
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.errors import DqwalkError, StateError
@@ -201,7 +201,8 @@ class Integrator(SimulatedPlant):
 
     def make_plant(self) -> Plant:
         """Return joints that follow their commands exactly."""
-        return KinematicPlant(self.model, self.model.posture(self.config.standing.posture))
+        posture = self.model.posture(self.config.standing.posture)
+        return plant_type(self.config.plant.name or "integrator").of(self.config, self.model, posture)
 
 
 class Physics(SimulatedPlant):
@@ -263,7 +264,7 @@ class Physics(SimulatedPlant):
         """Return the robot on its soles."""
         from dqwalk_ros.simulation import make_plant  # the integrator runs without the dependencies of physics
 
-        return make_plant("physics", self.config, self.model)
+        return make_plant(self.config.plant.name or "physics", self.config, self.model)
 
     def period(self, passed: float) -> float:
         """Return one period, however late the tick is."""

@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dqwalk_ros.config import Config
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.state import Command, State
+from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import PlantError
 
@@ -19,7 +22,23 @@ __all__ = ["Inertial", "Plant", "Truth", "checked", "orientation_of", "pushed_pe
 
 
 class Plant(ABC):
-    """A simulator or a robot."""
+    """A simulator or a robot.
+
+    Attributes
+    ----------
+    physics : bool
+        Whether it simulates soles, servos and an inertial sensor: `truth`, `inertial` and `push`.
+    parameters : str
+        Name of the file in ``config/plants/`` with what it requires of all nodes; empty without one.
+    """
+
+    physics: ClassVar[bool] = False
+    parameters: ClassVar[str] = ""
+
+    @classmethod
+    def of(cls, config: Config, model: RobotModel, q0: Array) -> Plant:
+        """Return the plant with the joints at `q0` (n,) [rad]; by default the class is called with these arguments."""
+        return cls(config, model, q0)  # type: ignore[call-arg]
 
     @property
     @abstractmethod

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dqwalk_ros.config import Config
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.plants.base import Plant, checked
 from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import PlantError
 
 __all__ = ["KinematicPlant"]
@@ -34,6 +36,11 @@ class KinematicPlant(Plant):
         self._limit = model.velocity_max
         self._periods = 0
         self._state = State(0.0, q, np.zeros(model.n))
+
+    @classmethod
+    def of(cls, config: Config, model: RobotModel, q0: Array) -> KinematicPlant:
+        """Return the plant with the joints at `q0` (n,) [rad]."""
+        return cls(model, q0)
 
     @property
     def state(self) -> State:

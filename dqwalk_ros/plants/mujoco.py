@@ -54,6 +54,9 @@ class PhysicsPlant(Plant):
         Computes the goals of the servos; by default from the commands, as the section ``servo`` describes it.
     """
 
+    physics = True
+    parameters = "physics"
+
     def __init__(
         self,
         config: Config,

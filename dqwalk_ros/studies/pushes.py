@@ -108,7 +108,7 @@ def pushed(config: Config, push: Push) -> str:
         values["gait.first_support"] = Foot(push.moment).other.value
     varied = config.updated(values)
     model = load_model(varied.robot)
-    controller, plant = make_controller(varied, model), make_plant("physics", varied, model)
+    controller, plant = make_controller(varied, model), make_plant(varied.plant.name or "physics", varied, model)
     lasts = pushed_periods(push.duration, varied.dt) * varied.dt
     force = push.impulse / lasts * np.array([math.cos(push.direction), math.sin(push.direction), 0.0])
     began, why, transfer = math.inf, "", _transfer(varied)

@@ -113,7 +113,7 @@ def walk(config: Config, index: int, values: Mapping[str, Any]) -> Outcome:
         varied = config.updated(parameters)
         varied = varied.updated({**assumed(varied, values.get(LATENCY_ERROR, 0.0)), **parameters})
         model = load_model(varied.robot)
-        controller, plant = make_controller(varied, model), make_plant("physics", varied, model)
+        controller, plant = make_controller(varied, model), make_plant(varied.plant.name or "physics", varied, model)
         for state, _ in closed_loop(controller, plant):
             if state.time >= time + _SAMPLE - 1e-9 and (truth := plant.truth) is not None:
                 time, tilt = state.time, max(tilt, truth.tilt)

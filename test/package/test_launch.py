@@ -101,6 +101,11 @@ def test_every_started_node_is_installed(defined: dict[str, Any], start: Start) 
     assert started == set(NODES) - {"pilot", "whole_body_controller", "rigid"}
 
 
+def test_a_plant_of_your_own_is_run_by_the_node_of_its_kind(start: Start) -> None:
+    name = "dqwalk_ros.plants.kinematic:KinematicPlant"
+    assert config_of(start(plant=name)[0]["integrator"]).plant.name == name
+
+
 def test_the_end_of_a_controller_does_not_end_other_nodes(start: Start) -> None:
     """Other robots of the same launch, and the driver with its ~/compliant, must keep running."""
     for plant in ("integrator", "physics", "ros2_control", "poppy"):

@@ -1,0 +1,105 @@
+"""The plants that commands, launch files and nodes offer, one line each, and a user's own by MODULE:CLASS."""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from dqwalk_ros.support.errors import PlantError, how_to_install
+
+if TYPE_CHECKING:  # the help texts list the plants, and import no numpy
+    from dqwalk_ros.plants.base import Plant
+
+__all__ = ["PHYSICS", "PLANTS", "SIMULATORS", "Entry", "entry", "plant_type"]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One plant.
+
+    Attributes
+    ----------
+    meaning : str
+    node : str
+        The node that runs it.
+    type : str
+        MODULE:CLASS of a simulator, a subclass of `Plant`; empty for a robot, which only its node can run.
+    parameters : str
+        Name of the file in ``config/plants/`` with what the plant requires of all nodes; empty without one.
+    physics : bool
+        Whether it simulates soles, servos and an inertial sensor.
+    """
+
+    meaning: str
+    node: str
+    type: str = ""
+    parameters: str = ""
+    physics: bool = False
+
+
+_IDEAL = "dqwalk_ros.plants.kinematic:KinematicPlant"
+_MUJOCO = "dqwalk_ros.plants.mujoco:PhysicsPlant"
+
+PLANTS = {
+    "integrator": Entry("ideal joints", "integrator", _IDEAL, "integrator"),
+    "kinematic": Entry("the same as integrator", "integrator", _IDEAL, "integrator"),
+    "physics": Entry("MuJoCo", "physics", _MUJOCO, "physics", physics=True),
+    "poppy_as_built": Entry(
+        "MuJoCo with Poppy's servos, delays and sensors", "physics", _MUJOCO, "poppy_as_built", physics=True
+    ),
+    "ros2_control": Entry("a robot whose controllers are running", "drive", parameters="ros2_control"),
+    "poppy": Entry("the real Poppy", "poppy_driver", parameters="poppy"),
+}
+
+
+SIMULATORS = [name for name, each in PLANTS.items() if each.type]
+PHYSICS = [name for name, each in PLANTS.items() if each.physics]
+"""Names of the simulators, and of those with soles, servos and an inertial sensor."""
+
+
+def entry(name: str) -> Entry:
+    """Return the plant of a name; of ``MODULE:CLASS`` that of a user's own simulator.
+
+    Raises
+    ------
+    PlantError
+        If there is none of this name, or the class cannot be imported or is not a subclass of `Plant`.
+    """
+    if ":" in name:
+        own = _imported(name)
+        return Entry(own.__doc__ or name, "physics" if own.physics else "integrator", name, own.parameters, own.physics)
+    if name not in PLANTS:
+        raise PlantError(f"no plant is called '{name}': {', '.join(PLANTS)}, or MODULE:CLASS of your own")
+    return PLANTS[name]
+
+
+def plant_type(name: str) -> type[Plant]:
+    """Return the class of a simulator.
+
+    Raises
+    ------
+    PlantError
+        As `entry`; if it is a robot, or a package it needs is not installed.
+    """
+    found = entry(name)
+    if not found.type:
+        raise PlantError(f"'{name}' is {found.meaning}; only its node {found.node} runs it")
+    return _imported(found.type)
+
+
+def _imported(name: str) -> type[Plant]:
+    from dqwalk_ros.plants.base import Plant
+
+    module, _, kind = name.partition(":")
+    try:
+        found = getattr(importlib.import_module(module), kind)
+    except ModuleNotFoundError as error:
+        if error.name == "mujoco":
+            raise PlantError(f"the physics engine is not installed: {how_to_install('mujoco')}") from error
+        raise PlantError(f"the plant '{name}' cannot be imported: {error}") from error
+    except (ImportError, AttributeError, ValueError) as error:
+        raise PlantError(f"the plant '{name}' cannot be imported: {error}") from error
+    if not (isinstance(found, type) and issubclass(found, Plant)):
+        raise PlantError(f"the plant '{name}' is not a subclass of dqwalk_ros.plants.base.Plant")
+    return found
