@@ -9,13 +9,13 @@ It answers one state and exits. With --spin it answers every state, and walks wi
 The package's own controller node does much more.
 """
 
-import contextlib
+import signal
 import sys
 
 import numpy as np
 import rclpy
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
 from dqwalk_ros import load, load_model, make_controller
@@ -45,11 +45,13 @@ class Walker(Node):
         return answer
 
 
-rclpy.init()
+rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # rclpy's would end the context in the middle of an answer
 node = Walker()
 if "--spin" in sys.argv[1:]:
-    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
-        rclpy.spin(node)
+    interrupts: list[int] = []
+    signal.signal(signal.SIGINT, lambda number, _: interrupts.append(number))
+    while not interrupts:
+        rclpy.spin_once(node, timeout_sec=0.1)
 else:
     state = JointState(name=list(node.model.joint_names), position=[0.0] * node.model.n)
     answer = node.on_state(state)
