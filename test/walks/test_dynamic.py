@@ -395,7 +395,7 @@ def test_no_file_is_parsed_during_a_walk(name: str, monkeypatch: pytest.MonkeyPa
     def parse(*_: object) -> None:
         pytest.fail("a file is parsed")
 
-    for module in ("dynamic.pendulum.Urdf", "dynamic.recovery.load", "strict_yaml.read"):
+    for module in ("walks.dynamic.pendulum.Urdf", "walks.dynamic.recovery.load", "support.strict_yaml.read"):
         monkeypatch.setattr(f"dqwalk_ros.{module}", parse)
     for state, _ in closed_loop(controller, plant):
         if controller.phase.kind is PhaseKind.SINGLE_SUPPORT and state.time > controller.phase_time0 + 0.1:
