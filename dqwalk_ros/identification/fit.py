@@ -27,9 +27,9 @@ from dqwalk_ros.identification.exercise import limbs
 from dqwalk_ros.identification.replay import require_exercise
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.plants.base import upward
-from dqwalk_ros.plants.bus import Bus
 from dqwalk_ros.plants.mujoco import held_torques
-from dqwalk_ros.robot.servos import IDENTIFIED, Drive, Servos
+from dqwalk_ros.plants.servo_goals import ServoGoals
+from dqwalk_ros.robot.servos import IDENTIFIED, Servos
 from dqwalk_ros.simulation import Trace
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
@@ -116,22 +116,23 @@ class Identified:
 def goals_of(trace: Trace) -> Array:
     """Return the goals sent to the servos in response to each state, shape (N, n) [rad].
 
-    The commands are integrated as in `plants.bus`.
+    By the law of the plants (`plants.servo_goals`).
 
     Parameters
     ----------
     trace : Trace
         An exercise of N states.
     """
-    config = trace.config.updated({"servo.rate": 0.0, "servo.latency": 0.0})
-    model, servos, drive = trace.model, Servos.of(config, trace.model), Drive.of(config, trace.model)
-    begin = np.clip(np.zeros(model.n), model.q_min, model.q_max)  # initial posture of an exercise
-    bus = Bus(config.servo, servos, drive, begin, model.q_min, model.q_max)
+    model, config = trace.model, trace.config.updated({"servo.rate": 0.0, "servo.latency": 0.0})
+    law = ServoGoals.of(config, model, simulated=Servos.of(config, model))
+    law.gate.use(np.clip(np.zeros(model.n), model.q_min, model.q_max), trace.time[0])  # where an exercise begins
+    law.begin()
     out, u = np.empty_like(trace.q), np.nan_to_num(trace.u)
     for k, time in enumerate(trace.time):
         passed = trace.time[k + 1] - time if k + 1 < len(trace) else config.dt
-        bus.command(u[k], None, trace.q[k], time, float(passed))
-        out[k] = bus.output(time)[0]
+        law.measure(trace.q[k], time)
+        law.command(u[k], None, time, float(passed))
+        out[k] = law.output(time)[0]
     return out
 
 

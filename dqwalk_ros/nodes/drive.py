@@ -1,28 +1,29 @@
 """Converts the commands of the walk for the controllers of any robot, such as those of ros2_control.
 
-Commanded velocities are integrated to positions near the measured ones, and torques are converted to angles that are
-added to them (`plants.bus`). A velocity interface gets the velocity that leads to those positions.
+The positions are those of `plants.servo_goals`. A velocity interface gets the velocity that leads to them.
 """
 
 from __future__ import annotations
 
 import argparse
 import array
-import dataclasses
+import math
+from collections import deque
 from typing import Any
 
 import numpy as np
 from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.inputs import VELOCITY, CommandInput
-from dqwalk_ros.plants.bus import Bus
+from dqwalk_ros.plants.servo_goals import JUMPS, ServoGoals
+from dqwalk_ros.robot.limits import outside_limits
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.robot.servos import Drive, Servos
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, StateError
 
@@ -43,7 +44,9 @@ _TYPES = {
     "joint_state": JointState,
 }
 _CHECK = 0.02
-"""Period of the check for a command timeout [s]."""
+"""Period of the check whether states and commands still arrive [s]."""
+_REPEATED = 1.0
+"""Time for which the command to stay is repeated [s]."""
 _PERIODS = 2.0
 """Largest number of periods for which one command moves the robot: lost time is not made up for."""
 
@@ -53,8 +56,10 @@ class RobotDrive(WalkNode):
 
     The robot's joint_state_broadcaster publishes joint_states, to which the controller of the walk subscribes. This
     node converts joint_velocity_commands for the robot's forward_command_controller. That controller repeats its last
-    command for ever, so without a command for plant.command_timeout this node commands the robot to stay where it is.
-    It sends nothing to the robot before the first command.
+    command for ever, so without a command or a state for plant.command_timeout this node commands the robot to stay: it
+    repeats the last positions, or sends zero velocity. It sends nothing to the robot before the first command, and
+    begins at angles on which three states in a row agree. A joint that jumps to another angle stops the robot until
+    ~/reset.
 
     Subscribes to::
 
@@ -70,7 +75,11 @@ class RobotDrive(WalkNode):
         plant_ready              std_msgs/Bool, latched: whether that topic has a subscriber, and states arrive
         /diagnostics             diagnostic_msgs/DiagnosticArray
 
-    Sections of the schema: dt, robot, plant, servo, monitor.rate, output.
+    Services::
+
+        ~/reset                  std_srvs/Trigger: begin again at the measured angles, with the next command
+
+    Sections of the schema: dt, robot, plant, servo, monitor.rate, safety.outside, output.
 
     Example::
 
@@ -102,11 +111,16 @@ class RobotDrive(WalkNode):
         self._commands = CommandInput(self, self._model)
         self._commands.unable = "starting"
         self._reader = ros.JointReader(self._joints)
-        self._measured = self._rest = np.zeros(len(self._joints))  # now, and at the first command [rad]
-        self._stamp = self._moved = -1  # of the last state, and of the command that moved the robot last [ns]
-        self._goals: Bus | None = None  # None before the first command
-        self._commanded = np.zeros(self._model.n)  # angles at the end of the last command [rad]
+        self._time, self._clock_was = 0.0, math.inf
+        self._law = ServoGoals.of(config, self._model, lambda: self.config.plant.command_timeout)
+        self._recent: deque[Array] = deque(maxlen=JUMPS)  # measured angles of all joints (N,) [rad]
+        self._rest = np.zeros(len(self._joints))  # where the other joints stay [rad]
+        self._stamp = -1  # of the last state [ns]
+        self._moved = self._stopped = 0.0  # times of the last command, and since when the robot stays [s]
+        self._blind = ""  # why no command can have an effect
+        self._last: Array | None = None  # values sent last
         self._rejected = 0
+        self.create_service(Trigger, "~/reset", self._reset)
         self.listen(JointState, "joint_states", self._on_state, ros.best_effort(1))
         self.create_subscription(JointState, VELOCITY, self._on_command, 1)
         self.create_timer(_CHECK, self._check)
@@ -118,58 +132,102 @@ class RobotDrive(WalkNode):
         if self._reader.is_foreign(msg):
             return
         try:
-            self._measured = self._reader.state(msg).q
+            q = self._reader.state(msg).q
+            if outside := outside_limits(q[self._own], self._model, self.config.safety.outside):
+                raise StateError(f"outside the joint limits: {outside}")
         except StateError as error:
             self._rejected += 1
             self.get_logger().error(f"joint_states rejected ({self._rejected} so far): {error}", **throttled())
             return
-        self._stamp = ros.nanoseconds(msg.header.stamp)
+        now, stamp = self._now(), ros.nanoseconds(msg.header.stamp)
+        if stamp and stamp <= self._stamp and (stamp == self._stamp or self._law.gate.fresh(now)):
+            return  # sent again, or out of order; after a timeout, an older stamp is that of a clock that was set back
+        self._stamp = stamp
+        self._recent.append(q)
+        self._law.measure(q[self._own], now)
+        if self._law.gate.fault:
+            self._check()
 
     def _on_command(self, msg: JointState) -> None:
-        if self._stamp < 0 or not self._commands.take(msg, self._stamp) or self._commands.gate.holding:
+        self._look()
+        if self._blind or not self._commands.take(msg, self._stamp) or self._commands.gate.holding:
+            return  # without states no command feeds the watchdog
+        now, gate, period = self._now(), self._commands.gate, self.config.dt
+        if not self._law.active:
+            self._law.begin(held=self._law.goal if self.config.output.interface == "position" else None)
+            self._rest = np.median(self._recent, axis=0)
+            self._moved = now - period
+        dt = min(now - self._moved, _PERIODS * period)
+        u, before = gate.velocity(self._law.wanted, dt), self._law.goal
+        if dt <= 0.0:  # a clock that did not advance: only a stop has an effect
+            if not u.any():
+                self._stay()
             return
-        # the time since the previous command; a command without a stamp gets that of the last state
-        at = ros.nanoseconds(msg.header.stamp) or self._stamp
-        dt = min(1e-9 * max(at - self._moved, 0), _PERIODS * self.config.dt)
-        if dt > 0.0 or not any(msg.velocity):
-            self._moved = at
-            self._send(dt)
-
-    def _check(self) -> None:
-        """Command the robot to stay while it must hold; repeatedly, because a message may be lost."""
-        self._commands.log_motion()
-        if self._goals is not None and self._commands.gate.holding:
-            self._send(0.0)
-        self._commands.unable = ""
-        if self._stamp < 0:
-            self._commands.unable = "no joint_states yet"
-        elif not self._output.get_subscription_count():
-            topic = self._output.topic_name
-            self._commands.unable = f"no node subscribes to {topic}: is the robot's controller active?"
-
-    def _send(self, dt: float) -> None:
-        """Command the robot to move for `dt` [s] with the commanded velocities; with 0 to stay."""
-        model, gate, q = self._model, self._commands.gate, self._measured[self._own]
-        if self._goals is None:
-            self._goals = self._make_goals(q)
-            self._commanded, self._rest = q.copy(), self._measured.copy()
-            dt = self.config.dt
-        u = gate.velocity(self._goals.wanted, dt)
-        self._goals.command(u, gate.effort, q, 1e-9 * self._stamp, dt)
-        goals, _ = self._goals.output(1e-9 * self._stamp)
+        self._law.command(u, gate.effort, now, dt)
+        self._moved = self._stopped = now
+        goals, _ = self._law.output(now)
         if self.config.output.interface == "position":
             out = self._rest.copy()  # joints that the walk does not move stay where they were
             out[self._own] = goals
         else:
-            out, period = np.zeros_like(self._rest), self.config.dt
-            if dt > 0.0:
-                v = np.clip((goals - self._commanded) / period, -model.velocity_max, model.velocity_max)
-                self._commanded = self._commanded + period * v
-                out[self._own] = v
+            out = np.zeros_like(self._rest)
+            out[self._own] = (self._law.goal - before) / dt
         self._publish(out)
+
+    def _check(self) -> None:
+        """Command the robot to stay while it must; repeatedly, because a message may be lost."""
+        self._commands.log_motion()
+        self._look()
+        if self._blind or self._commands.gate.holding:
+            self._stay()
+
+    def _look(self) -> None:
+        """Find out whether commands can have an effect."""
+        gate, topic, before = self._law.gate, self._output.topic_name, self._blind
+        self._blind = ""
+        if self._stamp < 0:
+            self._blind = "no joint_states yet"
+        elif gate.fault:
+            self._blind = f"{gate.fault}: check its sensor, then ~/reset"
+        elif not gate.known:
+            self._blind = f"{JUMPS} joint_states that agree have not arrived yet"
+        elif not gate.fresh(self._now()):
+            self._blind = f"no valid joint_states for {self.config.plant.command_timeout:g} s"
+        if self._law.active and self._blind not in ("", before):
+            self.get_logger().error(f"stopping: {self._blind}")
+        self._commands.forbid(self._blind if self._law.active or gate.fault else "")
+        self._commands.unable = self._blind if not self._commands.gate.refused else ""
+        if not self._blind and not self._output.get_subscription_count():
+            self._commands.unable = f"no node subscribes to {topic}: is the robot's controller active?"
+
+    def _stay(self) -> None:
+        """Command the robot to stay: with the last positions, or with zero velocity; after a while, nothing more."""
+        if self._last is not None and self._law.active:
+            position = self.config.output.interface == "position"
+            self._publish(self._last if position else np.zeros_like(self._last))
+            if self._now() - self._stopped > _REPEATED:
+                self._law.end()  # the robot may be switched off and moved by hand
+
+    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._stay()
+        self._commands.gate.hold()
+        self._law.end()
+        self._law.gate.forget()
+        return self.answer(response, True, "the next command begins at the measured angles")
+
+    def _now(self) -> float:
+        """Return the time by which the robot moves [s]: the steady clock, or /clock with use_sim_time.
+
+        A step back of /clock takes no time.
+        """
+        time = 1e-9 * self.get_clock().now().nanoseconds if self.uses_sim_time else self.steady()
+        self._time += max(time - self._clock_was, 0.0)
+        self._clock_was = time
+        return self._time
 
     def _publish(self, values: Array) -> None:
         """Publish commands of the joints (N,) [rad or rad/s] that answer the last state."""
+        self._last = values
         o, data = self.config.output, array.array("d", values.tobytes())
         if o.type == "float64_multi_array":
             self._output.publish(Float64MultiArray(data=data))
@@ -182,20 +240,11 @@ class RobotDrive(WalkNode):
             msg.header.stamp = ros.time_msg(self._stamp)
             self._output.publish(msg)
 
-    def _make_goals(self, q: Array) -> Bus:
-        """Return the integrator of the commands, from the angles q (n,) [rad]: a bus without delay and rounding."""
-        direct = self.config.updated({"servo.rate": 0.0, "servo.latency": 0.0})
-        model, drive = self._model, Drive.of(self.config, self._model)
-        servos = dataclasses.replace(Servos.of(direct, model), resolution=np.zeros(model.n))
-        return Bus(direct.servo, servos, drive, q, model.q_min, model.q_max)
-
     def _diagnose(self) -> None:
         level, text = self._commands.level()
-        values = {"states rejected": self._rejected, **self._commands.counts()}
-        self.diagnose("plant", self._model.name, level, text, values, max(self._stamp, 0))
+        values = {"states rejected": self._rejected, "angles rejected": self._law.gate.rejected}
+        self.diagnose("plant", self._model.name, level, text, values | self._commands.counts(), max(self._stamp, 0))
 
     def close(self) -> None:
         """Command the robot to stay, because its controllers repeat the last command."""
-        if self._goals is not None:
-            self._commands.gate.hold()
-            self._send(0.0)
+        self._stay()

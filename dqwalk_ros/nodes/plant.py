@@ -146,14 +146,17 @@ class SimulatedPlant(WalkNode):
             self._missed += int(passed / self.dt) - 1
         self.commands.log_motion()
         dt, gate = self.period(passed), self.commands.gate
-        self._move(Command(self._stamp * 1e-9, gate.velocity(self.plant.commanded, dt), gate.effort), dt)
+        if gate.holding:
+            self._move(None, dt)
+        else:
+            self._move(Command(self._stamp * 1e-9, gate.velocity(self.plant.commanded, dt), gate.effort), dt)
 
     # ------------------------------------------------------------------ both
 
-    def _move(self, command: Command, dt: float) -> None:
-        """Move for `dt` [s], and publish the state."""
+    def _move(self, command: Command | None, dt: float) -> None:
+        """Move for `dt` [s], or hold without a command, and publish the state."""
         try:
-            self.plant.step(command, dt)
+            self.plant.hold(dt) if command is None else self.plant.step(command, dt)
         except DqwalkError as error:
             self.get_logger().error(f"the plant failed: {error}")
             self.stop(1)

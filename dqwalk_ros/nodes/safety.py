@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dqwalk_ros.paper.state import State
-from dqwalk_ros.robot.limits import clamp_velocity, named_angles, outside_limits, unreachable
+from dqwalk_ros.robot.limits import FASTEST, clamp_velocity, named_angles, outside_limits, unreachable
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError, listed
@@ -332,8 +332,8 @@ class StateGate:
             if self.jumped.count:  # waiting does not make a jump plausible
                 passed = min(passed, self._passed)
             self._passed = passed
-            slack = self._dt * self._model.velocity_max
-            beyond = unreachable(q, self._q, passed, self._model.velocity_max, slack)
+            speed = np.minimum(self._model.velocity_max, FASTEST)
+            beyond = unreachable(q, self._q, passed, speed, self._dt * speed)
             if far := named_angles(self._model, np.abs(q - self._q), beyond):
                 raise self._jump(f"a jump that the velocity limits do not allow: {far}")
         self.jumped.good()
@@ -553,7 +553,7 @@ class CommandGate:
         clock : int, optional
             Time of the node's clock [ns].
         """
-        unstamped = stamp == 0 and now > 0
+        unstamped = stamp == 0
         if stamp == self._stamp and not unstamped and not np.array_equal(u, self._u):
             # a controller that stops sends zero once with the stamp of a state it has answered already
             self._contradicted.append(self._clock())

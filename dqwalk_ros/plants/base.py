@@ -49,6 +49,10 @@ class Plant(ABC):
     def step(self, command: Command, dt: float) -> State:
         """Execute a command for one period `dt` [s] and return the state after it."""
 
+    def hold(self, dt: float) -> State:
+        """Execute no command for one period `dt` [s], so that the joints stay, and return the state after it."""
+        return self.step(Command(self.state.time, np.zeros_like(self.state.q)), dt)
+
     @property
     def commanded(self) -> Array:
         """Angles to which commanded velocities are added, shape (n,) [rad]: goals of servos, else the measured."""

@@ -21,10 +21,10 @@ from dqwalk_ros.paper.kinematics import Kinematics, quaternion_product
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.paper.statics import GRAVITY, gravity_torques
 from dqwalk_ros.plants.base import Inertial, Plant, Truth, checked, upward
-from dqwalk_ros.plants.bus import Bus
 from dqwalk_ros.plants.sensors import Reading, Sensors
+from dqwalk_ros.plants.servo_goals import ServoGoals
 from dqwalk_ros.robot.model import RobotModel
-from dqwalk_ros.robot.servos import Drive, Servos
+from dqwalk_ros.robot.servos import Servos
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import PlantError
@@ -50,8 +50,8 @@ class PhysicsPlant(Plant):
         Initial joint angles, with both soles on the ground, or held by its root [rad]; zero by default.
     servos : Servos, optional
         The simulated servos; by default those of the section ``servo``.
-    bus : Bus, optional
-        Computes the goals of the servos; by default from the commands, as the section ``servo`` describes it.
+    law : ServoGoals, optional
+        Computes the goals of the servos; by default as the section ``servo`` describes it.
     """
 
     physics = True
@@ -63,12 +63,11 @@ class PhysicsPlant(Plant):
         model: RobotModel,
         q0: ArrayLike | None = None,
         servos: Servos | None = None,
-        bus: Bus | None = None,
+        law: ServoGoals | None = None,
     ) -> None:
         self.config, self.model = config, model
-        self._effort_min, self._effort_max = -model.effort_max, model.effort_max
         q = np.zeros(model.n) if q0 is None else np.array(q0, dtype=np.float64)
-        servos, drive = servos or Servos.of(config, model), Drive.of(config, model)
+        servos = servos or Servos.of(config, model)
         self.mj = build(config, model, servos)
         self.data: Any = mujoco.MjData(self.mj)
         self._qpos, self._qvel = self.data.qpos, self.data.qvel  # views, and so are these
@@ -91,10 +90,12 @@ class PhysicsPlant(Plant):
         up = -self.mj.opt.gravity / GRAVITY
         standing = Kinematics(model, q, Foot.LEFT, up)
         effort = np.zeros(model.n) if config.physics.held else gravity_torques(standing, both=True)
-        self._goals[:] = q + drive.angles(effort)
         self._seat(q)
         self._back_emf = servos.back_emf
-        self._bus = bus or Bus(config.servo, servos, drive, q, model.q_min, model.q_max, effort)
+        self._law = law or ServoGoals.of(config, model, simulated=servos)
+        self._law.gate.use(q, 0.0)
+        self._law.begin(effort)
+        self._goals[:] = self._law.output(0.0)[0]
         self._sensors = Sensors(config.sensors)
         self._level = _level(config)
         self._elapsed = 0.0  # [ns]
@@ -120,16 +121,24 @@ class PhysicsPlant(Plant):
         u, tau = checked(command.velocity, self.model.n, "velocities"), command.effort
         if tau is not None:
             tau = checked(tau, self.model.n, "torques")
-            tau = np.minimum(np.maximum(tau, self._effort_min), self._effort_max)
+        return self._advance(u, tau, dt)
+
+    def hold(self, dt: float) -> State:
+        """Return the state after one period without a command."""
+        return self._advance(None, None, dt)
+
+    def _advance(self, u: Array | None, tau: Array | None, dt: float) -> State:
         mj, data = self.mj, self.data
         if dt != self._dt:
             self._dt, self._count = dt, set_timestep(mj, dt, self.config.physics.timestep)
         left = count = self._count
         h, now = dt / count, data.time
-        self._bus.command(u, tau, self._state.q, now, dt)
+        self._law.measure(self._state.q, now)
+        if u is not None:
+            self._law.command(u, tau, now, dt)
         q, torque = self._qpos[self._qadr], np.zeros_like(self._qvel)
         while left:
-            self._goals[:], until = self._bus.output(now)
+            self._goals[:], until = self._law.output(now)
             steps = min(left, max(1, math.ceil((until - now) / h - 1e-6))) if until < math.inf else left
             for _ in range(steps):
                 # mj_step1 has computed positions and velocities already; mj_step2 applies the forces
@@ -151,7 +160,7 @@ class PhysicsPlant(Plant):
     @property
     def commanded(self) -> Array:
         """Commanded positions without the offsets by feedforward torques, shape (n,) [rad]."""
-        return self._bus.wanted
+        return self._law.wanted
 
     @property
     def truth(self) -> Truth:

@@ -9,8 +9,12 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
 
-__all__ = ["JointLimits", "clamp_effort", "clamp_velocity", "named_angles", "outside_limits", "unreachable"]
+__all__ = ["FASTEST", "JointLimits", "clamp_effort", "clamp_velocity", "named_angles", "outside_limits", "unreachable"]
+
+FASTEST = 100.0
+"""Velocity of a joint without a limit, where a bound is needed [rad/s]."""
 
 
 class JointLimits(NamedTuple):
@@ -36,6 +40,7 @@ def outside_limits(q: Array, limits: JointLimits | RobotModel, slack: float) -> 
     return named_angles(limits, beyond, ~(beyond <= slack))
 
 
+@jit
 def unreachable(
     q: Array, before: Array, passed: Array | float, speed: Array, slack: Array | float
 ) -> NDArray[np.bool_]:
@@ -52,9 +57,7 @@ def unreachable(
     slack : float or ndarray, shape (n,)
         Tolerance [rad].
     """
-    reach = speed * np.maximum(passed, 0.0) + slack
-    out: NDArray[np.bool_] = ~(np.abs(q - before) <= reach)
-    return out
+    return ~(np.abs(q - before) <= speed * np.maximum(passed, 0.0) + slack)
 
 
 def named_angles(limits: JointLimits | RobotModel, angles: Array, which: NDArray[np.bool_]) -> str:

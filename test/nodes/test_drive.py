@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from typing import Any
 
@@ -11,6 +12,7 @@ from inside import state, until
 from ros2_control import EXTRA, ControllerManager
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
+from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
@@ -24,6 +26,7 @@ MODEL = load_model(POPPY.robot)
 NAMES = MODEL.joint_names
 POSTURE = MODEL.posture(POPPY.standing.posture)
 DT = POPPY.dt
+KNEE = NAMES.index("l_knee_y")
 TOPIC = {kind: f"forward_{kind}_controller/commands" for kind in ("position", "velocity")}
 
 
@@ -99,29 +102,76 @@ def command(stamp: float = 1.0, speed: float = 0.0) -> Any:
     return state(NAMES, [], stamp, velocity=np.full(MODEL.n, speed))
 
 
+class Driven:
+    """The node on a test clock, whose robot does not move by itself.
+
+    Attributes
+    ----------
+    q : ndarray, shape (n,)
+        Measured angles [rad].
+    """
+
+    def __init__(self, make: Any, *, known: bool = True, **settings: Any) -> None:
+        self.config = POPPY.updated({name.replace("__", "."): value for name, value in settings.items()})
+        self.one = make("drive", self.config)
+        self.node, self.log, self.q = self.one.node, self.one.log, POSTURE.copy()
+        o = self.config.output
+        self.topic = o.topic or TOPIC[o.interface]
+        for _ in range(3 if known else 0):
+            self.tick()
+
+    def tick(self, speed: float | None = None, effort: Any = None, *, states: bool = True) -> None:
+        """Let a period pass; the robot sends its state, and a controller commands velocities and torques."""
+        self.one.clock.now += DT
+        if states:
+            self.one.send("joint_states", measured(self.q, 1.0 + self.now))
+        if speed is not None:
+            self.command(speed, effort)
+        self.node._check()
+
+    def command(self, speed: float, effort: Any = None, *, stamp: float | None = None) -> None:
+        msg = command(1.0 + self.now if stamp is None else stamp, speed)
+        if effort is not None:
+            msg.effort = [float(x) for x in np.broadcast_to(effort, MODEL.n)]
+        self.one.send("joint_velocity_commands", msg)
+
+    @property
+    def now(self) -> float:
+        """Time of the node's clock, and of the stamps minus 1 s [s]."""
+        return float(self.one.clock.now)
+
+    @property
+    def sent(self) -> list[Any]:
+        """Messages sent to the robot."""
+        return self.one.got[self.topic]
+
+    @property
+    def out(self) -> np.ndarray:
+        """Values (n,) sent last, of the joints of the walk."""
+        return np.array(self.sent[-1].data)[: MODEL.n]
+
+
 def test_no_output_before_the_topic_has_a_subscriber(make: Any) -> None:
     """The walk waits until the output topic has a subscriber."""
-    one = make("drive", POPPY)
-    one.send("joint_velocity_commands", command())
-    one.send("joint_states", measured(POSTURE))
+    driven = Driven(make)
+    one = driven.one
     one.tick()
-    assert not one.got[TOPIC["position"]]
+    assert not driven.sent
     assert [msg.data for msg in one.got["plant_ready"]] == [False]
     assert "no node subscribes to /forward_position_controller/commands" in one.got["diagnostics"][-1].status[0].message
     robot = one.foreign_node("controller_manager")
     robot.create_subscription(Float64MultiArray, TOPIC["position"], lambda _: None, 1)
-    until(lambda: one.tick() or len(one.got["plant_ready"]) > 1)
+    until(lambda: driven.tick() or len(one.got["plant_ready"]) > 1)
     assert one.got["plant_ready"][-1].data
 
 
 @pytest.mark.parametrize("kind", ["float64_multi_array", "joint_trajectory", "joint_state"])
 def test_positions_are_integrated_and_in_the_order_of_the_controller(make: Any, kind: str) -> None:
     joints = (EXTRA[1], *reversed(NAMES))
-    one = make("drive", POPPY.updated({"output.type": kind, "output.joints": joints, "output.topic": "told"}))
-    for k in range(3):
-        one.send("joint_states", measured(POSTURE, 1.0 + k * DT))
-        one.send("joint_velocity_commands", command(1.0 + k * DT, 0.1))
-    last = one.got["told"][-1]
+    one = Driven(make, output__type=kind, output__joints=joints, output__topic="told")
+    for _ in range(3):
+        one.tick(0.1)
+    last = one.sent[-1]
     output = {
         "float64_multi_array": lambda: last.data,
         "joint_trajectory": lambda: last.points[0].positions,
@@ -135,27 +185,21 @@ def test_positions_are_integrated_and_in_the_order_of_the_controller(make: Any, 
 
 
 def test_commanded_positions_stay_close_to_the_measured_ones(make: Any) -> None:
-    one = make("drive", POPPY)
-    for k in range(200):
-        one.send("joint_states", measured(POSTURE, 1.0 + k * DT))  # the robot does not move
-        one.send("joint_velocity_commands", command(1.0 + k * DT, 0.5))
-    output = np.array(one.got[TOPIC["position"]][-1].data)
+    one = Driven(make)
+    for _ in range(200):
+        one.tick(0.5)
     within_delay = 0.5 * Drive.of(POPPY, MODEL).delay  # the motion that the robot may still make
-    np.testing.assert_allclose(output - POSTURE, POPPY.servo.window + within_delay, atol=1e-9)
+    np.testing.assert_allclose(one.out - POSTURE, POPPY.servo.window + within_delay, atol=1e-9)
 
 
 def test_velocity_output_matches_position_output_within_limits(make: Any) -> None:
     """Feed-forward torques are added as angles, limited to the joint velocity limits."""
-    torques = np.full(MODEL.n, 3.0)  # 0.05 rad, ten times the motion of a joint in a period
     output = {}
     for interface in TOPIC:
-        one = make("drive", POPPY.updated({"output.interface": interface}))
-        for k in range(30):
-            one.send("joint_states", measured(POSTURE, 1.0 + k * DT))
-            msg = command(1.0 + k * DT, 0.1)
-            msg.effort = torques.tolist()
-            one.send("joint_velocity_commands", msg)
-        output[interface] = np.array([msg.data for msg in one.got[TOPIC[interface]]])
+        one = Driven(make, output__interface=interface)
+        for _ in range(30):
+            one.tick(0.1, 3.0)  # 0.05 rad, ten times the motion of a joint in a period
+        output[interface] = np.array([msg.data for msg in one.sent])
     assert (np.abs(output["velocity"]) <= MODEL.velocity_max + 1e-12).all()
     np.testing.assert_allclose(POSTURE + DT * output["velocity"].sum(axis=0), output["position"][-1], atol=1e-9)
 
@@ -187,12 +231,173 @@ def test_a_robot_with_its_controller_killed_stops(make: Any, interface: str) -> 
 
 
 def test_closing_the_drive_stops_the_robot(make: Any) -> None:
-    one = make("drive", POPPY.updated({"output.interface": "velocity"}))
-    one.send("joint_states", measured(POSTURE))
-    one.send("joint_velocity_commands", command(speed=0.2))
-    assert any(one.got[TOPIC["velocity"]][-1].data)
+    one = Driven(make, output__interface="velocity")
+    one.tick(0.2)
+    assert one.out.any()
     one.node.close()
-    assert not any(one.got[TOPIC["velocity"]][-1].data)
+    assert not one.out.any()
+
+
+STAMPS = {"clock": None, "state": "the last", "relay": "the first", "zero": 0.0}
+"""Stamps of commands: of the controller's clock, of the last state, of a repeated message, and none."""
+
+
+@pytest.mark.parametrize("stamps", STAMPS)
+@pytest.mark.parametrize("interface", list(TOPIC))
+def test_motion_ends_when_the_states_end_whatever_the_stamps_of_the_commands(
+    make: Any, interface: str, stamps: str
+) -> None:
+    one = Driven(make, output__interface=interface)
+    for _ in range(5):
+        one.tick(0.3)
+    assert one.node._commands.gate.ready
+    last, outputs = one.now, []
+    for _ in range(60):
+        one.tick(states=False)
+        clock = 1e-9 * one.node.get_clock().now().nanoseconds
+        stamp = {"clock": clock, "state": 1.0 + last, "relay": 1.0 + last - DT, "zero": 0.0}[stamps]
+        one.command(0.3, stamp=stamp)
+        outputs.append((one.now - last, one.out))
+    if interface == "velocity":
+        moving = [at for at, out in outputs if out.any()]
+    else:
+        moving = [at for (_, before), (at, out) in itertools.pairwise(outputs) if (out != before).any()]
+    assert max(moving, default=0.0) <= one.config.plant.command_timeout + DT + 1e-9
+    assert one.node._commands.gate.watchdog.silent, "a command without an effect does not feed the watchdog"
+    assert not one.one.got["plant_ready"][-1].data
+    assert ("error", "stopping: no valid joint_states for 0.1 s") in one.log.lines
+
+
+def test_states_with_the_same_stamp_are_no_new_states(make: Any) -> None:
+    one = Driven(make)
+    one.tick(0.3)
+    for _ in range(60):
+        one.tick(states=False)
+        one.one.send("joint_states", measured(one.q, 1.0 + 4 * DT))
+        one.command(0.3)
+    assert one.out[KNEE] - POSTURE[KNEE] <= 0.3 * (one.config.plant.command_timeout + 2 * DT)
+
+
+def test_states_and_commands_without_stamps_move_the_robot(make: Any) -> None:
+    """The clock of a robot may never have been set."""
+    one = Driven(make, known=False)
+    for k in range(23):
+        one.one.clock.now += DT
+        one.one.send("joint_states", measured(one.q, 0.0))
+        if k >= 3:
+            one.command(0.1 + 0.001 * k, stamp=0.0)
+    speeds = 0.1 + 0.001 * np.arange(3, 23)
+    assert one.out[KNEE] - POSTURE[KNEE] == pytest.approx(DT * speeds.sum())
+
+
+def test_a_clock_that_steps_back_stops_no_robot(make: Any) -> None:
+    one = Driven(make)
+    for k in range(40):
+        one.one.clock.now += DT
+        stamp = (2.0 if k < 10 else 1.0) + one.now
+        one.one.send("joint_states", measured(one.q, stamp))
+        one.command(0.1, stamp=stamp)
+        one.node._check()
+    stopped = one.config.plant.command_timeout + 2 * DT
+    assert DT * 0.1 * 40 - 0.1 * stopped <= one.out[KNEE] - POSTURE[KNEE] <= DT * 0.1 * 40
+
+
+def test_lost_time_is_not_made_up_for(make: Any) -> None:
+    one = Driven(make)
+    one.tick(0.1)
+    for _ in range(10):
+        one.tick()
+    goal = one.out
+    one.tick(0.1)
+    np.testing.assert_allclose(one.out - goal, 2 * DT * 0.1, atol=1e-12)
+
+
+@pytest.mark.parametrize("interface", list(TOPIC))
+def test_a_stop_with_the_stamp_of_a_state_answered_before_has_an_effect(make: Any, interface: str) -> None:
+    """Also if no time has passed on the clock of a simulator."""
+    one = Driven(make, output__interface=interface)
+    for _ in range(2):
+        one.tick(0.2)
+    goal = one.out
+    one.command(0.0)
+    if interface == "velocity":
+        assert not one.out.any()
+    one.tick()
+    one.command(0.0, stamp=1.0 + one.now - DT)
+    np.testing.assert_array_equal(one.out, goal if interface == "position" else 0.0 * goal)
+
+
+def test_a_robot_that_was_moved_by_hand_begins_where_it_is(make: Any) -> None:
+    """A while after the last command nothing is sent; the next one begins at the measured angles."""
+    one = Driven(make)
+    for _ in range(10):
+        one.tick(0.1)
+    for _ in range(300):
+        one.tick()
+    count = len(one.sent)
+    for _ in range(100):
+        one.q[KNEE] += 0.005
+        one.tick()
+    assert len(one.sent) == count
+    one.tick(0.1)
+    assert one.out[KNEE] == pytest.approx(one.q[KNEE] + 0.1 * DT)
+
+
+# ---------------------------------------------------------------------- wrong numbers
+
+
+@pytest.mark.parametrize("torque", [60.0, 1200.0, 1e300])
+@pytest.mark.parametrize("interface", list(TOPIC))
+def test_one_excessive_torque_moves_no_joint_beyond_its_limits(make: Any, interface: str, torque: float) -> None:
+    one = Driven(make, output__interface=interface)
+    for _ in range(3):
+        one.tick(0.0, 1.0)
+    before = one.out
+    one.tick(0.0, torque)
+    if interface == "velocity":
+        assert (np.abs(one.out) <= MODEL.velocity_max + 1e-9).all()
+    else:
+        assert (np.abs(one.out - before) <= DT * MODEL.velocity_max + 1e-9).all()
+        assert (np.abs(one.out - POSTURE) <= MODEL.effort_max / POPPY.servo.assumed_stiffness + 1e-9).all()
+
+
+@pytest.mark.parametrize("off", [0.3, 1.5, 1e9, 1e300])
+@pytest.mark.parametrize("holding", [True, False])
+@pytest.mark.parametrize("interface", list(TOPIC))
+def test_one_wrong_angle_moves_nothing(make: Any, interface: str, holding: bool, off: float) -> None:
+    one = Driven(make, output__interface=interface)
+    for _ in range(3):
+        one.tick(0.0)
+    for _ in range(30 if holding else 0):
+        one.tick()
+    before, speed = one.out, None if holding else 0.0
+    one.q[KNEE] += off
+    one.tick(speed)
+    one.q[KNEE] = POSTURE[KNEE]
+    np.testing.assert_array_equal(one.out, before)
+    for _ in range(5):
+        one.tick(speed)
+        np.testing.assert_array_equal(one.out, before)
+    assert not one.node._law.gate.fault
+
+
+def test_a_joint_that_jumps_stops_the_robot_until_reset(make: Any) -> None:
+    one = Driven(make, output__interface="velocity")
+    for _ in range(5):
+        one.tick(0.3)
+    one.q[KNEE] += 0.5
+    for _ in range(5):
+        one.tick(0.3)
+    assert not one.out.any()
+    assert "stopping: l_knee_y has jumped to another angle: check its sensor, then ~/reset" in one.log
+    for _ in range(300):
+        one.tick(0.3)
+        assert not one.out.any()
+    assert one.one.call("reset", Trigger.Request()).success
+    for _ in range(5):
+        one.tick(0.3)
+    assert one.out.any()
+    assert one.one.got["plant_ready"][-1].data is False  # without a subscriber
 
 
 @pytest.mark.long
@@ -233,10 +438,10 @@ def test_the_robot_stops_after_the_controller_process_is_killed(nodes: Any) -> N
 
 def test_no_output_without_all_angles(make: Any) -> None:
     """This includes joints outside the walk that must be commanded to keep their position."""
-    one = make("drive", POPPY.updated({"output.joints": (*NAMES, "gripper")}))
-    one.send("joint_states", measured(POSTURE))
-    one.send("joint_velocity_commands", command(speed=0.2))
-    assert not one.got[TOPIC["position"]]
+    one = Driven(make, output__joints=(*NAMES, "gripper"))
+    for _ in range(3):
+        one.tick(0.2)
+    assert not one.sent
     assert "joints missing: gripper" in one.log
 
 

@@ -14,11 +14,11 @@ from dqwalk_ros.config import Config, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.plants.base import Inertial, Plant, Truth
-from dqwalk_ros.plants.bus import Bus
 from dqwalk_ros.plants.mujoco import PhysicsPlant
 from dqwalk_ros.plants.poppy.dynamixel import PRESENT, TYPES
 from dqwalk_ros.plants.poppy.emulated_servos import EmulatedServo
 from dqwalk_ros.plants.poppy.plant import PoppyPlant
+from dqwalk_ros.plants.servo_goals import AngleGate, ServoGoals
 from dqwalk_ros.report import analyse, report
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive, Servos
@@ -51,15 +51,17 @@ class LoadedServo(EmulatedServo):
         self.present = b"".join(word.to_bytes(2, "little") for word in words)
 
 
-class RegisterBus(Bus):
+class RegisterGoals(ServoGoals):
     """The set points of emulated servos, after the latency of the robot, are the goals of the servos in the engine."""
 
-    def __init__(self, config: Config, model: RobotModel, memory: Memory, q: np.ndarray) -> None:
-        super().__init__(config.servo, Servos.of(config, model), Drive.of(config, model), q, model.q_min, model.q_max)
-        self._names, self._memory = model.joint_names, memory
+    def __init__(self, config: Config, model: RobotModel, memory: Memory) -> None:
+        gate = AngleGate(model.joint_names, model.velocity_max, 1.0, longest=lambda: 1.0, timeout=lambda: 1.0)
+        super().__init__(gate, Drive.of(config, model), model, config.servo.window)
+        self._names, self._memory, self._delay = model.joint_names, memory, config.servo.latency
 
-    def command(self, velocity: np.ndarray, effort: object, q: np.ndarray, time: float, dt: float) -> None:
+    def command(self, velocity: np.ndarray, effort: object, time: float, dt: float) -> bool:
         """Do nothing: the driver has written the goals to the registers."""
+        return True
 
     def output(self, time: float) -> tuple[np.ndarray, float]:
         self._memory.clock.now = time
@@ -67,7 +69,7 @@ class RegisterBus(Bus):
         for name in self._names:
             self._memory.servo(name).advance(time)
             points.append(self._memory.angle(name))
-        self._queue.append((time + self._config.latency, np.array(points)))
+        self._queue.append((time + self._delay, np.array(points)))
         return super().output(time)[0], time + SAMPLE
 
 
@@ -82,7 +84,7 @@ class PoppyOnTheFloor(Plant):
             motor = MOTORS[name]
             servo = LoadedServo(motor.id, TYPES[motor.type], motor.servo(degrees[name]))
             self.memory.of(name).servos[motor.id] = servo
-        self.robot = PhysicsPlant(config, model, posture, bus=RegisterBus(config, model, self.memory, posture))
+        self.robot = PhysicsPlant(config, model, posture, law=RegisterGoals(config, model, self.memory))
         self.memory.clock.now = self.robot.data.time
         self._measure()
         memory, age = self.memory, config.plant.command_timeout

@@ -16,7 +16,6 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.state import Command
 from dqwalk_ros.plants.base import upward
-from dqwalk_ros.plants.bus import Bus
 from dqwalk_ros.plants.mujoco import PhysicsPlant
 from dqwalk_ros.plants.sensors import Reading, Sensors
 from dqwalk_ros.report import bag
@@ -202,39 +201,6 @@ def test_recorded_torques_and_angles_give_the_work_of_the_servos() -> None:
     assert exact > 0.0
     assert net == pytest.approx(exact, abs=0.02 * positive)
     assert net > 0.05 * positive
-
-
-def test_goals_are_delayed_and_held() -> None:
-    config = CONFIG.updated({"servo.latency": 0.02, "servo.rate": 50.0, "servo.resolution": 0.0}).servo
-    drive = Drive.of(CONFIG, MODEL)
-    q = np.zeros(MODEL.n)
-    bus = Bus(config, Servos.of(CONFIG.updated({"servo.resolution": 0.0}), MODEL), drive, q, q - 1.0, q + 1.0)
-    seen = []
-    for k in range(20):
-        bus.command(np.full(MODEL.n, 0.1), None, q, 0.005 * k, 0.005)
-        seen.append(bus.output(0.005 * k)[0][0])
-    steps = [0.1 * 0.005 * (1 + 4 * max((k - 4) // 4, -1)) if k >= 4 else 0.0 for k in range(20)]
-    np.testing.assert_allclose(seen, steps, atol=1e-12)
-
-
-@pytest.mark.parametrize("latency", [0.0, 0.02, 0.033])
-def test_goals_stay_near_the_position_at_which_the_command_finds_the_joint(latency: float) -> None:
-    """A delayed joint that follows is not held back; one that is blocked is left behind by the window only."""
-    config = CONFIG.updated(
-        {"servo.assumed_latency": latency, "servo.window": 0.006, "servo.resolution": 0.0, "servo.latency": latency}
-    )
-    servos, drive, q = Servos.of(config, MODEL), Drive.of(config, MODEL), np.zeros(MODEL.n)
-    assert drive.delay == pytest.approx(latency)
-    follows, blocked = (Bus(config.servo, servos, drive, q, q - 9.0, q + 9.0) for _ in range(2))
-    dt, u = 0.005, np.full(MODEL.n, 1.0)
-    for k in range(40):
-        time = k * dt
-        follows.command(u, None, np.full(MODEL.n, max(time - latency, 0.0)), time, dt)
-        np.testing.assert_allclose(follows.wanted, time + dt, atol=1e-12)
-        blocked.command(u, None, q, time, dt)
-    for k in range(40, 40 + math.ceil(latency / dt) + 1):
-        blocked.command(np.zeros(MODEL.n), None, q, k * dt, dt)
-    np.testing.assert_allclose(blocked.wanted, config.servo.window, atol=1e-12)
 
 
 @pytest.mark.parametrize("dt", [0.005, 0.0025, 0.0045, 0.0125, 1.0 / 60.0])

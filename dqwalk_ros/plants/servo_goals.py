@@ -1,0 +1,342 @@
+"""The law from commands (velocities and torques) to the goal positions of servos, the same for every plant.
+
+Physics, the node `drive` (ros2_control) and the driver of Poppy execute it; a plant adds only what its hardware needs.
+
+1. A measured angle is used if the joint can have reached it since the last accepted one; three impossible ones in a row
+   are a fault (`AngleGate`).
+2. Velocities and torques are clamped to the limits of the joints.
+3. The goal integrates the velocity and is limited to a window around the position at which the command will find the
+   joint, the measured one plus the motion commanded within the delay: an integral action with anti-windup, which
+   compensates the deflection of a servo under load. With a small window a leg yields to a force that is not fed
+   forward, such as that of a stone under its sole.
+4. Feedforward torques are converted to an offset of the goal by the assumed stiffness of the servos. The sum stays
+   within the range of the joint and moves no faster than the joint can.
+5. Goals are rounded to the steps of the servos, written at the rate of the bus and effective after its latency.
+6. Without recent angles, or after a fault, no command has an effect: the last goal remains.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros.config import Config
+from dqwalk_ros.estimation.delay import CommandHistory
+from dqwalk_ros.robot.limits import FASTEST, JointLimits, clamp_effort, unreachable
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.robot.servos import Drive, Servos
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
+
+__all__ = ["JUMPS", "AngleGate", "ServoGoals"]
+
+JUMPS = 3
+"""Number of consecutive impossible angles of a joint that are a fault."""
+_MOST_OFFSET = math.pi
+"""Largest offset of a goal by torques, where neither effort limit nor stiffness bound it [rad]."""
+
+
+class AngleGate:
+    """Decides which measured angles are used.
+
+    An angle is used if the joint can have reached it from the last one that was used. Of a joint that no command moves
+    (at the start, or without torque) a new angle is used, too, once `JUMPS` in a row agree.
+
+    Parameters
+    ----------
+    joint_names : sequence of str
+        The N joints.
+    speed : ndarray, shape (N,)
+        Largest velocities of the joints [rad/s].
+    slack : float or ndarray, shape (N,)
+        Tolerance of the motion between two measurements [rad].
+    longest : callable
+        Returns the longest time for which a joint can move unseen [s].
+    timeout : callable
+        Returns the age above which angles are not used [s].
+
+    Attributes
+    ----------
+    q : ndarray, shape (N,)
+        Angles to be used [rad]; nan before the first.
+    at : ndarray, shape (N,)
+        Times at which they were measured [s]; -inf before the first.
+    jumps : ndarray of int, shape (N,)
+        Consecutive impossible angles of each joint.
+    rejected : int
+        Number of impossible angles.
+    fault : str
+        Which joints have jumped, while commands moved them; empty if none has.
+    """
+
+    def __init__(
+        self,
+        joint_names: Sequence[str],
+        speed: Array,
+        slack: Array | float,
+        *,
+        longest: Callable[[], float],
+        timeout: Callable[[], float],
+    ) -> None:
+        self._names, n = tuple(joint_names), len(joint_names)
+        self._speed, self._slack = np.minimum(speed, FASTEST), np.broadcast_to(slack, (n,)).astype(np.float64)
+        self._longest, self._timeout = longest, timeout
+        self.q, self.at = np.full(n, np.nan), np.full(n, -np.inf)
+        self._last, self._last_at = np.full(n, np.nan), np.full(n, -np.inf)  # used or not
+        self.jumps, self._agreeing = np.zeros(n, np.intp), np.zeros(n, np.intp)
+        self.rejected = 0
+        self.fault = ""
+
+    @property
+    def known(self) -> bool:
+        """Whether every joint has an angle to be used."""
+        return bool(np.isfinite(self.q).all())
+
+    def age(self, time: float) -> float:
+        """Return the age of the oldest of the angles at `time` [s]."""
+        return time - float(self.at.min())
+
+    def fresh(self, time: float) -> bool:
+        """Return whether no angle is older than the timeout at `time` [s]."""
+        return self.age(time) <= self._timeout()
+
+    def use(self, q: Array, time: float) -> None:
+        """Use angles (N,) [rad] without a check, such as those of a simulated robot at its start."""
+        self.q[:], self.at[:] = q, time
+        self._last[:], self._last_at[:] = q, time
+
+    def measure(self, q: Array, at: Array, moving: bool) -> NDArray[np.bool_]:
+        """Process measurements, and return which of the joints have a new angle, shape (N,).
+
+        Parameters
+        ----------
+        q : ndarray, shape (N,)
+            Angles [rad].
+        at : ndarray, shape (N,)
+            Times at which they were measured [s]; an angle is new if its time is.
+        moving : bool
+            Whether commands move the joints.
+        """
+        taken = np.zeros(len(q), np.bool_)
+        self.rejected += _judge(
+            q, at, moving, self._speed, self._slack, self._longest(),
+            self.q, self.at, self._last, self._last_at, self.jumps, self._agreeing, taken,
+        )  # fmt: skip
+        if moving and not self.fault and self.jumps.max() >= JUMPS:
+            names = [self._names[i] for i in np.flatnonzero(self.jumps >= JUMPS)]
+            self.fault = f"{', '.join(names)} {'has' if len(names) == 1 else 'have'} jumped to another angle"
+        return taken
+
+    def forgive(self) -> None:
+        """Clear the fault, when an operator has confirmed that the angles are right."""
+        self.fault = ""
+        self.jumps[:] = 0
+
+    def forget(self) -> None:
+        """Use no angle, and clear the fault, until `JUMPS` in a row agree."""
+        self.forgive()
+        self.q[:], self.at[:], self._agreeing[:] = np.nan, -np.inf, 0
+
+
+class ServoGoals:
+    """Computes the goals of one servo per joint.
+
+    Parameters
+    ----------
+    gate : AngleGate
+        Of these joints.
+    drive : Drive
+        Assumed model of the servos.
+    limits : RobotModel or JointLimits
+        Of these joints.
+    window : float
+        Largest distance of the goal, without the offset by torques, from the position where the command finds the
+        joint [rad].
+    resolution : float or ndarray, shape (n,)
+        Steps of the goals [rad]; 0: continuous.
+    rate, latency : float
+        Of a simulated bus: rate at which goals are written, 0 for every command [Hz]; time until they act [s].
+
+    Attributes
+    ----------
+    gate : AngleGate
+    active : bool
+        Whether commands have an effect, see `begin`.
+    wanted : ndarray, shape (n,)
+        Commanded positions without the offsets by feedforward torques [rad].
+    goal : ndarray, shape (n,)
+        Commanded positions with them [rad].
+    window : float
+    """
+
+    def __init__(
+        self,
+        gate: AngleGate,
+        drive: Drive,
+        limits: RobotModel | JointLimits,
+        window: float,
+        *,
+        resolution: Array | float = 0.0,
+        rate: float = 0.0,
+        latency: float = 0.0,
+    ) -> None:
+        n = len(limits.joint_names)
+        self.gate, self.window, self._drive, self._limits = gate, window, drive, limits
+        self._fastest = np.minimum(limits.velocity_max, FASTEST)
+        self._step = np.maximum(np.broadcast_to(resolution, (n,)), 1e-12)
+        self._rate, self._latency = rate, latency
+        self.active = False
+        self._begin(gate.q.copy(), np.zeros(n))
+
+    @classmethod
+    def of(
+        cls,
+        config: Config,
+        model: RobotModel,
+        timeout: Callable[[], float] = lambda: math.inf,
+        *,
+        simulated: Servos | None = None,
+    ) -> ServoGoals:
+        """Return the law for the joints of a model, as the section ``servo`` describes it.
+
+        Parameters
+        ----------
+        timeout : callable
+            Returns the age above which angles are not used [s].
+        simulated : Servos, optional
+            Servos whose goals are rounded, and written and effective as ``servo.rate`` and ``servo.latency`` say.
+        """
+        c, speed = config.servo, np.minimum(model.velocity_max, FASTEST)
+        period = max(config.dt, 1.0 / config.sensors.rate if simulated is not None and config.sensors.rate else 0.0)
+        gate = AngleGate(model.joint_names, speed, period * speed, longest=timeout, timeout=timeout)
+        drive = Drive.of(config, model)
+        if simulated is None:
+            return cls(gate, drive, model, c.window)
+        return cls(gate, drive, model, c.window, resolution=simulated.resolution, rate=c.rate, latency=c.latency)
+
+    def begin(self, effort: Array | None = None, held: Array | None = None) -> None:
+        """Let commands have an effect, from the measured angles on.
+
+        Parameters
+        ----------
+        effort : ndarray, shape (n,), optional
+            Feedforward torques before the first command [N m].
+        held : ndarray, shape (n,), optional
+            Goals that the servos hold now [rad]; those that commands could have set remain until the first command.
+        """
+        self.gate.forgive()
+        q, offset = self.gate.q.copy(), self._offset_of(np.zeros_like(self.gate.q) if effort is None else effort)
+        self._begin(q, offset)
+        if held is not None:
+            reach = self.window + self._offset_of(np.minimum(self._limits.effort_max, np.finfo(float).max))
+            self.goal = np.where(np.abs(held - q) <= reach, held, q)
+        self.active = True
+
+    def _begin(self, wanted: Array, offset: Array) -> None:
+        self.wanted, self._offset = wanted, offset
+        self.goal = self._sent = wanted + offset
+        self._history = CommandHistory(self._drive.delay, len(offset))
+        self._written = -math.inf
+        self._queue: deque[tuple[float, Array]] = deque()
+
+    def end(self) -> None:
+        """Let no command have an effect."""
+        self.active = False
+
+    def measure(self, q: Array, at: Array | float) -> NDArray[np.bool_]:
+        """Process measured angles (n,) [rad] and their times [s], shape () or (n,); return which of them are used."""
+        return self.gate.measure(q, np.broadcast_to(np.float64(at), q.shape).astype(np.float64), self.active)
+
+    def moves(self, time: float) -> bool:
+        """Return whether a command at `time` [s] has an effect."""
+        return self.active and not self.gate.fault and self.gate.fresh(time)
+
+    def command(self, velocity: Array, effort: Array | None, time: float, dt: float) -> bool:
+        """Process a command; return whether it has an effect.
+
+        Parameters
+        ----------
+        velocity : ndarray, shape (n,)
+            Joint velocities [rad/s].
+        effort : ndarray, shape (n,), or None
+            Feedforward torques [N m]; None: those of the last command.
+        time, dt : float
+            Time of the command, and the period for which it holds [s].
+        """
+        if not self.moves(time):
+            return False
+        u = np.minimum(np.maximum(velocity, -self._fastest), self._fastest)
+        if effort is not None:
+            self._offset = self._offset_of(effort)
+        expected = self.gate.q + self._history.pending(float(self.gate.at.min()))
+        self._history.add(time, u, dt)
+        self.wanted, self.goal, rounded = _goals(
+            self.wanted, u, dt, expected, self.window, self._limits.q_min, self._limits.q_max, self._offset,
+            self.goal, self._fastest, self._step,
+        )  # fmt: skip
+        if self._rate <= 0.0 or time - self._written >= 1.0 / self._rate - 1e-9:
+            self._written = time
+            self._queue.append((time + self._latency, rounded))
+        return True
+
+    def relieve(self, joint: int) -> None:
+        """Set the goal of a joint that is blocked to its measured angle."""
+        self.wanted[joint] = self.goal[joint] = self.gate.q[joint]
+        self._offset[joint] = 0.0
+
+    def output(self, time: float) -> tuple[Array, float]:
+        """Return the goals (n,) of the servos at `time` [s] [rad], and the time at which they change next [s]."""
+        while self._queue and self._queue[0][0] <= time + 1e-9:
+            self._sent = self._queue.popleft()[1]
+        return self._sent, self._queue[0][0] if self._queue else math.inf
+
+    def _offset_of(self, effort: Array) -> Array:
+        """Return the offsets (n,) of the goals [rad] that produce torques, within the effort limits."""
+        angles = self._drive.angles(clamp_effort(effort, self._limits))
+        out: Array = np.minimum(np.maximum(angles, -_MOST_OFFSET), _MOST_OFFSET)
+        return out
+
+
+@jit
+def _judge(  # type: ignore[no-untyped-def]
+    q, at, moving, speed, slack, longest, used, used_at, last, last_at, jumps, agreeing, taken
+):
+    """Store which of the angles q (N,), measured at the times `at` (N,), are used; return how many are impossible."""
+    far = unreachable(q, used, np.minimum(at - used_at, longest), speed, slack)
+    apart = unreachable(q, last, np.minimum(at - last_at, longest), speed, slack)
+    rejected = 0
+    for i in range(q.shape[0]):
+        if not at[i] > last_at[i]:
+            continue
+        agreeing[i] = 1 if apart[i] else agreeing[i] + 1
+        jumps[i] = jumps[i] + 1 if far[i] else 0
+        last[i], last_at[i] = q[i], at[i]
+        taken[i] = not far[i] or (not moving and agreeing[i] >= JUMPS)
+        if taken[i]:
+            used[i], used_at[i], jumps[i] = q[i], at[i], 0
+        elif np.isfinite(used[i]):
+            rejected += 1
+    return rejected
+
+
+@jit
+def _goals(  # type: ignore[no-untyped-def]
+    wanted, velocity, dt, expected, window, lower, upper, offset, goal, fastest, step
+):
+    """Return, after one period, the commanded positions without and with the offsets, and the latter rounded.
+
+    All have the shape (n,) [rad]. A joint outside its range may only move towards it.
+    """
+    moved, shifted, rounded = np.empty_like(wanted), np.empty_like(wanted), np.empty_like(wanted)
+    for i in range(wanted.shape[0]):
+        low, high = min(lower[i], wanted[i]), max(upper[i], wanted[i])
+        near = min(max(wanted[i] + dt * velocity[i], expected[i] - window), expected[i] + window)
+        moved[i] = min(max(near, low), high)
+        least, most = goal[i] - dt * fastest[i], goal[i] + dt * fastest[i]
+        shifted[i] = min(max(min(max(moved[i] + offset[i], low), high), least), most)
+        rounded[i] = np.rint(shifted[i] / step[i]) * step[i]
+    return moved, shifted, rounded

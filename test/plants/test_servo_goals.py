@@ -1,0 +1,211 @@
+"""The law from commands to the goals of servos: gate, clamps, window, limits, rounding, rate and delay."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dqwalk_ros.config import Config, load
+from dqwalk_ros.plants.servo_goals import JUMPS, AngleGate, ServoGoals
+from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.robot.servos import Drive, Servos
+
+CONFIG = load("poppy")
+MODEL = load_model(CONFIG.robot)
+N = MODEL.n
+KNEE = MODEL.joint_names.index("l_knee_y")
+POSTURE = MODEL.posture(CONFIG.standing.posture)
+DT = 0.005
+TIMEOUT = 0.1
+
+
+def law_of(config: Config = CONFIG, q: Any = None, model: Any = MODEL, *, simulated: bool = False) -> ServoGoals:
+    """Return the law at angles q (n,) [rad], measured at the time zero."""
+    law = ServoGoals.of(config, model, lambda: TIMEOUT, simulated=Servos.of(config, model) if simulated else None)
+    law.gate.use(POSTURE if q is None else q, 0.0)
+    law.begin()
+    return law
+
+
+def settings(**changes: Any) -> Config:
+    return CONFIG.updated({"servo.resolution": 0.0, **{f"servo.{name}": value for name, value in changes.items()}})
+
+
+# ---------------------------------------------------------------------- velocities
+
+
+def test_goals_are_delayed_and_held() -> None:
+    law, seen = law_of(settings(latency=0.02, rate=50.0), np.zeros(N), simulated=True), []
+    for k in range(20):
+        law.measure(np.zeros(N), DT * k)
+        law.command(np.full(N, 0.1), None, DT * k, DT)
+        seen.append(law.output(DT * k)[0][0])
+    steps = [0.1 * DT * (1 + 4 * max((k - 4) // 4, -1)) if k >= 4 else 0.0 for k in range(20)]
+    np.testing.assert_allclose(seen, steps, atol=1e-12)
+
+
+def test_the_goals_of_simulated_servos_are_rounded() -> None:
+    law = law_of(CONFIG.updated({"servo.resolution": 0.01}), np.zeros(N), simulated=True)
+    law.command(np.full(N, 1.2), None, 0.0, DT)  # 0.006 rad
+    np.testing.assert_allclose(law.output(0.0)[0], 0.01, atol=1e-12)
+    np.testing.assert_allclose(law.wanted, 0.006, atol=1e-12)
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.02, 0.033])
+def test_goals_stay_near_the_position_at_which_the_command_finds_the_joint(latency: float) -> None:
+    """A delayed joint that follows is not held back; one that is blocked is left behind by the window only."""
+    config = settings(assumed_latency=latency, window=0.006)
+    assert Drive.of(config, MODEL).delay == pytest.approx(latency)
+    start, u = np.clip(np.full(N, 0.1), MODEL.q_min, MODEL.q_max), np.full(N, 1.0)
+    follows, blocked = law_of(config, start), law_of(config, start)
+    free = MODEL.q_max - start > 0.25
+    for k in range(40):
+        time = k * DT
+        follows.measure(start + max(time - latency, 0.0), time)
+        follows.command(u, None, time, DT)
+        np.testing.assert_allclose((follows.wanted - start)[free], time + DT, atol=1e-12)
+        blocked.measure(start, time)
+        blocked.command(u, None, time, DT)
+    for k in range(40, 40 + math.ceil(latency / DT) + 1):
+        blocked.measure(start, k * DT)
+        blocked.command(np.zeros(N), None, k * DT, DT)
+    np.testing.assert_allclose((blocked.wanted - start)[free], config.servo.window, atol=1e-12)
+
+
+@pytest.mark.parametrize("u", [1e3, -1e3, 1e300])
+def test_velocities_are_clamped(u: float) -> None:
+    law = law_of()
+    assert law.command(np.full(N, u), None, 0.0, DT)
+    far = np.sign(u) * MODEL.velocity_max * DT
+    np.testing.assert_allclose(law.goal, np.clip(POSTURE + far, MODEL.q_min, MODEL.q_max), atol=1e-12)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_joint_outside_its_range_moves_towards_it_only(side: float) -> None:
+    q = (MODEL.q_max if side > 0.0 else MODEL.q_min) + side * 0.05
+    law = law_of(q=q)
+    for u, moved in ((1.0, 0.0), (0.0, 0.0), (-1.0, -DT)):
+        law.command(np.full(N, side * u), None, 0.0, DT)
+        np.testing.assert_allclose(law.goal, q + side * moved, atol=1e-12)
+
+
+# ---------------------------------------------------------------------- torques
+
+
+@pytest.mark.parametrize("torque", [60.0, 1200.0, 1e300, -1e300])
+@pytest.mark.parametrize("stiffness", [60.0, 1e-3])
+@pytest.mark.parametrize("limited", [True, False])
+def test_a_torque_moves_a_goal_no_further_than_the_limits_and_no_faster_than_the_joint(
+    torque: float, stiffness: float, limited: bool
+) -> None:
+    model = MODEL if limited else dataclasses.replace(MODEL, effort_max=np.full(N, np.inf))
+    law = law_of(settings(assumed_stiffness=stiffness), model=model)
+    before = law.goal
+    for k in range(400):
+        law.measure(POSTURE, k * DT)
+        assert law.command(np.zeros(N), np.full(N, torque), k * DT, DT)
+        assert (np.abs(law.goal - before) <= DT * MODEL.velocity_max + 1e-12).all()
+        before = law.goal
+    assert (law.goal >= MODEL.q_min).all()
+    assert (law.goal <= MODEL.q_max).all()
+    if limited:
+        offset = np.clip(np.sign(torque) * MODEL.effort_max / stiffness, -math.pi, math.pi)
+        np.testing.assert_allclose(law.goal, np.clip(POSTURE + offset, MODEL.q_min, MODEL.q_max), atol=1e-12)
+
+
+def test_without_torques_a_command_keeps_those_of_the_last() -> None:
+    law = law_of()
+    for k, torque in enumerate((1.0, None)):
+        law.command(np.zeros(N), None if torque is None else np.full(N, torque), k * DT, DT)
+    np.testing.assert_allclose(law.goal, POSTURE + 1.0 / 60.0, atol=1e-12)
+
+
+# ---------------------------------------------------------------------- measured angles
+
+
+def test_commands_have_an_effect_while_the_angles_are_recent() -> None:
+    law, u = law_of(), np.full(N, 0.1)
+    assert law.command(u, None, TIMEOUT, DT)
+    goal = law.goal.copy()
+    assert not law.command(u, np.ones(N), np.nextafter(TIMEOUT, 1.0), DT)
+    np.testing.assert_array_equal(law.goal, goal)
+    law.measure(POSTURE, 1.0)
+    assert law.command(u, None, 1.0, DT)
+    law.end()
+    assert not law.command(u, None, 1.0, DT)
+
+
+@pytest.mark.parametrize("off", [0.3, 1.5, -1.5, 1e9, 1e300, math.nan, math.inf])
+def test_one_wrong_angle_has_no_effect_and_three_are_a_fault(off: float) -> None:
+    law, wrong = law_of(), POSTURE.copy()
+    wrong[KNEE] += off
+    for k in range(1, 4):
+        law.measure(wrong if k == 2 else POSTURE, k * DT)
+        assert law.command(np.zeros(N), None, k * DT, DT)
+        np.testing.assert_array_equal(law.goal, POSTURE)
+    assert law.gate.rejected == 1
+    for k in range(4, 7):
+        assert not law.gate.fault
+        law.measure(wrong, k * DT)
+    assert law.gate.fault == "l_knee_y has jumped to another angle"
+    law.measure(POSTURE, 7 * DT)
+    assert not law.command(np.ones(N), None, 7 * DT, DT)
+    law.begin()
+    assert law.command(np.ones(N), None, 7 * DT, DT)
+
+
+def test_a_wrong_angle_soon_after_the_last_one_is_compared_by_the_time_between_them() -> None:
+    law = law_of()
+    least = DT * MODEL.velocity_max[KNEE]  # the tolerance, for a late or early state
+    for beyond, taken in ((1e-6, False), (-1e-6, True)):
+        q = POSTURE + (least + beyond) * np.eye(N)[KNEE]
+        assert law.measure(q, 1e-9 * (1.0 - beyond))[KNEE] == taken
+
+
+def test_each_joint_has_its_own_time() -> None:
+    gate = AngleGate(("a", "b"), np.ones(2), 0.0, longest=lambda: 0.05, timeout=lambda: TIMEOUT)
+    gate.use(np.zeros(2), 0.0)
+    taken = gate.measure(np.array([0.04, 0.04]), np.array([0.05, 0.03]), True)
+    assert taken.tolist() == [True, False]
+    assert gate.age(0.1) == pytest.approx(0.1)
+    taken = gate.measure(np.array([0.04, 0.04]), np.array([0.05, 0.05]), True)
+    assert taken.tolist() == [False, True], "an angle whose time has not changed is not new"
+    assert gate.age(0.1) == pytest.approx(0.05)
+    assert not gate.measure(np.full(2, 0.1), np.full(2, 9.0), True).any(), "a joint moves unseen for a while only"
+
+
+def test_an_angle_is_used_at_the_start_once_three_in_a_row_agree() -> None:
+    gate = AngleGate(("a",), np.ones(1), 0.01, longest=lambda: TIMEOUT, timeout=lambda: TIMEOUT)
+    for k, q in enumerate((2.0, 0.0, 0.001, -1.0, 0.001, 0.002, 0.003)):
+        assert not gate.known
+        gate.measure(np.array([q]), np.array([1.0 + DT * k]), False)
+    assert gate.q[0] == 0.003
+    assert not gate.rejected
+    for k in range(JUMPS):  # turned by hand
+        assert gate.q[0] == 0.003
+        gate.measure(np.array([1.0]), np.array([2.0 + DT * k]), False)
+    assert gate.q[0] == 1.0
+    assert not gate.fault
+    gate.forget()
+    assert not gate.known
+    assert not gate.fresh(2.0)
+
+
+def test_goals_that_the_servos_hold_remain_unless_they_are_far() -> None:
+    law = law_of()
+    held = POSTURE + np.array([0.1 if k % 2 else 1.0 for k in range(N)])
+    law.begin(held=held)
+    np.testing.assert_array_equal(law.goal, np.where(np.arange(N) % 2, held, POSTURE))
+
+
+def test_a_blocked_joint_is_relieved() -> None:
+    law = law_of()
+    law.command(np.full(N, 1.0), np.ones(N), 0.0, DT)
+    goal = law.goal.copy()
+    law.relieve(KNEE)
+    assert law.goal[KNEE] == law.wanted[KNEE] == POSTURE[KNEE]
+    assert (np.delete(law.goal, KNEE) == np.delete(goal, KNEE)).all()
