@@ -19,9 +19,9 @@ from dqwalk_ros.paper.constraints import Constraint, JointMaximum, JointMinimum,
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import Cylinder, Line, Plane
 from dqwalk_ros.paper.kinematics import CenterOfMass, Kinematics, Point
+from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.qp import make_solver
 from dqwalk_ros.paper.tasks import ComOverFoot, FramePose, Task
-from dqwalk_ros.paper.walk import Phase, PhaseKind
 from dqwalk_ros.robot.model import RobotModel, load_model
 
 __all__ = ["make_clarabel", "make_daqp", "phase_of", "robot_of"]

@@ -35,9 +35,9 @@ from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.paper.statics import GRAVITY, share
-from dqwalk_ros.paper.walk import PhaseKind
 from dqwalk_ros.plants.mujoco import PhysicsPlant
 from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.robot.urdf import Urdf

@@ -16,21 +16,25 @@ from dqwalk_ros.paper.assembly import Evaluation
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.phase import Next, Phase
 from dqwalk_ros.paper.qp import make_solver
 from dqwalk_ros.paper.qp.infeasible import explained, lead_back
 from dqwalk_ros.paper.qp.problem import Problem, Solution
 from dqwalk_ros.paper.state import Command, State
-from dqwalk_ros.paper.walk import Phase, Walk
+from dqwalk_ros.paper.walk import Walk
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.errors import ConfigError, PhaseError, QPError, StateError
+from dqwalk_ros.support.errors import PhaseError, QPError, StateError
 
 __all__ = ["VelocityController"]
 
 
 class VelocityController:
     """Controls `model` through the phases of a walk.
+
+    Another walk may take over, such as steps that catch a push (`Change.walk`); after its last phase the first walk
+    continues.
 
     Delays of measurement and command, and the response of the servos, are compensated by the model `servos.Drive`.
 
@@ -46,11 +50,11 @@ class VelocityController:
     config : Config
         Configuration of the current phase.
     walk : Walk
-        The current walk.
+        The walk, also while another one has taken over.
     phase_index : int
         Number of the current phase, from 0; -1 before the first step.
-    phase_time0 : float
-        Time of the state at which the phase began [s], plus the time for which the plant held still.
+    phase_began : float
+        Time of the state at which the phase began, shifted by pauses [s].
     finished : bool
         Whether the last phase is over; commands are zero from then on.
     error : float
@@ -60,7 +64,7 @@ class VelocityController:
     """
 
     def __init__(self, config: Config, model: RobotModel, walk: type[Walk]) -> None:
-        self.config = self._tuned = config
+        self.config = self._requested = config  # of the current phase, and of the next walk
         self.model = model
         self._solver = make_solver(config.qp.solver)
         self._make_walk = walk
@@ -68,12 +72,13 @@ class VelocityController:
 
     def reset(self) -> None:
         """Discard the walk; the next state begins a new one."""
-        self._use(self._tuned)
-        self._walk_config = self._tuned
-        self.walk = self._make_walk(self._tuned, self.model)
+        self._use(self._requested)
+        self.walk = self._active = self._make_walk(self._requested, self.model)
         self.walk.prepare()
+        self._taking_over: Walk | None = None  # at the next state
+        self._interrupted: Phase | None = None  # phase after which `walk` continues
         self.phase_index = -1
-        self.phase_time0 = math.nan
+        self.phase_began = math.nan
         self.finished = False
         self.error = math.nan
         self.problem: Problem | None = None
@@ -141,9 +146,8 @@ class VelocityController:
         ConfigError
             If the parameters of this walk cannot be changed.
         """
-        if not self.walk.is_tunable:
-            raise ConfigError("this walk keeps the parameters that it began with")
-        self._tuned = config
+        self.walk.tune(config)
+        self._requested = config
 
     def stop(self) -> None:
         """Put the feet together after the current step, and end the walk; see `Walk.stop`."""
@@ -170,11 +174,13 @@ class VelocityController:
         if state.q.shape != (self.model.n,):
             raise StateError(f"the state has {state.q.size} joints, the model {self.model.n}")
         last = self._last_state
+        state = self._estimated(state)
         if self.phase_index < 0:
-            self._begin_next_phase(state)
+            self._begin_next_phase(state, self._kinematics(state, Foot.LEFT))
         elif last is not None and (held := state.time - last.time - self.config.plant.command_timeout) > 0.0:
             self._resume(state, held)
-        state = self._estimated(state)
+        elif self._taking_over is not None:
+            self._begin_next_phase(state, self._kinematics(state, self.phase.base))
         kin, now = self._evaluate(state)
         self._last_state = state
         while not self.finished and self._is_over(now, state.time):
@@ -205,13 +211,15 @@ class VelocityController:
         """Return the feedforward torques (n,) [N m], including lead and damping; None without an inertial sensor."""
         if state.up is None:
             return None
-        effort = self.walk.effort(self.phase, kin.later(self._drive.delay), state, u) + self._drive.lead * u
+        effort = self._active.effort(self.phase, kin.later(self._drive.delay), state, u) + self._drive.lead * u
         return effort if state.dq is None else effort - self._drive.damping * (state.dq - u)
 
     def _evaluate(self, state: State) -> tuple[Kinematics, Evaluation]:
         """Return the kinematics at `state`, and the errors and distances of the phase, which the walk may update."""
-        kin = self._kinematics(state, self.phase.base, state.time - self.phase_time0)
-        self._phase = self.walk.observe(self.phase, kin, state)
+        kin = self._kinematics(state, self.phase.base, state.time - self.phase_began)
+        if (change := self._active.observe(self.phase, kin, state)) is not None:
+            self.phase.apply(change)
+            self._taking_over = change.walk
         return kin, self.phase.evaluate(kin)
 
     def _kinematics(self, state: State, base: Foot, elapsed: float = 0.0) -> Kinematics:
@@ -223,36 +231,42 @@ class VelocityController:
         return kin.with_vertical(state.up)
 
     def _is_over(self, now: Evaluation, time: float) -> bool:
-        if self.walk.is_waiting(self.phase):
-            return False
         try:
-            return self.phase.rule.is_over(now.error, time - self.phase_time0)
+            return self.phase.rule.is_over(now.error, time - self.phase_began)
         except PhaseError as error:
             raise error.held_by(self.active) from error
 
-    def _begin_next_phase(self, state: State, kin: Kinematics | None = None) -> None:
+    def _begin_next_phase(self, state: State, kin: Kinematics) -> None:
         """Begin the next phase at `state`; `kin` is in the base frame of the previous phase."""
-        if self._tuned is not self._walk_config:
-            self._walk_config = self._tuned
-            self.walk.tune(self._tuned)
-        if self._phase is None:
-            following = self.walk.beginning(self._kinematics(state, Foot.LEFT))
-        else:
-            following = self.walk.following(self._phase)
+        following = self._following(kin)
         if following is None:
             self.finished = True
             return
-        phase = self.walk.phase(*following[:2], state.q, following[2])
-        if self.walk.current is not self.config:
-            self._use(self.walk.current)
+        if self._active.config is not self.config:
+            self._use(self._active.config)
             self._history.delay = self._drive.delay
-        if kin is not None and phase.base is not kin.base:
+        begins, before = self._phase_at(state, following), self._phase
+        if before is not None and begins.base is not before.base:
             # the base frame changes to the other sole at its present pose
             self._x_odom_base = (self._x_odom_base * DQ(kin.pose(kin.swing))).normalized()
-        self._begin(phase, state.time)
+        self._begin(begins, state.time)
+
+    def _following(self, kin: Kinematics) -> Next | None:
+        """Return what follows the current phase, of a walk that takes over, or of the first one when that is over."""
+        if self._taking_over is not None:
+            self._active, self._taking_over, self._interrupted = self._taking_over, None, self._phase
+        following = self._active.following(self._phase, kin)
+        if following is None and self._active is not self.walk:
+            self._active = self.walk
+            following = self.walk.following(self._interrupted, kin)
+        return following
+
+    def _phase_at(self, state: State, begins: Next) -> Phase:
+        """Return the phase that begins at `state`."""
+        return self._active.phase(begins.kind, begins.support, state.q, begins.swing_target, state.up)
 
     def _begin(self, phase: Phase, time: float) -> None:
-        self._phase, self.phase_time0 = phase, time
+        self._phase, self.phase_began = phase, time
         self.phase_index += 1
         self.problem = self.solution = None
 
@@ -260,10 +274,11 @@ class VelocityController:
         """Continue after an interruption, in which the plant held still for `held` [s] after its command timeout."""
         phase = self.phase
         self._history = CommandHistory(self._drive.delay, self.model.n)
-        if (still := self.walk.restarts(phase)) is not None:
-            self._begin(self.walk.phase(phase.kind, phase.support, state.q, phase.swing_target), state.time + still)
+        if (still := self._active.restarts(phase)) is not None:
+            again = Next(phase.kind, phase.support, phase.swing_target)
+            self._begin(self._phase_at(state, again), state.time + still)
         else:
-            self.phase_time0 += held
+            self.phase_began += held
 
     def _solve(self, problem: Problem) -> Solution:
         """Return the solution of (U6), or, if it is infeasible, of the problem with a slower return (`lead_back`)."""

@@ -19,9 +19,10 @@ from dqwalk_ros.estimation.base import BaseEstimator
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.paper.statics import GRAVITY
-from dqwalk_ros.paper.walk import PaperWalk, Phase, PhaseKind, Walk
+from dqwalk_ros.paper.walk import PaperWalk, Walk
 from dqwalk_ros.plants.base import Inertial, Plant, Truth, orientation_of
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.plants.table import plant_type

@@ -5,8 +5,8 @@ import numpy as np
 from dqwalk_ros.config import load
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.qp import make_solver
-from dqwalk_ros.paper.walk import PhaseKind
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import make_walk
 

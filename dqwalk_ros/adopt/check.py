@@ -18,7 +18,7 @@ from dqwalk_ros.robot.shapes import Shapes
 from dqwalk_ros.robot.standing_limits import Finding, servo_findings
 from dqwalk_ros.robot.urdf import Urdf
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.walks.standing.footsteps import Footsteps
+from dqwalk_ros.walks.footsteps import Footsteps
 
 __all__ = ["check"]
 

@@ -14,7 +14,7 @@ from dqwalk_ros.support.errors import ConfigError
 if TYPE_CHECKING:
     from dqwalk_ros.paper.foot import Foot
     from dqwalk_ros.support.arrays import Array
-    from dqwalk_ros.walks.standing.footsteps import Footsteps
+    from dqwalk_ros.walks.footsteps import Footsteps
 
 __all__ = ["footsteps", "reached"]
 
@@ -80,7 +80,7 @@ def reached(steps: Footsteps, support: Foot, length: float, side: float, turn: f
     """
     import numpy as np
 
-    from dqwalk_ros.walks.standing.footsteps import Footprint
+    from dqwalk_ros.walks.footprint import Footprint
 
     begin, wanted = steps.stride(support, 0.0, 0.0, 0.0), steps.stride(support, length, side, turn)
     found = Footprint.of(steps.step(support, length, side, turn))

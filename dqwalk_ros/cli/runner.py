@@ -27,7 +27,7 @@ from dqwalk_ros.simulation import walk_type
 from dqwalk_ros.support.compiled import COMPILING
 from dqwalk_ros.support.interrupts import deferred_interrupts
 from dqwalk_ros.support.own_folder import lock
-from dqwalk_ros.walks.standing.course import Course
+from dqwalk_ros.walks.course import Course
 
 __all__ = ["Outcome", "Processes", "environment", "private_domain", "run_walk"]
 
@@ -98,7 +98,7 @@ def run_walk(
     plant : str
         A name of `plants.table.PLANTS`, or MODULE:CLASS; `config` must already contain its parameters.
     course : sequence of str
-        Legs for the node pilot, see `standing.course.Course.parse`; they require ``gait.steps: 0``.
+        Legs for the node pilot, see `walks.course.Course.parse`; they require ``gait.steps: 0``.
     lockstep : bool
         Whether each state waits for its command; otherwise the walk runs in real time.
     progress : callable, optional

@@ -46,7 +46,7 @@ def simulate(config: Config, course: tuple[str, ...], plant: str, view: bool, po
     from dqwalk_ros.report import analyse, bag
     from dqwalk_ros.report.table import why
     from dqwalk_ros.robot.model import load_model
-    from dqwalk_ros.walks.standing.course import Course
+    from dqwalk_ros.walks.course import Course
 
     model, legs = load_model(config.robot), Course.parse(course)
     controller = simulation.make_controller(config, model)

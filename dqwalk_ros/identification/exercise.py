@@ -19,9 +19,11 @@ import numpy as np
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import JointAngles, Kinematics
+from dqwalk_ros.paper.paths import minimum_jerk
+from dqwalk_ros.paper.phase import Next, Phase, PhaseKind, Timed
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.tasks import Task
-from dqwalk_ros.paper.walk import Phase, PhaseKind, Timed, Walk, joint_limits
+from dqwalk_ros.paper.walk import Walk, joint_limits
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError
@@ -241,8 +243,7 @@ def path_of(model: RobotModel, cycles: int) -> Array:
     """Return the angles (m, n) of all joints, sampled every 5 ms, all zero at the beginning [rad]."""
     each = slots(model, cycles)
     size = round(SLOT / _GRID)
-    way = np.linspace(0.0, 1.0, round(_WAY / _GRID))
-    way = way**3 * (10.0 - 15.0 * way + 6.0 * way**2)
+    way = np.array([minimum_jerk(s)[0] for s in np.linspace(0.0, 1.0, round(_WAY / _GRID))])
     out = np.zeros((max(map(len, each)) * size + size // 4, model.n))
     for limb, in_order in zip(limbs(model), each, strict=True):
         here, at = np.zeros(model.n), 0
@@ -322,9 +323,9 @@ class Exercise(Walk):
         """Initial joint angles: zero, clipped to the limits, shape (n,) [rad]."""
         return np.clip(np.zeros(self.model.n), self.model.q_min, self.model.q_max)
 
-    def following(self, phase: Phase | None) -> tuple[PhaseKind, Foot, Array | None] | None:
-        """Return kind, support foot and swing target of the only phase; None after it."""
-        return (PhaseKind.STANCE, Foot.LEFT, None) if phase is None else None
+    def following(self, phase: Phase | None, kin: Kinematics) -> Next | None:
+        """Return the only phase; None after it."""
+        return Next(PhaseKind.STANCE, Foot.LEFT) if phase is None else None
 
     def both_feet(self, kind: PhaseKind, support: Foot, q_start: Array) -> Phase:
         """Return the phase of the exercise."""

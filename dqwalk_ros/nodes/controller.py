@@ -29,8 +29,8 @@ from dqwalk_ros.nodes.safety import Contradictions
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.state import Command, State
-from dqwalk_ros.paper.walk import PhaseKind
 from dqwalk_ros.report.causes import causes
 from dqwalk_ros.report.metrics import analyse
 from dqwalk_ros.report.scene import beginning

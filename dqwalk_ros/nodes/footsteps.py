@@ -15,7 +15,7 @@ from dqwalk_ros.nodes.base import WalkNode
 from dqwalk_ros.nodes.odometry import Odometry
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.walk import PhaseKind
+from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError
 from dqwalk_ros.walks.standing.walk import StandingWalk
@@ -47,8 +47,8 @@ class FootstepInput:
 
     def _on_path(self, msg: Path) -> None:
         walk = self._controller.walk
-        if not isinstance(walk, StandingWalk):  # a user-defined walk
-            self._publish_status("refused: this walk does not support footsteps")
+        if not isinstance(walk, StandingWalk):  # a dynamic walk plans its own
+            self._publish_status("refused: only a standing walk (gait.style: standing) supports footsteps")
         elif not msg.poses:
             left, self._total = walk.placed, 0
             walk.place(Foot.LEFT, [])

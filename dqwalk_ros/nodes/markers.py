@@ -10,7 +10,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.nodes.messages import pose_fields, time_msg, xyz
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.kinematics import Kinematics
-from dqwalk_ros.paper.walk import Phase
+from dqwalk_ros.paper.phase import Phase
 from dqwalk_ros.report.scene import COM, FOOT, Moment, Region, Rgb, Scene, color_of
 from dqwalk_ros.robot.model import RobotModel, Sole
 from dqwalk_ros.support.arrays import Array

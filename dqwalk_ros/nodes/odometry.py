@@ -31,7 +31,7 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.walks.standing.footsteps import flat
+from dqwalk_ros.walks.footprint import flat
 
 __all__ = ["Odometry"]
 

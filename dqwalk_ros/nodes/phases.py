@@ -18,7 +18,8 @@ from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.walk import Phase, PhaseKind, com_target
+from dqwalk_ros.paper.phase import Phase, PhaseKind
+from dqwalk_ros.paper.walk import com_target
 from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.robot.model import RobotModel, parse_model
 from dqwalk_ros.simulation import make_walk

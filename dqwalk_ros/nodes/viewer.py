@@ -19,7 +19,7 @@ from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.phases import PhaseLog
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.kinematics import Kinematics, compose
-from dqwalk_ros.paper.walk import Phase
+from dqwalk_ros.paper.phase import Phase
 from dqwalk_ros.report.scene import Moment, Scene
 from dqwalk_ros.report.viewer.page import FRAME, Page
 from dqwalk_ros.robot.model import RobotModel

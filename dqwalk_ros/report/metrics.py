@@ -20,7 +20,7 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import ConvexPolygon
 from dqwalk_ros.paper.kinematics import CenterOfMassOnGround, Kinematics, Observer, Pose, compose, support_tree
-from dqwalk_ros.paper.walk import Phase, PhaseKind
+from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.plants.base import tilt
 from dqwalk_ros.robot.model import RobotModel, Sole, parse_model
 from dqwalk_ros.simulation import PhaseRecord, PhysicsRecord, Trace

@@ -26,7 +26,7 @@ from dqwalk_ros.paper.constraints import (
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics, compose
-from dqwalk_ros.paper.walk import Phase
+from dqwalk_ros.paper.phase import Phase
 from dqwalk_ros.report.metrics import left_of, support_polygon
 from dqwalk_ros.report.verdict import Assessment, Assessor
 from dqwalk_ros.robot.model import RobotModel, find_urdf
@@ -363,10 +363,9 @@ def _divergent(kin: Kinematics, dq: Array) -> Array:
 def beginning(config: Config, model: RobotModel) -> Moment:
     """Return the moment before the walk: the robot in its first posture."""
     walk = make_walk(config, model)
-    following = walk.following(None)
-    assert following is not None  # every walk has a phase
-    kind, support, target = following
-    phase = walk.phase(kind, support, walk.posture, target)
+    begins = walk.following(None, Kinematics(model, walk.posture, Foot.LEFT))
+    assert begins is not None  # every walk has a phase
+    phase = walk.phase(begins.kind, begins.support, walk.posture, begins.swing_target)
     return Moment(0.0, walk.posture, phase, 0, 0.0, DQ(1.0).vec8(), label=phase.name)
 
 

@@ -21,8 +21,8 @@ from dqwalk_ros.paper.constraints import Constraint
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.statics import GRAVITY
-from dqwalk_ros.paper.walk import Phase, PhaseKind
 from dqwalk_ros.report.causes import causes
 from dqwalk_ros.report.metrics import FALLEN, Ending, Ground, Series, Span, left_of, support_polygon
 from dqwalk_ros.robot.model import RobotModel

@@ -16,8 +16,8 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.statics import GRAVITY
-from dqwalk_ros.paper.walk import PhaseKind
 from dqwalk_ros.plants.base import pushed_periods
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, make_walk
@@ -135,7 +135,7 @@ def _transfer(config: Config) -> float:
 
 def _due(controller: VelocityController, time: float, number: int, part: float) -> bool:
     """Return whether the push begins now: with `number` 0 in a stance, else in a fraction `part` of step `number`."""
-    since = time - controller.phase_time0
+    since = time - controller.phase_began
     if not number:
         return since >= _transfer(controller.config)
     steps = (controller.phase_index + 1) // 2 == number and controller.phase.kind is PhaseKind.SINGLE_SUPPORT

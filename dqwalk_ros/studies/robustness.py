@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.paper.walk import PhaseKind
+from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import closed_loop, make_controller, make_plant
 from dqwalk_ros.studies.plan import MAX_WALKS, digest

@@ -15,8 +15,8 @@ from dqwalk_ros.estimation.vertical import filtered_vertical
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.state import State
-from dqwalk_ros.paper.walk import PhaseKind
 from dqwalk_ros.simulation import closed_loop, make_controller, make_plant
 
 POPPY = dq.load("poppy")

@@ -15,8 +15,8 @@ from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.phase import Next, PhaseKind
 from dqwalk_ros.paper.state import Command
-from dqwalk_ros.paper.walk import PhaseKind
 from dqwalk_ros.plants.base import Plant
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, make_walk
@@ -74,14 +74,14 @@ def test_a_foot_in_the_air_is_put_down_first(support: Foot) -> None:
     config = CONFIG("physics").updated({"gait.first_support": support.value})
     model = load_model(config.robot)
     walk = make_walk(config, model)
-    assert walk.beginning(Kinematics(model, walk.posture, Foot.LEFT))[:2] == (PhaseKind.DOUBLE_SUPPORT, support)
+    assert walk.following(None, Kinematics(model, walk.posture, Foot.LEFT)) == Next(PhaseKind.DOUBLE_SUPPORT, support)
     for bent in Foot:
         q = walk.posture.copy()
         for joint, angle in (("hip_y", -0.3), ("knee_y", 0.6), ("ankle_y", -0.3)):
             q[model.joint_names.index(f"{bent.value[0]}_{joint}")] += angle
-        kind, stands, target = walk.beginning(Kinematics(model, q, Foot.LEFT))
-        assert (kind, stands) == (PhaseKind.SINGLE_SUPPORT, bent.other)
-        assert DQ(target).translation()[2] == pytest.approx(0.0)
+        begins = walk.following(None, Kinematics(model, q, Foot.LEFT))
+        assert (begins.kind, begins.support) == (PhaseKind.SINGLE_SUPPORT, bent.other)
+        assert DQ(begins.swing_target).translation()[2] == pytest.approx(0.0)
 
 
 @pytest.mark.parametrize("degrees", [-6.0, 6.0])
@@ -90,8 +90,7 @@ def test_no_foot_is_in_the_air_on_a_slope_to_the_side(degrees: float) -> None:
     model = load_model(config.robot)
     walk, slope = make_walk(config, model), math.radians(degrees)
     up = [0.0, math.sin(slope), math.cos(slope)]
-    kind, *_ = walk.beginning(Kinematics(model, walk.posture, Foot.LEFT, up))
-    assert kind is PhaseKind.DOUBLE_SUPPORT
+    assert walk.following(None, Kinematics(model, walk.posture, Foot.LEFT, up)).kind is PhaseKind.DOUBLE_SUPPORT
 
 
 @pytest.mark.long

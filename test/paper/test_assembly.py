@@ -16,8 +16,8 @@ from dqwalk_ros.paper.constraints import Constraint, PointOverPlane
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics, Point
+from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.tasks import Posture
-from dqwalk_ros.paper.walk import PhaseKind
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import make_walk
 

@@ -65,7 +65,7 @@ PLACES = {
 LOOK = """
 import numpy as np
 from dqwalk_ros import Foot, KinematicPlant, Kinematics, load, load_model, make_controller, make_walk, simulate
-from dqwalk_ros.paper.walk import PhaseKind
+from dqwalk_ros.paper.phase import PhaseKind
 config = load("paper").updated({"task.eta": 0.5, "task.damping": 0.03})
 model = load_model(config.robot)
 walk, q = make_walk(config, model), np.linspace(-0.05, 0.05, model.n)

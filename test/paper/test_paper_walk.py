@@ -12,8 +12,8 @@ from dqwalk_ros.config import load
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.qp import make_solver
-from dqwalk_ros.paper.walk import PhaseKind
 
 TOLERANCE = 1e-5
 """The paper's own discretisation effect: m, m^2 for squared distances, rad."""

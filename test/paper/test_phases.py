@@ -11,7 +11,8 @@ from dqwalk_ros.config import load
 from dqwalk_ros.paper.constraints import vfi
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics, Pose
-from dqwalk_ros.paper.walk import PaperWalk, PhaseKind
+from dqwalk_ros.paper.phase import PhaseKind
+from dqwalk_ros.paper.walk import PaperWalk
 
 DT = 0.005
 FLAT = load("paper")

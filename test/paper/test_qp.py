@@ -12,9 +12,9 @@ from walks import exact, problem_at, problem_of
 from dqwalk_ros.config import load
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.qp import make_solver
 from dqwalk_ros.paper.qp.clarabel import ClarabelSolver
-from dqwalk_ros.paper.walk import PhaseKind
 from dqwalk_ros.simulation import make_walk
 from dqwalk_ros.support.errors import QPError
 

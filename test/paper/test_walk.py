@@ -11,8 +11,9 @@ from dqwalk_ros.config import load
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.phase import EndRule, PhaseKind
 from dqwalk_ros.paper.state import State
-from dqwalk_ros.paper.walk import EndRule, PaperWalk, PhaseKind
+from dqwalk_ros.paper.walk import PaperWalk
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.simulation import make_controller
 from dqwalk_ros.support.errors import PhaseError, StateError

@@ -22,7 +22,7 @@ from dqwalk_ros.adopt import adopt
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
-from dqwalk_ros.paper.walk import PhaseKind
+from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.report.html.replay import robot_data
 from dqwalk_ros.report.scene import Moments, Scene, beginning, shapes_of
 from dqwalk_ros.report.viewer.page import HOST, Page

@@ -9,7 +9,8 @@ import numpy as np
 from dqwalk_ros.paper.constraints import Constraint
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import CenterOfMass
-from dqwalk_ros.paper.walk import PaperWalk, PhaseKind
+from dqwalk_ros.paper.phase import Next, PhaseKind
+from dqwalk_ros.paper.walk import PaperWalk
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -45,8 +46,8 @@ class Lasts:
 class StandingFirst(PaperWalk):
     """The paper's walk, which begins with a short stance."""
 
-    def following(self, phase):
-        return (PhaseKind.STANCE, Foot.LEFT, None) if phase is None else super().following(phase)
+    def following(self, phase, kin):
+        return Next(PhaseKind.STANCE, Foot.LEFT) if phase is None else super().following(phase, kin)
 
     def both_feet(self, kind, support, q_start):
         phase = super().both_feet(kind, support, q_start)

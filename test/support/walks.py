@@ -14,9 +14,9 @@ from dqwalk_ros.config import Config, load
 from dqwalk_ros.paper.constraints import Constraint
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics, Observer
+from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.qp.problem import Problem
 from dqwalk_ros.paper.tasks import Task
-from dqwalk_ros.paper.walk import Phase, PhaseKind
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.simulation import Trace, make_controller, make_walk, simulate

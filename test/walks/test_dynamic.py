@@ -16,9 +16,10 @@ from dqwalk_ros.config import find_share, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics, Observer
+from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.targets import FollowPose, Target
-from dqwalk_ros.paper.walk import PhaseKind, Walk
+from dqwalk_ros.paper.walk import Walk
 from dqwalk_ros.report import analyse, bag, report
 from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, simulate, warm_up
 from dqwalk_ros.studies import robustness
@@ -30,7 +31,7 @@ from dqwalk_ros.walks.dynamic.pendulum import angular_momentum, swing_inertia
 from dqwalk_ros.walks.dynamic.plan import Pressed, Rest, single_supports
 from dqwalk_ros.walks.dynamic.swing import Swing
 from dqwalk_ros.walks.dynamic.walk import DynamicWalk
-from dqwalk_ros.walks.standing.footsteps import Footprint
+from dqwalk_ros.walks.footprint import Footprint
 
 CONFIG = dq.load("poppy_dynamic")
 MODEL = dq.load_model(CONFIG.robot)
@@ -42,6 +43,12 @@ DYNAMIC = CONFIG.dynamic
 def random_posture(seed: int) -> np.ndarray:
     q = MODEL.posture(CONFIG.standing.posture) + 0.2 * np.random.default_rng(seed).normal(size=MODEL.n)
     return np.clip(q, MODEL.q_min, MODEL.q_max)
+
+
+def prepared(config: dq.Config) -> DynamicWalk:
+    walk = DynamicWalk(config, MODEL)
+    walk.prepare()
+    return walk
 
 
 def footprints(length: float = 0.05, width: float = 0.08, first: float = 1.0) -> list[np.ndarray]:
@@ -151,7 +158,7 @@ def test_the_inertia_of_the_swing_leg_matches_mujoco(base: Foot) -> None:
 
 def test_the_lateral_pendulum_frequency_is_reduced() -> None:
     plainly = CONFIG.updated({"dynamic.side_frequency": 1.0})
-    found = [DynamicWalk(plainly.updated({"gait.first_support": foot.value}), MODEL).pendulum.omega for foot in Foot]
+    found = [prepared(plainly.updated({"gait.first_support": foot.value})).pendulum.omega for foot in Foot]
     assert found[0] == pytest.approx(found[1], rel=1e-3)
     plain = np.sqrt(9.80665 / Kinematics(MODEL, MODEL.posture(CONFIG.standing.posture), Foot.LEFT).com[2])
     assert 0.75 < found[0][1] / plain < 0.85  # 0.81 by regression of c'' on c - z in the physics
@@ -239,7 +246,7 @@ def test_a_push_towards_the_swing_foot_is_caught_on_the_spot() -> None:
     controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
 
     def push(time: float) -> None:  # in the middle of the second step, in support on the right foot
-        due = controller.phase_index == 4 and 0.2 <= time + begin - controller.phase_time0 < 0.3
+        due = controller.phase_index == 4 and 0.2 <= time + begin - controller.phase_began < 0.3
         plant.push(np.array([0.0, 5.0 if due else 0.0, 0.0]))
 
     begin = plant.state.time
@@ -316,14 +323,14 @@ def swing_target(config: dq.Config, q: np.ndarray, before: np.ndarray, up: np.nd
 
     In the double support before it the vertical is `before` in axes of the left sole, then `up` in those of the right.
     """
-    walk = DynamicWalk(config, MODEL)
+    walk = prepared(config)
     both = walk.phase(PhaseKind.DOUBLE_SUPPORT, Foot.RIGHT, q)
     walk.observe(both, Kinematics(MODEL, q, Foot.LEFT, before, 0.0), still(1.0, q, before))
     stands = Footprint.of(Kinematics(MODEL, q, Foot.RIGHT).pose(MODEL.soles[Foot.LEFT].frame))
     phase = walk.phase(PhaseKind.SINGLE_SUPPORT, Foot.RIGHT, q, stands.pose)
     for k in range(ticks + 1):
         kin = Kinematics(MODEL, q, Foot.RIGHT, up, config.dt * k)
-        phase = walk.observe(phase, kin, still(1.0 + config.dt * (k + 1), q, up))
+        assert walk.observe(phase, kin, still(1.0 + config.dt * (k + 1), q, up)) is None
     (target,) = (task.target for task in phase.tasks if isinstance(task, FollowPose))
     return target.numbers[:7]
 
@@ -398,7 +405,7 @@ def test_no_file_is_parsed_during_a_walk(name: str, monkeypatch: pytest.MonkeyPa
     for module in ("walks.dynamic.pendulum.Urdf", "walks.dynamic.recovery.load", "support.strict_yaml.read"):
         monkeypatch.setattr(f"dqwalk_ros.{module}", parse)
     for state, _ in closed_loop(controller, plant):
-        if controller.phase.kind is PhaseKind.SINGLE_SUPPORT and state.time > controller.phase_time0 + 0.1:
+        if controller.phase.kind is PhaseKind.SINGLE_SUPPORT and state.time > controller.phase_began + 0.1:
             return
     pytest.fail("no single support began")
 
@@ -435,8 +442,8 @@ def test_follow_pose_feeds_the_target_velocity_forward() -> None:
 def test_sequence_of_phases() -> None:
     walk = DynamicWalk(CONFIG.updated({"gait.steps": 2}), MODEL)
     names, phase, q = [], None, walk.posture
-    while (following := walk.following(phase)) is not None:
-        phase = walk.phase(following[0], following[1], q, following[2])
+    while (begins := walk.following(phase, Kinematics(MODEL, q, Foot.LEFT))) is not None:
+        phase = walk.phase(begins.kind, begins.support, q, begins.swing_target)
         names.append(phase.name)
     left, right = "left", "right"
     assert names == [
@@ -450,10 +457,9 @@ def test_sequence_of_phases() -> None:
 def test_a_steered_walk_ramps_its_steps_and_stops_with_feet_together() -> None:
     walk = DynamicWalk(CONFIG.updated({"gait.steps": 0}), MODEL)
     stance = walk.phase(PhaseKind.STANCE, Foot.LEFT, walk.posture)
-    walk.following(None)
-    assert walk.is_waiting(stance)
+    assert not stance.rule.is_over(0.0, 100.0)  # it waits
     assert walk.steer(1.0, 0.0, 0.0)[0] == pytest.approx(CONFIG.gait.most_length / 0.5)
-    assert not walk.is_waiting(stance)
+    assert stance.rule.is_over(0.0, 100.0)
     step, lengths = np.zeros(3), []
     for k in range(6):
         step, _ = walk._after(step, k)
@@ -601,7 +607,7 @@ def test_poppy_walks_in_physics_and_recovers_from_a_push(tmp_path: Path) -> None
     controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
 
     def push(time: float) -> None:  # outward, in the middle of the second step, in support on the right foot
-        due = controller.phase_index == 4 and 0.2 <= time + begin - controller.phase_time0 < 0.3
+        due = controller.phase_index == 4 and 0.2 <= time + begin - controller.phase_began < 0.3
         plant.push(np.array([0.0, -4.0 if due else 0.0, 0.0]))
 
     begin = plant.state.time

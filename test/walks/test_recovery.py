@@ -14,7 +14,7 @@ import dqwalk_ros as dq
 from dqwalk_ros.config import overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.walk import PhaseKind
+from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.report import analyse, bag, report
 from dqwalk_ros.simulation import Trace, make_controller, make_plant, simulate
 from dqwalk_ros.studies.pushes import Push, limits, pushed
@@ -38,7 +38,7 @@ def walked(changes: dict[str, object], newtons: float = 0.0, max_time: float | N
 
     def push(time: float) -> None:
         nonlocal since
-        if since == math.inf and controller.phase_index == 1 and begin + time >= controller.phase_time0 + 0.75:
+        if since == math.inf and controller.phase_index == 1 and begin + time >= controller.phase_began + 0.75:
             since = time
         plant.push(np.array([0.0, -newtons if since <= time < since + 0.1 - 1e-9 else 0.0, 0.0]))
 
@@ -88,11 +88,12 @@ def test_the_steps_must_be_those_of_a_dynamic_walk() -> None:
 def test_a_tuned_parameter_also_applies_to_the_steps_unless_they_have_their_own() -> None:
     tuned = {"gait.step_height": 0.03, "standing.swing_duration": 2.0}
     walk = RecoveringWalk(CONFIG, MODEL)
-    before = walk._steps.config
+    walk.prepare()
+    before = walk.steps.config
     walk.tune(CONFIG.updated(tuned))
     assert before.gait.step_height == 0.02
-    assert walk._steps.config == before.updated({"gait.step_height": 0.03})
-    assert walk._steps.footsteps.config is walk._steps.config
+    assert walk.steps.config == before.updated({"gait.step_height": 0.03})
+    assert walk.steps.footsteps.config is walk.steps.config
 
 
 def test_a_foot_in_the_air_descends_from_where_it_is() -> None:

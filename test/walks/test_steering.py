@@ -15,13 +15,13 @@ from dqwalk_ros.cli import main
 from dqwalk_ros.config import overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.walk import PhaseKind
+from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.plants.base import upward
 from dqwalk_ros.report import bag
 from dqwalk_ros.report.metrics import Circle
 from dqwalk_ros.simulation import make_controller, make_plant, simulate
 from dqwalk_ros.support.errors import ConfigError
-from dqwalk_ros.walks.standing.course import Course, Leg
+from dqwalk_ros.walks.course import Course, Leg
 from dqwalk_ros.walks.standing.walk import StandingWalk
 
 CONFIG = dq.load("poppy").updated({"gait.steps": 0})

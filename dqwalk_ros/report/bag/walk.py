@@ -12,7 +12,8 @@ from dqwalk_ros.config import to_yaml
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
-from dqwalk_ros.paper.walk import PhaseKind, com_target
+from dqwalk_ros.paper.phase import PhaseKind
+from dqwalk_ros.paper.walk import com_target
 from dqwalk_ros.report.bag import messages
 from dqwalk_ros.report.bag.messages import (
     NS,

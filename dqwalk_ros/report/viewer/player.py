@@ -230,7 +230,7 @@ class Feed:
         self._due = now + _PERIOD
         active = ", ".join(controller.active[:3]) or "none"
         solver = f"solved in {1e6 * controller.solve_time:.0f} µs, {controller.iterations} iterations; active: {active}"
-        record = PhaseRecord.of(controller, 0, controller.phase_time0)  # much smaller than the phase
+        record = PhaseRecord.of(controller, 0, controller.phase_began)  # much smaller than the phase
         with contextlib.suppress(EOFError, OSError):  # the page's process has ended
             self._page.recv()
             self._page.send((record, controller.phase_index, state, solver))

@@ -1,8 +1,8 @@
-"""The ground's inclination, by which a sole that tips is told from one that stands on a slope.
+"""The ground's inclination, which distinguishes a sole that tips from one that stands on a slope.
 
 A push tips the supporting sole on its edge, and with it all that is planned in its axes: a swing foot that lands 95 mm
-beside a sole that has tipped by one degree is 1.7 mm too high, and bears no weight when it should. The inertial sensor
-measures the inclination of the sole; its mean over several steps is that of the ground.
+beside a sole that has tipped by one degree is 1.7 mm too high, and carries no weight when it should. The inertial
+sensor measures the inclination of the sole; its mean over several steps is that of the ground.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from dqwalk_ros.paper.kinematics import direction, quaternion_product
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
-from dqwalk_ros.walks.standing.footsteps import Footprint
+from dqwalk_ros.walks.footprint import Footprint
 
 __all__ = ["Ground", "turned"]
 

@@ -15,16 +15,22 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.phase import Phase
 from dqwalk_ros.paper.statics import GRAVITY
-from dqwalk_ros.paper.walk import Phase
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.urdf import Urdf
 from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
+from dqwalk_ros.walks.footprint import Footprint
 
 if TYPE_CHECKING:
     from yourdfpy import Link
 
-__all__ = ["Pendulum", "angular_momentum", "swing_inertia"]
+__all__ = ["InvertedPendulum", "Pendulum", "angular_momentum", "swing_inertia"]
+
+
+_SMOOTH = 0.02
+"""Time constant of the filter of the measured xi [s]."""
 
 
 def angular_momentum(kin: Kinematics) -> Array:
@@ -68,7 +74,7 @@ def _inertia(kin: Kinematics, link: Link) -> Array:
 
 
 @dataclass(frozen=True)
-class Pendulum:
+class InvertedPendulum:
     """Constants of the pendulum.
 
     Attributes
@@ -112,3 +118,48 @@ class Pendulum:
         turning = np.array([response("com", 0)[1], -response("com", 1)[0]]) / mass
         omega = np.sqrt(GRAVITY / np.maximum(height + turning, 0.5 * height))
         return cls(height, omega, -response("swing", 0)[1] / (mass * GRAVITY))
+
+
+@dataclass
+class Pendulum:
+    """State of the pendulum along the ground, in the axes of the base sole.
+
+    Attributes
+    ----------
+    c, xi : ndarray, shape (2,)
+        Reference of the CoM, and planned divergent component [m].
+    smooth : ndarray, shape (2,)
+        Filtered measured divergent component [m].
+    pressure : ndarray, shape (2,)
+        Commanded zero-moment point [m].
+    """
+
+    c: Array
+    xi: Array
+    smooth: Array
+    pressure: Array
+
+    def reset(self, c: Array, xi: Array, smooth: Array) -> None:
+        """Set the reference to c and xi, and the measured divergent component to `smooth`, shape (2,) each [m]."""
+        self.c, self.xi, self.smooth = c, xi, smooth
+
+    def advance(self, dt: float, omega: Array) -> None:
+        """Move the reference of the CoM by `dt` [s], c' = w (xi - c)."""
+        self.c = self.c + dt * omega * (self.xi - self.c)
+
+    def measure(self, xi: Array, dt: float, omega: Array) -> None:
+        """Include the divergent component xi (2,) [m] that is measured `dt` [s] after the last one."""
+        self.smooth = _filtered(self.smooth, self.pressure, xi, omega, dt)
+
+    def change_base(self, other: Footprint) -> None:
+        """Change to the axes of the other sole; `other` is the footprint of the previous one in these axes."""
+        self.c, self.xi, self.smooth, self.pressure = (
+            other.points(p) for p in (self.c, self.xi, self.smooth, self.pressure)
+        )
+
+
+@jit
+def _filtered(smooth, pressure, xi, omega, dt):  # type: ignore[no-untyped-def]
+    """Return the filtered xi (2,): that of `dt` [s] ago, moved as the pendulum, approaches the measured one."""
+    moved = smooth + dt * omega * (smooth - pressure)  # xi' = w (xi - z)
+    return moved + dt / (_SMOOTH + dt) * (xi - moved)

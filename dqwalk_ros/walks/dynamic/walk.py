@@ -8,38 +8,35 @@ force acts. Before and after the walk, a stance brings the CoM to rest between t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.paper.constraints import Constraint
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import ConvexPolygon, moved_inside
 from dqwalk_ros.paper.kinematics import CenterOfMass, CenterOfMassOnGround, Direction, Kinematics
+from dqwalk_ros.paper.phase import Change, Next, Phase, PhaseKind, Timed
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import GRAVITY, ground_torques
 from dqwalk_ros.paper.targets import Follow, FollowPose, Target
 from dqwalk_ros.paper.tasks import Task
-from dqwalk_ros.paper.walk import Phase, PhaseKind, Rule, Timed, com_target
+from dqwalk_ros.paper.walk import com_target
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
-from dqwalk_ros.support.errors import StateError
+from dqwalk_ros.walks.com import com_and_xi, com_velocity
 from dqwalk_ros.walks.dynamic.adjust import Step, adjusted, left_over, transfer_time
 from dqwalk_ros.walks.dynamic.ground import Ground, turned
-from dqwalk_ros.walks.dynamic.pendulum import Pendulum, swing_inertia
+from dqwalk_ros.walks.dynamic.pendulum import InvertedPendulum, Pendulum, swing_inertia
 from dqwalk_ros.walks.dynamic.plan import Pressed, Reference, Rest, single_supports
 from dqwalk_ros.walks.dynamic.swing import Swing
-from dqwalk_ros.walks.standing.balance import com_velocity
-from dqwalk_ros.walks.standing.footsteps import Footprint
-from dqwalk_ros.walks.standing.walk import StandingWalk
+from dqwalk_ros.walks.footprint import Footprint
+from dqwalk_ros.walks.stepping import JOINT_RETURN, SteppingWalk
 
-__all__ = ["DynamicWalk", "com_and_xi"]
+__all__ = ["DynamicWalk"]
 
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -49,25 +46,22 @@ _LATE = 0.05
 """Delay at which the feedback gain is halved [s]."""
 _TOLERANT = 0.02
 """Delay at which the error threshold of the step adjustment is doubled [s]."""
-_UNSURE = math.radians(60.0)
-"""Inclination up to which a sole is not taken to tip, per delay beyond one period [rad/s].
-
-Without it a walk with sensor noise and a delay of 40 ms falls.
-"""
-_RESIDUAL, _YIELD = 0.002, 0.1
-"""Error [m] above which the path of the CoM approaches the measured CoM, and the fraction of this at each state."""
+_TIP_TOLERANCE_PER_DELAY = math.radians(60.0)
+"""A sole counts as tipping from this inclination on, times (delay - one period) [rad/s]."""
+_RESIDUAL = 0.002
+"""Error above which the path of the CoM approaches the measured CoM [m]."""
+_APPROACH = 0.1
+"""Fraction of the way by which it does so at each state."""
 _CONFIRMED = 3
 """Number of consecutive states above the threshold after which a step is adjusted, to reject measurement noise."""
 _LONGEST_WAIT = 3.0
 """Time after the planned end of a double support from which on it is not extended further [s]."""
-_SMOOTH = 0.02
-"""Time constant of the filter of the measured xi for the step adjustment [s]."""
 _ACCELERATION = 0.01
 """Time constant of the filter of the commanded accelerations [s]."""
 _MOST_AHEAD = 0.005
 """Longest time by which the reference of the CoM of a delayed robot is ahead of the middle of the control period [s].
 
-Without it the weight is transferred late; with 15 ms some walks with a delay of 40 ms fall, with 33 ms half of them.
+Without it the weight is transferred late; a longer lead moves the CoM before the swing foot has landed.
 """
 _GAP = 0.1
 """Time without a state after which the reference is reset to the measured state [s]."""
@@ -91,10 +85,14 @@ class _Flight:
     most: float = 0.0
 
 
-class DynamicWalk(StandingWalk):
-    """Walk with steps of a fixed duration; phase order, steering and end are as in `StandingWalk`, after a stance."""
+class DynamicWalk(SteppingWalk):
+    """Walk with steps of a fixed duration, which begins and ends with a stance.
 
-    is_tunable = False  # the plan extends beyond the next phase
+    Attributes
+    ----------
+    pendulum : InvertedPendulum
+        The pendulum model of the robot in its initial posture, which `prepare` computes.
+    """
 
     def __init__(self, config: Config, model: RobotModel) -> None:
         super().__init__(config, model)
@@ -104,12 +102,15 @@ class DynamicWalk(StandingWalk):
         self._advance = max(delay - config.dt, 0.0)
         self._gain = config.standing.balance / (1.0 + delay / _LATE)
         self._threshold = config.dynamic.catch_beyond * (1.0 + delay / _TOLERANT)
-        self._unsure = _UNSURE * self._advance
+        self._unsure = _TIP_TOLERANCE_PER_DELAY * self._advance
         self._known: Phase | None = None
         self._time = -math.inf
-        self._com = self._xi = self._smooth = np.zeros(2)
-        self._force, self._pressure = GRAVITY * _UP, np.zeros(2)
+        self._now = Pendulum(*np.zeros((4, 2)))
+        self._force = GRAVITY * _UP
         self._commanded, self._u, self._acceleration = -math.inf, np.zeros(model.n), np.zeros(model.n)
+        self._height = Kinematics(model, self.posture, self._first).com[2:]  # of the CoM in the posture, (1,) [m]
+        self.pendulum: InvertedPendulum
+        self._inertia: dict[Foot, Array]  # (n, n) of the swing leg with its rotors, for each base sole [kg m^2]
         self._ground: Ground
         self._reference: Reference
         self._flight: _Flight | None = None
@@ -123,60 +124,31 @@ class DynamicWalk(StandingWalk):
         """Return the number of phases, with both stances and the steps that place the feet together; 0 if steered."""
         return 2 * config.gait.steps + 4 if config.gait.steps else 0
 
-    @cached_property
-    def pendulum(self) -> Pendulum:
-        """Pendulum model of the robot in its initial posture."""
+    def prepare(self) -> None:
+        """Compute the constants of the pendulum and of the swing leg, in the initial posture."""
         kin = Kinematics(self.model, self.posture, self._first)
-        phase = self.one_foot(self._first, self.posture, kin.pose(kin.swing))
-        found = Pendulum.of(phase, kin)
-        return replace(found, omega=found.omega * np.array([1.0, self.config.dynamic.side_frequency]))
-
-    @cached_property
-    def _inertia(self) -> dict[Foot, Array]:
-        """Inertia (n, n) of the swing leg with its rotors, in the initial posture, for each base sole [kg m^2]."""
-        out = {}
+        found = InvertedPendulum.of(self.one_foot(self._first, self.posture, kin.pose(kin.swing)), kin)
+        self.pendulum = replace(found, omega=found.omega * np.array([1.0, self.config.dynamic.side_frequency]))
+        self._inertia = {}
         for base in Foot:
             M = swing_inertia(Kinematics(self.model, self.posture, base))
-            out[base] = M + np.diag(np.where(M.diagonal() > 0.0, self._drive.armature, 0.0))
-        return out
-
-    @cached_property
-    def _height(self) -> Array:
-        """Height of the CoM in the posture, shape (1,) [m]."""
-        return Kinematics(self.model, self.posture, self._first).com[2:]
-
-    def prepare(self) -> None:
-        """Compute the constants of the pendulum and of the swing leg."""
-        _ = self.pendulum, self._inertia, self._height
+            self._inertia[base] = M + np.diag(np.where(M.diagonal() > 0.0, self._drive.armature, 0.0))
 
     # ------------------------------------------------------------------ order
 
-    def place(self, support: Foot, footprints: Sequence[Array]) -> None:
-        """Reject commanded footprints, because this walk plans its own; an empty sequence has no effect.
-
-        Raises
-        ------
-        StateError
-            If `footprints` is not empty.
-        """
-        if footprints:
-            raise StateError("a dynamic walk does not accept footsteps; gait.style must be standing")
-
-    def following(self, phase: Phase | None) -> tuple[PhaseKind, Foot, Array | None] | None:
-        """Return kind, support foot and swing target of the phase after `phase`; None after the last one."""
-        steps = self.config.gait.steps
+    def following(self, phase: Phase | None, kin: Kinematics) -> Next | None:
+        """Return what follows `phase`; None after the last one. At first a foot that is in the air is put down."""
         if phase is None:
-            return PhaseKind.STANCE, self._first, None
+            return self._on_its_feet(kin) or Next(PhaseKind.STANCE, self._first)
         if phase.kind is PhaseKind.STANCE:
-            over = self._together and (steps or self._stopping)
-            return None if over else (PhaseKind.DOUBLE_SUPPORT, self._leading(), None)
-        if phase.kind is PhaseKind.DOUBLE_SUPPORT:
-            self._step_now, self._together = self._after(self._step_now, self._done)
-            self._done += 1
-            footprint = self.footsteps.wanted(phase.support, *self._step_now.tolist())
-            return PhaseKind.SINGLE_SUPPORT, phase.support, footprint
-        kind = PhaseKind.STANCE if self._together else PhaseKind.DOUBLE_SUPPORT
-        return kind, phase.support.other, None
+            over = self._together and (self.config.gait.steps or self._stopping)
+            return None if over else Next(PhaseKind.DOUBLE_SUPPORT, self._leading())
+        if phase.kind is PhaseKind.SINGLE_SUPPORT:
+            return Next(PhaseKind.STANCE if self._together else PhaseKind.DOUBLE_SUPPORT, phase.support.other)
+        self._step_now, self._together = self._after(self._step_now, self._done)
+        self._done += 1
+        footprint = self.footsteps.wanted(phase.support, *self._step_now.tolist())
+        return Next(PhaseKind.SINGLE_SUPPORT, phase.support, footprint)
 
     def restarts(self, phase: Phase) -> float | None:
         """Return 0: after an interruption a phase begins again immediately, because its reference has advanced."""
@@ -204,7 +176,13 @@ class DynamicWalk(StandingWalk):
         """Return the phase that moves the CoM to the sole of `support`, or in a stance to the middle of both soles."""
         kin = Kinematics(self.model, q_start, support.other)
         goal = com_target(self.model, kind, kin.base, q_start)[:2]
-        return self._phase(kind, support, kin, None, (self._com_task(goal),), (self._held(kin),), ())
+        d, s = self.config.dynamic, self.config.standing
+        stance = kind is PhaseKind.STANCE
+        rule = Timed(d.stop_duration if stance else s.transfer_duration, lambda: stance and self._is_idle)
+        tasks = (self._com_task(goal), *self._held_upright())
+        return self._phase(
+            kind, support, kin, None, tasks, (self._held(kin),), (), rule=rule, joint_return=JOINT_RETURN
+        )
 
     def one_foot(self, support: Foot, q_start: Array, swing_target: Array) -> Phase:
         """Return the single support on the foot `support` in which the other foot moves to `swing_target` (8,)."""
@@ -219,8 +197,9 @@ class DynamicWalk(StandingWalk):
             convergence=s.swing_rate,
             lever=s.lever,
         )
-        com = self._com_task(self.model.soles[support].center[:2])
-        return self._phase(PhaseKind.SINGLE_SUPPORT, support, kin, swing_target, (task, com), (), (self._gap(support),))
+        tasks = (task, self._com_task(self.model.soles[support].center[:2]), *self._held_upright())
+        kind, rule, rows = PhaseKind.SINGLE_SUPPORT, Timed(s.swing_duration), (self._gap(support),)
+        return self._phase(kind, support, kin, swing_target, tasks, (), rows, rule=rule, joint_return=JOINT_RETURN)
 
     def _com_task(self, place: Array) -> Task:
         d, target = self.config.dynamic, Target(place, np.zeros(2))
@@ -228,18 +207,10 @@ class DynamicWalk(StandingWalk):
             name="com", weight=d.com_weight, feature=CenterOfMassOnGround(), target=target, convergence=d.com_rate
         )
 
-    def _phase(
-        self,
-        kind: PhaseKind,
-        support: Foot,
-        kin: Kinematics,
-        swing_target: Array | None,
-        tasks: Sequence[Task],
-        equalities: tuple[Constraint, ...],
-        inequalities: tuple[Constraint, ...],
-    ) -> Phase:
+    def _held_upright(self) -> tuple[Task, ...]:
+        """Return the tasks that keep the height of the CoM and the pelvis upright."""
         d = self.config.dynamic
-        also = (
+        return (
             Follow(
                 name="height",
                 weight=d.height_weight,
@@ -257,103 +228,81 @@ class DynamicWalk(StandingWalk):
                 convergence=d.upright_rate,
             ),
         )
-        return super()._phase(kind, support, kin, swing_target, (*tasks, *also), equalities, inequalities)
-
-    def _rule(self, kind: PhaseKind, support: Foot) -> Rule:
-        return Timed(self._duration(kind))
-
-    def _duration(self, kind: PhaseKind) -> float:
-        s, d = self.config.standing, self.config.dynamic
-        if kind is PhaseKind.STANCE:
-            return d.stop_duration
-        return s.swing_duration if kind is PhaseKind.SINGLE_SUPPORT else s.transfer_duration
 
     # ------------------------------------------------------------------ update for every state
 
-    def observe(self, phase: Phase, kin: Kinematics, state: State) -> Phase:
+    def observe(self, phase: Phase, kin: Kinematics, state: State) -> Change | None:
         """Update the targets of the phase, adjust the step, and compute the desired ground reaction force."""
-        omega, up = self.pendulum.omega, kin.up
+        omega, up, now = self.pendulum.omega, kin.up, self._now
         dt = state.time - self._time
         self._time = state.time
-        c, xi = com_and_xi(kin.com, self.com_velocity(kin, state), up, omega)
+        c, xi = com_and_xi(kin.com, com_velocity(kin, state), up, omega)
         if not 0.0 <= dt <= _GAP:
-            dt, self._com, self._xi, self._smooth = 0.0, c, xi if self._descends else c, xi
+            dt = 0.0
+            now.reset(c, xi if self._descends else c, xi)
             self._ground = Ground(up, self._unsure)
-        self._com = self._com + dt * omega * (self._xi - self._com)  # c' = w (xi - c)
+        now.advance(dt, omega)
         if phase is not self._known:
             self._begin(phase, kin)
         self._ground.observe(up, dt)
         assert isinstance(phase.rule, Timed)
         t = kin.elapsed + phase.rule.begun
-        self._smooth = _filtered(self._smooth, self._pressure, xi, omega, dt)
-        flight = self._flight
+        now.measure(xi, dt, omega)
+        flight, change = self._flight, None
         if flight is not None:
-            phase = self._adjust_step(flight, phase, c, self._smooth, t)
+            change = self._adjust_step(flight, phase, c, t)
         elif isinstance(self._reference, Pressed):
-            phase = self._adjust_transfer(self._reference, phase, self._smooth, t)
-        self._xi, z = self._reference.at(t)
+            change = self._adjust_transfer(self._reference, phase, phase.rule, t)
+        now.xi, z = self._reference.at(t)
         if flight is None:  # a command takes effect after the delay
             _, z = self._reference.at(t + self._advance)
-        z = z + (1.0 + self._gain) * (xi - self._xi)
+        z = z + (1.0 + self._gain) * (xi - now.xi)
         if flight is not None:  # the foot must be on the ground before the weight is transferred
             place, velocity, acceleration = flight.swing.step(t, flight.rule.duration - self._advance)
             self._targets["swing"].set(turned(self._ground.tip(up), place), velocity)
             z[0] += self.pendulum.swing * acceleration[0]
-        self._pressure = moved_inside(z, *self._support, self.config.standing.pressure_margin)
-        self._force = _force(c, self._pressure, omega, up)
+        now.pressure = moved_inside(z, *self._support, self.config.standing.pressure_margin)
+        self._force = _force(c, now.pressure, omega, up)
         ahead = min(self._advance, 0.5 * self.config.dt + _MOST_AHEAD)
         later, _ = self._reference.at(t + ahead)
-        self._targets["com"].set(*_converging(self._com, self._xi, later, omega, ahead))
+        self._targets["com"].set(*_converging(now.c, now.xi, later, omega, ahead))
         self._targets["upright"].set(up[:2], np.zeros(2))
-        self._known = phase
-        return phase
+        return change
 
-    def com_velocity(self, kin: Kinematics, state: State) -> Array:
-        """Return the velocity of the CoM, shape (3,) [m/s]; zero if the joint velocities are unknown."""
-        if state.dq is None:
-            return np.zeros(3)
-        body, pose = kin.tree.frames[self.model.imu]
-        gyro = np.empty(0) if state.gyro is None else state.gyro
-        v: Array = com_velocity(
-            kin.com, kin.com_jacobian, kin.lines, kin.poses, body, pose, kin.tree.moves[body], state.dq, gyro
-        )
-        return v
+    def _adjust_step(self, flight: _Flight, phase: Phase, c: Array, t: float) -> Change | None:
+        """Adjust time and position of the landing to the measured xi, `t` [s] after lift-off; c (2,) is the CoM [m].
 
-    def _adjust_step(self, flight: _Flight, phase: Phase, c: Array, xi: Array, t: float) -> Phase:
-        """Adjust landing time and position of the current step to the measured xi (2,) [m] at `t` [s] after lift-off.
-
-        Return the phase, which includes the decision as soon as the landing can no longer be changed.
+        Return the change as soon as the landing can no longer be adjusted.
         """
-        d, rule, step = self.config.dynamic, flight.rule, flight.step
+        d, rule, step, xi = self.config.dynamic, flight.rule, flight.step, self._now.smooth
         if not d.catch or t < d.untouched:
-            return phase
+            return None
         if t > rule.duration - d.settled:
-            return phase if phase.decision or flight.lost < _CONFIRMED else self._with_decision(flight, phase)
+            return None if phase.decision or flight.lost < _CONFIRMED else self._landing(flight, phase)
         if flight.lost < _CONFIRMED:
             over, _ = left_over(step, xi, t, step.duration - t)
             flight.lost = flight.lost + 1 if np.abs(over).max() > self._threshold else 0
             if flight.lost < _CONFIRMED:
-                return phase
+                return None
         rule.duration, flight.shift, over = adjusted(step, xi, t, rule.duration, flight.shift, d)
         flight.reference.duration = rule.duration
         flight.reference.end = step.landing + step.offset + flight.shift
         flight.swing.goal = flight.goal + flight.shift
         flight.most = max(flight.most, float(np.abs(over).max()))
         if np.abs(over).max() > _RESIDUAL:
-            self._com = self._com + _YIELD * (c - self._com)
-        return phase
+            self._now.c = self._now.c + _APPROACH * (c - self._now.c)
+        return None
 
-    def _adjust_transfer(self, reference: Pressed, phase: Phase, xi: Array, t: float) -> Phase:
-        """Extend a double support to the measured xi (2,) [m] at `t` [s] after its beginning.
+    def _adjust_transfer(self, reference: Pressed, phase: Phase, rule: Timed, t: float) -> Change | None:
+        """Extend a double support until the measured xi has arrived, `t` [s] after its beginning.
 
         A push towards the swing foot brings it to the ground early, and the impact throws the robot back. A single
         support that begins with xi too far behind would have to end sooner than the other foot can land. A robot that
-        is held does not wait for ever. Return the phase, at its last state with the decision.
+        is held does not wait for ever. Return the change at the last state of the phase.
         """
-        rule, left, planned = phase.rule, reference.duration - t, self._duration(phase.kind)
-        assert isinstance(rule, Timed)
+        left, planned = reference.duration - t, self.config.standing.transfer_duration
         due, z = reference.at(t)
-        waits = left > 1e-9 and t < planned + _LONGEST_WAIT
+        waits, xi = left > 1e-9 and t < planned + _LONGEST_WAIT, self._now.smooth
         if self.config.dynamic.catch and abs(xi[1] - due[1]) > self._threshold and waits:
             most = self.config.dynamic.hurry
             left += min(max(transfer_time(reference, z, xi, planned - t) - left, -most), most)
@@ -361,12 +310,14 @@ class DynamicWalk(StandingWalk):
             reference.a = reference.b - (reference.b - z) * reference.duration / left
         longer = reference.duration - planned
         if left > 1.5 * self.config.dt or longer < self.config.dt or phase.decision:
-            return phase
-        text = f"the double support lasts {1e3 * longer:.0f} ms longer, until the divergent component has arrived"
-        return replace(phase, decision=text)
+            return None
+        return Change(
+            f"the double support lasts {1e3 * longer:.0f} ms longer, until the divergent component has arrived"
+        )
 
-    def _with_decision(self, flight: _Flight, phase: Phase) -> Phase:
-        """Return the phase with the final landing position and a text that explains the change."""
+    @staticmethod
+    def _landing(flight: _Flight, phase: Phase) -> Change:
+        """Return the final landing position, and a text that explains it."""
         late, ahead = flight.rule.duration - flight.step.duration, float(flight.shift[0])
         when, where = "later" if late > 0.0 else "earlier", "forward" if ahead > 0.0 else "back"
         text = (
@@ -375,7 +326,7 @@ class DynamicWalk(StandingWalk):
         )
         assert phase.swing_target is not None
         moved = DQ.from_pose([*flight.shift, 0.0]) * DQ(phase.swing_target)
-        return replace(phase, swing_target=moved.vec8(), decision=text)
+        return Change(text, moved.vec8())
 
     def _begin(self, phase: Phase, kin: Kinematics) -> None:
         """Plan a phase for the current poses of the feet, in the axes of the base sole of the phase."""
@@ -383,8 +334,7 @@ class DynamicWalk(StandingWalk):
         other = Footprint.of(kin.pose(kin.swing))
         if before is not None and before.base is not phase.base:  # transform from the previous base sole
             self._ground.change_base(other)
-            self._com, self._xi = other.points(self._com), other.points(self._xi)
-            self._smooth, self._pressure = other.points(self._smooth), other.points(self._pressure)
+            self._now.change_base(other)
         self._targets = {task.name: task.target for task in phase.tasks if isinstance(task, Follow | FollowPose)}
         self._pushed = self._flight.most > self._threshold if self._flight else self._pushed
         self._flight = None
@@ -396,14 +346,14 @@ class DynamicWalk(StandingWalk):
         else:
             corners = np.concatenate([corners, other.points(self.model.soles[phase.base.other].corners[:, :2])])
             if phase.kind is PhaseKind.STANCE:
-                self._reference = Rest(self._xi, 0.5 * (base + end), rule.duration, omega)
+                self._reference = Rest(self._now.xi, 0.5 * (base + end), rule.duration, omega)
             else:
                 start, _ = self._plan(phase.support, other, self._step_now, self._done)
                 if before is not None and before.kind is PhaseKind.SINGLE_SUPPORT:
                     self._reference = Pressed(base, end, start, rule.duration, omega)
                 else:
                     rule.duration = self.config.dynamic.start_duration
-                    self._reference = Rest(self._xi, start, rule.duration, omega)
+                    self._reference = Rest(self._now.xi, start, rule.duration, omega)
         self._support = ConvexPolygon.hull(corners).edges()
         tree = kin.tree
         self._legs = tree.moves[tree.frames[self.model.pelvis][0]]
@@ -462,8 +412,9 @@ class DynamicWalk(StandingWalk):
         """
         m, f, up = self._mass, self._force, kin.up
         both = phase.kind is not PhaseKind.SINGLE_SUPPORT
-        tau = ground_torques(kin, m * f, self._pressure, both=both)
-        tau += m * _of_legs(kin.lines, kin.com, kin.com_jacobian, self._legs, self._pressure, f, GRAVITY * up)
+        z = self._now.pressure
+        tau = ground_torques(kin, m * f, z, both=both)
+        tau += m * _of_legs(kin.lines, kin.com, kin.com_jacobian, self._legs, z, f, GRAVITY * up)
         acceleration = self._accelerated(state.time, u)
         if not both:
             tau += self._inertia[phase.base] @ acceleration
@@ -476,29 +427,6 @@ class DynamicWalk(StandingWalk):
         known = 0.0 < passed <= _GAP
         self._acceleration = _approached(self._acceleration, before, u, passed) if known else np.zeros_like(u)
         return self._acceleration
-
-
-@jit
-def _along_ground(v, up):  # type: ignore[no-untyped-def]
-    """Return the projection of a vector (3,) on the ground along the vertical `up` (3,), shape (2,)."""
-    return v[:2] - v[2] / up[2] * up[:2]
-
-
-@jit
-def com_and_xi(com, velocity, up, omega):  # type: ignore[no-untyped-def]
-    """Return the projection c (2,) of the CoM (3,) on the ground along the vertical `up` (3,), and xi = c + c'/w (2,).
-
-    `velocity` (3,) is that of the CoM [m/s], and `omega` (2,) are the frequencies of the pendulum [1/s].
-    """
-    c = _along_ground(com, up)
-    return c, c + _along_ground(velocity, up) / omega
-
-
-@jit
-def _filtered(smooth, pressure, xi, omega, dt):  # type: ignore[no-untyped-def]
-    """Return the filtered xi (2,): that of `dt` [s] ago, moved as the pendulum, approaches the measured one."""
-    moved = smooth + dt * omega * (smooth - pressure)  # xi' = w (xi - z)
-    return moved + dt / (_SMOOTH + dt) * (xi - moved)
 
 
 @jit
@@ -523,10 +451,10 @@ def _approached(acceleration, before, u, passed):  # type: ignore[no-untyped-def
 
 @jit
 def _of_legs(lines, com, J_com, legs, pressure, force, weight):  # type: ignore[no-untyped-def]
-    """Return the torques per mass by which the joints `legs` (n,) carry more than others, shape (n,) [N m/kg].
+    """Return the torques of the leg joints from the difference between the ground force at z and at c, per mass (n,).
 
-    These are moved by the zero-moment point z instead of the CoM c, on which a = f - g up acts: with (l x z).f =
-    l.(z x f), (l x z + m).f - (l x c + m).(g up) - a.J_CoM.
+    The joints `legs` (n,) carry the force through the zero-moment point z instead of the CoM c, on which a = f - g up
+    acts: with (l x z).f = l.(z x f), (l x z + m).f - (l x c + m).(g up) - a.J_CoM.
     """
     z, a = np.array([pressure[0], pressure[1], 0.0]), force - weight
     moment = np.cross(z, force) - np.cross(com, weight)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 
@@ -18,8 +16,9 @@ from dqwalk_ros.paper.kinematics import Kinematics, Observer, Point, Rotation
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError
+from dqwalk_ros.walks.footprint import Footprint, flat
 
-__all__ = ["Footprint", "Footsteps", "flat"]
+__all__ = ["Footsteps"]
 
 
 _LEVER = 0.1
@@ -30,47 +29,6 @@ _UPRIGHT, _FREE = [2, 3, 4], [0, 1, 5]
 _FREE_WEIGHT = np.array([1.0, 1.0, _LEVER])
 _STEPS, _STILL, _DAMPING = 60, 1e-5, 1e-4
 """Levenberg-Marquardt method: largest number of iterations, change at which it ends [m], and least damping."""
-
-
-@dataclass(frozen=True)
-class Footprint:
-    """A planar pose on level ground, as complex numbers: real part ahead, imaginary part to the left.
-
-    Attributes
-    ----------
-    place : complex
-        Position [m].
-    ahead : complex
-        Direction, of absolute value one.
-    """
-
-    place: complex = 0.0
-    ahead: complex = 1.0
-
-    @classmethod
-    def of(cls, x: Array) -> Self:
-        """Return the projection of a pose (8,) to the ground."""
-        a, b, c, d = x[:4].tolist()
-        p, ahead = DQ(x).translation(), complex(a * a + b * b - c * c - d * d, 2.0 * (b * c + a * d))
-        return cls(complex(p[0], p[1]), ahead / abs(ahead))
-
-    @property
-    def pose(self) -> Array:
-        """Pose of a sole that stands on it, shape (8,)."""
-        half = self.ahead**0.5
-        return DQ.from_pose([self.place.real, self.place.imag, 0.0], [half.real, 0.0, 0.0, half.imag]).vec8()
-
-    def then(self, other: Footprint) -> Footprint:
-        """Return the footprint `other`, given relative to this one, in the frame of this one's coordinates."""
-        return Footprint(self.place + self.ahead * other.place, self.ahead * other.ahead)
-
-    def points(self, p: Array) -> Array:
-        """Return the points `p` (..., 2), given relative to this footprint, in the frame of its coordinates [m]."""
-        x, y = p[..., 0], p[..., 1]
-        out = np.empty(p.shape)
-        out[..., 0] = self.place.real + self.ahead.real * x - self.ahead.imag * y
-        out[..., 1] = self.place.imag + self.ahead.imag * x + self.ahead.real * y
-        return out
 
 
 class Footsteps:
@@ -175,7 +133,7 @@ class Footsteps:
         far, angle = float(np.linalg.norm(off_by.translation())), abs(float(off_by.rotation_vector()[2]))
         if max(far, s.lever * angle) > gait.footstep_tolerance:
             where = ", ".join(f"{1e3 * v:.0f}" for v in DQ(reached).translation()[:2])
-            why = f"{', '.join(stuck)} at the limit" if stuck else "no ankle that gives way"
+            why = f"{', '.join(stuck)} at the limit" if stuck else "no free ankle joint"
             raise StateError(
                 f"out of reach by {1e3 * far:.0f} mm and {math.degrees(angle):.1f} deg ({why}); the nearest is at "
                 f"{where} mm in the other sole, gait.footstep_tolerance is {1e3 * gait.footstep_tolerance:.0f} mm"
@@ -253,8 +211,3 @@ class Footsteps:
         at_limit = ((q <= low + 1e-6) | (q >= high - 1e-6)).reshape(2, n).any(axis=0)
         joints = tuple(model.joint_names[i] for i in np.flatnonzero(at_limit))
         return flat(Kinematics(model, q[:n], support).pose(frame)), q[:n], joints
-
-
-def flat(x: Array) -> Array:
-    """Return the pose (8,) with z = 0 and vertical z axis that is nearest to `x` (8,)."""
-    return Footprint.of(x).pose

@@ -1,0 +1,252 @@
+"""A phase of a walk, and the rules that end it: tasks, equalities and inequalities, section 4 [Urban2020].
+
+The base frame of a phase is the sole of its base foot.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Protocol
+
+from dqwalk_ros.config import Config
+from dqwalk_ros.paper.assembly import Assembly, Evaluation
+from dqwalk_ros.paper.constraints import Constraint, JointMaximum, JointMinimum
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.tasks import Task
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import PhaseError
+
+if TYPE_CHECKING:
+    from dqwalk_ros.paper.walk import Walk
+    from dqwalk_ros.robot.model import RobotModel
+
+__all__ = ["Change", "EndRule", "Next", "Phase", "PhaseKind", "Rule", "Timed"]
+
+
+class PhaseKind(enum.Enum):
+    """Kind of a phase: double support, single support, or stance, a double support with the CoM between the feet."""
+
+    DOUBLE_SUPPORT = "double_support"
+    SINGLE_SUPPORT = "single_support"
+    STANCE = "stance"
+
+
+class Rule(Protocol):
+    """Condition that ends a phase; it is evaluated once for each state of the phase."""
+
+    def is_over(self, error: float, elapsed: float) -> bool:
+        """Return whether the phase ends at the present state.
+
+        Parameters
+        ----------
+        error : float
+            Norm of the error of the phase's first task.
+        elapsed : float
+            Time since the phase began [s].
+
+        Raises
+        ------
+        PhaseError
+            If the phase has stalled, or takes longer than ``gait.phase_timeout``.
+        """
+
+
+@dataclass(frozen=True)
+class Next:
+    """What follows a phase.
+
+    Attributes
+    ----------
+    kind : PhaseKind
+    support : Foot
+    swing_target : ndarray, shape (8,), or None
+        x_d, the pose at which the swing sole lands, in the frame of the support sole; required for a single support.
+    """
+
+    kind: PhaseKind
+    support: Foot
+    swing_target: Array | None = None
+
+
+@dataclass(frozen=True)
+class Change:
+    """What a walk changes in a phase that has begun.
+
+    Attributes
+    ----------
+    decision : str
+        What is changed, and why; it is published and recorded.
+    swing_target : ndarray, shape (8,), or None
+        The new x_d.
+    walk : Walk or None
+        A walk that takes over at the next state, until it has no more phases.
+    """
+
+    decision: str
+    swing_target: Array | None = None
+    walk: Walk | None = None
+
+
+@dataclass(kw_only=True, eq=False)
+class Phase:
+    """One phase of a walk; nothing of it but `swing_target` and `decision` changes, by `apply`.
+
+    Attributes
+    ----------
+    model : RobotModel
+    kind : PhaseKind
+    support : Foot
+        The foot that carries the weight at the end of the phase; it is part of the phase's name.
+    base : Foot
+        The foot whose sole is the base frame: the support foot in single support, the other one in double support.
+    q_start : ndarray, shape (n,)
+        Joint angles at the start of the phase [rad].
+    swing_target : ndarray, shape (8,), or None
+        x_d, the pose at which the swing sole lands, in the base frame.
+    eta, damping : float
+        eta [1/s] and lambda of (U6).
+    tasks : tuple of Task
+        The phase's rule is applied to the error of the first one.
+    equalities : tuple of Constraint
+        Constraints d' = -eta (d - bound).
+    inequalities : tuple of Constraint
+        Constraints d' >= -eta (d - bound).
+    limits : tuple of JointMaximum and JointMinimum
+        Joint limits (U12) and (U13), which are bounds of u in the quadratic program.
+    rule : Rule
+        Condition that ends the phase.
+    decision : str
+        Description of a change of the swing target during the phase, and its reason; empty without a change.
+    """
+
+    model: RobotModel
+    kind: PhaseKind
+    support: Foot
+    base: Foot
+    q_start: Array
+    swing_target: Array | None
+    eta: float
+    damping: float
+    tasks: tuple[Task, ...]
+    equalities: tuple[Constraint, ...]
+    inequalities: tuple[Constraint, ...]
+    limits: tuple[JointMaximum, JointMinimum]
+    rule: Rule
+    decision: str = ""
+
+    @property
+    def name(self) -> str:
+        """Kind and support foot, such as ``double_support/left``."""
+        return f"{self.kind.value}/{self.support.value}"
+
+    def apply(self, change: Change) -> None:
+        """Take over the decision of `change`, and its swing target if it has one."""
+        self.decision = change.decision
+        if change.swing_target is not None:
+            self.swing_target = change.swing_target
+
+    @property
+    def constraints(self) -> tuple[Constraint, ...]:
+        """All inequalities, including the joint limits."""
+        return (*self.inequalities, *self.limits)
+
+    @cached_property
+    def assembly(self) -> Assembly:
+        """Evaluates tasks and constraints; it has the names of the rows of the quadratic program."""
+        kin = Kinematics(self.model, self.q_start, self.base)
+        stacked = self.tasks, self.equalities, self.inequalities, self.limits
+        return Assembly(kin, *stacked, eta=self.eta, damping=self.damping)
+
+    def evaluate(self, kin: Kinematics) -> Evaluation:
+        """Return errors, distances and their gradients for `kin`, which must be in the frame of `base`."""
+        return self.assembly(kin)
+
+    def distances(self, kin: Kinematics) -> dict[str, float]:
+        """Return each signed distance minus its bound, by name; see `Evaluation.distances`."""
+        return self.evaluate(kin).distances()
+
+
+_STALLED_WINDOWS = 10
+"""A phase has stalled when the error decreases too slowly to reach its goal in time for this many windows in a row."""
+
+
+class EndRule:
+    """The switching rule of section 5.
+
+    A double support ends when its error has stopped decreasing and the projection of the CoM is inside the cylinder of
+    (U14) around the end foot. A single support ends when its error is below the threshold.
+
+    Parameters
+    ----------
+    config : Config
+    name : str
+        Name of the phase, for messages.
+    double : bool
+        Whether it is a double support.
+    """
+
+    def __init__(self, config: Config, name: str, *, double: bool) -> None:
+        self._name, self._double = name, double
+        window = max(1, round(config.dsp.stall_window / config.dt))
+        self._errors: deque[float] = deque(maxlen=window + 1)
+        self._window = window * config.dt
+        # the error of the double support is the distance of the CoM from the end foot's centre
+        self._goal = config.ssp.com_radius if double else config.ssp.threshold
+        self._slow_states = 0
+        self._stall, self._timeout, self._dt = config.dsp.stall_rate, config.gait.phase_timeout, config.dt
+
+    def is_over(self, error: float, elapsed: float) -> bool:
+        """Return whether the phase ends at the state with this error, by the switching rule of section 5."""
+        errors = self._errors
+        errors.append(error)
+        full = len(errors) == errors.maxlen
+        fall = errors[0] - error
+        if self._double:
+            if full and fall < self._stall and error < self._goal:
+                return True
+        elif error < self._goal:
+            return True
+        timeout = self._timeout
+        if elapsed > timeout:
+            raise self._failed(f"is not over after {timeout:g} s", error, stalled=False)
+        if full:
+            # at the mean rate of the last window the goal is not reached within the timeout
+            too_slow = fall * timeout < (error - self._goal) * self._window
+            self._slow_states = self._slow_states + 1 if too_slow else 0
+            if self._slow_states * self._dt > _STALLED_WINDOWS * self._window:
+                raise self._failed("has stalled", error, stalled=True)
+        return False
+
+    def _failed(self, what: str, error: float, *, stalled: bool) -> PhaseError:
+        unit = " m" if self._double else ""
+        hint = "" if stalled else "; gait.phase_timeout may be too short"
+        return PhaseError(
+            f"{self._name} {what} at an error of {error:.4g}{unit} (it ends below {self._goal:.4g}{unit}){hint}",
+            phase=self._name,
+            error=error,
+            stalled=stalled,
+        )
+
+
+class Timed:
+    """Rule that ends a phase after a duration, which may change during the phase, and not while `waits` returns True.
+
+    Attributes
+    ----------
+    duration : float
+        [s]
+    begun : float
+        Part of the duration that has passed when the phase begins, because its swing foot is in the air already [s].
+    """
+
+    def __init__(self, duration: float, waits: Callable[[], bool] = lambda: False) -> None:
+        self.duration, self.begun, self._waits = duration, 0.0, waits
+
+    def is_over(self, error: float, elapsed: float) -> bool:
+        """Return whether the time is up; see `Rule.is_over`."""
+        return not self._waits() and elapsed + self.begun >= self.duration - 1e-9

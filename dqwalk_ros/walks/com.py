@@ -1,0 +1,75 @@
+"""Motion of the CoM, from the joint velocities and the inertial sensor."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dqwalk_ros.paper.kinematics import Kinematics, SupportTree, compose, direction
+from dqwalk_ros.paper.state import State
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
+
+__all__ = ["NOT_MEASURED", "Sensor", "com_and_xi", "com_velocity", "moving_com"]
+
+
+NOT_MEASURED = np.empty(0)
+"""Stands for an angular velocity that is not measured."""
+
+
+class Sensor(NamedTuple):
+    """Place of the inertial sensor: its body, its pose on that body (8,), and which joints (n,) move it."""
+
+    body: int
+    pose: Array
+    moves: Array
+
+    @classmethod
+    def of(cls, model: RobotModel, tree: SupportTree) -> Sensor:
+        """Return the place of the sensor of `model` in the tree from the base sole."""
+        body, pose = tree.frames[model.imu]
+        return cls(body, pose, tree.moves[body])
+
+
+def com_velocity(kin: Kinematics, state: State) -> Array:
+    """Return the velocity of the CoM, shape (3,) [m/s]; zero if the joint velocities are unknown."""
+    if state.dq is None:
+        return np.zeros(3)
+    sensor, gyro = Sensor.of(kin.model, kin.tree), NOT_MEASURED if state.gyro is None else state.gyro
+    v: Array = moving_com(kin.com, kin.com_jacobian, kin.lines, kin.poses, sensor, state.dq, gyro)
+    return v
+
+
+@jit
+def moving_com(com, J_com, lines, poses, sensor, dq, gyro):  # type: ignore[no-untyped-def]
+    """Return the velocity of the CoM, including that by a rotation of the base sole, shape (3,) [m/s].
+
+    Without a measured angular velocity `gyro` (empty) the base sole is assumed to be at rest.
+    """
+    v = J_com @ dq
+    if gyro.shape[0] > 0:
+        # the angular velocity of the base sole is that of the sensor minus that by the joints
+        omega = direction(compose(poses[sensor.body], sensor.pose), gyro)
+        for i in range(lines.shape[0]):
+            if sensor.moves[i]:
+                omega -= dq[i] * lines[i, :3]
+        v += np.cross(omega, com)
+    return v
+
+
+@jit
+def _along_ground(v, up):  # type: ignore[no-untyped-def]
+    """Return the projection of a vector (3,) on the ground along the vertical `up` (3,), shape (2,)."""
+    return v[:2] - v[2] / up[2] * up[:2]
+
+
+@jit
+def com_and_xi(com, velocity, up, omega):  # type: ignore[no-untyped-def]
+    """Return the projection c (2,) of the CoM (3,) on the ground along the vertical `up` (3,), and xi = c + c'/w (2,).
+
+    `velocity` (3,) is that of the CoM [m/s], and `omega` (2,) are the frequencies of the pendulum [1/s].
+    """
+    c = _along_ground(com, up)
+    return c, c + _along_ground(velocity, up) / omega

@@ -1,0 +1,124 @@
+"""What the standing and the dynamic walk have in common: steps, steering, the last step, and how a walk begins."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+
+import numpy as np
+
+from dqwalk_ros.config import Config
+from dqwalk_ros.paper.constraints import FrameHeld, PointsOverPlane
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.geometry import Plane
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.phase import Next, PhaseKind
+from dqwalk_ros.paper.walk import Walk
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.walks.footprint import flat
+from dqwalk_ros.walks.footsteps import Footsteps
+
+__all__ = ["JOINT_RETURN", "SteppingWalk"]
+
+
+JOINT_RETURN = 0.5
+"""Largest speed at which a joint beyond its limit is required to return [rad/s]."""
+_LIFTED = 0.004
+"""Height of a sole above the plane of the other one from which on it is in the air [m]."""
+
+
+class SteppingWalk(Walk):
+    """A walk of steps; with ``gait.steps: 0`` it is steered (`steer`) and waits in a stance while its velocity is zero.
+
+    Attributes
+    ----------
+    footsteps : Footsteps
+    """
+
+    def __init__(self, config: Config, model: RobotModel) -> None:
+        super().__init__(config, model)
+        self.footsteps = Footsteps(config, model, self.posture)
+        self._twist = (0.0, 0.0, 0.0)
+        self._stopping = False
+        self._together = False
+        self._done = 0
+        self._first = Foot(config.gait.first_support)
+
+    @staticmethod
+    def describe(config: Config) -> str:
+        """Return the number of steps in words, such as ``20 steps``."""
+        steps = config.gait.steps
+        return f"{steps} step{'s' if steps > 1 else ''}" if steps else "steered by cmd_vel"
+
+    @cached_property
+    def posture(self) -> Array:
+        """Joint angles of ``standing.posture``, shape (n,) [rad]."""
+        return self.model.posture(self.config.standing.posture)
+
+    def steer(self, forward: float, left: float, turn: float) -> tuple[float, float, float]:
+        """Set the velocity of a steered walk, scaled down if a step would exceed its limits; see `Walk.steer`.
+
+        The limit is the ellipsoid with the half axes ``gait.most_length``, ``gait.most_side`` and ``gait.most_turn``.
+        """
+        if self.config.gait.steps:
+            return super().steer(forward, left, turn)
+        gait, period = self.config.gait, self._period
+        wanted = (forward * period, left * period, turn * period)
+        most = (gait.most_length, gait.most_side, gait.most_turn)
+        # a direction with the limit zero is ignored
+        parts = [min(max(a / m, -1e9), 1e9) if m else 0.0 for a, m in zip(wanted, most, strict=True)]
+        size = max(1.0, math.hypot(*parts))
+        x, y, z = (part * m / (size * period) for part, m in zip(parts, most, strict=True))
+        self._twist = (x, y, z)
+        return self._twist
+
+    def stop(self) -> None:
+        """Put the feet together after the current step, and end the walk."""
+        self._stopping = True
+
+    @property
+    def _is_idle(self) -> bool:
+        """Whether a stance continues: that of a steered walk with zero velocity."""
+        return not (self.config.gait.steps or self._stopping or any(self._twist))
+
+    @property
+    def _period(self) -> float:
+        """Duration of a step [s]."""
+        s = self.config.standing
+        return s.transfer_duration + s.swing_duration
+
+    def _on_its_feet(self, kin: Kinematics) -> Next | None:
+        """Return the phase that puts a foot down which is in the air, after an interrupted swing; None without one."""
+        height = {
+            foot: min(float(kin.up @ kin.point(sole.frame, corner)) for corner in sole.corners)
+            for foot, sole in self.model.soles.items()
+        }
+        support = min(height, key=lambda foot: height[foot])
+        kin, other = Kinematics(self.model, kin.q, support), self.model.soles[support.other]
+        # above the plane of the lower sole, because on a slope to the side the soles differ in height
+        if min(float(kin.point(other.frame, corner)[2]) for corner in other.corners) <= _LIFTED:
+            return None
+        return Next(PhaseKind.SINGLE_SUPPORT, support, self.footsteps.reachable(support, flat(kin.pose(other.frame))))
+
+    def _leading(self) -> Foot:
+        """Return the first support foot: the one on the side opposite to the direction of turn or lateral motion."""
+        _, left, turn = self._twist
+        to_left = turn if turn else left
+        return self._first if not to_left else Foot.RIGHT if to_left > 0.0 else Foot.LEFT
+
+    def _held(self, kin: Kinematics) -> FrameHeld:
+        """Return the equality that holds the other sole flat at its present pose."""
+        s, frame = self.config.standing, kin.swing
+        pose = flat(kin.pose(frame))
+        return FrameHeld(name="end_sole", eta=s.eta_feet, return_speed=s.recovery, frame=frame, pose=pose)
+
+    def _gap(self, support: Foot) -> PointsOverPlane:
+        """Return the constraint that keeps the swing sole beside the support sole's inner edge, at ``sole_gap``."""
+        s, sole, swing = self.config.standing, self.model.soles[support], self.model.soles[support.other]
+        side = 1.0 if support is Foot.RIGHT else -1.0
+        inner = Plane(side * np.array([0.0, 1.0, 0.0]), side * float(sole.center[1]) + 0.5 * sole.width)
+        return PointsOverPlane(
+            name="sole_gap", eta=s.eta_edges, bound=s.sole_gap, return_speed=s.recovery, frame=swing.frame,
+            points=swing.corners, plane=inner,
+        )  # fmt: skip
