@@ -21,6 +21,9 @@ from dqwalk_ros.support.topics import FALLEN
 
 __all__ = ["PoppyDriver"]
 
+_SOONEST = 0.5
+"""Least time between two goals, in periods."""
+
 
 class PoppyDriver(WalkNode):
     """Drive a real Poppy Humanoid; with poppy.dummy:=true, emulated motors.
@@ -83,7 +86,6 @@ class PoppyDriver(WalkNode):
         self._goal_msg = ros.JointWriter(self._plant.names)
         self._hardware = f"{model.name}{' (emulated motors)' if config.poppy.dummy else ''}"
         self._stamp = -1  # of the state published last [ns]
-        self._answered = -1  # stamp of the state that the last command answered [ns]
         self._sent_at = self._read_at = self.steady()
         self._counts = {"ticks": 0, "periods missed": 0, "states withheld": 0}
         self._latencies: list[float] = []  # since the last diagnostics [s]
@@ -103,10 +105,12 @@ class PoppyDriver(WalkNode):
 
     def _on_command(self, msg: JointState) -> None:
         """Send the goals at once, because waiting for the next period would add delay to the loop."""
-        stamp = ros.nanoseconds(msg.header.stamp)
-        if self._commands.take(msg, self._stamp) and stamp != self._answered and self._plant.ready:
-            self._answered = stamp
-            self._send_goals()
+        if not self._commands.take(msg, self._stamp) or not self._plant.ready:
+            return
+        if self.steady() - self._sent_at < _SOONEST * self._period:
+            return  # sent again; the bus has not transmitted the last goals yet
+        self._send_goals()
+        if stamp := ros.nanoseconds(msg.header.stamp):
             self._latencies.append(1e-9 * (self.get_clock().now().nanoseconds - stamp))
 
     def _on_period(self) -> None:

@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 from dynamixel_bus import LOAD, MOTORS, TEMPERATURE, VOLTAGE, FaultyServos, Terminals, angle_of
+from inside import state
 from live import LATCHED, Live
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
@@ -312,3 +313,24 @@ def test_a_cycle_on_emulated_motors(options: list[str]) -> None:
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
     print(done.stdout)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("stamps", ["of the states", "none", "of the first state"])
+def test_commands_move_the_robot_whatever_their_stamps(make: Any, stamps: str) -> None:
+    """Each command moves the joints for the time since the last one, and a repeated message for no time."""
+    one = make("poppy_driver", CONFIG.updated({"poppy.dummy": True}))
+    node, passed = one.node, []
+    node._plant.active = node._plant.ready = True
+    node._plant.tell = lambda command, dt: passed.append(dt)
+    node._commands.forbid("")
+    node._stamp = 1_000_000_000
+    names = node._plant.names[:10]
+    for k in range(5):
+        one.clock.now += CONFIG.dt
+        node._stamp = 1_000_000_000 + round(k * CONFIG.dt * 1e9)
+        at = {"of the states": 1.0 + k * CONFIG.dt, "none": 0.0, "of the first state": 1.0}[stamps]
+        for _ in range(3):
+            one.send("joint_velocity_commands", state(names, [], at, velocity=[0.1] * len(names)))
+    node._plant.active = node._plant.ready = False
+    node._plant.close()
+    assert passed == pytest.approx([CONFIG.dt] * 5)

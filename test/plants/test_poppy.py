@@ -384,6 +384,22 @@ def test_a_command_that_is_not_finite_is_refused(rig: Rig, u: float) -> None:
     np.testing.assert_array_equal(rig.plant.goal, goals)
 
 
+@pytest.mark.parametrize(("effort", "dt", "expected"), [(math.nan, DT, "finite torques"), (0.0, math.inf, "period")])
+def test_torques_and_periods_that_are_not_finite_are_refused(rig: Rig, effort: float, dt: float, expected: str) -> None:
+    goals = rig.plant.goal.copy()
+    with pytest.raises(PlantError, match=expected):
+        rig.plant.tell(Command(0.0, np.zeros(rig.model.n), np.full(rig.model.n, effort)), dt)
+    np.testing.assert_array_equal(rig.plant.goal, goals)
+
+
+def test_torques_are_clamped_to_the_effort_limits(rig: Rig) -> None:
+    goals = []
+    for effort in (MODEL.effort_max, np.full(MODEL.n, 1e300)):
+        rig.plant.tell(Command(0.0, np.zeros(rig.model.n), effort), DT)
+        goals.append(rig.plant.goal.copy())
+    np.testing.assert_array_equal(*goals)
+
+
 def test_velocities_are_differences_of_angles(rig: Rig) -> None:
     k = rig.plant.names.index("l_knee_y")
     for _ in range(10):

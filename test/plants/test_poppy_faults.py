@@ -10,7 +10,7 @@ import pytest
 from dynamixel_bus import BUSES, LOAD, MOTORS, TEMPERATURE, VOLTAGE, FaultyServos, Memory
 from poppy_rig import CONFIG, DT, MAX_AGE, MODEL, Rig
 
-from dqwalk_ros.plants.poppy.dynamixel import GAIN, TORQUE_ENABLE, TORQUE_LIMIT, TYPES
+from dqwalk_ros.plants.poppy.dynamixel import GAIN, LIMITS, TORQUE_ENABLE, TORQUE_LIMIT, TYPES
 from dqwalk_ros.support.errors import PlantError
 
 KNEE = MOTORS["l_knee_y"].id
@@ -375,6 +375,40 @@ def test_a_motor_of_another_type_is_refused() -> None:
     rig.plant.close()
     rig.memory.servo("l_knee_y").write(0, (310).to_bytes(2, "little"))
     with pytest.raises(PlantError, match=r"l_knee_y \(14\) is model 310, not an MX-28"):
+        rig.opened()
+
+
+REPLACED = {
+    "another model": (0, (310).to_bytes(2, "little"), r"is model 310, not an MX-28"),
+    "wheel mode": (
+        LIMITS,
+        bytes(4),
+        r"does not turn to positions \(wheel .* limits are 0 and 0\): set them to 0 and 4095",
+    ),
+    "multi-turn mode": (LIMITS, b"\xff\x0f\xff\x0f", r"does not turn to positions .* limits are 4095 and 4095"),
+    "narrower limits": (
+        LIMITS,
+        (2048).to_bytes(2, "little") + b"\xff\x0f",
+        r"has the angle limits 0 and 180 deg, narrower",
+    ),
+    "another id": (3, bytes([99]), r"says that its id is 99"),
+}
+"""Register, its bytes, and the message about a knee."""
+
+
+@pytest.mark.parametrize("kind", REPLACED)
+def test_a_motor_is_identified_at_every_activation(rig: Rig, kind: str) -> None:
+    address, data, expected = REPLACED[kind]
+    rig.plant.release()
+    rig.memory.servo("l_knee_y").write(address, data)
+    with pytest.raises(PlantError, match=rf"table 'poppy': l_knee_y \(14\) {expected}"):
+        rig.plant.activate()
+    assert not any(rig.memory.torque(name) for name in MOTORS)
+    angle = rig.memory.angle("l_knee_y")
+    rig.run(1.0, u=0.3)
+    assert rig.memory.angle("l_knee_y") == angle
+    rig.plant.close()
+    with pytest.raises(PlantError, match=rf"l_knee_y \(14\) {expected}"):
         rig.opened()
 
 

@@ -24,9 +24,11 @@ from dqwalk_ros.support.errors import PlantError
 __all__ = [
     "ERROR_BITS",
     "FULL_TORQUE",
+    "LIMITS",
     "TYPES",
     "Clock",
     "DynamixelBus",
+    "Identity",
     "Registers",
     "ServoType",
     "find_port",
@@ -108,6 +110,10 @@ ERROR_BITS: Final = {
 }
 """Error bits in every reply of a servo."""
 
+LIMITS: Final = 6
+"""Lower and upper limit of the goal position, two bytes each."""
+_IDENTITY: Final = 10
+"""Number of bytes from the model number up to these limits."""
 TORQUE_ENABLE: Final = 24
 GAIN: Final = 28
 GOAL: Final = 30
@@ -158,6 +164,24 @@ class Registers:
     voltage: float
     temperature: float
     at: float
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What a servo is, by its permanent registers.
+
+    Attributes
+    ----------
+    model, id : int
+        Model number, and its id on the bus.
+    low, high : int
+        Limits of its goal positions; equal in the modes in which it does not turn to a position.
+    """
+
+    model: int
+    id: int
+    low: int
+    high: int
 
 
 def open_port(name: str) -> Any:
@@ -420,10 +444,13 @@ class DynamixelBus:
         self.registers[i] = found
         return found
 
-    def model(self, i: int) -> int | None:
-        """Return the model number of a servo; None if it does not answer."""
-        data = self._read(i, 0, 2)
-        return None if data is None else int.from_bytes(data, "little")
+    def identity(self, i: int) -> Identity | None:
+        """Read and return the `Identity` of servo `i`; None if it does not answer."""
+        data = self._read(i, 0, _IDENTITY)
+        if data is None:
+            return None
+        model, low, high = (int.from_bytes(data[k : k + 2], "little") for k in (0, LIMITS, LIMITS + 2))
+        return Identity(model, data[3], low, high)
 
     # ------------------------------------------------------------------ commands
 

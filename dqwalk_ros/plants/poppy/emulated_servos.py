@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
-from dqwalk_ros.plants.poppy.dynamixel import GOAL, PRESENT, TORQUE_ENABLE, TORQUE_LIMIT, ServoType
+from dqwalk_ros.plants.poppy.dynamixel import GOAL, LIMITS, PRESENT, TORQUE_ENABLE, TORQUE_LIMIT, ServoType
 
 __all__ = ["EmulatedPort", "EmulatedServo", "EmulatedServos"]
 
@@ -41,7 +41,7 @@ class EmulatedServo:
     def power_on(self) -> None:
         """Set the registers to their values after power-on, with the torque off."""
         self.write(0, self.kind.model.to_bytes(2, "little") + bytes([30, self.number, 1]))
-        self.write(6, bytes(2) + (self.kind.positions - 1).to_bytes(2, "little"))  # limits of its angle
+        self.write(LIMITS, bytes(2) + (self.kind.positions - 1).to_bytes(2, "little"))  # limits of its angle
         self.write(TORQUE_ENABLE, bytes([0]))
         self.write(26, bytes([0, 0, 32, 32]))  # D, I, P of an MX; margin and slope of an AX
         self.write(GOAL, round(self.moved).to_bytes(2, "little") + bytes(2) + (1023).to_bytes(2, "little"))
@@ -62,7 +62,10 @@ class EmulatedServo:
             unit = self.kind.range / (self.kind.positions - 1)  # [deg]
             speed = self.word(GOAL + 2) * self.kind.speed_unit or self.kind.free_speed
             step = speed / unit * passed
-            self.moved += min(max(self.word(GOAL) - self.moved, -step), step)
+            if not self.word(LIMITS) and not self.word(LIMITS + 2):  # wheel mode: it turns without end
+                self.moved = (self.moved + step) % self.kind.positions
+            else:
+                self.moved += min(max(self.word(GOAL) - self.moved, -step), step)
         self.write(PRESENT, round(self.moved).to_bytes(2, "little"))
 
 

@@ -27,12 +27,14 @@ from dqwalk_ros.plants.poppy.dynamixel import (
     TYPES,
     Clock,
     DynamixelBus,
+    Identity,
     Registers,
     find_port,
     open_port,
 )
 from dqwalk_ros.plants.poppy.emulated_servos import EmulatedPort, EmulatedServo, EmulatedServos
 from dqwalk_ros.plants.poppy.motor_watch import JUMPS, Measured, MotorWatch, Part
+from dqwalk_ros.robot.limits import clamp_effort
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.arrays import Array
@@ -50,6 +52,8 @@ _REACH = 0.04
 """Longest time of motion at full speed that is accepted as plausible [s]: two periods of the bus."""
 _TRIES = 5
 """Number of attempts to write or read registers of a motor before an error is reported."""
+_NARROWER = 1.0
+"""Angle by which the limits of a servo may be narrower than those of the table [deg]."""
 _ARRIVAL = 3.0
 """Time in which the joints must reach the first pose after their goals [s]."""
 
@@ -237,6 +241,7 @@ class PoppyPlant(Plant):
         self._resend = 0
         try:
             self._identify_motors()
+            self._read_all()
         except BaseException:
             self._close_buses()
             raise
@@ -258,10 +263,14 @@ class PoppyPlant(Plant):
         PlantError
             If the command is not finite or does not have one velocity per joint of the model.
         """
-        u = checked(command.velocity, self._model.n, "velocities")
+        u, effort = checked(command.velocity, self._model.n, "velocities"), command.effort
+        if effort is not None:
+            effort = clamp_effort(checked(effort, self._model.n, "torques"), self._model)
+        if not math.isfinite(dt):
+            raise PlantError(f"the period must be finite, got {dt}")
         moves = self.active and dt > 0.0 and not self.watch.faults and self.fresh
         if moves:
-            self._set_goals(u, command.effort, dt)
+            self._set_goals(u, effort, dt)
         if moves or self._resend:
             self._resend = max(self._resend - 1, 0)
             list(self._each(lambda part: self._send(part, list(range(len(part.places)))), self.parts))
@@ -363,7 +372,8 @@ class PoppyPlant(Plant):
         Raises
         ------
         PlantError
-            If a fault is present, or a motor does not confirm its registers; the torque is then off.
+            If a fault is present, or a motor is not the one of the table or does not confirm its registers; the torque
+            is then off.
         """
         self.active = self.ready = False
         self.watch.forget()
@@ -373,6 +383,7 @@ class PoppyPlant(Plant):
                 break
         else:
             raise PlantError("; ".join(faults.values()))
+        self._identify_motors()
         self.goal, self._commanded = self.measured.q.copy(), self.measured.q.copy()
         self._speed[:] = self._feedforward[:] = 0.0
         self._arrived_at = np.inf
@@ -453,18 +464,24 @@ class PoppyPlant(Plant):
     # ------------------------------------------------------------------ the buses
 
     def _identify_motors(self) -> None:
-        """Check the model number of each motor, and read all registers and angles once."""
+        """Check what each motor is, by its permanent registers.
+
+        Raises
+        ------
+        PlantError
+            If a motor does not answer, or is not the one of the table; the message names it.
+        """
         wrong, silent = [], []
         for part in self.parts:
             for i, motor in enumerate(self._table[k] for k in part.places):
-                numbers = (part.bus.model(i) for _ in range(_TRIES))
-                model = next((number for number in numbers if number is not None), None)
-                if model is None:
+                answers = (part.bus.identity(i) for _ in range(_TRIES))
+                found = next((answer for answer in answers if answer is not None), None)
+                if found is None:
                     silent.append(f"{motor.name} ({motor.id}, {part.bus.name} bus) {part.bus.cause[i]}")
                     if len(silent) >= _TRIES:  # enough for the message
                         break
-                elif model != TYPES[motor.type].model:
-                    wrong.append(f"{motor.name} ({motor.id}) is model {model}, not an {motor.type}")
+                elif text := _difference(found, motor):
+                    wrong.append(f"{motor.name} ({motor.id}) {text}")
         if silent:
             raise PlantError(
                 f"the motors do not answer: {', '.join(silent)}; is the robot on, and are both buses plugged in? "
@@ -472,6 +489,9 @@ class PoppyPlant(Plant):
             )
         if wrong:
             raise PlantError(f"the motors are not those of the table '{self._config.motors}': {', '.join(wrong)}")
+
+    def _read_all(self) -> None:
+        """Read all registers and angles once."""
         self._confirm(lambda part, left: None, lambda part, i, found: True)
         for _ in range(_TRIES):
             self.read()
@@ -508,6 +528,27 @@ class PoppyPlant(Plant):
         m.jumps[take] = 0
         m.dq[take] = np.nan_to_num((q - m.q) / np.maximum(passed, 1e-3))[take]
         m.q[take], m.at[take] = q[take], at[take]
+
+
+def _difference(found: Identity, motor: Motor) -> str:
+    """Return how a motor differs from the one of the table; empty if it does not."""
+    kind = TYPES[motor.type]
+    if found.model != kind.model:
+        return f"is model {found.model}, not an {motor.type}"
+    if found.id != motor.id:
+        return f"says that its id is {found.id}"
+    if found.low >= found.high:
+        return (
+            f"does not turn to positions (wheel or multi-turn mode, its limits are {found.low} and {found.high}): "
+            f"set them to 0 and {kind.positions - 1}"
+        )
+    low, high = kind.degrees(found.low), kind.degrees(found.high)
+    if low > motor.raw[0] + _NARROWER or high < motor.raw[1] - _NARROWER:
+        return (
+            f"has the angle limits {low:.0f} and {high:.0f} deg, narrower than 'raw' [{motor.raw[0]:g}, "
+            f"{motor.raw[1]:g}] of the table"
+        )
+    return ""
 
 
 def _calibration(entries: tuple[str, ...], motors: Mapping[str, Motor]) -> dict[str, float]:
