@@ -1,6 +1,7 @@
-"""The law from commands (velocities and torques) to the goal positions of servos, the same for every plant.
+"""The law from commands (velocities and torques) to the goal positions of servos.
 
-Physics, the node `drive` (ros2_control) and the driver of Poppy execute it; a plant adds only what its hardware needs.
+Physics and the node `drive` (ros2_control) execute all of it. The driver of Poppy executes the first point, and has a
+law of its own for the others (`plants.poppy.plant`).
 
 1. A measured angle is used if the joint can have reached it since the last accepted one; three impossible ones in a row
    are a fault (`AngleGate`).

@@ -10,7 +10,8 @@ import pytest
 
 from dqwalk_ros.config import PoppyConfig
 from dqwalk_ros.plants.poppy.dynamixel import Registers
-from dqwalk_ros.plants.poppy.motor_watch import JUMPS, Measured, MotorWatch, Part
+from dqwalk_ros.plants.poppy.motor_watch import Measured, MotorWatch, Part
+from dqwalk_ros.plants.servo_goals import JUMPS
 
 NAMES = ("hip", "knee", "ankle")
 MAX_AGE = 0.125

@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.config import PoppyConfig
 from dqwalk_ros.plants.poppy.dynamixel import ERROR_BITS, DynamixelBus
+from dqwalk_ros.plants.servo_goals import JUMPS
 from dqwalk_ros.support.arrays import Array
 
-__all__ = ["JUMPS", "Measured", "MotorWatch", "Part"]
+__all__ = ["Measured", "MotorWatch", "Part"]
 
 
-JUMPS = 3
-"""Number of consecutive implausible angles after which the joint is reported to have jumped."""
 _BRIEF = 1.0
 """Longest timeout after which the motion continues; after a longer one an operator must activate the robot [s]."""
 _TWICE = 2

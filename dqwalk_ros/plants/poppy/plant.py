@@ -33,7 +33,8 @@ from dqwalk_ros.plants.poppy.dynamixel import (
     open_port,
 )
 from dqwalk_ros.plants.poppy.emulated_servos import EmulatedPort, EmulatedServo, EmulatedServos
-from dqwalk_ros.plants.poppy.motor_watch import JUMPS, Measured, MotorWatch, Part
+from dqwalk_ros.plants.poppy.motor_watch import Measured, MotorWatch, Part
+from dqwalk_ros.plants.servo_goals import JUMPS, AngleGate
 from dqwalk_ros.robot.limits import clamp_effort
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support import strict_yaml
@@ -204,7 +205,7 @@ class PoppyPlant(Plant):
         clock: Clock = time.monotonic,
         each: Callable[..., Iterable[Any]] | None = None,
     ) -> None:
-        self._model, self._config, self._max_age, self._clock = model, config, max_age, clock
+        self._model, self._config, self._clock = model, config, clock
         self.motors = load_motors(config.motors)
         if missing := [name for name in model.joint_names if name not in self.motors]:
             raise ConfigError(f"the motors '{config.motors}' lack {', '.join(missing)} of {model.name}")
@@ -219,7 +220,6 @@ class PoppyPlant(Plant):
         self._low[:n] = np.maximum(self._low[:n], model.q_min)
         self._high[:n] = np.minimum(self._high[:n], model.q_max)
         self._first = np.clip(np.concatenate([posture, np.zeros(every - n)]), self._low, self._high)
-        self._fastest = np.radians([kind.free_speed for kind in types])
         with_gain = np.array([kind.has_gain for kind in types]) & (config.p_gain > 0)
         self._gain = np.where(with_gain, config.p_gain, -1)
 
@@ -229,10 +229,10 @@ class PoppyPlant(Plant):
         self._pool = ThreadPoolExecutor(len(self.parts))
         self._each = each if each is not None else self._pool.map
         self._turn = 0
-        self._received = np.full(every, -np.inf)
-        self.measured = Measured(
-            np.full(every, np.nan), np.zeros(every), np.full(every, -np.inf), np.zeros(every, np.intp), np.zeros(every)
-        )
+        fastest = np.radians([kind.free_speed for kind in types])
+        self._gate = AngleGate(self.names, fastest, _SLACK, longest=lambda: _REACH, timeout=lambda: max_age)
+        gate = self._gate  # whose arrays these are, too
+        self.measured = Measured(gate.q, np.zeros(every), gate.at, gate.jumps, np.zeros(every))
         self.watch = MotorWatch(self.names, self.parts, config, max_age)
         self.active = self.ready = False
         self.goal, self._commanded = np.full(every, np.nan), np.full(every, np.nan)
@@ -307,12 +307,12 @@ class PoppyPlant(Plant):
     @property
     def age(self) -> float:
         """Age of the oldest of the angles [s]."""
-        return float(self._clock() - self.measured.at.min())
+        return self._gate.age(self._clock())
 
     @property
     def fresh(self) -> bool:
         """Whether no angle is older than `max_age`."""
-        return self.age <= self._max_age
+        return self._gate.fresh(self._clock())
 
     @property
     def left(self) -> float:
@@ -377,6 +377,7 @@ class PoppyPlant(Plant):
         """
         self.active = self.ready = False
         self.watch.forget()
+        self._gate.forgive()
         for _ in range(_TRIES):  # earlier faults may have ended
             self.read()
             if not (faults := self.watch.faults):
@@ -493,9 +494,9 @@ class PoppyPlant(Plant):
     def _read_all(self) -> None:
         """Read all registers and angles once."""
         self._confirm(lambda part, left: None, lambda part, i, found: True)
-        for _ in range(_TRIES):
+        for _ in range(_TRIES + JUMPS):
             self.read()
-            if np.isfinite(self.measured.q).all():
+            if self._gate.known:
                 return
         bad = [name for name, q in zip(self.names, self.measured.q, strict=True) if not math.isfinite(q)]
         raise PlantError(f"no valid angle from {', '.join(bad)}")
@@ -518,16 +519,9 @@ class PoppyPlant(Plant):
             at[part.places], m.load[part.places] = part.bus.at, part.bus.load
             degrees[part.places] = [self._table[k].user(x) for k, x in zip(part.places, part.bus.position, strict=True)]
         q = np.radians(degrees - self._zero)
-        new = at > self._received
-        passed = np.subtract(at, m.at, out=np.zeros_like(at), where=new)
-        self._received = at
-        far = np.abs(q - m.q) > self._fastest * np.minimum(passed, _REACH) + _SLACK  # false while m.q is nan
-        m.jumps = np.where(new, np.where(far, m.jumps + 1, 0), m.jumps)
-        # a joint without torque may have been turned by hand
-        take = new & (~far | (m.jumps >= JUMPS if not self.active else False))
-        m.jumps[take] = 0
-        m.dq[take] = np.nan_to_num((q - m.q) / np.maximum(passed, 1e-3))[take]
-        m.q[take], m.at[take] = q[take], at[take]
+        before, then = m.q.copy(), m.at.copy()
+        taken = self._gate.measure(q, at, self.active)
+        m.dq[taken] = np.nan_to_num((q[taken] - before[taken]) / np.maximum(at[taken] - then[taken], 1e-3))
 
 
 def _difference(found: Identity, motor: Motor) -> str:
