@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import click
 
 from dqwalk_ros.cli.options import command, config_of, config_option, params_option, plant_option, set_option
 from dqwalk_ros.plants.table import PLANTS, entry
+from dqwalk_ros.support.ros_environment import check_ros_environment
 
 __all__ = ["doctor"]
+
+
+def _namespace(_: click.Context, __: click.Parameter, text: str) -> str:
+    names = text.strip("/")
+    if names and not re.fullmatch(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", names, re.ASCII):
+        expected = "names of letters, digits and underscores, separated by '/', such as robot_1"
+        raise click.BadParameter(f"expected {expected}, not {text[:80]!r}")
+    return names
 
 
 @command("""
@@ -25,7 +35,8 @@ examples:
 @click.option(
     "--seconds", metavar="S", type=click.FloatRange(0.5, 600.0), default=5.0, help="Time to listen, 5 s at least."
 )
-@click.option("--namespace", metavar="NAME", default="", show_default=False, help="Namespace of the robot.")
+@click.option("--namespace", metavar="NAME", default="", show_default=False, callback=_namespace,
+              help="Namespace of the robot.")  # fmt: skip
 @click.option("--offline", is_flag=True, help="Do not listen to the robot.")
 @set_option
 def doctor(
@@ -55,6 +66,7 @@ def doctor(
         print(f"  {'configuration':22s} fits the robot")
     if offline:
         return 1 if findings else 0
+    check_ros_environment()
     from dqwalk_ros.nodes.doctor import examine, listen
 
     print(f"listening for {seconds:g} s; the robot must stand still", flush=True)

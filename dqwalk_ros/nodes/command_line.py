@@ -17,7 +17,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from dqwalk_ros.config import Config, Spec
-from dqwalk_ros.support.errors import how_to_install
+from dqwalk_ros.support.errors import ConfigError, how_to_install
+from dqwalk_ros.support.ros_environment import check_ros_environment
 
 __all__ = ["NODES", "docstring", "main", "parameters_of", "parse", "script", "sections_of"]
 
@@ -129,8 +130,12 @@ def main(name: str, argv: Sequence[str]) -> int:
     options = parse(name, argv)  # help and usage errors need no ROS
     module, _, kind = NODES[name].partition(":")
     try:
+        check_ros_environment()
         base = importlib.import_module("dqwalk_ros.nodes.base")
         made = getattr(importlib.import_module(f"dqwalk_ros.{module}"), kind)
+    except ConfigError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return 2
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] == "dqwalk_ros":
             raise

@@ -11,6 +11,9 @@ from dqwalk_ros.support.errors import ConfigError
 
 __all__ = ["Course", "Leg"]
 
+_LONGEST = 86_400.0
+"""Longest duration of a leg [s]."""
+
 
 @dataclass(frozen=True)
 class Leg:
@@ -58,10 +61,10 @@ class Course:
                 numbers = [float(part) for part in text.split(",")]
             except ValueError:
                 numbers = []
-            if len(numbers) != 4 or not all(map(math.isfinite, numbers)) or numbers[3] <= 0.0:
+            if len(numbers) != 4 or not all(map(math.isfinite, numbers)) or not 0.0 < numbers[3] <= _LONGEST:
                 raise ConfigError(
                     "--cmd-vel wants FORWARD,LEFT,TURN,SECONDS [m/s, m/s, rad/s, s], "
-                    f"such as 0.01,0,0.02,30, not '{text}'"
+                    f"such as 0.01,0,0.02,30, for at most a day, not '{text[:80]}'"
                 )
             legs.append(Leg(*numbers))
         return cls(tuple(legs))
