@@ -375,6 +375,8 @@ class Trace:
         Stamp of time zero [ns]: that of the first state, if stamps are the time of day.
     interrupted : bool
         Whether Ctrl-C stopped the walk.
+    cut : bool
+        Whether the recording is damaged or cut off before the end of the walk, so that this end is not known.
     """
 
     config: Config
@@ -390,6 +392,7 @@ class Trace:
     physics: PhysicsRecord | None = None
     epoch: int = 0
     interrupted: bool = False
+    cut: bool = False
 
     def __len__(self) -> int:
         return int(self.time.shape[0])

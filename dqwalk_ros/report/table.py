@@ -68,7 +68,7 @@ def numbers(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     if abs(walk["turned"]) > _TURNED:
         way += f", turned {math.degrees(walk['turned']):+.1f} degrees"
     lines = [
-        ("walk", "finished" if walk["finished"] else "stopped before its end"),
+        ("walk", ending(report)),
         ("time", f"{walk['duration']:.2f} s, {walk['ticks']} ticks"),
         ("steps", way),
     ]
@@ -93,6 +93,14 @@ def numbers(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         lines.append(("unanswered", f"{count} state{'s' if count > 1 else ''} without a command"))
     lines += [("note", note) for note in report["notes"]]
     return lines
+
+
+def ending(report: Mapping[str, Any]) -> str:
+    """Return how the walk ended, in words."""
+    walk = report["walk"]
+    if walk["cut"]:
+        return "the recording is cut off before its end"
+    return "finished" if walk["finished"] else "stopped before its end"
 
 
 def quasi_static(report: Mapping[str, Any]) -> bool:
@@ -148,7 +156,8 @@ def _margin(least: Mapping[str, float]) -> str:
 
 def _verdict(report: Mapping[str, Any]) -> str:
     if report["ok"]:
-        return "OK: every constraint was kept and every phase ended by its rule"
+        recorded = ", as far as the walk was recorded" if report["walk"]["cut"] else ""
+        return f"OK: every constraint was kept and every phase ended by its rule{recorded}"
     violations = report["violations"]
     shown = [f"  {violation['message']}" for violation in violations[:20]]
     more = [f"  and {len(violations) - 20} more"] if len(violations) > 20 else []

@@ -257,7 +257,7 @@ def _of_an_ending(series: Series, span: Span, ending: Ending) -> Iterator[Violat
 def _of_the_walk(series: Series) -> Iterator[Violation]:
     """Yield the violations of the whole walk."""
     tolerance, end = series.trace.config.monitor.tolerance, float(series.time[-1])
-    if not series.trace.finished:
+    if not (series.trace.finished or series.trace.cut):  # what is not recorded is not judged
         name = series.spans[-1].phase.name
         text = f"the walk stopped before its end, in {name} at {end:.2f} s"
         yield Violation("finished", name, end, 0.0, 1.0, text)
@@ -402,6 +402,7 @@ def _walk(series: Series, phases: list[dict[str, Any]]) -> dict[str, Any]:
     yaw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))  # of the base soles, unwrapped
     return {
         "finished": trace.finished,
+        "cut": trace.cut,
         "duration": float(series.time[-1] - series.time[0]),
         "ticks": len(series.time),
         "steps": len(landings),

@@ -41,6 +41,8 @@ class Recording:
         Descriptions of missing or omitted data.
     tuned : dict of int to Config
         Parameters that were changed during the walk, by the stamp [ns] from which they applied.
+    cut : bool
+        Whether the bag is damaged or cut off.
     """
 
     path: Path
@@ -53,6 +55,7 @@ class Recording:
     origin: dict[str, str]
     notes: list[str]
     tuned: dict[int, Config]
+    cut: bool
 
 
 def is_body(source: Source) -> bool:
@@ -101,7 +104,7 @@ def open_recording(
         since = columns["joint_states"].order[states.rows[begin]]
         columns = {name: column.since(since) for name, column in columns.items()}
     stamps, first = np.unique(states.stamps[rows], return_index=True)
-    return Recording(path, columns, config, model, states, rows[first], stamps, origin, notes, tuned)
+    return Recording(path, columns, config, model, states, rows[first], stamps, origin, notes, tuned, content.cut)
 
 
 def _configurations(found: Sequence[str], source: str) -> tuple[Config, dict[int, Config]]:

@@ -231,6 +231,7 @@ def read(source: Source, *, namespace: str | None = None) -> Trace:
         origin=bag.origin,
         physics=_physics(bag, stamps),
         epoch=epoch,
+        cut=bag.cut and last_phase not in (FINISHED, FAILED, FALLEN),
     )
 
 

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib import resources
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +20,7 @@ from dqwalk_ros.report.figures.style import Drawn, write_figure
 from dqwalk_ros.report.html.replay import replay_data
 from dqwalk_ros.report.metrics import Series
 from dqwalk_ros.support import provenance
+from dqwalk_ros.support.output import write_text
 
 __all__ = ["Markup", "Subject", "bad", "figures", "heading", "origin_table", "replay", "table", "write", "write_page"]
 
@@ -36,8 +36,8 @@ class Subject:
     figures: Sequence[Drawn]
 
 
-def write(subjects: Sequence[Subject], path: str | os.PathLike[str]) -> None:
-    """Write the report of one walk, or of two side by side, to an HTML file."""
+def write(subjects: Sequence[Subject], path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    """Write the report of one walk, or of two side by side, to an HTML file; see `written` for errors."""
     parts = [
         f"<div class='two'>{''.join(map(_heading, subjects))}</div>",
         replay([s.name for s in subjects]),
@@ -52,10 +52,13 @@ def write(subjects: Sequence[Subject], path: str | os.PathLike[str]) -> None:
         _configuration(subjects),
         origin_table([(s.name, s.series.trace.origin) for s in subjects]),
     ]
-    write_page(path, " and ".join(s.name for s in subjects), parts, [replay_data(s.series) for s in subjects])
+    name, walks = " and ".join(s.name for s in subjects), [replay_data(s.series) for s in subjects]
+    write_page(path, name, parts, walks, overwrite=overwrite)
 
 
-def write_page(path: str | os.PathLike[str], name: str, parts: Sequence[str], walks: Sequence[Any]) -> None:
+def write_page(
+    path: str | os.PathLike[str], name: str, parts: Sequence[str], walks: Sequence[Any], *, overwrite: bool
+) -> None:
     """Write a page of some parts, with the data of the walks for the replay."""
     data = json.dumps(walks, separators=(",", ":")).replace("<", "\\u003c")  # so that it contains no tag or comment
     text = (
@@ -65,7 +68,7 @@ def write_page(path: str | os.PathLike[str], name: str, parts: Sequence[str], wa
         f"<style>{_asset('style.css')}</style></head><body><main>{''.join(parts)}</main>"
         f"<script id='data' type='application/json'>{data}</script><script>{_asset('replay.js')}</script></body></html>"
     )
-    Path(path).write_text(text, encoding="utf-8")
+    write_text(path, text, overwrite=overwrite)
 
 
 def _asset(name: str) -> str:
@@ -100,7 +103,7 @@ def _heading(subject: Subject) -> str:
     report = subject.report
     walk, margin, robot = report["walk"], report["walk"]["margin"], report["robot"]
     violations = [v for v in report["violations"] if v["what"] != "finished"]
-    words = [] if walk["finished"] else ["stopped before its end"]
+    words = [] if walk["finished"] else [tables.ending(report)]
     if violations:
         words.append(f"{len(violations)} violation{'s' if len(violations) > 1 else ''}")
     about = f"{robot['name']}, {len(robot['joints'])} joints, {robot['mass']:.2f} kg"
