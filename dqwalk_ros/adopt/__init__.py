@@ -35,11 +35,14 @@ from dqwalk_ros.robot.model import RobotModel, load_model, parse_model
 from dqwalk_ros.robot.shapes import Shapes
 from dqwalk_ros.robot.standing_limits import Finding
 from dqwalk_ros.robot.urdf import Urdf, moves
-from dqwalk_ros.support.errors import ModelError
+from dqwalk_ros.support.errors import ModelError, OutputError
+from dqwalk_ros.support.output import refuse_existing, write_text
 from dqwalk_ros.support.text_table import aligned
 
-__all__ = ["Adoption", "adopt", "changed", "table", "write_dynamic", "write_yaml"]
+__all__ = ["FILES", "Adoption", "adopt", "changed", "table", "write_dynamic", "write_yaml"]
 
+FILES = ("robot.urdf", "robot.yaml", "dynamic.yaml", "paper.yaml", "whole_body.yaml", "robot.png", "adopt.json")
+"""Names of the files that `adopt` and `picture.draw` write."""
 _CROUCH = 0.91
 """Distance of hip and ankle as a fraction of the straight leg, for the longer steps of the whole-body controller."""
 _HEAVIEST = 5000.0
@@ -93,6 +96,7 @@ def adopt(
     right: str = "",
     forward: str = "",
     changes: Mapping[str, Any] | None = None,
+    overwrite: bool = False,
     progress: Callable[[float, str], None] = lambda *_: None,
 ) -> Adoption:
     """Read a robot description, derive the parameters of a walk and write the files, without walking.
@@ -111,6 +115,8 @@ def adopt(
         Forward axis of the root link, ``+x``, ``-x``, ``+y`` or ``-y``; empty to find it.
     changes : dict of str to value, optional
         Parameters that replace the derived ones.
+    overwrite : bool
+        Replace files that exist in `folder`, but not the robot description itself.
     progress : callable, optional
         Called with the fraction done and the name of the next stage.
 
@@ -120,8 +126,11 @@ def adopt(
         If the robot description cannot be read, or the robot cannot walk with this package; no file is written.
     ConfigError
         If a value of `changes` is invalid; no file is written.
+    OutputError
+        If a file of `FILES` exists in `folder` and is not to be replaced; no file is written.
     """
     path, folder = pathlib.Path(path), pathlib.Path(folder)
+    _check_places(path, folder, overwrite=overwrite)
     progress(0.0, "reading the robot")
     urdf = Urdf.load(path)
     shapes = Shapes(urdf, path, tuple(map(pathlib.Path, package_paths)))
@@ -165,14 +174,14 @@ def adopt(
     if "R" in anatomy.kinds[-2:] and len(anatomy.hands) == len(Foot):
         whole_body = _whole_body(urdf, text, robot, numbers)
 
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "robot.urdf").write_text(text, encoding="utf-8")
-    write_dynamic(folder, numbers, entries, changes or {})
-    write_yaml(folder / "robot.yaml", entries, f"{urdf.name}, adopted from {path.name}: the standing walk.")
+    write_text(folder / "robot.urdf", text, overwrite=overwrite)
+    write_dynamic(folder, numbers, entries, changes or {}, overwrite=overwrite)
+    about_it = f"{urdf.name}, adopted from {path.name}"
+    write_yaml(folder / "robot.yaml", entries, f"{about_it}: the standing walk.", overwrite=overwrite)
     paper = [*about, *paper_parameters(numbers)]
-    write_yaml(folder / "paper.yaml", paper, f"{urdf.name}, adopted from {path.name}: the walk of Urban & Adorno.")
+    write_yaml(folder / "paper.yaml", paper, f"{about_it}: the walk of Urban & Adorno.", overwrite=overwrite)
     if whole_body:
-        write_yaml(folder / "whole_body.yaml", whole_body, f"{urdf.name}, adopted from {path.name}: Sherikov et al.")
+        write_yaml(folder / "whole_body.yaml", whole_body, f"{about_it}: Sherikov et al.", overwrite=overwrite)
     config = load(folder / "robot.yaml")
     model = load_model(config.robot)
     evidence = (*anatomy.evidence, *_mass_evidence(numbers))
@@ -180,8 +189,17 @@ def adopt(
         folder, config, model, anatomy, numbers, tuple(entries), evidence,
         tuple(dict.fromkeys((*urdf.repairs, *model.repairs))), tuple(check(config, model)),
     )  # fmt: skip
-    (folder / "adopt.json").write_text(json.dumps(_json(found, path), indent=1) + "\n", encoding="utf-8")
+    write_text(folder / "adopt.json", json.dumps(_json(found, path), indent=1) + "\n", overwrite=overwrite)
     return found
+
+
+def _check_places(path: pathlib.Path, folder: pathlib.Path, *, overwrite: bool) -> None:
+    """Raise OutputError if a file of `FILES` may not be written to a folder."""
+    source = {path.resolve(), path.parent.resolve() / path.name}
+    if mine := source & {folder.resolve() / name for name in FILES}:
+        raise OutputError(f"'{min(mine)}' is the robot description itself; choose another folder with --out")
+    if not overwrite:
+        refuse_existing(folder / name for name in FILES)
 
 
 def table(found: Adoption) -> str:
@@ -200,7 +218,7 @@ def table(found: Adoption) -> str:
     return aligned([(cut(what, 48), cut(value, 64), confidence, source) for what, value, confidence, source in rows])
 
 
-def write_yaml(path: pathlib.Path, entries: Sequence[Entry], title: str) -> None:
+def write_yaml(path: pathlib.Path, entries: Sequence[Entry], title: str, *, overwrite: bool) -> None:
     """Write parameters as a ROS parameter file, with the reason for each value in a comment beside it."""
     lines = [f"# {title} `dqwalk config` explains each key.", "/**:", "  ros__parameters:"]
     sections: dict[str, list[Entry]] = {}
@@ -215,7 +233,7 @@ def write_yaml(path: pathlib.Path, entries: Sequence[Entry], title: str) -> None
             text = f"{indent}{entry.what.rpartition('.')[2]}: {_yaml_value(entry.value)}"
             note = entry.source + ("" if entry.confidence == "sure" else f" ({entry.confidence})")
             lines.append(f"{text:<44}  # {note}")
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(path, "\n".join(lines) + "\n", overwrite=overwrite)
 
 
 def _yaml_value(value: Any) -> str:
@@ -235,7 +253,9 @@ def changed(entries: Sequence[Entry], changes: Mapping[str, Any], reason: str) -
     return kept + [Entry(key, value, reason) for key, value in changes.items() if key not in known]
 
 
-def write_dynamic(folder: pathlib.Path, numbers: Numbers, entries: Sequence[Entry], given: Mapping[str, Any]) -> None:
+def write_dynamic(
+    folder: pathlib.Path, numbers: Numbers, entries: Sequence[Entry], given: Mapping[str, Any], *, overwrite: bool
+) -> None:
     """Write ``dynamic.yaml``, the configuration of the dynamic walk, from the `entries` of the standing walk.
 
     Of the parameters `given` by the user, those of the standing walk's own steps and durations are not used.
@@ -247,7 +267,7 @@ def write_dynamic(folder: pathlib.Path, numbers: Numbers, entries: Sequence[Entr
     own = {k: v for k, v in given.items() if (k not in new or k.startswith(common)) and k != only}
     merged = [new.pop(entry.what, entry) for entry in entries if entry.what != only] + list(new.values())
     title = f"{numbers.model.name}: the dynamic walk (docs/dynamic.md)."
-    write_yaml(folder / "dynamic.yaml", changed(merged, own, "given by --set"), title)
+    write_yaml(folder / "dynamic.yaml", changed(merged, own, "given by --set"), title, overwrite=overwrite)
 
 
 def _check_mass(path: pathlib.Path, urdf: Urdf, anatomy: Anatomy) -> None:

@@ -16,6 +16,7 @@ from dqwalk_ros.robot.model import RobotModel, find_urdf
 from dqwalk_ros.robot.shapes import Shapes
 from dqwalk_ros.robot.urdf import Urdf
 from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.output import written
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,8 +30,11 @@ _VIEWS = {"from the side": (0, 2, -1.0, 1), "from the front": (1, 2, 1.0, 0), "f
 """Horizontal and vertical axis of each view, sign of the axis towards the viewer, and the axis itself."""
 
 
-def draw(config: Config, model: RobotModel, path: pathlib.Path) -> None:
-    """Draw the robot in the initial posture of its walk in three views; the suffix of the file is its format."""
+def draw(config: Config, model: RobotModel, path: pathlib.Path, *, overwrite: bool = False) -> None:
+    """Draw the robot in the initial posture of its walk in three views; the suffix of the file is its format.
+
+    See `written` for errors.
+    """
     from matplotlib.collections import PolyCollection
 
     kin = Kinematics(model, model.posture(config.standing.posture), Foot.LEFT)
@@ -59,7 +63,8 @@ def draw(config: Config, model: RobotModel, path: pathlib.Path) -> None:
             ax.set_xlabel("xyz"[right] + " [m]")
             ax.set_ylabel("xyz"[up] + " [m]")
         figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8.0)
-        figure.savefig(path)
+        with written(path, overwrite=overwrite) as new:
+            figure.savefig(new)
 
 
 def _arrow(ax: Axes, kin: Kinematics, right: int, up: int) -> None:

@@ -77,14 +77,14 @@ def first_walks(
         names.append(what)
         kept = {key: value for key, value in values.items() if key not in given}
         entries = changed(found.entries, kept, f"changed after a fall: {', '.join(names)}")
-        write_yaml(file, entries, f"{model.name}: the standing walk, changed after a fall.")
+        write_yaml(file, entries, f"{model.name}: the standing walk, changed after a fall.", overwrite=True)
         cured = load(file)
         again = walk(cured, load_model(cured.robot), "physics", _STEPS, progress)
         yield again, ", ".join(names)
         if again.stood:
-            write_dynamic(found.folder, found.numbers, entries, given)
+            write_dynamic(found.folder, found.numbers, entries, given, overwrite=True)
             return
-    write_yaml(file, found.entries, f"{model.name}: the standing walk.")
+    write_yaml(file, found.entries, f"{model.name}: the standing walk.", overwrite=True)
 
 
 def dynamic_walk(found: Adoption, progress: Callable[[float, str], None] = lambda *_: None) -> Trial:

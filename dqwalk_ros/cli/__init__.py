@@ -6,6 +6,7 @@ The module of a command imports heavy dependencies only when the command runs, s
 from __future__ import annotations
 
 import importlib
+import io
 import os
 import signal
 import sys
@@ -87,6 +88,9 @@ def dqwalk() -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code, which the help describes."""
     words = list(sys.argv[1:] if argv is None else argv)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a terminal in ASCII or Latin-1 shows what it can
+    os.environ.pop("MPLBACKEND", None)  # figures are written, not shown; matplotlib refuses an unknown backend
     try:
         with dqwalk.make_context("dqwalk", words) as context:
             code: int | None = dqwalk.invoke(context)

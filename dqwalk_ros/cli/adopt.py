@@ -17,7 +17,7 @@ from dqwalk_ros.cli.options import (
     quiet_option,
     set_option,
 )
-from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.support.errors import ConfigError, OutputError
 
 if TYPE_CHECKING:
     from dqwalk_ros.adopt import Adoption
@@ -90,24 +90,25 @@ def adopt(
         raise ConfigError("--left and --right must be given together")
     if out.exists() and not out.is_dir():
         raise ConfigError(f"'{out}' is a file, not a folder")
-    if (out / "robot.yaml").exists() and not force:
-        raise ConfigError(
-            f"'{out / 'robot.yaml'}' exists; choose another folder with --out, or replace it and the files beside it "
-            "with --force"
-        )
     given = dict(parse_overrides(changes))
     sides = {"left": left, "right": right, "forward": forward or ""}
     with Progress(quiet=quiet) as bar:
-        found = adopting.adopt(urdf, out, package_paths=places, **sides, changes=given, progress=bar.stage)
+        try:
+            found = adopting.adopt(
+                urdf, out, package_paths=places, **sides, changes=given, overwrite=force, progress=bar.stage
+            )
+        except OutputError as error:
+            raise ConfigError(str(error)) from error  # it is not adopted
         bar.stage(0.7, "drawing")
-        draw(found.config, found.model, out / "robot.png")
+        draw(found.config, found.model, out / "robot.png", overwrite=force)
     if not quiet:
         for repair in found.repairs[:_SHOWN]:
             print(f"repaired: {repair}")
         if len(found.repairs) > _SHOWN:
             print(f"repaired: {len(found.repairs) - _SHOWN} more, listed in {out / 'adopt.json'}")
         print(adopting.table(found))
-        print(f"wrote {', '.join(str(file) for file in sorted(out.iterdir()))}; look at robot.png first")
+        files = [out / name for name in sorted(adopting.FILES) if (out / name).exists()]
+        print(f"wrote {', '.join(map(str, files))}; look at robot.png first")
     page = _page(found, port) if view else None
     unsure = [e.what for e in found.anatomy.evidence if e.what == "ahead" and e.confidence == "guess"]
     if unsure and not yes:

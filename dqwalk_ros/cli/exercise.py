@@ -20,6 +20,7 @@ from dqwalk_ros.cli.options import (
     set_option,
 )
 from dqwalk_ros.plants.table import PHYSICS
+from dqwalk_ros.support.ros_environment import check_ros_environment
 
 __all__ = ["exercise"]
 
@@ -76,9 +77,11 @@ def exercise(
         known, motors = load_types(made.servo.table), load_motors(made.poppy.motors)
         types = [f"{name}={motor.type}" for name, motor in motors.items() if motor.type in known]
         made = made.updated({"servo.types": types, "servo.p_gain": made.poppy.p_gain or made.servo.p_gain})
-    prepare(out, force=force)
+    if ros := ros or plant == "poppy":
+        check_ros_environment()
+    prepare(out, *(["log"] if ros else []), force=force)
     with Progress(quiet=quiet) as bar:
-        if ros or plant == "poppy":
+        if ros:
             from dqwalk_ros.cli.runner import run_walk
 
             outcome = run_walk(made, out / "bag", plant=plant, lockstep=plant != "poppy", progress=bar)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dqwalk_ros.cli.options import bag_argument, command, quiet_option
+from dqwalk_ros.cli.options import bag_argument, command, force_option, quiet_option
+from dqwalk_ros.support.output import refuse_existing, write_text
 
 if TYPE_CHECKING:
     from dqwalk_ros.identification.fit import Identified
@@ -46,23 +47,25 @@ then:
     type=click.Path(path_type=Path, dir_okay=False),
     help="Parameter file for the result.  [default: identified.yaml beside BAG]",
 )
+@force_option
 @quiet_option
-def identify(bag: Path, mass: float | None, out: Path | None, quiet: bool) -> int:
+def identify(bag: Path, mass: float | None, out: Path | None, force: bool, quiet: bool) -> int:
     """Find delay, stiffness, damping, backlash and friction of each servo in a recorded exercise."""
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.identification import fit
     from dqwalk_ros.report.bag import read, read_orientations
     from dqwalk_ros.robot.model import parse_model
 
+    out = out or bag.resolve().parent / "identified.yaml"
+    if not force:
+        refuse_existing([out])
     trace = read(bag)
     mass = mass or trace.config.physics.mass_scale * trace.model.mass
     robot = dataclasses.replace(trace.config.robot, mass=mass)
     trace = dataclasses.replace(trace, model=parse_model(trace.model.urdf, robot))
     with Progress(quiet=quiet) as progress:
         found = fit.identify(trace, read_orientations(bag), progress=progress)
-    out = out or bag.resolve().parent / "identified.yaml"
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(fit.parameters(found, trace.config.dt, mass), encoding="utf-8")
+    write_text(out, fit.parameters(found, trace.config.dt, mass), overwrite=force)
     if not quiet:
         print(table(found))
         print(f"wrote {out}; dqwalk replay {bag} --params {out} compares, dqwalk simulate --params {out} uses it")

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import click
 
-from dqwalk_ros.cli.options import Numbers, bag_argument, command, namespace_option, quiet_option
+from dqwalk_ros.cli.options import Numbers, bag_argument, command, force_option, namespace_option, quiet_option
 from dqwalk_ros.support.errors import ConfigError, PlantError
+from dqwalk_ros.support.output import refuse_existing
 
 __all__ = ["movie"]
 
@@ -31,6 +32,7 @@ examples:
 @click.option("--rate", type=click.FloatRange(0.0, min_open=True), default=12.5, help="Pictures per second.")
 @click.option("--strip", metavar="N", type=click.IntRange(1), default=8, help="Pictures of a strip.")
 @click.option("--between", metavar="A,B", type=Numbers(2), help="First and last time of a strip [s]; default: all.")
+@force_option
 @quiet_option
 def movie(
     bag: Path,
@@ -40,6 +42,7 @@ def movie(
     rate: float,
     strip: int,
     between: tuple[float, float] | None,
+    force: bool,
     quiet: bool,
 ) -> int:
     """Draw a recorded walk as a movie or a strip of pictures.
@@ -66,11 +69,13 @@ def movie(
         raise PlantError(
             f"nothing can be drawn with MUJOCO_GL={platform}: {error}; install its library, or try egl"
         ) from error
+    if not force:
+        refuse_existing([out])
     trace = bags.read(bag, namespace=namespace)
     with Progress(quiet=quiet) as bar:
         if out.suffix.lower() == ".png":
-            save_strip(trace, out, count=strip, between=between, progress=bar)
+            save_strip(trace, out, count=strip, between=between, progress=bar, overwrite=force)
         else:
-            save_movie(trace, out, speed=speed, rate=rate, progress=bar)
+            save_movie(trace, out, speed=speed, rate=rate, progress=bar, overwrite=force)
     print(f"wrote {out}")
     return 0

@@ -204,7 +204,7 @@ def output_options(default: str | None, shown: str = "") -> Option:
     """Return a decorator that adds the options of `Report`, which the function gets as `output`."""
     options: list[Option] = [
         folder_option(default, shown),
-        *([force_option] if default else []),
+        force_option,
         format_option,
         click.option("--no-figures", is_flag=True, help="Draw nothing."),
         quiet_option,

@@ -87,7 +87,7 @@ def pushes(
     step on either foot, finds by bisection the impulse at which it falls, and prints the largest impulse survived.
     Needs MuJoCo: pip install mujoco
     """
-    from dqwalk_ros.cli.results import write_study
+    from dqwalk_ros.cli.results import prepare_study, write_study
     from dqwalk_ros.report.figures.studies import pushes_figure
     from dqwalk_ros.robot.model import load_model
     from dqwalk_ros.studies import pushes as study
@@ -97,6 +97,7 @@ def pushes(
         raise ConfigError(f"pushes need a standing or a dynamic walk; gait.style of '{config}' is {made.gait.style}")
     moments = study.MOMENTS if moment == "all" else (moment,)
     given: dict[str, Any] = {"duration": duration, "part": part, "tolerance": tolerance}
+    prepare_study(many, "limits.jsonl", "pushes.csv", "pushes.txt", "pushes.png")
     with many.options("directions") as options:
         found = study.limits(made, many.folder, moments, directions, **given, **options)
     head = ["moment", "direction_deg", "survived_Ns", "failed_Ns", "reason"]

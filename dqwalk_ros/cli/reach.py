@@ -20,7 +20,8 @@ from dqwalk_ros.cli.options import (
     output_options,
     set_option,
 )
-from dqwalk_ros.support.errors import BagError, ConfigError
+from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.support.output import refuse_existing
 
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config
@@ -98,8 +99,9 @@ def reach(
         raise ConfigError(f"'{config}' is not a configuration of the whole-body controller: it has no such section")
     if plant == "both" and not pushes:
         raise ConfigError("--plant both requires --pushes")
-    if (out / "report.json").exists() and not output.force:
-        raise BagError(f"'{out}' has a report already; choose another folder with --out, or replace it with --force")
+    names = () if pushes else ("bag",) if test != "both" else ("bag_1", "bag_2")
+    if not output.force:
+        refuse_existing(out / name for name in ("report.json", *names))
     controller = WholeBodyController(made, load_model(made.robot))
     if pushes:
         return _pushes(made, output, plant, when, exact, jobs)
@@ -130,7 +132,8 @@ def _tests(config: Config, output: Report, plant: str, scenarios: Sequence[Scena
         with Progress(quiet=output.quiet) as bar:
             return walk(config, scenario, plant, progress=bar)
 
-    walks, reports = [], []
+    walks: list[WholeBodyTrace] = []
+    reports, bags = [], []
     for scenario in scenarios:
         walked = make(scenario)
         without = []
@@ -140,13 +143,12 @@ def _tests(config: Config, output: Report, plant: str, scenarios: Sequence[Scena
             name = f"{scenario.name} without push {k + 1}"
             without.append(make(replace(scenario, name=name, pushes=others, duration=end)))
         found = checks(walked, without)
+        bags.append(output.folder / ("bag" if len(scenarios) == 1 else f"bag_{len(walks) + 1}"))
+        write_body(walked, bags[-1], overwrite=output.force)
         walks.append(walked)
         reports.append(summary(walked, found))
         if not output.quiet:
             print(render_checks(walked, found) + "\n")
-    bags = [output.folder / ("bag" if len(walks) == 1 else f"bag_{k}") for k in range(1, len(walks) + 1)]
-    for walked, path in zip(walks, bags, strict=True):
-        write_body(walked, path, overwrite=output.force)
     write_report(output, reports, "", reaching.drawn(walks), more=bags)
     return 0 if all(report["ok"] for report in reports) else 1
 

@@ -12,6 +12,7 @@ import click
 
 from dqwalk_ros.cli.options import Report, bag_argument, command, namespace_option, output_options
 from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.support.output import refuse_existing, written
 
 if TYPE_CHECKING:
     from dqwalk_ros.report import Series
@@ -51,17 +52,20 @@ def report(
     """
     from dqwalk_ros import report as reporting
     from dqwalk_ros.cli.progress import Progress
-    from dqwalk_ros.cli.results import write_report
+    from dqwalk_ros.cli.results import create, write_report
     from dqwalk_ros.report import bag as bags
     from dqwalk_ros.report import figures
     from dqwalk_ros.report.bag.messages import diagnostics_of
     from dqwalk_ros.report.html import page
 
-    output = replace(output, out=output.out or bag.with_name(bag.resolve().name + "_report"))
     quiet = output.quiet or as_json
     with Progress(quiet=quiet) as bar:
         bar.stage(0.0, "reading")
         content = bags.content_of(bag)
+    place = bag.resolve()
+    output = replace(output, out=output.out or place.parent / f"{place.name}_report")
+    if html and not output.force:  # a page contains the time of its writing
+        refuse_existing([output.folder / "report.html"])
     if bags.is_body(content):
         if compare or csv:
             raise ConfigError("--compare and --csv are not available for whole-body walks")
@@ -80,17 +84,17 @@ def report(
             bar.stage(0.7, "drawing")
             drawn = list(drawn)
             subjects = [page.Subject(_name(bag), series, found, statuses, drawn), *others]
-    write_report(output, found, reporting.render(found), drawn, as_json=as_json)
     extra = []
     if subjects:
+        create(output.folder)
         extra.append(output.folder / "report.html")
         with Progress(quiet=quiet) as bar:
             bar.stage(0.0, "writing the page")
-            page.write(subjects, extra[0])
+            page.write(subjects, extra[0], overwrite=output.force)
     if csv:
-        extra.append(_csv(series, output.folder))
-    if extra and not quiet:
-        print("wrote " + ", ".join(map(str, extra)))
+        create(output.folder)
+        extra.append(_csv(series, output))
+    write_report(output, found, reporting.render(found), drawn, as_json=as_json, more=extra)
     return 0 if found["ok"] else 1
 
 
@@ -118,7 +122,7 @@ def _body(bag: Content, namespace: str | None, output: Report, *, html: bool, as
         differ = f"Recorded and recomputed torques differ by at most {off:.2g} N m."
         with Progress(quiet=quiet) as bar:
             bar.stage(0.0, "writing the page")
-            page.write(files[0], _name(bag.path), walked, demands, [differ, *log.notes])
+            page.write(files[0], _name(bag.path), walked, demands, [differ, *log.notes], overwrite=output.force)
     for note in () if quiet else log.notes:
         print(f"note: {note}", file=sys.stderr)
     table = f"{render_checks(walked, demands)}\nrecorded and recomputed torques differ by at most {off:.2g} N m\n"
@@ -145,7 +149,7 @@ def _name(path: Path) -> str:
     return f"{path.parent.name}/{path.name}" if path.name in ("bag", "bag_1", "bag_2", "walk") else path.name
 
 
-def _csv(series: Series, out: Path) -> Path:
+def _csv(series: Series, output: Report) -> Path:
     """Write time, joint angles, commands and every distance, a line per state."""
     import numpy as np
 
@@ -157,7 +161,8 @@ def _csv(series: Series, out: Path) -> Path:
     columns |= {f"com_{axis} [m]": series.com_odom[:, i] for i, axis in enumerate("xyz")}
     columns |= {f"distance/{name}": values for name, values in series.distances.items()}
     columns |= {f"residual/{name}": values for name, values in series.residuals.items()}
-    file = out / "series.csv"
+    file = output.folder / "series.csv"
     table = np.column_stack(list(columns.values()))
-    np.savetxt(file, table, fmt="%.9g", delimiter=",", header=",".join(columns), comments="", encoding="utf-8")
+    with written(file, overwrite=output.force) as new:
+        np.savetxt(new, table, fmt="%.9g", delimiter=",", header=",".join(columns), comments="", encoding="utf-8")
     return file

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import shutil
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -11,7 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 from dqwalk_ros import report as reporting
 from dqwalk_ros.cli.options import Output, Report
+from dqwalk_ros.report.bag.storage import refuse_other
 from dqwalk_ros.support.errors import BagError
+from dqwalk_ros.support.output import refuse_existing, write_text, written
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,25 +22,37 @@ if TYPE_CHECKING:
     from dqwalk_ros.report import Series
     from dqwalk_ros.report.figures.style import Drawn
 
-__all__ = ["create", "prepare", "write_report", "write_results", "write_study"]
+__all__ = ["create", "prepare", "prepare_study", "write_report", "write_results", "write_study"]
 
 
-def prepare(folder: Path, *, force: bool) -> None:
-    """Create the folder for a walk's results.
+def prepare(folder: Path, *others: str, force: bool) -> None:
+    """Create the folder for a walk's results, without a bag; `others` are the names of further results.
 
     Raises
     ------
     BagError
-        As `create`, and if the folder contains an earlier walk and --force is not given.
+        As `create`, and if what is called bag is not a bag.
+    OutputError
+        If the folder contains earlier results and --force is not given.
     """
     bag = folder / "bag"
-    if bag.exists() and not force:
-        raise BagError(f"'{bag}' exists; choose another folder with --out, or replace it with --force")
-    if bag.exists() and not any(bag.glob("*.mcap")) and not any(bag.glob("*.db3")):
-        raise BagError(f"'{bag}' is not a bag and is not replaced; choose another folder with --out")
-    if bag.exists():
+    if not force:
+        refuse_existing([bag, *(folder / name for name in others)])
+    refuse_other(bag)
+    if bag.is_symlink():
+        bag.unlink()
+    elif bag.exists():
         shutil.rmtree(bag)
     create(folder)
+
+
+def prepare_study(output: Output, store: str, *results: str) -> None:
+    """Raise OutputError if files called as the results of a study exist, but not its store, and --force is not given.
+
+    Where the store exists, the study continues, and the results beside it are its own.
+    """
+    if not output.force and not os.path.lexists(output.folder / store):
+        refuse_existing(output.folder / name for name in results)
 
 
 def create(folder: Path) -> None:
@@ -59,14 +74,20 @@ def create(folder: Path) -> None:
 def write_study(
     output: Output, name: str, head: Sequence[str], rows: Iterable[Sequence[Any]], text: str, figure: Figure
 ) -> None:
-    """Write a study as ``NAME.csv``, a line per row, ``NAME.txt`` and ``NAME.png``, and print the text unless quiet."""
+    """Write a study as ``NAME.csv``, a line per row, ``NAME.txt`` and ``NAME.png``, and print the text unless quiet.
+
+    Before the study, `prepare_study` has found that these files may be replaced.
+    """
     from dqwalk_ros.report.figures.style import Drawn, save
 
     folder = output.folder
-    with (folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
+    with (
+        written(folder / f"{name}.csv", overwrite=True) as new,
+        new.open("w", newline="", encoding="utf-8") as file,
+    ):
         csv.writer(file).writerows([head, *rows])
-    (folder / f"{name}.txt").write_text(text + "\n", encoding="utf-8")
-    save([Drawn(name, figure)], folder)
+    write_text(folder / f"{name}.txt", text + "\n", overwrite=True)
+    save([Drawn(name, figure)], folder, overwrite=True)
     if not output.quiet:
         print(text)
 
@@ -80,7 +101,7 @@ def write_report(
     as_json: bool = False,
     more: Sequence[Path] = (),
 ) -> None:
-    """Print a report, write it to ``report.json``, write its figures, and print the names of the files.
+    """Write a report to ``report.json`` and its figures, then print it and the names of the files.
 
     Parameters
     ----------
@@ -95,6 +116,8 @@ def write_report(
     ------
     BagError
         If the folder cannot be created.
+    OutputError
+        If a file exists already and --force is not given.
     OSError
         If a file cannot be written.
     """
@@ -102,18 +125,17 @@ def write_report(
     from dqwalk_ros.report.figures.style import save
 
     text, out = json.dumps(found, indent=2), output.folder
-    if as_json:
-        print(text)
-    elif table and not output.quiet:
-        print(table)
     create(out)
-    (out / "report.json").write_text(text + "\n", encoding="utf-8")
+    write_text(out / "report.json", text + "\n", overwrite=output.force)
     files = [*more, out / "report.json"]
     if not output.no_figures:
         with Progress(quiet=as_json or output.quiet) as bar:
             bar.stage(0.0, "drawing")
-            files += save(drawn, out, output.formats)
-    if not (as_json or output.quiet):
+            files += save(drawn, out, output.formats, overwrite=output.force)
+    if as_json:
+        print(text)
+    elif not output.quiet:
+        print(table and f"{table}\n", end="")
         print("wrote " + ", ".join(map(str, files)))
 
 

@@ -69,7 +69,7 @@ def robustness(
     Walks every combination of friction, mass, servo stiffness, backlash, output rate and latency (432 of them) and
     prints the fraction that stood and why the others did not. Needs MuJoCo: pip install mujoco
     """
-    from dqwalk_ros.cli.results import write_study
+    from dqwalk_ros.cli.results import prepare_study, write_study
     from dqwalk_ros.report.figures.studies import robustness_figure
     from dqwalk_ros.studies import robustness as study
 
@@ -84,6 +84,7 @@ def robustness(
     for name, numbers in axes.items():  # invalid values are rejected before the first walk
         for number in numbers if name != study.LATENCY_ERROR else ():
             made.updated({name: number}, source="--axis")
+    prepare_study(many, "cells.jsonl", "robustness.csv", "robustness.txt", "robustness.png")
     combinations = study.cells(axes, sample, seed)
     with many.options("cells", lambda last: f"; the last one {'stood' if last.stood else 'did not stand'}") as options:
         done = study.walk_all(made, combinations, many.folder, **options)

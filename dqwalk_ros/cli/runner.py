@@ -26,6 +26,7 @@ from dqwalk_ros.plants.table import entry
 from dqwalk_ros.simulation import walk_type
 from dqwalk_ros.support.compiled import COMPILING
 from dqwalk_ros.support.interrupts import deferred_interrupts
+from dqwalk_ros.support.output import write_text
 from dqwalk_ros.support.own_folder import lock
 from dqwalk_ros.walks.course import Course
 
@@ -108,7 +109,6 @@ def run_walk(
     """
     bag = Path(bag)
     folder = bag.parent / "log"  # parameters and logs of the nodes
-    folder.mkdir(parents=True, exist_ok=True)
     config = config.updated(
         {
             "plant.lockstep": lockstep,
@@ -121,7 +121,7 @@ def run_walk(
         }
     )
     params = folder / "params.yaml"
-    params.write_text(to_yaml(config), encoding="utf-8")
+    write_text(params, to_yaml(config), overwrite=True)
     ros = ["--ros-args", "--params-file", str(params)]
     node = entry(plant).node
     with contextlib.ExitStack() as stack:
@@ -266,7 +266,9 @@ class Processes:
 
     def start(self, name: str, arguments: Sequence[str]) -> None:
         """Start the node `name` of `dqwalk_ros.nodes`; it also ends if this process ends, for any reason."""
-        with (self._logs / f"{name}.log").open("w", encoding="utf-8") as errors:
+        log = self._logs / f"{name}.log"
+        write_text(log, "", overwrite=True)  # not through a link
+        with log.open("a", encoding="utf-8") as errors:
             process = subprocess.Popen(
                 [sys.executable, "-m", "dqwalk_ros.nodes", name, "--child", *arguments],
                 stdin=subprocess.DEVNULL,

@@ -73,7 +73,7 @@ def simulate(config: Config, course: tuple[str, ...], plant: str, view: bool, po
         def progress(done: float, text: str) -> None:
             bar((body.state.time - begin) / legs.duration if course else done, text)
 
-        prepare(output.folder, force=output.force)
+        prepare(output.folder, "report.json", force=output.force)
         with Progress(quiet=output.quiet) as bar:
             trace = simulation.simulate(controller, body, progress=progress, before_step=before_step)
         bag.write(trace, output.folder / "bag")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -50,6 +51,7 @@ def study(path: Path, many: Many, dry_run: bool, formats: tuple[str, ...]) -> in
     The exit code is 0 when all walks were simulated, whether or not they finished.
     """
     from dqwalk_ros import studies
+    from dqwalk_ros.cli.results import prepare_study
 
     plan = studies.read(path)
     if dry_run:
@@ -58,14 +60,18 @@ def study(path: Path, many: Many, dry_run: bool, formats: tuple[str, ...]) -> in
         print(f"{plan.name}: {len(points)} walks ({plan.sample}); the first and the last:")
         print(f"  {points[0]}\n  {points[-1]}")
         return 0
-    folder = many.out or Path(f"{path.stem}_study")
+    many = dataclasses.replace(many, out=many.out or Path(f"{path.stem}_study"))
+    folder = many.folder
+    prepare_study(many, "walks.jsonl", "walks.parquet", *(f"study.{kind}" for kind in formats))
     with many.options("walks", lambda last: f"; the last one {'finished' if last.finished else 'failed'}") as options:
         rows = studies.walk_all(plan, folder, **options)
     from dqwalk_ros.report.figures.studies import study_figure
     from dqwalk_ros.report.figures.style import Drawn, save
 
     found = list(rows.values())
-    figures = save([Drawn("study", study_figure(found, list(plan.vary), _units(plan)))], folder, formats)
+    figures = save(
+        [Drawn("study", study_figure(found, list(plan.vary), _units(plan)))], folder, formats, overwrite=True
+    )
     if not many.quiet:
         print(_summary(plan, found))
         print(f"wrote {', '.join(map(str, [folder / 'walks.parquet', *figures]))}")

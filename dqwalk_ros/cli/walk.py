@@ -10,6 +10,7 @@ import click
 from dqwalk_ros.cli.options import Report, command, output_options, walk_options
 from dqwalk_ros.plants.table import PLANTS
 from dqwalk_ros.support.errors import BagError
+from dqwalk_ros.support.ros_environment import check_ros_environment
 
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config
@@ -39,7 +40,8 @@ def walk(config: Config, course: tuple[str, ...], plant: str, realtime: bool, ou
     from dqwalk_ros.cli.runner import run_walk
     from dqwalk_ros.report import analyse, bag
 
-    prepare(output.folder, force=output.force)
+    check_ros_environment()
+    prepare(output.folder, "report.json", "log", force=output.force)
     with Progress(quiet=output.quiet) as progress:
         outcome = run_walk(
             config,

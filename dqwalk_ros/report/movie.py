@@ -26,6 +26,7 @@ from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.simulation import Trace
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import PlantError
+from dqwalk_ros.support.output import written
 
 __all__ = ["Camera", "frames", "save_movie", "save_strip", "scenery_of"]
 
@@ -74,8 +75,9 @@ def save_movie(
     speed: float = 2.0,
     rate: float = 12.5,
     progress: Progress | None = None,
+    overwrite: bool = False,
 ) -> None:
-    """Write the walk as an animated picture, a .gif or a .webp.
+    """Write the walk as an animated picture, a .gif or a .webp; see `written` for errors.
 
     The speed is relative to real time, the rate in pictures per second.
     """
@@ -86,7 +88,9 @@ def save_movie(
         palette = made[len(made) // 2].quantize(64)
         made = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in made]
         options = {"optimize": True}
-    made[0].save(path, save_all=True, append_images=made[1:], duration=round(1e3 / rate), loop=0, **options)
+    options |= {"save_all": True, "append_images": made[1:], "duration": round(1e3 / rate), "loop": 0}
+    with written(path, overwrite=overwrite) as new:
+        made[0].save(new, **options)
 
 
 def save_strip(
@@ -96,13 +100,15 @@ def save_strip(
     count: int = 8,
     between: tuple[float, float] | None = None,
     progress: Progress | None = None,
+    overwrite: bool = False,
 ) -> None:
-    """Write some pictures of the walk side by side, evenly spread over it, or `between` two times [s]."""
+    """Write some pictures of the walk side by side, evenly spread over it or `between` two times [s]; see `written`."""
     first, last = between or (float(trace.time[0]), float(trace.time[-1]))
     gap = np.full((_STRIP[1], 4, 3), 255, dtype=np.uint8)
     made = frames(trace, np.linspace(first, last, count), *_STRIP, progress)
     row = [part for one in made for part in (np.asarray(one), gap)][:-1]
-    Image.fromarray(np.concatenate(row, axis=1)).quantize(128).save(path, optimize=True)
+    with written(path, overwrite=overwrite) as new:
+        Image.fromarray(np.concatenate(row, axis=1)).quantize(128).save(new, optimize=True)
 
 
 # ---------------------------------------------------------------------- pictures

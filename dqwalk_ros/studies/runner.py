@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
+import os
 import random
 import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -61,7 +63,7 @@ class Store(Generic[Outcome]):
         head = {"study": digest}
         with self._explained():
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = path.open("ab+")
+            self._file = os.fdopen(_unlinked(path), "ab+")
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -168,6 +170,13 @@ def run(
     if (count := len(store.done)) < (total := len(store.points)):
         raise StudyError(f"interrupted; {count} of {total} {store.name} are saved, the same command continues")
     return dict(sorted(store.done.items()))
+
+
+def _unlinked(path: Path) -> int:
+    """Open a file for reading and appending, but not through a link."""
+    if path.is_symlink():
+        raise OSError(errno.ELOOP, "it is a link", str(path))
+    return os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW, 0o666)
 
 
 def _numbered(task: Callable[[int, Point], Outcome], index: int, point: Point) -> tuple[int, Outcome]:

@@ -22,6 +22,7 @@ from dqwalk_ros.studies.plan import OWN, Study
 from dqwalk_ros.studies.runner import Store, run
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, DqwalkError, StudyError
+from dqwalk_ros.support.output import written
 
 __all__ = ["Outcome", "set_up", "walk", "walk_all"]
 
@@ -89,10 +90,9 @@ def _write_parquet(rows: list[dict[str, Any]], path: Path) -> None:
         {k: msgspec.json.encode(v).decode() if isinstance(v, list | tuple) else v for k, v in row.items()}
         for row in rows
     ]
-    new = path.with_suffix(".new")
     try:
-        parquet.write_table(pa.Table.from_pylist(plain), new)
-        new.replace(path)
+        with written(path, overwrite=True) as new:
+            parquet.write_table(pa.Table.from_pylist(plain), new)
     except OSError as error:
         raise StudyError(f"cannot write '{path}': {error.strerror or error}") from error
 

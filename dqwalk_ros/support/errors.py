@@ -9,6 +9,7 @@ __all__ = [
     "ConfigError",
     "DqwalkError",
     "ModelError",
+    "OutputError",
     "PhaseError",
     "PlantError",
     "QPError",
@@ -72,6 +73,10 @@ class PlantError(DqwalkError):
 
 class BagError(DqwalkError):
     """A bag does not contain a walk that can be read; the message names what is missing."""
+
+
+class OutputError(DqwalkError):
+    """A result is not written, because something exists in its place."""
 
 
 class ViewerError(DqwalkError):

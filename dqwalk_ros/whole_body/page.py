@@ -32,9 +32,15 @@ _ROUNDING = 1e-6
 
 
 def write(
-    path: str | os.PathLike[str], name: str, walked: WholeBodyTrace, found: Sequence[Demand], notes: Sequence[str]
+    path: str | os.PathLike[str],
+    name: str,
+    walked: WholeBodyTrace,
+    found: Sequence[Demand],
+    notes: Sequence[str],
+    *,
+    overwrite: bool = False,
 ) -> None:
-    """Write the report of a walk, under the name of its bag, to an HTML file."""
+    """Write the report of a walk, under the name of its bag, to an HTML file; see `written` for errors."""
     parameters = [(key, str(value)) for key, value in walked.config.flat().items()]
     parts = [
         _heading(name, walked, sum(not check.ok for check in found)),
@@ -46,7 +52,7 @@ def write(
         f"{table(('', ''), parameters)}</details>",
         origin_table([(name, walked.origin)]),
     ]
-    write_page(path, name, parts, [body_replay_data(walked)])
+    write_page(path, name, parts, [body_replay_data(walked)], overwrite=overwrite)
 
 
 def _heading(name: str, w: WholeBodyTrace, broken: int) -> str:

@@ -36,6 +36,8 @@ def drawn(series: Series) -> Iterator[Drawn]:
             yield Drawn(name, draw(series), caption)
 
 
-def save(series: Series, folder: str | os.PathLike[str], formats: Sequence[str] = ("png",)) -> list[Path]:
+def save(
+    series: Series, folder: str | os.PathLike[str], formats: Sequence[str] = ("png",), *, overwrite: bool = False
+) -> list[Path]:
     """Draw every figure of a walk into a folder and return the files; see `style.save`."""
-    return style.save(drawn(series), folder, formats)
+    return style.save(drawn(series), folder, formats, overwrite=overwrite)

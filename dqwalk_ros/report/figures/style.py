@@ -15,6 +15,7 @@ from matplotlib.figure import Figure  # not pyplot: no global state, no display
 
 from dqwalk_ros.report.metrics import Series
 from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.output import written
 
 __all__ = [
     "BLUE",
@@ -59,10 +60,12 @@ _STYLE: Any = {
     "legend.frameon": False,
     "path.simplify_threshold": 0.5,  # [pixels]
     "svg.fonttype": "none",
+    "svg.hashsalt": "dqwalk",  # the same figure is the same file
     "pdf.fonttype": 42,
     "savefig.dpi": 160,
     "savefig.facecolor": "white",
 }
+_UNDATED: dict[str, dict[str, None]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
 DASHED = (0, (5, 3))
 _MANY = 50
 """Number of phases above which they are not marked over time."""
@@ -84,21 +87,33 @@ class Drawn(NamedTuple):
     caption: str = ""
 
 
-def save(drawn: Iterable[Drawn], folder: str | os.PathLike[str], formats: Sequence[str] = ("png",)) -> list[Path]:
-    """Write figures as png, pdf or svg into a folder, which is created if necessary, and return the files."""
-    out, files = Path(folder), []
-    out.mkdir(parents=True, exist_ok=True)
+def save(
+    drawn: Iterable[Drawn],
+    folder: str | os.PathLike[str],
+    formats: Sequence[str] = ("png",),
+    *,
+    overwrite: bool = False,
+) -> list[Path]:
+    """Write figures as png, pdf or svg into a folder, which is created if necessary, and return the files.
+
+    Raises
+    ------
+    OutputError
+        If another file exists in the place of one, and `overwrite` is not set.
+    """
+    files = []
     for name, figure, _ in drawn:
         for kind in formats:
-            files.append(out / f"{name}.{kind}")
-            write_figure(figure, files[-1], kind)
+            files.append(Path(folder) / f"{name}.{kind}")
+            with written(files[-1], overwrite=overwrite) as new:
+                write_figure(figure, new, kind)
     return files
 
 
 def write_figure(figure: Figure, file: Path | BinaryIO, kind: str) -> None:
     """Write a figure as png, pdf or svg."""
     with drawing():  # resolution and fonts are read when the figure is saved
-        figure.savefig(file, format=kind)
+        figure.savefig(file, format=kind, metadata=_UNDATED.get(kind))
     figure.set_layout_engine("none")  # compute the layout only once
 
 
