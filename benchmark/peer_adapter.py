@@ -16,9 +16,9 @@ import numpy as np
 from benchmark.biped import Chain, Walk, chain_urdf
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.constraints import Constraint, JointMaximum, JointMinimum, PointInCylinder, PointOverPlane
+from dqwalk_ros.paper.features import CenterOfMass, Point
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import Cylinder, Line, Plane
-from dqwalk_ros.paper.kinematics import CenterOfMass, Kinematics, Point
 from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.qp import make_solver
 from dqwalk_ros.paper.tasks import ComOverFoot, FramePose, Task
@@ -115,8 +115,8 @@ def make(solver: str) -> Callable[[Chain, Walk, str], Callable[[Array], Array]]:
         no_limit = np.full(model.n, math.inf)
 
         def tick(q: Array) -> Array:
-            at = ours.evaluate(Kinematics(model, q[to_model], ours.base))
-            return kept.solve(at.problem(walk.dt, no_limit)).u[to_chain]
+            at = ours.evaluate(q[to_model], _UP, math.inf, walk.dt, no_limit)
+            return kept.solve(at.problem).u[to_chain]
 
         return tick
 

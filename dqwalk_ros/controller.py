@@ -57,6 +57,8 @@ class VelocityController:
         Time of the state at which the phase began, shifted by pauses [s].
     finished : bool
         Whether the last phase is over; commands are zero from then on.
+    kin : Kinematics or None
+        Kinematics at the last state.
     error : float
         Norm of the error of the phase's first task at the last state.
     problem, solution : Problem, Solution or None
@@ -84,7 +86,7 @@ class VelocityController:
         self.problem: Problem | None = None
         self.solution: Solution | None = None
         self._phase: Phase | None = None
-        self._kin: Kinematics | None = None
+        self.kin: Kinematics | None = None
         self._last_state: State | None = None
         self._history = CommandHistory(self._drive.delay, self.model.n)
         self._x_odom_base = DQ(1.0)
@@ -110,7 +112,7 @@ class VelocityController:
     @property
     def lean(self) -> float:
         """Inclination of the base sole, from the inertial sensor and the joint angles [rad]; 0 without the sensor."""
-        return math.acos(min(float(self._kin.up[2]), 1.0)) if self._kin is not None else 0.0
+        return math.acos(min(float(self.kin.up[2]), 1.0)) if self.kin is not None else 0.0
 
     @property
     def solve_time(self) -> float:
@@ -129,9 +131,9 @@ class VelocityController:
 
     def soles(self) -> dict[Foot, Array]:
         """Poses of both soles in the base frame of the first phase, shape (8,) each."""
-        if self._kin is None:
+        if self.kin is None:
             raise RuntimeError("a walk has no soles before its first step")
-        kin, base = self._kin, self._x_odom_base
+        kin, base = self.kin, self._x_odom_base
         return {kin.base: base.vec8(), kin.base.other: (base * DQ(kin.pose(kin.swing))).vec8()}
 
     def steer(self, forward: float, left: float, turn: float) -> tuple[float, float, float]:
@@ -181,18 +183,19 @@ class VelocityController:
             self._resume(state, held)
         elif self._taking_over is not None:
             self._begin_next_phase(state, self._kinematics(state, self.phase.base))
-        kin, now = self._evaluate(state)
+        kin, now = self._evaluate(state, dt)
         self._last_state = state
-        while not self.finished and self._is_over(now, state.time):
+        while not self.finished and self._is_over(now, state.elapsed):
             self._begin_next_phase(state, kin)
-            kin, now = self._evaluate(state)
-        self._kin, self.error = kin, now.error
+            kin, now = self._evaluate(state, dt)
+        self.kin, self.error = kin, now.error
         if self.finished:
             return Command(state.time, np.zeros(self.model.n))
+        state.elapsed += self._drive.delay
         if self._drive.delay > 0.0:  # the command is computed for the predicted state at which it takes effect
-            q, elapsed = state.q + self._history.pending(state.time), kin.elapsed + self._drive.delay
-            now = self.phase.evaluate(Kinematics(self.model, q, kin.base, kin.up, elapsed))
-        self.problem = now.problem(dt, self._limit)  # (U6)
+            ahead = state.q + self._history.pending(state.time)
+            now = self.phase.evaluate(ahead, kin.up, state.elapsed, dt, self._limit)
+        self.problem = now.problem  # (U6)
         self.solution = self._solve(self.problem)
         u = np.minimum(np.maximum(self.solution.u, self.problem.lower), self.problem.upper)
         self._history.add(state.time, u, dt)
@@ -200,39 +203,38 @@ class VelocityController:
 
     def _estimated(self, state: State) -> State:
         """Return the state with filtered vertical, and with joint velocities, by differences if not measured."""
-        before = self._last_state
+        before, dq, up = self._last_state, state.dq, state.up
         if before is not None and 0.0 < (passed := state.time - before.time) <= self.config.plant.command_timeout:
             dq = state.dq if state.dq is not None else (state.q - before.q) / passed
             up = filtered_vertical(before, state)
-            state = State(state.time, state.q, dq, up, state.gyro, state.acceleration, state.effort)
-        return state
+        return State(state.time, state.q, dq, up, state.gyro, state.acceleration, state.effort)
 
     def _effort(self, kin: Kinematics, state: State, u: Array) -> Array | None:
         """Return the feedforward torques (n,) [N m], including lead and damping; None without an inertial sensor."""
         if state.up is None:
             return None
-        effort = self._active.effort(self.phase, kin.later(self._drive.delay), state, u) + self._drive.lead * u
+        effort = self._active.effort(self.phase, kin, state, u) + self._drive.lead * u
         return effort if state.dq is None else effort - self._drive.damping * (state.dq - u)
 
-    def _evaluate(self, state: State) -> tuple[Kinematics, Evaluation]:
-        """Return the kinematics at `state`, and the errors and distances of the phase, which the walk may update."""
-        kin = self._kinematics(state, self.phase.base, state.time - self.phase_began)
+    def _evaluate(self, state: State, dt: float) -> tuple[Kinematics, Evaluation]:
+        """Return the kinematics at `state`, and the evaluation of the phase, which the walk may update."""
+        kin, state.elapsed = self._kinematics(state, self.phase.base), state.time - self.phase_began
         if (change := self._active.observe(self.phase, kin, state)) is not None:
             self.phase.apply(change)
             self._taking_over = change.walk
-        return kin, self.phase.evaluate(kin)
+        return kin, self.phase.evaluate(kin.q, kin.up, state.elapsed, dt, self._limit)
 
-    def _kinematics(self, state: State, base: Foot, elapsed: float = 0.0) -> Kinematics:
-        kin = Kinematics(self.model, state.q, base, elapsed=elapsed)
+    def _kinematics(self, state: State, base: Foot) -> Kinematics:
+        kin = Kinematics.measured(self.model, state.q, base, state.up)
         if not kin.finite:
             names = zip(self.model.joint_names, state.q, strict=True)
             bad = [name for name, angle in names if not math.isfinite(angle)]
             raise StateError(f"the angle of {', '.join(bad)} is not finite")
-        return kin.with_vertical(state.up)
+        return kin
 
-    def _is_over(self, now: Evaluation, time: float) -> bool:
+    def _is_over(self, now: Evaluation, elapsed: float) -> bool:
         try:
-            return self.phase.rule.is_over(now.error, time - self.phase_began)
+            return self.phase.rule.is_over(now.error, elapsed)
         except PhaseError as error:
             raise error.held_by(self.active) from error
 

@@ -4,7 +4,6 @@ import numpy as np
 
 from dqwalk_ros.config import load
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.qp import make_solver
 from dqwalk_ros.robot.model import load_model
@@ -16,13 +15,12 @@ q = np.zeros(model.n)  # a measured state [rad]
 
 # the double support that brings the CoM over the left foot; its world is the sole of the right one
 phase = make_walk(config, model).phase(PhaseKind.DOUBLE_SUPPORT, Foot.LEFT, q)
-kin = Kinematics(model, q, phase.base)
-now = phase.evaluate(kin)
-problem = now.problem(config.dt, model.velocity_max)  # (U6)
+now = phase.evaluate(q, dt=config.dt, velocity=model.velocity_max)
+problem = now.problem  # (U6)
 solution = make_solver("clarabel").solve(problem)
 
 print(f"{phase.name}: error {now.error:.4f} m")
-for name, distance in phase.distances(kin).items():
+for name, distance in now.distances().items():
     print(f"  {name:12s} {distance: .4f}")
 for name, speed in zip(model.joint_names, solution.u, strict=True):
     print(f"  {name:12s} {speed: .5f} rad/s")

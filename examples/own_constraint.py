@@ -6,8 +6,15 @@ import numpy as np
 
 from dqwalk_ros import KinematicPlant, VelocityController, load, load_model, simulate
 from dqwalk_ros.paper.constraints import Constraint
-from dqwalk_ros.paper.kinematics import CenterOfMass
+from dqwalk_ros.paper.features import CenterOfMass
 from dqwalk_ros.paper.walk import PaperWalk
+from dqwalk_ros.support.compiled import jit
+
+
+@jit
+def height_above(s, least, elapsed):  # s: the coordinates of what is watched, here p_CoM (3,)
+    """Distance (1,), its gradient (1, 3), and the rate at which it changes by time alone."""
+    return s[2:] - least, np.array([[0.0, 0.0, 1.0]]), np.zeros(1)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -16,9 +23,11 @@ class ComAbove(Constraint):
 
     height: float
     watches = (CenterOfMass(),)
+    function = height_above
 
-    def value(self, s):  # s: the coordinates of what is watched, here p_CoM (3,)
-        return s[2] - self.height, np.array([0.0, 0.0, 1.0])
+    @property
+    def parameters(self):
+        return np.array([self.height])
 
 
 class HighWalk(PaperWalk):

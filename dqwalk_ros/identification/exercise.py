@@ -12,21 +12,22 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from dqwalk_ros.config import Config
+from dqwalk_ros.paper.features import JointAngles
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.kinematics import JointAngles, Kinematics
-from dqwalk_ros.paper.paths import minimum_jerk
+from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Next, Phase, PhaseKind, Timed
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.tasks import Task
 from dqwalk_ros.paper.walk import Walk, joint_limits
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.walks.following import minimum_jerk
 
 __all__ = ["NAME", "Exercise", "Slot", "duration", "exercise_config", "limbs", "path_of", "slots"]
 
@@ -261,6 +262,24 @@ def path_of(model: RobotModel, cycles: int) -> Array:
     return out
 
 
+@jit
+def _place(path: Array, elapsed: float) -> Array:
+    """Return the joint angles (n,) on a path (m, n) that is sampled every 5 ms [rad]."""
+    x = min(max(elapsed / _GRID, 0.0), path.shape[0] - 1.0)
+    k = min(int(x), path.shape[0] - 2)
+    place: Array = path[k] + (x - k) * (path[k + 1] - path[k])
+    return place
+
+
+@jit
+def _from_path(q: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
+    """Return the deviation (n,) from the path [rad], its gradient, and minus the velocity of the path; a = dt, path."""
+    n, dt = q.shape[0], a[0]
+    path = a[1:].reshape((a.shape[0] - 1) // n, n)
+    place = _place(path, elapsed)
+    return q - place, np.eye(n), -(_place(path, elapsed + dt) - place) / dt
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointPath(Task):
     """Task that all joints follow a path without feedback, which the fit would attribute to the servos.
@@ -275,30 +294,14 @@ class JointPath(Task):
 
     path: Array
     dt: float
+    eta: float | None = 0.0  # without feedback
+    watches = (JointAngles(),)
+    function = _from_path
 
     @property
-    def watches(self) -> tuple[JointAngles]:
-        """All joint angles."""
-        return (JointAngles(),)
-
-    @cached_property
-    def _gradient(self) -> Array:
-        return np.eye(self.path.shape[1])
-
-    def _at(self, elapsed: float) -> Array:
-        x = min(max(elapsed / _GRID, 0.0), len(self.path) - 1.0)
-        k = min(int(x), len(self.path) - 2)
-        out: Array = self.path[k] + (x - k) * (self.path[k + 1] - self.path[k])
-        return out
-
-    def value(self, s: Array, elapsed: float) -> tuple[Array, Array]:
-        """Return the deviation of each joint from the path, shape (n,) [rad], and its gradient, shape (n, n)."""
-        return s - self._at(elapsed), self._gradient
-
-    def rate(self, s: Array, e: Array, elapsed: float, eta: float) -> Array:
-        """Return the velocity of the path (n,) [rad/s]."""
-        out: Array = (self._at(elapsed + self.dt) - self._at(elapsed)) / self.dt
-        return out
+    def parameters(self) -> Array:
+        """Control period and path, shape (1 + m n,)."""
+        return np.append(self.dt, self.path)
 
 
 class Exercise(Walk):

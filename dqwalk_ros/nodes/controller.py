@@ -197,11 +197,12 @@ class Controller(AnsweringNode):
 
     def _publish_odometry(self, stamp: int, state: State) -> None:
         """Publish the pose of the robot in the frame of the first phase, also before that phase has begun."""
-        base, both, x_base = self._first_base, True, DQ(1.0)
+        base, both, x_base, kin = self._first_base, True, DQ(1.0), self._walk.kin
         if self._has_begun:
             phase = self._walk.phase
             base, both, x_base = phase.base, phase.kind is not PhaseKind.SINGLE_SUPPORT, DQ(self._walk.x_odom_base)
-        kin = Kinematics(self._model, state.q, base).with_vertical(state.up)
+        if kin is None or kin.base is not base or not np.array_equal(kin.q, state.q):  # the walk has not answered it
+            kin = Kinematics.measured(self._model, state.q, base, state.up)
         self._odometry.publish(stamp, state, kin, x_base, both=both)
 
     @property

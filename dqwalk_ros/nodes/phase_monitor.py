@@ -138,7 +138,7 @@ class PhaseMonitor(WalkNode):
         except StateError as error:
             self._reject(stamp, error)
             return
-        kin = Kinematics(assess.model, state.q, assess.phase.base).with_vertical(self._phases.up(stamp))
+        kin = Kinematics.measured(assess.model, state.q, assess.phase.base, self._phases.up(stamp))
         found = assess(kin, 1e-9 * (stamp - began), self.config.monitor)
         over = "/" not in self._phases.label and not self._waiting
         message = f"{self._phases.label}; {found.message}" if over else found.message

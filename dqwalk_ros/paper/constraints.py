@@ -4,36 +4,36 @@ Every signed distance d increases towards the safe side, so that the package has
 d' >= -eta (d - bound). Where the paper has <= (cylinders, upper joint limits), the distance here is the negative of the
 paper's. A distance that is kept equal to its bound by d' = -eta (d - bound) is an equality such as (U8).
 
-A constraint lists the features of the robot that it depends on (`watches`), and computes from their coordinates s the
-distance d and its gradient dd/ds. The Jacobian of the distance is this gradient times the Jacobian of s, by the chain
-rule (`walk.Phase.evaluate`).
+A constraint lists the features of the robot that it depends on (`watches`), and its compiled function computes from
+their coordinates s the distance d, its gradient dd/ds, and the rate at which d changes by time alone, which is zero for
+a constraint at rest.
 """
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from dqwalk_ros.paper.dual_quaternions import DQ
-from dqwalk_ros.paper.geometry import ConvexPolygon, Cylinder, Plane, point_to_line_squared, point_to_wall
-from dqwalk_ros.paper.kinematics import (
+from dqwalk_ros.paper.features import (
+    Affine,
     CenterOfMass,
     CenterOfMassOnGround,
     Direction,
     Feature,
     JointAngles,
     Point,
+    Quantity,
     Rotation,
 )
+from dqwalk_ros.paper.geometry import ConvexPolygon, Cylinder, Plane, point_to_line_squared, point_to_wall
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 
 __all__ = [
-    "Affine",
     "AxisLevel",
     "ComInsideEdges",
     "Constraint",
@@ -44,8 +44,6 @@ __all__ = [
     "PointInsideWall",
     "PointOverPlane",
     "PointsOverPlane",
-    "inside_cylinder",
-    "inside_wall",
     "pose_error",
     "vfi",
 ]
@@ -55,7 +53,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 
 @jit
-def vfi(d, bound, eta, return_speed, dt):  # type: ignore[no-untyped-def]
+def vfi(d: Array, bound: Array, eta: Array, return_speed: Array, dt: float) -> Array:
     """Right-hand side w of W u >= w, the vector-field inequality d' >= -eta (d - bound), shape (k,).
 
     Parameters
@@ -73,12 +71,11 @@ def vfi(d, bound, eta, return_speed, dt):  # type: ignore[no-untyped-def]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Constraint(ABC):
+class Constraint(Quantity):
     """Keep a signed distance at or above its bound: J u >= -eta (d - bound).
 
     Attributes
     ----------
-    name : str
     eta : float
         Rate [1/s]: a distance d may approach its bound at the speed eta (d - bound).
     bound : float
@@ -88,56 +85,23 @@ class Constraint(ABC):
         keeps the quadratic program feasible after a disturbance that violates the constraint.
     """
 
-    name: str
     eta: float
     bound: float = 0.0
     return_speed: float = math.inf
-
-    @property
-    @abstractmethod
-    def watches(self) -> tuple[Feature, ...]:
-        """Features that the distance depends on; `value` takes their stacked coordinates s."""
-
-    @property
-    def parameters(self) -> Array:
-        """Constants of its compiled function, for the classes that `assembly` evaluates in compiled code."""
-        return np.empty(0)
-
-    @abstractmethod
-    def value(self, s: Array) -> tuple[Array | float, Array]:
-        """Return the distance, a float or (k,), and its gradient (m,) or (k, m) with respect to s (m,), at s."""
 
     def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
         """Return the names of the k rows."""
         return (self.name,)
 
 
-class Affine(Constraint):
-    """A constraint whose distance is affine in the coordinates of its features, d = A s - b, with constant A and b."""
-
-    @property
-    @abstractmethod
-    def A(self) -> Array:
-        """Gradient, shape (k, m)."""
-
-    @property
-    @abstractmethod
-    def b(self) -> Array | float:
-        """Offset, shape (k,), or one number for all rows."""
-
-    def value(self, s: Array) -> tuple[Array, Array]:
-        """Return A s - b and A."""
-        return self.A @ s - self.b, self.A
-
-
 # ---------------------------------------------------------------------- points, section 3
 
 
 @jit
-def inside_cylinder(s, a):  # type: ignore[no-untyped-def]
-    """Return r^2 - |p x l - m|^2 [m^2] of p = s and its gradient (3,), with a = (l, m, r): (U7) and (U14)."""
+def inside_cylinder(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
+    """Return r^2 - |p x l - m|^2 [m^2] of p = s and its gradient, with a = (l, m, r): (U7) and (U14)."""
     square, gradient = point_to_line_squared(s, a[:3], a[3:6])
-    return a[6] ** 2 - square, -gradient
+    return np.array([a[6] ** 2 - square]), -gradient.reshape(1, 3), np.zeros(1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,6 +110,7 @@ class PointInCylinder(Constraint):
 
     point: Point | CenterOfMass
     cylinder: Cylinder
+    function = inside_cylinder
 
     @property
     def watches(self) -> tuple[Feature, ...]:
@@ -157,14 +122,9 @@ class PointInCylinder(Constraint):
         """Direction and moment of the axis, and the radius, shape (7,)."""
         return np.array([*self.cylinder.axis.l, *self.cylinder.axis.m, self.cylinder.radius])
 
-    def value(self, s: Array) -> tuple[float, Array]:
-        """Squared radius minus squared distance from the axis [m^2]."""
-        d, gradient = inside_cylinder(s, self.parameters)
-        return d, gradient
-
 
 @dataclass(frozen=True, kw_only=True)
-class PointOverPlane(Affine):
+class PointOverPlane(Affine, Constraint):
     """Keep a point on the positive side of a fixed plane, (U11) [m]; as an equality it is (U8)."""
 
     point: Point | CenterOfMass
@@ -187,14 +147,17 @@ class PointOverPlane(Affine):
 
 
 @jit
-def inside_wall(s, a):  # type: ignore[no-untyped-def]
+def inside_wall(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
     """Signed distance of p from the vertical plane through a[:3] and b, s = (p, b), side a[3]: (U9) and (U10) [m]."""
-    return point_to_wall(s, a[:3], a[3])
+    d, gradient = point_to_wall(s, a[:3], a[3])
+    return np.array([d]), gradient.reshape(1, 6), np.zeros(1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PointInsideWall(Constraint):
     """Keep a point on one side of the vertical plane through a fixed and a moving point, (U9) and (U10) [m].
+
+    The gradient with respect to the moving point gives the residual of [Marinho2019].
 
     Attributes
     ----------
@@ -211,6 +174,7 @@ class PointInsideWall(Constraint):
     fixed: Array
     moving: Point
     side: float
+    function = inside_wall
 
     @property
     def watches(self) -> tuple[Feature, ...]:
@@ -222,14 +186,9 @@ class PointInsideWall(Constraint):
         """The fixed point of the plane, and the side, shape (4,)."""
         return np.array([*self.fixed, self.side])
 
-    def value(self, s: Array) -> tuple[float, Array]:
-        """Signed distance from the plane [m]; its gradient at the moving point gives the residual of [Marinho2019]."""
-        d, gradient = inside_wall(s, self.parameters)
-        return d, gradient
-
 
 @dataclass(frozen=True, kw_only=True)
-class PointsOverPlane(Affine):
+class PointsOverPlane(Affine, Constraint):
     """Keep points of a frame, such as the corners of a sole, on the positive side of a fixed plane, one row each [m].
 
     Attributes
@@ -265,7 +224,7 @@ class PointsOverPlane(Affine):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ComInsideEdges(Affine):
+class ComInsideEdges(Affine, Constraint):
     """Keep the vertical through the CoM inside a convex polygon in the base sole's plane, one row per edge [m].
 
     Each edge is a plane; section 3.1 allows "as many planes as necessary".
@@ -298,7 +257,7 @@ class ComInsideEdges(Affine):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AxisLevel(Affine):
+class AxisLevel(Affine, Constraint):
     """Inner product of a frame's z axis with a fixed direction: for small angles, the inclination along it [rad].
 
     As an equality along x and along y it keeps a sole parallel to the ground.
@@ -317,14 +276,9 @@ class AxisLevel(Affine):
         """The direction."""
         return self.direction[None]
 
-    @property
-    def b(self) -> float:
-        """Zero."""
-        return 0.0
-
 
 @jit
-def pose_error(s, p_d, r_d, lever):  # type: ignore[no-untyped-def]
+def pose_error(s: Array, p_d: Array, r_d: Array, lever: float) -> tuple[Array, Array]:
     """Pose error (p - p_d, 2 lever Im(r r_d*)) [m, rad times `lever`], and its gradient.
 
     `s` (7,) are the coordinates of a `Point` and a `Rotation`, p (3,) and r (4,), in which the error is affine. For
@@ -346,6 +300,13 @@ def pose_error(s, p_d, r_d, lever):  # type: ignore[no-untyped-def]
     return error, gradient
 
 
+@jit
+def held(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
+    """Return the pose error from p_d = a[:3] and r_d = a[3:], and its gradient."""
+    e, gradient = pose_error(s, a[:3], a[3:], 1.0)
+    return e, gradient, np.zeros(6)
+
+
 @dataclass(frozen=True, kw_only=True)
 class FrameHeld(Constraint):
     """Pose error of a frame, six rows: p - p_d [m] and 2 Im(r r_d*), for small errors the rotation vector [rad].
@@ -361,6 +322,7 @@ class FrameHeld(Constraint):
 
     frame: str
     pose: Array
+    function = held
 
     @property
     def watches(self) -> tuple[Feature, ...]:
@@ -372,11 +334,6 @@ class FrameHeld(Constraint):
         """Position and orientation, shape (7,)."""
         return np.array([*DQ(self.pose).translation(), *self.pose[:4]])
 
-    def value(self, s: Array) -> tuple[Array, Array]:
-        """Pose error, shape (6,)."""
-        e, gradient = pose_error(s, self.parameters[:3], self.parameters[3:], 1.0)
-        return e, gradient
-
     def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
         """One name per axis, translation first."""
         return tuple(f"{self.name}/{axis}" for axis in range(6))
@@ -385,22 +342,30 @@ class FrameHeld(Constraint):
 # ---------------------------------------------------------------------- joints
 
 
+@jit
+def below_maximum(q: Array, q_max: Array, elapsed: float) -> tuple[Array, Array, Array]:
+    """Return q_max - q of (U12) [rad] and its gradient."""
+    return q_max - q, -np.eye(q.shape[0]), np.zeros(q.shape[0])
+
+
+@jit
+def above_minimum(q: Array, q_min: Array, elapsed: float) -> tuple[Array, Array, Array]:
+    """Return q - q_min of (U13) [rad] and its gradient."""
+    return q - q_min, np.eye(q.shape[0]), np.zeros(q.shape[0])
+
+
 @dataclass(frozen=True, kw_only=True)
-class JointMaximum(Affine):
+class JointMaximum(Constraint):
     """Upper joint limits, (U12): q_max - q >= 0 [rad]."""
 
     q_max: Array
     watches = (JointAngles(),)
-
-    @cached_property
-    def A(self) -> Array:
-        """Minus the identity: d = -q - (-q_max), (U12)."""
-        return -np.eye(len(self.q_max))
+    function = below_maximum
 
     @property
-    def b(self) -> Array:
-        """Minus the limits [rad]."""
-        return -self.q_max
+    def parameters(self) -> Array:
+        """The limits [rad]."""
+        return self.q_max
 
     def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
         """One name per joint, such as ``joint_max/l_knee_y``."""
@@ -408,19 +373,15 @@ class JointMaximum(Affine):
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointMinimum(Affine):
+class JointMinimum(Constraint):
     """Lower joint limits, (U13): q - q_min >= 0 [rad]."""
 
     q_min: Array
     watches = (JointAngles(),)
-
-    @cached_property
-    def A(self) -> Array:
-        """The identity: d = q - q_min, (U13)."""
-        return np.eye(len(self.q_min))
+    function = above_minimum
 
     @property
-    def b(self) -> Array:
+    def parameters(self) -> Array:
         """The limits [rad]."""
         return self.q_min
 

@@ -132,7 +132,7 @@ class ConvexPolygon:
 
 
 @jit
-def moved_inside(p, n, d, margin):  # type: ignore[no-untyped-def]
+def moved_inside(p: Array, n: Array, d: Array, margin: float) -> Array:
     """Return a point p (2,) moved into a polygon with the edges n (m, 2), d (m,), at `margin` [m] from all of them.
 
     It is projected onto the line of the edge that it violates most, up to six times. At an obtuse corner a small part
@@ -151,7 +151,7 @@ def moved_inside(p, n, d, margin):  # type: ignore[no-untyped-def]
 
 
 @jit
-def point_to_line_squared(p, l, m):  # type: ignore[no-untyped-def] # noqa: E741
+def point_to_line_squared(p: Array, l: Array, m: Array) -> tuple[float, Array]:  # noqa: E741
     """Squared distance |p x l - m|^2 of a point p (3,) from the line l + eps m [m^2], eq. (24) of [Marinho2019].
 
     Returns
@@ -161,11 +161,11 @@ def point_to_line_squared(p, l, m):  # type: ignore[no-untyped-def] # noqa: E741
         With respect to p.
     """
     h = np.cross(p, l) - m
-    return h @ h, 2.0 * np.cross(l, h)
+    return float(h @ h), 2.0 * np.cross(l, h)
 
 
 @jit
-def point_to_wall(s, a, side):  # type: ignore[no-untyped-def]
+def point_to_wall(s: Array, a: Array, side: float) -> tuple[float, Array]:
     """Signed distance [m] of a point p from the vertical plane through a fixed point `a` (3,) and a moving point b.
 
     Seen from above, the distance is positive to the left of the line from `a` to b for `side` = 1, and to the right for

@@ -8,20 +8,18 @@ The axis of a joint is a line l + eps m in the base frame. The joint turns all b
 Jacobian is a product with the lines: x' = 1/2 (l + eps m) x q' of a pose, p' = (l x p + m) q' of a point,
 v' = (l x v) q' of a direction.
 
-Tasks and constraints are functions of features of the robot (`Point`, `CenterOfMass`, `Pose`, ...). `Observer` computes
-the coordinates of any number of features, and the Jacobian of these coordinates.
+Tasks and constraints are functions of features of the robot, such as a point or the CoM, which `features` computes from
+the poses and the lines.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from dqwalk_ros.paper.dual_quaternions import DQ, product
 from dqwalk_ros.paper.foot import Foot
@@ -32,26 +30,56 @@ if TYPE_CHECKING:
     from dqwalk_ros.robot.model import RobotModel
 
 __all__ = [
-    "CenterOfMass",
-    "CenterOfMassOnGround",
-    "Direction",
-    "Feature",
-    "JointAngles",
+    "Bodies",
     "Kinematics",
-    "Observer",
-    "Point",
-    "Pose",
-    "Rotation",
     "SupportTree",
     "compose",
     "direction",
+    "forward",
+    "jacobian",
+    "multiply",
+    "on_ground",
+    "point",
+    "pose_jacobian",
     "quaternion_product",
+    "rotate",
     "support_tree",
 ]
 
 
+Mask = NDArray[np.bool_]
 _ORIGIN = np.zeros(3)
 _Z = np.array([0.0, 0.0, 1.0])
+
+
+class Bodies(NamedTuple):
+    """What the features of the robot are computed from, in the base frame.
+
+    Attributes
+    ----------
+    q : ndarray, shape (n,)
+        Joint angles [rad].
+    up : ndarray, shape (3,)
+        Unit vector against gravity.
+    moves : ndarray of bool, shape (b, n)
+        Whether a joint moves a body.
+    poses : ndarray, shape (b, 8)
+        Poses of the bodies.
+    lines : ndarray, shape (n, 6)
+        Lines (l, m) of the joint axes.
+    com : ndarray, shape (3,)
+        Centre of mass [m].
+    com_jacobian : ndarray, shape (3, n)
+        [m/rad]
+    """
+
+    q: Array
+    up: Array
+    moves: Mask
+    poses: Array
+    lines: Array
+    com: Array
+    com_jacobian: Array
 
 
 # ---------------------------------------------------------------------- compiled functions
@@ -60,7 +88,7 @@ quaternion_product = jit(product)
 
 
 @jit
-def _multiply(a, b, out):  # type: ignore[no-untyped-def]
+def multiply(a: Array, b: Array, out: Array) -> None:
     """Fill `out` with the product of dual quaternions (8,): P(a)P(b) + eps (P(a)D(b) + D(a)P(b))."""
     out[0], out[1], out[2], out[3] = quaternion_product(a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3])
     s = quaternion_product(a[0], a[1], a[2], a[3], b[4], b[5], b[6], b[7])
@@ -70,7 +98,7 @@ def _multiply(a, b, out):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _rotate(x, v, out):  # type: ignore[no-untyped-def]
+def rotate(x: Array, v: Array, out: Array) -> None:
     """Fill `out` (3,) with P(x) v P(x)*: the direction v (3,) of the frame x (8,) in the base frame."""
     s = quaternion_product(x[0], x[1], x[2], x[3], 0.0, v[0], v[1], v[2])
     t = quaternion_product(s[0], s[1], s[2], s[3], x[0], -x[1], -x[2], -x[3])
@@ -78,14 +106,14 @@ def _rotate(x, v, out):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _translation(x, out):  # type: ignore[no-untyped-def]
+def _translation(x: Array, out: Array) -> None:
     """Fill `out` (3,) with the position p = 2 D(x) P(x)* of the pose x = r + eps 1/2 p r (U1)."""
     t = quaternion_product(x[4], x[5], x[6], x[7], x[0], -x[1], -x[2], -x[3])
     out[0], out[1], out[2] = 2.0 * t[1], 2.0 * t[2], 2.0 * t[3]
 
 
 @jit
-def _jacobian_column(line, p, factor, out):  # type: ignore[no-untyped-def]
+def _jacobian_column(line: Array, p: Array, factor: float, out: Array) -> None:
     """Fill `out` (3,) with l x p + factor m: the derivative of `p` (3,) with respect to the joint on the line (6,).
 
     The factor is 1 for a point and 0 for a direction. For a mass-weighted sum of points it is the sum of the weights.
@@ -96,36 +124,38 @@ def _jacobian_column(line, p, factor, out):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _forward(q, tree, links, poses, lines, p_com, J_com):  # type: ignore[no-untyped-def]
+def forward(
+    q: Array, tree: NDArray[np.int64], links: Array, poses: Array, lines: Array, p_com: Array, J_com: Array
+) -> bool:
     """Fill poses (b, 8), joint lines (n, 6), the CoM (3,) of (U4) and its Jacobian (3, n) of (U5).
 
     Return whether all joint angles q (n,) are finite. Parents come before children, body 0 is at rest; the columns of
-    `tree` are parent and joint, those of `links` origin (8), axis (3), mass divided by the total, and centre of mass
-    (3).
+    `tree` (b, 2) are parent and joint, those of `links` (b, 15) origin (8), axis (3), mass divided by the total, and
+    centre of mass (3).
     """
-    bodies = tree.shape[0]
+    count = tree.shape[0]
     half, x, p, c = np.zeros(8), np.empty(8), np.empty(3), np.empty(3)
-    subtree = np.empty((bodies, 4))  # over a body and all bodies after it: sum of m_k p_ck / M, and of m_k / M
+    subtree = np.empty((count, 4))  # over a body and all bodies after it: sum of m_k p_ck / M, and of m_k / M
     poses[0, :] = 0.0
     poses[0, 0] = 1.0
-    for b in range(bodies):
+    for b in range(count):
         link, pose = links[b], poses[b]
         if b > 0:
             i = tree[b, 1]
-            _multiply(poses[tree[b, 0]], link[:8], x)
+            multiply(poses[tree[b, 0]], link[:8], x)
             half[0], half[1:4] = math.cos(0.5 * q[i]), math.sin(0.5 * q[i]) * link[8:11]
-            _multiply(x, half, pose)
+            multiply(x, half, pose)
             line = lines[i]
-            _rotate(pose, link[8:11], line[:3])  # l
+            rotate(pose, link[8:11], line[:3])  # l
             _translation(pose, p)
             line[3] = p[1] * line[2] - p[2] * line[1]  # m = p x l
             line[4] = p[2] * line[0] - p[0] * line[2]
             line[5] = p[0] * line[1] - p[1] * line[0]
         _translation(pose, p)
-        _rotate(pose, link[12:15], c)
+        rotate(pose, link[12:15], c)
         subtree[b, :3] = link[11] * (p + c)  # (U2): the CoM of a body is the translation of x_i x_ci^i
         subtree[b, 3] = link[11]
-    for b in range(bodies - 1, 0, -1):
+    for b in range(count - 1, 0, -1):
         i = tree[b, 1]
         subtree[tree[b, 0]] += subtree[b]
         # (U5): the joint moves the masses after it, 1/M sum m_k (l x p_ck + m)
@@ -138,32 +168,32 @@ def _forward(q, tree, links, poses, lines, p_com, J_com):  # type: ignore[no-unt
 
 
 @jit
-def compose(a, b):  # type: ignore[no-untyped-def]
+def compose(a: Array, b: Array) -> Array:
     """Return the product of two dual quaternions (8,)."""
     out = np.empty(8)
-    _multiply(a, b, out)
+    multiply(a, b, out)
     return out
 
 
 @jit
-def _point(x, offset):  # type: ignore[no-untyped-def]
+def point(x: Array, offset: Array) -> Array:
     """Return the point (3,) at `offset` (3,) [m] in the frame `x` (8,), in the base frame."""
     p, c = np.empty(3), np.empty(3)
     _translation(x, p)
-    _rotate(x, offset, c)
+    rotate(x, offset, c)
     return p + c
 
 
 @jit
-def direction(x, v):  # type: ignore[no-untyped-def]
+def direction(x: Array, v: Array) -> Array:
     """Return the direction `v` (3,) of the frame `x` (8,), in the base frame."""
     out = np.empty(3)
-    _rotate(x, v, out)
+    rotate(x, v, out)
     return out
 
 
 @jit
-def _jacobian(lines, moves, p, factor, J):  # type: ignore[no-untyped-def]
+def jacobian(lines: Array, moves: Mask, p: Array, factor: float, J: Array) -> None:
     """Fill J (3, n) with the columns l x p + m of the joints that move the point `p` (3,); l x p for a direction."""
     J[:] = 0.0
     for i in range(lines.shape[0]):
@@ -172,62 +202,22 @@ def _jacobian(lines, moves, p, factor, J):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _pose_jacobian(lines, moves, x, J):  # type: ignore[no-untyped-def]
+def pose_jacobian(lines: Array, moves: Mask, x: Array, J: Array) -> None:
     """Fill J (8, n) with the columns 1/2 H-8(x) vec8(l + eps m) (U3) of the joints that move the frame `x` (8,)."""
     J[:] = 0.0
     line, column = np.zeros(8), np.empty(8)
     for i in range(lines.shape[0]):
         if moves[i]:
             line[1:4], line[5:8] = 0.5 * lines[i, :3], 0.5 * lines[i, 3:]
-            _multiply(line, x, column)
+            multiply(line, x, column)
             J[:, i] = column
 
 
-_COM, _COM_ON_GROUND, _POINT, _DIRECTION, _ROTATION, _POSE, _ANGLES = range(7)
-
-
 @jit
-def _observe(kinds, bodies, local, q, poses, lines, moves, p_com, J_com, up, s, J):  # type: ignore[no-untyped-def]
-    """Fill the stacked coordinates s (m,) of k features, and their Jacobian J (m, n).
-
-    `kinds` (k,) and `bodies` (k,) are the kind and the body of each feature, `local` (k, 8) is its pose, offset or
-    direction in the frame of the body.
-    """
-    at, n = 0, q.shape[0]
-    x, part = np.empty(8), np.empty((8, n))
-    for k in range(kinds.shape[0]):
-        kind, body = kinds[k], bodies[k]
-        if kind == _COM:
-            s[at : at + 3], J[at : at + 3] = p_com, J_com
-            at += 3
-        elif kind == _COM_ON_GROUND:  # projected along the vertical to the plane z = 0 of the base sole
-            for i in range(2):
-                slope = up[i] / up[2]
-                s[at + i] = p_com[i] - slope * p_com[2]
-                J[at + i] = J_com[i] - slope * J_com[2]
-            at += 2
-        elif kind == _POINT:
-            p = s[at : at + 3]
-            p[:] = _point(poses[body], local[k, :3])
-            _jacobian(lines, moves[body], p, 1.0, J[at : at + 3])
-            at += 3
-        elif kind == _DIRECTION:
-            v = s[at : at + 3]
-            _rotate(poses[body], local[k, :3], v)
-            _jacobian(lines, moves[body], v, 0.0, J[at : at + 3])
-            at += 3
-        elif kind == _ANGLES:
-            s[at : at + n] = q
-            J[at : at + n] = 0.0
-            for i in range(n):
-                J[at + i, i] = 1.0
-            at += n
-        else:
-            size = 4 if kind == _ROTATION else 8
-            _multiply(poses[body], local[k], x)
-            _pose_jacobian(lines, moves[body], x, part)
-            s[at : at + size], J[at : at + size] = x[:size], part[:size]
-            at += size
+def on_ground(v: Array, up: Array) -> Array:
+    """Return the projection (2,) of a vector (3,) along the vertical `up` (3,) to the plane z = 0 of the base sole."""
+    projection: Array = v[:2] - up[:2] / up[2] * v[2]
+    return projection
 
 
 # ---------------------------------------------------------------------- the tree rooted at a sole
@@ -308,8 +298,6 @@ class Kinematics:
         The foot whose sole is the base frame: x forward, z up, ground at z = 0.
     up : array_like, shape (3,), optional
         Unit vector against gravity in the base frame; by default z, a level sole.
-    elapsed : float
-        Time since the phase began [s], for tasks that follow a path; by default infinity, the end of the path.
 
     Attributes
     ----------
@@ -327,50 +315,43 @@ class Kinematics:
         Whether all joint angles are finite.
     """
 
-    def __init__(
-        self, model: RobotModel, q: ArrayLike, base: Foot, up: ArrayLike | None = None, elapsed: float = math.inf
-    ) -> None:
+    def __init__(self, model: RobotModel, q: ArrayLike, base: Foot, up: ArrayLike | None = None) -> None:
         self.model = model
         self.base = base
-        self.up = _Z if up is None else np.asarray(up, dtype=np.float64)
-        self.elapsed = elapsed
-        self.q: Array = np.asarray(q, dtype=np.float64)
         self.tree = tree = support_tree(model, base)
+        self.q: Array = np.array(q, dtype=np.float64)
+        self.up: Array = _Z if up is None else np.array(up, dtype=np.float64)
         n = self.q.shape[0]
         self.poses, self.lines = np.empty((tree.tree.shape[0], 8)), np.empty((n, 6))
         self.com, self.com_jacobian = np.empty(3), np.empty((3, n))
-        self.finite: bool = _forward(self.q, tree.tree, tree.links, self.poses, self.lines, self.com, self.com_jacobian)
+        self.finite: bool = forward(self.q, tree.tree, tree.links, self.poses, self.lines, self.com, self.com_jacobian)
 
-    def with_vertical(self, up: Array | None) -> Kinematics:
-        """Return the kinematics with the vertical `up` (3,) that the inertial sensor measures in its frame."""
-        return self if up is None else self._with(up=self.direction(self.model.imu, up))
+    @classmethod
+    def measured(cls, model: RobotModel, q: ArrayLike, base: Foot, vertical: Array | None) -> Kinematics:
+        """Return the kinematics at `q` with the vertical (3,) that the inertial sensor measures in its frame.
 
-    def later(self, dt: float) -> Kinematics:
-        """Return the kinematics with the elapsed time increased by `dt` [s]."""
-        return self if dt == 0.0 else self._with(elapsed=self.elapsed + dt)
-
-    def _with(self, **changed: Any) -> Kinematics:
-        kin = Kinematics.__new__(Kinematics)
-        kin.__dict__ = self.__dict__ | changed
+        Without a sensor (None) the base sole is assumed to be level.
+        """
+        kin = cls(model, q, base)
+        if vertical is not None:
+            kin.up = kin.direction(model.imu, vertical)
         return kin
+
+    @property
+    def bodies(self) -> Bodies:
+        """What features are computed from."""
+        return Bodies(self.q, self.up, self.tree.moves, self.poses, self.lines, self.com, self.com_jacobian)
 
     @property
     def com_on_ground(self) -> Array:
         """Intersection of the vertical through the CoM with the plane of the base sole, shape (2,) [m]."""
-        return self.value(CenterOfMassOnGround())
+        c: Array = on_ground(self.com, self.up)
+        return c
 
     @property
     def swing(self) -> str:
         """Name of the frame of the other sole."""
         return self.model.soles[self.base.other].frame
-
-    def value(self, feature: Feature) -> Array:
-        """Coordinates of a feature, shape (m,)."""
-        return Observer([feature], self.tree)(self)[0]
-
-    def jacobian(self, feature: Feature) -> Array:
-        """Jacobian of the coordinates of a feature, shape (m, n)."""
-        return Observer([feature], self.tree)(self)[1]
 
     def pose(self, frame: str) -> Array:
         """Pose of a frame, vec8 of a unit dual quaternion (U1), shape (8,)."""
@@ -380,13 +361,13 @@ class Kinematics:
 
     def point(self, frame: str, offset: Array = _ORIGIN) -> Array:
         """Position of the point at `offset` (3,) in a frame, shape (3,) [m]."""
-        p: Array = _point(self.pose(frame), offset)
+        p: Array = point(self.pose(frame), offset)
         return p
 
     def point_jacobian(self, frame: str, offset: Array = _ORIGIN) -> Array:
         """J_p with vec3(p') = J_p q' (section 2.2), shape (3, n) [m/rad]."""
         J = np.empty((3, len(self.q)))
-        _jacobian(self.lines, self.tree.moves[self.tree.frames[frame][0]], self.point(frame, offset), 1.0, J)
+        jacobian(self.lines, self.tree.moves[self.tree.frames[frame][0]], self.point(frame, offset), 1.0, J)
         return J
 
     def direction(self, frame: str, v: Array) -> Array:
@@ -397,116 +378,3 @@ class Kinematics:
     def angular_jacobian(self, frame: str) -> Array:
         """Jacobian of the angular velocity of a frame, in axes of the base frame, shape (3, n)."""
         return np.where(self.tree.moves[self.tree.frames[frame][0]], self.lines[:, :3].T, 0.0)
-
-
-# ---------------------------------------------------------------------- features
-
-
-@dataclass(frozen=True)
-class Feature:
-    """A quantity of the robot, such as a point or the CoM, whose coordinates tasks and constraints are functions of.
-
-    `size` is the number of its coordinates; 0 stands for the number of joints.
-    """
-
-    kind: ClassVar[int]
-    size: ClassVar[int] = 3
-
-    def placed(self, tree: SupportTree) -> tuple[int, Array]:
-        """Return the body it belongs to, and its pose (8,), offset (3,) or direction (3,) in the body's frame."""
-        return 0, _ORIGIN
-
-
-class CenterOfMass(Feature):
-    """The centre of mass; coordinates (3,) [m]."""
-
-    kind = _COM
-
-
-class CenterOfMassOnGround(Feature):
-    """Intersection of the vertical through the CoM with the plane of the base sole; coordinates (2,) [m]."""
-
-    kind, size = _COM_ON_GROUND, 2
-
-
-@dataclass(frozen=True)
-class Point(Feature):
-    """The point at `offset` (3,) in a frame; coordinates (3,) [m]."""
-
-    frame: str
-    offset: Array = field(default_factory=lambda: _ORIGIN)
-    kind = _POINT
-
-    def placed(self, tree: SupportTree) -> tuple[int, Array]:
-        """Return body and offset."""
-        body, pose = tree.frames[self.frame]
-        return body, _point(pose, self.offset)
-
-
-@dataclass(frozen=True)
-class Direction(Feature):
-    """The direction `v` (3,) of a frame; coordinates (3,)."""
-
-    frame: str
-    v: Array
-    kind = _DIRECTION
-
-    def placed(self, tree: SupportTree) -> tuple[int, Array]:
-        """Return body and direction."""
-        body, pose = tree.frames[self.frame]
-        return body, direction(pose, self.v)
-
-
-@dataclass(frozen=True)
-class Rotation(Feature):
-    """The orientation r of a frame; coordinates vec4(r), (4,)."""
-
-    frame: str
-    kind, size = _ROTATION, 4
-
-    def placed(self, tree: SupportTree) -> tuple[int, Array]:
-        """Return body and pose."""
-        return tree.frames[self.frame]
-
-
-@dataclass(frozen=True)
-class Pose(Feature):
-    """The pose x of a frame; coordinates vec8(x), (8,). The Jacobian for the other sole is J_swing of section 3.4."""
-
-    frame: str
-    kind, size = _POSE, 8
-
-    def placed(self, tree: SupportTree) -> tuple[int, Array]:
-        """Return body and pose."""
-        return tree.frames[self.frame]
-
-
-class JointAngles(Feature):
-    """All joint angles; coordinates (n,) [rad]."""
-
-    kind, size = _ANGLES, 0
-
-
-class Observer:
-    """Computes the stacked coordinates of features, and their Jacobian."""
-
-    def __init__(self, features: Sequence[Feature], tree: SupportTree) -> None:
-        self._n = tree.moves.shape[1]
-        sizes = [feature.size or self._n for feature in features]
-        placed = [feature.placed(tree) for feature in features]
-        self._kinds = np.array([feature.kind for feature in features], dtype=np.int64)
-        self._bodies = np.array([body for body, _ in placed], dtype=np.int64)
-        self._local = np.zeros((len(features), 8))
-        for row, (_, local) in zip(self._local, placed, strict=True):
-            row[: len(local)] = local
-        self._moves = tree.moves
-        self.size = sum(sizes)
-
-    def __call__(self, kin: Kinematics) -> tuple[Array, Array]:
-        """Return the coordinates s (m,) and their Jacobian (m, n) for the joint angles of `kin`."""
-        s, J = np.empty(self.size), np.empty((self.size, self._n))
-        _observe(
-            self._kinds, self._bodies, self._local, kin.q, kin.poses, kin.lines, self._moves, kin.com,
-            kin.com_jacobian, kin.up, s, J,
-        )  # fmt: skip
-        return s, J

@@ -6,11 +6,14 @@ The base frame of a phase is the sole of its base foot.
 from __future__ import annotations
 
 import enum
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.assembly import Assembly, Evaluation
@@ -26,6 +29,9 @@ if TYPE_CHECKING:
     from dqwalk_ros.robot.model import RobotModel
 
 __all__ = ["Change", "EndRule", "Next", "Phase", "PhaseKind", "Rule", "Timed"]
+
+
+_UP = np.array([0.0, 0.0, 1.0])
 
 
 class PhaseKind(enum.Enum):
@@ -162,13 +168,34 @@ class Phase:
         stacked = self.tasks, self.equalities, self.inequalities, self.limits
         return Assembly(kin, *stacked, eta=self.eta, damping=self.damping)
 
-    def evaluate(self, kin: Kinematics) -> Evaluation:
-        """Return errors, distances and their gradients for `kin`, which must be in the frame of `base`."""
-        return self.assembly(kin)
+    def evaluate(
+        self,
+        q: Array,
+        up: Array = _UP,
+        elapsed: float = math.inf,
+        dt: float | None = None,
+        velocity: Array | None = None,
+    ) -> Evaluation:
+        """Return errors, distances and the quadratic program (U6).
 
-    def distances(self, kin: Kinematics) -> dict[str, float]:
+        Parameters
+        ----------
+        q : ndarray, shape (n,)
+            Joint angles [rad].
+        up : ndarray, shape (3,)
+            Unit vector against gravity in the frame of `base`; by default z, a level sole.
+        elapsed : float
+            Time since the phase began [s], for tasks that follow a path; by default infinity, the end of the path.
+        dt : float
+            Control period [s]: rates are limited to 1/dt; by default they are not.
+        velocity : ndarray, shape (n,)
+            Largest joint velocities, to which the bounds of u are clipped [rad/s]; by default they are not.
+        """
+        return self.assembly(q, up, elapsed, dt, velocity)
+
+    def distances(self, q: Array, up: Array = _UP) -> dict[str, float]:
         """Return each signed distance minus its bound, by name; see `Evaluation.distances`."""
-        return self.evaluate(kin).distances()
+        return self.evaluate(q, up).distances()
 
 
 _STALLED_WINDOWS = 10

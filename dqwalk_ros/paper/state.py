@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from dqwalk_ros.support.arrays import Array
@@ -30,6 +31,8 @@ class State:
         odometry uses it.
     effort : ndarray, shape (n,), or None
         Joint torques [N m]; used only to find the cause of a fall.
+    elapsed : float
+        Time since the phase began [s], for the walk, which the controller fills in.
     """
 
     time: float
@@ -39,6 +42,7 @@ class State:
     gyro: Array | None = None
     acceleration: Array | None = None
     effort: Array | None = None
+    elapsed: float = math.inf
 
 
 @dataclass(slots=True, eq=False)

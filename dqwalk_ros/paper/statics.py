@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dqwalk_ros.paper.kinematics import Kinematics, direction
 from dqwalk_ros.support.arrays import Array
@@ -51,18 +52,21 @@ def ground_torques(kin: Kinematics, force: Array, pressure: Array, *, both: bool
 
 
 @jit
-def share(pressure, a, b):  # type: ignore[no-untyped-def]
+def share(pressure: Array, a: Array, b: Array) -> float:
     """Return the fraction of the load on the sole centred at `b` (3,); the sole at `a` (3,) carries the rest.
 
     It is the position of the projected `pressure` (2,) on the line from `a` (0) to `b` (1), clipped to [0, 1].
     """
     x, y = b[0] - a[0], b[1] - a[1]
     w = ((pressure[0] - a[0]) * x + (pressure[1] - a[1]) * y) / (x * x + y * y)
-    return min(max(w, 0.0), 1.0)
+    return float(min(max(w, 0.0), 1.0))
 
 
 @jit
-def borne_by_other(force, pressure, com, a, b, half, x_other, lines, moves):  # type: ignore[no-untyped-def]
+def borne_by_other(
+    force: Array, pressure: Array, com: Array, a: Array, b: Array, half: float, x_other: Array, lines: Array,
+    moves: NDArray[np.bool_],
+) -> Array:  # fmt: skip
     """Return w (F.J_po + m.J_omega) of `ground_torques`, shape (n,) [N m].
 
     `a` and `b` (3,) are the centres of the base sole and of the other sole, `half` is half of their length [m],
@@ -81,4 +85,5 @@ def borne_by_other(force, pressure, com, a, b, half, x_other, lines, moves):  # 
             for k in range(3):
                 i1, i2 = (k + 1) % 3, (k + 2) % 3
                 tau[i] += force[k] * (line[i1] * p_b[i2] - line[i2] * p_b[i1] + line[3 + k]) + m[k] * line[k]
-    return w * tau
+    tau *= w
+    return tau

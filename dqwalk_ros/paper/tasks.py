@@ -1,58 +1,52 @@
-"""Tasks: errors that the objective of (U6) drives to zero, sections 4.1 and 4.2 [Urban2020].
-
-Like a constraint, a task lists the features of the robot that it depends on (`watches`), and computes from their
-coordinates s the error e and its gradient de/ds. Its Jacobian is this gradient times the Jacobian of s.
-"""
+"""Tasks: errors that the objective of (U6) drives to zero, sections 4.1 and 4.2 [Urban2020]."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from dqwalk_ros.paper.kinematics import CenterOfMass, Feature, JointAngles, Point, Pose
+from dqwalk_ros.paper.features import Affine, CenterOfMass, Feature, JointAngles, Point, Pose, Quantity
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 
-__all__ = ["ComOverFoot", "FramePose", "Posture", "Task"]
+__all__ = ["ComOverFoot", "FramePose", "Posture", "Task", "converge"]
+
+
+@jit
+def converge(e: Array, eta: float, saturation: float) -> Array:
+    """Return the desired derivative of an error by time, -eta e of (U6); the norm of e is saturated."""
+    return -eta * min(1.0, saturation / max(math.sqrt(e @ e), 1e-12)) * e
 
 
 @dataclass(frozen=True, kw_only=True)
-class Task(ABC):
-    """An error e(q) with e' = J u; the objective of (U6) contains weight ||J u - rate||^2.
+class Task(Quantity):
+    """An error e(q) with e' = J u; the objective of (U6) contains weight ||J u + eta e||^2.
+
+    If the error changes by time alone, because it is the distance from a path, that rate is subtracted.
 
     Attributes
     ----------
-    name : str
     weight : float
+    eta : float or None
+        Rate at which the error converges [1/s]; by default that of the phase.
+    saturation : float
+        Norm at which the error is saturated, so that it converges at most at eta times this speed.
     """
 
-    name: str
     weight: float = 1.0
+    eta: float | None = None
+    saturation: float = math.inf
 
-    @property
-    @abstractmethod
-    def watches(self) -> tuple[Feature, ...]:
-        """Features that the error depends on; `value` takes their stacked coordinates s."""
 
-    @property
-    def parameters(self) -> Array:
-        """Numbers that its compiled function takes, for the classes that `assembly` evaluates in compiled code."""
-        return np.empty(0)
-
-    @abstractmethod
-    def value(self, s: Array, elapsed: float) -> tuple[Array, Array]:
-        """Return the error (k,) and its gradient (k, m) at s (m,); `elapsed` is the time since the phase began [s]."""
-
-    def rate(self, s: Array, e: Array, elapsed: float, eta: float) -> Array:
-        """Return the desired e', shape (k,): -eta e as in (U6); a task that follows a path adds the path's velocity."""
-        return -eta * e
+# (p_CoM - p_foot)_xy of section 4.1
+_COM_LESS_FOOT = np.hstack([np.eye(2, 3), -np.eye(2, 3)])
 
 
 @dataclass(frozen=True, kw_only=True)
-class ComOverFoot(Task):
+class ComOverFoot(Affine, Task):
     """Brings the projection of the CoM over a point of a foot, section 4.1 [m].
 
     The foot may slide, so the Jacobian contains its motion: e = (p_CoM - p_foot)_xy, J = (J_CoM - J_foot)_xy.
@@ -65,20 +59,17 @@ class ComOverFoot(Task):
         """The CoM and the point of the foot."""
         return (CenterOfMass(), self.foot)
 
-    def value(self, s: Array, elapsed: float) -> tuple[Array, Array]:
-        """Horizontal offset of the CoM from the point, shape (2,) [m]."""
-        return _COM_LESS_FOOT @ s, _COM_LESS_FOOT
-
-
-# the task of section 4.1: the CoM minus the point of the foot, along x and y
-_COM_LESS_FOOT = np.array([[1.0, 0.0, 0.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0, -1.0, 0.0]])
+    @property
+    def A(self) -> Array:
+        """Selects the horizontal offset of the CoM from the point."""
+        return _COM_LESS_FOOT
 
 
 @jit
-def pose_difference(s, target):  # type: ignore[no-untyped-def]
+def pose_difference(s: Array, target: Array, elapsed: float) -> tuple[Array, Array, Array]:
     """Return vec8(x - x_d) of section 4.2 (8,) and its gradient; s (8,) is x or -x, of which the closer one is used."""
     sign = 1.0 if s[:4] @ target[:4] >= 0.0 else -1.0  # x and -x are the same pose
-    return sign * s - target, sign * np.eye(8)
+    return sign * s - target, sign * np.eye(8), np.zeros(8)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,34 +85,32 @@ class FramePose(Task):
 
     frame: str
     target: Array
-
-    @property
-    def parameters(self) -> Array:
-        """The target, shape (8,)."""
-        return self.target
+    function = pose_difference
 
     @property
     def watches(self) -> tuple[Feature, ...]:
         """The pose."""
         return (Pose(self.frame),)
 
-    def value(self, s: Array, elapsed: float) -> tuple[Array, Array]:
-        """Difference of the unit dual quaternions, shape (8,)."""
-        e, gradient = pose_difference(s, self.target)
-        return e, gradient
+    @property
+    def parameters(self) -> Array:
+        """The target, shape (8,)."""
+        return self.target
 
 
 @dataclass(frozen=True, kw_only=True)
-class Posture(Task):
+class Posture(Affine, Task):
     """Moves all joints to a posture `q_ref` (n,) [rad]; not in the paper."""
 
     q_ref: Array
     watches = (JointAngles(),)
 
     @cached_property
-    def _gradient(self) -> Array:
+    def A(self) -> Array:
+        """The identity."""
         return np.eye(len(self.q_ref))
 
-    def value(self, s: Array, elapsed: float) -> tuple[Array, Array]:
-        """Difference of the joint angles from the posture, shape (n,) [rad]."""
-        return s - self.q_ref, self._gradient
+    @property
+    def b(self) -> Array:
+        """The posture [rad]."""
+        return self.q_ref

@@ -20,9 +20,10 @@ from dqwalk_ros.paper.constraints import (
     PointOverPlane,
 )
 from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.features import CenterOfMass, Point
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import Cylinder, Line, Plane, wall_side
-from dqwalk_ros.paper.kinematics import CenterOfMass, Kinematics, Point
+from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Change, EndRule, Next, Phase, PhaseKind, Rule
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import gravity_torques
@@ -286,7 +287,7 @@ class PaperWalk(Walk):
         tip, heel, center = (Point(end, offset) for offset in (end_sole.tip, end_sole.heel, end_sole.center))
 
         def wall(name: str, eta: float, fixed: Array, moving: Point, inside: Array) -> PointInsideWall:
-            side = wall_side(fixed, kin.value(moving), inside)
+            side = wall_side(fixed, moving.value(kin), inside)
             return PointInsideWall(name=name, eta=eta, point=CenterOfMass(), fixed=fixed, moving=moving, side=side)
 
         ground: list[Constraint] = [
@@ -297,7 +298,7 @@ class PaperWalk(Walk):
                 AxisLevel(name="flat_pitch", eta=dsp.eta_ground, frame=end, direction=_X),
                 AxisLevel(name="flat_roll", eta=dsp.eta_ground, frame=end, direction=_Y),
             ]
-        sliding = Cylinder(Line.through(kin.value(tip), _UP), dsp.sliding_radius)
+        sliding = Cylinder(Line.through(tip.value(kin), _UP), dsp.sliding_radius)
         inequalities = (
             PointInCylinder(name="sliding", eta=dsp.eta_sliding, point=tip, cylinder=sliding),  # (U7)
             wall("tip_plane", dsp.eta_tip, base_sole.tip, tip, base_sole.heel),  # (U9)

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.paper.kinematics import Kinematics
-from dqwalk_ros.paper.paths import ComPath, com_path
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.report.metrics import Series, hull_margin, support_polygon
 from dqwalk_ros.robot.servos import Servos
 from dqwalk_ros.robot.standing_limits import Finding, divergent_component, longest_delay, servo_findings
 from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.walks.following import ComPath, com_path
 
 __all__ = ["causes", "lost"]
 
@@ -154,7 +154,7 @@ def _planned_margin(series: Series) -> Array:
         if path is None:
             continue
         kin = Kinematics(model, span.record.q_start, span.phase.base)
-        goals = np.concatenate([np.zeros(2), *(kin.value(point) for point in path.over)])
+        goals = np.concatenate([np.zeros(2), *(point.value(kin) for point in path.over)])
         elapsed = series.time[span.ticks] - span.record.time
         way = [com_path(goals, path.start, float(t), path.duration) for t in elapsed]
         pressure = np.array([c - float(kin.com[2]) / GRAVITY * a for c, _, a in way])

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.paper.constraints import Constraint, PointInCylinder
 from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.features import CenterOfMassOnGround, Observer, Pose
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import ConvexPolygon
-from dqwalk_ros.paper.kinematics import CenterOfMassOnGround, Kinematics, Observer, Pose, compose, support_tree
+from dqwalk_ros.paper.kinematics import Kinematics, compose, support_tree
 from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.plants.base import tilt
 from dqwalk_ros.robot.model import RobotModel, Sole, parse_model
@@ -149,7 +150,7 @@ class Ending:
         """Return the end of a phase at joint angles `q` (n,)."""
         kin = Kinematics(model, q, phase.base)
         center = kin.point(model.soles[phase.support].frame, model.soles[phase.support].center)
-        return cls(phase.evaluate(kin).error, float(np.linalg.norm((kin.com - center)[:2])), kin.pose(kin.swing))
+        return cls(phase.evaluate(kin.q).error, float(np.linalg.norm((kin.com - center)[:2])), kin.pose(kin.swing))
 
 
 @dataclass(frozen=True)
@@ -368,8 +369,8 @@ def analyse(trace: Trace) -> Series:
         observe = Observer(features, support_tree(model, phase.base))
         margins = np.empty((len(ticks), len(phase.assembly.names)))
         for k, tick in enumerate(ticks):
-            kin = Kinematics(model, trace.q[tick], phase.base).with_vertical(trace.up(tick))
-            now = phase.evaluate(kin)
+            kin = Kinematics.measured(model, trace.q[tick], phase.base, trace.up(tick))
+            now = phase.evaluate(kin.q, kin.up)
             task_error[tick], com[tick], seen[tick] = now.error, kin.com, observe(kin)[0]
             margins[k] = now.margins
         found = phase.assembly.by_name(margins)

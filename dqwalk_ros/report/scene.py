@@ -150,7 +150,7 @@ def region(constraint: Constraint, kin: Kinematics) -> Region | None:
 
 @region.register
 def _(constraint: PointInCylinder, kin: Kinematics) -> Region | None:
-    axis, p = constraint.cylinder.axis, kin.value(constraint.point)
+    axis, p = constraint.cylinder.axis, constraint.point.value(kin)
     foot = np.cross(axis.l, axis.m)  # the axis' point closest to the origin
     height = max(0.012, _MARGIN * abs(float((p - foot) @ axis.l)))
     center = foot + 0.5 * height * axis.l
@@ -159,16 +159,16 @@ def _(constraint: PointInCylinder, kin: Kinematics) -> Region | None:
 
 @region.register
 def _(constraint: PointOverPlane, kin: Kinematics) -> Region | None:
-    plane, p = constraint.plane, kin.value(constraint.point)
+    plane, p = constraint.plane, constraint.point.value(kin)
     center = p - (float(plane.n @ p) - plane.d) * plane.n
     return Region(constraint.name, "plane", _turned(center, plane.n), (0.26, 0.26))
 
 
 @region.register
 def _(constraint: PointInsideWall, kin: Kinematics) -> Region | None:
-    a, b = constraint.fixed, kin.value(constraint.moving)
+    a, b = constraint.fixed, constraint.moving.value(kin)
     t = (b - a)[:2]
-    height = max(0.02, _MARGIN * float(kin.value(constraint.point)[2]))
+    height = max(0.02, _MARGIN * float(constraint.point.value(kin)[2]))
     center = np.append(0.5 * (a + b)[:2], 0.5 * height)
     yaw = float(np.arctan2(t[1], t[0]))
     pose = DQ.from_pose(center, [np.cos(0.5 * yaw), 0.0, 0.0, np.sin(0.5 * yaw)]).vec8()
@@ -315,7 +315,7 @@ class Scene:
         phase, model = moment.phase, self.model
         if self._assess is None or self._assess.phase is not phase:
             self._assess = Assessor(self.config, model, phase)
-        kin = Kinematics(model, moment.q, phase.base).with_vertical(moment.up)
+        kin = Kinematics.measured(model, moment.q, phase.base, moment.up)
         return kin, self._assess(kin, moment.time - moment.began)
 
     def look(self, moment: Moment) -> View:

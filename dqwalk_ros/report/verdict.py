@@ -74,7 +74,7 @@ class Assessor:
 
     def __init__(self, config: Config, model: RobotModel, phase: Phase) -> None:
         self.config, self.model, self.phase = config, model, phase
-        self._start = phase.distances(Kinematics(model, phase.q_start, phase.base))
+        self._start = phase.distances(phase.q_start)
         self._held = [(row.name, abs(self._start[row.name]), _decay(row.eta, config.dt)) for row in phase.equalities]
 
     def __call__(self, kin: Kinematics, elapsed: float, monitor: MonitorConfig | None = None) -> Assessment:
@@ -84,7 +84,7 @@ class Assessor:
         """
         monitor = monitor or self.config.monitor
         ticks = max(elapsed, 0.0) / self.config.dt
-        now = self.phase.evaluate(kin)
+        now = self.phase.evaluate(kin.q, kin.up)
         distances = now.distances()
         values: dict[str, float] = {"error": float(now.error), "time in phase": elapsed}
         broken: list[str] = []

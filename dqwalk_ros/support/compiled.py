@@ -9,24 +9,27 @@ Numba executes what it finds in the cache, so the cache is in a folder that no o
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import logging
 import os
 import pathlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numba
-from numba.core import event
+import numpy as np
+from numba import extending, types
+from numba.core import cgutils, event
 
 from dqwalk_ros.support.own_folder import own_folder, temporary
 
-__all__ = ["COMPILING", "jit"]
+__all__ = [
+    "COMPILING", "FLOAT", "INTEGER", "MASK", "MATRIX", "NOTHING", "VECTOR", "Signature", "jit", "record",
+]  # fmt: skip
 
 
 def _cache_folder() -> pathlib.Path:
-    """Return the folder of the cache: in the cache folder of the user, or if need be in the temporary one."""
-    package = pathlib.Path(__file__).parent
     """Return the folder of the cache: in the user's cache folder, or in the temporary one where that is read-only."""
     package = pathlib.Path(__file__).parents[1]
     sources = (file.read_bytes() for file in sorted(package.rglob("*.py")))
@@ -39,10 +42,11 @@ def _cache_folder() -> pathlib.Path:
     return folder / digest[:16]
 
 
+_CONFIG: Any = numba.config
 _no_cache = ""
 if "NUMBA_CACHE_DIR" not in os.environ:
     try:
-        numba.config.CACHE_DIR = str(_cache_folder())  # type: ignore[attr-defined]
+        _CONFIG.CACHE_DIR = str(_cache_folder())
     except OSError as error:
         _no_cache = f"; in each process, because there is no cache ({error.strerror}: '{error.filename}')"
 
@@ -66,9 +70,90 @@ class _CompilationNotice(event.Listener):
         """Do nothing."""
 
 
-event.register("numba:compile", _CompilationNotice())  # type: ignore[no-untyped-call]
+event.register("numba:compile", _CompilationNotice())
 
 
 def jit(function: Callable[..., Any]) -> Any:
     """Return `function` compiled on its first call; floating-point operations are not reordered (no fast-math)."""
-    return numba.njit(cache=not _no_cache, fastmath=False, error_model="numpy")(function)
+    compiled = numba.njit(fastmath=False, error_model="numpy")(function)
+    if not _no_cache and not _CONFIG.DISABLE_JIT:
+        with contextlib.suppress(RuntimeError):  # a function of no file, such as one typed at a prompt
+            compiled.enable_caching()
+    return compiled
+
+
+# ---------------------------------------------------------------------- functions that are known at run time only
+
+FLOAT, INTEGER, NOTHING = numba.float64, numba.int64, numba.void
+VECTOR, MATRIX, MASK = numba.float64[::1], numba.float64[:, ::1], numba.boolean[:, ::1]
+
+
+class Signature:
+    """Type of compiled functions of which others call a number that they find in a table.
+
+    So a function that evaluates a list of objects, each by a compiled function of its class, is compiled once and not
+    for every set of classes.
+
+    Parameters
+    ----------
+    returned
+        Type of the result, such as `NOTHING`, or a tuple of types.
+    arguments
+        Types of the arguments.
+    """
+
+    def __init__(self, returned: Any, *arguments: Any) -> None:
+        self._type = (types.Tuple(returned) if isinstance(returned, tuple) else returned)(*arguments)
+
+    def table(self, functions: Sequence[Callable[..., Any]]) -> Any:
+        """Return the addresses of compiled functions; where numba is disabled, the functions themselves.
+
+        The addresses are those of this process.
+
+        Raises
+        ------
+        TypeError
+            If a function does not have this signature.
+        """
+        return list(functions) if _CONFIG.DISABLE_JIT else np.array([*map(self._address, functions)], np.int64)
+
+    def _address(self, function: Any) -> int:
+        try:
+            made = function.get_compile_result(self._type)
+        except AttributeError:
+            raise TypeError(f"{function} must be compiled by dqwalk_ros.support.compiled.jit") from None
+        except numba.TypingError as error:
+            raise TypeError(f"{function.py_func.__qualname__} is not of the type {self._type}: {error}") from error
+        found, wanted = made.signature.return_type, self._type.return_type
+        if found != wanted:
+            raise TypeError(f"{function.py_func.__qualname__} returns {found}, but must return {wanted}")
+        address: int = made.library.get_pointer_to_function(made.fndesc.llvm_func_name)
+        return address
+
+    @property
+    def call(self) -> Any:
+        """Compiled function that calls the function of an entry of a table: call(entry, *arguments)."""
+        if _CONFIG.DISABLE_JIT:
+            return lambda function, *arguments: function(*arguments)
+        called = self._type
+
+        @extending.intrinsic
+        def call(typing: Any, entry: Any, *arguments: Any) -> Any:
+            def generated(context: Any, builder: Any, _: Any, values: Any) -> Any:
+                convention, (address, given) = context.call_conv, values
+                type_ = convention.get_function_type(called.return_type, called.args)
+                pointer = builder.inttoptr(address, type_.as_pointer())
+                given = cgutils.unpack_tuple(builder, given)
+                status, result = convention.call_function(builder, pointer, called.return_type, called.args, given)
+                with cgutils.if_unlikely(builder, status.is_error):
+                    convention.return_status_propagate(builder, status)
+                return result
+
+            return called.return_type(INTEGER, types.BaseTuple.from_types(called.args)), generated
+
+        return call
+
+
+def record(cls: type[tuple[Any, ...]], *fields: Any) -> Any:
+    """Return the type of a NamedTuple, for a `Signature`, from those of its fields."""
+    return types.NamedTuple(fields, cls)

@@ -11,8 +11,9 @@ import numpy as np
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.constraints import pose_error
 from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.features import Observer, Point, Rotation
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.kinematics import Kinematics, Observer, Point, Rotation
+from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError

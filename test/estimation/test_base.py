@@ -33,7 +33,7 @@ def errors(steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     for state, _ in closed_loop(controller, plant):
         phase = controller.phase
         single = phase.kind is PhaseKind.SINGLE_SUPPORT
-        kin = Kinematics(MODEL, state.q, phase.base).with_vertical(state.up)
+        kin = Kinematics.measured(MODEL, state.q, phase.base, state.up)
         estimate = estimator.update(state.time, kin, state.gyro, state.acceleration, both=not single)
         truth = plant.truth
         if world is None:  # the first base sole, level

@@ -8,7 +8,6 @@ import pytest
 import dqwalk_ros as dq
 from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.estimation.delay import CommandHistory
-from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.simulation import make_controller, make_walk
 from dqwalk_ros.studies import robustness
@@ -57,10 +56,11 @@ def test_the_program_is_evaluated_at_the_state_after_the_delay() -> None:
     for k in range(30):
         now = q.copy()  # the robot has not moved yet: the commands of the last 20 ms are pending
         sent.append(delayed.step(State(0.005 * k, now + 0.005 * np.sum(sent[:-4], axis=0)), 0.005).velocity)
-    ahead = delayed.phase.evaluate(
-        Kinematics(MODEL, q + 0.005 * np.sum(sent[:-1], axis=0), delayed.phase.base, None, 29 * 0.005 + 0.02)
-    )
-    expected, found = ahead.problem(0.005, undelayed._limit), delayed.problem
+    ahead = q + 0.005 * np.sum(sent[:-1], axis=0)
+    expected = delayed.phase.evaluate(
+        ahead, np.array([0.0, 0.0, 1.0]), 29 * 0.005 + 0.02, 0.005, undelayed._limit
+    ).problem
+    found = delayed.problem
     assert found is not None
     for name in ("H", "c", "W", "w"):
         assert getattr(found, name) == pytest.approx(getattr(expected, name), abs=1e-9), name
@@ -71,7 +71,8 @@ def test_servo_damping_is_fed_forward() -> None:
     state = State(0.0, q, dq_, np.array(up), np.zeros(3))
     controller = controller_with(assumed_damping=0.02)
     command = controller.step(state, 0.005)
-    kin = controller._kinematics(state, controller.phase.base).later(0.02)
+    kin = controller._kinematics(state, controller.phase.base)
+    state.elapsed = 0.02
     balance = controller.walk.effort(controller.phase, kin, state, command.velocity)
     assert command.effort == pytest.approx(balance - 0.02 * 60.0 * (dq_ - command.velocity))
 

@@ -14,19 +14,19 @@ from walks import values
 import dqwalk_ros
 from dqwalk_ros.paper.constraints import Constraint
 from dqwalk_ros.paper.dual_quaternions import DQ
-from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.geometry import ConvexPolygon, Cylinder, Line, Plane
-from dqwalk_ros.paper.kinematics import (
+from dqwalk_ros.paper.features import (
     CenterOfMass,
     CenterOfMassOnGround,
     Direction,
-    Kinematics,
     Point,
     Pose,
     Rotation,
 )
-from dqwalk_ros.paper.targets import Target
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.geometry import ConvexPolygon, Cylinder, Line, Plane
+from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.tasks import Task
+from dqwalk_ros.walks.following import Target
 
 COUNT = 100
 TOLERANCE = 1e-6
@@ -59,7 +59,7 @@ def test_kinematics(robot, foot):
         kin = Kinematics(robot, q, foot)
         parts = [kin.com_jacobian]
         for name in frames:
-            parts += [kin.jacobian(Pose(name)), kin.point_jacobian(name, OFFSET), kin.jacobian(Direction(name, V))]
+            parts += [Pose(name).jacobian(kin), kin.point_jacobian(name, OFFSET), Direction(name, V).jacobian(kin)]
         return np.concatenate(parts)
 
     for q in configurations(robot, COUNT, seed=20):
@@ -72,7 +72,7 @@ def test_rotations(robot, foot):
     for q in configurations(robot, COUNT // 10, seed=21):
         kin = Kinematics(robot, q, foot)
         slope = central_difference(lambda q: Kinematics(robot, q, foot).pose(frame)[:4], q)
-        np.testing.assert_allclose(kin.jacobian(Rotation(frame)), slope, rtol=0, atol=TOLERANCE)
+        np.testing.assert_allclose(Rotation(frame).jacobian(kin), slope, rtol=0, atol=TOLERANCE)
         r = DQ(kin.pose(frame)).P()
         omega = np.array([(2.0 * DQ(column) * r.conj()).vec3() for column in slope.T]).T
         np.testing.assert_allclose(kin.angular_jacobian(frame), omega, rtol=0, atol=TOLERANCE)
@@ -124,14 +124,12 @@ def examples(model, foot):
         "goal": target.vec8(),
         "height": 0.02,
         "duration": 2.0,
-        "convergence": 3.0,
         "lever": 0.2,
-        "saturation": 0.1,
         "path": np.array([zero, 0.1 + zero]),
         "dt": 0.005,
         "ComPath.start": np.array([0.01, 0.02]),
         "feature": CenterOfMassOnGround(),
-        "A": np.array([[1.0, 0.0], [0.5, 2.0]]),
+        "selects": np.array([[1.0, 0.0], [0.5, 2.0]]),
         "Follow.target": Target(np.array([0.01, 0.02]), np.array([0.1, 0.0])),
         "FollowPose.target": Target(np.array([*target.translation(), *target.vec8()[:4]]), np.zeros(6)),
         # the CoM, so that more than one branch of a constraint on points is tested
@@ -154,8 +152,7 @@ def example(cls, model, foot):
 
 
 def on_a_tilted_sole(q, foot):
-    """The kinematics 0.4 s after the beginning of a phase."""
-    return Kinematics(legs(), q, foot, TILTED, 0.4)
+    return Kinematics(legs(), q, foot, TILTED)
 
 
 def test_tasks_and_constraints(foot):
@@ -165,7 +162,7 @@ def test_tasks_and_constraints(foot):
 
     def all_values(q):
         kin = on_a_tilted_sole(q, foot)
-        return [values(one, kin)[0] for one in made]
+        return [values(one, kin, 0.4)[0] for one in made]
 
     for q in configurations(legs(), COUNT, seed=22):
         sizes = [d.size for d in all_values(q)]
@@ -173,7 +170,7 @@ def test_tasks_and_constraints(foot):
         slopes = np.split(slopes, np.cumsum(sizes)[:-1])
         kin = on_a_tilted_sole(q, foot)
         for one, size, expected in zip(made, sizes, slopes, strict=True):
-            _, J = values(one, kin)
+            _, J = values(one, kin, 0.4)
             assert J.shape == (size, legs().n), one
             scale = max(1.0, np.abs(J).max()) if isinstance(one, Constraint) else 1.0
             np.testing.assert_allclose(J, expected, rtol=0, atol=TOLERANCE * scale, err_msg=type(one).__name__)

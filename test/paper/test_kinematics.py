@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -13,7 +14,8 @@ from robots import biped12, central_difference, configurations, legs, mirrored, 
 
 from dqwalk_ros.config import RobotConfig
 from dqwalk_ros.paper.dual_quaternions import DQ
-from dqwalk_ros.paper.kinematics import Kinematics, Point, Pose
+from dqwalk_ros.paper.features import Point, Pose
+from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.robot.model import load_model
 
 
@@ -81,7 +83,7 @@ def partial_com_jacobian(model, kin, index):
     """(3): vec8(x_c') = H8-(x_ci) J_i q', reduced to the translation as in section 2.2."""
     name, com = frame_on(model, index)
     x_ci = DQ.from_pose(com)
-    J = x_ci.haminus8() @ kin.jacobian(Pose(name))
+    J = x_ci.haminus8() @ Pose(name).jacobian(kin)
     x = DQ(kin.pose(name)) * x_ci
     # p = 2 D(x) P(x)*, so p' = 2 D(x') P(x)* + 2 D(x) P(x')*
     columns = [(2.0 * (DQ(c).D() * x.P().conj() + x.D() * DQ(c).P().conj())).vec4()[1:] for c in J.T]
@@ -112,8 +114,8 @@ def test_the_base_is_at_rest(robot, foot):
     kin = Kinematics(robot, q, foot)
     sole = robot.soles[foot].frame
     assert_equal_up_to_sign(kin.pose(sole), [1, 0, 0, 0, 0, 0, 0, 0], 1e-14)
-    assert not kin.jacobian(Pose(sole)).any()
-    assert not kin.jacobian(Point(sole, np.ones(3))).any()
+    assert not Pose(sole).jacobian(kin).any()
+    assert not Point(sole, np.ones(3)).jacobian(kin).any()
 
 
 def test_mirror_image(robot, foot):
@@ -195,16 +197,17 @@ def test_com_and_frames_agree_with_pin(name, foot):
 
 PLAIN = """
 import sys, numpy as np
-sys.path.insert(0, "test")
+sys.path.insert(0, "test/support")
 from robots import legs, configurations
-from dqwalk_ros.paper.kinematics import Kinematics, Pose
+from dqwalk_ros.paper.features import Pose
+from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.foot import Foot
 import numba
 out = []
 for q in configurations(legs(), 3, seed=10):
     for foot in Foot:
         k = Kinematics(legs(), q, foot)
-        out += [k.com, k.com_jacobian, k.lines, k.pose(k.swing), k.jacobian(Pose(k.swing)), k.point_jacobian("pelvis")]
+        out += [k.com, k.com_jacobian, k.lines, k.pose(k.swing), Pose(k.swing).jacobian(k), k.point_jacobian("pelvis")]
 print(int(numba.config.DISABLE_JIT), *(x.hex() for a in out for x in a.ravel().tolist()))
 """
 
@@ -214,7 +217,7 @@ def test_compiled_and_plain_kernels_agree():
     results = {}
     for plain in ("0", "1"):
         environment = {**os.environ, "NUMBA_DISABLE_JIT": plain}
-        root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+        root = Path(__file__).resolve().parents[2]
         command = [sys.executable, "-c", PLAIN]
         run = subprocess.run(command, env=environment, cwd=root, capture_output=True, text=True, check=True)
         flag, *numbers = run.stdout.split()

@@ -40,8 +40,8 @@ PLACES = {
         "point_to_wall(s, a[:3], -a[3])",
     ),
     "(U11)": ("dqwalk_ros/paper/walk.py", "Plane(_UP, config.pelvis.height)", "Plane(_UP, 1.1 * config.pelvis.height)"),
-    "(U12)": ("dqwalk_ros/paper/constraints.py", "return -self.q_max", "return -0.9 * self.q_max"),
-    "(U13)": ("dqwalk_ros/paper/constraints.py", "return self.q_min", "return 0.9 * self.q_min"),
+    "(U12)": ("dqwalk_ros/paper/constraints.py", "return q_max - q,", "return 0.9 * q_max - q,"),
+    "(U13)": ("dqwalk_ros/paper/constraints.py", "return q - q_min,", "return q - 0.9 * q_min,"),
     "(U14)": (
         "dqwalk_ros/paper/walk.py",
         'name="com_cylinder", eta=ssp.eta_com',
@@ -49,8 +49,8 @@ PLACES = {
     ),
     "section 4.1": (
         "dqwalk_ros/paper/tasks.py",
-        "[[1.0, 0.0, 0.0, -1.0, 0.0, 0.0]",
-        "[[1.0, 0.0, 0.0, -0.9, 0.0, 0.0]",
+        "-np.eye(2, 3)]",
+        "-0.9 * np.eye(2, 3)]",
     ),
     "ection 4.2": ("dqwalk_ros/paper/tasks.py", "return sign * s - target", "return 1.01 * sign * s - target"),
     "switching rule of section 5": (
@@ -71,7 +71,7 @@ model = load_model(config.robot)
 walk, q = make_walk(config, model), np.linspace(-0.05, 0.05, model.n)
 for kind, target in ((PhaseKind.DOUBLE_SUPPORT, None), (PhaseKind.SINGLE_SUPPORT, walk.footstep(Foot.LEFT))):
     phase = walk.phase(kind, Foot.LEFT, np.zeros(model.n), target)
-    problem = phase.evaluate(Kinematics(model, q, phase.base)).problem(config.dt, model.velocity_max)
+    problem = phase.evaluate(q, dt=config.dt, velocity=model.velocity_max).problem
     for part in problem[:6]:
         print(np.array2string(part, precision=12, threshold=10**6))
 trace = simulate(make_controller(config, model), KinematicPlant(model), max_time=9.0)

@@ -126,11 +126,11 @@ def test_the_distance_at_the_boundary_of_a_region_is_zero(trace):
             row, pose = rows[region.name], x.conj() * DQ(region.pose)
             if region.kind == "cylinder":
                 side = pose.transform_point(np.array([region.size[0], 0.0, 0.0]))
-                assert abs(row.value(side)[0]) < 1e-12
+                assert abs(row.evaluate(side)[0]) < 1e-12
             elif region.kind == "plane":
-                assert abs(row.value(pose.translation())[0]) < 1e-12
+                assert abs(row.evaluate(pose.translation())[0]) < 1e-12
             else:
-                a, b = row.fixed, kin.value(row.moving)
+                a, b = row.fixed, row.moving.value(kin)
                 t, v = (b - a)[:2], (pose.translation() - a)[:2]
                 assert abs(t[0] * v[1] - t[1] * v[0]) < 1e-12
 

@@ -7,10 +7,16 @@ import dataclasses
 import numpy as np
 
 from dqwalk_ros.paper.constraints import Constraint
+from dqwalk_ros.paper.features import CenterOfMass
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.kinematics import CenterOfMass
 from dqwalk_ros.paper.phase import Next, PhaseKind
 from dqwalk_ros.paper.walk import PaperWalk
+from dqwalk_ros.support.compiled import jit
+
+
+@jit
+def above(s, a, elapsed):
+    return s[2:] - a, np.array([[0.0, 0.0, 1.0]]), np.zeros(1)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -19,9 +25,11 @@ class ComAbove(Constraint):
 
     height: float
     watches = (CenterOfMass(),)
+    function = above
 
-    def value(self, s):
-        return s[2] - self.height, np.array([0.0, 0.0, 1.0])
+    @property
+    def parameters(self):
+        return np.array([self.height])
 
 
 class HighWalk(PaperWalk):

@@ -11,12 +11,11 @@ import robots
 from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config, load
-from dqwalk_ros.paper.constraints import Constraint
+from dqwalk_ros.paper.features import Observer, Quantity
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.kinematics import Kinematics, Observer
+from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.qp.problem import Problem
-from dqwalk_ros.paper.tasks import Task
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.simulation import Trace, make_controller, make_walk, simulate
@@ -24,9 +23,11 @@ from dqwalk_ros.simulation import Trace, make_controller, make_walk, simulate
 Array = NDArray[np.float64]
 
 
-def problem_at(phase: Phase, kin: Kinematics, dt: float = 0.005, limit: Array | None = None) -> Problem:
+def problem_at(
+    phase: Phase, kin: Kinematics, dt: float = 0.005, limit: Array | None = None, elapsed: float = np.inf
+) -> Problem:
     """The quadratic program of a phase at one configuration."""
-    return phase.evaluate(kin).problem(dt, np.full(kin.q.size, np.inf) if limit is None else limit)
+    return phase.evaluate(kin.q, kin.up, elapsed, dt, limit).problem
 
 
 def problem_of(
@@ -36,11 +37,11 @@ def problem_of(
     return Problem(H, c, np.concatenate([E, G]), np.concatenate([e, h]), lower, upper, len(e), names)
 
 
-def values(item: Task | Constraint, kin: Kinematics) -> tuple[Array, Array]:
+def values(item: Quantity, kin: Kinematics, elapsed: float = np.inf) -> tuple[Array, Array]:
     """Error of a task or distance of a constraint (k,), and its Jacobian (k, n), by the chain rule."""
     s, J = Observer(item.watches, kin.tree)(kin)
-    value, gradient = item.value(s, kin.elapsed) if isinstance(item, Task) else item.value(s)
-    return np.atleast_1d(value), np.atleast_2d(gradient) @ J
+    value, gradient, _ = item.evaluate(s, elapsed)
+    return value, gradient @ J
 
 
 def exact(problem: Problem) -> Array:
@@ -98,7 +99,7 @@ def segments(trace: Trace) -> Iterator[Segment]:
         error, margins = [], []
         for tick in ticks:
             kin = Kinematics(model, trace.q[tick], phase.base)
-            now = phase.evaluate(kin)
+            now = phase.evaluate(kin.q, kin.up)
             error.append(now.error)
             margins.append(now.margins)
         rows = (*phase.equalities, *phase.constraints)

@@ -14,11 +14,11 @@ from walks import values
 import dqwalk_ros as dq
 from dqwalk_ros.config import find_share, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.features import Observer
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.kinematics import Kinematics, Observer
+from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.state import State
-from dqwalk_ros.paper.targets import FollowPose, Target
 from dqwalk_ros.paper.walk import Walk
 from dqwalk_ros.report import analyse, bag, report
 from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, simulate, warm_up
@@ -31,6 +31,7 @@ from dqwalk_ros.walks.dynamic.pendulum import angular_momentum, swing_inertia
 from dqwalk_ros.walks.dynamic.plan import Pressed, Rest, single_supports
 from dqwalk_ros.walks.dynamic.swing import Swing
 from dqwalk_ros.walks.dynamic.walk import DynamicWalk
+from dqwalk_ros.walks.following import FollowPose, Target
 from dqwalk_ros.walks.footprint import Footprint
 
 CONFIG = dq.load("poppy_dynamic")
@@ -429,11 +430,11 @@ def test_follow_pose_feeds_the_target_velocity_forward() -> None:
     kin = Kinematics(MODEL, random_posture(5), Foot.LEFT)
     x = DQ(kin.pose(kin.swing))
     place, velocity = np.array([*x.translation(), *x.vec4()[:4]]), np.arange(6.0)
-    task = FollowPose(name="swing", frame=kin.swing, target=Target(place, velocity), convergence=12.0, lever=0.2)
+    task = FollowPose(name="swing", frame=kin.swing, target=Target(place, velocity), eta=12.0, lever=0.2)
     e, _ = values(task, kin)
     assert e == pytest.approx(np.zeros(6), abs=1e-9)
     s = Observer(task.watches, kin.tree)(kin)[0]
-    assert task.rate(s, e, 0.0, 1.0) == pytest.approx(velocity * [1, 1, 1, 0.2, 0.2, 0.2])
+    assert -task.evaluate(s)[2] == pytest.approx(velocity * [1, 1, 1, 0.2, 0.2, 0.2])
 
 
 # ---------------------------------------------------------------------- the walk

@@ -15,10 +15,10 @@ from dqwalk_ros.cli.footsteps import reached
 from dqwalk_ros.config import overlaid
 from dqwalk_ros.paper.constraints import vfi
 from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.features import CenterOfMassOnGround, Point
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import moved_inside
-from dqwalk_ros.paper.kinematics import CenterOfMassOnGround, Kinematics, Point
-from dqwalk_ros.paper.paths import ComPath, SwingPath, com_path
+from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.paper.statics import gravity_torques, ground_torques
@@ -28,6 +28,7 @@ from dqwalk_ros.report.verdict import _returned
 from dqwalk_ros.simulation import make_controller, make_plant, make_walk, simulate
 from dqwalk_ros.support.errors import ConfigError, PhaseError, PlantError
 from dqwalk_ros.walks.com import com_velocity
+from dqwalk_ros.walks.following import ComPath, SwingPath, com_path
 from dqwalk_ros.walks.standing.balance import Balance
 from dqwalk_ros.walks.standing.walk import PathEnd, StandingWalk
 
@@ -56,24 +57,22 @@ def test_the_path_begins_at_the_center_of_mass_on_a_slope() -> None:
 def test_swing_paths_connect_start_and_goal_and_their_velocity_is_the_derivative() -> None:
     start = DQ.from_pose([0.0, 0.1, 0.0]).vec8()
     goal = DQ.from_pose([0.1, 0.12, 0.0], [np.cos(0.1), 0.0, 0.0, np.sin(0.1)]).vec8()
-    path = SwingPath(
-        name="s", frame="r_sole", start=start, goal=goal, height=0.03, duration=2.0, convergence=5.0, lever=0.2
-    )
+    path = SwingPath(name="s", frame="r_sole", start=start, goal=goal, height=0.03, duration=2.0, eta=5.0, lever=0.2)
 
     def at(x: DQ) -> np.ndarray:
         return np.concatenate([x.translation(), x.vec8()[:4]])  # coordinates of the point and the rotation
 
     for t, pose in ((0.0, start), (2.0, goal)):
-        assert path.value(at(DQ(pose)), t)[0] == pytest.approx(np.zeros(6), abs=1e-12)
+        assert path.evaluate(at(DQ(pose)), t)[0] == pytest.approx(np.zeros(6), abs=1e-12)
     middle = at(DQ(start)), at(DQ(goal))
-    assert 0.5 * sum(path.value(s, 1.0)[0][2] for s in middle) == pytest.approx(-0.03)
-    h, still = 1e-6, np.zeros(6)
+    assert 0.5 * sum(path.evaluate(s, 1.0)[0][2] for s in middle) == pytest.approx(-0.03)
+    h = 1e-6
     for t in (0.1, 0.5, 1.0, 1.7):
-        e, gradient = path.value(at(DQ(start)), t)
+        e, gradient, _ = path.evaluate(at(DQ(start)), t)
         s = at(DQ(start)) - np.linalg.lstsq(gradient, e)[0]  # on the path: the error is affine in s
         s[3:] /= np.linalg.norm(s[3:])
-        numeric = (path.value(s, t + h)[0] - path.value(s, t - h)[0]) / (2.0 * h)
-        assert path.rate(s, still, t, 1.0) == pytest.approx(-numeric, abs=1e-6)
+        numeric = (path.evaluate(s, t + h)[0] - path.evaluate(s, t - h)[0]) / (2.0 * h)
+        assert path.evaluate(s, t)[2] == pytest.approx(numeric, abs=1e-6)
 
 
 def test_a_held_sole_without_ankle_roll_has_independent_rows() -> None:
@@ -112,7 +111,7 @@ def test_footprints_are_reachable_with_the_com_over_either_foot(turn: float) -> 
 
         def off(q: np.ndarray, over: Point = over) -> np.ndarray:
             kin = Kinematics(MODEL, q, Foot.LEFT)
-            return np.concatenate([kin.pose(frame) - x, kin.com[:2] - kin.value(over)[:2]])
+            return np.concatenate([kin.pose(frame) - x, kin.com[:2] - over.value(kin)[:2]])
 
         start = np.clip(MODEL.posture(CONFIG.standing.posture), MODEL.q_min + 1e-6, MODEL.q_max - 1e-6)
         found = scipy.optimize.least_squares(off, start, bounds=(MODEL.q_min, MODEL.q_max), xtol=1e-12, ftol=1e-12)
@@ -158,10 +157,10 @@ def test_ground_torques_are_weighted_by_the_load_of_each_sole() -> None:
     assert 0.0 < np.median(shares) < 1.0
 
 
-def reference(path: ComPath, kin: Kinematics) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def reference(path: ComPath, kin: Kinematics, elapsed: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return position, velocity and acceleration of the path at one configuration."""
     goals = [kin.point(point.frame, point.offset) for point in path.over]
-    return com_path(np.concatenate([np.zeros(2), *goals]), path.start, kin.elapsed, path.duration)
+    return com_path(np.concatenate([np.zeros(2), *goals]), path.start, elapsed, path.duration)
 
 
 @pytest.mark.parametrize("kind", [PhaseKind.DOUBLE_SUPPORT, PhaseKind.SINGLE_SUPPORT])
@@ -174,18 +173,18 @@ def test_balance_torques_follow_the_com_path_with_the_cop_inside_the_soles(kind:
     n, d = polygon.edges()
     s, cut = CONFIG.standing, 0
     for seed in range(8):
-        kin = Kinematics(MODEL, somewhere(seed, 0.1), phase.base, TILTED, 0.6)
-        state = State(0.6, kin.q, 0.2 * np.random.default_rng(seed).normal(size=MODEL.n), up=TILTED)
+        kin = Kinematics(MODEL, somewhere(seed, 0.1), phase.base, TILTED)
+        state = State(0.6, kin.q, 0.2 * np.random.default_rng(seed).normal(size=MODEL.n), up=TILTED, elapsed=0.6)
         h, c, v = float(TILTED @ kin.com), kin.com_on_ground, (kin.com_jacobian @ state.dq)[:2]
         w, k = np.sqrt(9.80665 / h), s.balance
-        _, v_d, a_d = reference(path, kin)
-        a = a_d - w**2 * k * values(path, kin)[0] - w * (1.0 + k) * (v - v_d)
+        _, v_d, a_d = reference(path, kin, 0.6)
+        a = a_d - w**2 * k * values(path, kin, 0.6)[0] - w * (1.0 + k) * (v - v_d)
         p = c - a / w**2
         cut += polygon.distance(p) < s.pressure_margin
         p = moved_inside(p, n, d, s.pressure_margin)
         tau = Balance(phase, CONFIG)(kin, state)
         if kind is PhaseKind.SINGLE_SUPPORT:
-            wanted = MODEL.mass * w**2 * (c - p) @ kin.jacobian(CenterOfMassOnGround())
+            wanted = MODEL.mass * w**2 * (c - p) @ CenterOfMassOnGround().jacobian(kin)
             assert tau - gravity_torques(kin, both=False) == pytest.approx(wanted, rel=1e-9, abs=1e-10)
         else:
             a = w**2 * (c - p)

@@ -157,7 +157,7 @@ def _diagnostics(trace: Trace, stamps: Stamps) -> list[_Messages]:
         assess = Assessor(trace.config, trace.model, record.phase(trace.config, trace.model))
         due = np.arange(stamps[ticks.start], stamps[ticks.stop - 1] + 1, period)
         for tick in np.unique(np.searchsorted(stamps, due)).tolist():
-            kin = Kinematics(trace.model, trace.q[tick], record.base).with_vertical(trace.up(tick))
+            kin = Kinematics.measured(trace.model, trace.q[tick], record.base, trace.up(tick))
             seen = assess(kin, float(trace.time[tick]) - record.time)
             values = {"phase": assess.phase.name, **seen.values}
             status = "phase_monitor: walk", trace.model.name, seen.level, seen.message, values

@@ -136,9 +136,8 @@ class Player:
         """Solve the quadratic program of a tick again; return iterations and active constraints."""
         moment = self._moments.at(tick)
         try:
-            kin = Kinematics(self._trace.model, moment.q, moment.phase.base)
             limit = self._trace.model.velocity_max
-            problem = moment.phase.evaluate(kin).problem(self._trace.config.dt, limit)
+            problem = moment.phase.evaluate(moment.q, dt=self._trace.config.dt, velocity=limit).problem
             found = self._solver.solve(problem)
         except DqwalkError as error:
             return f"failed: {error}"

@@ -102,9 +102,9 @@ class InvertedPendulum:
         kin : Kinematics
             Kinematics of the posture.
         """
-        now = phase.evaluate(kin)
+        now = phase.evaluate(kin.q, kin.up)
         root = now.assembly.sqrt_weights
-        J = root[:, None] * (now.gradients @ now.J_features)[: len(root)]
+        J = root[:, None] * now.J[: len(root)]
         H, L_u = J.T @ J + phase.damping**2 * np.eye(J.shape[1]), angular_momentum(kin)
 
         def response(task: str, axis: int) -> Array:

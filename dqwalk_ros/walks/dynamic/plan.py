@@ -14,9 +14,9 @@ from typing import Protocol
 
 import numpy as np
 
-from dqwalk_ros.paper.paths import minimum_jerk
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
+from dqwalk_ros.walks.following import minimum_jerk
 
 __all__ = ["Pressed", "Reference", "Rest", "before", "single_supports"]
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.kinematics import quaternion_product
-from dqwalk_ros.paper.paths import minimum_jerk
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
+from dqwalk_ros.walks.following import minimum_jerk
 
 __all__ = ["Swing"]
 

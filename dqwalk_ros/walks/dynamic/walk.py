@@ -14,13 +14,13 @@ import numpy as np
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.features import CenterOfMass, CenterOfMassOnGround, Direction
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import ConvexPolygon, moved_inside
-from dqwalk_ros.paper.kinematics import CenterOfMass, CenterOfMassOnGround, Direction, Kinematics
+from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Change, Next, Phase, PhaseKind, Timed
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import GRAVITY, ground_torques
-from dqwalk_ros.paper.targets import Follow, FollowPose, Target
 from dqwalk_ros.paper.tasks import Task
 from dqwalk_ros.paper.walk import com_target
 from dqwalk_ros.robot.model import RobotModel
@@ -33,6 +33,7 @@ from dqwalk_ros.walks.dynamic.ground import Ground, turned
 from dqwalk_ros.walks.dynamic.pendulum import InvertedPendulum, Pendulum, swing_inertia
 from dqwalk_ros.walks.dynamic.plan import Pressed, Reference, Rest, single_supports
 from dqwalk_ros.walks.dynamic.swing import Swing
+from dqwalk_ros.walks.following import Follow, FollowPose, Target
 from dqwalk_ros.walks.footprint import Footprint
 from dqwalk_ros.walks.stepping import JOINT_RETURN, SteppingWalk
 
@@ -194,7 +195,7 @@ class DynamicWalk(SteppingWalk):
             weight=s.swing_weight,
             frame=kin.swing,
             target=Target(np.array([*x.translation(), *swing_target[:4]]), np.zeros(6)),
-            convergence=s.swing_rate,
+            eta=s.swing_rate,
             lever=s.lever,
         )
         tasks = (task, self._com_task(self.model.soles[support].center[:2]), *self._held_upright())
@@ -203,9 +204,7 @@ class DynamicWalk(SteppingWalk):
 
     def _com_task(self, place: Array) -> Task:
         d, target = self.config.dynamic, Target(place, np.zeros(2))
-        return Follow(
-            name="com", weight=d.com_weight, feature=CenterOfMassOnGround(), target=target, convergence=d.com_rate
-        )
+        return Follow(name="com", weight=d.com_weight, feature=CenterOfMassOnGround(), target=target, eta=d.com_rate)
 
     def _held_upright(self) -> tuple[Task, ...]:
         """Return the tasks that keep the height of the CoM and the pelvis upright."""
@@ -215,17 +214,17 @@ class DynamicWalk(SteppingWalk):
                 name="height",
                 weight=d.height_weight,
                 feature=CenterOfMass(),
-                A=_UP[None],
+                selects=_UP[None],
                 target=Target(self._height, np.zeros(1)),
-                convergence=d.height_rate,
+                eta=d.height_rate,
             ),
             Follow(
                 name="upright",
                 weight=d.upright_weight,
                 feature=Direction(self.model.pelvis, _UP),
-                A=np.eye(2, 3),
+                selects=np.eye(2, 3),
                 target=Target(np.zeros(2), np.zeros(2)),
-                convergence=d.upright_rate,
+                eta=d.upright_rate,
             ),
         )
 
@@ -246,7 +245,7 @@ class DynamicWalk(SteppingWalk):
             self._begin(phase, kin)
         self._ground.observe(up, dt)
         assert isinstance(phase.rule, Timed)
-        t = kin.elapsed + phase.rule.begun
+        t = state.elapsed + phase.rule.begun
         now.measure(xi, dt, omega)
         flight, change = self._flight, None
         if flight is not None:

@@ -14,14 +14,14 @@ import numpy as np
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.constraints import ComInsideEdges
 from dqwalk_ros.paper.geometry import moved_inside
-from dqwalk_ros.paper.kinematics import Kinematics, _point, compose, support_tree
-from dqwalk_ros.paper.paths import ComPath, com_path
+from dqwalk_ros.paper.kinematics import Kinematics, compose, point, support_tree
 from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import GRAVITY, borne_by_other, gravity_torques
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.walks.com import NOT_MEASURED, Sensor, moving_com
+from dqwalk_ros.walks.following import ComPath, com_path
 
 __all__ = ["Balance"]
 
@@ -113,7 +113,7 @@ class Balance:
             dq, gyro = np.zeros(kin.q.shape), NOT_MEASURED
         robot = _Robot(kin.com, kin.com_jacobian, kin.lines, kin.poses, kin.up)
         tau: Array = _torques(
-            robot, self._sensor, dq, gyro, kin.elapsed, self._goal, self._edges, self._gains, self._soles
+            robot, self._sensor, dq, gyro, state.elapsed, self._goal, self._edges, self._gains, self._soles
         )
         return tau
 
@@ -125,14 +125,14 @@ def _torques(robot, sensor, dq, gyro, elapsed, goal, edges, gains, soles):  # ty
     v = moving_com(com, J_com, lines, poses, sensor, dq, gyro)
     s = np.zeros(2 + 3 * goal.bodies.shape[0])
     for j in range(goal.bodies.shape[0]):
-        s[2 + 3 * j : 5 + 3 * j] = _point(poses[goal.bodies[j]], goal.points[j])
+        s[2 + 3 * j : 5 + 3 * j] = point(poses[goal.bodies[j]], goal.points[j])
     c_d, v_d, a_d = com_path(s, goal.start, elapsed, goal.duration)
     a, pressure = _com_acceleration(com, up, v, c_d, v_d, a_d, edges, gains)
     force = gains.mass * (GRAVITY * up + a)
     tau = force @ J_com
     if soles.both:
         x = compose(poses[soles.body], soles.pose)
-        other = _point(x, soles.other_center)
+        other = point(x, soles.other_center)
         tau -= borne_by_other(force, pressure, com, soles.center, other, soles.half, x, lines, soles.moves)
     return tau
 

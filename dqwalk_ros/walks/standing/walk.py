@@ -16,16 +16,17 @@ from numpy.typing import ArrayLike
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.constraints import ComInsideEdges, Constraint, PointsOverPlane
 from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.features import Point
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import ConvexPolygon, Plane
-from dqwalk_ros.paper.kinematics import Kinematics, Point
-from dqwalk_ros.paper.paths import ComPath, SwingPath
+from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Next, Phase, PhaseKind
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.walk import pelvis_height
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import PhaseError
+from dqwalk_ros.walks.following import ComPath, SwingPath
 from dqwalk_ros.walks.footprint import flat
 from dqwalk_ros.walks.standing.balance import Balance
 from dqwalk_ros.walks.stepping import JOINT_RETURN, SteppingWalk
@@ -137,7 +138,7 @@ class StandingWalk(SteppingWalk):
         phase = super().phase(kind, support, q_start, swing_target, up)
         if up is None:
             return phase
-        start = Kinematics(self.model, phase.q_start, phase.base).with_vertical(up).com_on_ground
+        start = Kinematics.measured(self.model, phase.q_start, phase.base, up).com_on_ground
         tasks = (replace(task, start=start) if isinstance(task, ComPath) else task for task in phase.tasks)
         return replace(phase, tasks=tuple(tasks))
 
@@ -186,7 +187,7 @@ class StandingWalk(SteppingWalk):
             goal=swing_target,
             height=self.config.gait.step_height,
             duration=s.swing_duration,
-            convergence=s.swing_rate,
+            eta=s.swing_rate,
             lever=s.lever,
         )
         inside = np.array([0.0, s.aim_inside if support is Foot.RIGHT else -s.aim_inside, 0.0])
