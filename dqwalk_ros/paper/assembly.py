@@ -238,6 +238,7 @@ class Assembly:
         self.equality_rows = sum(counts[: len(equalities)])
 
         stacked: tuple[Quantity, ...] = (*tasks, *every)
+        functions = QUANTITY.table([type(item).function for item in stacked])
         n, tree = len(joint_names), kin.tree
         columns = _slices([sum(feature.size or n for feature in item.watches) for item in stacked])
         watched = Watched.of([feature for item in stacked[:-2] for feature in item.watches], tree)
@@ -265,7 +266,7 @@ class Assembly:
         self._bodies = (*self._bodies[:2], tree.moves, *self._bodies[3:])
         self._watched = tuple(watched)
         self._stack = (
-            QUANTITY.table([type(item).function for item in stacked]),
+            functions,
             np.array(spans, dtype=np.int64).reshape(-1, 6),
             parameters,
             np.zeros((count, len(watched.s))),

@@ -16,6 +16,7 @@ from dqwalk_ros.paper.constraints import Constraint, PointOverPlane
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import Point, affine
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.geometry import Plane
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.tasks import Posture
@@ -103,6 +104,18 @@ def higher(s, a, elapsed):
     return d - 0.01, gradient, rate
 
 
+@jit
+def rising(s, a, elapsed):
+    d, gradient, rate = affine(s, a, elapsed)
+    return d - 0.1 * elapsed, gradient, rate - 0.1
+
+
+class Rising(PointOverPlane):
+    """A plane that rises by 0.1 m/s."""
+
+    function = rising
+
+
 class Higher(PointOverPlane):
     """A user-defined constraint, which must not be evaluated as its parent class."""
 
@@ -160,6 +173,42 @@ def test_user_defined_tasks_and_constraints(kind, foot):
         plain, more = phase.distances(q), mixed.distances(q)
         assert more["own"] == pytest.approx(kin.point(plane.point.frame)[2] - plane.plane.d - 0.03)
         assert {name: more[name] for name in plain} == pytest.approx(plain)
+
+
+@jit
+def scalar(s, a, elapsed):
+    return s[2], np.zeros((1, 3)), np.zeros(1)
+
+
+class Scalar(PointOverPlane):
+    """A constraint whose function returns a number instead of an array."""
+
+    function = scalar
+
+
+class Nameless(Apart):
+    """A constraint of two rows with one name."""
+
+    def row_names(self, joint_names):
+        return (self.name,)
+
+
+def test_a_function_of_another_form_is_refused():
+    phase = phase_of(*KINDS[0])
+    row = phase.inequalities[-1]
+    one, two = Scalar(name="own", eta=3.0, point=row.point, plane=row.plane), Nameless(name="both", eta=1.0)
+    for wrong, error in ((one, "scalar is not of the type"), (two, "both has 2 distances, but names 1")):
+        with pytest.raises((TypeError, ValueError), match=error):
+            dataclasses.replace(phase, inequalities=(wrong,)).evaluate(phase.q_start)
+
+
+def test_a_moving_bound_changes_the_right_hand_side():
+    """The rate of a distance by time alone is not for the joints to provide: J u + rate >= -eta d."""
+    phase = phase_of(*KINDS[0])
+    rising = Rising(name="own", eta=3.0, point=Point("pelvis"), plane=Plane.through(np.zeros(3), [0.0, 0.0, 1.0]))
+    phase = dataclasses.replace(phase, inequalities=(rising,))
+    kin = Kinematics(setting()[1], phase.q_start, phase.base)
+    assert problem_at(phase, kin, DT, elapsed=2.0).h[0] == pytest.approx(0.1 - 3.0 * (kin.point("pelvis")[2] - 0.2))
 
 
 def test_a_later_tick_does_not_change_an_earlier_problem():

@@ -178,6 +178,18 @@ def test_tasks_and_constraints(foot):
         assert isinstance(one, Task) or len(one.row_names(legs().joint_names)) == size, one
 
 
+def test_rates_are_the_derivatives_by_time(foot):
+    """At fixed coordinates; `Follow` and `FollowPose` have the rates of targets that do not move by themselves."""
+    kin, h = on_a_tilted_sole(0.1 * np.ones(legs().n), foot), 1e-6
+    for cls in (*subclasses(Task), *subclasses(Constraint)):
+        one = example(cls, legs(), foot)
+        if one.live is None:
+            s = np.concatenate([feature.value(kin) for feature in one.watches])
+            later, before = one.evaluate(s, 0.4 + h)[0], one.evaluate(s, 0.4 - h)[0]
+            slope = (later - before) / (2.0 * h)
+            np.testing.assert_allclose(one.evaluate(s, 0.4)[2], slope, rtol=0, atol=TOLERANCE, err_msg=cls.__name__)
+
+
 def test_all_tasks_and_constraints_are_found():
     assert {"ComOverFoot", "FramePose", "Posture"} <= {cls.__name__ for cls in subclasses(Task)}
     assert len(subclasses(Constraint)) >= 6
