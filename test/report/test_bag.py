@@ -181,9 +181,9 @@ def test_bags_are_not_overwritten_by_default(trace, path, tmp_path):
     with pytest.raises(BagError, match="exists already"):
         bag.write(trace, path)
     (tmp_path / "walk").mkdir()
-    (tmp_path / "walk/old").touch()
+    (tmp_path / "walk/old.mcap").touch()
     bag.write(trace, tmp_path / "walk", diagnostics=False, overwrite=True)
-    assert not (tmp_path / "walk/old").exists()
+    assert not (tmp_path / "walk/old.mcap").exists()
     assert [p.name for p in tmp_path.iterdir()] == ["walk"]
 
 

@@ -12,11 +12,11 @@ import sys
 import time
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 from distributed import LocalCluster
 from full_disk import limited_file_size
+from points import Number, ignores_interrupts
 from pyarrow import parquet
 
 from dqwalk_ros import cli
@@ -181,19 +181,11 @@ def test_an_interrupted_study_resumes_without_losing_a_walk(tmp_path, number):
     assert [rows[line["walk"]] for line in whole] == whole
 
 
-class Number(msgspec.Struct):
-    square: float
-
-
 POINTS = [{"x": float(k)} for k in range(5)]
 
 
 def square(index: int, point: dict[str, float]) -> Number:
     return Number(point["x"] ** 2)
-
-
-def ignores_interrupts(index: int, point: dict[str, float]) -> Number:
-    return Number(float(signal.getsignal(signal.SIGINT) is signal.SIG_IGN))
 
 
 def test_workers_ignore_ctrl_c(tmp_path):

@@ -315,8 +315,10 @@ def test_the_ground_is_inclined_as_the_soles_are_in_the_mean() -> None:
     assert ground.tip(slope) == pytest.approx(DQ(1.0).vec8(), abs=2e-3)
 
 
-def still(time: float, q: np.ndarray, up: np.ndarray) -> State:
-    return State(time, q, dq=np.zeros(MODEL.n), up=up, gyro=np.zeros(3))
+def still(time: float, q: np.ndarray, up: np.ndarray, elapsed: float) -> State:
+    state = State(time, q, dq=np.zeros(MODEL.n), up=up, gyro=np.zeros(3))
+    state.elapsed = elapsed
+    return state
 
 
 def swing_target(config: dq.Config, q: np.ndarray, before: np.ndarray, up: np.ndarray, ticks: int) -> np.ndarray:
@@ -326,12 +328,12 @@ def swing_target(config: dq.Config, q: np.ndarray, before: np.ndarray, up: np.nd
     """
     walk = prepared(config)
     both = walk.phase(PhaseKind.DOUBLE_SUPPORT, Foot.RIGHT, q)
-    walk.observe(both, Kinematics(MODEL, q, Foot.LEFT, before, 0.0), still(1.0, q, before))
+    walk.observe(both, Kinematics(MODEL, q, Foot.LEFT, before), still(1.0, q, before, 0.0))
     stands = Footprint.of(Kinematics(MODEL, q, Foot.RIGHT).pose(MODEL.soles[Foot.LEFT].frame))
     phase = walk.phase(PhaseKind.SINGLE_SUPPORT, Foot.RIGHT, q, stands.pose)
     for k in range(ticks + 1):
-        kin = Kinematics(MODEL, q, Foot.RIGHT, up, config.dt * k)
-        assert walk.observe(phase, kin, still(1.0 + config.dt * (k + 1), q, up)) is None
+        kin = Kinematics(MODEL, q, Foot.RIGHT, up)
+        assert walk.observe(phase, kin, still(1.0 + config.dt * (k + 1), q, up, config.dt * k)) is None
     (target,) = (task.target for task in phase.tasks if isinstance(task, FollowPose))
     return target.numbers[:7]
 
