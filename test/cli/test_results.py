@@ -166,7 +166,7 @@ def test_results_are_written_before_they_are_printed(
     class Closed(Exception):
         pass
 
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise Closed
 
     monkeypatch.setattr("builtins.print", fail)

@@ -204,7 +204,7 @@ def test_the_com_path_is_smooth(over: tuple[Point, ...]) -> None:
     path = ComPath(name="com", start=np.array([0.02, -0.1]), over=over, duration=1.2, saturation=1.0)
     q, h = somewhere(6), 1e-4
     for t in (0.2, 0.6, 1.1):
-        before, now, after = (reference(path, Kinematics(MODEL, q, Foot.RIGHT, None, t + k * h)) for k in (-1, 0, 1))
+        before, now, after = (reference(path, Kinematics(MODEL, q, Foot.RIGHT), t + k * h) for k in (-1, 0, 1))
         assert now[1] == pytest.approx((after[0] - before[0]) / (2 * h), abs=1e-6)
         assert now[2] == pytest.approx((after[1] - before[1]) / (2 * h), abs=1e-6)
 
@@ -367,7 +367,7 @@ def test_an_interrupted_transfer_starts_again_from_rest() -> None:
 
 
 def test_an_unknown_plant_is_an_error() -> None:
-    with pytest.raises(PlantError, match="no plant is called 'fysics': kinematic, integrator, physics"):
+    with pytest.raises(PlantError, match="no plant is called 'fysics': integrator, kinematic, physics"):
         make_plant("fysics", CONFIG, MODEL)
 
 
