@@ -48,6 +48,11 @@ class Steps(DynamicWalk):
             return Next(PhaseKind.SINGLE_SUPPORT, phase.support, target)
         return Next(PhaseKind.STANCE if self._caught else PhaseKind.DOUBLE_SUPPORT, phase.support.other)
 
+    @property
+    def _is_idle(self) -> bool:
+        """Whether a stance continues: never, because then the interrupted walk does."""
+        return False
+
     def _set_foot_down(self, phase: Phase, kin: Kinematics) -> Next:
         """Return the rest of the single support `phase` at `kin`: the swing foot comes down beside the support foot."""
         self._known, self._time, self._flight = None, -math.inf, None
