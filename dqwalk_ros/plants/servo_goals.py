@@ -40,6 +40,8 @@ JUMPS = 3
 _MOST_OFFSET = math.pi
 """Largest offset of a goal by torques, where neither effort limit nor stiffness bound it [rad]."""
 
+_unreachable = jit(unreachable)
+
 
 class AngleGate:
     """Decides which measured angles are used.
@@ -307,8 +309,8 @@ def _judge(  # type: ignore[no-untyped-def]
     q, at, moving, speed, slack, longest, used, used_at, last, last_at, jumps, agreeing, taken
 ):
     """Store which of the angles q (N,), measured at the times `at` (N,), are used; return how many are impossible."""
-    far = unreachable(q, used, np.minimum(at - used_at, longest), speed, slack)
-    apart = unreachable(q, last, np.minimum(at - last_at, longest), speed, slack)
+    far = _unreachable(q, used, np.minimum(at - used_at, longest), speed, slack)
+    apart = _unreachable(q, last, np.minimum(at - last_at, longest), speed, slack)
     rejected = 0
     for i in range(q.shape[0]):
         if not at[i] > last_at[i]:

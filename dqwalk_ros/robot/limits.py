@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.compiled import jit
 
 __all__ = ["FASTEST", "JointLimits", "clamp_effort", "clamp_velocity", "named_angles", "outside_limits", "unreachable"]
 
@@ -40,7 +39,6 @@ def outside_limits(q: Array, limits: JointLimits | RobotModel, slack: float) -> 
     return named_angles(limits, beyond, ~(beyond <= slack))
 
 
-@jit
 def unreachable(
     q: Array, before: Array, passed: Array | float, speed: Array, slack: Array | float
 ) -> NDArray[np.bool_]:
@@ -56,6 +54,10 @@ def unreachable(
         Largest velocities of the joints [rad/s].
     slack : float or ndarray, shape (n,)
         Tolerance [rad].
+
+    Notes
+    -----
+    The servos' law compiles it (jit); nodes that compile nothing use it as it is.
     """
     return ~(np.abs(q - before) <= speed * np.maximum(passed, 0.0) + slack)
 
