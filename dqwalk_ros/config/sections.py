@@ -201,6 +201,12 @@ class DynamicConfig:
         0.0, "offset of the planned zero-moment point ahead of the sole's centre", "m", -0.1, 0.1
     )
     aim_inside: float = parameter(0.0, "offset of the zero-moment point towards the other foot", "m", -0.05, 0.05)
+    roll: float = parameter(
+        0.0, "half the way of the pressure along a sole, per step length; larger: faster walk", "", 0.0, 1.0
+    )
+    quicken: float = parameter(
+        0.0, "time by which a step of gait.most_length is shorter than one on the spot; larger: faster", "s", 0.0, 1.0
+    )
     side_frequency: float = parameter(1.0, "lateral over model frequency; larger: faster sway", "", 0.5, 1.5)
     com_weight: float = parameter(20.0, "weight of the CoM's path; larger: followed more closely", "", 1e-3, 1e4)
     com_rate: float = parameter(2.0, "rate at which the CoM converges to its path; larger: faster", "1/s", 0.0, 100.0)
@@ -209,6 +215,9 @@ class DynamicConfig:
     upright_weight: float = parameter(0.1, "weight of an upright pelvis; larger: kept more closely", "", 0.0, 1e4)
     upright_rate: float = parameter(
         5.0, "rate at which the pelvis converges to upright; larger: faster", "1/s", 0.0, 100.0
+    )
+    trunk_weight: float = parameter(
+        0.0, "weight of a trunk that does not pitch; larger: kept more closely; 0: it swings", "", 0.0, 1e4
     )
     catch: bool = parameter(True, "adjust time and place of a step to the measured divergent component of motion")
     catch_margin: float = parameter(0.012, "margin of the ankle's pressure; larger: earlier steps", "m", 0.0, 0.1)

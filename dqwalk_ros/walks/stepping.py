@@ -24,6 +24,8 @@ __all__ = ["JOINT_RETURN", "SteppingWalk"]
 
 JOINT_RETURN = 0.5
 """Largest speed at which a joint beyond its limit is required to return [rad/s]."""
+_FIXED_POINT = 20
+"""Number of iterations to the duration of a step at a velocity."""
 _LIFTED = 0.004
 """Height of a sole above the plane of the other one from which on it is in the air [m]."""
 
@@ -61,15 +63,16 @@ class SteppingWalk(Walk):
 
         The limit is the ellipsoid with the half axes ``gait.most_length``, ``gait.most_side`` and ``gait.most_turn``.
         """
-        if self.config.gait.steps:
+        gait = self.config.gait
+        if gait.steps:
             return super().steer(forward, left, turn)
-        gait, period = self.config.gait, self._period
-        wanted = (forward * period, left * period, turn * period)
         most = (gait.most_length, gait.most_side, gait.most_turn)
         # a direction with the limit zero is ignored
+        wanted = self._step_at((forward, left, turn))
         parts = [min(max(a / m, -1e9), 1e9) if m else 0.0 for a, m in zip(wanted, most, strict=True)]
         size = max(1.0, math.hypot(*parts))
-        x, y, z = (part * m / (size * period) for part, m in zip(parts, most, strict=True))
+        step = [part * m / size for part, m in zip(parts, most, strict=True)]
+        x, y, z = (part / self._period(step[0]) for part in step)
         self._twist = (x, y, z)
         return self._twist
 
@@ -82,11 +85,18 @@ class SteppingWalk(Walk):
         """Whether a stance continues: that of a steered walk with zero velocity."""
         return not (self.config.gait.steps or self._stopping or any(self._twist))
 
-    @property
-    def _period(self) -> float:
-        """Duration of a step [s]."""
+    def _period(self, length: float) -> float:
+        """Return the duration [s] of a step of a length [m]."""
         s = self.config.standing
         return s.transfer_duration + s.swing_duration
+
+    def _step_at(self, twist: tuple[float, float, float]) -> tuple[float, float, float]:
+        """Return length, side [m] and turn [rad] of a step at a velocity [m/s, m/s, rad/s]."""
+        period = self._period(0.0)
+        for _ in range(_FIXED_POINT):  # longer steps are quicker
+            period = self._period(twist[0] * period)
+        forward, left, turn = twist
+        return forward * period, left * period, turn * period
 
     def _on_its_feet(self, kin: Kinematics) -> Next | None:
         """Return the phase that puts a foot down which is in the air, after an interrupted swing; None without one."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from pathlib import Path
 
@@ -27,8 +28,8 @@ from dqwalk_ros.studies.pushes import Push, pushed
 from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.walks.dynamic.adjust import Step, adjusted, left_over, transfer_time
 from dqwalk_ros.walks.dynamic.ground import Ground, turned
-from dqwalk_ros.walks.dynamic.pendulum import angular_momentum, swing_inertia
-from dqwalk_ros.walks.dynamic.plan import Pressed, Rest, single_supports
+from dqwalk_ros.walks.dynamic.pendulum import Pendulum, angular_momentum, swing_inertia
+from dqwalk_ros.walks.dynamic.plan import Pressed, Rest, Support, single_supports
 from dqwalk_ros.walks.dynamic.swing import Swing
 from dqwalk_ros.walks.dynamic.walk import DynamicWalk
 from dqwalk_ros.walks.following import FollowPose, Target
@@ -52,9 +53,10 @@ def prepared(config: dq.Config) -> DynamicWalk:
     return walk
 
 
-def footprints(length: float = 0.05, width: float = 0.08, first: float = 1.0) -> list[np.ndarray]:
-    """Return the footprints of a foot and six following steps, `length` apart [m]; the first is on the left."""
-    return [np.array([k * length, first * 0.5 * width * (-1.0) ** k]) for k in range(7)]
+def supports(length: float = 0.05, width: float = 0.08, first: float = 1.0, roll: float = 0.0) -> list[Support]:
+    """Return a support and six following ones, `length` apart [m]; the first is on the left."""
+    aims = [np.array([k * length, first * 0.5 * width * (-1.0) ** k]) for k in range(7)]
+    return [Support(aim, np.array([roll, 0.0]), 0.1, 0.4) for aim in aims]
 
 
 # ---------------------------------------------------------------------- the plan
@@ -77,33 +79,36 @@ def test_xi_diverges_from_z(reference: Pressed | Rest) -> None:
         assert slope == pytest.approx(OMEGA * (xi - z), abs=1e-7)
 
 
-def test_the_plan_is_continuous() -> None:
-    aims = footprints()
-    plan = single_supports(aims, 0.4, 0.1, OMEGA, ends=False)
-    assert len(plan) == len(aims) - 1
+@pytest.mark.parametrize("roll", [0.0, 0.015])
+def test_the_plan_is_continuous(roll: float) -> None:
+    every = supports(roll=roll)
+    every[3] = every[3]._replace(double=0.2, single=0.3)
+    plan = single_supports(every, OMEGA, ends=False)
+    assert len(plan) == len(every) - 1
     for k, (start, end) in enumerate(plan):
-        assert Pressed(aims[k], aims[k], end, 0.4, OMEGA).at(0.0)[0] == pytest.approx(start)
+        a, b = every[k], every[k + 1]
+        assert Pressed(a.first, a.last, end, a.single, OMEGA).at(0.0)[0] == pytest.approx(start)
         if k + 1 < len(plan):
-            double = Pressed(aims[k], aims[k + 1], plan[k + 1][0], 0.1, OMEGA)
+            begins, _ = plan[k + 1]
+            double = Pressed(a.last, b.first, begins, b.double, OMEGA)
             assert double.at(0.0)[0] == pytest.approx(end)
-            assert double.at(0.1)[0] == pytest.approx(plan[k + 1][0])
+            assert double.at(b.double)[0] == pytest.approx(begins)
 
 
 @pytest.mark.parametrize("ends", [False, True])
 def test_plans_of_left_and_right_are_mirrored(ends: bool) -> None:
-    left = single_supports(footprints(), 0.4, 0.1, OMEGA, ends=ends)
-    right = single_supports(footprints(first=-1.0), 0.4, 0.1, OMEGA, ends=ends)
+    left = single_supports(supports(roll=0.01), OMEGA, ends=ends)
+    right = single_supports(supports(first=-1.0, roll=0.01), OMEGA, ends=ends)
     assert np.array(left) * MIRROR == pytest.approx(np.array(right))
 
 
 def test_distant_steps_hardly_affect_the_plan() -> None:
-    aims = footprints()
-    on, off = (single_supports(aims, 0.4, 0.1, OMEGA, ends=ends)[0][0] for ends in (False, True))
+    on, off = (single_supports(supports(), OMEGA, ends=ends)[0][0] for ends in (False, True))
     assert np.abs(on - off).max() < 1e-4
 
 
 def test_stepping_in_place_is_periodic() -> None:
-    plan = single_supports(footprints(length=0.0), 0.4, 0.1, OMEGA, ends=False)
+    plan = single_supports(supports(length=0.0), OMEGA, ends=False)
     assert plan[0][0] == pytest.approx(plan[2][0], abs=1e-4)
     assert plan[0][0] * MIRROR == pytest.approx(plan[1][0], abs=1e-3)
     assert plan[0][0][0] == pytest.approx(0.0, abs=1e-12)
@@ -157,6 +162,80 @@ def test_the_inertia_of_the_swing_leg_matches_mujoco(base: Foot) -> None:
     assert found == pytest.approx(np.where(np.outer(leg, leg), expected, 0.0), abs=1e-9)
 
 
+def moved(c: np.ndarray, v: np.ndarray, z: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pendulum c'' = w^2 (c - z) after a time [s], by its hyperbolic functions."""
+    cosh, sinh = np.cosh(OMEGA * time), np.sinh(OMEGA * time)
+    return z + (c - z) * cosh + v / OMEGA * sinh, (c - z) * OMEGA * sinh + v * cosh
+
+
+def test_the_error_is_fed_back_that_remains_when_the_command_acts() -> None:
+    """The points under way act one after the other, each from half a period before the middle of its period on."""
+    delay, dt, rng = 0.05, 0.02, np.random.default_rng(1)
+    now, points = Pendulum(OMEGA, delay, dt), 0.03 * rng.normal(size=(8, 2))
+    c, v = 0.02 * rng.normal(size=2), 0.1 * rng.normal(size=2)
+    now.reset(c, c + v / OMEGA, c)
+    for k, z in enumerate(points):
+        now.command(k * dt, z)
+    time = 7 * dt + 0.003
+    found, xi = now.when_acting(time, c, c + v / OMEGA)
+    begins = np.arange(8) * dt + delay - 0.5 * dt
+    for at in np.arange(time, time + delay - 1e-9, 1e-4):
+        acting = points[np.searchsorted(begins, at + 0.5e-4, side="right") - 1]
+        c, v = moved(c, v, acting, 1e-4)
+    assert found == pytest.approx(c, abs=1e-6)
+    assert xi == pytest.approx(c + v / OMEGA, abs=1e-6)
+
+
+def test_without_a_delay_the_measured_error_is_fed_back() -> None:
+    now, c, xi = Pendulum(OMEGA, 0.0, 0.005), np.array([0.01, 0.02]), np.array([0.02, 0.01])
+    now.reset(c, xi, xi)
+    now.command(1.0, np.array([0.1, 0.1]))
+    later = now.when_acting(1.005, c, xi)
+    assert later[0] == pytest.approx(c, abs=1e-12)
+    assert later[1] == pytest.approx(xi, abs=1e-12)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.05])
+def test_a_constant_error_of_the_measured_com_is_learned(delay: float) -> None:
+    """The robot is balanced about a place, and its inertial sensor is tilted."""
+    dt, error = 0.005, np.array([0.006, -0.004])
+    now, c, v, k = Pendulum(OMEGA, delay, dt), np.zeros(2), np.zeros(2), 0.4
+    now.reset(error, error, error)
+    waiting = [np.zeros(2)] * round(delay / dt)
+    for tick in range(4000):
+        time = tick * dt
+        seen, xi = now.measure(time, dt if tick else 0.0, c + error, c + v / OMEGA + error)
+        _, xi = now.when_acting(time, seen, xi)
+        z = (1.0 + k) * xi
+        now.command(time, z)
+        waiting.append(z)
+        c, v = moved(c, v, waiting.pop(0), dt)
+    assert now.bias == pytest.approx(error, abs=5e-4)
+    assert c == pytest.approx(np.zeros(2), abs=1.5e-3)
+
+
+def test_the_pendulum_goes_on_in_the_axes_of_the_other_sole() -> None:
+    """With equal frequencies along both axes it does not depend on them."""
+    rng, turn, omega = np.random.default_rng(2), Footprint(0.1 + 0.2j, np.exp(0.3j)), np.array([4.0, 4.0])
+    one, changes = Pendulum(omega, 0.03, 0.01), Pendulum(omega, 0.03, 0.01)
+    for k in range(12):
+        c, xi, z = 0.05 * rng.normal(size=(3, 2))
+        if k == 0:
+            one.reset(turn.points(c), turn.points(xi), turn.points(xi))
+            changes.reset(c, xi, xi)
+        if k == 6:
+            changes.change_base(turn)
+        later = []
+        for now, there in ((one, turn.points), (changes, turn.points if k >= 6 else lambda p: p)):
+            now.advance(0.01)
+            seen = now.measure(0.01 * k, 0.01, there(c), there(xi))
+            later.append(now.when_acting(0.01 * k, *seen))
+            now.command(0.01 * k, there(z))
+    assert np.array(later[1]) == pytest.approx(np.array(later[0]))
+    assert changes.c == pytest.approx(one.c)
+    assert changes.smooth == pytest.approx(one.smooth)
+
+
 def test_the_lateral_pendulum_frequency_is_reduced() -> None:
     plainly = CONFIG.updated({"dynamic.side_frequency": 1.0})
     found = [prepared(plainly.updated({"gait.first_support": foot.value})).pendulum.omega for foot in Foot]
@@ -169,12 +248,12 @@ def test_the_lateral_pendulum_frequency_is_reduced() -> None:
 
 
 def a_step() -> Step:
-    aims = footprints()
-    (_, end), *_ = single_supports(aims, 0.4, 0.1, OMEGA, ends=False)
+    (here, _, _, _), (there, _, _, _), *_ = every = supports()
+    (_, end), *_ = single_supports(every, OMEGA, ends=False)
     half = np.array([0.06, 0.015])
     return Step(
-        z=aims[0], landing=aims[1], offset=end - aims[1], duration=0.4, omega=OMEGA,
-        low=aims[0] - half, high=aims[0] + half, reach=np.array([0.1, 0.0]),
+        z=here, landing=there, offset=end - there, duration=0.4, omega=OMEGA,
+        low=here - half, high=here + half, reach=np.array([0.1, 0.0]),
     )  # fmt: skip
 
 
@@ -461,18 +540,32 @@ def test_a_steered_walk_ramps_its_steps_and_stops_with_feet_together() -> None:
     walk = DynamicWalk(CONFIG.updated({"gait.steps": 0}), MODEL)
     stance = walk.phase(PhaseKind.STANCE, Foot.LEFT, walk.posture)
     assert not stance.rule.is_over(0.0, 100.0)  # it waits
-    assert walk.steer(1.0, 0.0, 0.0)[0] == pytest.approx(CONFIG.gait.most_length / 0.5)
+    fastest = CONFIG.gait.most_length / (0.5 - DYNAMIC.quicken)
+    assert fastest == pytest.approx(0.3)
+    assert walk.steer(1.0, 0.0, 0.0)[0] == pytest.approx(fastest)
     assert stance.rule.is_over(0.0, 100.0)
     step, lengths = np.zeros(3), []
     for k in range(6):
         step, _ = walk._after(step, k)
         lengths.append(step[0])
-    assert lengths == pytest.approx([0.015, 0.03, 0.045, 0.06, 0.06, 0.06])
+    assert lengths == pytest.approx(CONFIG.gait.most_length * np.array([0.25, 0.5, 0.75, 1.0, 1.0, 1.0]))
     walk.steer(0.0, 0.0, 0.0)
     for _ in range(3):
         step, together = walk._after(step, 9)
         assert not together
     assert walk._after(step, 9)[1]
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.1, 0.2, 0.27])
+def test_a_steered_walk_takes_the_steps_of_its_velocity(speed: float) -> None:
+    """Longer steps are quicker."""
+    walk = DynamicWalk(CONFIG.updated({"gait.steps": 0}), MODEL)
+    assert walk.steer(speed, 0.0, 0.1) == pytest.approx((speed, 0.0, 0.1))
+    length, _, turn = walk._step_at((speed, 0.0, 0.1))
+    double, single = walk._durations(length)
+    assert length / (double + single) == pytest.approx(speed)
+    assert turn / (double + single) == pytest.approx(0.1)
+    assert double + single <= 0.5
 
 
 def test_the_trunk_keeps_its_posture_over_many_steps() -> None:
@@ -555,9 +648,9 @@ def test_the_swing_foot_lands_gently() -> None:
     assert trace.finished, trace.notes
     assert trace.physics is not None
     force, weight = {foot: trace.physics.wrenches[foot][:, 2] for foot in Foot}, 9.81 * MODEL.mass
-    landings = [record for record in trace.phases if record.kind is PhaseKind.SINGLE_SUPPORT]
-    for record in landings:
-        end = record.time + config.standing.swing_duration
+    pairs = itertools.pairwise(trace.phases)
+    landings = [(record, after.time) for record, after in pairs if record.kind is PhaseKind.SINGLE_SUPPORT]
+    for record, end in landings:
         near = np.flatnonzero(np.abs(trace.time - end) < 0.05)
         touch = near[force[record.support.other][near] > 0.5][0]
         assert trace.time[touch] > end - 0.0125
@@ -565,6 +658,45 @@ def test_the_swing_foot_lands_gently() -> None:
         assert force[record.support][after].min() > 0.25 * weight
         assert force[record.support.other][after].max() < 0.9 * weight
     assert len(landings) == 4
+
+
+FAST = overlaid(CONFIG, "physics").updated(
+    {
+        "gait.step_length": 0.126, "servo.types": ["*=MX-28", "?_hip_y=MX-64", "abs_[xy]=MX-64"], "qp.solver": "daqp",
+        "sensors.attitude_noise": 0.004, "sensors.gyro_noise": 0.02, "sensors.encoder": 0.001534,
+        "sensors.velocity_filter": 0.01,
+    }
+)  # fmt: skip
+
+
+def test_poppy_walks_at_0_30_m_s_within_the_torque_speed_lines_of_its_servos() -> None:
+    """A trunk that bends freely is at its limit in every step; then the soles tilt by several degrees."""
+    config = FAST.updated({"gait.steps": 12, "sensors.seed": 1})
+    trace = simulate(make_controller(config, MODEL), make_plant("physics", config, MODEL))
+    assert trace.finished, trace.notes
+    full = [record.time for record in trace.phases if record.kind is PhaseKind.SINGLE_SUPPORT][4:9]
+    assert np.diff(full) == pytest.approx(0.126 / 0.3, abs=1.5 * config.dt)
+    found = report(analyse(trace))
+    assert "joint_min/abs_y" not in found["walk"]["limits_reached"]
+    assert math.degrees(found["physics"]["tilt"]["value"]) < 1.0
+    assert found["physics"]["cop_inside"] > 0.98
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1800)
+def test_every_walk_of_5_m_at_0_30_m_s_is_ok() -> None:
+    for seed in range(1, 11):
+        config = FAST.updated({"gait.steps": 44, "sensors.seed": seed})
+        found = report(analyse(simulate(make_controller(config, MODEL), make_plant("physics", config, MODEL))))
+        physics = found["physics"]
+        print(f"\nseed {seed}: {physics['way']:.2f} m, {100.0 * physics['cop_inside']:.2f} % inside, {physics['load']}")
+        assert found["ok"], found["violations"]
+        assert physics["way"] > 5.0
+
+
+def test_a_push_is_confirmed_for_a_time_not_for_a_number_of_states() -> None:
+    found = [DynamicWalk(CONFIG.updated({"dt": dt}), MODEL)._confirmed for dt in (0.0025, 0.005, 0.02)]
+    assert found == [6, 3, 1]
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])

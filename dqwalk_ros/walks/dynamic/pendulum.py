@@ -9,6 +9,7 @@ robot that tilts sideways instead of shifting its hips is a slower pendulum than
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
@@ -31,6 +32,8 @@ __all__ = ["InvertedPendulum", "Pendulum", "angular_momentum", "swing_inertia"]
 
 _SMOOTH = 0.02
 """Time constant of the filter of the measured xi [s]."""
+_LEARNING = 3.0
+"""Time constant of the estimate of the constant error of the measured CoM [s]."""
 
 
 def angular_momentum(kin: Kinematics) -> Array:
@@ -120,9 +123,17 @@ class InvertedPendulum:
         return cls(height, omega, -response("swing", 0)[1] / (mass * GRAVITY))
 
 
-@dataclass
 class Pendulum:
-    """State of the pendulum along the ground, in the axes of the base sole.
+    """State of the pendulum along the ground, in the axes of the base sole, of a robot that answers with a delay.
+
+    Parameters
+    ----------
+    omega : ndarray, shape (2,)
+        Frequencies along x and y [1/s].
+    delay : float
+        T, the time from a measurement to the middle of the period in which its command acts [s].
+    period : float
+        Control period [s].
 
     Attributes
     ----------
@@ -130,36 +141,94 @@ class Pendulum:
         Reference of the CoM, and planned divergent component [m].
     smooth : ndarray, shape (2,)
         Filtered measured divergent component [m].
+    bias : ndarray, shape (2,)
+        Estimate of the constant error of the measured CoM, such as that of a tilted inertial sensor [m].
     pressure : ndarray, shape (2,)
-        Commanded zero-moment point [m].
+        Last commanded zero-moment point [m].
     """
 
-    c: Array
-    xi: Array
-    smooth: Array
-    pressure: Array
+    def __init__(self, omega: Array, delay: float, period: float) -> None:
+        self._omega, self._delay, self._wait = omega, delay, max(delay - 0.5 * period, 0.0)
+        self.c, self.xi, self.smooth, self.bias, self.pressure = np.zeros((5, 2))
+        self._raw = np.zeros(2)  # last measured xi
+        # commanded zero-moment points, the last ones, and since when each one acts
+        self._points = np.zeros((math.ceil(delay / period) + 3, 2))
+        self._begins = np.full(len(self._points), -math.inf)
 
-    def reset(self, c: Array, xi: Array, smooth: Array) -> None:
-        """Set the reference to c and xi, and the measured divergent component to `smooth`, shape (2,) each [m]."""
-        self.c, self.xi, self.smooth = c, xi, smooth
+    def reset(self, c: Array, xi: Array, planned: Array) -> None:
+        """Begin at the measured c and xi (2,) with the divergent component `planned` (2,) [m]; nothing is under way."""
+        self.c, self.xi, self.smooth, self._raw, self.bias = c, planned, xi, xi, np.zeros(2)
+        self._points[:], self._begins[:] = c, -math.inf
 
-    def advance(self, dt: float, omega: Array) -> None:
+    def advance(self, dt: float) -> None:
         """Move the reference of the CoM by `dt` [s], c' = w (xi - c)."""
-        self.c = self.c + dt * omega * (self.xi - self.c)
+        self.c = self.c + dt * self._omega * (self.xi - self.c)
 
-    def measure(self, xi: Array, dt: float, omega: Array) -> None:
-        """Include the divergent component xi (2,) [m] that is measured `dt` [s] after the last one."""
-        self.smooth = _filtered(self.smooth, self.pressure, xi, omega, dt)
+    def measure(self, time: float, dt: float, c: Array, xi: Array) -> tuple[Array, Array]:
+        """Include c and xi (2,), measured at `time`, `dt` after the last ones [s]; return them without the bias [m]."""
+        z = _in_effect(self._begins, self._points, time - 0.5 * dt)
+        self.bias = _learned(self.bias, self._raw, xi, z, self._omega, dt)
+        self._raw, c, xi = xi, c - self.bias, xi - self.bias
+        self.smooth = _filtered(self.smooth, z, xi, self._omega, dt)
+        return c, xi
+
+    def when_acting(self, time: float, c: Array, xi: Array) -> tuple[Array, Array]:
+        """Return c and xi (2,) [m] when the command for the state at `time` [s] acts, from those at `time`."""
+        c, xi = _later(self._begins, self._points, time, time + self._delay, c, xi, self._omega)
+        return c, xi
+
+    def command(self, time: float, z: Array) -> None:
+        """Note the zero-moment point z (2,) [m] that is commanded for the state at `time` [s]."""
+        self.pressure = z
+        self._points[:-1], self._begins[:-1] = self._points[1:], self._begins[1:]
+        self._points[-1], self._begins[-1] = z, time + self._wait
 
     def change_base(self, other: Footprint) -> None:
         """Change to the axes of the other sole; `other` is the footprint of the previous one in these axes."""
-        self.c, self.xi, self.smooth, self.pressure = (
-            other.points(p) for p in (self.c, self.xi, self.smooth, self.pressure)
+        self.c, self.xi, self.smooth, self.pressure, self._raw = (
+            other.points(p) for p in (self.c, self.xi, self.smooth, self.pressure, self._raw)
         )
+        self.bias = other.points(self.bias) - other.points(np.zeros(2))
+        self._points = other.points(self._points)
 
 
 @jit
-def _filtered(smooth, pressure, xi, omega, dt):  # type: ignore[no-untyped-def]
+def _in_effect(begins, points, time):  # type: ignore[no-untyped-def]
+    """Return the zero-moment point (2,) in effect at `time` [s]; `points` (m, 2) act from `begins` (m,) on [s]."""
+    z = points[0]
+    for k in range(1, begins.shape[0]):
+        if begins[k] <= time:
+            z = points[k]
+    return z.copy()
+
+
+@jit
+def _later(begins, points, time, end, c, xi, omega):  # type: ignore[no-untyped-def]
+    """Return c and xi (2,) at `end` [s], from those at `time` [s], while the `points` (m, 2) act one after the other.
+
+    For each, in closed form, xi' = w (xi - z), and zeta' = -w (zeta - z) of its stable counterpart zeta = 2 c - xi.
+    """
+    zeta, last = 2.0 * c - xi, begins.shape[0] - 1
+    for k in range(last + 1):
+        until = end if k == last else min(begins[k + 1], end)
+        if until > time:
+            z, e = points[k], np.exp(omega * (until - time))
+            xi, zeta, time = z + e * (xi - z), z + (zeta - z) / e, until
+    return 0.5 * (xi + zeta), xi
+
+
+@jit
+def _learned(bias, before, xi, z, omega, dt):  # type: ignore[no-untyped-def]
+    """Return the bias (2,) after xi has moved from `before` (2,) within `dt` [s].
+
+    A constant error b of the measured CoM lets xi seem to diverge from z + b.
+    """
+    moved = before + dt * omega * (0.5 * (before + xi) - z - bias)
+    return bias - (xi - moved) / (omega * _LEARNING)
+
+
+@jit
+def _filtered(smooth, z, xi, omega, dt):  # type: ignore[no-untyped-def]
     """Return the filtered xi (2,): that of `dt` [s] ago, moved as the pendulum, approaches the measured one."""
-    moved = smooth + dt * omega * (smooth - pressure)  # xi' = w (xi - z)
+    moved = smooth + dt * omega * (smooth - z)  # xi' = w (xi - z)
     return moved + dt / (_SMOOTH + dt) * (xi - moved)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.walks.following import minimum_jerk
 
-__all__ = ["Pressed", "Reference", "Rest", "before", "single_supports"]
+__all__ = ["Pressed", "Reference", "Rest", "Support", "before", "single_supports"]
 
 
 _OFFSET = 0.4
@@ -83,7 +83,7 @@ class Reference(Protocol):
 
 @dataclass
 class Pressed:
-    """Reference of a support: z moves linearly from `a` to `b`, and xi ends at `end`; a single support if a = b.
+    """Reference of a support: z moves linearly from `a` to `b`, and xi ends at `end`.
 
     Attributes
     ----------
@@ -134,17 +134,42 @@ class Rest:
         return xi, z
 
 
-def single_supports(
-    aims: Sequence[Array], single: float, double: float, omega: Array, *, ends: bool
-) -> list[tuple[Array, Array]]:
+class Support(NamedTuple):
+    """A planned single support.
+
+    Attributes
+    ----------
+    aim : ndarray, shape (2,)
+        Middle of the pressure on the sole [m].
+    roll : ndarray, shape (2,)
+        The zero-moment point moves from aim - roll to aim + roll [m].
+    double, single : float
+        Durations of the double support before it and of the single support [s].
+    """
+
+    aim: Array
+    roll: Array
+    double: float
+    single: float
+
+    @property
+    def first(self) -> Array:
+        """Zero-moment point at the beginning, shape (2,) [m]."""
+        return self.aim - self.roll
+
+    @property
+    def last(self) -> Array:
+        """Zero-moment point at the end, shape (2,) [m]."""
+        return self.aim + self.roll
+
+
+def single_supports(supports: Sequence[Support], omega: Array, *, ends: bool) -> list[tuple[Array, Array]]:
     """Return xi at the beginning and at the end of each single support.
 
     Parameters
     ----------
-    aims : sequence of ndarray, shape (2,)
-        Zero-moment points on the current support foot and on those of the following steps [m]; two or more.
-    single, double : float
-        Durations of single and double support [s].
+    supports : sequence of Support
+        The current one and those of the following steps; two or more.
     omega : ndarray, shape (2,)
         Frequencies of the pendulum [1/s].
     ends : bool
@@ -153,15 +178,17 @@ def single_supports(
     Returns
     -------
     list of tuple of ndarray, shape (2,)
-        xi at the beginning and at the end of the single support on each of `aims` but the last [m].
+        xi at the beginning and at the end of the single support on each of `supports` but the last [m].
     """
-    a, b = aims[-2], aims[-1]
-    middle = 0.5 * (a + b)
-    end = middle + _LAST * (a - middle) if ends else before(a, b, middle + _OFFSET * (b - middle), double, omega)
-    out = []
-    for k in range(len(aims) - 2, -1, -1):
-        start = before(aims[k], aims[k], end, single, omega)
-        out.append((start, end))
-        if k:
-            end = before(aims[k - 1], aims[k], start, double, omega)
+    a, b = supports[-2], supports[-1]
+    middle = 0.5 * (a.aim + b.aim)
+    if ends:
+        end = middle + _LAST * (a.aim - middle)
+    else:
+        end = before(a.last, b.first, middle + _OFFSET * (b.aim - middle), b.double, omega)
+    out: list[tuple[Array, Array]] = []
+    for one, following in zip(supports[-2::-1], supports[:0:-1], strict=True):
+        if out:
+            end = before(one.last, following.first, out[-1][0], following.double, omega)
+        out.append((before(one.first, one.last, end, one.single, omega), end))
     return out[::-1]

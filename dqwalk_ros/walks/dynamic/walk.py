@@ -11,10 +11,11 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.dual_quaternions import DQ
-from dqwalk_ros.paper.features import CenterOfMass, CenterOfMassOnGround, Direction
+from dqwalk_ros.paper.features import CenterOfMass, CenterOfMassOnGround, Direction, JointAngles
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import ConvexPolygon, moved_inside
 from dqwalk_ros.paper.kinematics import Kinematics
@@ -26,12 +27,12 @@ from dqwalk_ros.paper.walk import com_target
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.walks.com import com_and_xi, com_velocity
 from dqwalk_ros.walks.dynamic.adjust import Step, adjusted, left_over, transfer_time
+from dqwalk_ros.walks.dynamic.force import approached, converging, ground_force, leg_torques
 from dqwalk_ros.walks.dynamic.ground import Ground, turned
 from dqwalk_ros.walks.dynamic.pendulum import InvertedPendulum, Pendulum, swing_inertia
-from dqwalk_ros.walks.dynamic.plan import Pressed, Reference, Rest, single_supports
+from dqwalk_ros.walks.dynamic.plan import Pressed, Reference, Rest, Support, single_supports
 from dqwalk_ros.walks.dynamic.swing import Swing
 from dqwalk_ros.walks.following import Follow, FollowPose, Target
 from dqwalk_ros.walks.footprint import Footprint
@@ -53,17 +54,15 @@ _RESIDUAL = 0.002
 """Error above which the path of the CoM approaches the measured CoM [m]."""
 _APPROACH = 0.1
 """Fraction of the way by which it does so at each state."""
-_CONFIRMED = 3
-"""Number of consecutive states above the threshold after which a step is adjusted, to reject measurement noise."""
+_CONFIRMED = 0.015
+"""Time above the threshold after which a step is adjusted, to reject measurement noise; at least one state [s]."""
 _LONGEST_WAIT = 3.0
 """Time after the planned end of a double support from which on it is not extended further [s]."""
-_ACCELERATION = 0.01
-"""Time constant of the filter of the commanded accelerations [s]."""
-_MOST_AHEAD = 0.005
-"""Longest time by which the reference of the CoM of a delayed robot is ahead of the middle of the control period [s].
-
-Without it the weight is transferred late; a longer lead moves the CoM before the swing foot has landed.
-"""
+_AHEAD_OF_DELAY = 0.5
+"""Part of the delay by which the reference of the CoM is ahead; without it the weight is transferred late, and with all
+of it a bus at 50 Hz tilts the soles."""
+_LATERAL = 0.9
+"""Least lateral part of the axis of a joint that pitches the trunk."""
 _GAP = 0.1
 """Time without a state after which the reference is reset to the measured state [s]."""
 
@@ -106,15 +105,18 @@ class DynamicWalk(SteppingWalk):
         self._unsure = _TIP_TOLERANCE_PER_DELAY * self._advance
         self._known: Phase | None = None
         self._time = -math.inf
-        self._now = Pendulum(*np.zeros((4, 2)))
+        self._confirmed = max(round(_CONFIRMED / config.dt), 1)  # number of states
+        self._now: Pendulum
         self._force = GRAVITY * _UP
         self._commanded, self._u, self._acceleration = -math.inf, np.zeros(model.n), np.zeros(model.n)
-        self._height = Kinematics(model, self.posture, self._first).com[2:]  # of the CoM in the posture, (1,) [m]
+        kin = Kinematics(model, self.posture, self._first)
+        self._height, self._trunk = kin.com[2:], _pitching(kin)  # height of the CoM in the posture, (1,) [m]
         self.pendulum: InvertedPendulum
         self._inertia: dict[Foot, Array]  # (n, n) of the swing leg with its rotors, for each base sole [kg m^2]
         self._ground: Ground
         self._reference: Reference
         self._flight: _Flight | None = None
+        self._transfer = config.standing.transfer_duration  # planned duration of the current double support [s]
         self._pushed = False
         self._descends = False  # whether the swing foot of the next single support is in the air already
         self._targets: dict[str, Target] = {}
@@ -130,7 +132,7 @@ class DynamicWalk(SteppingWalk):
         kin = Kinematics(self.model, self.posture, self._first)
         found = InvertedPendulum.of(self.one_foot(self._first, self.posture, kin.pose(kin.swing)), kin)
         self.pendulum = replace(found, omega=found.omega * np.array([1.0, self.config.dynamic.side_frequency]))
-        self._inertia = {}
+        self._now, self._inertia = Pendulum(self.pendulum.omega, self._drive.delay, self.config.dt), {}
         for base in Foot:
             M = swing_inertia(Kinematics(self.model, self.posture, base))
             self._inertia[base] = M + np.diag(np.where(M.diagonal() > 0.0, self._drive.armature, 0.0))
@@ -165,11 +167,22 @@ class DynamicWalk(SteppingWalk):
             wanted = np.zeros(3) if ended or done >= gait.steps - ramp else full
         else:
             most = np.array([gait.most_length, gait.most_side, gait.most_turn])
-            wanted = np.zeros(3) if self._stopping else np.array(self._twist) * self._period
+            wanted = np.zeros(3) if self._stopping else np.array(self._step_at(self._twist))
             ended = not wanted.any()
         change = most / (ramp + 1)
         new = step + np.clip(wanted - step, -change, change)
         return new, bool(ended and np.abs(new).max() < 1e-9)
+
+    def _durations(self, length: float) -> tuple[float, float]:
+        """Return the durations of double and single support [s] of a step of a length [m]: longer ones are quicker."""
+        s, most = self.config.standing, self.config.gait.most_length
+        part = min(abs(length) / most, 1.0) if most else 0.0
+        less = 0.5 * self.config.dynamic.quicken * part**2
+        return s.transfer_duration - less, s.swing_duration - less
+
+    def _period(self, length: float) -> float:
+        """Return the duration [s] of a step of a length [m]."""
+        return sum(self._durations(length))
 
     # ------------------------------------------------------------------ phases
 
@@ -209,7 +222,7 @@ class DynamicWalk(SteppingWalk):
     def _held_upright(self) -> tuple[Task, ...]:
         """Return the tasks that keep the height of the CoM and the pelvis upright."""
         d = self.config.dynamic
-        return (
+        tasks = [
             Follow(
                 name="height",
                 weight=d.height_weight,
@@ -226,7 +239,20 @@ class DynamicWalk(SteppingWalk):
                 target=Target(np.zeros(2), np.zeros(2)),
                 eta=d.upright_rate,
             ),
-        )
+        ]
+        if d.trunk_weight > 0.0 and len(self._trunk):
+            joints = self._trunk
+            tasks.append(
+                Follow(
+                    name="trunk",
+                    weight=d.trunk_weight,
+                    feature=JointAngles(),
+                    selects=np.eye(self.model.n)[joints],
+                    target=Target(self.posture[joints], np.zeros(len(joints))),
+                    eta=d.upright_rate,
+                )
+            )
+        return tuple(tasks)
 
     # ------------------------------------------------------------------ update for every state
 
@@ -238,33 +264,35 @@ class DynamicWalk(SteppingWalk):
         c, xi = com_and_xi(kin.com, com_velocity(kin, state), up, omega)
         if not 0.0 <= dt <= _GAP:
             dt = 0.0
-            now.reset(c, xi if self._descends else c, xi)
+            now.reset(c, xi, xi if self._descends else c)
             self._ground = Ground(up, self._unsure)
-        now.advance(dt, omega)
+        now.advance(dt)
         if phase is not self._known:
             self._begin(phase, kin)
         self._ground.observe(up, dt)
         assert isinstance(phase.rule, Timed)
         t = state.elapsed + phase.rule.begun
-        now.measure(xi, dt, omega)
+        c, xi = now.measure(state.time, dt, c, xi)
         flight, change = self._flight, None
         if flight is not None:
             change = self._adjust_step(flight, phase, c, t)
         elif isinstance(self._reference, Pressed):
             change = self._adjust_transfer(self._reference, phase, phase.rule, t)
-        now.xi, z = self._reference.at(t)
-        if flight is None:  # a command takes effect after the delay
-            _, z = self._reference.at(t + self._advance)
-        z = z + (1.0 + self._gain) * (xi - now.xi)
+        now.xi, _ = self._reference.at(t)
+        # the error of xi that remains when the command acts is fed back
+        c, xi = now.when_acting(state.time, c, xi)
+        due, z = self._reference.at(t + self._drive.delay)
+        z = z + (1.0 + self._gain) * (xi - due)
         if flight is not None:  # the foot must be on the ground before the weight is transferred
             place, velocity, acceleration = flight.swing.step(t, flight.rule.duration - self._advance)
             self._targets["swing"].set(turned(self._ground.tip(up), place), velocity)
             z[0] += self.pendulum.swing * acceleration[0]
-        now.pressure = moved_inside(z, *self._support, self.config.standing.pressure_margin)
-        self._force = _force(c, now.pressure, omega, up)
-        ahead = min(self._advance, 0.5 * self.config.dt + _MOST_AHEAD)
+        now.command(state.time, moved_inside(z, *self._support, self.config.standing.pressure_margin))
+        self._force = ground_force(c, now.pressure, omega, up)
+        ahead = _AHEAD_OF_DELAY * self._advance
         later, _ = self._reference.at(t + ahead)
-        self._targets["com"].set(*_converging(now.c, now.xi, later, omega, ahead))
+        place, velocity = converging(now.c, now.xi, later, omega, ahead)
+        self._targets["com"].set(place + now.bias, velocity)
         self._targets["upright"].set(up[:2], np.zeros(2))
         return change
 
@@ -277,11 +305,11 @@ class DynamicWalk(SteppingWalk):
         if not d.catch or t < d.untouched:
             return None
         if t > rule.duration - d.settled:
-            return None if phase.decision or flight.lost < _CONFIRMED else self._landing(flight, phase)
-        if flight.lost < _CONFIRMED:
+            return None if phase.decision or flight.lost < self._confirmed else self._landing(flight, phase)
+        if flight.lost < self._confirmed:
             over, _ = left_over(step, xi, t, step.duration - t)
             flight.lost = flight.lost + 1 if np.abs(over).max() > self._threshold else 0
-            if flight.lost < _CONFIRMED:
+            if flight.lost < self._confirmed:
                 return None
         rule.duration, flight.shift, over = adjusted(step, xi, t, rule.duration, flight.shift, d)
         flight.reference.duration = rule.duration
@@ -299,7 +327,7 @@ class DynamicWalk(SteppingWalk):
         support that begins with xi too far behind would have to end sooner than the other foot can land. A robot that
         is held does not wait for ever. Return the change at the last state of the phase.
         """
-        left, planned = reference.duration - t, self.config.standing.transfer_duration
+        left, planned = reference.duration - t, self._transfer
         due, z = reference.at(t)
         waits, xi = left > 1e-9 and t < planned + _LONGEST_WAIT, self._now.smooth
         if self.config.dynamic.catch and abs(xi[1] - due[1]) > self._threshold and waits:
@@ -337,36 +365,44 @@ class DynamicWalk(SteppingWalk):
         self._targets = {task.name: task.target for task in phase.tasks if isinstance(task, Follow | FollowPose)}
         self._pushed = self._flight.most > self._threshold if self._flight else self._pushed
         self._flight = None
-        base, end = self._aim(phase.base, Footprint()), self._aim(phase.base.other, other)
         corners, omega, rule = self.model.soles[phase.base].corners[:, :2], self.pendulum.omega, phase.rule
         assert isinstance(rule, Timed)
         if phase.swing_target is not None:
-            self._reference = self._flight_reference(phase, kin, rule, base)
+            self._reference = self._flight_reference(phase, kin, rule)
         else:
             corners = np.concatenate([corners, other.points(self.model.soles[phase.base.other].corners[:, :2])])
             if phase.kind is PhaseKind.STANCE:
-                self._reference = Rest(self._now.xi, 0.5 * (base + end), rule.duration, omega)
+                middle = 0.5 * (self._aim(phase.base, Footprint()) + self._aim(phase.base.other, other))
+                self._reference = Rest(self._now.xi, middle, rule.duration, omega)
             else:
-                start, _ = self._plan(phase.support, other, self._step_now, self._done)
-                if before is not None and before.kind is PhaseKind.SINGLE_SUPPORT:
-                    self._reference = Pressed(base, end, start, rule.duration, omega)
-                else:
-                    rule.duration = self.config.dynamic.start_duration
-                    self._reference = Rest(self._now.xi, start, rule.duration, omega)
+                self._reference = self._transfer_reference(phase, other, rule, before)
         self._support = ConvexPolygon.hull(corners).edges()
         tree = kin.tree
         self._legs = tree.moves[tree.frames[self.model.pelvis][0]]
 
-    def _flight_reference(self, phase: Phase, kin: Kinematics, rule: Timed, base: Array) -> Pressed:
+    def _transfer_reference(self, phase: Phase, other: Footprint, rule: Timed, before: Phase | None) -> Reference:
+        """Return the reference of a double support, which ends on the foot at `other`."""
+        omega, (supports, ends) = self.pendulum.omega, self._plan(phase.support, other)
+        start, _ = ends[0]
+        if before is None or before.kind is not PhaseKind.SINGLE_SUPPORT:
+            rule.duration = self.config.dynamic.start_duration
+            return Rest(self._now.xi, start, rule.duration, omega)
+        rule.duration = self._transfer = supports[0].double
+        left = self._aim(phase.base, Footprint()) + self._roll(self._step_now)
+        return Pressed(left, supports[0].first, start, rule.duration, omega)
+
+    def _flight_reference(self, phase: Phase, kin: Kinematics, rule: Timed) -> Pressed:
         """Initialize a single support and return its reference."""
         d, omega, target = self.config.dynamic, self.pendulum.omega, phase.swing_target
         assert target is not None
-        _, end = self._plan(phase.support, Footprint(), self._step_now, self._done, target)
-        reference = Pressed(base, base, end, rule.duration, omega)
+        supports, ends = self._plan(phase.support, Footprint(), target)
+        support, (_, end) = supports[0], ends[0]
+        rule.duration = support.single
+        reference = Pressed(support.first, support.last, end, rule.duration, omega)
         sole, landing = self.model.soles[phase.base], self._aim(phase.base.other, Footprint.of(target))
         half = 0.5 * np.array([sole.length, sole.width]) - d.catch_margin
         step = Step(
-            z=base, landing=landing, offset=end - landing, duration=rule.duration, omega=omega,
+            z=support.aim, landing=landing, offset=end - landing, duration=rule.duration, omega=omega,
             low=sole.center[:2] - half, high=sole.center[:2] + half, reach=np.array([d.catch_length, d.catch_side]),
         )  # fmt: skip
         descends, self._descends = self._descends, False
@@ -374,31 +410,46 @@ class DynamicWalk(SteppingWalk):
         swing = Swing(start, target, self.config.gait.step_height, rule.duration if descends else 0.0)
         rule.begun = swing.begun
         # after an adjusted step, the next step is adjusted from its beginning
-        self._flight = _Flight(rule, reference, step, swing, swing.goal, lost=_CONFIRMED if self._pushed else 0)
+        self._flight = _Flight(rule, reference, step, swing, swing.goal, lost=self._confirmed if self._pushed else 0)
         return reference
 
     def _plan(
-        self, foot: Foot, stands: Footprint, step: Array, done: int, target: Array | None = None
-    ) -> tuple[Array, Array]:
-        """Return xi (2,) [m] at the beginning and at the end of the single support on `foot` at the pose `stands`."""
-        together = self._together and target is not None
+        self, foot: Foot, stands: Footprint, target: Array | None = None
+    ) -> tuple[list[Support], list[tuple[Array, Array]]]:
+        """Plan from the single support on `foot` at the pose `stands`, in which the other foot moves to `target` (8,).
+
+        Return the supports, and xi (2,) [m] at the beginning and at the end of each but the last. Without a target the
+        single support has not begun.
+        """
+        step, together, done = self._step_now, self._together and target is not None, self._done
         landing = None if target is None else Footprint.of(target)
-        aims = [self._aim(foot, stands)]
-        while len(aims) <= _AHEAD:
+        supports = []
+        while True:
             if landing is None:
                 step, together = self._after(step, done)
                 done += 1
                 landing = self.footsteps.stride(foot, *step.tolist())
+            supports.append(self._support_on(foot, stands, step))
             foot, stands, landing = foot.other, stands.then(landing), None
-            aims.append(self._aim(foot, stands))
-            if together:
+            if together or len(supports) == _AHEAD:
                 break
-        s = self.config.standing
-        plan = single_supports(aims, s.swing_duration, s.transfer_duration, self.pendulum.omega, ends=together)
-        return plan[0]
+        supports.append(self._support_on(foot, stands, step))
+        return supports, single_supports(supports, self.pendulum.omega, ends=together)
+
+    def _support_on(self, foot: Foot, stands: Footprint, step: Array) -> Support:
+        """Return the support on `foot` at the pose `stands`, during which a step (3,) is taken."""
+        return Support(self._aim(foot, stands), self._roll(step), *self._durations(float(step[0])))
+
+    def _roll(self, step: Array) -> Array:
+        """Return by how much the pressure is ahead of its aim at the end of a step (3,), shape (2,) [m].
+
+        It moves from the heel towards the toe, so that the reaction of the swing leg, first ahead and then back, and
+        the motion of the CoM over the foot need less of the sole.
+        """
+        return np.array([self.config.dynamic.roll * float(step[0]), 0.0])
 
     def _aim(self, foot: Foot, stands: Footprint) -> Array:
-        """Return the desired zero-moment point on the sole of `foot` at the pose `stands`, shape (2,) [m]."""
+        """Return the middle of the planned pressure on the sole of `foot` at the pose `stands`, shape (2,) [m]."""
         d, side = self.config.dynamic, 1.0 if foot is Foot.LEFT else -1.0
         return stands.points(self.model.soles[foot].center[:2] + np.array([d.aim_ahead, -side * d.aim_inside]))
 
@@ -413,7 +464,7 @@ class DynamicWalk(SteppingWalk):
         both = phase.kind is not PhaseKind.SINGLE_SUPPORT
         z = self._now.pressure
         tau = ground_torques(kin, m * f, z, both=both)
-        tau += m * _of_legs(kin.lines, kin.com, kin.com_jacobian, self._legs, z, f, GRAVITY * up)
+        tau += m * leg_torques(kin.lines, kin.com, kin.com_jacobian, self._legs, z, f, GRAVITY * up)
         acceleration = self._accelerated(state.time, u)
         if not both:
             tau += self._inertia[phase.base] @ acceleration
@@ -424,38 +475,18 @@ class DynamicWalk(SteppingWalk):
         passed, before = time - self._commanded, self._u
         self._commanded, self._u = time, u
         known = 0.0 < passed <= _GAP
-        self._acceleration = _approached(self._acceleration, before, u, passed) if known else np.zeros_like(u)
+        self._acceleration = approached(self._acceleration, before, u, passed) if known else np.zeros_like(u)
         return self._acceleration
 
 
-@jit
-def _force(c, z, omega, up):  # type: ignore[no-untyped-def]
-    """Return the ground reaction force per mass (3,) [m/s^2] of the pendulum with the zero-moment point z (2,)."""
-    a = omega**2 * (c - z)
-    return GRAVITY * up + np.array([a[0], a[1], -(a[0] * up[0] + a[1] * up[1]) / up[2]])
+def _pitching(kin: Kinematics) -> NDArray[np.intp]:
+    """Return the joints that pitch the trunk against the pelvis in the posture of `kin`: neither of legs nor of arms.
 
-
-@jit
-def _converging(c, xi, later, omega, time):  # type: ignore[no-untyped-def]
-    """Return position and velocity (2,) of the CoM after a `time` [s] in which xi (2,) moves to `later` (2,)."""
-    c = c + (1.0 - np.exp(-omega * time)) * (0.5 * (xi + later) - c)  # c' = w (xi - c)
-    return c, omega * (later - c)
-
-
-@jit
-def _approached(acceleration, before, u, passed):  # type: ignore[no-untyped-def]
-    """Return the filtered acceleration (n,) after velocities have changed from `before` to `u` (n,) in a time [s]."""
-    return acceleration + (u - before - passed * acceleration) / (_ACCELERATION + passed)
-
-
-@jit
-def _of_legs(lines, com, J_com, legs, pressure, force, weight):  # type: ignore[no-untyped-def]
-    """Return the torques of the leg joints from the difference between the ground force at z and at c, per mass (n,).
-
-    The joints `legs` (n,) carry the force through the zero-moment point z instead of the CoM c, on which a = f - g up
-    acts: with (l x z).f = l.(z x f), (l x z + m).f - (l x c + m).(g up) - a.J_CoM.
+    The trunk is the heaviest body beyond the pelvis.
     """
-    z, a = np.array([pressure[0], pressure[1], 0.0]), force - weight
-    moment = np.cross(z, force) - np.cross(com, weight)
-    tau = lines @ np.concatenate((moment, a)) - a @ J_com
-    return np.where(legs, tau, 0.0)
+    model, tree = kin.model, kin.tree
+    pelvis, sole = (tree.moves[tree.frames[name][0]] for name in (model.pelvis, kin.swing))
+    legs = pelvis | sole
+    mass = np.where((tree.moves & ~legs).any(axis=1), tree.links[:, 11], 0.0)
+    between = tree.moves[int(np.argmax(mass))] & ~legs
+    return np.flatnonzero(between & (np.abs(kin.lines[:, 1]) > _LATERAL))

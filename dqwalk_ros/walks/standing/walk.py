@@ -115,10 +115,7 @@ class StandingWalk(SteppingWalk):
             return None
         if gait.steps:
             return None if self._done >= gait.steps else (gait.step_length, gait.step_side, gait.step_turn)
-        if not any(self._twist):
-            return None
-        forward, left, turn = (v * self._period for v in self._twist)
-        return forward, left, turn
+        return self._step_at(self._twist) if any(self._twist) else None
 
     def _leading(self) -> Foot:
         """Return the first support foot: that of the commanded footprints if there are any."""
