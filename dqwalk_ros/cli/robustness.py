@@ -114,7 +114,15 @@ def table(done: Sequence[Cell], axes: dict[str, tuple[float, ...]]) -> str:
         lines.append(
             f"tilt of the loaded sole, the largest of each walk: median {middle:.2f}, worst {worst:.2f} degrees"
         )
-    lines.append("")
+    loads = [(end.load, end.joint) for _, end in done if end.stood and end.load is not None]
+    if loads:
+        most, joint = max(loads)
+        lines.append(f"the servos need at most {100.0 * most:.0f} % of their torque-speed lines ({joint})")
+    reached = Counter[str]()
+    for _, end in done:
+        reached.update(end.reached if end.stood else {})
+    limits = ", ".join(f"{name} on {count} ticks" for name, count in reached.most_common(3))
+    lines += [f"limits reached in all walks that stood: {limits or 'none'}", ""]
     for name, varied in axes.items():
         for value in varied:
             part = [end.stood for values, end in done if values[name] == value]

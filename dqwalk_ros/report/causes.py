@@ -189,7 +189,7 @@ def _at_limit(series: Series, ticks: slice) -> NDArray[np.bool_]:
         return np.zeros((1, trace.model.n), bool)
     servos = Servos.of(trace.config, trace.model)
     dq = np.gradient(trace.q[ticks], series.time[ticks], axis=0)
-    out: NDArray[np.bool_] = np.abs(physics.effort[ticks] + servos.back_emf * dq) > _AT_LIMIT * servos.torque
+    out: NDArray[np.bool_] = servos.load(physics.effort[ticks], dq) > _AT_LIMIT
     return out
 
 

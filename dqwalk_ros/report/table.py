@@ -12,6 +12,8 @@ __all__ = ["distances", "numbers", "phases", "quasi_static", "render", "steps", 
 
 _EDGE = 1e-5
 """Distance up to which the CoM counts as at the edge of its support [m]: the error of Euler's method."""
+_LIMITS_SHOWN = 3
+"""Number of limits that are named, the most frequent ones."""
 _TURNED = math.radians(0.5)
 """Turn below which the walk counts as straight [rad]."""
 
@@ -78,6 +80,8 @@ def numbers(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     lines.append(("joint-limit margin", closest))
     fastest = f"at most {speed['largest']:.3f} rad/s, {100 * speed['of_limit']:.1f} % of the limit"
     lines.append(("joint speed", fastest))
+    reached = [f"{name} on {count} ticks" for name, count in list(walk["limits_reached"].items())[:_LIMITS_SHOWN]]
+    lines.append(("limits reached", ", ".join(reached) or "none while it steps"))
     if "paper" in margin:
         lines.append(("paper margin", _margin(margin["paper"])))
     if quasi_static(report):
@@ -139,6 +143,9 @@ def _physics(of: Mapping[str, Any]) -> list[tuple[str, str]]:
     lines.append(("  pressure", f"centre inside the support polygon on {inside:.2f} % of ticks{margin}"))
     if (load := of["swing_load"]) is not None:
         lines.append(("  swing foot", f"carries {100.0 * load:.1f} % of the weight while it swings (median)"))
+    if (load := of.get("load")) is not None:
+        text = f"{load['joint']} needs {100.0 * load['part']:.0f} % of its torque-speed line at {load['time']:.2f} s"
+        lines.append(("  servos", text))
     if (energy := of.get("energy")) is not None:
         text = f"{energy['power']:.2f} W at the joints on average (sum |tau dq|), {energy['positive']:.2f} W positive"
         if energy["cost_of_transport"] is not None:

@@ -23,6 +23,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.statics import GRAVITY
+from dqwalk_ros.report.binding import limits_reached, most_loaded
 from dqwalk_ros.report.causes import causes
 from dqwalk_ros.report.metrics import FALLEN, Ending, Ground, Series, Span, left_of, support_polygon
 from dqwalk_ros.robot.model import RobotModel
@@ -417,6 +418,7 @@ def _walk(series: Series, phases: list[dict[str, Any]]) -> dict[str, Any]:
             "largest": float(np.nanmax(np.abs(trace.u), initial=0.0)),
             "of_limit": float(np.nanmax(np.abs(trace.u) / trace.model.velocity_max, initial=0.0)),
         },
+        "limits_reached": limits_reached(series),
         "unit_norm_error": _unit_norm_error(series),
         "unanswered": int(np.count_nonzero(~np.isfinite(trace.u).all(axis=1))),
     }
@@ -456,6 +458,8 @@ def _physics(series: Series, of: Ground) -> dict[str, Any]:
         "swing_load": of.swing_load,
         "odometry_drift": of.drift,
     }
+    if (load := most_loaded(series.trace)) is not None:
+        out["load"] = asdict(load)
     if np.isfinite(of.power).any():
         # cost of transport: positive work per weight and path length
         work = float(np.nanmean(of.work)) * duration

@@ -153,6 +153,17 @@ class Servos:
                 out.damping[joints], out.back_emf[joints] = 0.0, told["damping"] * out.stiffness[joints]
         return out
 
+    def load(self, effort: Array, velocity: Array) -> Array:
+        """Return which part of its torque-speed line a torque at a velocity needs, shape (..., n); 1: there is no more.
+
+        Parameters
+        ----------
+        effort, velocity : ndarray, shape (..., n)
+            Torques on the joints [N m], and their velocities [rad/s].
+        """
+        out: Array = np.abs(effort + self.back_emf * velocity) / self.torque
+        return out
+
 
 @dataclass(frozen=True)
 class Drive:

@@ -6,15 +6,19 @@ import functools
 import itertools
 import math
 import random
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.phase import PhaseKind
+from dqwalk_ros.report.binding import limits_at
 from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.robot.servos import Servos
 from dqwalk_ros.simulation import closed_loop, make_controller, make_plant
 from dqwalk_ros.studies.plan import MAX_WALKS, digest
 from dqwalk_ros.studies.runner import Store, run
@@ -62,6 +66,12 @@ class Outcome(msgspec.Struct, frozen=True):
         Why it did not stand.
     tilt : float or None
         Largest tilt of the loaded sole [rad].
+    load : float or None
+        Largest part of its torque-speed line that a servo needed; 1: it cannot do more.
+    joint : str
+        The joint of that servo.
+    reached : mapping of str to int
+        Number of ticks of the steps on which the velocity of a joint was at a limit, by the limit's name.
     """
 
     stood: bool
@@ -69,6 +79,9 @@ class Outcome(msgspec.Struct, frozen=True):
     steps: int
     reason: str
     tilt: float | None = None
+    load: float | None = None
+    joint: str = ""
+    reached: Mapping[str, int] = {}
 
 
 Cell = tuple[Mapping[str, float], Outcome]
@@ -107,23 +120,33 @@ def assumed(config: Config, latency_error: float = 0.0) -> dict[str, float]:
 
 def walk(config: Config, index: int, values: Mapping[str, Any]) -> Outcome:
     """Simulate one combination in physics, until the walk ends or the robot falls."""
-    time, steps, number, swings, tilt = 0.0, 0, -1, False, 0.0
+    time, steps, number, swings, tilt, load, joint, reached = 0.0, 0, -1, False, 0.0, 0.0, "", Counter[str]()
     parameters = {name: value for name, value in values.items() if name != LATENCY_ERROR}
     try:
         varied = config.updated(parameters)
         varied = varied.updated({**assumed(varied, values.get(LATENCY_ERROR, 0.0)), **parameters})
         model = load_model(varied.robot)
         controller, plant = make_controller(varied, model), make_plant(varied.plant.name or "physics", varied, model)
-        for state, _ in closed_loop(controller, plant):
-            if state.time >= time + _SAMPLE - 1e-9 and (truth := plant.truth) is not None:
-                time, tilt = state.time, max(tilt, truth.tilt)
+        servos, before = Servos.of(varied, model), None
+        fastest = np.minimum(model.velocity_max, varied.joints.velocity or np.inf)
+        for state, command in closed_loop(controller, plant):
+            if (truth := plant.truth) is not None:
+                if state.time >= time + _SAMPLE - 1e-9:
+                    time, tilt = state.time, max(tilt, truth.tilt)
+                if before is not None:
+                    part = servos.load(truth.effort, (truth.q - before) / varied.dt)
+                    worst = int(np.argmax(part))
+                    load, joint = max((load, joint), (float(part[worst]), model.joint_names[worst]))
+                before = truth.q
+            if (problem := controller.problem) is not None and controller.phase.kind is not PhaseKind.STANCE:
+                reached.update(limits_at(command.velocity, problem.lower, problem.upper, fastest, model))
             if controller.phase_index != number:
                 steps += swings
                 number, swings = controller.phase_index, controller.phase.kind is PhaseKind.SINGLE_SUPPORT
     except DqwalkError as error:
-        return Outcome(False, time, steps, str(error), tilt)
+        return Outcome(False, time, steps, str(error), tilt, load or None, joint, reached)
     reason = "" if controller.finished else f"fell in {controller.phase.name}"
-    return Outcome(not reason, time, steps, reason, tilt)
+    return Outcome(not reason, time, steps, reason, tilt, load or None, joint, reached)
 
 
 def walk_all(

@@ -1,0 +1,106 @@
+"""What binds a walk: the joint closest to its servo's torque-speed line, and the limits at which commands are."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from dqwalk_ros.estimation.delay import CommandHistory
+from dqwalk_ros.paper.constraints import vfi
+from dqwalk_ros.paper.phase import PhaseKind
+from dqwalk_ros.report.metrics import Series
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.robot.servos import Drive, Servos
+from dqwalk_ros.simulation import Trace
+from dqwalk_ros.support.arrays import Array
+
+__all__ = ["Load", "limits_at", "limits_reached", "most_loaded"]
+
+
+_AT_LIMIT = 1e-6
+"""Difference to a bound of a commanded velocity that is at the bound [rad/s]."""
+
+
+@dataclass(frozen=True)
+class Load:
+    """The largest part of a torque-speed line that a walk needs.
+
+    Attributes
+    ----------
+    part : float
+        1: the servo cannot do more.
+    joint : str
+    time : float
+        [s]
+    """
+
+    part: float
+    joint: str
+    time: float
+
+
+def most_loaded(trace: Trace) -> Load | None:
+    """Return the joint whose servo is closest to its torque-speed line; None if torques were not recorded.
+
+    A torque is the mean of the period before its state, and so is the velocity that is compared with it.
+    """
+    if trace.physics is None or len(trace) < 2:
+        return None
+    q = np.where(np.isfinite(trace.physics.q), trace.physics.q, trace.q)
+    velocity = np.diff(q, axis=0) / np.diff(trace.time)[:, None]
+    load = Servos.of(trace.config, trace.model).load(trace.physics.effort[1:], velocity)
+    if not np.isfinite(load).any():
+        return None
+    tick, joint = np.unravel_index(np.nanargmax(load), load.shape)
+    return Load(float(load[tick, joint]), trace.model.joint_names[joint], float(trace.time[tick + 1]))
+
+
+def limits_reached(series: Series) -> Mapping[str, int]:
+    """Return on how many ticks of its steps the velocity of a joint was at a limit, the most frequent limit first.
+
+    The names are those of the constraints (U12) and (U13), such as ``joint_max/l_knee_y``, and ``speed/l_knee_y``.
+    """
+    trace, model, found = series.trace, series.trace.model, Counter[str]()
+    history = CommandHistory(0.0, model.n)
+    for span in series.spans:
+        config, (upper, lower) = span.record.config or trace.config, span.phase.limits
+        history.delay = Drive.of(config, model).delay
+        fastest = np.minimum(model.velocity_max, config.joints.velocity or np.inf)
+        for tick in range(span.start, span.end):
+            u, time = trace.u[tick], float(trace.time[tick])
+            if not np.isfinite(u).all():
+                continue
+            q = trace.q[tick] + history.pending(time)  # at which the command acts
+            history.add(time, u, config.dt)
+            if span.phase.kind is PhaseKind.STANCE:
+                continue
+            d_max, d_min = model.q_max - q, q - model.q_min
+            most, least = (
+                vfi(d, np.full(model.n, row.bound), np.full(model.n, row.eta), row.return_speed, config.dt)
+                for d, row in ((d_max, upper), (d_min, lower))
+            )
+            found.update(limits_at(u, np.maximum(least, -fastest), np.minimum(-most, fastest), fastest, model))
+    return dict(found.most_common())
+
+
+def limits_at(u: Array, lower: Array, upper: Array, fastest: Array, model: RobotModel) -> list[str]:
+    """Return the limits at which joint velocities are; see `limits_reached`.
+
+    Parameters
+    ----------
+    u : ndarray, shape (n,)
+        Commanded velocities [rad/s].
+    lower, upper : ndarray, shape (n,)
+        Their bounds by the joint limits and by the largest velocities, `fastest` (n,) [rad/s].
+    model : RobotModel
+    """
+    speed = np.abs(u) >= fastest - _AT_LIMIT
+    kinds = {
+        "speed": speed,
+        "joint_max": ~speed & (u >= upper - _AT_LIMIT),
+        "joint_min": ~speed & (u <= lower + _AT_LIMIT),
+    }
+    return [f"{kind}/{model.joint_names[i]}" for kind, at in kinds.items() for i in np.flatnonzero(at)]
