@@ -20,7 +20,7 @@ from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterFile
 
-from dqwalk_ros.config import find_share
+from dqwalk_ros.config import find_config, find_share
 from dqwalk_ros.robot.packages import expanded
 
 PLUGINS = [
@@ -37,8 +37,9 @@ ARGUMENTS = {
     "controllers": (str(find_share("config/ros2_control", "controllers.yaml")), "parameter file of the controllers",
                     None),
     "walk": ("true", "also start the walk; false: only the robot", ["true", "false"]),
-    "config": ("", "parameter file of the walk; empty: poppy.yaml", None),
+    "config": ("poppy", "parameter file of the walk, or the name of a shipped one", None),
     "params": ("", "further parameter file of the walk, applied after those of config and plant", None),
+    "set": ("", "single parameters of the walk, applied last: 'KEY=VALUE KEY=VALUE'", None),
     "namespace": ("", "namespace of all nodes and topics of this robot", None),
     "use_sim_time": ("false", "use the time of /clock, as with Gazebo", ["true", "false"]),
 }  # fmt: skip
@@ -78,7 +79,7 @@ def nodes(context: LaunchContext) -> list[object]:
         started.append(node(manager, "ros2_control_node", parameters=[file, time]))
     if given["walk"] == "true":
         values = {"plant": "ros2_control", "interface": given["interface"], "namespace": space,
-                  "config": given["config"], "params": given["params"],
+                  "config": str(find_config(given["config"])), "params": given["params"], "set": given["set"],
                   "use_sim_time": given["use_sim_time"]}  # fmt: skip
         walk = IncludeLaunchDescription(
             PythonLaunchDescriptionSource(str(find_share("launch", "walk.launch.py"))),

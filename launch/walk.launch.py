@@ -2,8 +2,11 @@
 
 ros2 launch dqwalk_ros walk.launch.py lockstep:=true bag:=my_walk
 ros2 launch dqwalk_ros walk.launch.py plant:=physics rviz:=true namespace:=robot1
+ros2 launch dqwalk_ros walk.launch.py plant:=physics config:=poppy_dynamic set:='gait.steps=40 gait.step_length=0.04'
 """
 
+import shlex
+from functools import partial
 from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription
@@ -21,20 +24,25 @@ from launch.logging import get_logger
 from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
 
-from dqwalk_ros.config import find_share, load, overlaid, put_on, replaced
+from dqwalk_ros.cli.options import parse_overrides
+from dqwalk_ros.config import Config, find_config, find_share, load, overlaid, put_on, replaced
 from dqwalk_ros.plants.table import PLANTS, entry
 from dqwalk_ros.support.errors import ConfigError
 
+CANNOT_START = 2
+"""Exit code of a node whose arguments are invalid, or that is running already."""
 TRUE_OR_FALSE = ["true", "false"]
 ARGUMENTS = {
-    "config": ("", "parameter file of all nodes, `dqwalk config` explains each key; empty: paper.yaml for "
-               "the integrator, poppy.yaml for all other plants, where the robot must stand", None),
+    "config": ("", "parameter file of all nodes, or the name of a shipped one such as poppy_dynamic; `dqwalk config` "
+               "explains each key; empty: paper for the integrator, poppy for all other plants, where the robot must "
+               "stand", None),
     "plant": ("integrator", "what executes the commands: " +
               "; ".join(f"{name}, {each.meaning}" for name, each in PLANTS.items()) +
               "; or MODULE:CLASS of your own. ros2_control.launch.py starts Poppy's controllers. config/plants/ has "
               "the parameters a plant requires of all nodes, which replace those of config", None),
     "params": ("", "further parameter file, applied after those of config and plant, such as that of `dqwalk identify`",
                None),
+    "set": ("", "single parameters, applied last: 'KEY=VALUE KEY=VALUE', such as set:='gait.steps=1'", None),
     "lockstep": ("false", "true: each state waits for its command, so the walk is reproducible and as fast as the "
                  "machine allows; all nodes stop after the walk, with an error if it failed; false: real time, until "
                  "Ctrl-C", TRUE_OR_FALSE),
@@ -53,17 +61,21 @@ ARGUMENTS = {
 }  # fmt: skip
 
 
-def warn(config: str, plant: str, params: str) -> None:
+def warn(config: Path, plant: str, params: list[Path], changes: dict[str, object]) -> None:
     """Log which values of the configuration the file of the plant replaces."""
-    if params and not Path(params).is_file():
-        raise ConfigError(f"params: no parameter file '{params}'")
     try:
         own = load(config)
-        used = put_on(overlaid(own, plant), [Path(params)] if params else [])
+        used = put_on(overlaid(own, plant), params).updated(changes)
     except ConfigError:
         return  # the nodes report it; a file with parameters of other packages they accept
-    if warning := replaced(own, plant, used, "params:=FILE, which is applied after it"):
+    if warning := replaced(own, plant, used, "params:=FILE or set:='KEY=VALUE', which are applied after it"):
         get_logger("walk.launch").warning(warning)
+
+
+def typed(changes: dict[str, object]) -> dict[str, object]:
+    """Return parameters as launch_ros passes them on, with the types of the schema; an empty list has no type."""
+    flat = Config().updated(changes, source="set").flat()
+    return {name: (list(flat[name]) or [""]) if isinstance(flat[name], tuple) else flat[name] for name in changes}
 
 
 def nodes(context: LaunchContext) -> list[object]:
@@ -71,10 +83,14 @@ def nodes(context: LaunchContext) -> list[object]:
     lockstep, rviz = given["lockstep"] == "true", given["rviz"] == "true"
     sim_time = given["use_sim_time"] == "true"
     plant = entry(given["plant"])
-    config = given["config"] or str(
-        find_share("config", "paper.yaml" if given["plant"] == "integrator" else "poppy.yaml")
-    )
+    # ros2 launch accepts a parameter file that is missing: the nodes would start with their defaults
+    config = find_config(given["config"] or ("paper" if given["plant"] == "integrator" else "poppy"))
+    params = [Path(given["params"])] if given["params"] else []
+    if params and not params[0].is_file():
+        raise ConfigError(f"params: no parameter file '{params[0]}'")
+    changes = typed(parse_overrides(shlex.split(given["set"])))
     values: dict[str, object] = {
+        "node.end_with_parent": True,
         "plant.lockstep": lockstep,
         "node.exit_when_done": lockstep,
         "node.wait_for_recorder": bool(given["bag"]),
@@ -88,21 +104,24 @@ def nodes(context: LaunchContext) -> list[object]:
         values["output.interface"] = given["interface"]
     if given["dummy"] == "true":
         values["poppy.dummy"] = True
-    required = [str(find_share("config/plants", f"{plant.parameters}.yaml"))] if plant.parameters else []
-    files = [config, *required, *filter(None, [given["params"]])]
+    required = [find_share("config/plants", f"{plant.parameters}.yaml")] if plant.parameters else []
+    files = [config, *required, *params]
     if required:
-        warn(config, plant.parameters, given["params"])
+        warn(config, plant.parameters, params, changes)
     if plant.type:
         values["plant.name"] = given["plant"]
+    values |= changes
     remappings = [("/tf", "tf"), ("/tf_static", "tf_static")] if given["namespace"] else []
     if given["plant"] == "ros2_control":
         remappings.append(("imu", "imu_sensor_broadcaster/imu"))
 
-    def node(name: str, package: str = "dqwalk_ros", **options: object) -> Node:
-        own = options.pop("parameters", [*files, values])
+    started: dict[str, Node] = {}
+
+    def node(name: str, package: str = "dqwalk_ros", **options: object) -> None:
+        own = options.pop("parameters", [*map(str, files), values])
         simulated = name == plant.node and plant.type
         time = {"plant.clock": True} if sim_time and simulated else {"use_sim_time": sim_time}
-        return Node(
+        started[name] = Node(
             package=package,
             executable=name,
             name=name,
@@ -116,29 +135,34 @@ def nodes(context: LaunchContext) -> list[object]:
         )
 
     again = {"respawn": given["respawn"] == "true" and not lockstep, "respawn_delay": 2.0}
-    controller = node("controller", **again)
-    others = [node("phase_monitor", **again), node(plant.node)]
+    node("phase_monitor", **again)
+    node(plant.node)
     if given["bag"]:
-        others.append(node("recorder", arguments=["--bag", given["bag"]]))
+        node("recorder", arguments=["--bag", given["bag"]])
     if given["view"] == "true":
-        others.append(node("viewer"))
+        node("viewer")
     if rviz:
         from dqwalk_ros.robot.model import load_model
 
-        described = {"robot_description": load_model(put_on(load(config), map(Path, files[1:])).robot).urdf}
+        described = {"robot_description": load_model(put_on(load(config), files[1:]).updated(changes).robot).urdf}
         shown = ["-d", str(find_share("config", "walk.rviz"))]
-        others.append(node("robot_state_publisher", "robot_state_publisher", parameters=[described]))
-        others.append(node("rviz2", "rviz2", parameters=[], arguments=shown))
+        node("robot_state_publisher", "robot_state_publisher", parameters=[described])
+        node("rviz2", "rviz2", parameters=[], arguments=shown)
+    node("controller", **again)
 
-    def end(event: object, _: LaunchContext) -> list[object]:
-        """Stop the other nodes of this walk, but nothing else that was launched with it."""
+    def end(event: object, _: LaunchContext, *, ended: str) -> list[object]:
+        """Stop the nodes of this walk, but nothing else that was launched with it."""
+        if event.returncode == CANNOT_START:
+            raise RuntimeError(f"the walk did not start: see the message of {ended}")
+        if not lockstep or ended != "controller":
+            return []  # a real robot's driver keeps running after its controller, so that ~/compliant remains available
         if event.returncode:
             raise RuntimeError(f"the walk failed: the controller ended with {event.returncode}")
+        others = [one for name, one in started.items() if name != ended]
         return [EmitEvent(event=ShutdownProcess(process_matcher=matches_action(other))) for other in others]
 
-    # a real robot's driver keeps running after its controller, so that ~/compliant remains available
-    handlers = [RegisterEventHandler(OnProcessExit(target_action=controller, on_exit=end))] if lockstep else []
-    return [*others, controller, *handlers]
+    exits = [OnProcessExit(target_action=one, on_exit=partial(end, ended=name)) for name, one in started.items()]
+    return [*started.values(), *map(RegisterEventHandler, exits)]
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -6,71 +6,66 @@ ros2 topic pub --once /push geometry_msgs/WrenchStamped '{wrench: {force: {y: 15
 dqwalk report my_walk
 """
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler, SetEnvironmentVariable
-from launch.conditions import IfCondition
+from launch import LaunchContext, LaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    EmitEvent,
+    OpaqueFunction,
+    RegisterEventHandler,
+    SetEnvironmentVariable,
+)
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
-from launch.substitutions import (
-    EnvironmentVariable,
-    LaunchConfiguration,
-    NotEqualsSubstitution,
-    PathJoinSubstitution,
-)
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.substitutions import FindPackageShare
+
+from dqwalk_ros.config import find_config
+
+ARGUMENTS = {
+    "config": ("whole_body", "parameter file of all nodes, or the name of a shipped one; `dqwalk config` explains each "
+               "key", None),
+    "lockstep": ("false", "true: as fast as the machine allows; false: at most in real time", ["true", "false"]),
+    "bag": ("", "record to this folder, which must not exist yet; empty: no recording", None),
+}  # fmt: skip
 
 
-def generate_launch_description() -> LaunchDescription:
-    bag = LaunchConfiguration("bag")
-    recorded = NotEqualsSubstitution(bag, "")
-    parameters = [
-        LaunchConfiguration("config"),
-        {"plant.lockstep": LaunchConfiguration("lockstep"), "node.wait_for_recorder": recorded},
-    ]
+def nodes(context: LaunchContext) -> list[object]:
+    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    values = {
+        "node.end_with_parent": True,
+        "node.wait_for_recorder": bool(given["bag"]),
+        "plant.lockstep": given["lockstep"] == "true",
+    }
+    parameters = [str(find_config(given["config"])), values]
 
-    def node(name: str, **options: object) -> Node:
+    def node(name: str, *arguments: str) -> Node:
         return Node(
             package="dqwalk_ros",
             executable=name,
             name=name,
             parameters=parameters,
             output="screen",
+            arguments=arguments,
             ros_arguments=["--enclave", f"/dqwalk/{name}"],  # see docs/security.md; no effect without SROS 2
-            **options,
         )
 
     controller = node("whole_body_controller")
     over = EmitEvent(event=Shutdown(reason="the controller has ended"))
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument(
-                "config",
-                default_value=PathJoinSubstitution([FindPackageShare("dqwalk_ros"), "config", "whole_body.yaml"]),
-                description="parameter file of all nodes; `dqwalk config` explains each key",
-            ),
-            DeclareLaunchArgument(
-                "lockstep",
-                default_value="false",
-                choices=["true", "false"],
-                description="true: as fast as the machine allows; false: at most in real time",
-            ),
-            DeclareLaunchArgument(
-                "discovery",
-                default_value=EnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", default_value="LOCALHOST"),
-                choices=["LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT"],
-                description="which machines can discover the nodes: LOCALHOST only this one, SUBNET also the network",
-            ),
-            DeclareLaunchArgument(
-                "bag",
-                default_value="",
-                description="record to this folder, which must not exist yet; empty: none",
-            ),
-            # by default the nodes are visible on this machine only
-            SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery")),
-            node("recorder", arguments=["--bag", bag], condition=IfCondition(recorded)),
-            node("rigid"),
-            controller,
-            RegisterEventHandler(OnProcessExit(target_action=controller, on_exit=[over])),
-        ]
+    recorder = [node("recorder", "--bag", given["bag"])] if given["bag"] else []
+    ended = RegisterEventHandler(OnProcessExit(target_action=controller, on_exit=[over]))
+    return [*recorder, node("rigid"), controller, ended]
+
+
+def generate_launch_description() -> LaunchDescription:
+    arguments = []
+    for name, (default, description, choices) in ARGUMENTS.items():
+        arguments.append(DeclareLaunchArgument(name, default_value=default, description=description, choices=choices))
+    discovery = DeclareLaunchArgument(
+        "discovery",
+        default_value=EnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", default_value="LOCALHOST"),
+        choices=["LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT"],
+        description="which machines can discover the nodes: LOCALHOST only this one, SUBNET also the network",
     )
+    # by default the nodes are visible on this machine only
+    stays = SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery"))
+    return LaunchDescription([*arguments, discovery, stays, OpaqueFunction(function=nodes)])

@@ -17,8 +17,8 @@ from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.errors import ConfigError
 
 __all__ = [
-    "OF_RCLPY", "SHIPPED", "beside", "find_share", "from_yaml", "load", "overlaid", "put_on", "replaced", "since",
-    "to_yaml",
+    "OF_RCLPY", "SHIPPED", "beside", "find_config", "find_share", "from_yaml", "load", "overlaid", "put_on", "replaced",
+    "since", "to_yaml",
 ]  # fmt: skip
 
 OF_RCLPY = ("use_sim_time", "qos_overrides", "start_type_description_service")
@@ -48,6 +48,24 @@ def find_share(folder: str, name: str) -> pathlib.Path:
     raise ConfigError(f"no file '{name}' in {folder}/ of this package; looked in {', '.join(map(str, roots))}")
 
 
+def find_config(source: str | os.PathLike[str]) -> pathlib.Path:
+    """Return the file of a configuration: a path, or the name of a shipped one (``"paper"``).
+
+    Raises
+    ------
+    ConfigError
+        If it is neither.
+    """
+    path = pathlib.Path(source)
+    if path.is_file():
+        return path
+    if path.suffix or len(path.parts) > 1:
+        raise ConfigError(f"no configuration file '{path}'")
+    if str(path) not in SHIPPED:
+        raise ConfigError(f"no configuration '{path}': neither a file nor one of {', '.join(SHIPPED)}")
+    return find_share("config", f"{path}.yaml")
+
+
 def load(source: str | os.PathLike[str]) -> Config:
     """Read a configuration: a path, or the name of a shipped one (``"paper"``).
 
@@ -56,13 +74,7 @@ def load(source: str | os.PathLike[str]) -> Config:
     ConfigError
         If the file is missing, is not YAML, or has an unknown key or a value out of bounds.
     """
-    path = pathlib.Path(source)
-    if not path.is_file():
-        if path.suffix or len(path.parts) > 1:
-            raise ConfigError(f"no configuration file '{path}'")
-        if str(path) not in SHIPPED:
-            raise ConfigError(f"no configuration '{path}': neither a file nor one of {', '.join(SHIPPED)}")
-        path = find_share("config", f"{path}.yaml")
+    path = find_config(source)
     return beside(path, from_yaml(strict_yaml.read_text(path), source=str(path)))
 
 

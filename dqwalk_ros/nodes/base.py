@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import ctypes
 import json
+import os
 import signal
 import sys
 import time
@@ -22,7 +23,6 @@ from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.task import Future
 from rclpy.timer import Timer
-from sensor_msgs.msg import JointState
 
 from dqwalk_ros.config import OF_RCLPY, Config
 from dqwalk_ros.nodes import messages as ros
@@ -204,7 +204,8 @@ class WalkNode(Node):
         known_at = self._made + _DISCOVERED
         if not self._within(known_at - time.monotonic(), lambda: ros.publishers_of(self, topic).count(me) > 1):
             return
-        heard = self.create_subscription(JointState, topic, lambda msg: None, ros.best_effort(1), raw=True)
+        (own,) = (end for end in self.publishers if end.topic_name == topic)
+        heard = self.create_subscription(own.msg_type, topic, lambda msg: None, ros.best_effort(1), raw=True)
         try:
             with heard.handle:
                 if self._within(_HEARD, lambda: heard.handle.take_message(heard.msg_type, True) is not None):
@@ -264,13 +265,16 @@ def main(kind: Callable[[argparse.Namespace], WalkNode], options: argparse.Names
     int
         0 after a signal or when the node has finished, 1 after a failed walk, 2 for invalid arguments.
     """
+    parent = os.getppid()
     if options.child:
-        _end_with_parent()
+        _end_with(parent)
     node: WalkNode | None = None
     code = 1
     try:
         signals = wheels.init(options.argv)
         node = made = kind(options)
+        if made.config.node.end_with_parent:
+            _end_with(parent)
         made.refuse_a_second()
         wheels.spin(made, lambda: (signals or made.done.done()) and made.is_drained(), pause=made.pause)
         code = made.done.result() if made.done.done() else 0
@@ -287,7 +291,9 @@ def main(kind: Callable[[argparse.Namespace], WalkNode], options: argparse.Names
     return code
 
 
-def _end_with_parent() -> None:
+def _end_with(parent: int) -> None:
     """Have the kernel send SIGTERM when the parent process dies, so that no robot walks on unsupervised."""
     with contextlib.suppress(OSError, AttributeError):  # not Linux
         ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG
+    if os.getppid() != parent:  # it has died before
+        os.kill(os.getpid(), signal.SIGTERM)

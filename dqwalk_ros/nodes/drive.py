@@ -91,6 +91,8 @@ class RobotDrive(WalkNode):
         In lockstep, or if the section `output` is invalid.
     """
 
+    claims = "plant_ready"
+
     def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
         super().__init__("drive", options, **keywords)
         config = self.config

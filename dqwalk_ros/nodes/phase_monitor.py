@@ -65,6 +65,7 @@ class PhaseMonitor(WalkNode):
     """
 
     pause = 0.01
+    claims = "walk_markers"
 
     def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
         super().__init__("phase_monitor", options, **keywords)

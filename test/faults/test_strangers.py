@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import subprocess
+import sys
 import tempfile
 import threading
 from pathlib import Path
@@ -104,6 +107,29 @@ def test_a_node_that_already_runs_does_not_start_again(nodes: Any) -> None:
     live.processes.wait("integrator", 10.0)
     second.start("integrator")
     one_more_state()
+
+
+@pytest.mark.parametrize("name", ["phase_monitor", "drive"])
+def test_every_node_of_a_second_launch_is_refused(make: Any, name: str) -> None:
+    """Two monitors would publish, and two drives command the robot."""
+    first, second = make(name, CONFIG), make(name, CONFIG)
+    first.node.refuse_a_second()
+    with pytest.raises(ConfigError, match=f"/{name} is already running"):
+        second.node.refuse_a_second()
+
+
+def test_a_node_ends_with_the_process_that_started_it(domain: int) -> None:
+    """As with `ros2 launch`, of which a killed one would leave a walking robot."""
+    node = [sys.executable, "-m", "dqwalk_ros.nodes", "integrator", "--ros-args", "-p", "node.end_with_parent:=true"]
+    parent = subprocess.Popen(
+        ["sh", "-c", '"$@" & wait', "sh", *node], env=os.environ | {"ROS_DOMAIN_ID": str(domain)},
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+    )  # fmt: skip
+    assert parent.stdout is not None
+    assert any("joints, real time" in line for line in parent.stdout)
+    parent.kill()
+    parent.stdout.read()  # until the node has closed it, too
+    parent.wait()
 
 
 def test_a_node_that_runs_on_another_machine_is_detected(

@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 FILE = ROOT / "launch" / "walk.launch.py"
 ARGUMENTS = {
     *("config", "plant", "lockstep", "namespace", "use_sim_time", "autostart", "dummy", "respawn"),
-    *("log_level", "rviz", "view", "bag", "interface", "params"),
+    *("log_level", "rviz", "view", "bag", "interface", "params", "set"),
 }
 
 
@@ -106,24 +106,73 @@ def test_a_plant_of_your_own_is_run_by_the_node_of_its_kind(start: Start) -> Non
     assert config_of(start(plant=name)[0]["integrator"]).plant.name == name
 
 
+def exits_of(nodes: dict[str, StandIn], handlers: list[StandIn]) -> dict[str, Callable[[int], list[StandIn]]]:
+    """Return for each node what the launch does when it ends with an exit code."""
+    events = [handler.args[0] for handler in handlers]
+    names = {id(node): name for name, node in nodes.items()}
+    return {
+        names[id(event.given["target_action"])]: lambda code, event=event: event.given["on_exit"](
+            types.SimpleNamespace(returncode=code), None
+        )
+        for event in events
+    }
+
+
 def test_the_end_of_a_controller_does_not_end_other_nodes(start: Start) -> None:
     """Other robots of the same launch, and the driver with its ~/compliant, must keep running."""
     for plant in ("integrator", "physics", "ros2_control", "poppy"):
-        nodes, others = start(plant=plant)
-        assert not others, plant
-        assert not any("on_exit" in node.given for node in nodes.values())
+        nodes, handlers = start(plant=plant)
+        exits = exits_of(nodes, handlers)
+        assert set(exits) == set(nodes)
+        assert not any(exits[name](code) for name in nodes for code in (0, 1, -9)), plant
+
+
+def test_a_walk_of_which_a_node_cannot_start_ends(start: Start) -> None:
+    """As with a second launch of the same walk, or a recorder whose folder exists."""
+    nodes, handlers = start(plant="physics", bag="walk", view="true")
+    for name, on_exit in exits_of(nodes, handlers).items():
+        with pytest.raises(RuntimeError, match=f"did not start: see the message of {name}"):
+            on_exit(2)
 
 
 def test_in_lockstep_the_end_of_the_controller_ends_its_own_nodes(start: Start) -> None:
-    nodes, (handler,) = start(lockstep="true", bag="walk", namespace="left")
-    (on_exit,) = handler.args
-    assert on_exit.given["target_action"] is nodes["controller"]
-    ended = [one.given["event"] for one in on_exit.given["on_exit"](types.SimpleNamespace(returncode=0), None)]
+    nodes, handlers = start(lockstep="true", bag="walk", namespace="left")
+    exits = exits_of(nodes, handlers)
+    ended = [one.given["event"] for one in exits["controller"](0)]
     assert {type(event).__name__ for event in ended} == {"ShutdownProcess"}
     targets = [event.given["process_matcher"].args[0] for event in ended]
     assert targets == [node for name, node in nodes.items() if name != "controller"]
+    assert not exits["integrator"](0)
     with pytest.raises(RuntimeError, match="the controller ended with 1"):  # else `ros2 launch` exits with 0
-        on_exit.given["on_exit"](types.SimpleNamespace(returncode=1), None)
+        exits["controller"](1)
+
+
+def test_a_configuration_is_a_file_or_a_shipped_name(start: Start) -> None:
+    """`ros2 launch` starts nodes with their defaults if a parameter file is missing: another robot's walk."""
+    nodes, _ = start(plant="poppy", config="poppy_dynamic_50hz")
+    assert config_of(nodes["controller"]).gait == load("poppy_dynamic_50hz").gait
+    for wrong in ("poppy_dynamc", "my_robot/robot.yaml"):
+        with pytest.raises(ConfigError, match=f"no configuration.* '{wrong}'"):
+            start(plant="ros2_control", config=wrong)
+
+
+def test_single_parameters_are_applied_last(start: Start) -> None:
+    nodes, _ = start(plant="poppy", set="gait.steps=1 dt=0.04 'robot.lock=[head_*, l_arm_*]'")
+    config = config_of(nodes["poppy_driver"])
+    assert (config.gait.steps, config.dt, config.robot.lock) == (1, 0.04, ("head_*", "l_arm_*"))
+    assert config_of(start(set="gait.cycles=1")[0]["controller"]).gait.cycles == 1
+    with pytest.raises(ConfigError, match=r"'gait\.step'"):
+        start(set="gait.step=1")
+    with pytest.raises(ConfigError, match="needs KEY=VALUE"):
+        start(set="gait.steps")
+
+
+def test_the_nodes_of_a_launch_end_with_it(start: Start, others: dict[str, dict[str, Any]]) -> None:
+    """Also when `ros2 launch` itself is killed."""
+    for plant in ("integrator", "physics", "poppy", "ros2_control"):
+        assert all(config_of(node).node.end_with_parent for node in start(plant=plant, view="true")[0].values())
+    body = others["whole_body"]["nodes"]({"config": "whole_body", "lockstep": "false", "bag": ""})
+    assert [one.given["parameters"][1]["node.end_with_parent"] for one in body if "name" in one.given] == [True] * 2
 
 
 @pytest.mark.parametrize("plant", ["poppy", "ros2_control"])
@@ -169,6 +218,9 @@ def test_params_replace_what_the_plant_sets_and_a_warning_names_the_rest(
         assert (made.servo.assumed_latency, made.servo.assumed_damping) == (0.012, 0.02)
     (warning,) = warnings
     assert "servo.assumed_damping 0.03 by 0.02; to keep one: params:=FILE" in warning
+    warnings.clear()
+    start(plant="ros2_control", config=str(config), params=str(params), set="servo.assumed_damping=0.03")
+    assert not warnings
     with pytest.raises(ConfigError, match=r"no parameter file .*other\.yaml"):
         start(plant="ros2_control", params=str(tmp_path / "other.yaml"))
 
@@ -185,14 +237,31 @@ def test_shipped_configurations_and_those_of_other_packages_start_without_a_warn
     assert not warnings
 
 
-def test_ros2_control_passes_its_params_to_the_walk(monkeypatch: pytest.MonkeyPatch, defined: dict[str, Any]) -> None:
-    for module in ("launch.launch_description_sources", "launch_ros.parameter_descriptions"):
+@pytest.fixture
+def others(monkeypatch: pytest.MonkeyPatch, defined: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the names that the other launch files define, by the name of the file."""
+    for module in ("launch.conditions", "launch.launch_description_sources", "launch_ros.parameter_descriptions"):
         monkeypatch.setitem(sys.modules, module, Launch(module))
-    own = runpy.run_path(str(FILE.with_name("ros2_control.launch.py")))
-    given = {name: default for name, (default, *_) in own["ARGUMENTS"].items()} | {"params": "identified.yaml"}
-    *_, handler = own["nodes"](given)
+    files = [file for file in FILE.parent.iterdir() if file != FILE]
+    return {file.name.removesuffix(".launch.py"): runpy.run_path(str(file)) for file in files}
+
+
+def test_ros2_control_passes_its_parameters_to_the_walk(others: dict[str, dict[str, Any]]) -> None:
+    own = others["ros2_control"]
+    given = {name: default for name, (default, *_) in own["ARGUMENTS"].items()}
+    *_, handler = own["nodes"](given | {"params": "identified.yaml", "set": "gait.steps=1"})
     (walk,) = handler.args[0].given["on_exit"]
-    assert dict(walk.given["launch_arguments"])["params"] == "identified.yaml"
+    passed = dict(walk.given["launch_arguments"])
+    assert (passed["params"], passed["set"]) == ("identified.yaml", "gait.steps=1")
+    assert load(passed["config"]) == load("poppy")
+
+
+def test_every_launch_file_refuses_a_configuration_that_does_not_exist(others: dict[str, dict[str, Any]]) -> None:
+    for name, own in others.items():
+        given = {key: default for key, (default, *_) in own["ARGUMENTS"].items()}
+        with pytest.raises(ConfigError, match="no configuration 'whole_bdy'"):
+            own["nodes"](given | {"config": "whole_bdy"})
+        assert own["nodes"](given), name
 
 
 def test_rviz_shows_exactly_the_published_joints(start: Start) -> None:
