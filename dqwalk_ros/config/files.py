@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import difflib
+import logging
 import os
 import pathlib
 import re
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import yaml
@@ -14,11 +17,12 @@ import yaml
 from dqwalk_ros.config.schema import Value
 from dqwalk_ros.config.sections import Config
 from dqwalk_ros.support import strict_yaml
-from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.support.errors import ConfigError, listed
+from dqwalk_ros.support.node_table import NODES
 
 __all__ = [
-    "OF_RCLPY", "SHIPPED", "beside", "find_config", "find_share", "from_yaml", "load", "overlaid", "put_on", "replaced",
-    "since", "to_yaml",
+    "OF_RCLPY", "SHIPPED", "Section", "beside", "find_config", "find_share", "from_yaml", "is_foreign", "load",
+    "overlaid", "put_on", "replaced", "sections_of", "since", "to_yaml",
 ]  # fmt: skip
 
 OF_RCLPY = ("use_sim_time", "qos_overrides", "start_type_description_service")
@@ -88,28 +92,104 @@ def beside(path: pathlib.Path, config: Config) -> Config:
 def from_yaml(text: str, *, source: str = "text", onto: Config | None = None) -> Config:
     """Read a configuration from the text of a ROS parameter file; all other parameters are those of `onto`.
 
+    The sections of all nodes of this package are read in their order. Those of other packages are ignored, and so are
+    parameters of other packages in a section such as ``/**``, as the nodes do.
+
     Raises
     ------
     ConfigError
         As `load`; the message names the line.
     """
-    tree = strict_yaml.read(text, source=source)
-    if not isinstance(tree, dict) or not all(isinstance(node, dict) for node in tree.values()):
-        raise ConfigError(f"{source}: expected '/**: {{ros__parameters: {{...}}}}'")
     config = onto or Config()
-    for node, body in tree.items():
-        if set(body) != {"ros__parameters"} or not isinstance(body["ros__parameters"], dict):
-            raise ConfigError(f"{source}: node '{node}' must hold 'ros__parameters' and nothing else")
-        values = _flattened(body["ros__parameters"], "", source)
+    for section in sections_of(text, source=source):
+        if not section.is_ours:
+            continue
+        foreign = [name for name in section.values if is_foreign(name)]
+        if foreign:
+            logging.getLogger("dqwalk_ros").warning(
+                f"{source}: ignoring parameters of other packages: {listed(foreign)}"
+            )
+        values = {name: value for name, value in section.values.items() if name not in foreign}
         values = {name: value for name, value in values.items() if name.split(".")[0] not in OF_RCLPY}
         try:
             config = config.updated(values)
         except ConfigError:
             for name, value in values.items():  # find the parameter, for the line in the message
-                line = strict_yaml.line_of(text, [str(node), "ros__parameters", *name.split(".")])
+                line = strict_yaml.line_of(text, [*section.path, *name.split(".")])
                 config.updated({name: value}, source=f"{source}, line {line}")
             raise
     return config
+
+
+@dataclass(frozen=True)
+class Section:
+    """The parameters of one node, or of the nodes that a pattern matches, in a ROS parameter file.
+
+    Attributes
+    ----------
+    path : tuple of str
+        The keys that lead to the parameters.
+    values : dict of str to value
+        By dotted name.
+    """
+
+    path: tuple[str, ...]
+    values: dict[str, Any]
+
+    @property
+    def name(self) -> str:
+        """Name of the node with its namespace, or a pattern."""
+        return "/".join(self.path[:-1]).replace("//", "/")
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether it is for a node of this package, in any namespace."""
+        last = self.name.rpartition("/")[2]
+        return last in NODES or last in ("*", "**")
+
+
+def sections_of(text: str, *, source: str) -> list[Section]:
+    """Return the sections of a ROS parameter file, also those in nested namespaces and of nodes of other packages.
+
+    Raises
+    ------
+    ConfigError
+        If the text cannot be read, has a duplicate key, or a section is named similarly to a node of this package.
+    """
+    tree = strict_yaml.read(text, source=source)
+    if not isinstance(tree, dict):
+        raise ConfigError(f"{source}: expected '/**: {{ros__parameters: {{...}}}}'")
+    out = list(_sections(tree, (), source))
+    for section in out:
+        last = section.name.rpartition("/")[2]
+        close = difflib.get_close_matches(last, NODES, n=1, cutoff=0.8)
+        if close and not section.is_ours:
+            raise ConfigError(f"{source}: the section '{section.name}' matches no node; did you mean '{close[0]}'?")
+    return out
+
+
+def _sections(tree: Mapping[Any, Any], above: tuple[str, ...], source: str) -> Iterator[Section]:
+    for key, value in tree.items():
+        path = (*above, str(key))
+        if not isinstance(value, dict):
+            holds = "must hold 'ros__parameters'" if above else "expected '/**: {ros__parameters: {...}}'"
+            raise ConfigError(f"{source}: {'.'.join(path)[:80]!r}: {holds}")
+        if key == "ros__parameters" and above:
+            yield Section(path, _flattened(value, "", source))
+        else:
+            yield from _sections(value, path, source)
+
+
+def is_foreign(name: str) -> bool:
+    """Return whether a parameter clearly belongs to another package, so that it is ignored.
+
+    It is not in the schema, not in one of its sections, and not similar to one of its names.
+    """
+    known = [spec.name for spec in Config.specs()]
+    sections = {spec.split(".")[0] for spec in known}
+    return not (
+        name.split(".")[0] in sections.union(OF_RCLPY) or difflib.get_close_matches(name[:100], known, n=1, cutoff=0.8)
+    )
 
 
 def put_on(config: Config, files: Iterable[pathlib.Path]) -> Config:

@@ -18,24 +18,10 @@ from pathlib import Path
 
 from dqwalk_ros.config import Config, Spec
 from dqwalk_ros.support.errors import ConfigError, how_to_install
+from dqwalk_ros.support.node_table import NODES
 from dqwalk_ros.support.ros_environment import check_ros_environment
 
 __all__ = ["NODES", "docstring", "main", "parameters_of", "parse", "script", "sections_of"]
-
-NODES = {
-    "controller": "nodes.controller:Controller",
-    "drive": "nodes.drive:RobotDrive",
-    "integrator": "nodes.plant:Integrator",
-    "phase_monitor": "nodes.phase_monitor:PhaseMonitor",
-    "physics": "nodes.plant:Physics",
-    "pilot": "nodes.pilot:Pilot",
-    "poppy_driver": "nodes.poppy_driver:PoppyDriver",
-    "recorder": "nodes.recorder:Recorder",
-    "rigid": "whole_body.nodes.rigid:Rigid",
-    "viewer": "nodes.viewer:Viewer",
-    "whole_body_controller": "whole_body.nodes.controller:WholeBodyController",
-}
-"""Module, relative to this package, and class of each node."""
 
 
 def docstring(name: str) -> str:

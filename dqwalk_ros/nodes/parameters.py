@@ -2,25 +2,22 @@
 
 rcl drops parameters of a file that no node declares, so a misspelt key or node name would go unnoticed. Here it is an
 error, before the node does anything. Parameters that clearly belong to another package are ignored, as usual in ROS:
-one file may hold the parameters of a whole robot.
+one file may hold the parameters of a whole robot. Both are found by `config.files`, as the command line finds them.
 """
 
 from __future__ import annotations
 
-import difflib
 import itertools
 import math
 import pathlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
-from dqwalk_ros.config import OF_RCLPY, Config, Spec, beside
-from dqwalk_ros.nodes.command_line import NODES
+from dqwalk_ros.config import OF_RCLPY, Config, Spec, beside, is_foreign, sections_of
 from dqwalk_ros.support import strict_yaml
-from dqwalk_ros.support.errors import ConfigError
 
 __all__ = ["declare"]
 
@@ -49,7 +46,7 @@ def declare(node: Node, argv: Sequence[str]) -> Config:
         _check_sections(path, node)
     if not given:
         log.warning("no parameters given, using the defaults: is --ros-args --params-file missing?")
-    foreign = [name for name in given if _is_foreign(name)]
+    foreign = [name for name in given if is_foreign(name)]
     if foreign:
         log.info(f"ignoring parameters of other packages: {', '.join(foreign)}")
     config = Config().updated({name: value for name, value in given.items() if name not in foreign})
@@ -62,23 +59,16 @@ def declare(node: Node, argv: Sequence[str]) -> Config:
 
 
 def _check_sections(path: pathlib.Path, node: Node) -> None:
-    """Log a warning if a parameter file has parameters, but none for a node; for errors see `_sections_of`."""
-    sections = _sections_of(path)
-    if any(sections.values()) and not any(node._parameter_overrides.keys() & names for names in sections.values()):
-        found = ", ".join(f"'{section}'" for section in sections)
+    """Log a warning if a parameter file has parameters, but none for a node; for errors see `sections_of`."""
+    sections = sections_of(strict_yaml.read_text(path), source=str(path))
+    if any(one.values for one in sections) and not any(
+        node._parameter_overrides.keys() & one.values for one in sections
+    ):
+        found = ", ".join(f"'{one.name}'" for one in sections)
         node.get_logger().warning(
             f"{path}: no section applies to {node.get_fully_qualified_name()} (sections: {found}); "
             "'/**' applies to every node"
         )
-
-
-def _is_foreign(name: str) -> bool:
-    """Return whether a name is not in the schema, not in one of its sections, and not similar to one of its names."""
-    return not (
-        name in _DESCRIPTORS
-        or name.split(".")[0] in _SECTIONS
-        or difflib.get_close_matches(name[:100], _DESCRIPTORS, n=1, cutoff=0.8)
-    )
 
 
 def _descriptor(spec: Spec) -> ParameterDescriptor:
@@ -98,35 +88,3 @@ def _descriptor(spec: Spec) -> ParameterDescriptor:
 
 
 _DESCRIPTORS = {spec.name: _descriptor(spec) for spec in Config.specs()}
-_SECTIONS = {name.split(".")[0] for name in _DESCRIPTORS}
-
-
-def _sections_of(path: pathlib.Path) -> dict[str, set[str]]:
-    """Return the names of the parameters in each section of a parameter file.
-
-    Raises
-    ------
-    ConfigError
-        If it cannot be read, has a duplicate key, or a section is named similarly to a node of this package.
-    """
-    tree = strict_yaml.read(strict_yaml.read_text(path), source=str(path))
-    out: dict[str, set[str]] = {}
-    for keys in _keys(tree):
-        if "ros__parameters" in keys[:-1]:
-            at = keys.index("ros__parameters")
-            out.setdefault("/".join(keys[:at]).replace("//", "/"), set()).add(".".join(keys[at + 1 :]))
-    for section in out:
-        last = section.rpartition("/")[2]
-        close = difflib.get_close_matches(last, NODES, n=1, cutoff=0.8)
-        if close and last not in NODES:
-            raise ConfigError(f"{path}: the section '{section}' matches no node; did you mean '{close[0]}'?")
-    return out
-
-
-def _keys(tree: Any, *above: str) -> Iterator[tuple[str, ...]]:
-    """Yield the keys that lead to each value."""
-    for key, value in tree.items() if isinstance(tree, Mapping) else ():
-        if isinstance(value, Mapping):
-            yield from _keys(value, *above, str(key))
-        else:
-            yield *above, str(key)
