@@ -16,11 +16,13 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
 
@@ -129,10 +131,42 @@ class WalkNode(Node):
         kind = ros.message_type(topic.type)
         return self.create_publisher(kind, topic.name, profile, qos_overriding_options=overrides)
 
-    def listen(self, kind: Any, topic: str, callback: Callable[[Any], None], profile: QoSProfile | int) -> None:
-        """Subscribe to a topic; the parameters ``qos_overrides`` may change its quality of service."""
-        overrides = QoSOverridingOptions.with_default_policies()
-        self.create_subscription(kind, topic, callback, profile, qos_overriding_options=overrides)
+    def listen(
+        self, kind: Any, topic: str, callback: Callable[[Any], None], profile: QoSProfile | int, *, raw: bool = False
+    ) -> None:
+        """Subscribe to a topic of any publisher, be it reliable or best effort, as sensors often are.
+
+        A reliable subscription becomes best effort when a publisher is discovered that offers no more. The parameters
+        ``qos_overrides`` may set the quality of service, which then stays as it is set.
+        """
+        asked = QoSProfile(depth=profile) if isinstance(profile, int) else profile
+        name = self.resolve_topic_name(topic)
+        fixed = f"qos_overrides.{name}.subscription.reliability" in self._parameter_overrides
+        made: list[Subscription] = []
+
+        def lower(event: Any) -> None:
+            lacks = qos_policy_name_from_kind(event.last_policy_kind)
+            if lacks != "RELIABILITY" or fixed or not made:
+                self.get_logger().warning(f"a publisher of {name} is not heard: it offers another {lacks.lower()}")
+                return
+            self.destroy_subscription(made.pop())
+            offered = QoSProfile(
+                depth=asked.depth, durability=asked.durability, reliability=ReliabilityPolicy.BEST_EFFORT
+            )
+            self.create_subscription(kind, topic, callback, offered, raw=raw)
+            self.get_logger().info(f"a publisher of {name} is best effort, and so is the subscription now")
+
+        made.append(
+            self.create_subscription(
+                kind,
+                topic,
+                callback,
+                asked,
+                raw=raw,
+                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+                event_callbacks=SubscriptionEventCallbacks(incompatible_qos=lower),
+            )
+        )
 
     def diagnose(
         self, what: str, hardware: str, level: str, message: str, values: Mapping[str, object], stamp: int
@@ -236,7 +270,7 @@ class WalkNode(Node):
         return True
 
     def close(self) -> None:
-        """Clean up at shutdown; the node can still publish."""
+        """Clean up at shutdown; the node can still publish, and report with `stop` that it has failed."""
 
     def wait_for_acknowledgements(self) -> None:
         """Wait until all reliable subscribers have received every message."""
@@ -277,7 +311,7 @@ def main(kind: Callable[[argparse.Namespace], WalkNode], options: argparse.Names
             _end_with(parent)
         made.refuse_a_second()
         wheels.spin(made, lambda: (signals or made.done.done()) and made.is_drained(), pause=made.pause)
-        code = made.done.result() if made.done.done() else 0
+        code = 0
     except DqwalkError as error:
         print(f"{options.argv[0]}: {error}", file=sys.stderr)
         code = 2
@@ -287,6 +321,8 @@ def main(kind: Callable[[argparse.Namespace], WalkNode], options: argparse.Names
                 node.close()
                 node.wait_for_acknowledgements()
         finally:
+            if node is not None and not code and node.done.done():
+                code = node.done.result()
             wheels.shutdown(node, code)
     return code
 

@@ -85,7 +85,7 @@ class PhaseMonitor(WalkNode):
         }
         # in lockstep no state may be lost, and they arrive in bursts
         profile = _DEPTH if self.config.plant.lockstep else ros.best_effort(_DEPTH)
-        self.create_subscription(JointState, "joint_states", self._on_state, profile, raw=True)
+        self.listen(JointState, "joint_states", self._on_state, profile, raw=True)
         self.create_timer(0.1, self._check_timeout)
         self._timeout_published = 0.0  # steady time [s]
         self.get_logger().info("waiting for a walk")

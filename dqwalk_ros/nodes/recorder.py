@@ -126,22 +126,24 @@ class Recorder(WalkNode):
         self._others: dict[str, Topic] = {}  # topics of `OTHERS`, as discovered
         for name, topic in (_ALL | {"phase": PHASE_LOG}).items():
             self._subscribe(topic.name, name, topic)
-        self._discover_others()
+        self._sources: tuple[str, ...] = ()  # names of the nodes that publish joint_states
+        self._discover()
         self.create_timer(_FLUSH, self._flush)
-        self.create_timer(_DISCOVERY, self._discover_others)
+        self.create_timer(_DISCOVERY, self._discover)
         self.get_logger().info(f"recording to {self._path}")
 
     def _subscribe(self, topic_name: str, name: str, topic: Topic) -> None:
         profile = ros.latched(topic.depth) if topic.latched else _DEPTH
         kind = ros.message_type(topic.type)
-        self.create_subscription(kind, topic_name, partial(self._on_message, name, topic), profile, raw=True)
+        self.listen(kind, topic_name, partial(self._on_message, name, topic), profile, raw=True)
 
-    def _discover_others(self) -> None:
+    def _discover(self) -> None:
         """Subscribe to those topics of `OTHERS` that are published, with the type of their publisher."""
+        self._sources = ros.publishers_of(self, "joint_states") or self._sources
         for name in OTHERS:
             ends = () if name in self._others else self.get_publishers_info_by_topic(self.resolve_topic_name(name))
             for end in ends[:1]:
-                latched = end.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
+                latched = all(end.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL for end in ends)
                 topic = self._others[name] = Topic(name, end.topic_type, latched, 100, "")
                 try:
                     self._subscribe(name, name, topic)
@@ -219,6 +221,10 @@ class Recorder(WalkNode):
             self._writer.close()
         except (OSError, WriterError) as error:
             log.error(f"'{self._path}' is incomplete; `dqwalk report` reads the part on the disk: {error}")
+            self.stop(1)
+        if self._sources and not self._counts["joint_states"]:
+            log.error(f"no message of joint_states was recorded, although {', '.join(self._sources)} publishes it")
+            self.stop(1)
         log.info(f"{self._path}: " + ", ".join(f"{n} {count}" for n, count in self._counts.items() if count))
         missing = {name: count for name, count in self._missing.items() if count}
         if missing:

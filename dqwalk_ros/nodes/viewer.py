@@ -82,8 +82,8 @@ class Viewer(WalkNode):
         self._impulse = 0.0  # default of the push buttons [N s]
         self._push = self.create_publisher(WrenchStamped, "push", 10)
         self.create_subscription(PoseStamped, "true_base_pose", self._on_simulated, ros.best_effort(1))
-        self.create_subscription(JointState, "joint_states", self._on_state, ros.best_effort(1))
-        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        self.listen(JointState, "joint_states", self._on_state, ros.best_effort(1))
+        self.listen(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self._odometry: Any = self.create_subscription(PoseStamped, "base_pose", self._on_pose, 1)
         self.create_timer(FRAME, self._show)
         self.get_logger().info(f"the page is {self.page.url}")

@@ -1,0 +1,121 @@
+"""Recorder, monitor and viewer hear publishers of any quality of service."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+from inside import state
+from rclpy.context import Context
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu, JointState
+
+from dqwalk_ros.config import load
+from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.report.bag.storage import load as load_bag
+from dqwalk_ros.robot.model import load_model
+
+CONFIG = load("poppy")
+MODEL = load_model(CONFIG.robot)
+PATIENCE = 60.0
+BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+class Robot:
+    """A robot that publishes states and measurements, best effort, while a node of the same process listens."""
+
+    def __init__(self, domain: int, profile: Any, namespace: str = "") -> None:
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=domain)
+        self.node = Node("robot", context=self._context)
+        self._pub = self.node.create_publisher(JointState, "joint_states", profile)
+        self._imu = self.node.create_publisher(Imu, "imu", profile)
+        self._k = 0
+
+    def until(self, listener: Any, done: Callable[[], bool]) -> None:
+        """Publish and let the listener spin until it has heard enough."""
+        executor: Any = EventsExecutor(context=listener.context)
+        executor.add_node(listener.node)
+        deadline = time.monotonic() + PATIENCE
+        while not done():
+            assert time.monotonic() < deadline, listener.log.lines
+            self._k += 1
+            stamp = 1.0 + 0.01 * self._k
+            self._pub.publish(state(MODEL.joint_names, np.zeros(MODEL.n), stamp))
+            msg = Imu()
+            msg.header.stamp, msg.orientation.w = ros.time_msg(round(1e9 * stamp)), 1.0
+            self._imu.publish(msg)
+            for _ in range(5):
+                executor.spin_once(timeout_sec=0.01)
+        executor.remove_node(listener.node)
+
+    def close(self) -> None:
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+
+@pytest.fixture
+def robots(domain: int) -> Iterator[Callable[[Any], Robot]]:
+    made: list[Robot] = []
+
+    def start(profile: Any) -> Robot:
+        made.append(Robot(domain, profile))
+        return made[-1]
+
+    yield start
+    for one in made:
+        one.close()
+
+
+@pytest.mark.parametrize("profile", [BEST_EFFORT, QoSProfile(depth=10)], ids=["best effort", "reliable"])
+def test_the_recorder_records_every_publisher(make: Any, robots: Any, profile: Any, tmp_path: Path) -> None:
+    one, robot = make("recorder", CONFIG, "--bag", str(tmp_path / "bag")), robots(profile)
+    counts = one.node._counts
+    robot.until(one, lambda: min(counts["joint_states"], counts["imu"]) > 5)
+    one.node.close()
+    assert len(load_bag(tmp_path / "bag", lambda name, kind: True).columns["/imu"].raws) > 5
+    assert not one.node.done.done()
+
+
+@pytest.mark.parametrize("name", ["phase_monitor", "viewer"])
+@pytest.mark.parametrize("lockstep", [True, False])
+def test_monitor_and_viewer_hear_best_effort_publishers(make: Any, robots: Any, name: str, lockstep: bool) -> None:
+    own = ["--port", "0"] if name == "viewer" else []
+    one, robot = make(name, CONFIG.updated({"plant.lockstep": lockstep}), *own), robots(BEST_EFFORT)
+    heard = one.node._phases
+    robot.until(one, lambda: len(heard._imu) > 5)
+    if name == "phase_monitor":
+        robot.until(one, lambda: one.node._newest > 0)
+
+
+def test_the_quality_of_service_can_be_set(make: Any, tmp_path: Path) -> None:
+    override = "qos_overrides./imu.subscription.reliability:=best_effort"
+    for name, own in (
+        ("phase_monitor", []),
+        ("viewer", ["--port", "0"]),
+        ("recorder", ["--bag", str(tmp_path / "bag")]),
+    ):
+        one = make(name, CONFIG, *own, ros=("-p", override))
+        (imu,) = (s for s in one.node.subscriptions if s.topic_name == "/imu")
+        assert imu.qos_profile.reliability is ReliabilityPolicy.BEST_EFFORT
+
+
+def test_a_recorder_that_recorded_nothing_has_failed(make: Any, robots: Any, tmp_path: Path) -> None:
+    one = make("recorder", CONFIG, "--bag", str(tmp_path / "bag"))
+    one.node._sources = ("/driver",)
+    one.node.close()
+    assert "no message of joint_states was recorded, although /driver publishes it" in one.log
+    assert one.node.done.result() == 1
+
+
+def test_a_recorder_without_a_robot_has_not_failed(make: Any, tmp_path: Path) -> None:
+    one = make("recorder", CONFIG, "--bag", str(tmp_path / "bag"))
+    one.node.close()
+    assert not one.node.done.done()
