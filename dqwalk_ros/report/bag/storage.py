@@ -272,8 +272,9 @@ def load(path: str | os.PathLike[str], wanted: _Wanted) -> Content:
         raise BagError(f"cannot read '{path}': {'; '.join(notes) or 'it contains no topic'}")
     columns: dict[str, Column] = {}
     for place, (topic, kind, time, raw) in enumerate(message for one in parts for message in one.found):
-        column = columns.setdefault(topic, Column(kind))
-        if column.type == kind:
+        if topic not in columns:
+            columns[topic] = Column(kind)
+        if (column := columns[topic]).type == kind:
             column.times.append(time)
             column.order.append(place)
             column.raws.append(raw)
@@ -459,16 +460,21 @@ class _Mcap:
             opcode, length = _HEAD.unpack(head)
             if not (0 < opcode <= Opcode.DATA_END or opcode >= 0x80):
                 raise _Damage("the next bytes are not a record")
-            record = _Record(stream, length)
             if opcode == Opcode.MESSAGE:
                 self._count += 1
-                channel, _, time, _ = _MESSAGE.unpack(record.whole(_MESSAGE.size))
-                if channel not in self._channels:
-                    raise _Damage(f"a message of channel {channel}, which there is not")
-                topic, kind, wanted = self._channels[channel]
-                if wanted and record.left <= _MOST:
-                    yield topic, kind, time, _message(record.whole(), self._room)
-            elif opcode == Opcode.CHUNK:
+                if length <= _MOST:  # most of the records: in few operations
+                    body = stream.read(length)
+                    if len(body) < length:
+                        raise _Damage("its last record is incomplete")
+                    channel, _, time, _ = _MESSAGE.unpack_from(body)
+                    if channel not in self._channels:
+                        raise _Damage(f"a message of channel {channel}, which there is not")
+                    topic, kind, wanted = self._channels[channel]
+                    if wanted:
+                        yield topic, kind, time, _message(body[_MESSAGE.size :], self._room)
+                    continue
+            record = _Record(stream, length)
+            if opcode == Opcode.CHUNK:
                 yield from self._chunk(record, stream)
             elif opcode == Opcode.SCHEMA:
                 schema = Schema.read(ReadDataStream(io.BytesIO(record.whole())))
