@@ -45,6 +45,7 @@ __all__ = [
     "make_controller",
     "make_plant",
     "make_walk",
+    "refuse_foreign_code",
     "simulate",
     "walk_type",
     "warm_up",
@@ -77,6 +78,29 @@ def walk_type(config: Config) -> type[Walk]:
     if not (isinstance(found, type) and issubclass(found, Walk)):
         raise ConfigError(f"gait.walk is '{own}'; it must be a subclass of dqwalk_ros.paper.walk.Walk")
     return found
+
+
+def refuse_foreign_code(config: Config, trusted: str = "") -> None:
+    """Check a configuration that the user has not chosen, such as that of a recording or of a topic.
+
+    A class is imported from a module, which executes it, so data may name no class but those of this package.
+
+    Parameters
+    ----------
+    trusted : str
+        The value of ``gait.walk`` that the user has given.
+
+    Raises
+    ------
+    ConfigError
+        If ``gait.walk`` names another class.
+    """
+    own = config.gait.walk
+    if own not in ("", trusted) and own.partition(":")[0].partition(".")[0] != "dqwalk_ros":
+        raise ConfigError(
+            f"the walk is of the class {own!r:.100}, which is not imported because data name it; if you trust it, name "
+            f"it yourself: --walk {own[:100]} (a node: -p gait.walk:={own[:100]})"
+        )
 
 
 def make_walk(config: Config, model: RobotModel) -> Walk:

@@ -7,7 +7,15 @@ from pathlib import Path
 
 import click
 
-from dqwalk_ros.cli.options import Numbers, bag_argument, command, force_option, namespace_option, quiet_option
+from dqwalk_ros.cli.options import (
+    Numbers,
+    bag_argument,
+    command,
+    force_option,
+    namespace_option,
+    quiet_option,
+    walk_option,
+)
 from dqwalk_ros.support.errors import ConfigError, PlantError
 from dqwalk_ros.support.output import refuse_existing
 
@@ -21,6 +29,7 @@ examples:
 """)
 @bag_argument
 @namespace_option
+@walk_option
 @click.option(
     "--out",
     metavar="FILE",
@@ -37,6 +46,7 @@ examples:
 def movie(
     bag: Path,
     namespace: str | None,
+    walk: str,
     out: Path,
     speed: float,
     rate: float,
@@ -71,7 +81,7 @@ def movie(
         ) from error
     if not force:
         refuse_existing([out])
-    trace = bags.read(bag, namespace=namespace)
+    trace = bags.read(bag, namespace=namespace, walk=walk)
     with Progress(quiet=quiet) as bar:
         if out.suffix.lower() == ".png":
             save_strip(trace, out, count=strip, between=between, progress=bar, overwrite=force)

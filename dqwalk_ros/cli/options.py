@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 __all__ = [
     "Many", "Numbers", "Output", "Report", "bag_argument", "command", "config_of", "config_option", "folder_option",
     "force_option", "format_option", "jobs_option", "many_options", "namespace_option", "output_options",
-    "params_option", "parse_overrides", "plant_option", "port_option", "quiet_option", "set_option", "walk_options",
+    "params_option", "parse_overrides", "plant_option", "port_option", "quiet_option", "set_option", "walk_option",
+    "walk_options",
 ]  # fmt: skip
 
 Function = Callable[..., Any]
@@ -96,6 +97,13 @@ def folder_option(default: str | None, shown: str = "") -> Option:
 bag_argument = click.argument("bag", type=click.Path(path_type=Path))
 namespace_option = click.option(
     "--namespace", metavar="NAME", help="Namespace of the robot, if the bag contains several."
+)
+walk_option = click.option(
+    "--walk",
+    metavar="MODULE:CLASS",
+    default="",
+    show_default=False,
+    help="Class of the recorded walk, if it is your own (gait.walk).",
 )
 port_option = click.option(
     "--port",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dqwalk_ros.cli.options import Report, bag_argument, command, namespace_option, output_options
+from dqwalk_ros.cli.options import Report, bag_argument, command, namespace_option, output_options, walk_option
 from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.support.output import refuse_existing, written
 
@@ -34,6 +34,7 @@ examples:
 """)
 @bag_argument
 @namespace_option
+@walk_option
 @click.option("--html", is_flag=True, help="Also write one offline page: replay, figures, tables.")
 @click.option(
     "--compare", metavar="BAG", type=click.Path(path_type=Path), help="Another walk, side by side on that page."
@@ -42,7 +43,14 @@ examples:
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON instead of tables.")
 @output_options(None, shown="BAG_report")
 def report(
-    bag: Path, namespace: str | None, html: bool, compare: Path | None, csv: bool, as_json: bool, output: Report
+    bag: Path,
+    namespace: str | None,
+    walk: str,
+    html: bool,
+    compare: Path | None,
+    csv: bool,
+    as_json: bool,
+    output: Report,
 ) -> int:
     """Evaluate and draw a recorded walk.
 
@@ -72,7 +80,8 @@ def report(
         return _body(content, namespace, output, html=html, as_json=as_json)
     with Progress(quiet=quiet) as bar:
         bar.stage(0.0, "reading")
-        trace, statuses = bags.read(content, namespace=namespace), diagnostics_of(content) if html or compare else []
+        trace = bags.read(content, namespace=namespace, walk=walk)
+        statuses = diagnostics_of(content) if html or compare else []
         del content  # it is larger than all series
         bar.stage(0.3, "computing")
         series = reporting.analyse(trace)
@@ -80,7 +89,7 @@ def report(
         drawn: Iterable[Drawn] = figures.drawn(series)
         subjects = []
         if html or compare:
-            others = [_other(compare, namespace)] if compare else []
+            others = [_other(compare, namespace, walk)] if compare else []
             bar.stage(0.7, "drawing")
             drawn = list(drawn)
             subjects = [page.Subject(_name(bag), series, found, statuses, drawn), *others]
@@ -130,7 +139,7 @@ def _body(bag: Content, namespace: str | None, output: Report, *, html: bool, as
     return 0 if found["ok"] else 1
 
 
-def _other(path: Path, namespace: str | None) -> Subject:
+def _other(path: Path, namespace: str | None, walk: str) -> Subject:
     """Return the walk to be compared."""
     from dqwalk_ros import report as reporting
     from dqwalk_ros.report import bag, figures
@@ -138,7 +147,7 @@ def _other(path: Path, namespace: str | None) -> Subject:
     from dqwalk_ros.report.html.page import Subject
 
     content = bag.content_of(path)
-    series = reporting.analyse(bag.read(content, namespace=namespace))
+    series = reporting.analyse(bag.read(content, namespace=namespace, walk=walk))
     drawn = list(figures.drawn(series))
     return Subject(_name(path), series, reporting.report(series), diagnostics_of(content), drawn)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from dqwalk_ros.cli.options import bag_argument, command, namespace_option, port_option
+from dqwalk_ros.cli.options import bag_argument, command, namespace_option, port_option, walk_option
 
 __all__ = ["view"]
 
@@ -22,10 +22,11 @@ examples:
 """)
 @bag_argument
 @namespace_option
+@walk_option
 @port_option
 @click.option("--open", "open_browser", is_flag=True, help="Open the page in the browser of this machine.")
 @click.option("--play", is_flag=True, help="Start playing at once.")
-def view(bag: Path, namespace: str | None, port: int | None, open_browser: bool, play: bool) -> int:
+def view(bag: Path, namespace: str | None, walk: str, port: int | None, open_browser: bool, play: bool) -> int:
     """Show a recorded walk in the browser.
 
     Serves a page on 127.0.0.1 until Ctrl-C: the robot, its soles and support polygon, the planes and cylinders of the
@@ -44,7 +45,7 @@ def view(bag: Path, namespace: str | None, port: int | None, open_browser: bool,
         page.say(f"reading {bag}")
         if open_browser:
             webbrowser.open(page.url)
-        trace = bags.read(content, namespace=namespace)
+        trace = bags.read(content, namespace=namespace, walk=walk)
         player = Player(page, trace)
         if play:
             player.toggle()

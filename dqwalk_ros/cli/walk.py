@@ -54,7 +54,7 @@ def walk(config: Config, course: tuple[str, ...], plant: str, realtime: bool, ou
     if not output.quiet or not outcome.finished:
         print(outcome, file=sys.stderr)
     try:
-        trace = bag.read(outcome.bag)
+        trace = bag.read(outcome.bag, walk=config.gait.walk)
     except BagError as error:
         if outcome.finished:
             raise

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
@@ -22,7 +21,7 @@ from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.walk import com_target
 from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.robot.model import RobotModel, parse_model
-from dqwalk_ros.simulation import make_walk
+from dqwalk_ros.simulation import make_walk, refuse_foreign_code
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import DqwalkError, StateError
 from dqwalk_ros.support.topics import TOPICS
@@ -106,8 +105,8 @@ class PhaseLog:
         Last message of `phase`.
     """
 
-    def __init__(self, node: Node) -> None:
-        self._logger = node.get_logger()
+    def __init__(self, node: WalkNode) -> None:
+        self._logger, self._own_walk = node.get_logger(), node.config.gait.walk
         self.config: Config | None = None
         self.model: RobotModel | None = None
         self.reader: ros.JointReader | None = None
@@ -118,7 +117,7 @@ class PhaseLog:
         self._assessors: dict[int, Assessor] = {}
         self._imu: deque[bytes] = deque(maxlen=_MEASURED)  # those that no state has needed yet
         self._vertical: tuple[int, Array | None] = (0, None)  # stamp [ns], unit vector in the sensor's frame
-        node.create_subscription(Imu, "imu", self._on_imu, _MEASURED, raw=True)
+        node.listen(Imu, "imu", self._on_imu, _MEASURED, raw=True)
         for name, callback in {
             "walk_config": self._on_config,
             "robot_description": self._on_description,
@@ -142,6 +141,7 @@ class PhaseLog:
     def _on_config(self, msg: String) -> None:
         try:
             config = from_yaml(msg.data, source="walk_config")
+            refuse_foreign_code(config, self._own_walk)
         except DqwalkError as error:
             self._logger.error(str(error))
             return

@@ -14,6 +14,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.report.bag.messages import NS, JointStates, Stamps, joint_states, texts
 from dqwalk_ros.report.bag.storage import Column, Content, Source, content_of
 from dqwalk_ros.robot.model import RobotModel, load_model, parse_model
+from dqwalk_ros.simulation import refuse_foreign_code
 from dqwalk_ros.support import provenance
 from dqwalk_ros.support.errors import BagError, ConfigError, ModelError, listed
 from dqwalk_ros.support.topics import Topic
@@ -71,7 +72,7 @@ def is_body(source: Source) -> bool:
 
 
 def open_recording(
-    source: Source, namespace: str | None, topics: Mapping[str, Topic], required: Sequence[str]
+    source: Source, namespace: str | None, topics: Mapping[str, Topic], required: Sequence[str], walk: str = ""
 ) -> Recording:
     """Read the topics of a kind of walk, of which some are required, from a bag; other arguments as of `walk.read`.
 
@@ -86,6 +87,8 @@ def open_recording(
     columns = _columns_of(content, namespace, wanted, required)
     try:
         config, tuned = _configurations(texts(columns["walk_config"]), f"{path} walk_config")
+        for one in (config, *tuned.values()):
+            refuse_foreign_code(one, walk)
     except ConfigError as error:
         raise BagError(str(error)) from error
     model = _model_in(path, config, columns, notes)

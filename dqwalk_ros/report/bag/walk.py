@@ -168,7 +168,7 @@ def _diagnostics(trace: Trace, stamps: Stamps) -> list[_Messages]:
 # ---------------------------------------------------------------------- reading
 
 
-def read(source: Source, *, namespace: str | None = None) -> Trace:
+def read(source: Source, *, namespace: str | None = None, walk: str = "") -> Trace:
     """Read a recorded walk.
 
     The bag may be MCAP or SQLite, split or compressed, recorded live (more joints, another order, states without
@@ -180,6 +180,8 @@ def read(source: Source, *, namespace: str | None = None) -> Trace:
         The bag's folder, one of its files, or its content as of `content_of`.
     namespace : str, optional
         Of the robot, if the bag contains several.
+    walk : str
+        The class MODULE:CLASS of the walk, if it is not one of this package: a recording cannot name code to import.
 
     Returns
     -------
@@ -191,7 +193,7 @@ def read(source: Source, *, namespace: str | None = None) -> Trace:
     BagError
         If the bag cannot be read, lacks a required topic, or is that of another robot.
     """
-    bag = open_recording(source, namespace, TOPICS, REQUIRED)
+    bag = open_recording(source, namespace, TOPICS, REQUIRED, walk)
     path, model, notes, stamps = bag.path, bag.model, bag.notes, bag.stamps
     starts = _starts(bag)
     q = bag.states.position[bag.rows]

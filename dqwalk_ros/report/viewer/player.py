@@ -285,4 +285,4 @@ def _serve(walk: Connection, config: Config, port: int | None) -> None:
         time.sleep(max(0.0, FRAME - (time.monotonic() - drawn)))
     from dqwalk_ros.report import bag
 
-    Player(page, bag.read(item)).run()
+    Player(page, bag.read(item, walk=config.gait.walk)).run()
