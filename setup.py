@@ -25,9 +25,11 @@ DAQP = ["daqp>=0.7"]
 VIEW = ["viser>=1.1"]
 STUDY = ["distributed>=2023.1", "pyarrow>=12"]
 SIM = ["mujoco>=3.4"]
+DRAKE = ["drake>=1.40"]
 POPPY = ["dynamixel-sdk>=3.7", "pyserial>=3.5"]
 TEST = [
     *DAQP,
+    *(f"{each}; platform_machine == 'x86_64'" for each in DRAKE),
     *POPPY,
     *STUDY,
     *VIEW,
@@ -105,6 +107,7 @@ setup(
     extras_require={
         "ros": ROS,
         "daqp": DAQP,
+        "drake": DRAKE,
         "poppy": POPPY,
         "study": STUDY,
         "view": VIEW,

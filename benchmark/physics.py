@@ -1,5 +1,7 @@
 """Time of the closed loop in physics and of the engine's steps alone: same robot, same steps, alternately.
 
+Then the time of the same walk in two engines, MuJoCo and Drake.
+
 python -m benchmark.physics [--ticks 2000]
 """
 
@@ -15,6 +17,7 @@ import numpy as np
 from benchmark.timing import machine, table  # first: it sets the number of threads
 from dqwalk_ros.config import load
 from dqwalk_ros.plants.mujoco import PhysicsPlant
+from dqwalk_ros.plants.table import plant_type
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import make_controller
 
@@ -55,6 +58,28 @@ def walk(name: str, solver: str, ticks: int) -> tuple[float, float, float]:
     return tuple(1e6 / CHUNK * np.median(spent[1:], axis=0))  # the first chunk compiles
 
 
+def engines(name: str, ticks: int) -> dict[str, float]:
+    """Return the CPU time per tick [us] of the plant in each engine, both driven by controllers of their own."""
+    config = load(name).updated({"gait.steps": 0})
+    model = load_model(config.robot)
+    plants, spent = {}, {}
+    for engine in ("physics", "drake"):
+        controller = make_controller(config, model)
+        plants[engine] = plant_type(engine).of(config, model, model.posture(config.standing.posture)), controller
+        controller.steer(WALKS[name], 0.0, 0.0)
+        spent[engine] = []
+    for _ in range(ticks // CHUNK + 1):
+        for engine, (plant, controller) in plants.items():
+            total = 0.0
+            for _ in range(CHUNK):
+                command = controller.step(plant.state, config.dt)
+                t0 = time.process_time()
+                plant.step(command, config.dt)
+                total += time.process_time() - t0
+            spent[engine].append(1e6 * total / CHUNK)
+    return {engine: float(np.median(times[1:])) for engine, times in spent.items()}
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -73,6 +98,12 @@ def main() -> None:
         )
     )
     print("\nmedians of CPU time per tick; the engine is mj_step on the same controls, the plant contains it")
+    rows = []
+    for name in WALKS:
+        took = engines(name, args.ticks)
+        rows.append([name, *(f"{took[x]:.0f}" for x in took), f"{took['drake'] / took['physics']:.1f}"])
+    print("\n" + table(["configuration", "MuJoCo [us]", "Drake [us]", "Drake / MuJoCo"], rows))
+    print("\nmedians of CPU time per tick of the plant")
 
 
 if __name__ == "__main__":

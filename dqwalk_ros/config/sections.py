@@ -311,7 +311,12 @@ class PhysicsConfig:
     friction: float = parameter(
         0.8, "friction coefficient between soles and floor; smaller: more slippery", "", 0.0, 5.0
     )
-    contact_time: float = parameter(0.005, "time constant of the contact; smaller: harder", "s", 1e-4, 1.0)
+    contact_time: float = parameter(
+        0.005, "time constant of the contact, half of its damping over its stiffness; smaller: harder", "s", 1e-4, 1.0
+    )
+    contact_stiffness: float = parameter(
+        0.0, "stiffness of the contact at a corner of a sole; 0: about 3e5, in MuJoCo by contact_time", "N/m", 0.0, 1e8
+    )
     slope: float = parameter(0.0, "inclination of the floor, positive: it rises ahead", "rad", -0.5, 0.5)
     slope_side: float = parameter(
         0.0, "lateral inclination of the floor, positive: it rises to the left", "rad", -0.5, 0.5

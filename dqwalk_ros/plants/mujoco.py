@@ -1,13 +1,8 @@
-"""The robot in the physics engine MuJoCo, with rectangular soles, friction, position servos and an inertial sensor.
-
-The root link floats, and only the soles have contacts with the ground.
-"""
+"""The robot in the physics engine MuJoCo, with rectangular soles, friction and position servos."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -17,12 +12,8 @@ from numpy.typing import ArrayLike
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.kinematics import Kinematics, quaternion_product
-from dqwalk_ros.paper.state import Command, State
-from dqwalk_ros.paper.statics import GRAVITY, gravity_torques
-from dqwalk_ros.plants.base import Inertial, Plant, Truth, checked, upward
-from dqwalk_ros.plants.sensors import Reading, Sensors
-from dqwalk_ros.plants.servo_goals import ServoGoals
+from dqwalk_ros.paper.statics import GRAVITY
+from dqwalk_ros.plants.engine import HELD, EnginePlant, gravity_of, level_of, pose_of, rubble, steps_of
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Servos
 from dqwalk_ros.support.arrays import Array
@@ -34,41 +25,20 @@ __all__ = ["PhysicsPlant", "build", "held_torques", "robot_spec", "set_timestep"
 
 _THICK = 0.008
 """Thickness of the boxes of the soles [m]."""
-_HELD = 1.5
-"""Height at which the root link is held in the air [m]."""
 _SOLID = [0.95, 0.99, 0.0005, 0.5, 2.0]
 """MuJoCo's contact impedance (solimp): full from a penetration of 0.5 mm on."""
-_NO_ACCELERATION = np.zeros(3)
 
 
-class PhysicsPlant(Plant):
-    """The robot with position servos in MuJoCo.
+_IMPEDANCE = 0.9
+"""Constant contact impedance where the contact is stated in physical terms."""
 
-    Parameters
-    ----------
-    q0 : array_like, shape (n,), optional
-        Initial joint angles, with both soles on the ground, or held by its root [rad]; zero by default.
-    servos : Servos, optional
-        The simulated servos; by default those of the section ``servo``.
-    law : ServoGoals, optional
-        Computes the goals of the servos; by default as the section ``servo`` describes it.
-    """
 
-    physics = True
-    parameters = "physics"
+class PhysicsPlant(EnginePlant):
+    """The robot in MuJoCo."""
 
-    def __init__(
-        self,
-        config: Config,
-        model: RobotModel,
-        q0: ArrayLike | None = None,
-        servos: Servos | None = None,
-        law: ServoGoals | None = None,
-    ) -> None:
-        self.config, self.model = config, model
-        q = np.zeros(model.n) if q0 is None else np.array(q0, dtype=np.float64)
-        servos = servos or Servos.of(config, model)
-        self.mj = build(config, model, servos)
+    def _make(self, servos: Servos) -> None:
+        model = self.model
+        self.mj = build(self.config, model, servos)
         self.data: Any = mujoco.MjData(self.mj)
         self._qpos, self._qvel = self.data.qpos, self.data.qvel  # views, and so are these
         self._xpos, self._xquat, self._xmat = self.data.xpos, self.data.xquat, self.data.xmat
@@ -77,183 +47,71 @@ class PhysicsPlant(Plant):
         joints = [self.mj.joint(name) for name in model.joint_names]
         self._qadr = np.array([int(j.qposadr[0]) for j in joints])
         self._vadr = np.array([int(j.dofadr[0]) for j in joints])
-        self._root = self.mj.body(model.root).id
-        self._pelvis = self.mj.body(model.pelvis).id
-        self._imu = self.mj.body(model.imu_link).id
-        mounting = DQ(model.frames[model.imu_link].pose).conj() * DQ(model.frames[model.imu].pose)
-        self._mounting = mounting.vec4()
-        self._to_sensor = np.ascontiguousarray(mounting.rotation_matrix().T)
-        self._soles = {foot: self.mj.body(model.soles[foot].frame).id for foot in Foot}
+        self._root, self._pelvis_id, self._imu = (
+            self.mj.body(link).id for link in (model.root, model.pelvis, model.imu_link)
+        )
+        self._bodies = {link: self.mj.body(link).id for link in (model.pelvis, *(model.soles[f].frame for f in Foot))}
         self._ground = {foot: self.mj.sensor(f"ground_{foot.value}").adr[0] for foot in Foot}
         self._goals = self.data.ctrl.reshape(-1, model.n)  # a view; a second row where there is backlash
-        # without these torques the robot would tip backwards on soft servos before the first command
-        up = -self.mj.opt.gravity / GRAVITY
-        standing = Kinematics(model, q, Foot.LEFT, up)
-        effort = np.zeros(model.n) if config.physics.held else gravity_torques(standing, both=True)
-        self._seat(q)
-        self._back_emf = servos.back_emf
-        self._law = law or ServoGoals.of(config, model, simulated=servos)
-        self._law.gate.use(q, 0.0)
-        self._law.begin(effort)
-        self._goals[:] = self._law.output(0.0)[0]
-        self._sensors = Sensors(config.sensors)
-        self._level = _level(config)
-        self._elapsed = 0.0  # [ns]
-        self._dt, self._count = config.dt, set_timestep(self.mj, config.dt, config.physics.timestep)
-        mujoco.mj_step(self.mj, self.data, max(1, round(config.physics.settle / self.mj.opt.timestep)))
-        mujoco.mj_step1(self.mj, self.data)
-        self._effort = self._torque[self._vadr] - self._back_emf * self._qvel[self._vadr]
-        self._state = self._measured()
+
+    def _seat(self, q: Array, root: Array | None) -> None:
+        self._qpos[self._qadr] = q
+        if root is not None:
+            self._qpos[:3], self._qpos[3:7] = DQ(root).translation(), root[:4]
+        mujoco.mj_forward(self.mj, self.data)
+
+    def _divide(self, dt: float) -> int:
+        return set_timestep(self.mj, dt, self.config.physics.timestep)
 
     @property
-    def state(self) -> State:
-        """The present state as measured by the robot's sensors."""
-        return self._state
+    def _time(self) -> float:
+        time: float = self.data.time
+        return time
 
-    def step(self, command: Command, dt: float) -> State:
-        """Return the state after one period, which the engine's steps divide evenly.
-
-        Raises
-        ------
-        PlantError
-            If the command has a wrong size or is not finite, or the simulation has diverged.
-        """
-        u, tau = checked(command.velocity, self.model.n, "velocities"), command.effort
-        if tau is not None:
-            tau = checked(tau, self.model.n, "torques")
-        return self._advance(u, tau, dt)
-
-    def hold(self, dt: float) -> State:
-        """Return the state after one period without a command."""
-        return self._advance(None, None, dt)
-
-    def _advance(self, u: Array | None, tau: Array | None, dt: float) -> State:
-        mj, data = self.mj, self.data
-        if dt != self._dt:
-            self._dt, self._count = dt, set_timestep(mj, dt, self.config.physics.timestep)
-        left = count = self._count
-        h, now = dt / count, data.time
-        self._law.measure(self._state.q, now)
-        if u is not None:
-            self._law.command(u, tau, now, dt)
-        q, torque = self._qpos[self._qadr], np.zeros_like(self._qvel)
-        while left:
-            self._goals[:], until = self._law.output(now)
-            steps = min(left, max(1, math.ceil((until - now) / h - 1e-6))) if until < math.inf else left
-            for _ in range(steps):
-                # mj_step1 has computed positions and velocities already; mj_step2 applies the forces
-                mujoco.mj_step2(mj, data)
-                torque += self._torque
-                mujoco.mj_step1(mj, data)
-            left, now = left - steps, data.time
-        self._effort = (torque[self._vadr] - self._back_emf * (self._qpos[self._qadr] - q) / h) / count
-        if not math.isfinite(self._qpos.dot(self._qpos)):
-            raise PlantError("the simulation is not finite any more")
-        self._elapsed += dt * 1e9
-        self._state = self._measured()
-        return self._state
+    def _run(self, goals: Array, steps: int) -> Array:
+        mj, data, torque = self.mj, self.data, np.zeros_like(self._torque)
+        self._goals[:] = goals
+        for _ in range(steps):
+            # mj_step1 has computed positions and velocities already; mj_step2 applies the forces
+            mujoco.mj_step2(mj, data)
+            torque += self._torque
+            mujoco.mj_step1(mj, data)
+        out: Array = torque[self._vadr]
+        return out
 
     def push(self, force: ArrayLike) -> None:
         """Push the pelvis with `force` (3,) [N] in world axes until the next call."""
-        self.data.xfrc_applied[self._pelvis, :3] = np.asarray(force, dtype=np.float64)
+        self.data.xfrc_applied[self._pelvis_id, :3] = np.asarray(force, dtype=np.float64)
 
-    @property
-    def commanded(self) -> Array:
-        """Commanded positions without the offsets by feedforward torques, shape (n,) [rad]."""
-        return self._law.wanted
+    def _joints(self) -> tuple[Array, Array]:
+        return self._qpos[self._qadr], self._qvel[self._vadr]
 
-    @property
-    def truth(self) -> Truth:
-        """Ground truth; forces are those of the engine's last step, torques the mean of the last period."""
-        soles = {foot: self._pose(body) for foot, body in self._soles.items()}
-        return Truth(
-            pelvis=self._pose(self._pelvis),
-            soles=soles,
-            wrenches={foot: self._wrench(foot) for foot in Foot},
-            com=self.data.subtree_com[self._root].copy(),
-            q=self._qpos[self._qadr],
-            effort=self._effort,
-        )
-
-    @property
-    def inertial(self) -> Inertial:
-        """Measurements of the inertial sensor."""
-        r = self._reading
-        return replace(r, acceleration=self._acceleration()) if self._sensors.exact else r
-
-    @property
-    def fallen(self) -> bool:
-        """Whether the root link is below 60 % of its initial height or is inclined by more than 60 degrees."""
-        return bool(self._xpos[self._root, 2] < 0.6 * self._height or self._xmat[self._root, 8] < 0.5)
-
-    def _measured(self) -> State:
-        orientation, gyro = _imu(
-            self._level, self._xquat[self._imu], self._mounting, self._xmat[self._imu], self._to_sensor,
-            self._cvel[self._imu],
-        )  # fmt: skip
-        time = round(self._elapsed) * 1e-9  # rounded to nanoseconds, like a ROS stamp
-        q, dq = self._qpos[self._qadr], self._qvel[self._vadr]
-        # the acceleration of an exact sensor is computed only when `inertial` is read
-        acceleration = _NO_ACCELERATION if self._sensors.exact else self._acceleration()
-        exact = Reading(orientation, gyro, acceleration, q, dq)
-        r = self._reading = self._sensors.measure(time, exact)
-        felt = None if self._sensors.exact else r.acceleration
-        return State(time, r.q, r.dq, upward(*r.orientation.tolist()), r.gyro, felt)
+    def _imu_motion(self) -> tuple[Array, Array]:
+        return self._xquat[self._imu], self._cvel[self._imu, :3] @ self._xmat[self._imu].reshape(3, 3)
 
     def _acceleration(self) -> Array:
         out = np.empty(6)
         mujoco.mj_rnePostConstraint(self.mj, self.data)
         mujoco.mj_objectAcceleration(self.mj, self.data, mujoco.mjtObj.mjOBJ_XBODY, self._imu, out, 1)
-        felt: Array = self._to_sensor @ out[3:]
-        return felt
+        return out[3:]
 
-    def _seat(self, q: Array) -> None:
-        """Set the initial pose, with the left sole flat on the floor, unless the root link is held in the air."""
-        self.data.qpos[self._qadr] = q
-        if self.config.physics.held:
-            self._height = -math.inf  # it cannot fall
-            mujoco.mj_forward(self.mj, self.data)
-            return
-        kin = Kinematics(self.model, q, Foot.LEFT)
-        x = DQ(kin.pose(self.model.root))
-        p, r = x.translation(), x.vec8()[:4]
-        other = kin.point(kin.swing)
-        self.data.qpos[:3] = p + np.array([0.0, -0.5 * other[1], 0.0005])
-        self.data.qpos[3:7] = r
-        mujoco.mj_forward(self.mj, self.data)
-        self._height = float(self.data.xpos[self._root][2])
-
-    def _pose(self, body: int) -> Array:
-        x: Array = _pose(self._xpos[body], self._xquat[body])
+    def _pose(self, link: str) -> Array:
+        body = self._bodies[link]
+        x: Array = pose_of(self._xpos[body], self._xquat[body])
         return x
 
     def _wrench(self, foot: Foot) -> Array:
-        """Return the force and torque of the ground about the sole's origin in its axes, shape (6,)."""
-        body, sensor = self._soles[foot], self._ground[foot]
+        body, sensor = self._bodies[self.model.soles[foot].frame], self._ground[foot]
         wrench: Array = _moved_wrench(self._sensed[sensor : sensor + 9], self._xpos[body], self._xmat[body])
         return wrench
 
+    @property
+    def _com(self) -> Array:
+        com: Array = self.data.subtree_com[self._root].copy()
+        return com
 
-@jit
-def _imu(level, link, mounting, R, to_sensor, velocity):  # type: ignore[no-untyped-def]
-    """Return the orientation (4,) of the inertial sensor in a level world, and its angular velocity in its axes (3,).
-
-    `level`, `link` and `mounting` (4,) are the orientations of the floor, of the link on the floor, and of the sensor
-    on the link; `R` (9,), by row, is that of the link too. The first three numbers of `velocity` (6,) are the angular
-    velocity in world axes.
-    """
-    a = quaternion_product(level[0], level[1], level[2], level[3], link[0], link[1], link[2], link[3])
-    b = quaternion_product(a[0], a[1], a[2], a[3], mounting[0], mounting[1], mounting[2], mounting[3])
-    return np.array(b), to_sensor @ (R.reshape((3, 3)).T @ velocity[:3])
-
-
-@jit
-def _pose(p, r):  # type: ignore[no-untyped-def]
-    """Return the pose r + eps 1/2 p r of (U1), shape (8,)."""
-    x = np.empty(8)
-    x[:4] = r
-    x[4:] = quaternion_product(0.0, 0.5 * p[0], 0.5 * p[1], 0.5 * p[2], r[0], r[1], r[2], r[3])
-    return x
+    def _pelvis(self) -> tuple[float, Array]:
+        return self._xpos[self._pelvis_id, 2], self._xmat[self._pelvis_id, 6:].copy()
 
 
 @jit
@@ -281,7 +139,7 @@ def set_timestep(mj: Any, dt: float, largest: float) -> int:
     largest : float
         Largest time step [s].
     """
-    count = max(1, math.ceil(dt / largest - 1e-6))
+    count = steps_of(dt, largest)
     mj.opt.timestep = dt / count
     return count
 
@@ -307,7 +165,7 @@ def robot_spec(model: RobotModel, *, friction: float, contact_time: float, held:
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # divergence must be detected, not reset
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     if held:
-        spec.body(model.root).pos = [0.0, 0.0, _HELD]
+        spec.body(model.root).pos = [0.0, 0.0, HELD]
     else:
         spec.body(model.root).add_freejoint(name="root")
     touching = {"friction": [friction, 0.005, 0.0001], "solref": [contact_time, 1.0], "solimp": _SOLID}
@@ -362,7 +220,7 @@ def build(
     try:
         spec = robot_spec(model, friction=c.friction, contact_time=c.contact_time, held=c.held)
         spec.option.timestep = c.timestep
-        mujoco.mju_rotVecQuat(spec.option.gravity, [0.0, 0.0, -GRAVITY], DQ(_level(config)).conj().vec4())
+        spec.option.gravity = gravity_of(level_of(config))
         for body in spec.bodies:
             body.mass *= c.mass_scale
             body.inertia, body.fullinertia = body.inertia * c.mass_scale, body.fullinertia * c.mass_scale
@@ -381,9 +239,28 @@ def build(
             _add_ground_sensor(spec, foot)
         if scenery is not None:
             scenery(spec)
-        return spec.compile()
+        mj = spec.compile()
     except ValueError as error:
         raise PlantError(f"MuJoCo refuses the robot: {error}") from error
+    if c.contact_stiffness > 0.0:
+        _set_contact(mj, mj.body(model.soles[Foot.LEFT].frame).id, c.contact_stiffness, 2.0 * c.contact_time)
+    return mj
+
+
+def _set_contact(mj: Any, body: int, stiffness: float, relaxation: float) -> None:
+    """Give all contacts a constant stiffness K [N/m], and a damping of K times `relaxation` [s].
+
+    MuJoCo wants a constraint to have the acceleration -b v - k d r, and lets it miss that by R f under the force f.
+    With a constant impedance d, R = A (1 - d)/d, where A is the approximate inverse inertia of the `body`. A contact
+    has four constraints, the edges of a pyramid of friction mu, whose A is 1 + mu^2 times that, and whose R is 2 mu^2
+    times that of the first. So K = 2 k d^2 / (mu^2 (1 + mu^2) (1 - d) A).
+    """
+    d, mu = _IMPEDANCE, float(mj.geom_friction[mj.body_geomadr[body], 0])
+    A = mu**2 * (1.0 + mu**2) * (1.0 - d) * float(mj.body_invweight0[body, 0])
+    k = 0.5 * stiffness * A / d**2
+    b = relaxation * k * d
+    mj.geom_solimp[:] = [d, d, 0.001, 0.5, 2.0]
+    mj.geom_solref[:] = [-k * d**2, -b * d]  # MuJoCo divides them by d^2 and d
 
 
 def held_torques(model: RobotModel, q: Array, dq: Array, ddq: Array) -> tuple[Array, Array]:
@@ -441,29 +318,18 @@ def _add_ground_sensor(spec: Any, foot: Foot) -> None:
 
 
 def _add_rubble(spec: Any, height: float, seed: int) -> None:
-    """Add boxes of random size, up to `height` [m] high, to the floor ahead of and behind the robot."""
-    random, floor = np.random.default_rng(seed), spec.geom("floor")
-    for x in np.arange(-1.0, 1.5, 0.06):
-        for y in np.arange(-0.3, 0.31, 0.06):
-            if abs(x) < 0.2:
-                continue  # the robot starts here
-            half = [*random.uniform(0.01, 0.03, 2), 0.5 * height * random.uniform()]
-            turn = random.uniform(0.0, np.pi)
-            spec.worldbody.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_BOX,
-                size=half,
-                pos=[x + random.uniform(-0.01, 0.01), y + random.uniform(-0.01, 0.01), half[2]],
-                quat=[np.cos(0.5 * turn), 0.0, 0.0, np.sin(0.5 * turn)],
-                rgba=floor.rgba,
-                friction=floor.friction,
-                solref=floor.solref,
-                solimp=floor.solimp,
-                contype=floor.contype,
-                conaffinity=floor.conaffinity,
-            )
-
-
-def _level(config: Config) -> Array:
-    """Return the orientation (4,) of the floor, which is the simulation's world frame, relative to the level."""
-    c = config.physics
-    return (DQ.rotation_about(-c.slope, [0.0, 1.0, 0.0]) * DQ.rotation_about(c.slope_side, [1.0, 0.0, 0.0])).vec4()
+    """Add boxes, up to `height` [m] high, to the floor."""
+    floor = spec.geom("floor")
+    for stone in rubble(height, seed):
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=stone.half,
+            pos=stone.at,
+            quat=[np.cos(0.5 * stone.turn), 0.0, 0.0, np.sin(0.5 * stone.turn)],
+            rgba=floor.rgba,
+            friction=floor.friction,
+            solref=floor.solref,
+            solimp=floor.solimp,
+            contype=floor.contype,
+            conaffinity=floor.conaffinity,
+        )

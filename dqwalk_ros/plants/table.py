@@ -40,6 +40,7 @@ class Entry:
 
 _IDEAL = "dqwalk_ros.plants.kinematic:KinematicPlant"
 _MUJOCO = "dqwalk_ros.plants.mujoco:PhysicsPlant"
+_DRAKE = "dqwalk_ros.plants.drake:DrakePlant"
 
 PLANTS = {
     "integrator": Entry("ideal joints", "integrator", _IDEAL, "integrator"),
@@ -48,6 +49,7 @@ PLANTS = {
     "poppy_as_built": Entry(
         "MuJoCo with Poppy's servos, delays and sensors", "physics", _MUJOCO, "poppy_as_built", physics=True
     ),
+    "drake": Entry("Drake, another physics engine", "physics", _DRAKE, "physics", physics=True),
     "ros2_control": Entry("a robot whose controllers are running", "drive", parameters="ros2_control"),
     "poppy": Entry("the real Poppy", "poppy_driver", parameters="poppy"),
 }
@@ -95,8 +97,8 @@ def _imported(name: str) -> type[Plant]:
     try:
         found = getattr(importlib.import_module(module), kind)
     except ModuleNotFoundError as error:
-        if error.name == "mujoco":
-            raise PlantError(f"the physics engine is not installed: {how_to_install('mujoco')}") from error
+        if error.name in ("mujoco", "pydrake"):
+            raise PlantError(f"the physics engine is not installed: {how_to_install(error.name)}") from error
         raise PlantError(f"the plant '{name}' cannot be imported: {error}") from error
     except (ImportError, AttributeError, ValueError) as error:
         raise PlantError(f"the plant '{name}' cannot be imported: {error}") from error

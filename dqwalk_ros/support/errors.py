@@ -34,6 +34,7 @@ _ON_PYPI = {
     "mujoco": "mujoco",
     "pinocchio": "pin",
     "pyarrow": "pyarrow",
+    "pydrake": "drake",
     "serial": "pyserial",
     "viser": "viser",
     "xacro": "xacro",

@@ -1,0 +1,295 @@
+"""The robot in a physics engine, with position servos and sensors; a subclass for each engine.
+
+The root link floats, and only the soles have contacts with the ground. Everything but mechanics is here, so that all
+engines simulate the same servos, bus and sensors.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dqwalk_ros.config import Config
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics, quaternion_product
+from dqwalk_ros.paper.state import Command, State
+from dqwalk_ros.paper.statics import GRAVITY, gravity_torques
+from dqwalk_ros.plants.base import Inertial, Plant, Truth, checked, upward
+from dqwalk_ros.plants.sensors import Reading, Sensors
+from dqwalk_ros.plants.servo_goals import ServoGoals
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.robot.servos import Servos
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
+from dqwalk_ros.support.errors import PlantError
+
+__all__ = ["HELD", "EnginePlant", "Stone", "gravity_of", "level_of", "pose_of", "rubble", "standing_root", "steps_of"]
+
+HELD = 1.5
+"""Height at which the root link is held in the air [m]."""
+_NO_ACCELERATION = np.zeros(3)
+
+
+class EnginePlant(Plant):
+    """The robot with position servos in a physics engine.
+
+    Parameters
+    ----------
+    q0 : array_like, shape (n,), optional
+        Initial joint angles, with both soles on the ground, or held by its root [rad]; zero by default.
+    servos : Servos, optional
+        The simulated servos; by default those of the section ``servo``.
+    law : ServoGoals, optional
+        Computes the goals of the servos; by default as the section ``servo`` describes it.
+    """
+
+    physics = True
+    parameters = "physics"
+
+    def __init__(
+        self,
+        config: Config,
+        model: RobotModel,
+        q0: ArrayLike | None = None,
+        servos: Servos | None = None,
+        law: ServoGoals | None = None,
+    ) -> None:
+        self.config, self.model = config, model
+        q = np.zeros(model.n) if q0 is None else np.array(q0, dtype=np.float64)
+        servos = servos or Servos.of(config, model)
+        self._back_emf = servos.back_emf
+        mounting = DQ(model.frames[model.imu_link].pose).conj() * DQ(model.frames[model.imu].pose)
+        self._mounting = mounting.vec4()
+        self._to_sensor = np.ascontiguousarray(mounting.rotation_matrix().T)
+        self._level = level_of(config)
+        self._sensors = Sensors(config.sensors)
+        self._law = law or ServoGoals.of(config, model, simulated=servos)
+        self._make(servos)
+        root = None if config.physics.held else standing_root(model, q)
+        self._seat(q, root)
+        height, self._upright = self._pelvis()
+        self._height = -math.inf if root is None else height  # one that is held cannot fall
+        # without these torques the robot would tip backwards on soft servos before the first command
+        up = -gravity_of(self._level) / GRAVITY
+        effort = np.zeros(model.n) if root is None else gravity_torques(Kinematics(model, q, Foot.LEFT, up), both=True)
+        self._law.gate.use(q, 0.0)
+        self._law.begin(effort)
+        self._elapsed = 0.0  # [ns]
+        self._dt, self._count = config.dt, self._divide(config.dt)
+        goals, settle = self._law.output(0.0)[0], max(1, round(config.physics.settle * self._count / config.dt))
+        self._run(goals, settle - 1)
+        self._effort = self._run(goals, 1) - self._back_emf * self._joints()[1]
+        self._state = self._measured()
+
+    @property
+    def state(self) -> State:
+        """The present state as measured by the robot's sensors."""
+        return self._state
+
+    def step(self, command: Command, dt: float) -> State:
+        """Return the state after one period, which the engine's steps divide evenly.
+
+        Raises
+        ------
+        PlantError
+            If the command has a wrong size or is not finite, or the simulation has diverged.
+        """
+        u, tau = checked(command.velocity, self.model.n, "velocities"), command.effort
+        if tau is not None:
+            tau = checked(tau, self.model.n, "torques")
+        return self._advance(u, tau, dt)
+
+    def hold(self, dt: float) -> State:
+        """Return the state after one period without a command."""
+        return self._advance(None, None, dt)
+
+    def _advance(self, u: Array | None, tau: Array | None, dt: float) -> State:
+        if dt != self._dt:
+            self._dt, self._count = dt, self._divide(dt)
+        left = count = self._count
+        h, now = dt / count, self._time
+        self._law.measure(self._state.q, now)
+        if u is not None:
+            self._law.command(u, tau, now, dt)
+        q, torque = self._joints()[0], np.zeros(self.model.n)
+        while left:
+            goals, until = self._law.output(now)
+            steps = min(left, max(1, math.ceil((until - now) / h - 1e-6))) if until < math.inf else left
+            torque += self._run(goals, steps)
+            left, now = left - steps, self._time
+        moved = self._joints()[0] - q
+        self._effort = (torque - self._back_emf * moved / h) / count
+        if not math.isfinite(moved @ moved):
+            raise PlantError("the simulation is not finite any more")
+        self._elapsed += dt * 1e9
+        self._state = self._measured()
+        return self._state
+
+    @property
+    def commanded(self) -> Array:
+        """Commanded positions without the offsets by feedforward torques, shape (n,) [rad]."""
+        return self._law.wanted
+
+    @property
+    def truth(self) -> Truth:
+        """Ground truth; forces are those of one step of the engine, torques the mean of the last period."""
+        model = self.model
+        return Truth(
+            pelvis=self._pose(model.pelvis),
+            soles={foot: self._pose(model.soles[foot].frame) for foot in Foot},
+            wrenches={foot: self._wrench(foot) for foot in Foot},
+            com=self._com,
+            q=self._joints()[0],
+            effort=self._effort,
+        )
+
+    @property
+    def inertial(self) -> Inertial:
+        """Measurements of the inertial sensor."""
+        r = self._reading
+        return replace(r, acceleration=self._to_sensor @ self._acceleration()) if self._sensors.exact else r
+
+    @property
+    def fallen(self) -> bool:
+        """Whether the pelvis is below 60 % of its initial height or is inclined by more than 60 degrees from there."""
+        height, up = self._pelvis()
+        return bool(height < 0.6 * self._height or up @ self._upright < 0.5)
+
+    def _measured(self) -> State:
+        orientation, gyro = _imu(self._level, *self._imu_motion(), self._mounting, self._to_sensor)
+        time = round(self._elapsed) * 1e-9  # rounded to nanoseconds, like a ROS stamp
+        q, dq = self._joints()
+        # the acceleration of an exact sensor is computed only when `inertial` is read
+        acceleration = _NO_ACCELERATION if self._sensors.exact else self._to_sensor @ self._acceleration()
+        exact = Reading(orientation, gyro, acceleration, q, dq)
+        r = self._reading = self._sensors.measure(time, exact)
+        felt = None if self._sensors.exact else r.acceleration
+        return State(time, r.q, r.dq, upward(*r.orientation.tolist()), r.gyro, felt)
+
+    # ------------------------------------------------------------------ the engine
+
+    @abstractmethod
+    def _make(self, servos: Servos) -> None:
+        """Make the world, with servos whose torques are clip(stiffness e - damping dq, +-torque) - back_emf dq."""
+
+    @abstractmethod
+    def _seat(self, q: Array, root: Array | None) -> None:
+        """Set joint angles (n,) [rad], and the pose (8,) of the root link where it is not held, at rest."""
+
+    @abstractmethod
+    def _divide(self, dt: float) -> int:
+        """Set the step to an integer fraction of a period [s], and return the number of steps."""
+
+    @property
+    @abstractmethod
+    def _time(self) -> float:
+        """Time of the engine [s]."""
+
+    @abstractmethod
+    def _run(self, goals: Array, steps: int) -> Array:
+        """Make steps with goals (n,) [rad]; return the sum over them of the torques (n,) without back EMF [N m]."""
+
+    @abstractmethod
+    def _joints(self) -> tuple[Array, Array]:
+        """Return new arrays of the angles and velocities of the joints, both (n,) [rad, rad/s]."""
+
+    @abstractmethod
+    def _imu_motion(self) -> tuple[Array, Array]:
+        """Return the orientation (4,) of the inertial sensor's link on the floor, and its angular velocity in its axes.
+
+        The velocity has the shape (3,) [rad/s].
+        """
+
+    @abstractmethod
+    def _acceleration(self) -> Array:
+        """Return the specific force (3,) at the origin of that link, in its axes [m/s^2]."""
+
+    @abstractmethod
+    def _pose(self, link: str) -> Array:
+        """Return the pose (8,) of a link."""
+
+    @abstractmethod
+    def _wrench(self, foot: Foot) -> Array:
+        """Return the force and torque of the ground about the sole's origin in its axes, shape (6,)."""
+
+    @property
+    @abstractmethod
+    def _com(self) -> Array:
+        """Centre of mass, shape (3,) [m]."""
+
+    @abstractmethod
+    def _pelvis(self) -> tuple[float, Array]:
+        """Return the height of the pelvis [m], and the normal of the floor in its axes (3,)."""
+
+
+def standing_root(model: RobotModel, q: Array) -> Array:
+    """Return the pose (8,) of the root link with the left sole flat on the floor, at which it does not yet touch."""
+    kin = Kinematics(model, q, Foot.LEFT)
+    lifted = DQ.from_pose([0.0, -0.5 * kin.point(kin.swing)[1], 0.0005])
+    return (lifted * DQ(kin.pose(model.root))).vec8()
+
+
+def steps_of(dt: float, largest: float) -> int:
+    """Return the number of steps of at most `largest` [s] that divide a period `dt` [s] evenly."""
+    return max(1, math.ceil(dt / largest - 1e-6))
+
+
+def level_of(config: Config) -> Array:
+    """Return the orientation (4,) of the floor, which is the simulation's world frame, relative to the level."""
+    c = config.physics
+    return (DQ.rotation_about(-c.slope, [0.0, 1.0, 0.0]) * DQ.rotation_about(c.slope_side, [1.0, 0.0, 0.0])).vec4()
+
+
+def gravity_of(level: Array) -> Array:
+    """Return gravity (3,) in the frame of the floor with the orientation `level` (4,) [m/s^2]."""
+    out: Array = DQ(level).conj().rotation_matrix() @ np.array([0.0, 0.0, -GRAVITY])
+    return out
+
+
+@jit
+def _imu(level, link, velocity, mounting, to_sensor):  # type: ignore[no-untyped-def]
+    """Return the orientation (4,) of the inertial sensor in a level world, and its angular velocity in its axes (3,).
+
+    `level`, `link` and `mounting` (4,) are the orientations of the floor, of the link on the floor, and of the sensor
+    on the link, whose angular velocity in its axes is `velocity` (3,).
+    """
+    a = quaternion_product(level[0], level[1], level[2], level[3], link[0], link[1], link[2], link[3])
+    b = quaternion_product(a[0], a[1], a[2], a[3], mounting[0], mounting[1], mounting[2], mounting[3])
+    return np.array(b), to_sensor @ velocity
+
+
+@jit
+def pose_of(p, r):  # type: ignore[no-untyped-def]
+    """Return the pose r + eps 1/2 p r of (U1), shape (8,), of a position p (3,) [m] and a unit quaternion r (4,)."""
+    x = np.empty(8)
+    x[:4] = r
+    x[4:] = quaternion_product(0.0, 0.5 * p[0], 0.5 * p[1], 0.5 * p[2], r[0], r[1], r[2], r[3])
+    return x
+
+
+class Stone(NamedTuple):
+    """A box on the floor: half its sizes and the position of its centre (3,) [m], and its yaw [rad]."""
+
+    half: tuple[float, float, float]
+    at: tuple[float, float, float]
+    turn: float
+
+
+def rubble(height: float, seed: int) -> Iterator[Stone]:
+    """Yield boxes of random size, up to `height` [m] high, ahead of and behind the robot."""
+    random = np.random.default_rng(seed)
+    for x in np.arange(-1.0, 1.5, 0.06):
+        for y in np.arange(-0.3, 0.31, 0.06):
+            if abs(x) < 0.2:
+                continue  # the robot starts here
+            a, b = random.uniform(0.01, 0.03, 2)
+            half = (a, b, 0.5 * height * random.uniform())
+            turn = random.uniform(0.0, np.pi)
+            yield Stone(half, (x + random.uniform(-0.01, 0.01), y + random.uniform(-0.01, 0.01), half[2]), turn)
