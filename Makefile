@@ -29,7 +29,7 @@ endif
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help venv walk walk-physics simulate reach test test-long browser docs chaos fuzz mutation soak driver robots benchmark see lint colcon clean
+.PHONY: help venv walk walk-physics simulate reach test test-long browser docs chaos fuzz mutation soak driver evidence robots benchmark see lint colcon clean
 
 help:  ## show this
 	@echo "usage: make TARGET [CYCLES=$(CYCLES)] [CONFIG=$(CONFIG)] [STEPS=$(STEPS)] [OUT=$(OUT)]"
@@ -79,6 +79,9 @@ soak: $(VENV)/.installed-test  ## an hour of walking in lockstep, recorded: memo
 
 driver: $(VENV)/.installed-test  ## the Poppy driver on dummy motors: rate, angles, limits (ARGS=--full for the paper's cycle)
 	$(BIN)/python -m benchmark.lab.driver $(ARGS)
+
+evidence: $(VENV)/.installed-sim $(VENV)/.installed-drake  ## what docs/results/ claims, in MuJoCo and in Drake, with bounds (ARGS='--sample 2')
+	OPENBLAS_NUM_THREADS=1 $(BIN)/dqwalk evidence --jobs $(JOBS) --out results/evidence $(ARGS)
 
 robots: $(VENV)/.installed-sim  ## adopt every biped of two PyPI packages, walk it in MuJoCo, and print a table
 	$(BIN)/python -m pip install --quiet --target results/robots/packages --no-deps example-robot-data jvrc-description

@@ -30,6 +30,7 @@ COMMANDS = (
     "movie",
     "robustness",
     "pushes",
+    "evidence",
     "footsteps",
     "study",
     "exercise",
@@ -49,6 +50,7 @@ examples:
   dqwalk report walk/bag                    evaluate and draw any recorded walk
   dqwalk view walk/bag                      replay it in the browser
   dqwalk robustness, dqwalk pushes          which robots, floors and pushes a walk survives in physics
+  dqwalk evidence --sample 2                what docs/results/ claims, in two physics engines
   dqwalk study studies/step_length.yaml     walk many times with parameters varied
   dqwalk exercise, dqwalk identify BAG      what the servos of a robot that hangs do; dqwalk replay BAG compares
   dqwalk adopt my_robot.urdf                another robot: a configuration that walks

@@ -72,9 +72,14 @@ def create(folder: Path) -> None:
 
 
 def write_study(
-    output: Output, name: str, head: Sequence[str], rows: Iterable[Sequence[Any]], text: str, figure: Figure
+    output: Output,
+    name: str,
+    head: Sequence[str],
+    rows: Iterable[Sequence[Any]],
+    text: str,
+    figure: Figure | None = None,
 ) -> None:
-    """Write a study as ``NAME.csv``, a line per row, ``NAME.txt`` and ``NAME.png``, and print the text unless quiet.
+    """Write a study as ``NAME.csv``, a line per row, ``NAME.txt`` and, with a figure, ``NAME.png``; print the text.
 
     Before the study, `prepare_study` has found that these files may be replaced.
     """
@@ -87,7 +92,8 @@ def write_study(
     ):
         csv.writer(file).writerows([head, *rows])
     write_text(folder / f"{name}.txt", text + "\n", overwrite=True)
-    save([Drawn(name, figure)], folder, overwrite=True)
+    if figure is not None:
+        save([Drawn(name, figure)], folder, overwrite=True)
     if not output.quiet:
         print(text)
 

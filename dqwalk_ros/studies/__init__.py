@@ -1,7 +1,8 @@
 """Studies: many walks with varied parameters.
 
 `runner` runs the walks on one machine or on a Dask cluster, saves each outcome, and resumes an interrupted study. A
-study from a file is a `Study` (`plan`) of walks (`walks`); `robustness` and `pushes` are studies in physics.
+study from a file is a `Study` (`plan`) of walks (`walks`); `robustness`, `pushes` and
+`evidence` are studies in physics.
 """
 
 from __future__ import annotations

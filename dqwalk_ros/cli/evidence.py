@@ -1,0 +1,112 @@
+"""``dqwalk evidence``: simulates what the tables of results claim, in every engine."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections import Counter
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from dqwalk_ros.cli.options import Many, command, many_options
+from dqwalk_ros.plants.table import PHYSICS
+from dqwalk_ros.support.text_table import aligned, without_numbers
+
+if TYPE_CHECKING:
+    from dqwalk_ros.studies.evidence import Outcome
+
+__all__ = ["evidence", "table"]
+
+
+@command("""
+a file of rows is a list such as
+  rows:
+    - name: dynamic, MX, noise
+      config: poppy_dynamic           # as of --config
+      plant: physics                  # or poppy_as_built
+      set: {gait.steps: 20}
+      seeds: 20                       # walks with sensors.seed 1 to 20
+    - {name: pushes of 0.50 N s, config: poppy_dynamic, push: 0.5}   # 8 directions, 2 feet, 4 moments of a step
+
+writes to the folder of --out:
+  walks.jsonl             a line per finished walk; an interrupted run continues from here
+  evidence.csv, .txt      all walks in order, and the printed table
+
+examples:
+  dqwalk evidence --sample 2                                     a sample: two walks of each row in each engine
+  dqwalk evidence --engine physics --jobs 8                      without Drake
+  dqwalk evidence mine.yaml --scheduler tcp://127.0.0.1:8786
+""")
+@click.argument("path", metavar="[ROWS.yaml]", default="evidence")
+@click.option(
+    "--engine",
+    "engines",
+    type=click.Choice([name for name in PHYSICS if name != "poppy_as_built"]),
+    multiple=True,
+    default=("physics", "drake"),
+    help="Physics engine; may be given several times.",
+)
+@click.option("--sample", metavar="N", type=click.IntRange(0), default=0, show_default="all", help="Walks of each row.")
+@many_options("evidence")
+def evidence(path: str, engines: tuple[str, ...], sample: int, many: Many) -> int:
+    """Simulate what the tables of results claim, in MuJoCo and in Drake.
+
+    Prints for every row and engine how many walks stood and how many reports are OK, each with the chance that this
+    proves at least (95 % confidence), and the worst figures. Needs: pip install mujoco drake
+    """
+    from dqwalk_ros.cli.results import prepare_study, write_study
+    from dqwalk_ros.studies import evidence as study
+
+    rows = study.read(path)
+    prepare_study(many, "walks.jsonl", "evidence.csv", "evidence.txt")
+    with many.options("walks", lambda last: f"; the last one {'stood' if last.stood else 'fell'}") as options:
+        done = study.collect(rows, engines, many.folder, sample=sample, **options)
+    keys = ["row", "engine", "seed", "foot", "direction", "part"]
+    head = [*keys, "stood", "ok", "reason", "tilt_rad", "landing_m", "inside", "speed_m_s"]
+    lines = [
+        [*(point.get(key) for key in keys), end.stood, end.ok, end.reason, end.tilt, end.landing, end.inside, end.speed]
+        for point, end in done
+    ]
+    write_study(many, "evidence", head, lines, table(done))
+    return 0 if all(end.stood for _, end in done) else 1
+
+
+def table(done: Sequence[tuple[dict[str, Any], Outcome]]) -> str:
+    """Return a line per row and engine, and the reasons of what did not stand or is not OK."""
+    from dqwalk_ros.studies.evidence import bounds
+
+    groups: dict[tuple[str, str], list[Outcome]] = {}
+    for point, end in done:
+        groups.setdefault((point["row"], point["engine"]), []).append(end)
+
+    def share(count: int, total: int) -> str:
+        return f"{count} of {total} (>= {100.0 * bounds(count, total)[0]:.0f} %)"
+
+    def figure(values: Sequence[float | None], pick: Any, factor: float, digits: int) -> str:
+        known = [value for value in values if value is not None]
+        return f"{factor * pick(known):.{digits}f}" if known else ""
+
+    rows = [
+        [
+            *group,
+            share(sum(one.stood for one in ends), len(ends)),
+            share(sum(bool(one.ok) for one in ends), len(ends)) if any(one.ok is not None for one in ends) else "",
+            figure([one.tilt for one in ends], max, 180.0 / math.pi, 2),
+            figure([one.landing for one in ends], max, 1e3, 2),
+            figure([one.inside for one in ends], min, 100.0, 2),
+            figure([one.speed for one in ends], statistics.median, 1.0, 3),
+        ]
+        for group, ends in groups.items()
+    ]
+    head = ("row", "engine", "stood", "OK", "tilt [deg]", "landing [mm]", "inside [%]", "speed [m/s]")
+    text = aligned(rows, head, right=range(4, 8))
+    lines = [text, "", "worst of all walks, the speed is the median; >= is the chance proved with 95 % confidence"]
+    reasons = Counter(
+        (*group, without_numbers(one.reason)) for group, ends in groups.items() for one in ends if one.reason
+    )
+    if reasons:
+        lines += ["", "what did not stand or is not OK:"]
+        lines += [f"  {count:3d} x {row}, {engine}: {why}" for (row, engine, why), count in reasons.most_common(20)]
+    return "\n".join(lines)

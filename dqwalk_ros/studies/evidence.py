@@ -1,0 +1,188 @@
+"""The walks and pushes that a table of results claims, each in several engines, with exact bounds of their chances."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+import random
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from dqwalk_ros import report
+from dqwalk_ros.config import Config, find_share, load, overlaid
+from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.simulation import make_controller, make_plant, simulate
+from dqwalk_ros.studies.plan import digest
+from dqwalk_ros.studies.pushes import Push, pushed
+from dqwalk_ros.studies.runner import Store, run
+from dqwalk_ros.support import strict_yaml
+from dqwalk_ros.support.errors import ConfigError, DqwalkError, listed
+
+__all__ = ["Outcome", "Row", "bounds", "collect", "points", "read"]
+
+CONFIDENCE = 0.95
+"""Probability with which the bounds of `bounds` contain the true chance."""
+_DIRECTIONS, _PARTS = 8, (0.1, 0.25, 0.5, 0.75)
+"""Of the pushes of a row: evenly spread directions, and fractions of a step after which they begin."""
+
+
+class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A claim: a walk with several seeds of the sensors' errors, or a walk with pushes.
+
+    Attributes
+    ----------
+    name : str
+    config : str
+        As ``--config``.
+    plant : str
+        Name of a file in ``config/plants/``, without the engine.
+    use : list of str
+        Names of sets of parameters in the file.
+    set : dict
+        Parameters, as ``--set``, with precedence over those sets.
+    seeds : int
+        Number of walks, with ``sensors.seed`` 1, 2, ...
+    push : float
+        Impulse of each push [N s], in 8 directions, on either foot, at 4 moments of a step; 0: walks without a push.
+    """
+
+    name: str
+    config: str
+    plant: Literal["physics", "poppy_as_built"] = "physics"
+    use: list[str] = []
+    set: dict[str, Any] = {}
+    seeds: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 20
+    push: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
+
+    def made(self) -> Config:
+        """Return the configuration of the walks, without seed and engine.
+
+        Raises
+        ------
+        ConfigError
+            If a parameter is invalid.
+        """
+        return overlaid(load(self.config), self.plant).updated(self.set, source=self.name)
+
+
+class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    rows: Annotated[list[Row], msgspec.Meta(min_length=1)]
+    sets: dict[str, dict[str, Any]] = {}
+
+
+class Outcome(msgspec.Struct, frozen=True):
+    """The outcome of a walk; of a walk with a push only whether it stood, and why not.
+
+    Attributes
+    ----------
+    stood : bool
+    reason : str
+        Why it did not stand, or what is not OK.
+    ok : bool or None
+        Whether its report is OK.
+    tilt, landing : float or None
+        Largest tilt of the loaded sole [rad], largest landing error [m].
+    inside : float or None
+        Fraction of the states with the pressure inside the support polygon.
+    speed : float or None
+        Distance over time, of the whole walk [m/s].
+    """
+
+    stood: bool
+    reason: str = ""
+    ok: bool | None = None
+    tilt: float | None = None
+    landing: float | None = None
+    inside: float | None = None
+    speed: float | None = None
+
+
+def read(path: str) -> dict[str, Row]:
+    """Read the rows of a file, a path or a name in ``config/``, by their names.
+
+    Raises
+    ------
+    ConfigError
+        If the file or one of the configurations is invalid.
+    """
+    file = Path(path) if Path(path).is_file() else find_share("config", f"{path}.yaml")
+    try:
+        read = msgspec.convert(strict_yaml.read(strict_yaml.read_text(file), source=str(file)), _File)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{file}: {error}") from None
+    rows = {}
+    for row in read.rows:
+        if unknown := set(row.use) - set(read.sets):
+            raise ConfigError(f"{file}: '{row.name}' uses {listed(unknown)}; the sets are {listed(read.sets)}")
+        given = {key: value for name in row.use for key, value in read.sets[name].items()}
+        rows[row.name] = msgspec.structs.replace(row, set=given | row.set)
+        rows[row.name].made()
+    return rows
+
+
+def points(rows: Mapping[str, Row], engines: Sequence[str], sample: int = 0) -> list[dict[str, Any]]:
+    """Return all walks, or of each row and engine `sample` of them, drawn at random but the same for all engines."""
+    out: list[dict[str, Any]] = []
+    for name, row in rows.items():
+        every: list[dict[str, Any]] = [{"seed": seed} for seed in range(1, row.seeds + 1)]
+        if row.push:
+            every = [
+                {"foot": foot, "direction": 2.0 * math.pi * k / _DIRECTIONS, "part": part}
+                for foot, k, part in itertools.product(("left", "right"), range(_DIRECTIONS), _PARTS)
+            ]
+        if 0 < sample < len(every):
+            every = random.Random(0).sample(every, sample)
+        out += [{"row": name, "engine": engine, **one} for engine in engines for one in every]
+    return out
+
+
+def _evaluate(
+    configs: Mapping[str, Config], pushes: Mapping[str, float], index: int, point: Mapping[str, Any]
+) -> Outcome:
+    """Simulate one walk; the index is not used."""
+    config, impulse = configs[point["row"]].updated({"plant.name": point["engine"]}), pushes[point["row"]]
+    try:
+        if impulse:
+            why = pushed(config, Push(point["foot"], point["direction"], impulse, part=point["part"]))
+            return Outcome(not why, why)
+        config = config.updated({"sensors.seed": point["seed"]})
+        model = load_model(config.robot)
+        trace = simulate(make_controller(config, model), make_plant(point["engine"], config, model))
+        found = report.report(report.analyse(trace))
+    except DqwalkError as error:
+        return Outcome(False, str(error))
+    of, stood = found["physics"], trace.finished and not found["physics"]["fallen"]
+    why = "" if found["ok"] else "; ".join([*trace.notes, *(one["message"] for one in found["violations"])][:2])
+    seconds = float(trace.time[-1] - trace.time[0])
+    landing, speed = found["walk"]["landing_error"], of["way"] / seconds if seconds > 0.0 else None
+    return Outcome(stood, why, found["ok"], of["tilt"]["value"], landing, of["cop_inside"], speed)
+
+
+def collect(
+    rows: Mapping[str, Row], engines: Sequence[str], out: Path, *, sample: int = 0, force: bool = False, **options: Any
+) -> list[tuple[dict[str, Any], Outcome]]:
+    """Simulate what is missing in ``walks.jsonl`` of a folder, and return all points with their outcomes in order.
+
+    With `force` earlier results are discarded; other options and errors are those of `runner.run`.
+    """
+    configs, pushes = {name: row.made() for name, row in rows.items()}, {name: row.push for name, row in rows.items()}
+    every = points(rows, engines, sample)
+    key = digest(next(iter(configs.values())), every, [config.flat() for config in configs.values()], pushes)
+    store = Store(out / "walks.jsonl", key, every, Outcome, force=force)
+    done = run(functools.partial(_evaluate, configs, pushes), store, **options)
+    return [(every[k], outcome) for k, outcome in done.items()]
+
+
+def bounds(count: int, total: int) -> tuple[float, float]:
+    """Return the bounds of the chance of an event that happened `count` times in `total`, both in [0, 1].
+
+    They contain the true chance with at least `CONFIDENCE`, whatever it is (Clopper and Pearson 1934).
+    """
+    from scipy.stats import binomtest
+
+    found = binomtest(count, total).proportion_ci(CONFIDENCE, method="exact")
+    return float(found.low), float(found.high)

@@ -1,0 +1,74 @@
+"""The table of evidence: which walks it simulates, and what it says of them."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from dqwalk_ros import cli
+from dqwalk_ros.cli.evidence import table
+from dqwalk_ros.studies.evidence import Outcome, bounds, points, read
+from dqwalk_ros.support.errors import ConfigError
+
+
+def test_the_shipped_rows_are_valid_and_each_is_walked_in_every_engine() -> None:
+    rows = read("evidence")
+    every = points(rows, ("physics", "drake"))
+    assert len(every) == 2 * sum(64 if row.push else row.seeds for row in rows.values())
+    sample = points(rows, ("physics", "drake"), 2)
+    kept = {
+        engine: [{**one, "engine": ""} for one in sample if one["engine"] == engine] for engine in ("physics", "drake")
+    }
+    assert kept["physics"] == kept["drake"]  # the same seeds and pushes
+    assert all(one in every for one in sample)
+
+
+@pytest.mark.parametrize(("count", "total"), [(0, 20), (3, 20), (20, 20), (36, 40)])
+def test_the_bounds_are_those_at_which_the_count_has_a_chance_of_one_in_forty(count: int, total: int) -> None:
+    def at_least(chance: float) -> float:
+        return sum(math.comb(total, k) * chance**k * (1.0 - chance) ** (total - k) for k in range(count, total + 1))
+
+    low, high = bounds(count, total)
+    if count:
+        assert at_least(low) == pytest.approx(0.025, abs=1e-6)
+    else:
+        assert low == 0.0
+    if count < total:
+        assert 1.0 - at_least(high) + math.comb(total, count) * high**count * (1.0 - high) ** (total - count) == (
+            pytest.approx(0.025, abs=1e-6)
+        )
+    else:
+        assert high == 1.0
+
+
+def test_the_table_has_a_line_per_row_and_engine_with_the_proved_chance() -> None:
+    done = [
+        ({"row": "walk", "engine": "drake", "seed": k}, Outcome(True, "", True, 0.01, 0.002, 0.99, 0.1))
+        for k in range(19)
+    ]
+    done.append(({"row": "walk", "engine": "drake", "seed": 19}, Outcome(False, "fell at 3.2 s")))
+    done += [({"row": "pushes", "engine": "drake", "foot": "left"}, Outcome(True))]
+    text = table(done)
+    walk = next(line for line in text.splitlines() if line.lstrip().startswith("walk"))
+    assert "19 of 20 (>= 75 %)" in walk
+    assert walk.split()[-4:] == ["0.57", "2.00", "99.00", "0.100"]
+    assert "1 of 1 (>= " in text
+    assert "1 x walk, drake: fell" in text
+
+
+def test_an_unknown_set_and_an_unknown_file_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "rows.yaml"
+    file.write_text("rows: [{name: a, config: poppy, use: [nosie]}]\nsets: {noise: {}}\n")
+    with pytest.raises(ConfigError, match="'a' uses nosie; the sets are noise"):
+        read(str(file))
+    assert cli.main(["evidence", str(tmp_path / "none.yaml")]) == 2
+    assert "none.yaml" in capsys.readouterr().err
+
+
+@pytest.mark.long
+def test_a_sample_is_walked_in_both_engines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pydrake", reason="there is no wheel of Drake for this machine")
+    assert cli.main(["evidence", "--sample", "1", "--jobs", "2", "--out", str(tmp_path)]) == 0
+    print(capsys.readouterr().out)
