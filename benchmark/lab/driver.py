@@ -28,8 +28,8 @@ import numpy as np
 from benchmark.timing import machine
 from dqwalk_ros.cli.runner import private_domain
 from dqwalk_ros.config import Config, load, overlaid
-from dqwalk_ros.plants.poppy.dynamixel import TYPES
 from dqwalk_ros.plants.poppy.plant import load_motors
+from dqwalk_ros.robot.servos import load_types
 
 FAST = {"gait.step_length": 0.02, "task.eta": 0.5, "ssp.threshold": 0.02}
 """A cycle in 70 s instead of five minutes."""
@@ -105,7 +105,8 @@ def main() -> int:
 
 def report(config: Config, got: dict[str, list[Any]], bare: np.ndarray, end: str) -> bool:
     """Print the results; return whether all requirements are met."""
-    motors = load_motors(config.poppy.motors)
+    known = load_types(config.servo.table)
+    motors = load_motors(config.poppy.motors, known)
     states = {m.header.stamp.sec * 10**9 + m.header.stamp.nanosec: m for m in got["joint_states"]}
     goals = {m.header.stamp.sec * 10**9 + m.header.stamp.nanosec: m for m in got["joint_goals"]}
     stamps = sorted(states.keys() & goals.keys())
@@ -121,7 +122,7 @@ def report(config: Config, got: dict[str, list[Any]], bare: np.ndarray, end: str
     print(f"joint_states     {periods(at)}, {len(stamps)} of them")
     print(f"a bare loop      {periods(bare)}, beside it")
     low, high = np.array([motors[name].limits for name in names]).T
-    types = [TYPES[motors[name].type] for name in names]
+    types = [known[motors[name].type] for name in names]
     close = np.array([CLOSE * kind.range / (kind.positions - 1) for kind in types])  # [deg]
     inside = bool((q >= low - close).all() and (q <= high + close).all())
     behind = np.abs(q - goal)

@@ -70,13 +70,11 @@ def exercise(
 
     made = exercise_config(config_of(config, changes, plant=plant, params=params), cycles)
     made = made.updated(parse_overrides(changes), source="command line")
-    if plant == "poppy" and not made.servo.types:  # take the types of the servos from the table of motors
-        from dqwalk_ros.plants.poppy.plant import load_motors
+    if plant == "poppy":
+        from dqwalk_ros.plants.poppy.plant import load_motors, typed
         from dqwalk_ros.robot.servos import load_types
 
-        known, motors = load_types(made.servo.table), load_motors(made.poppy.motors)
-        types = [f"{name}={motor.type}" for name, motor in motors.items() if motor.type in known]
-        made = made.updated({"servo.types": types, "servo.p_gain": made.poppy.p_gain or made.servo.p_gain})
+        made = typed(made, load_motors(made.poppy.motors, load_types(made.servo.table)).values())
     if ros := ros or plant == "poppy":
         check_ros_environment()
     prepare(out, *(["log"] if ros else []), force=force)

@@ -260,12 +260,12 @@ class ServoConfig:
     """Position servos behind velocity commands; defaults: Dynamixel MX at 12 V with a raised P gain.
 
     The parameters ``assumed*`` are the servo model that controller and driver use; the others describe the servos of
-    the simulated robot.
+    the simulated robot. The driver of Poppy writes `p_gain` to the servos.
     """
 
     types: tuple[str, ...] = parameter((), "servo types of servo.table, JOINT=TYPE; '*' matches any text")
     table: str = parameter("servos", "table of servo types: a path, or the name of a file in config/")
-    p_gain: int = parameter(254, "P register of the servos of servo.types that have one; larger: stiffer", "", 1, 255)
+    p_gain: int = parameter(254, "P register of the servos of servo.types that have one; larger: stiffer", "", 1, 254)
     voltage: float = parameter(12.0, "supply voltage of the servos of servo.types; larger: more torque", "V", 1.0, 60.0)
 
     stiffness: float = parameter(
@@ -540,14 +540,15 @@ class PoppyConfig:
     start_speed: float = parameter(0.25, "joint speed to the first posture; larger: faster", "rad/s", 0.01, 1.0)
     start_tolerance: float = parameter(0.1, "joint error at which the posture is reached", "rad", 1e-3, 0.5)
     max_speed: float = parameter(120.0, "largest speed commanded to a servo; smaller: slower", "deg/s", 2.0, 360.0)
-    max_lead: float = parameter(0.2, "largest distance of goal and angle; larger: more torque", "rad", 0.01, 1.0)
+    max_lead: float = parameter(
+        0.2, "servo.window on the way to the first posture; larger: more torque", "rad", 0.01, 1.0
+    )
     hot: float = parameter(65.0, "motor temperature above which the robot holds still", "degC", 30.0, 80.0)
     low_voltage: float = parameter(
         10.0, "supply voltage below which the robot holds still; 0: not checked", "V", 0.0, 14.0
     )
     max_load: float = parameter(95.0, "load that counts as blocked after `blocked_after`", "%", 10.0, 1000.0)
     blocked_after: float = parameter(1.0, "longest time off the goal; larger: more tolerant", "s", 0.1, 60.0)
-    p_gain: int = parameter(127, "P register of MX servos (MX-28: 127 is 25 N m/rad); 0: not written", "", 0, 254)
     torque_off_at_end: bool = parameter(False, "switch the torque off at the end; false: hold the position")
 
 

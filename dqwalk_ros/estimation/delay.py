@@ -41,7 +41,7 @@ class CommandHistory:
         """Add the command u (n,) [rad/s] that answers the state at `time` [s], for the period `dt` [s]."""
         if self.delay == 0.0:
             return
-        if not self._sums:
+        if not self._sums or self._sums[-1][0] < time - 1e-9:  # no motion was commanded since
             self._sums.append((time, self._sum))
         self._sum = self._sum + dt * velocity
         self._sums.append((time + dt, self._sum))

@@ -51,11 +51,11 @@ class PoppyDriver(WalkNode):
         ~/activate               std_srvs/Trigger: switch the torque on, go to the first pose
         ~/compliant              std_srvs/SetBool: true switches the torque off, false is ~/activate
 
-    Sections of the schema: dt, robot, standing.posture, plant, monitor.rate, poppy.
+    Sections of the schema: dt, robot, standing.posture, plant, servo, monitor.rate, poppy.
 
     Example::
 
-        dqwalk_poppy_driver --ros-args --params-file config/paper.yaml -p dt:=0.02 -p poppy.dummy:=true
+        dqwalk_poppy_driver --ros-args --params-file config/plants/poppy.yaml -p poppy.dummy:=true
 
     Raises
     ------
@@ -80,7 +80,7 @@ class PoppyDriver(WalkNode):
             )
         model = load_model(config.robot)
         posture = model.posture(config.standing.posture)
-        self._plant = PoppyPlant(model, config.poppy, config.plant.command_timeout, posture)
+        self._plant = PoppyPlant(config, model, posture, clock=self.steady)
         self._commands = CommandInput(self, model)
         self._state_msg = ros.JointWriter(self._plant.names)
         self._goal_msg = ros.JointWriter(self._plant.names)
@@ -133,8 +133,8 @@ class PoppyDriver(WalkNode):
         now, gate = self.steady(), self._commands.gate
         passed, self._sent_at = now - self._sent_at, now
         dt = min(passed, 2.0 * self._period)
-        u = gate.velocity(self._plant.state.q, dt)
-        self._plant.tell(Command(self._stamp * 1e-9, u, gate.effort), dt)
+        u = gate.velocity(self._plant.commanded, dt)
+        self._plant.tell(None if gate.holding else Command(self._stamp * 1e-9, u, gate.effort), dt)
 
     def _publish(self) -> None:
         """Publish the measured angles, and the goals at that time."""

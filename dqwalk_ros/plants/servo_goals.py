@@ -1,7 +1,6 @@
 """The law from commands (velocities and torques) to the goal positions of servos.
 
-Physics and the node `drive` (ros2_control) execute all of it. The driver of Poppy executes the first point, and has a
-law of its own for the others (`plants.poppy.plant`).
+Physics, the node `drive` (ros2_control) and the driver of Poppy execute it.
 
 1. A measured angle is used if the joint can have reached it since the last accepted one; three impossible ones in a row
    are a fault (`AngleGate`).
@@ -236,7 +235,7 @@ class ServoGoals:
         self._begin(q, offset)
         if held is not None:
             reach = self.window + self._offset_of(np.minimum(self._limits.effort_max, np.finfo(float).max))
-            self.goal = np.where(np.abs(held - q) <= reach, held, q)
+            self.goal = self._sent = np.where(np.abs(held - q) <= reach, held, q)
         self.active = True
 
     def _begin(self, wanted: Array, offset: Array) -> None:

@@ -13,9 +13,11 @@ import fnmatch
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config, find_share
 from dqwalk_ros.robot.model import RobotModel
@@ -34,7 +36,10 @@ the joint; without any, the dynamic walk falls with delays of 15 to 26 ms."""
 
 @dataclass(frozen=True)
 class ServoType:
-    """One row of config/servos.yaml, which explains each column and its unit."""
+    """One row of config/servos.yaml, which explains each column and its unit.
+
+    The columns after the armature are needed only by the driver of Poppy.
+    """
 
     stall_torque: float
     no_load_speed: float
@@ -45,6 +50,23 @@ class ServoType:
     resolution: float
     friction: float
     armature: float
+    model: int = 0
+    positions: int = 0
+    range: float = 0.0
+    speed_unit: float = 0.0
+
+    def gain(self, p_gain: int) -> float:
+        """Return the duty cycle per position error [1/rad]; `p_gain` is the P register, if there is one."""
+        return self.duty * (p_gain if self.p_register else 1)
+
+    def degrees(self, value: NDArray[Any] | float) -> Any:
+        """Return the angle for a value of the position register [deg]; 0 is the middle of the range."""
+        return self.range * value / (self.positions - 1) - 0.5 * self.range
+
+    def position(self, degrees: float) -> int:
+        """Return the value of the position register for an angle [deg], clipped to the range."""
+        value = round((self.positions - 1) * (degrees / self.range + 0.5))
+        return min(max(value, 0), self.positions - 1)
 
 
 def load_types(source: str) -> dict[str, ServoType]:
@@ -125,7 +147,7 @@ class Servos:
                 raise ConfigError(f"servo.types names '{name}'; servo.table has {', '.join(types)}")
             t = types[name]
             stall = t.stall_torque * c.voltage / t.voltage
-            out.stiffness[joints] = stall * t.duty * (c.p_gain if t.p_register else 1)
+            out.stiffness[joints] = stall * t.gain(c.p_gain)
             out.damping[joints] = 0.0
             out.back_emf[joints] = t.stall_torque / t.no_load_speed  # independent of the voltage
             out.torque[joints] = stall

@@ -167,7 +167,7 @@ def other_value(spec):
     if spec.choices:
         return spec.choices[-1]
     if spec.type is int:
-        return spec.default + 1
+        return spec.default + (1 if spec.default < spec.high else -1)
     if spec.type is float:
         return 0.3 * spec.default + 0.7 * (spec.high if spec.default == spec.low else spec.low)
     if spec.type is tuple:

@@ -28,6 +28,14 @@ def test_pending_motion_is_the_integral_of_commands_over_the_delay() -> None:
         history.add(times[k], u[k], dt)
 
 
+def test_after_a_pause_all_of_a_new_command_is_pending() -> None:
+    history = CommandHistory(0.04, 1)
+    history.add(0.0, np.ones(1), 0.02)
+    history.add(1.0, np.ones(1), 0.02)
+    assert history.pending(1.02)[0] == pytest.approx(0.02)
+    assert history.pending(1.05)[0] == pytest.approx(0.01)
+
+
 def test_without_a_delay_nothing_is_pending() -> None:
     history = CommandHistory(0.0, 2)
     for k in range(10):

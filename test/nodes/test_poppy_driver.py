@@ -18,6 +18,7 @@ import pytest
 from dynamixel_bus import LOAD, MOTORS, TEMPERATURE, VOLTAGE, FaultyServos, Terminals, angle_of
 from inside import state
 from live import LATCHED, Live
+from poppy_rig import driver_node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
@@ -316,11 +317,11 @@ def test_a_cycle_on_emulated_motors(options: list[str]) -> None:
 
 
 @pytest.mark.parametrize("stamps", ["of the states", "none", "of the first state"])
-def test_commands_move_the_robot_whatever_their_stamps(make: Any, stamps: str) -> None:
+def test_commands_move_the_robot_whatever_their_stamps(make: Any, monkeypatch: pytest.MonkeyPatch, stamps: str) -> None:
     """Each command moves the joints for the time since the last one, and a repeated message for no time."""
-    one = make("poppy_driver", CONFIG.updated({"poppy.dummy": True}))
+    one, _ = driver_node(make, monkeypatch, CONFIG)
     node, passed = one.node, []
-    node._plant.active = node._plant.ready = True
+    node._plant._law.active = node._plant.ready = True
     node._plant.tell = lambda command, dt: passed.append(dt)
     node._commands.forbid("")
     node._stamp = 1_000_000_000
@@ -331,6 +332,6 @@ def test_commands_move_the_robot_whatever_their_stamps(make: Any, stamps: str) -
         at = {"of the states": 1.0 + k * CONFIG.dt, "none": 0.0, "of the first state": 1.0}[stamps]
         for _ in range(3):
             one.send("joint_velocity_commands", state(names, [], at, velocity=[0.1] * len(names)))
-    node._plant.active = node._plant.ready = False
+    node._plant._law.active = node._plant.ready = False
     node._plant.close()
     assert passed == pytest.approx([CONFIG.dt] * 5)

@@ -18,6 +18,7 @@ MAX_AGE = 0.125
 HOT, LOW, LOAD, LEAD, BLOCKED = 64.0, 10.0, 96.0, 0.25, 1.0
 GAIN = 127
 BEYOND_LEAD = 0.95 * LEAD + 1e-9
+LEADS = np.array([1.0, LEAD, 1.0])
 
 
 class Motors:
@@ -28,7 +29,7 @@ class Motors:
         self.bus = SimpleNamespace(
             name="lower", ids=[1, 2, 3], lost="", cause=["does not answer"] * 3, error=[0] * 3, registers=[None] * 3
         )
-        config = PoppyConfig(hot=HOT, low_voltage=LOW, max_load=LOAD, max_lead=LEAD, blocked_after=BLOCKED)
+        config = PoppyConfig(hot=HOT, low_voltage=LOW, max_load=LOAD, blocked_after=BLOCKED)
         self.watch = MotorWatch(NAMES, [Part(self.bus, np.arange(3))], config, MAX_AGE)
         self.measured = Measured(np.zeros(3), np.zeros(3), np.full(3, self.now), np.zeros(3, np.intp), np.zeros(3))
         self.goal = np.zeros(3)
@@ -45,7 +46,7 @@ class Motors:
         self.now += seconds
         if fresh:
             self.measured.at[:] = self.now
-        self.watch.look(self.now, self.measured, self.goal if on else None, np.full(3, GAIN))
+        self.watch.look(self.now, self.measured, self.goal if on else None, LEADS, np.full(3, GAIN))
         return self.watch.faults
 
     def look_after(self, i: int, **changed: object) -> dict[str, str]:
@@ -180,7 +181,7 @@ def test_any_gain_is_accepted_from_a_motor_whose_gain_is_not_set(motors: Motors)
     motors.now += 0.25
     motors.read(1, gain=32)
     motors.measured.at[:] = motors.now
-    motors.watch.look(motors.now, motors.measured, motors.goal, np.full(3, -1))
+    motors.watch.look(motors.now, motors.measured, motors.goal, LEADS, np.full(3, -1))
     assert not motors.watch.faults
 
 

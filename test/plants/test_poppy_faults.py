@@ -7,10 +7,10 @@ import random
 
 import numpy as np
 import pytest
-from dynamixel_bus import BUSES, LOAD, MOTORS, TEMPERATURE, VOLTAGE, FaultyServos, Memory
+from dynamixel_bus import BUSES, LOAD, MOTORS, TEMPERATURE, TYPES, VOLTAGE, FaultyServos, Memory
 from poppy_rig import CONFIG, DT, MAX_AGE, MODEL, Rig
 
-from dqwalk_ros.plants.poppy.dynamixel import GAIN, LIMITS, TORQUE_ENABLE, TORQUE_LIMIT, TYPES
+from dqwalk_ros.plants.poppy.dynamixel import GAIN, LIMITS, TORQUE_ENABLE, TORQUE_LIMIT
 from dqwalk_ros.support.errors import PlantError
 
 KNEE = MOTORS["l_knee_y"].id
@@ -187,7 +187,7 @@ def test_the_limit_of_a_plausible_angle_is_the_motion_at_full_speed(beyond: floa
     """An MX-28 turns by 6.6 degrees in a period of 20 ms; 13 encoder steps, 1.1 degrees, more are tolerated."""
     rig = Rig()
     rig.settle()
-    rig.memory.of("l_knee_y").slip = {KNEE: TYPES["MX-28"].free_speed * DT + beyond}
+    rig.memory.of("l_knee_y").slip = {KNEE: np.degrees(TYPES["MX-28"].no_load_speed) * DT + beyond}
     rig.tick()
     assert rig.plant.measured.jumps[rig.plant.names.index("l_knee_y")] == jumps
 
@@ -314,9 +314,9 @@ def test_a_joint_blocked_before_the_first_pose_is_an_error() -> None:
 
 def test_a_first_pose_not_reached_within_tolerance_is_an_error() -> None:
     """A soft joint under load stops near the pose, but outside the tolerance."""
-    rig = Rig(angles={"l_knee_y": 60.0})
+    rig = Rig(angles={"l_knee_y": 60.0}, settings={"poppy.start_tolerance": 0.05})
     rig.plant.activate()
-    rig.until(lambda: rig.memory.angle("l_knee_y") < 0.13, 10.0)
+    rig.until(lambda: rig.memory.angle("l_knee_y") < 0.08, 10.0)
     rig.memory.servo("l_knee_y").blocked = True
     took = rig.until(lambda: "l_knee_y does not reach the first pose" in rig.faults, 6.0)
     assert took > 3.0, "it has some time after its goal"

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dynamixel_bus import MOTORS, Memory
+from dynamixel_bus import MOTORS, TYPES, Memory
 
 import dqwalk_ros as dq
 from dqwalk_ros.config import Config, overlaid
@@ -15,13 +15,13 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.plants.base import Inertial, Plant, Truth
 from dqwalk_ros.plants.mujoco import PhysicsPlant
-from dqwalk_ros.plants.poppy.dynamixel import PRESENT, TYPES
+from dqwalk_ros.plants.poppy.dynamixel import PRESENT
 from dqwalk_ros.plants.poppy.emulated_servos import EmulatedServo
 from dqwalk_ros.plants.poppy.plant import PoppyPlant
 from dqwalk_ros.plants.servo_goals import AngleGate, ServoGoals
 from dqwalk_ros.report import analyse, report
 from dqwalk_ros.robot.model import RobotModel
-from dqwalk_ros.robot.servos import Drive, Servos
+from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.simulation import make_controller, make_walk, simulate
 
 CONFIG = overlaid(dq.load("poppy"), "poppy_as_built").updated({"qp.solver": "daqp"})
@@ -87,8 +87,8 @@ class PoppyOnTheFloor(Plant):
         self.robot = PhysicsPlant(config, model, posture, law=RegisterGoals(config, model, self.memory))
         self.memory.clock.now = self.robot.data.time
         self._measure()
-        memory, age = self.memory, config.plant.command_timeout
-        self.driver = PoppyPlant(model, config.poppy, age, posture, buses=memory.buses, clock=memory.clock, each=map)
+        memory = self.memory
+        self.driver = PoppyPlant(config, model, posture, buses=memory.buses, clock=memory.clock, each=map)
         self.driver.activate()
         while not self.driver.ready:
             self._state = self.driver.step(Command(0.0, np.zeros(model.n)), config.dt)
@@ -133,7 +133,7 @@ class PoppyOnTheFloor(Plant):
 
 
 def settings(gain: int, seed: int, steps: int, config: Config = CONFIG) -> Config:
-    changes = {"gait.steps": steps, "servo.p_gain": gain, "poppy.p_gain": gain, "sensors.seed": seed}
+    changes = {"gait.steps": steps, "servo.p_gain": gain, "sensors.seed": seed}
     return config.updated(changes)
 
 
@@ -183,11 +183,3 @@ def test_the_robot_walks_dynamically_through_the_driver() -> None:
 @pytest.mark.parametrize("seed", range(20))
 def test_20_dynamic_steps_through_the_driver(seed: int) -> None:
     check_walk(settings(254, seed, 20, DYNAMIC), ramp=3, **LESS_EXACT)
-
-
-@pytest.mark.parametrize("gain", GAINS)
-def test_the_driver_knows_the_stiffness_of_its_servos(gain: int) -> None:
-    """By the register of the gain, and by the data sheet that the simulated servos have too."""
-    config = settings(gain, 0, 1)
-    plant = PoppyOnTheFloor(config, MODEL)
-    np.testing.assert_allclose(plant.driver.stiffness[: MODEL.n], Servos.of(config, MODEL).stiffness, rtol=0.01)

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from dynamixel_bus import MOTORS, TYPES, Memory
 
 from dqwalk_ros.config import Config, load
+from dqwalk_ros.paper.state import Command
+from dqwalk_ros.plants.poppy.plant import PoppyPlant
 from dqwalk_ros.plants.servo_goals import JUMPS, AngleGate, ServoGoals
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.robot.servos import Drive, Servos
@@ -209,3 +213,103 @@ def test_a_blocked_joint_is_relieved() -> None:
     law.relieve(KNEE)
     assert law.goal[KNEE] == law.wanted[KNEE] == POSTURE[KNEE]
     assert (np.delete(law.goal, KNEE) == np.delete(goal, KNEE)).all()
+
+
+# ---------------------------------------------------------------------- one law for all plants
+
+
+PERIOD = 0.02
+ALL = CONFIG.updated(
+    {
+        "dt": PERIOD,
+        "servo.window": 0.01,
+        "servo.types": [f"{name}={MOTORS[name].type}" for name in MODEL.joint_names],
+        "servo.assumed_latency": 0.04,
+        "servo.assumed_rate": 50.0,
+    }
+)
+UNIT = math.radians(360.0 / 4095)
+"""Step of the positions of an MX [rad]."""
+Step = Callable[[np.ndarray, np.ndarray, Any], np.ndarray]
+"""Processes measured angles, velocities and torques (n,) of a period, and returns the goals (n,)."""
+
+
+def physics_goals() -> Step:
+    law, time = ServoGoals.of(ALL, MODEL, simulated=Servos.of(ALL, MODEL)), np.zeros(())
+    law.gate.use(POSTURE, 0.0)
+    law.begin()
+
+    def step(q: np.ndarray, u: np.ndarray, effort: Any) -> np.ndarray:
+        time[...] += PERIOD
+        law.measure(q, float(time))
+        law.command(u, effort, float(time), PERIOD)
+        return law.goal
+
+    return step
+
+
+def drive_goals(make: Any) -> Step:
+    from inside import state
+
+    one = make("drive", ALL)
+    out = one.got["forward_position_controller/commands"]
+
+    def step(q: np.ndarray, u: np.ndarray | None, effort: Any) -> np.ndarray:
+        one.clock.now += PERIOD
+        one.send("joint_states", state(MODEL.joint_names, q, one.clock.now))
+        if u is not None:
+            torques = {} if effort is None else {"effort": effort}
+            one.send("joint_velocity_commands", state(MODEL.joint_names, [], one.clock.now, velocity=u, **torques))
+        return np.array(out[-1].data) if out else POSTURE
+
+    for _ in range(JUMPS):
+        step(POSTURE, None, None)
+    return step
+
+
+def poppy_goals() -> Step:
+    memory = Memory(timed=False, **dict(zip(MODEL.joint_names, np.degrees(POSTURE), strict=True)))
+    plant = PoppyPlant(ALL, MODEL, POSTURE, buses=memory.buses, clock=memory.clock, each=map)
+    plant.activate()
+    while not plant.ready:
+        plant.hold(PERIOD)
+        memory.clock.now += PERIOD
+    memory.clock.now += 1.0
+
+    def step(q: np.ndarray, u: np.ndarray, effort: Any) -> np.ndarray:
+        memory.clock.now += PERIOD
+        for name, angle in zip(MODEL.joint_names, q, strict=True):
+            servo = memory.servo(name)
+            servo.moved, servo.blocked = servo.kind.position(MOTORS[name].servo(math.degrees(angle))), True
+        plant.read()
+        plant.tell(Command(memory.clock.now, u, effort), PERIOD)
+        return np.array([memory.goal(name) for name in MODEL.joint_names])
+
+    return step
+
+
+def on_the_bus(q: np.ndarray) -> np.ndarray:
+    """Return the nearest angles that the servos can measure."""
+    out = []
+    for name, angle in zip(MODEL.joint_names, q, strict=True):
+        motor, kind = MOTORS[name], TYPES[MOTORS[name].type]
+        out.append(motor.user(kind.degrees(kind.position(motor.servo(math.degrees(angle))))))
+    return np.radians(out)
+
+
+def test_the_same_states_and_commands_give_the_same_goals_in_physics_drive_and_poppy(make: Any) -> None:
+    """Joints that follow late, torques that come and go, velocities above the limits, one wrong angle."""
+    physics, drive, poppy = physics_goals(), drive_goals(make), poppy_goals()
+    rng, goals = np.random.default_rng(1), [POSTURE] * 3
+    held_back = 0.0
+    for k in range(45):
+        q = on_the_bus(POSTURE + 0.2 * (goals[-3] - POSTURE) + rng.normal(0.0, 0.002, N))
+        if k == 20:
+            q[KNEE] += 0.6
+        u = rng.normal(0.0, 1.0, N) if k % 10 else rng.normal(0.0, 100.0, N)
+        effort = None if k % 3 == 0 else rng.normal(0.0, 1.5, N)
+        goals.append(physics(q, u, effort))
+        held_back = max(held_back, float(np.abs(goals[-1] - goals[-2] - PERIOD * u).max()))
+        np.testing.assert_allclose(drive(q, u, effort), goals[-1], atol=1e-9, err_msg=str(k))
+        np.testing.assert_allclose(poppy(q, u, effort), goals[-1], atol=0.5 * UNIT + 1e-6, err_msg=str(k))
+    assert held_back > 0.05, "the limits of the law have an effect"

@@ -67,8 +67,8 @@ def test_voltage_scales_torque_and_speed() -> None:
 def test_every_poppy_motor_has_the_servo_type_of_the_plant() -> None:
     from dqwalk_ros.plants.poppy.plant import load_motors
 
-    types, motors = load_types("servos"), load_motors("poppy")
-    assert {motor.type for motor in motors.values()} <= set(types)
+    types = load_types("servos")
+    motors = load_motors("poppy", types)
     named = Servos.of(TYPED, MODEL)
     for k, joint in enumerate(MODEL.joint_names):
         assert named.torque[k] == types[motors[joint].type].stall_torque

@@ -17,11 +17,13 @@ from typing import Any
 import numpy as np
 from stepped_time import SteppedTime
 
-from dqwalk_ros.plants.poppy.dynamixel import PRESENT, TORQUE_ENABLE, TYPES, DynamixelBus
+from dqwalk_ros.plants.poppy.dynamixel import PRESENT, TORQUE_ENABLE, DynamixelBus
 from dqwalk_ros.plants.poppy.emulated_servos import EmulatedPort, EmulatedServo, EmulatedServos
 from dqwalk_ros.plants.poppy.plant import Motor, load_motors
+from dqwalk_ros.robot.servos import load_types
 
-MOTORS = load_motors("poppy")
+TYPES = load_types("servos")
+MOTORS = load_motors("poppy", TYPES)
 BUSES = ("lower", "upper")
 TEMPERATURE, VOLTAGE, LOAD = 43, 42, 40
 _SWITCH = 5e-4
@@ -146,6 +148,13 @@ class TimedPort(EmulatedPort):
 class Memory:
     """Both buses in memory.
 
+    Parameters
+    ----------
+    timed : bool
+        Whether packets take the time that they take on a robot.
+    angles : float
+        Initial angles of joints [deg].
+
     Attributes
     ----------
     clock : SteppedTime
@@ -154,8 +163,16 @@ class Memory:
     buses : dict of str to DynamixelBus
     """
 
-    def __init__(self, *, sync_read: bool = True, seed: int = 1, **angles: float) -> None:
-        self.clock = SteppedTime()
+    def __init__(
+        self,
+        *,
+        sync_read: bool = True,
+        seed: int = 1,
+        timed: bool = True,
+        clock: SteppedTime | None = None,
+        **angles: float,
+    ) -> None:
+        self.clock, self._timed = clock or SteppedTime(), timed
         self.servos = {name: FaultyServos(servos_of(name, angles), self.clock, seed) for name in BUSES}
         self.sync_read = sync_read
 
@@ -164,7 +181,7 @@ class Memory:
         return {
             name: DynamixelBus(
                 name,
-                lambda servos=servos: TimedPort(servos, self.clock),
+                lambda servos=servos: self._port(servos),
                 list(servos.servos),
                 [servo.kind for servo in servos.servos.values()],
                 sync_read=self.sync_read,
@@ -172,6 +189,12 @@ class Memory:
             )
             for name, servos in self.servos.items()
         }
+
+    def _port(self, servos: FaultyServos) -> EmulatedPort:
+        port = TimedPort(servos, self.clock)
+        if not self._timed:
+            port.timeout, port.per_byte, port.usb = 0.0, 0.0, 1e-9  # a new angle has a new time
+        return port
 
     def of(self, joint: str) -> FaultyServos:
         """Return the servos of the bus of a joint."""

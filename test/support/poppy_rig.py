@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
+import pytest
 from dynamixel_bus import Memory
 
-from dqwalk_ros.config import load
+from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.paper.state import Command
+from dqwalk_ros.plants.poppy import plant
+from dqwalk_ros.plants.poppy.dynamixel import DynamixelBus
 from dqwalk_ros.plants.poppy.plant import PoppyPlant
 from dqwalk_ros.robot.model import load_model
 
 DT = 0.02
-MAX_AGE = 0.1
 WALK = {
-    "dt": DT,
     "gait.step_length": 0.02,
     "task.eta": 1.0,
     "dsp.stall_rate": 3e-3,
     "dsp.eta_ground": 25.0,
     "ssp.threshold": 0.02,
 }
-CONFIG = load("paper").updated(WALK)
+CONFIG = overlaid(load("paper"), "poppy").updated(WALK)
+MAX_AGE = CONFIG.plant.command_timeout
 MODEL = load_model(CONFIG.robot)
 
 
@@ -52,7 +55,7 @@ class Rig:
     def opened(self) -> PoppyPlant:
         memory, posture = self.memory, np.zeros(self.model.n)
         own = {"buses": memory.buses, "clock": memory.clock, "each": map}
-        return PoppyPlant(self.model, self.config.poppy, MAX_AGE, posture, **own)
+        return PoppyPlant(self.config, self.model, posture, **own)
 
     def tick(self, u: float = 0.0, effort: float | None = None) -> float:
         """Execute one period; return the time that the plant took [s]."""
@@ -83,3 +86,17 @@ class Rig:
     @property
     def faults(self) -> str:
         return "; ".join(self.plant.watch.faults.values())
+
+
+def driver_node(make: Any, monkeypatch: pytest.MonkeyPatch, config: Config) -> tuple[Any, Memory]:
+    """Return the driver as a node in the process of the test, and its servos; both have the clock of the test."""
+    made: list[Memory] = []
+
+    def open_buses(motors: object, types: object, own: object, clock: Any) -> Mapping[str, DynamixelBus]:
+        made.append(Memory(timed=False, clock=clock))
+        return made[-1].buses
+
+    monkeypatch.setattr(plant, "open_buses", open_buses)
+    one = make("poppy_driver", config)
+    one.node._plant._each = map
+    return one, made[-1]

@@ -17,87 +17,24 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dqwalk_ros.robot.servos import ServoType
 from dqwalk_ros.support.errors import PlantError
 
 __all__ = [
     "ERROR_BITS",
     "FULL_TORQUE",
     "LIMITS",
-    "TYPES",
     "Clock",
     "DynamixelBus",
     "Identity",
     "Registers",
-    "ServoType",
     "find_port",
     "open_port",
 ]
 
 Clock = Callable[[], float]
 
-
-@dataclass(frozen=True)
-class ServoType:
-    """Data sheet of a type of servo.
-
-    Attributes
-    ----------
-    model : int
-        Model number, register 0.
-    positions : int
-        Number of values of the position register.
-    range : float
-        Angle that these values cover [deg].
-    speed_unit : float
-        Unit of the speed registers [deg/s].
-    stall_torque : float
-        Stall torque at 12 V [N m].
-    free_speed : float
-        Speed without load at 12 V [deg/s].
-    """
-
-    model: int
-    positions: int
-    range: float
-    speed_unit: float
-    stall_torque: float
-    free_speed: float
-
-    def degrees(self, value: NDArray[Any] | float) -> Any:
-        """Return the angle for a value of the position register [deg]; 0 is the middle of the range."""
-        return self.range * value / (self.positions - 1) - 0.5 * self.range
-
-    def position(self, degrees: float) -> int:
-        """Return the value of the position register for an angle [deg], clipped to the range."""
-        value = round((self.positions - 1) * (degrees / self.range + 0.5))
-        return min(max(value, 0), self.positions - 1)
-
-    @property
-    def has_gain(self) -> bool:
-        """Whether register 28 is a P gain: an AX has compliance slopes instead."""
-        return self.model not in (12, 18)
-
-    def stiffness(self, gain: int) -> float:
-        """Return the torque per position error at 12 V [N m/rad].
-
-        `gain` is register 28: the P gain of an MX, the compliance slope of an AX. The voltage of an MX increases by P/8
-        of 1/1023 per encoder step of error; an AX has its largest torque at an error of `gain` steps.
-        """
-        steps = math.radians(self.range / (self.positions - 1))  # [rad]
-        if not self.has_gain:
-            return self.stall_torque / (max(gain, 1) * steps)
-        return self.stall_torque * gain / (8.0 * 1023.0 * steps)
-
-
-TYPES: Final = {
-    "MX-28": ServoType(29, 4096, 360.0, 0.684, 2.5, 330.0),
-    "MX-64": ServoType(310, 4096, 360.0, 0.684, 6.0, 378.0),
-    "MX-106": ServoType(320, 4096, 360.0, 0.684, 8.4, 270.0),
-    "AX-12": ServoType(12, 1024, 300.0, 0.666, 1.5, 354.0),
-    "AX-18": ServoType(18, 1024, 300.0, 0.666, 1.8, 582.0),
-}
 
 ERROR_BITS: Final = {
     1: "input voltage",

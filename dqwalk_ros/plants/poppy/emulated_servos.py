@@ -6,10 +6,12 @@ speed; gravity and inertia are not simulated.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 
-from dqwalk_ros.plants.poppy.dynamixel import GOAL, LIMITS, PRESENT, TORQUE_ENABLE, TORQUE_LIMIT, ServoType
+from dqwalk_ros.plants.poppy.dynamixel import GOAL, LIMITS, PRESENT, TORQUE_ENABLE, TORQUE_LIMIT
+from dqwalk_ros.robot.servos import ServoType
 
 __all__ = ["EmulatedPort", "EmulatedServo", "EmulatedServos"]
 
@@ -60,7 +62,7 @@ class EmulatedServo:
         passed, self._at = max(now - self._at, 0.0), now
         if self.memory[TORQUE_ENABLE] and self.word(TORQUE_LIMIT) and not self.blocked:
             unit = self.kind.range / (self.kind.positions - 1)  # [deg]
-            speed = self.word(GOAL + 2) * self.kind.speed_unit or self.kind.free_speed
+            speed = self.word(GOAL + 2) * self.kind.speed_unit or math.degrees(self.kind.no_load_speed)
             step = speed / unit * passed
             if not self.word(LIMITS) and not self.word(LIMITS + 2):  # wheel mode: it turns without end
                 self.moved = (self.moved + step) % self.kind.positions

@@ -22,6 +22,8 @@ _TWICE = 2
 """Number of consecutive readings of a high temperature or a low voltage that are a fault."""
 _COOLER, _FULLER = 5.0, 0.5
 """Hysteresis of temperature [K] and voltage [V] for the end of a fault."""
+_FULL = 0.95
+"""Part of the position error of full torque at which a servo counts as pushing."""
 _SWITCHED_OFF = 4 | 32
 """Error bits of faults at which a servo switches its torque off: overheating and overload."""
 
@@ -98,7 +100,7 @@ class MotorWatch:
         self.lasting.clear()
         self._pushing_since[:] = np.inf
 
-    def look(self, now: float, measured: Measured, goal: Array | None, gain: NDArray[np.intp]) -> None:
+    def look(self, now: float, measured: Measured, goal: Array | None, lead: Array, gain: NDArray[np.intp]) -> None:
         """Update the faults from the measurements.
 
         Parameters
@@ -107,6 +109,8 @@ class MotorWatch:
             Time of the buses' clock [s].
         goal : ndarray, shape (N,), optional
             Goals of the servos [rad]; None if the torque is off.
+        lead : ndarray, shape (N,)
+            Largest distances of the goals at which the servos do not have their full torque [rad].
         gain : ndarray of int, shape (N,)
             Commanded gains; negative if any gain is allowed.
         """
@@ -117,7 +121,7 @@ class MotorWatch:
             for i, place in enumerate(part.places):
                 self._registers(part.bus, i, int(place), int(gain[place]) if on else None, found)
         if goal is not None:
-            self._blocked_joints(now, measured, goal)
+            self._blocked_joints(now, measured, goal, lead)
         if on and not found and self.unsure.any():
             some = ", ".join(self._names[i] for i in np.flatnonzero(self.unsure))
             found["silent"] = f"{some}: being checked after a timeout"
@@ -193,11 +197,11 @@ class MotorWatch:
         if self._counts.get(key, 0) >= _TWICE:
             found[key] = text
 
-    def _blocked_joints(self, now: float, measured: Measured, goal: Array) -> None:
+    def _blocked_joints(self, now: float, measured: Measured, goal: Array, lead: Array) -> None:
         """Report joints that have been at full load or far from their goals for too long."""
         c = self._config
         behind = np.abs(goal - measured.q)
-        pushing = (behind > 0.95 * c.max_lead) | (np.abs(measured.load) >= c.max_load)
+        pushing = (behind > _FULL * lead) | (np.abs(measured.load) >= c.max_load)
         self._pushing_since = np.where(pushing, np.minimum(self._pushing_since, now), np.inf)
         for k in np.flatnonzero(now - self._pushing_since > c.blocked_after):
             self.lasting.setdefault(

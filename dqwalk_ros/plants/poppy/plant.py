@@ -1,9 +1,9 @@
 """The servos of Poppy Humanoid as a plant, which is commanded by joint velocities and measures joint angles.
 
-A servo accepts a goal position and a speed. So velocities are integrated to goals, and feedforward torques are
-converted to offsets of the goals by the stiffness of the servo. The distance of a goal from the measured angle is
-limited, the speed is never zero (which means unlimited speed to the servo), and the motion to the first pose is slow.
-A fault of a motor, a cable or the power supply stops the motion (`motor_watch.py`).
+The goals of the servos are those of `plants.servo_goals`. A servo accepts a goal position and a speed, which is never
+zero (unlimited speed to the servo). The motion to the first pose is slow, with a wide window, so that the servos carry
+the limbs without feedforward torques. A fault of a motor, a cable or the power supply stops the motion
+(`motor_watch.py`).
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,12 +20,11 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 
-from dqwalk_ros.config import PoppyConfig, find_share
+from dqwalk_ros.config import Config, PoppyConfig, find_share
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.plants.base import Plant, checked
 from dqwalk_ros.plants.poppy.dynamixel import (
     FULL_TORQUE,
-    TYPES,
     Clock,
     DynamixelBus,
     Identity,
@@ -34,14 +34,15 @@ from dqwalk_ros.plants.poppy.dynamixel import (
 )
 from dqwalk_ros.plants.poppy.emulated_servos import EmulatedPort, EmulatedServo, EmulatedServos
 from dqwalk_ros.plants.poppy.motor_watch import Measured, MotorWatch, Part
-from dqwalk_ros.plants.servo_goals import JUMPS, AngleGate
-from dqwalk_ros.robot.limits import clamp_effort
+from dqwalk_ros.plants.servo_goals import JUMPS, AngleGate, ServoGoals
+from dqwalk_ros.robot.limits import JointLimits
 from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.robot.servos import Drive, ServoType, load_types
 from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, PlantError
 
-__all__ = ["Motor", "PoppyPlant", "load_motors", "open_buses", "register_speed"]
+__all__ = ["Motor", "PoppyPlant", "load_motors", "open_buses", "register_speed", "typed"]
 
 
 MIN_SPEED = 1.4
@@ -72,7 +73,7 @@ class Motor(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     id : int
         Id on the bus.
     type : str
-        Key of `TYPES`, such as ``MX-28``.
+        Type in the table of servo types, such as ``MX-28``.
     bus : str
         Name of the bus.
     direct : bool
@@ -106,8 +107,13 @@ class Motor(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return min(a, b), max(a, b)
 
 
-def load_motors(source: str) -> dict[str, Motor]:
+def load_motors(source: str, types: Mapping[str, ServoType]) -> dict[str, Motor]:
     """Read a table of motors from a path, or from the file of this name in config/motors/.
+
+    Parameters
+    ----------
+    types : mapping of str to ServoType
+        The known types, see `load_types`.
 
     Returns
     -------
@@ -131,8 +137,8 @@ def load_motors(source: str) -> dict[str, Motor]:
     for name, entry in table.items():
         try:
             motor = msgspec.convert(dict(name=str(name), **entry), Motor)
-            if motor.type not in TYPES:
-                raise ValueError(f"the type must be one of {', '.join(TYPES)}")
+            if motor.type not in (known := [name for name, kind in types.items() if kind.positions]):
+                raise ValueError(f"the type must be one of {', '.join(known)}")
             if not motor.raw[0] < motor.raw[1]:
                 raise ValueError("raw must be [lower, upper]")
             if motor.id in (other.id for other in out.values()):
@@ -142,6 +148,12 @@ def load_motors(source: str) -> dict[str, Motor]:
             raise ConfigError(f"{path}, line {line}: motor '{name}': {error}") from error
         out[motor.name] = motor
     return out
+
+
+def typed(config: Config, motors: Iterable[Motor]) -> Config:
+    """Return the configuration with the types of motors as ``servo.types``, unless it has types already."""
+    types = tuple(f"{motor.name}={motor.type}" for motor in motors)
+    return config if config.servo.types else config.updated({"servo.types": types})
 
 
 def register_speed(speed: float, highest: float) -> float:
@@ -158,14 +170,12 @@ class PoppyPlant(Plant):
     ----------
     model : RobotModel
         Model whose joints are commanded; the other joints move to their first pose and hold it.
-    max_age : float
-        Age above which angles are not used [s].
     posture : ndarray, shape (n,)
         First pose of the joints of the model [rad]; zero for the other joints. It is clipped to the limits.
     buses : mapping of str to DynamixelBus, optional
         By the name of the bus in the table of motors; `open_buses` by default.
     clock : callable
-        Monotonic time of the buses [s].
+        Monotonic time [s].
     each : callable, optional
         Applies a function to all buses, like `map`; by default in parallel threads.
 
@@ -175,16 +185,12 @@ class PoppyPlant(Plant):
         By the name of the joint.
     names : tuple of str
         All N joints, those of the model first.
-    active : bool
-        Whether the torque is on and has been confirmed by the motors.
     ready : bool
         Whether the robot has reached its first pose since; commands have no effect before.
     measured : Measured
         Angles, velocities and loads.
     watch : MotorWatch
         Faults of the motors, during which no joint moves.
-    goal : ndarray, shape (N,)
-        Goals of the servos, including feedforward [rad].
 
     Raises
     ------
@@ -196,47 +202,53 @@ class PoppyPlant(Plant):
 
     def __init__(
         self,
+        config: Config,
         model: RobotModel,
-        config: PoppyConfig,
-        max_age: float,
         posture: Array,
         *,
         buses: Mapping[str, DynamixelBus] | None = None,
         clock: Clock = time.monotonic,
         each: Callable[..., Iterable[Any]] | None = None,
     ) -> None:
-        self._model, self._config, self._clock = model, config, clock
-        self.motors = load_motors(config.motors)
+        own, types = config.poppy, load_types(config.servo.table)
+        self._model, self._config, self._window, self._clock = model, own, config.servo.window, clock
+        self.motors = load_motors(own.motors, types)
         if missing := [name for name in model.joint_names if name not in self.motors]:
-            raise ConfigError(f"the motors '{config.motors}' lack {', '.join(missing)} of {model.name}")
-        zero = _calibration(config.calibration, self.motors)
+            raise ConfigError(f"the motors '{own.motors}' lack {', '.join(missing)} of {model.name}")
+        zero = _calibration(own.calibration, self.motors)
         self.names = (*model.joint_names, *(name for name in self.motors if name not in model.joint_names))
         self._table = [self.motors[name] for name in self.names]
-        types = [TYPES[motor.type] for motor in self._table]
+        self._types = [types[motor.type] for motor in self._table]
         n, every = model.n, len(self.names)
         self._zero = np.array([zero.get(name, 0.0) for name in self.names])  # [deg]
-        low, high = np.array([motor.limits for motor in self._table]).T
-        self._low, self._high = np.radians(low - self._zero), np.radians(high - self._zero)
-        self._low[:n] = np.maximum(self._low[:n], model.q_min)
-        self._high[:n] = np.minimum(self._high[:n], model.q_max)
-        self._first = np.clip(np.concatenate([posture, np.zeros(every - n)]), self._low, self._high)
-        with_gain = np.array([kind.has_gain for kind in types]) & (config.p_gain > 0)
-        self._gain = np.where(with_gain, config.p_gain, -1)
+        low, high = np.radians(np.array([motor.limits for motor in self._table]).T - self._zero)
+        low[:n], high[:n] = np.maximum(low[:n], model.q_min), np.minimum(high[:n], model.q_max)
+        self._first = np.clip(np.concatenate([posture, np.zeros(every - n)]), low, high)
+        self._gain = np.where([kind.p_register for kind in self._types], config.servo.p_gain, -1)
+        self._full_error = np.array([1.0 / kind.gain(config.servo.p_gain) for kind in self._types])  # [rad]
+        fastest, stall = np.array([(kind.no_load_speed, kind.stall_torque) for kind in self._types]).T
+        self._gate = AngleGate(
+            self.names, fastest, _SLACK, longest=lambda: _REACH, timeout=lambda: config.plant.command_timeout
+        )
+        drive = Drive.of(typed(config, self._table[:n]), model)
+        stiffness = np.append(drive.stiffness, (stall / self._full_error)[n:])
+        if own.dummy:  # emulated servos carry no load
+            stiffness[:] = 0.0
+        speed, effort = np.append(model.velocity_max, fastest[n:]), np.append(model.effort_max, stall[n:])
+        limits = JointLimits(self.names, low, high, speed, effort)
+        self._law = ServoGoals(self._gate, replace(drive, stiffness=stiffness), limits, own.max_lead)
 
-        buses = buses if buses is not None else open_buses(self.motors, config)
+        buses = buses if buses is not None else open_buses(self.motors, types, own, clock)
         place = {(motor.bus, motor.id): k for k, motor in enumerate(self._table)}
         self.parts = [Part(bus, np.array([place[name, i] for i in bus.ids])) for name, bus in buses.items()]
         self._pool = ThreadPoolExecutor(len(self.parts))
         self._each = each if each is not None else self._pool.map
         self._turn = 0
-        fastest = np.radians([kind.free_speed for kind in types])
-        self._gate = AngleGate(self.names, fastest, _SLACK, longest=lambda: _REACH, timeout=lambda: max_age)
         gate = self._gate  # whose arrays these are, too
         self.measured = Measured(gate.q, np.zeros(every), gate.at, gate.jumps, np.zeros(every))
-        self.watch = MotorWatch(self.names, self.parts, config, max_age)
-        self.active = self.ready = False
-        self.goal, self._commanded = np.full(every, np.nan), np.full(every, np.nan)
-        self._speed, self._feedforward = np.zeros(every), np.zeros(every)
+        self.watch = MotorWatch(self.names, self.parts, own, config.plant.command_timeout)
+        self.ready = False
+        self._speed = np.zeros(every)
         self._time, self._arrived_at = 0.0, np.inf
         self._resend = 0
         try:
@@ -253,28 +265,49 @@ class PoppyPlant(Plant):
         self.tell(command, dt)
         return self.read()
 
-    def tell(self, command: Command, dt: float) -> None:
+    def hold(self, dt: float) -> State:
+        """Send the last goals again, or go on to the first pose, and return the state of `read`."""
+        self.tell(None, dt)
+        return self.read()
+
+    def tell(self, command: Command | None, dt: float) -> None:
         """Send goals that move the joints as commanded for `dt` [s], or towards the first pose until it is reached.
 
-        No goals are sent while the torque is off, a fault is present or the angles are too old.
+        Without a command the last goals are sent again. None are sent while the torque is off, a fault is present or
+        the angles are too old.
 
         Raises
         ------
         PlantError
             If the command is not finite or does not have one velocity per joint of the model.
         """
-        u, effort = checked(command.velocity, self._model.n, "velocities"), command.effort
-        if effort is not None:
-            effort = clamp_effort(checked(effort, self._model.n, "torques"), self._model)
+        n = self._model.n
+        u, effort = np.zeros(len(self.names)), None
+        if command is not None:
+            u[:n] = checked(command.velocity, n, "velocities")
+            if command.effort is not None:
+                effort = np.zeros(len(self.names))
+                effort[:n] = checked(command.effort, n, "torques")
         if not math.isfinite(dt):
             raise PlantError(f"the period must be finite, got {dt}")
-        moves = self.active and dt > 0.0 and not self.watch.faults and self.fresh
+        moves = dt > 0.0 and not self.watch.faults and self._law.moves(self._clock())
         if moves:
-            self._set_goals(u, effort, dt)
+            self._set_goals(u, effort, dt, moving=command is not None)
         if moves or self._resend:
             self._resend = max(self._resend - 1, 0)
             list(self._each(lambda part: self._send(part, list(range(len(part.places)))), self.parts))
         self._time += dt
+
+    def _set_goals(self, u: Array, effort: Array | None, dt: float, *, moving: bool) -> None:
+        """Set goals for the next `dt` [s], and the speeds of the servos."""
+        before, law = self._law.goal, self._law
+        if not self.ready:
+            limit = self._config.start_speed
+            law.command(np.clip((self._first - law.wanted) / dt, -limit, limit), None, self._clock(), dt)
+        elif moving:
+            law.command(u, effort, self._clock(), dt)
+        # fast enough to reach the goal within a period and to reduce the remaining error
+        self._speed = (1.5 * np.abs(law.goal - before) + np.abs(law.goal - self.measured.q)) / max(dt, 1e-3)
 
     def read(self) -> State:
         """Read the angles and further registers of one motor of each bus, update the faults, and return the state."""
@@ -289,10 +322,11 @@ class PoppyPlant(Plant):
         list(self._each(cycle, self.parts))
         self._accept_angles()
         before = set(self.watch.lasting)
-        self.watch.look(self._clock(), self.measured, self.goal if self.active else None, self._gain)
-        for k, name in enumerate(self.names):  # relieve a blocked joint
+        lead = self._full_error if self.ready else np.minimum(self._full_error, self._law.window)
+        self.watch.look(self._clock(), self.measured, self.goal if self.active else None, lead, self._gain)
+        for k, name in enumerate(self.names):
             if (key := f"blocked/{name}") in self.watch.lasting and key not in before:
-                self.goal[k] = self._commanded[k] = self.measured.q[k]
+                self._law.relieve(k)
                 self._resend = _TRIES
         if self.active and not self.ready:
             self._check_arrival()
@@ -305,13 +339,28 @@ class PoppyPlant(Plant):
         return State(self._time, self.measured.q[:n].copy(), self.measured.dq[:n].copy())
 
     @property
+    def commanded(self) -> Array:
+        """Goals of the joints of the model without the offsets by feedforward torques, shape (n,) [rad]."""
+        return self._law.wanted[: self._model.n]
+
+    @property
+    def goal(self) -> Array:
+        """Goals of the servos, including feedforward, shape (N,) [rad]."""
+        return self._law.goal
+
+    @property
+    def active(self) -> bool:
+        """Whether the torque is on and has been confirmed by the motors."""
+        return self._law.active
+
+    @property
     def age(self) -> float:
         """Age of the oldest of the angles [s]."""
         return self._gate.age(self._clock())
 
     @property
     def fresh(self) -> bool:
-        """Whether no angle is older than `max_age`."""
+        """Whether no angle is older than ``plant.command_timeout``."""
         return self._gate.fresh(self._clock())
 
     @property
@@ -319,39 +368,10 @@ class PoppyPlant(Plant):
         """Largest angle between a joint and its first pose [rad]."""
         return float(np.abs(self._first - self.measured.q).max())
 
-    @property
-    def stiffness(self) -> Array:
-        """Stiffness of each servo by its measured gain, shape (N,) [N m/rad]; infinite if unknown or emulated."""
-        out = np.full(len(self.names), np.inf)
-        if not self._config.dummy:  # emulated servos carry no load
-            for part in self.parts:
-                for kind, place, registers in zip(part.bus.types, part.places, part.bus.registers, strict=True):
-                    if registers is not None:
-                        out[place] = kind.stiffness(registers.gain)
-        return out
-
-    def _set_goals(self, u: Array, effort: Array | None, dt: float) -> None:
-        """Set goals and speeds for the next `dt` [s]."""
-        q, lead, n = self.measured.q, self._config.max_lead, self._model.n
-        turns = np.zeros(len(q))
-        if self.ready:
-            turns[:n] = np.clip(u, -self._model.velocity_max, self._model.velocity_max)
-            if effort is not None:
-                self._feedforward[:n] = effort / np.maximum(self.stiffness[:n], 1e-3)
-        else:
-            speed = self._config.start_speed
-            turns = np.clip((self._first - self._commanded) / dt, -speed, speed)
-        # a joint outside its limits may only move towards them
-        low, high = np.minimum(self._low, self._commanded), np.maximum(self._high, self._commanded)
-        self._commanded = np.clip(np.clip(self._commanded + dt * turns, low, high), q - lead, q + lead)
-        self.goal = np.clip(np.clip(self._commanded + self._feedforward, low, high), q - lead, q + lead)
-        # fast enough to reach the goal within a period and to reduce the remaining error
-        self._speed = 1.5 * np.abs(turns) + np.abs(self.goal - q) / max(dt, 1e-3)
-
     def _check_arrival(self) -> None:
         """Set `ready` once the first pose is reached; report a fault if it is not reached in time."""
         faults, now = self.watch.faults, self._clock()
-        if faults or np.abs(self._first - self._commanded).max() > 1e-9:
+        if faults or np.abs(self._first - self._law.wanted).max() > 1e-9:
             self._arrived_at = np.inf
             return
         self._arrived_at = min(self._arrived_at, now)
@@ -361,8 +381,10 @@ class PoppyPlant(Plant):
             k = int(behind.argmax())
             self.watch.lasting["first pose"] = (
                 f"{self.names[k]} does not reach the first pose: {math.degrees(behind[k]):.0f} deg remain; free it, "
-                "raise poppy.p_gain or poppy.start_tolerance, then ~/activate"
+                "raise servo.p_gain or poppy.start_tolerance, then ~/activate"
             )
+        if self.ready:
+            self._law.window = self._window
 
     # ------------------------------------------------------------------ torque
 
@@ -375,7 +397,8 @@ class PoppyPlant(Plant):
             If a fault is present, or a motor is not the one of the table or does not confirm its registers; the torque
             is then off.
         """
-        self.active = self.ready = False
+        self.ready = False
+        self._law.end()
         self.watch.forget()
         self._gate.forgive()
         for _ in range(_TRIES):  # earlier faults may have ended
@@ -385,15 +408,15 @@ class PoppyPlant(Plant):
         else:
             raise PlantError("; ".join(faults.values()))
         self._identify_motors()
-        self.goal, self._commanded = self.measured.q.copy(), self.measured.q.copy()
-        self._speed[:] = self._feedforward[:] = 0.0
-        self._arrived_at = np.inf
+        self._law.window = self._config.max_lead
+        self._law.begin()
+        self._speed[:], self._arrived_at = 0.0, np.inf
         degrees = np.degrees(self.goal) + self._zero
 
         def prepare(part: Part, left: list[int]) -> None:
             part.bus.write_torque_limit(FULL_TORQUE, left)
-            for gain in set(self._gain[part.places[left]]) - {-1}:
-                part.bus.write_gain(int(gain), [i for i in left if self._gain[part.places[i]] == gain])
+            if with_gain := [i for i in left if self._gain[part.places[i]] >= 0]:
+                part.bus.write_gain(int(self._gain.max()), with_gain)
             self._send(part, left)
 
         def prepared(part: Part, i: int, registers: Registers) -> bool:
@@ -403,11 +426,11 @@ class PoppyPlant(Plant):
             return registers.torque_limit == FULL_TORQUE and right_gain and registers.goal == goal
 
         if bad := self._confirm(prepare, prepared):
+            self._law.end()
             raise PlantError(f"{', '.join(bad)} cannot be set up: no torque was switched on")
         if bad := self._confirm(lambda part, left: part.bus.write_torque(True, left), lambda _, __, r: r.torque):
             self.release()
             raise PlantError(f"the torque of {', '.join(bad)} did not switch on: all torque is off again")
-        self.active = True
 
     def release(self) -> None:
         """Switch the torque off and confirm it.
@@ -417,7 +440,8 @@ class PoppyPlant(Plant):
         PlantError
             If motors do not confirm that their torque is off; the message names them.
         """
-        self.active = self.ready = False
+        self.ready = False
+        self._law.end()
         self.watch.forget()
         off = self._confirm(lambda part, left: part.bus.write_torque(False, left), lambda _, __, r: not r.torque)
         if off:
@@ -474,14 +498,14 @@ class PoppyPlant(Plant):
         """
         wrong, silent = [], []
         for part in self.parts:
-            for i, motor in enumerate(self._table[k] for k in part.places):
+            for i, (motor, kind) in enumerate((self._table[k], self._types[k]) for k in part.places):
                 answers = (part.bus.identity(i) for _ in range(_TRIES))
                 found = next((answer for answer in answers if answer is not None), None)
                 if found is None:
                     silent.append(f"{motor.name} ({motor.id}, {part.bus.name} bus) {part.bus.cause[i]}")
                     if len(silent) >= _TRIES:  # enough for the message
                         break
-                elif text := _difference(found, motor):
+                elif text := _difference(found, motor, kind):
                     wrong.append(f"{motor.name} ({motor.id}) {text}")
         if silent:
             raise PlantError(
@@ -520,13 +544,12 @@ class PoppyPlant(Plant):
             degrees[part.places] = [self._table[k].user(x) for k, x in zip(part.places, part.bus.position, strict=True)]
         q = np.radians(degrees - self._zero)
         before, then = m.q.copy(), m.at.copy()
-        taken = self._gate.measure(q, at, self.active)
+        taken = self._law.measure(q, at)
         m.dq[taken] = np.nan_to_num((q[taken] - before[taken]) / np.maximum(at[taken] - then[taken], 1e-3))
 
 
-def _difference(found: Identity, motor: Motor) -> str:
+def _difference(found: Identity, motor: Motor, kind: ServoType) -> str:
     """Return how a motor differs from the one of the table; empty if it does not."""
-    kind = TYPES[motor.type]
     if found.model != kind.model:
         return f"is model {found.model}, not an {motor.type}"
     if found.id != motor.id:
@@ -559,7 +582,9 @@ def _calibration(entries: tuple[str, ...], motors: Mapping[str, Motor]) -> dict[
     return out
 
 
-def open_buses(motors: Mapping[str, Motor], config: PoppyConfig) -> dict[str, DynamixelBus]:
+def open_buses(
+    motors: Mapping[str, Motor], types: Mapping[str, ServoType], config: PoppyConfig, clock: Clock
+) -> dict[str, DynamixelBus]:
     """Open the buses of a table of motors, or emulated buses if `config.dummy` is set.
 
     Returns
@@ -576,15 +601,15 @@ def open_buses(motors: Mapping[str, Motor], config: PoppyConfig) -> dict[str, Dy
     named = {"lower": config.lower_port, "upper": config.upper_port}
     for name in sorted({motor.bus for motor in motors.values()}):
         own = [motor for motor in motors.values() if motor.bus == name]
-        ids, types = [motor.id for motor in own], [TYPES[motor.type] for motor in own]
+        ids, kinds = [motor.id for motor in own], [types[motor.type] for motor in own]
         port = named.get(name, "auto")
         try:
             if config.dummy:
-                servos = EmulatedServos([EmulatedServo(i, kind) for i, kind in zip(ids, types, strict=True)])
+                servos = EmulatedServos([EmulatedServo(i, kind) for i, kind in zip(ids, kinds, strict=True)], clock)
                 opened: Callable[[], Any] = partial(EmulatedPort, servos)
             else:
                 opened = partial(open_port, find_port(ids) if port == "auto" else port)
-            buses[name] = DynamixelBus(name, opened, ids, types, sync_read=config.sync_read)
+            buses[name] = DynamixelBus(name, opened, ids, kinds, sync_read=config.sync_read, clock=clock)
         except (OSError, PlantError) as error:
             for bus in buses.values():
                 bus.close()
