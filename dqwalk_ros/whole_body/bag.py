@@ -140,7 +140,7 @@ def _efforts(bag: Recording) -> Array:
         raise BagError(f"'{bag.path}': joint_effort_commands lack numbers of {', '.join(lack)}")
     if refused := int(np.count_nonzero(~finite)):
         bag.notes.append(f"{refused} torque commands are incomplete or not finite, and are left out")
-    return at_stamps(bag.stamps, commands.stamps[::-1], commands.effort[::-1])[0]
+    return at_stamps(bag.stamps, commands.stamps[::-1], commands.effort[::-1])
 
 
 def _named(scenario: Scenario) -> Scenario:

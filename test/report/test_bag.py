@@ -289,29 +289,28 @@ def test_a_recording_that_starts_late(trace, path, tmp_path):
 
 
 def test_states_before_and_after_the_walk_are_left_out(trace, path, tmp_path):
-    """A plant publishes states while it waits for the walk, and continues after its end."""
+    """A plant publishes states while it waits for the walk, answered by zero velocity, and continues after its end."""
 
     def edit(topic, time, m):
         if (header := getattr(m, "header", None)) is not None:
             header.stamp.sec += 1
         return time + 1_000_000_000, m
 
-    def standing(q, stamps):
-        positions = np.tile(q, (len(stamps), 1))
-        return stamps, messages.pack_joint_states(stamps, trace.model.joint_names, position=positions)
+    def standing(stamps, topic="/joint_states", **values):
+        numbers = {field: np.tile(value, (len(stamps), 1)) for field, value in values.items()}
+        raws = messages.pack_joint_states(stamps, trace.model.joint_names, **numbers)
+        return [(topic, int(stamp), raw) for stamp, raw in zip(stamps, raws, strict=True)]
 
     later = rewrite(path, tmp_path / "later", edit=edit)
     end, step = round(trace.time[-1] * 1e9) + 1_000_000_000, 5_000_000
-    before = standing(np.zeros(trace.model.n), np.arange(0, 1_000_000_000, step))
-    after = standing(trace.q[-1], end + step * np.arange(1, 11))
+    early, still = np.arange(0, 1_000_000_000, step), np.zeros(trace.model.n)
+    before = standing(early, position=still) + standing(early, "/joint_velocity_commands", velocity=still)
+    after = standing(end + step * np.arange(1, 11), position=trace.q[-1])
     with Reader(later) as reader, Writer(tmp_path / "b", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         store = storage.typestore()
         out = {c.topic: writer.add_connection(c.topic, c.msgtype, typestore=store) for c in reader.connections}
         walk = [(out[c.topic], time, raw) for c, time, raw in reader.messages()]
-        rest = [
-            [(out["/joint_states"], int(stamp), raw) for stamp, raw in zip(*part, strict=True)]
-            for part in (before, after)
-        ]
+        rest = [[(out[topic], stamp, raw) for topic, stamp, raw in part] for part in (before, after)]
         for message in (*rest[0], *walk, *rest[1]):
             writer.write(*message)
     back = bag.read(tmp_path / "b")

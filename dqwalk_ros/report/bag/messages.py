@@ -242,18 +242,17 @@ def tables(column: Column | None) -> Iterator[Table]:
         raise damaged
 
 
-def at_stamps(stamps: Stamps, found: Stamps, values: Array) -> tuple[Array, int]:
-    """Return the value with each of some ascending stamps, shape (N, k), and the number of values with another stamp.
+def at_stamps(stamps: Stamps, found: Stamps, values: Array) -> Array:
+    """Return the value with each of some ascending stamps, shape (N, k).
 
     Stamps without a value, or with one that is not finite, have nan; of several values with one stamp the last counts.
     """
     out = np.full((len(stamps), values.shape[1]), np.nan)
     place = np.searchsorted(stamps, found)
     place[place == len(stamps)] = 0
-    match = stamps[place] == found
-    good = match & np.isfinite(values).all(axis=1)
+    good = (stamps[place] == found) & np.isfinite(values).all(axis=1)
     out[place[good]] = values[good]
-    return out, int(np.count_nonzero(~match))
+    return out
 
 
 def aligned(column: Column | None, stamps: Stamps, width: int) -> Array:
@@ -270,7 +269,7 @@ def aligned(column: Column | None, stamps: Stamps, width: int) -> Array:
     if not found or not len(stamps):
         return np.full((len(stamps), width), np.nan)
     numbers = np.concatenate([table.numbers for table in found])
-    return at_stamps(stamps, np.concatenate([table.stamps for table in found]), numbers)[0]
+    return at_stamps(stamps, np.concatenate([table.stamps for table in found]), numbers)
 
 
 # ---------------------------------------------------------------------- poses

@@ -366,12 +366,11 @@ def _commands(bag: Recording, stamps: Stamps) -> Array:
     commands = joint_states(bag.columns["joint_velocity_commands"], names)
     if missing := [name for name in names if name not in commands.named]:
         raise BagError(f"'{bag.path}': joint_velocity_commands lack {', '.join(missing)}")
-    u, stray = at_stamps(stamps, commands.stamps, commands.velocity)
-    if stray:
+    if stray := int(np.count_nonzero(~np.isin(commands.stamps, bag.states.stamps))):
         bag.notes.append(f"{stray} commands answer a state that is not in the bag")
     if wrong := int(np.count_nonzero(~np.isfinite(commands.velocity).all(axis=1))):
         bag.notes.append(f"{wrong} commands are not finite")
-    return u
+    return at_stamps(stamps, commands.stamps, commands.velocity)
 
 
 def _physics(bag: Recording, stamps: Stamps) -> PhysicsRecord | None:
