@@ -1,6 +1,7 @@
 # From nothing to a walk: `make walk`. Everything is installed into .venv; nothing else on the machine is touched.
 #
-# With a ROS 2 sourced, that ROS is used. Without one, its wheels are installed from PyPI (Linux, x86_64).
+# With a ROS 2 sourced, that ROS is used. Without one, its wheels are installed from PyPI (Linux, x86_64); where there are
+# none, as on the aarch64 of a Raspberry Pi, the first line that fails lists what else there is (pixi, Docker).
 
 PYTHON ?= python3
 VENV   ?= .venv
@@ -110,8 +111,11 @@ $(BIN)/python:
 	    "Python 3.11 or newer is needed, $(PYTHON) is %d.%d: make PYTHON=python3.12 ..." % v)'
 	@[ '$(NATIVE)' = yes ] || $(PYTHON) -c 'import platform, sys; sys.exit(None if \
 	    (platform.system(), platform.machine()) == ("Linux", "x86_64") and sys.version_info[:2] <= (3, 13) else \
-	    "no ROS 2 is sourced, and its wheels exist for Linux on x86_64 with Python 3.11 to 3.13 only: " \
-	    "install ROS 2 Jazzy and source it first")'
+	    "No ROS 2 is sourced, and its wheels are for Linux on x86_64 with Python 3.11 to 3.13; this is %s on %s with %d.%d.\n" \
+	    "  . /opt/ros/jazzy/setup.bash && make walk    with ROS 2 Jazzy, which Ubuntu 24.04 has as packages\n" \
+	    "  pixi run walk                               without: Linux on x86_64 or aarch64, macOS on arm64; see pixi.toml\n" \
+	    "  docker build -t dqwalk_ros .                in a container; see Dockerfile" \
+	    % (platform.system(), platform.machine(), *sys.version_info[:2]))'
 	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || \
 	    { echo "Python's venv module is missing: sudo apt install python3-venv" >&2; exit 1; }
 	@echo "==> $(VENV): $(if $(ROS_EXTRA),ROS 2 Jazzy from PyPI (about 250 MB),the ROS 2 of this machine ($(ROS_DISTRO)))"

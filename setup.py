@@ -7,6 +7,7 @@ from setuptools import find_packages, setup
 
 NAME = "dqwalk_ros"
 NODES = sorted(os.listdir("scripts"))
+COLCON = "COLCON" in os.environ
 
 # The wheels of ROS 2 Jazzy, for a machine without ROS (Linux, x86_64, Python 3.11 to 3.13). An extra, never a plain
 # requirement: where ROS is installed they must not come beside it.
@@ -74,12 +75,14 @@ setup(
         # `ros2 run dqwalk_ros controller` looks here. They are no console scripts, because pip would put such general
         # names on everybody's PATH; there the nodes are dqwalk_controller and so on.
         (f"lib/{NAME}", [f"scripts/{node}" for node in NODES]),
+        # colcon installs the command dqwalk into lib/dqwalk_ros, and puts only bin/ on PATH
+        *([("bin", ["bin/dqwalk"])] if COLCON else []),
     ],
     entry_points={
         "console_scripts": [
             "dqwalk = dqwalk_ros.cli:main",
             # beside the scripts of colcon, `ros2 run` would offer each node twice
-            *(f"dqwalk_{node} = dqwalk_ros.nodes.command_line:script" for node in NODES if "COLCON" not in os.environ),
+            *(f"dqwalk_{node} = dqwalk_ros.nodes.command_line:script" for node in NODES if not COLCON),
         ]
     },
     install_requires=[

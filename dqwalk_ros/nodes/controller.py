@@ -66,7 +66,7 @@ class Controller(AnsweringNode):
 
         joint_states             sensor_msgs/JointState [rad, rad/s], joints matched by name
         imu                      sensor_msgs/Imu with plant.imu: roll and pitch, and angular velocity
-        cmd_vel                  geometry_msgs/Twist, standing walk with gait.steps: 0: linear x, y, angular z
+        cmd_vel                  geometry_msgs/Twist, walk with gait.steps: 0: linear x, y, angular z
         footsteps                nav_msgs/Path of soles in odom or in a sole, standing walk with gait.steps: 0
         plant_ready              std_msgs/Bool, latched: the walk waits while this is false
 
@@ -90,7 +90,7 @@ class Controller(AnsweringNode):
     Services::
 
         ~/start ~/pause ~/reset  std_srvs/Trigger
-        ~/stop                   std_srvs/Trigger: a standing walk puts its feet together and ends
+        ~/stop                   std_srvs/Trigger: a standing or dynamic walk puts its feet together and ends
 
     Sections of the schema: dt, robot, gait, task, dsp, ssp, standing, dynamic, pelvis, joints, qp, servo, plant,
     estimation, monitor, safety, node, odometry.

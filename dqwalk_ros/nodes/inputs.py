@@ -99,12 +99,12 @@ class InertialSensor:
 
 
 class Steering:
-    """Steers a standing walk by cmd_vel; after a timeout the walk stops with the feet together.
+    """Steers a walk by cmd_vel; after a timeout the walk stops with the feet together.
 
     Parameters
     ----------
     controller : VelocityController
-        Of a standing walk with gait.steps: 0.
+        Of a standing or dynamic walk with gait.steps: 0.
     """
 
     def __init__(self, node: WalkNode, controller: VelocityController) -> None:

@@ -1,4 +1,4 @@
-"""Steers a standing walk along a course, then stops it with the feet together.
+"""Steers a walk along a course, then stops it with the feet together.
 
 The time of the course is that of the stamps of joint_states, so the course is the same in lockstep. It begins when the
 controller has subscribed to cmd_vel.
@@ -27,7 +27,7 @@ _SILENT, _REPEATED = 20, 100
 
 
 class Pilot(WalkNode):
-    """Steer a standing walk along a course: velocities on cmd_vel, one after the other, then ~/stop.
+    """Steer a standing or dynamic walk along a course: velocities on cmd_vel, one after the other, then ~/stop.
 
     Subscribes to::
 

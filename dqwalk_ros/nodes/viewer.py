@@ -10,8 +10,9 @@ import argparse
 import contextlib
 from typing import Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, WrenchStamped
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped, WrenchStamped
 from sensor_msgs.msg import JointState
 
 from dqwalk_ros.nodes import messages as ros
@@ -23,12 +24,16 @@ from dqwalk_ros.paper.phase import Phase
 from dqwalk_ros.report.scene import Moment, Scene
 from dqwalk_ros.report.viewer.page import FRAME, Page
 from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.simulation import walk_type
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import DqwalkError, StateError
+from dqwalk_ros.walks.course import speeds
 
 __all__ = ["Viewer"]
 
 
+_STEER = 0.1
+"""Period of the velocities that a steered walk receives [s]."""
 _PUSH = 0.1
 """Default impulse of the push buttons, per mass of the robot [m/s]."""
 
@@ -48,10 +53,14 @@ class Viewer(WalkNode):
     Publishes, if the robot is simulated and a push button of the page is pressed::
 
         push                     geometry_msgs/WrenchStamped: its force times 1 s is the impulse [N s]
+        cmd_vel                  geometry_msgs/Twist, or TwistStamped with node.stamped_cmd_vel: until "stop", or until
+                                 no browser shows the page, of a steered walk
 
     Serves::
 
         a page on 127.0.0.1, whose address is logged; the walk does not wait for it
+
+    Sections of the schema: node.stamped_cmd_vel.
 
     Example::
 
@@ -81,11 +90,15 @@ class Viewer(WalkNode):
         self._solver = ""
         self._impulse = 0.0  # default of the push buttons [N s]
         self._push = self.create_publisher(WrenchStamped, "push", 10)
+        self._twist_type = TwistStamped if self.config.node.stamped_cmd_vel else Twist
+        self._twists = self.create_publisher(self._twist_type, "cmd_vel", 1)
+        self._velocity = np.zeros(3)  # chosen on the page: ahead, left [m/s], turn [rad/s]
         self.create_subscription(PoseStamped, "true_base_pose", self._on_simulated, ros.best_effort(1))
         self.listen(JointState, "joint_states", self._on_state, ros.best_effort(1))
         self.listen(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self._odometry: Any = self.create_subscription(PoseStamped, "base_pose", self._on_pose, 1)
         self.create_timer(FRAME, self._show)
+        self.create_timer(_STEER, self._steer)
         self.get_logger().info(f"the page is {self.page.url}")
 
     # ------------------------------------------------------------------ configuration and phases
@@ -149,9 +162,26 @@ class Viewer(WalkNode):
         self._odometry, self._states = None, {}
 
     def _on_simulated(self, msg: PoseStamped) -> None:
-        """Offer to push the robot: only a simulated one has a true pose."""
-        if self._impulse > 0.0:
-            self.page.offer_push(self._on_push, self._impulse)
+        """Offer to push and to steer the robot: only a simulated one has a true pose."""
+        config, model = self._phases.config, self._shown
+        if config is None or model is None:
+            return
+        self.page.offer_push(self._on_push, self._impulse)
+        if not (kind := walk_type(config)).phases(config) and not self.page.steers:
+            self.page.offer_steering(self._on_steer, np.array(speeds(kind(config, model))))
+
+    def _on_steer(self, velocity: Array) -> None:
+        """Note the velocity (3,) chosen on the page, which calls from another thread."""
+        self._velocity = velocity
+
+    def _steer(self) -> None:
+        """Publish the chosen velocity; none at rest, where another node may steer."""
+        moved, self._velocity = self._velocity, self._velocity if self.page.is_watched else np.zeros(3)
+        if moved.any():
+            msg = self._twist_type()
+            twist = msg if isinstance(msg, Twist) else msg.twist
+            twist.linear.x, twist.linear.y, twist.angular.z = self._velocity.tolist()
+            self._twists.publish(msg)
 
     def _on_push(self, impulse: Array) -> None:
         """Push the robot by an impulse (3,) in the frame of the base sole [N s]; the page calls from another thread."""

@@ -7,12 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
+from dqwalk_ros.paper.walk import Walk
 from dqwalk_ros.support.errors import ConfigError
 
-__all__ = ["Course", "Leg"]
+__all__ = ["Course", "Leg", "speeds"]
 
 _LONGEST = 86_400.0
 """Longest duration of a leg [s]."""
+_TOO_FAST = 1e3
+"""A velocity beyond the limits of any walk [m/s, rad/s]."""
 
 
 @dataclass(frozen=True)
@@ -81,3 +84,18 @@ class Course:
                 return leg.forward, leg.left, leg.turn
             time -= leg.duration
         return None
+
+
+def speeds(walk: Walk) -> tuple[float, float, float]:
+    """Return the largest velocity of a steered walk ahead, to the left [m/s] and about the vertical [rad/s].
+
+    Each is that without the others.
+
+    Raises
+    ------
+    ConfigError
+        If the walk cannot be steered.
+    """
+    forward, left, turn = (walk.steer(*(_TOO_FAST * (k == axis) for k in range(3)))[axis] for axis in range(3))
+    walk.steer(0.0, 0.0, 0.0)
+    return forward, left, turn

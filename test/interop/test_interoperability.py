@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Twist, TwistStamped
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from inside import state, subscribed, until
 from nav_msgs.msg import Odometry as OdometryMessage
 from rclpy.node import Node
@@ -590,3 +590,26 @@ def test_monitor_and_viewer_ignore_the_states_of_a_gripper(make: Any, lockstep: 
     assert "double_support" in monitor.got["diagnostics"][-1].status[0].message
     assert "rejected" not in monitor.log
     assert "rejected" not in viewer.log
+
+
+def test_the_page_steers_a_simulated_robot_until_it_is_closed(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = load("poppy_dynamic").updated({"gait.steps": 0})
+    walk, viewer = make("controller", config), make("viewer", config, "--port", "0")
+    page = viewer.node.page
+    monkeypatch.setattr(type(page), "is_watched", True)
+    viewer.node._steer()
+    for topic in ("walk_config", "robot_description"):
+        viewer.send(topic, walk.got[topic][-1])
+    viewer.node._show()
+    assert not page.steers  # a real robot is not steered by a page
+    viewer.send("true_base_pose", PoseStamped())
+    assert page.steers
+    viewer.node._steer()
+    viewer.node._on_steer(np.array([0.1, 0.0, 0.2]))
+    viewer.node._steer()
+    monkeypatch.setattr(type(page), "is_watched", False)
+    viewer.node._steer()
+    viewer.node._steer()
+    viewer.node.close()
+    sent = [(msg.linear.x, msg.linear.y, msg.angular.z) for msg in viewer.got["cmd_vel"]]
+    assert sent == [(0.1, 0.0, 0.2), (0.0, 0.0, 0.0)]  # at rest another node may steer

@@ -6,6 +6,7 @@ import json
 import re
 import runpy
 import shlex
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
@@ -15,9 +16,12 @@ import pytest
 import yaml
 
 from dqwalk_ros.cli import dqwalk
-from dqwalk_ros.config import Config
+from dqwalk_ros.config import Config, load, put_on
 from dqwalk_ros.nodes.command_line import NODES, docstring, parameters_of, sections_of
+from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.simulation import walk_type
 from dqwalk_ros.support.topics import TOPICS
+from dqwalk_ros.walks.course import speeds
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
@@ -63,7 +67,7 @@ def test_node_pages_match_the_schema(node):
     made = runpy.run_path(str(ROOT / "docs/make_nodes.py"))["page"](node)
     rows = dict(re.findall(r"^\| `([\w.]+)` \| ([^|]+) \|", made, re.M))
     assert list(rows) == [spec.name for spec in parameters_of(node)]
-    assert rows or node == "viewer"
+    assert rows
     for spec in Config.specs():
         if spec.name in rows and spec.type is float:
             assert float(rows[spec.name].split()[0]) == spec.default
@@ -74,7 +78,7 @@ def test_node_pages_match_the_schema(node):
 def test_every_section_that_a_node_lists_has_parameters(node):
     """The driver's help listed 'standing (posture)', and so lacked that parameter."""
     names = [spec.name for spec in parameters_of(node)]
-    assert sections_of(node) or node == "viewer"
+    assert sections_of(node)
     for word in sections_of(node):
         assert any(name == word or name.startswith(f"{word}.") for name in names), word
 
@@ -113,3 +117,37 @@ def test_the_first_page_of_the_website_links_to_every_node():
     index, other = (SimpleNamespace(file=SimpleNamespace(src_uri=name)) for name in ("index.md", "see.md"))
     assert re.findall(r"\]\(nodes/(\w+)\.md\)", add("# Title\n", index)) == list(NODES)
     assert add("# Title\n", other) == "# Title\n"
+
+
+def test_what_both_walks_have_is_not_said_of_one():
+    """The dynamic walk has cmd_vel and ~/stop, too."""
+    texts = [(ROOT / "docs/interfaces.md").read_text(), *map(docstring, NODES)]
+    lines = [line for text in texts for line in text.splitlines() if re.search(r"cmd_vel|~/stop", line)]
+    assert len(lines) > 10
+    assert not [line for line in lines if re.search(r"standing walk", line)]
+
+
+def test_the_lines_that_replace_the_plant_start_nodes_of_one_period():
+    """Without the file of the driver's plant it ended with an error, because its period is longer."""
+    text = (ROOT / "docs/interfaces.md").read_text().partition("## Another plant")[2].partition("\n## ")[0]
+    lines = [line.split() for line in re.findall(r"^ros2 run dqwalk_ros .*$", text, re.M)]
+    assert [words[3] for words in lines] == ["controller", "phase_monitor", "integrator", "poppy_driver"]
+    files = [[ROOT / b for a, b in pairwise(words) if a == "--params-file"] for words in lines]
+    controller, *others = [put_on(Config(), each) for each in files]
+    assert all(config == controller for config in others)
+    assert controller.dt >= 0.99 / controller.poppy.rate
+    assert not controller.node.autostart
+    for service in re.findall(r"^ros2 service call /(\w+/\w+)", text, re.M):
+        node, name = service.split("/")
+        assert f"~/{name}" in docstring(node)
+
+
+def test_the_documented_speeds_are_those_of_the_walks():
+    text = (ROOT / "docs/interfaces.md").read_text()
+    rows = re.findall(r"^\| `(\w+)` \| ([\d.]+) \| ([\d.]+) \|$", text, re.M)
+    assert len(rows) == 3
+    for name, ahead, turn in rows:
+        config = load(name).updated({"gait.steps": 0})
+        forward, _, about = speeds(walk_type(config)(config, load_model(config.robot)))
+        for shown, true in ((ahead, forward), (turn, about)):
+            assert 0.0 <= true - float(shown) < 1e-3

@@ -264,6 +264,19 @@ def test_every_launch_file_refuses_a_configuration_that_does_not_exist(others: d
         assert own["nodes"](given), name
 
 
+def test_the_demo_is_a_steered_walk_in_physics_on_the_page(others: dict[str, dict[str, Any]], start: Start) -> None:
+    own = others["demo"]
+    given = {name: default for name, (default, *_) in own["ARGUMENTS"].items()}
+    for changes, timeout in (("", 1.0), ("gait.cmd_vel_timeout=2.0", 2.0)):
+        (walk,) = own["nodes"](given | {"set": changes})
+        nodes, _ = start(**dict(walk.given["launch_arguments"]))
+        assert set(nodes) == {"controller", "phase_monitor", "physics", "viewer"}
+        config = config_of(nodes["controller"])
+        assert (config.gait.style, config.gait.steps, config.gait.cmd_vel_timeout) == ("dynamic", 0, timeout)
+        assert config.node.autostart
+        assert config.plant.imu
+
+
 def test_rviz_shows_exactly_the_published_joints(start: Start) -> None:
     """RobotModel fails if the description has 25 joints and joint_states has 10."""
     nodes, _ = start(rviz="true")

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
+import runpy
+import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 import warnings
+from collections.abc import Iterable
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -66,6 +72,9 @@ def test_package_xml_declares_what_the_nodes_import() -> None:
 CHEAP = "--set task.eta=1.0 --set gait.step_length=0.02 --set ssp.threshold=0.02 --set dsp.stall_rate=0.003"
 
 
+PIP = "pip install "
+
+
 def native_lines() -> tuple[list[str], str]:
     """Return the lines of README's native installation, and the one that starts a single node."""
     text = (ROOT / "README.md").read_text(encoding="utf-8").partition("## On a machine with ROS 2 Jazzy")[2]
@@ -117,9 +126,12 @@ def test_the_native_installation_of_the_readme_works(tmp_path: Path) -> None:
 
     With the wheels, PYTHONPATH holds the packages of such a machine, and `ros2` supports only `run`.
     """
-    space, tools = tmp_path / "ws", tmp_path / "tools"
+    space, tools, sources = tmp_path / "ws", tmp_path / "tools", tmp_path / "sources"
     skipped = shutil.ignore_patterns(".*", "results", "build", "install", "log", "site", "*.egg-info", "__pycache__")
-    shutil.copytree(ROOT, space / "src" / "dqwalk_ros", ignore=skipped)
+    shutil.copytree(ROOT, sources, ignore=skipped)
+    identity = ["-c", "user.name=test", "-c", "user.email=test@example.org"]
+    for words in (["init", "-q"], ["add", "-A"], [*identity, "commit", "-q", "-m", "sources"]):
+        subprocess.run(["git", *words], cwd=sources, check=True)
     tools.mkdir()
     path = [str(tools), str(Path(sys.executable).parent), os.environ["PATH"]]
     environment = {key: value for key, value in os.environ.items() if key not in ("VIRTUAL_ENV", "COLCON")}
@@ -142,13 +154,18 @@ def test_the_native_installation_of_the_readme_works(tmp_path: Path) -> None:
     run, not_run = [], []
     for line in lines:
         name = line.split()[0]
-        if name == "rosdep" and shutil.which("rosdep") is None:
+        if (shutil.which(name) is None and name in ("sudo", "rosdep")) or (name == "source" and not native):
             not_run.append(line)
         elif line.startswith("ros2 launch") and not native:
             not_run.append(line)
-            run.append(f"ros2 run dqwalk_ros dqwalk walk {CHEAP} --no-figures --quiet --out made && mv made/bag walk")
+            if "bag:=walk" in line:
+                run.append(
+                    f"ros2 run dqwalk_ros dqwalk walk {CHEAP} --no-figures --quiet --out made && mv made/bag walk"
+                )
+        elif line.startswith("ros2 launch") and "lockstep" not in line:
+            run.append(f"timeout --preserve-status -s INT 60 {line}")
         else:
-            run.append(line)
+            run.append(line.replace("REPOSITORY", str(sources)))
     for node in ("controller", "integrator", "phase_monitor", "recorder --bag recorded"):
         run.append("timeout --preserve-status -s INT 30 " + single_node.replace("controller", node, 1))
     run += [f"ros2 run dqwalk_ros {node} --help | grep Example:" for node in NODES]
@@ -170,12 +187,154 @@ def test_the_native_installation_of_the_readme_works(tmp_path: Path) -> None:
 
     prefix = space / "install" / "dqwalk_ros"
     assert sorted(file.name for file in (prefix / "lib" / "dqwalk_ros").iterdir()) == sorted(["dqwalk", *NODES])
+    assert [file.name for file in (prefix / "bin").iterdir()] == ["dqwalk"]
     share = prefix / "share"
     assert (share / "ament_index" / "resource_index" / "packages" / "dqwalk_ros").is_file()
     for file in ("package.xml", "config/paper.yaml", "urdf/poppy.urdf", "launch/walk.launch.py"):
         assert (share / "dqwalk_ros" / file).is_file(), file
-    report = outputs[run.index("ros2 run dqwalk_ros dqwalk report walk")]
+    report = outputs[run.index("dqwalk report walk")]
     assert "single_support/right" in report
+
+
+# ---------------------------------------------------------------------- other ways of installing
+
+ROS_BASE = {
+    *("builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "launch", "launch_ros", "nav_msgs", "rcl_interfaces"),
+    *("rclpy", "robot_state_publisher", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs", "tf2_msgs"),
+    *("trajectory_msgs", "visualization_msgs"),
+}
+"""Keys of package.xml that the variant ros_base brings [REP-2001]."""
+PIXI = tomllib.loads((ROOT / "pixi.toml").read_text(encoding="utf-8"))
+
+
+def setup_arguments(monkeypatch: pytest.MonkeyPatch, *, colcon: bool) -> dict[str, Any]:
+    """Return what setup.py passes to setuptools."""
+    import setuptools
+
+    given: dict[str, Any] = {}
+    monkeypatch.setattr(setuptools, "setup", lambda **keywords: given.update(keywords))
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setenv("COLCON", "1") if colcon else monkeypatch.delenv("COLCON", raising=False)
+    runpy.run_path(str(ROOT / "setup.py"))
+    return given
+
+
+def names(requirements: Iterable[str], **marker: str) -> set[str]:
+    from packaging.requirements import Requirement
+
+    found = [Requirement(one) for one in requirements]
+    return {one.name.replace("_", "-").lower() for one in found if not one.marker or one.marker.evaluate(marker)}
+
+
+def with_their_own(wanted: set[str]) -> set[str]:
+    """Return packages and all that pip installs with them."""
+    from packaging.requirements import Requirement
+
+    found, waiting = set[tuple[str, str]](), [(name, "") for name in wanted]
+    while waiting:
+        name, extra = one = waiting.pop()
+        if one not in found:
+            found.add(one)
+            for each in map(Requirement, metadata.requires(name) or ()):
+                if not each.marker or each.marker.evaluate({"extra": extra}):
+                    waiting += [(each.name.replace("_", "-").lower(), own) for own in ("", *each.extras)]
+    return {name for name, _ in found}
+
+
+def test_a_workspace_of_colcon_has_dqwalk_on_its_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    """colcon adds the bin folder of a package to PATH; its console scripts are elsewhere. pip must not install two."""
+    assert ("bin", ["bin/dqwalk"]) in setup_arguments(monkeypatch, colcon=True)["data_files"]
+    assert not any(folder == "bin" for folder, _ in setup_arguments(monkeypatch, colcon=False)["data_files"])
+    shown = subprocess.run([ROOT / "bin/dqwalk", "version"], capture_output=True, text=True, check=True, env=on_path())
+    assert shown.stdout.startswith("dqwalk_ros ")
+
+
+def on_path() -> dict[str, str]:
+    return os.environ | {"PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+
+
+def test_rosdep_and_the_line_of_pip_bring_what_setup_py_requires(monkeypatch: pytest.MonkeyPatch) -> None:
+    """README, package.xml and Dockerfile name the packages that have no key, and those of physics and of the page."""
+    (line,) = (line for line in native_lines()[0] if line.startswith(PIP))
+    words = shlex.split(line.removeprefix(PIP), comments=True)
+    by_key = {"pyyaml" if key == "python3-yaml" else key.removeprefix("python3-") for key in keys()}
+    required = names(setup_arguments(monkeypatch, colcon=True)["install_requires"]) - {"setuptools"}
+    assert {"mujoco", "viser"} < names(words)
+    assert required <= with_their_own(names(words)) | by_key
+    assert names(words) - {"mujoco", "viser"} <= required - by_key | {"joblib"}
+    for file, expected in (("Dockerfile", words), ("package.xml", words[:-2])):
+        named = (ROOT / file).read_text(encoding="utf-8").partition(PIP)[2].removeprefix("--no-cache-dir ")
+        assert named.startswith(" ".join(shlex.quote(word) for word in expected)), file
+
+
+def test_the_container_is_built_by_the_lines_of_the_readme() -> None:
+    text = (ROOT / "Dockerfile").read_text(encoding="utf-8").replace("--no-cache-dir ", "")
+    for line in native_lines()[0]:
+        for part in line.partition("  #")[0].split(" && "):
+            if not part.startswith(("sudo apt", "git clone", "cd ", "dqwalk report")) and "bag:=walk" not in part:
+                words = part.strip().replace("source ", ". ")
+                assert words in text or str(words.split()).replace("'", '"') in text, part
+    instructions = re.findall(r"^([A-Z]+) ", text, re.M)
+    assert set(instructions) <= {"FROM", "SHELL", "WORKDIR", "COPY", "RUN", "ENTRYPOINT", "CMD"}
+    assert instructions[0] == "FROM"
+    for form in re.findall(r"^(?:SHELL|ENTRYPOINT|CMD) (.*)$", text, re.M):
+        assert isinstance(json.loads(form), list)
+
+
+def test_pixi_brings_what_package_xml_and_setup_py_require(monkeypatch: pytest.MonkeyPatch) -> None:
+    extras = setup_arguments(monkeypatch, colcon=False)["extras_require"]
+    conda = set(PIXI["dependencies"]) | {
+        name for one in PIXI["feature"].values() for name in one.get("dependencies", ())
+    }
+    own = PIXI["pypi-dependencies"]["dqwalk_ros"]
+    assert (own["path"], own["editable"]) == (".", True)
+    python = names(metadata.requires("dqwalk_ros") or (), extra="poppy")
+    for key in keys() - ROS_BASE:
+        plain = {"python3-yaml": "pyyaml", "python3-serial": "pyserial"}.get(key, key.removeprefix("python3-"))
+        plain = plain.replace("_", "-")
+        tests = names(extras["test"])
+        assert f"ros-jazzy-{plain}" in conda or plain in python | tests, key
+    assert {"sim", "view", "poppy"} <= set(own["extras"]) <= set(extras)
+    assert set(PIXI["feature"]["test"]["pypi-dependencies"]["dqwalk_ros"]["extras"]) <= set(extras)
+    assert {name for given in PIXI["environments"].values() for name in given} == set(PIXI["feature"])
+    assert {"walk", "demo"} <= set(PIXI["tasks"])
+    assert "test" in PIXI["feature"]["test"]["tasks"]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("platform", ["manylinux_2_28_x86_64", "manylinux_2_28_aarch64", "macosx_14_0_arm64"])
+@pytest.mark.parametrize("extra", ["", "test"])
+def test_every_requirement_has_a_wheel_for_the_platforms_of_pixi(
+    platform: str, extra: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    arguments = setup_arguments(monkeypatch, colcon=False)
+    extras = [extra] if extra else PIXI["pypi-dependencies"]["dqwalk_ros"]["extras"]
+    wanted = [*arguments["install_requires"], *(one for name in extras for one in arguments["extras_require"][name])]
+    pip = [sys.executable, "-m", "pip", "install", "--dry-run", "--quiet", "--only-binary", ":all:", "--python-version"]
+    place = ["3.12", "--platform", platform, "--target", str(tmp_path)]
+    done = subprocess.run([*pip, *place, *wanted], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+def test_make_says_what_to_do_without_wheels_of_ros(tmp_path: Path) -> None:
+    """As on a Raspberry Pi."""
+    (tmp_path / "sitecustomize.py").write_text("import platform\nplatform.machine = lambda: 'aarch64'\n")
+    base = Path(sys.base_prefix) / "bin/python3"
+    (tmp_path / "python").write_text(f'#!/bin/sh\nPYTHONPATH={tmp_path} exec {base} "$@"\n')
+    (tmp_path / "python").chmod(0o755)
+    words = ["make", "venv", f"PYTHON={tmp_path / 'python'}", f"VENV={tmp_path / 'venv'}"]
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode
+    assert "this is Linux on aarch64" in done.stderr
+    assert all(way in done.stderr for way in ("/opt/ros/jazzy/setup.bash", "pixi run walk", "docker build"))
+    assert not (tmp_path / "venv").exists()
+    (tmp_path / "rclpy.py").write_text("")  # a ROS is sourced
+    done = subprocess.run(
+        ["make", "-n", *words[1:]], cwd=ROOT, env=environment, capture_output=True, text=True, check=True
+    )
+    assert "-m venv --system-site-packages" in done.stdout
+    assert "--editable '.[commands]'" in done.stdout
 
 
 def test_the_aggregator_lists_every_status() -> None:
@@ -195,10 +354,10 @@ def test_the_aggregator_lists_every_status() -> None:
 KNOWN = "2026-08-22"
 KEYS = """
 builtin_interfaces diagnostic_msgs dynamixel_sdk geometry_msgs launch launch_ros nav_msgs rcl_interfaces rclpy
-rosgraph_msgs sensor_msgs std_msgs std_srvs tf2_msgs trajectory_msgs visualization_msgs xacro python3-click
-python3-collada python3-hypothesis python3-joblib python3-matplotlib python3-numba python3-numpy
-python3-psutil python3-pytest python3-pytest-timeout python3-pytest-xdist python3-rich
-python3-scipy python3-serial python3-tqdm python3-yaml
+robot_state_publisher rosgraph_msgs rviz2 sensor_msgs std_msgs std_srvs tf2_msgs trajectory_msgs visualization_msgs
+xacro python3-click python3-collada python3-hypothesis python3-joblib python3-matplotlib python3-numba python3-numpy
+python3-psutil python3-pytest python3-pytest-timeout python3-pytest-xdist python3-rich python3-scipy python3-serial
+python3-tqdm python3-yaml
 """
 """Keys of rosdistro on that day: packages of Jazzy, and rosdep/python.yaml."""
 ROSDISTRO = "https://raw.githubusercontent.com/ros/rosdistro/master/"

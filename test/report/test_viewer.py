@@ -251,20 +251,36 @@ def test_requests_of_foreign_pages_are_rejected(page, host, origin, allowed):
     assert status == ("101" if allowed else "403")
 
 
-def test_the_push_buttons_apply_pushes(page):
-    pushes: list[list[float]] = []
+def clicks(page, offer):
+    """Return the function that viser calls when a button is clicked, of the controls that `offer` adds."""
     buttons = {}
-    gui, page._push = page.server.gui, None
+    gui = page.server.gui
     added = gui.add_button_group
     gui.add_button_group = lambda *words: buttons.setdefault("to", added(*words))
     try:
-        page.offer_push(lambda impulse: pushes.append(impulse.tolist()), 0.3)
+        offer()
     finally:
         del gui.add_button_group
     (clicked,) = buttons["to"]._impl.update_cb
+    return lambda value: clicked(SimpleNamespace(client=object(), target=SimpleNamespace(value=value)))
+
+
+def test_the_push_buttons_apply_pushes(page):
+    pushes: list[list[float]] = []
+    page._push = None
+    click = clicks(page, lambda: page.offer_push(lambda impulse: pushes.append(impulse.tolist()), 0.3))
     for value in ("left", "back", "elsewhere", None, [1]):
-        clicked(SimpleNamespace(client=object(), target=SimpleNamespace(value=value)))
+        click(value)
     assert pushes == [[0.0, 0.3, 0.0], [-0.3, 0.0, 0.0]]
+
+
+def test_the_steering_buttons_give_velocities(page):
+    given: list[list[float]] = []
+    fastest = np.array([0.1, 0.0, 0.2])
+    click = clicks(page, lambda: page.offer_steering(lambda velocity: given.append(velocity.tolist()), fastest))
+    for value in ("ahead", "turn right", "stop", "elsewhere", None, [1]):
+        click(value)
+    np.testing.assert_allclose(given, [[0.07, 0.0, 0.0], [0.0, 0.0, -0.14], [0.0, 0.0, 0.0]], atol=1e-15)
 
 
 def test_the_divergent_component_is_ahead_of_the_com_by_its_velocity(trace):

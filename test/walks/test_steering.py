@@ -19,9 +19,10 @@ from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.plants.base import upward
 from dqwalk_ros.report import bag
 from dqwalk_ros.report.metrics import Circle
-from dqwalk_ros.simulation import make_controller, make_plant, simulate
+from dqwalk_ros.report.viewer.page import _COURSES
+from dqwalk_ros.simulation import make_controller, make_plant, simulate, walk_type
 from dqwalk_ros.support.errors import ConfigError
-from dqwalk_ros.walks.course import Course, Leg
+from dqwalk_ros.walks.course import Course, Leg, speeds
 from dqwalk_ros.walks.standing.walk import StandingWalk
 
 CONFIG = dq.load("poppy").updated({"gait.steps": 0})
@@ -54,6 +55,19 @@ def test_cmd_vel_is_clamped_to_the_reach_of_the_legs(requested: tuple[float, flo
     assert (np.sign(walked) * np.sign(requested) >= 0.0).all()
     if most[1] == 0.0:
         assert walked[1] == 0.0
+
+
+@pytest.mark.parametrize("name", ["poppy", "poppy_dynamic", "poppy_dynamic_50hz"])
+def test_the_largest_velocities_are_walked_and_no_larger_ones(name: str) -> None:
+    config = dq.load(name).updated({"gait.steps": 0})
+    walk = walk_type(config)(config, MODEL)
+    fastest = np.array(speeds(walk))
+    assert (fastest[[0, 2]] > 0.0).all()
+    for axis in np.eye(3):
+        np.testing.assert_allclose(walk.steer(*(axis * fastest)), axis * fastest, rtol=1e-9)
+        np.testing.assert_allclose(walk.steer(*(1.1 * axis * fastest)), axis * fastest, rtol=1e-9)
+    for way in _COURSES.values():  # those of the page are walked as chosen
+        np.testing.assert_allclose(walk.steer(*(way * fastest)), way * fastest, rtol=1e-9)
 
 
 def test_cmd_vel_within_the_reach_of_the_legs_is_not_changed() -> None:

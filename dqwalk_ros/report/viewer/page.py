@@ -34,6 +34,16 @@ PORT = 8080
 FRAME = 1.0 / 30.0
 """Period of the frames [s]."""
 _WAYS = {"ahead": (1.0, 0.0, 0.0), "back": (-1.0, 0.0, 0.0), "left": (0.0, 1.0, 0.0), "right": (0.0, -1.0, 0.0)}
+_COURSES = {
+    "ahead": (1.0, 0.0, 0.0),
+    "ahead left": (0.7, 0.0, 0.7),
+    "ahead right": (0.7, 0.0, -0.7),
+    "back": (-0.7, 0.0, 0.0),
+    "turn left": (0.0, 0.0, 1.0),
+    "turn right": (0.0, 0.0, -1.0),
+    "stop": (0.0, 0.0, 0.0),
+}
+"""Fractions of the fastest velocities ahead, to the left and about the vertical; at most one together."""
 _TEXT = 0.2
 """Period of the updates of the panels [s]."""
 
@@ -76,6 +86,7 @@ class Page:
         self._status = gui.add_html(_message("waiting for a walk"))
         self.controls = gui.add_folder("replay", visible=False)
         self._push: Any = None
+        self._steering: Any = None
         panel = gui.add_panel()
         with panel.add_tab("margins"):
             self._margins = gui.add_html("")
@@ -140,6 +151,36 @@ class Page:
                 push(float(strength) * np.array(way))
 
         ways.on_click(pushed)
+
+    def offer_steering(self, steer: Callable[[Array], None], fastest: Array) -> None:
+        """Add the controls that steer a walk.
+
+        `steer` is called with a velocity (3,): ahead, to the left [m/s], and about the vertical [rad/s]. It lasts until
+        the next call. `fastest` (3,) has the largest of each.
+        """
+        gui = self.server.gui
+        self._steering = gui.add_folder("steer")
+        with self._steering:
+            speed = gui.add_slider("speed [%]", 0.0, 100.0, 5.0, 70.0)
+            ways = gui.add_button_group("walk", tuple(_COURSES))
+
+        def steered(event: Any) -> None:  # the browser may send an invalid value
+            way = _COURSES.get(event.target.value) if isinstance(event.target.value, str) else None
+            percent = speed.value
+            if way is not None and isinstance(percent, int | float) and 0.0 <= percent <= 100.0:
+                steer(0.01 * float(percent) * np.array(way) * fastest)
+
+        ways.on_click(steered)
+
+    @property
+    def steers(self) -> bool:
+        """Whether the page has the controls that steer."""
+        return self._steering is not None
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether a browser shows the page."""
+        return bool(self.server.get_clients())
 
     def set_scene(self, scene: Scene, opacity: float = 1.0) -> None:
         """Set the robot to be shown; with an opacity below 1 its interior is visible."""
