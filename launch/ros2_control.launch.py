@@ -48,11 +48,8 @@ ARGUMENTS = {
 def nodes(context: LaunchContext) -> list[object]:
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     space, time = given["namespace"], {"use_sim_time": given["use_sim_time"] == "true"}
-    urdf = expanded(
-        find_share("urdf", "poppy.ros2_control.urdf.xacro"),
-        plugin=given["plugin"],
-        mujoco_model=given["mujoco_model"],
-    )
+    arguments = {name: given[name] for name in ("plugin", "mujoco_model")}
+    urdf = expanded(find_share("urdf", "poppy.ros2_control.urdf.xacro"), arguments=arguments)
     package = given["plugin"].partition("/")[0]
     # mujoco_ros2_control and Gazebo have their own controller manager
     manager = {"mujoco_ros2_control": "mujoco_ros2_control", "gz_ros2_control": ""}.get(package, "controller_manager")

@@ -18,6 +18,7 @@ import numpy as np
 
 from dqwalk_ros.adopt.anatomy import Anatomy, find_anatomy
 from dqwalk_ros.adopt.check import check
+from dqwalk_ros.adopt.doubts import check_density, repair_degrees, repair_inertias, use_led_joints
 from dqwalk_ros.adopt.parameters import (
     Numbers,
     dynamic_parameters,
@@ -34,7 +35,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.robot.model import RobotModel, load_model, parse_model
 from dqwalk_ros.robot.shapes import Shapes
 from dqwalk_ros.robot.standing_limits import Finding
-from dqwalk_ros.robot.urdf import Urdf, moves
+from dqwalk_ros.robot.urdf import Urdf, moves, zero_pose
 from dqwalk_ros.support.errors import ModelError, OutputError
 from dqwalk_ros.support.output import refuse_existing, write_text
 from dqwalk_ros.support.text_table import aligned
@@ -45,8 +46,12 @@ FILES = ("robot.urdf", "robot.yaml", "dynamic.yaml", "paper.yaml", "whole_body.y
 """Names of the files that `adopt` and `picture.draw` write."""
 _CROUCH = 0.91
 """Distance of hip and ankle as a fraction of the straight leg, for the longer steps of the whole-body controller."""
-_HEAVIEST = 5000.0
-"""Largest mass divided by the cube of the leg length [kg/m^3]; that of a robot is about 30 to 300."""
+_ALIGNED = 1e-6
+"""Largest angle between the axes of the pelvis or the root and those of the robot that counts as none [rad]."""
+_SHORTEST = 0.01
+"""Length of a step, as a fraction of the leg, below which a robot does not walk."""
+_HIGH = 0.4, 1.6
+"""Least and largest height of the origin of pelvis and root above the soles, as fractions of that of the hips."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +61,8 @@ class Adoption:
     Attributes
     ----------
     folder : Path
-        Folder with ``robot.urdf``, ``robot.yaml``, ``dynamic.yaml``, ``paper.yaml``, ``whole_body.yaml`` (if the robot
-        has ankle roll joints and arms) and ``adopt.json``.
+        Folder with ``robot.urdf``, ``robot.yaml``, ``dynamic.yaml``, ``paper.yaml``, ``whole_body.yaml`` (if the pelvis
+        can move sideways over flat soles, and the robot has arms) and ``adopt.json``.
     config : Config
         The configuration of ``robot.yaml``.
     model : RobotModel
@@ -92,6 +97,7 @@ def adopt(
     folder: str | os.PathLike[str],
     *,
     package_paths: Sequence[str | os.PathLike[str]] = (),
+    xacro: Mapping[str, str] | None = None,
     left: str = "",
     right: str = "",
     forward: str = "",
@@ -109,6 +115,8 @@ def adopt(
         Folder of the results; created if it does not exist.
     package_paths : sequence of path
         Further folders to search for ROS packages, besides the installed packages and the folders above the file.
+    xacro : dict of str to str, optional
+        Values of the arguments of a xacro file.
     left, right : str
         Links of the feet; empty to find them.
     forward : str
@@ -123,7 +131,8 @@ def adopt(
     Raises
     ------
     ModelError
-        If the robot description cannot be read, or the robot cannot walk with this package; no file is written.
+        If the robot description cannot be read, or the robot cannot walk with this package; no file is written. Repairs
+        that were made before are the notes of the exception (``__notes__``).
     ConfigError
         If a value of `changes` is invalid; no file is written.
     OutputError
@@ -132,19 +141,43 @@ def adopt(
     path, folder = pathlib.Path(path), pathlib.Path(folder)
     _check_places(path, folder, overwrite=overwrite)
     progress(0.0, "reading the robot")
-    urdf = Urdf.load(path)
+    urdf = Urdf.load(path, package_paths, xacro)
+    try:
+        return _adopted(path, folder, urdf, package_paths, left, right, forward, changes or {}, overwrite, progress)
+    except ModelError as error:
+        for repair in dict.fromkeys(urdf.repairs):
+            error.add_note(repair)
+        raise
+
+
+def _adopted(
+    path: pathlib.Path,
+    folder: pathlib.Path,
+    urdf: Urdf,
+    package_paths: Sequence[str | os.PathLike[str]],
+    left: str,
+    right: str,
+    forward: str,
+    changes: Mapping[str, Any],
+    overwrite: bool,
+    progress: Callable[[float, str], None],
+) -> Adoption:
+    """Adopt a robot description that was read; see `adopt`."""
     shapes = Shapes(urdf, path, tuple(map(pathlib.Path, package_paths)))
+    repair_degrees(urdf)
+    use_led_joints(urdf)
     anatomy = find_anatomy(urdf, shapes, left=left, right=right, forward=forward)
-    _check_mass(path, urdf, anatomy)
-    _align_root(urdf, anatomy)
+    check_density(str(path), urdf, anatomy.leg)
+    repair_inertias(urdf, shapes, anatomy.leg)
+    anatomy = replace(anatomy, pelvis=_add_frames(urdf, anatomy))
     soles = _add_soles(urdf, anatomy)
     shapes.name_files()
     text = urdf.text()
 
     sole = anatomy.soles[Foot.LEFT]
     free = {joint for leg in anatomy.legs.values() for joint in leg}
-    if "R" not in anatomy.kinds[-2:]:
-        free |= set(anatomy.waist)  # without ankle roll joints, the trunk moves the CoM over a sole
+    if not anatomy.sideways:
+        free |= set(anatomy.waist)  # where the pelvis cannot move sideways, the trunk moves the CoM over a sole
     robot = RobotConfig(
         urdf=str(folder / "robot.urdf"),
         pelvis=anatomy.pelvis,
@@ -166,16 +199,21 @@ def adopt(
             f"middle is {1e3 * deviation:.0f} mm"
         )
     numbers = Numbers.of(model, anatomy, standing, [q for q, _ in single])
+    if numbers.step < _SHORTEST * anatomy.leg:
+        raise ModelError(
+            f"the legs reach steps of {1e3 * numbers.reach:.1f} mm only: "
+            f"{', '.join(numbers.stuck) or 'none of their joints'} at the limit"
+        )
     about = robot_entries(model, anatomy, robot.lock, "those that walk")
     entries = [*about, *parameters(numbers)]
-    entries = changed(entries, changes or {}, "given by --set")
+    entries = changed(entries, changes, "given by --set")
     Config().updated({entry.what: entry.value for entry in entries})  # no file is written of invalid values
     whole_body = []
-    if "R" in anatomy.kinds[-2:] and len(anatomy.hands) == len(Foot):
+    if anatomy.sideways and len(anatomy.hands) == len(Foot):
         whole_body = _whole_body(urdf, text, robot, numbers)
 
     write_text(folder / "robot.urdf", text, overwrite=overwrite)
-    write_dynamic(folder, numbers, entries, changes or {}, overwrite=overwrite)
+    write_dynamic(folder, numbers, entries, changes, overwrite=overwrite)
     about_it = f"{urdf.name}, adopted from {path.name}"
     write_yaml(folder / "robot.yaml", entries, f"{about_it}: the standing walk.", overwrite=overwrite)
     paper = [*about, *paper_parameters(numbers)]
@@ -184,7 +222,7 @@ def adopt(
         write_yaml(folder / "whole_body.yaml", whole_body, f"{about_it}: Sherikov et al.", overwrite=overwrite)
     config = load(folder / "robot.yaml")
     model = load_model(config.robot)
-    evidence = (*anatomy.evidence, *_mass_evidence(numbers))
+    evidence = (*anatomy.evidence, *_mass_evidence(numbers), *_missing_evidence(shapes))
     found = Adoption(
         folder, config, model, anatomy, numbers, tuple(entries), evidence,
         tuple(dict.fromkeys((*urdf.repairs, *model.repairs))), tuple(check(config, model)),
@@ -270,27 +308,32 @@ def write_dynamic(
     write_yaml(folder / "dynamic.yaml", changed(merged, own, "given by --set"), title, overwrite=overwrite)
 
 
-def _check_mass(path: pathlib.Path, urdf: Urdf, anatomy: Anatomy) -> None:
-    mass = sum(link.inertial.mass for link in urdf.links.values())
-    if not mass > 0.0:
-        raise ModelError(f"{path}: the robot has no mass, so it has no centre of mass: its links lack <inertial>")
-    if mass > _HEAVIEST * anatomy.leg**3:
-        raise ModelError(
-            f"the links of {path} weigh {mass:.4g} kg together, with legs of {anatomy.leg:.2g} m: are the masses in "
-            "grams?"
-        )
+def _add_frames(urdf: Urdf, anatomy: Anatomy) -> str:
+    """Add a root link and a pelvis with x forward and z up between the hips, if there are none; return the pelvis.
 
+    Where a description has the origins and the axes of these links is arbitrary; heights and directions are not.
+    """
+    hips = anatomy.hips
 
-def _align_root(urdf: Urdf, anatomy: Anatomy) -> None:
-    """Add a new root link with x forward and z up, unless the root link has these axes."""
-    if np.allclose(anatomy.turn, np.eye(3), atol=1e-9):
-        return
-    old, others = urdf.root, dict(urdf.joints)
-    urdf.joints.clear()
-    urdf.add_frame("dqwalk_root", old, DQ.from_matrix(anatomy.turn))
-    (joint,) = urdf.joints.values()
-    joint.parent, joint.child = "dqwalk_root", old
-    urdf.joints.update(others)
+    def serves(x: DQ) -> bool:
+        """Return whether a pose in the root link has the axes of the robot and is not far from the hips."""
+        off = hips.conj() * x
+        high = anatomy.leg + float(off.translation()[2])
+        upright = float(np.linalg.norm(off.rotation_vector())) < _ALIGNED
+        return upright and _HIGH[0] * anatomy.leg < high < _HIGH[1] * anatomy.leg
+
+    pelvis, old, others = anatomy.pelvis, urdf.root, dict(urdf.joints)
+    if not serves(zero_pose(urdf, pelvis)):
+        pelvis = "dqwalk_pelvis"
+        urdf.add_frame(pelvis, anatomy.pelvis, zero_pose(urdf, anatomy.pelvis).conj() * hips)
+        others = dict(urdf.joints)
+    if not serves(DQ(1.0)):
+        urdf.joints.clear()
+        urdf.add_frame("dqwalk_root", old, hips.conj())
+        (joint,) = urdf.joints.values()
+        joint.parent, joint.child = "dqwalk_root", old
+        urdf.joints.update(others)
+    return pelvis
 
 
 def _add_soles(urdf: Urdf, anatomy: Anatomy) -> dict[Foot, str]:
@@ -306,7 +349,7 @@ def _whole_body(urdf: Urdf, text: str, robot: RobotConfig, numbers: Numbers) -> 
     limbs = (*anatomy.legs.values(), anatomy.waist, *anatomy.arms.values())
     lock = _lock(urdf, {joint for limb in limbs for joint in limb})
     model = parse_model(text, replace(robot, lock=lock))
-    standing = stand(model, anatomy, bent=_CROUCH)
+    standing = stand(model, anatomy, _CROUCH)
     about = robot_entries(model, anatomy, lock, "legs, waist and arms")
     return [*about, *whole_body_parameters(model, standing, numbers)]
 
@@ -327,6 +370,11 @@ def _mass_evidence(n: Numbers) -> list[Entry]:
         Entry("inertia of a leg", f"{n.inertia:.3g} kg m^2", "its bodies as point masses, about the hip"),
         Entry("torque on one foot", f"{n.torque:.2f} of the effort limit", f"{n.joint}, statics", "likely"),
     ]
+
+
+def _missing_evidence(shapes: Shapes) -> list[Entry]:
+    lost = [f"'{mesh}' {why}" for mesh, why in shapes.missing.items()]
+    return [Entry("meshes not read", f"{len(lost)}: {lost[0]}", "no foot needs them", "likely")] if lost else []
 
 
 def _json(found: Adoption, path: pathlib.Path) -> dict[str, Any]:

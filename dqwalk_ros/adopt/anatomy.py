@@ -16,8 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dqwalk_ros.adopt.doubts import check_sizes
+from dqwalk_ros.adopt.legs import Leg, axes_differ, bent, freedom, leg_of
 from dqwalk_ros.adopt.skeleton import Entry, Skeleton
 from dqwalk_ros.adopt.soles import FoundSole, find_soles, foot_links, plane_below
+from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.robot.shapes import Shapes
 from dqwalk_ros.robot.urdf import Urdf
@@ -33,6 +36,10 @@ _TOUCHES = 0.006
 """Largest difference of the lowest points of two bodies that both touch the ground, as a fraction of the height."""
 _ASYMMETRY = 0.02
 """Tolerance of the symmetry of left and right joints, as a fraction of the length of a leg."""
+_UNLIKE = 0.5
+"""Largest difference of the limits of joints that mirror each other [rad]."""
+_STRAIGHT = 0.9
+"""Least component of an axis that counts as roll, pitch or yaw."""
 _CLEARANCE = 0.02
 """Half of the least gap between the soles, as a fraction of the leg length."""
 
@@ -48,7 +55,9 @@ class Anatomy:
     legs : dict of Foot to tuple of str
         Joints from the hip to the ankle.
     kinds : str
-        Axes of the joints of a leg: R, P and Y for roll, pitch and yaw, such as ``YRPPPR``.
+        Axes of the joints of a leg: R, P and Y for roll, pitch and yaw, S for skew ones, such as ``YRPPPR``.
+    sideways, turns : bool
+        Whether the pelvis can move sideways over both flat soles, and whether the feet can turn under it.
     soles : dict of Foot to FoundSole
         The soles of both feet.
     pelvis, torso, imu : str
@@ -61,9 +70,11 @@ class Anatomy:
         Joints between the pelvis and the torso.
     leg : float
         Height of the hips above the soles [m].
+    hips : DQ
+        Pose of the robot's axes halfway between the hips, in the axes of the root link, in the zero posture.
     apart : float
         Lateral distance of the soles' centres when standing [m]: that of the zero posture, limited to a range without
-        collisions.
+        collisions if the pelvis can move sideways.
     evidence : tuple of Entry
         The values above, with their sources.
     """
@@ -71,6 +82,8 @@ class Anatomy:
     turn: Array
     legs: dict[Foot, tuple[str, ...]]
     kinds: str
+    sideways: bool
+    turns: bool
     soles: dict[Foot, FoundSole]
     pelvis: str
     torso: str
@@ -79,6 +92,7 @@ class Anatomy:
     arms: dict[Foot, tuple[str, ...]]
     waist: tuple[str, ...]
     leg: float
+    hips: DQ
     apart: float
     evidence: tuple[Entry, ...]
 
@@ -101,23 +115,56 @@ def find_anatomy(
     ModelError
         If the robot is not a biped that stands on flat soles.
     """
-    plain = Skeleton(urdf, shapes)
-    if len(plain.joints) < 6:
-        raise ModelError(f"the robot is not a biped: it has only {len(plain.joints)} revolute joints")
     for name in (left, right):
         if name and name not in urdf.links:
             raise ModelError(f"there is no link '{name}'; the links are {', '.join(urdf.links)}")
+    plain, root = Skeleton(urdf, shapes), urdf.root
+    check_sizes(plain, shapes)
+    if len(plain.joints) < 6:
+        slides = [joint.name for joint in urdf.joints.values() if joint.type == "prismatic"]
+        more = f"; '{slides[0]}' is prismatic, and linear joints do not move in a walk" if slides else ""
+        fixed = sum("has no range" in repair for repair in urdf.repairs)
+        more += f"; {fixed} joints have no range, their lower and upper limits are equal" if fixed else ""
+        raise ModelError(f"the robot is not a biped: it has only {len(plain.joints)} revolute joints{more}")
+    try:
+        return _any_up(plain, (left, right), forward)
+    except _NoLegsError:
+        # the root may be in a leg: which link is the root is arbitrary
+        for link in _forks(plain):
+            urdf.reroot(link)
+            shapes.forget()
+            try:
+                found = _any_up(Skeleton(urdf, shapes), (left, right), forward)
+            except ModelError:
+                continue
+            urdf.repairs.append(f"the root link '{root}' is in a leg: '{link}' is taken as the root")
+            return found
+        raise
+
+
+class _NoLegsError(ModelError):
+    """No two legs were found, in the tree with the present root link."""
+
+
+def _forks(skeleton: Skeleton) -> list[str]:
+    """Return the heaviest links of the bodies between two or more joints, besides the root, the heaviest body first."""
+    parents = [way[-2] for way in map(skeleton.way, skeleton.joints) if len(way) > 1]
+    return [skeleton.heaviest(body) for body in sorted({*parents}, key=lambda body: -skeleton.mass(body))]
+
+
+def _any_up(plain: Skeleton, given: tuple[str, str], forward: str) -> Anatomy:
+    """Find the parts of a biped with z of the root link up, or else with another axis of it up."""
     problem: ModelError | None = None
     for up in _UPS:
         skeleton = plain.turned(up)
         try:
-            pair = _find_legs(skeleton, (left, right))
+            pair = _find_legs(skeleton, given)
         except ModelError as error:
             problem = problem or error  # report the error for z up
             continue
         if problem is not None and not _stands(skeleton, pair):
             continue
-        return _anatomy(skeleton, pair, forward, bool(left and right))
+        return _anatomy(skeleton, pair, forward, all(given))
     assert problem is not None
     raise problem
 
@@ -166,27 +213,33 @@ def _find_legs(skeleton: Skeleton, given: tuple[str, str]) -> tuple[str, str]:
     if len(feet) > 2 and all(len(skeleton.way(body)) < 3 for body in feet):
         raise ModelError(f"the robot is not a biped: {len(feet)} legs reach the ground, with fewer than 3 joints each")
     long_enough = [body for body in feet if len(skeleton.way(body)) >= 3]
-    pairs = [
-        pair for pair in itertools.combinations(long_enough, 2) if _mirrored(skeleton, *_branches(skeleton, *pair))
-    ]
+    apart = {
+        pair: _difference(skeleton, *_branches(skeleton, *pair)) for pair in itertools.combinations(long_enough, 2)
+    }
+    pairs = [pair for pair, different in apart.items() if not different]
     if pairs and not any(_is_below_body(skeleton, _branches(skeleton, *pair)) for pair in pairs):
         raise ModelError("the robot is not a biped: its lowest limbs are suspended below the CoM, like arms")
     if "" in near:
-        raise ModelError("the robot is not a biped: it stands on its base, not on legs")
+        raise _NoLegsError("the robot is not a biped: it stands on its base, not on legs")
     if len(long_enough) > 2:
         raise ModelError(
             f"the robot is not a biped: {len(long_enough)} legs reach the ground ({', '.join(long_enough)}); "
             "if it is a biped, name its feet with --left and --right"
         )
+    if not pairs and len(long_enough) == 1:  # the shape of the other foot may be less deep
+        (foot,) = long_enough
+        others = [body for body in skeleton.joints if foot not in skeleton.way(body) and body not in skeleton.way(foot)]
+        pairs = [(foot, body) for body in others if not _difference(skeleton, *_branches(skeleton, foot, body))]
     if not pairs:
-        what = (
-            f"only {', '.join(map(repr, long_enough))} reaches the ground"
-            if long_enough
-            else "no leg reaches the ground"
-        )
-        raise ModelError(
+        if apart:
+            what = next(iter(apart.values()))
+        elif long_enough:
+            what = f"only {', '.join(map(repr, long_enough))} reaches the ground"
+        else:
+            what = "no leg reaches the ground"
+        raise _NoLegsError(
             f"the robot is not a biped: no two chains of joints that mirror each other reach the ground in the zero "
-            f"posture ({what}); name its feet with --left and --right"
+            f"posture ({what}){skeleton.lacking}; name its feet with --left and --right"
         )
     return pairs[0]
 
@@ -218,31 +271,36 @@ def _branches(skeleton: Skeleton, a: str, b: str) -> tuple[tuple[str, ...], tupl
     return first[common:], second[common:]
 
 
-def _mirrored(skeleton: Skeleton, a: Sequence[str], b: Sequence[str]) -> bool:
-    if len(a) != len(b) or len(a) < 3:
-        return False
-    p, q = (np.array([skeleton.place(joint) for joint in leg]) for leg in (a, b))
+def _difference(skeleton: Skeleton, one: Sequence[str], two: Sequence[str]) -> str:
+    """Return how two chains of joints differ that are no mirror images or copies of each other; empty if they are."""
+    if len(one) != len(two):
+        return f"'{one[-1]}' ends a chain of {len(one)} joints, '{two[-1]}' one of {len(two)}"
+    if len(one) < 3:
+        return f"'{one[-1]}' ends a chain of only {len(one)} joints"
+    (p, a), (q, b) = skeleton.lines(one), skeleton.lines(two)
     size = float(np.ptp(np.concatenate([p, q])[:, 2]))
-    apart = p - q
-    lateral = np.median(apart, axis=0)
+    lateral = np.median(p - q, axis=0)
     lateral[2] = 0.0
     length = float(np.linalg.norm(lateral))
-    if length < 1e-3:
-        return False
-    lateral /= length
-    deviation = apart - np.outer(apart @ lateral, lateral)
-    axes = np.array([skeleton.axis(joint) for joint in a])
-    # the position of a joint along its own axis is arbitrary
-    deviation -= np.sum(deviation * axes, axis=1)[:, None] * axes
-    middle = (0.5 * (p + q)) @ lateral
-    tolerance = max(0.006, _ASYMMETRY * size)
-    return bool(np.abs(deviation).max() < tolerance and np.ptp(middle) < tolerance and size > 0.0)
+    if length < 1e-3 or size <= 0.0:
+        return f"'{one[-1]}' and '{two[-1]}' are not beside each other"
+    off = axes_differ(p, a, q, b, lateral / length)
+    worst, most = int(np.argmax(off)), max(0.006, _ASYMMETRY * size)
+    if off[worst] < most:
+        return ""
+    return (
+        f"'{one[worst]}' is {1e3 * off[worst]:.0f} mm from the mirror image of '{two[worst]}', more than "
+        f"{1e3 * most:.0f} mm"
+    )
 
 
 def _is_below_body(skeleton: Skeleton, legs: tuple[tuple[str, ...], tuple[str, ...]]) -> bool:
     """Return whether the CoM of the rest of the robot is above the hips of these legs."""
     rest = [body for body in skeleton.bodies if not set(skeleton.way(body)) & {*legs[0], *legs[1]}]
     hip, ankle = (0.5 * (skeleton.place(legs[0][k]) + skeleton.place(legs[1][k]))[2] for k in (0, -1))
+    found = [leg_of(*skeleton.lines(leg)) for leg in legs]
+    if found[0] and found[1]:
+        hip, ankle = (0.5 * (a + b)[2] for a, b in zip(*((leg.hip, leg.ankle) for leg in found if leg), strict=True))
     if not sum(map(skeleton.mass, rest)) > 0.0:
         return True
     return bool(skeleton.com(rest)[2] > hip - 0.12 * (hip - ankle))
@@ -253,6 +311,7 @@ def _is_below_body(skeleton: Skeleton, legs: tuple[tuple[str, ...], tuple[str, .
 
 def _anatomy(skeleton: Skeleton, pair: tuple[str, str], forward: str, named: bool) -> Anatomy:
     urdf = skeleton.urdf
+    _check_shapes(skeleton, pair)
     one, two = _branches(skeleton, *pair)
     bare = _bare_ends(skeleton, pair)
     if len(one) < 4:
@@ -261,16 +320,22 @@ def _anatomy(skeleton: Skeleton, pair: tuple[str, str], forward: str, named: boo
             + bare
         )
     up = skeleton.pose(urdf.root).rotation_matrix()  # from the root's axes to axes with z up
+    shapes = [leg_of(*skeleton.lines(joints)) for joints in (one, two)]
+    if bare and not all(shapes):
+        raise ModelError(f"the legs end at '{one[-1]}' and '{two[-1]}', without hip, knee and ankle{bare}")
+    if not all(shapes):
+        names = ", ".join(one if not shapes[0] else two)
+        raise ModelError(f"this biped has a leg without knee or ankle: of {names} none bends it between hip and foot")
     yaw, one, two, ahead = _find_forward(skeleton, one, two, forward)
     skeleton = skeleton.turned(yaw @ up)
     legs = {Foot.LEFT: one, Foot.RIGHT: two}
-    kinds = "".join("RPY"[int(np.argmax(np.abs(skeleton.axis(joint))))] for joint in one)
-    if bare and kinds.count("P") < 3:
-        raise ModelError(f"the legs end at '{one[-1]}' and '{two[-1]}', without hip, knee and ankle{bare}")
-    hip, ankle = (0.5 * (skeleton.place(one[k]) + skeleton.place(two[k])) for k in (0, -1))
+    _check_led(skeleton, legs)
+    kinds = "".join(_kind(skeleton.axis(joint)) for joint in one)
+    left, right = (_leg(skeleton, joints) for joints in legs.values())
+    hip, ankle = 0.5 * (left.hip + right.hip), 0.5 * (left.ankle + right.ankle)
     soles = find_soles(skeleton, legs, float(hip[2] - ankle[2]))
     toes = tuple(j for leg in legs.values() for j in skeleton.joints if leg[-1] in skeleton.way(j)[:-1])
-    ground = float(np.mean([(skeleton.pose(s.link) * s.pose).translation()[2] for s in soles.values()]))
+    ground = float(np.mean([sole.placed(skeleton).translation()[2] for sole in soles.values()]))
     pelvis_body = skeleton.body(urdf.joints[one[0]].parent)
     parents = {urdf.joints[leg[0]].parent for leg in legs.values()}
     pelvis = parents.pop() if len(parents) == 1 else skeleton.heaviest(pelvis_body)
@@ -280,11 +345,15 @@ def _anatomy(skeleton: Skeleton, pair: tuple[str, str], forward: str, named: boo
     arms = {foot: tuple(joint for joint in skeleton.chain[hand] if joint not in waist) for foot, hand in hands.items()}
     imu = _find_imu(skeleton, pelvis_body, torso_body)
     height = float(hip[2] - ground)
+    sideways, turns = _freedom(skeleton, legs, height)
+    does = [text for can, text in ((sideways, "move sideways over flat soles"), (turns, "turn the feet")) if can]
     chosen = "given by --left and --right" if named else "the chains that mirror each other and reach the ground"
     evidence = [
         Entry("legs", f"{' '.join(one)} | {' '.join(two)}", chosen),
         *ahead,
-        Entry("axes of a leg", kinds, "axes of its joints: roll, pitch, yaw"),
+        Entry("axes of a leg", kinds, "axes of its joints: roll, pitch, yaw, or skew"),
+        Entry("limits of the legs", _unlike_limits(skeleton, legs), "an axis or a limit is wrong", "guess"),
+        Entry("the legs can", " and ".join(does) or "only bend", "rank of their axes with bent knees"),
         *(Entry(f"{foot.value} sole", str(sole), sole.source, sole.confidence) for foot, sole in soles.items()),
         Entry("toes", " ".join(toes), "joints carried by the ankles: locked", "likely"),
         Entry("pelvis", pelvis, "link that carries both legs"),
@@ -294,21 +363,90 @@ def _anatomy(skeleton: Skeleton, pair: tuple[str, str], forward: str, named: boo
         if imu
         else Entry("inertial sensor", pelvis, "pelvis: no link is named like an inertial sensor", "guess"),
     ]
+    y = [float(sole.placed(skeleton).translation()[1]) for sole in soles.values()]
     return Anatomy(
-        yaw @ up, legs, kinds, soles, pelvis, torso, imu, hands, arms, waist, height,
-        _sole_distance(skeleton, legs, soles, height), tuple(entry for entry in evidence if entry.value),
+        yaw @ up, legs, kinds, sideways, turns, soles, pelvis, torso, imu, hands, arms, waist, height,
+        skeleton.pose(urdf.root).conj() * DQ.from_pose(hip),
+        _sole_distance(abs(y[0] - y[1]), abs(float((left.hip - right.hip)[1])), soles[Foot.LEFT].width, height)
+        if sideways
+        else abs(y[0] - y[1]),
+        tuple(entry for entry in evidence if entry.value),
     )  # fmt: skip
 
 
-def _sole_distance(
-    skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]], soles: dict[Foot, FoundSole], leg: float
-) -> float:
-    """Return the lateral distance of the soles' centres when standing [m]; `leg` is the leg length [m]."""
-    y = [float((skeleton.pose(sole.link) * sole.pose).translation()[1]) for sole in soles.values()]
-    hips = [float(skeleton.place(joints[0])[1]) for joints in legs.values()]
-    apart, hip = abs(y[0] - y[1]), abs(hips[0] - hips[1])
-    least = soles[Foot.LEFT].width + 2.0 * _CLEARANCE * leg
-    return float(f"{max(least, min(apart, max(1.5 * hip, least))):.4g}")
+def _kind(axis: Array) -> str:
+    """Return R, P or Y for an axis (3,) along x, y or z, S for a skew one."""
+    along = int(np.argmax(np.abs(axis)))
+    return "RPY"[along] if abs(axis[along]) > _STRAIGHT else "S"
+
+
+def _leg(skeleton: Skeleton, joints: Sequence[str]) -> Leg:
+    leg = leg_of(*skeleton.lines(joints))
+    assert leg is not None  # as before the axes were turned
+    return leg
+
+
+def _freedom(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]], length: float) -> tuple[bool, bool]:
+    """Return whether the pelvis can move sideways over both flat soles, and whether the feet can turn."""
+    angles: dict[str, float] = {}
+    for joints in legs.values():
+        axes, knee = skeleton.lines(joints)[1], _leg(skeleton, joints).knee
+        angles |= dict(zip(joints, bent(axes, knee, np.array([0.0, 1.0, 0.0])).tolist(), strict=True))
+    posed = skeleton.posed(angles)
+    left, right = (posed.lines(joints) for joints in legs.values())
+    return freedom((left, right), length)
+
+
+def _unlike_limits(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> str:
+    """Return the joints of both legs whose ranges do not mirror each other; empty if all do."""
+    out = []
+    for names in zip(*legs.values(), strict=True):
+        (one, two), (a, b) = (skeleton.joints[name].limit for name in names), map(skeleton.axis, names)
+        same = float(a * [-1.0, 1.0, -1.0] @ b)  # the mirror image of a rotation about a is one about (-x, y, -z)
+        there = (two.lower, two.upper) if same > 0.0 else (-two.upper, -two.lower)
+        off = max((abs(x - y) for x, y in zip((one.lower, one.upper), there, strict=True) if x != y), default=0.0)
+        if abs(same) > _STRAIGHT and off > _UNLIKE:
+            ranges = " and ".join(f"{j.lower:.2f} to {j.upper:.2f}" for j in (one, two))
+            out.append(f"'{names[0]}' and '{names[1]}' do not mirror each other: {ranges} rad")
+    return "; ".join(out)
+
+
+def _check_led(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> None:
+    """Raise ModelError if a joint that carries a foot follows another joint of the leg: it would be locked."""
+    urdf = skeleton.urdf
+    for foot, joints in legs.items():
+        feet = foot_links(skeleton, joints[-1])
+        half = 0.5 * sum(urdf.links[link].inertial.mass for link in feet)
+        for joint in urdf.joints.values():
+            if joint.mimic is None or joint.mimic.joint not in joints:
+                continue
+            carried = urdf.after(joint.child)
+            share = sum(urdf.links[link].inertial.mass for link in carried if link in feet)
+            if skeleton.joints[joints[-1]].child in carried or share > half:
+                raise ModelError(
+                    f"'{joint.name}' of the {foot.value} leg mimics '{joint.mimic.joint}': legs whose joints lead each "
+                    "other cannot walk with this package"
+                )
+
+
+def _check_shapes(skeleton: Skeleton, ankles: tuple[str, str]) -> None:
+    """Raise ModelError if a mesh of a foot, or of what it carries, cannot be read: the sole would be another one."""
+    for ankle in ankles:
+        if missing := skeleton.unread(foot_links(skeleton, ankle)):
+            mesh, why = next(iter(missing.items()))
+            more = f", and {len(missing) - 1} more" if len(missing) > 1 else ""
+            raise ModelError(
+                f"what '{ankle}' carries has a mesh that cannot be read, so its sole is unknown: '{mesh}' {why}{more}"
+            )
+
+
+def _sole_distance(apart: float, hips: float, width: float, leg: float) -> float:
+    """Return the lateral distance of the soles' centres when standing [m].
+
+    `apart` is that of the zero posture, `hips` that of the hips, `width` is that of a sole, `leg` the leg length [m].
+    """
+    least = width + 2.0 * _CLEARANCE * leg
+    return float(f"{max(least, min(apart, max(1.5 * hips, least))):.4g}")
 
 
 def _bare_ends(skeleton: Skeleton, pair: tuple[str, str]) -> str:
@@ -393,19 +531,17 @@ def _knee_vote(skeleton: Skeleton, one: Sequence[str], two: Sequence[str], ahead
     lateral = np.array([-ahead[1], ahead[0], 0.0])
     out = 0.0
     for leg in (one, two):
-        pitch = [joint for joint in leg if abs(skeleton.axis(joint) @ lateral) > 0.8]
-        if len(pitch) < 3:
+        shape = leg_of(*skeleton.lines(leg))
+        knee = leg[shape.knee] if shape else ""
+        if shape is None or abs(skeleton.axis(knee) @ lateral) < 0.7:
             return 0.0
-        heights = [skeleton.place(joint)[2] for joint in pitch]
-        middle = 0.5 * (heights[0] + heights[-1])
-        knee = min(pitch[1:-1], key=lambda joint: abs(skeleton.place(joint)[2] - middle))
         joint = skeleton.joints[knee]
         if not math.isfinite(joint.limit.lower + joint.limit.upper):
             return 0.0
         lean = joint.limit.lower + joint.limit.upper
         if abs(lean) < 0.3 * (joint.limit.upper - joint.limit.lower):
             return 0.0
-        shank = skeleton.place(pitch[-1]) - skeleton.place(knee)
+        shank = shape.ankle - shape.middle
         moved = np.cross(math.copysign(1.0, lean) * skeleton.axis(knee), shank)
         out += -math.copysign(0.5, float(moved @ ahead))  # the shank moves backward if the knee points forward
     return out if abs(out) == 1.0 else 0.0

@@ -27,6 +27,11 @@ _BELOW = 0.012
 """Largest distance of a foot below its sole [m]."""
 _LEVEL = math.radians(2.0)
 """Largest angle between two parallel soles [rad]."""
+_UP = np.array([0.0, 0.0, 1.0])
+_UPRIGHT = math.radians(20.0)
+"""Largest angle of the pelvis' z axis to the vertical in the posture [rad]."""
+_REACHED = 0.9
+"""Least length of a step within the reach of the legs, as a fraction of the wanted length."""
 _TORQUE = 1.3
 """Least torque limit, as a multiple of the static torque on one foot."""
 
@@ -40,6 +45,7 @@ def check(config: Config, model: RobotModel) -> list[Finding]:
     found = [*_posture(config, model, q), *_soles(config, model, q)]
     if config.gait.style == "standing" and not found:
         found += [*_com(config, model, q), *servo_findings(config, model), *_torque(config, model, q)]
+        found += _step(config, model, q)
     return found
 
 
@@ -79,6 +85,13 @@ def _soles(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:
     if abs(turn) > math.radians(15.0):
         text = f"the forward directions of the soles differ by {math.degrees(abs(turn)):.0f} degrees"
         yield Finding(text, "robot.left_sole_rpy, robot.right_sole_rpy")
+    lean = math.acos(min(1.0, max(-1.0, float(kin.direction(model.pelvis, _UP)[2]))))
+    if lean > _UPRIGHT:
+        yield Finding(
+            f"z of the pelvis '{model.pelvis}' is {math.degrees(lean):.0f} degrees off the vertical in the posture: "
+            "the dynamic walk keeps it vertical",
+            "robot.pelvis",
+        )
     if kin.point(model.pelvis)[2] < 0.0:
         yield Finding("the pelvis is below the soles: they are upside down", "robot.left_sole_rpy")
     yield from _lowest(config, model)
@@ -120,6 +133,19 @@ def _com(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:
             f"the CoM of the posture is {1e3 * abs(deviation):.0f} mm {where} the middle of the soles, more than "
             f"{1e3 * room:.0f} mm: the knees bend the wrong way, the soles point backward, or the posture is wrong",
             "standing.posture",
+        )
+
+
+def _step(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:
+    """Check that the legs reach a step: the walk moves each footprint to the nearest one that they reach."""
+    length = config.gait.step_length
+    reached, stuck = Footsteps(config, model, q).reach(length)
+    if reached < _REACHED * length:
+        why = f": {', '.join(stuck)} at the limit" if stuck else ""
+        yield Finding(
+            f"the legs reach steps of {1e3 * reached:.0f} mm instead of {1e3 * length:.0f} mm{why}",
+            "gait.step_length",
+            "step",
         )
 
 

@@ -12,12 +12,14 @@ import numpy as np
 from dqwalk_ros.adopt.anatomy import Anatomy
 from dqwalk_ros.adopt.posture import Standing
 from dqwalk_ros.adopt.skeleton import Entry
+from dqwalk_ros.config import Config
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.statics import GRAVITY, gravity_torques
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.standing_limits import leg_inertia
 from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.walks.footsteps import Footsteps
 
 __all__ = [
     "Numbers",
@@ -33,6 +35,10 @@ STIFFNESS = 5.0
 """Servo stiffness as a multiple of m g h; below 3 most robots fall."""
 SHORTEST = 1.5
 """Shortest duration of a weight transfer from foot to foot [s]."""
+LONGEST = 0.09
+"""Step length of the standing walk as a fraction of the leg."""
+MOST_STEPS = 30
+"""Largest number of steps of the standing walk."""
 FROUDE = 0.05
 """Speed of the dynamic walk divided by sqrt(g l), with the leg length l."""
 REFERENCE = 0.46
@@ -52,6 +58,10 @@ class Numbers:
         Largest static torque in single support, as a fraction of the effort limit of the joint.
     joint : str
         The joint of `torque`.
+    reach : float
+        Length of the longest step within the reach of the legs, of those up to `LONGEST` legs [m].
+    stuck : tuple of str
+        The joints at a limit in this step.
     """
 
     model: RobotModel
@@ -59,6 +69,8 @@ class Numbers:
     standing: Standing
     torque: float
     joint: str
+    reach: float
+    stuck: tuple[str, ...]
 
     @classmethod
     def of(cls, model: RobotModel, anatomy: Anatomy, standing: Standing, single: Sequence[Array]) -> Numbers:
@@ -69,7 +81,14 @@ class Numbers:
             known = zip(model.joint_names, share.tolist(), strict=True)
             parts |= {name: part for name, part in known if name in anatomy.legs[foot]}
         joint = max(parts, key=lambda name: parts[name])
-        return cls(model, anatomy, standing, parts[joint], joint)
+        config = Config().updated({"gait.step_width": rounded(anatomy.apart, 4)})
+        steps, length = Footsteps(config, model, standing.q), LONGEST * anatomy.leg
+        reach, stuck = steps.reach(length)
+        while reach < 0.95 * length and length > 1e-3:  # a step that is wanted longer may end shorter
+            length = max(reach, 0.5 * length)
+            reach, again = steps.reach(length)
+            stuck = again or stuck
+        return cls(model, anatomy, standing, parts[joint], joint, reach, stuck)
 
     @property
     def height(self) -> float:
@@ -93,8 +112,16 @@ class Numbers:
 
     @property
     def step(self) -> float:
-        """Step length: 0.09 of a leg, in whole millimetres [m]."""
-        return math.floor(0.09 * self.anatomy.leg * 1e3 + 1e-6) / 1e3
+        """Step length: 0.09 of a leg, or 0.9 of what the legs reach, in whole millimetres [m]."""
+        length = LONGEST * self.anatomy.leg
+        return math.floor((length if self.reach > 0.99 * length else 0.9 * self.reach) * 1e3 + 1e-6) / 1e3
+
+    @property
+    def step_reason(self) -> str:
+        """What determines the step length."""
+        if self.reach > 0.99 * LONGEST * self.anatomy.leg:
+            return "0.09 of a leg, within the reach of the legs"
+        return f"0.9 of the reach of the legs: {', '.join(self.stuck) or 'they'} cannot move farther"
 
     @property
     def stiffness(self) -> float:
@@ -157,7 +184,7 @@ def paper_parameters(numbers: Numbers) -> list[Entry]:
     anatomy = numbers.anatomy
     return [
         Entry("gait.style", "paper", "Urban & Adorno"),
-        Entry("gait.step_length", numbers.step, "0.09 of a leg"),
+        Entry("gait.step_length", numbers.step, numbers.step_reason),
         Entry("gait.step_width", rounded(anatomy.apart, 4), "distance of the soles"),
         Entry("dsp.sliding_radius", rounded(0.1 * anatomy.leg), "0.1 of a leg"),
         Entry(
@@ -209,25 +236,25 @@ def parameters(numbers: Numbers) -> list[Entry]:
     """Return the parameters of the standing walk, whose stiffness, damping and duration follow from `numbers`."""
     n, model, anatomy, standing = numbers, numbers.model, numbers.anatomy, numbers.standing
     small = min(1.0, anatomy.leg / 0.4)
-    steps = max(10, math.ceil(0.6 / n.step))
+    steps = min(max(10, math.ceil(0.6 / n.step)), MOST_STEPS)
     swing = 1.5
     speed = float(np.min([3.0, *model.velocity_max[np.isfinite(model.velocity_max)]]))
-    roll, yaw = "R" in anatomy.kinds[-2:], "Y" in anatomy.kinds
+    roll, yaw = anatomy.sideways, anatomy.turns
     scale = 1.0 if n.torque * 1.3 <= 1.0 else rounded(1.5 * n.torque)
     return [
         Entry("dt", 0.005, "200 Hz", "default"),
         Entry("gait.style", "standing", "the CoM stays over the true soles"),
-        Entry("gait.steps", steps, "more than half a metre"),
-        Entry("gait.step_length", n.step, "0.09 of a leg, within the reach of the legs"),
+        Entry("gait.steps", steps, "more than half a metre, if steps are long enough"),
+        Entry("gait.step_length", n.step, n.step_reason),
         Entry("gait.step_width", rounded(anatomy.apart, 4), "distance of the soles in the posture"),
         Entry("gait.step_height", rounded(min(max(0.04 * anatomy.leg, 0.008), 0.03)), "0.04 of a leg"),
         Entry("gait.most_length", rounded(1.2 * n.step), "longest step commanded by cmd_vel"),
         Entry(
             "gait.most_side",
             rounded(0.04 * anatomy.leg) if roll else 0.0,
-            "the ankles roll" if roll else "no ankle rolls",
+            "the pelvis moves sideways over flat soles" if roll else "the pelvis cannot move sideways over flat soles",
         ),
-        Entry("gait.most_turn", 0.1 if yaw else 0.0, "the hips yaw" if yaw else "no hip yaws"),
+        Entry("gait.most_turn", 0.1 if yaw else 0.0, "the feet can turn" if yaw else "the feet cannot turn"),
         Entry("gait.phase_timeout", rounded(4.0 * max(n.transfer, swing) + 4.0), "four times a phase"),
         Entry("gait.recover", "dynamic.yaml", "whose steps catch pushes that one sole cannot bear"),
         Entry("task.eta", 2.0, "as for every robot", "default"),
@@ -282,7 +309,7 @@ def dynamic_parameters(numbers: Numbers, damping: float) -> list[Entry]:
     single, double = rounded(0.4 * slow, 2), rounded(0.1 * slow, 2)
     speed = FROUDE * math.sqrt(GRAVITY * anatomy.leg)
     step = rounded(speed * (single + double), 2)
-    roll = "R" in anatomy.kinds[-2:]
+    roll = anatomy.sideways
     time, length = "as Poppy, scaled by the square root of the leg", "as Poppy, scaled by the leg"
     return [
         Entry("gait.style", "dynamic", "steps of a fixed duration, adjusted to the divergent component of motion"),
@@ -308,7 +335,11 @@ def dynamic_parameters(numbers: Numbers, damping: float) -> list[Entry]:
         Entry("dynamic.catch_margin", rounded(min(0.012 * size, 0.17 * numbers.width), 2), "0.17 of the sole's width"),
         Entry("dynamic.catch_beyond", rounded(0.01 * size, 2), length),
         Entry("dynamic.catch_length", rounded(0.1 * size, 2), length),
-        Entry("dynamic.catch_side", rounded(0.05 * size, 2) if roll else 0.0, length if roll else "no ankle rolls"),
+        Entry(
+            "dynamic.catch_side",
+            rounded(0.05 * size, 2) if roll else 0.0,
+            length if roll else "the pelvis cannot move sideways over flat soles",
+        ),
         Entry("dynamic.shortest_step", rounded(0.26 * slow, 2), time),
         Entry("dynamic.untouched", rounded(0.04 * slow, 2), time),
         Entry("dynamic.settled", rounded(0.12 * slow, 2), time),

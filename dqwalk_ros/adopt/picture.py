@@ -1,4 +1,4 @@
-"""Draws an adopted robot: its shapes in the initial posture, both soles, the CoM and the forward direction."""
+"""Draws an adopted robot in the initial posture: shapes, joints, both soles, the CoM and the forward direction."""
 
 from __future__ import annotations
 
@@ -40,6 +40,7 @@ def draw(config: Config, model: RobotModel, path: pathlib.Path, *, overwrite: bo
     kin = Kinematics(model, model.posture(config.standing.posture), Foot.LEFT)
     triangles = _triangles(model, kin, find_urdf(config.robot.urdf))
     soles = {foot: DQ(kin.pose(sole.frame)).transform_point(sole.corners) for foot, sole in model.soles.items()}
+    bones = _bones(model, kin)
     with drawing():
         figure = new_figure(9.0, 4.6)
         for ax, (title, (right, up, sign, depth)) in zip(figure.subplots(1, 3), _VIEWS.items(), strict=True):
@@ -51,6 +52,8 @@ def draw(config: Config, model: RobotModel, path: pathlib.Path, *, overwrite: bo
                 colors = np.repeat(0.55 + 0.4 * bright[:, None], 3, axis=1)
                 projected = [*shown[:, :, [right, up]]]
                 ax.add_collection(PolyCollection(projected, facecolors=colors, edgecolors="none"))
+            for bone in bones:
+                ax.plot(bone[:, right], bone[:, up], color=INK, linewidth=1.0, marker="o", markersize=2.0)
             for foot, corners in soles.items():
                 ring = corners[[0, 1, 2, 3, 0]]
                 color = BLUE if foot is Foot.LEFT else RED
@@ -76,6 +79,14 @@ def _arrow(ax: Axes, kin: Kinematics, right: int, up: int) -> None:
         ax.plot(*end, alpha=0.0)  # room for the arrow
         ax.annotate("", end, begin, arrowprops={"arrowstyle": "->", "color": INK})
         ax.annotate("ahead", end, (2, 0), textcoords="offset points", fontsize=8.0, va="center")
+
+
+def _bones(model: RobotModel, kin: Kinematics) -> Array:
+    """Return the lines from joint to joint, and from the last joint of a leg to its sole, shape (k, 2, 3) [m]."""
+    places = [kin.point(link) for link in model.links]
+    lines = [(places[body.parent], places[k]) for k, body in enumerate(model.bodies) if body.parent >= 0]
+    lines += [(places[model.frames[s.frame].body], kin.point(s.frame, s.center)) for s in model.soles.values()]
+    return np.array(lines)
 
 
 def _triangles(model: RobotModel, kin: Kinematics, file: pathlib.Path) -> Array:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from dqwalk_ros.adopt.anatomy import Anatomy
+from dqwalk_ros.adopt.legs import Leg, bent, leg_of
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
@@ -25,6 +25,10 @@ _MARGIN = 0.05
 """Least distance of joints from their limits [rad]; a tenth of their range if that is less."""
 _LEVER = 0.3
 """Lever by which angles are compared with lengths, as a fraction of the leg length [1/rad]."""
+_TRUNK = 10.0
+"""Weight of the angles of the trunk relative to those of the legs, in a posture over both feet."""
+_STARTS = 6
+"""Largest number of postures from which a standing posture is searched."""
 _LEAST = 1e-3
 """Largest error of the constraints of a posture, as a fraction of the leg length."""
 
@@ -54,33 +58,35 @@ class Standing:
     knee: float
 
 
-def stand(model: RobotModel, anatomy: Anatomy, bent: float = _BENT) -> Standing:
+def stand(model: RobotModel, anatomy: Anatomy, bend: float = _BENT) -> Standing:
     """Find the standing posture, with the knees in front of the legs if there is such a posture.
 
     Parameters
     ----------
     model : RobotModel
         Model with the soles of `anatomy`, whose root link has x forward and z up.
-    bent : float
+    bend : float
         Distance of hip and ankle as a fraction of the straight leg.
 
     Raises
     ------
     ModelError
-        If no posture has both soles level side by side and the CoM over their middle, or a leg has fewer than three
-        pitch joints.
+        If no posture has both soles level side by side and the CoM over their middle; the message names the joints at
+        their limits.
     """
-    bend, signs = np.zeros(model.n), _axis_signs(model)
-    for joints in anatomy.legs.values():
-        pitch = list(_pitch(model, joints, anatomy))
-        bend[pitch] = np.array([-0.3, 0.6, -0.3]) * signs[pitch]
-    found = [_solve(model, anatomy, bent, way * bend) for way in (1.0, -1.0)]
+    start, lateral = np.zeros(model.n), np.array([0.0, 1.0, 0.0])
+    for joints, axes, leg in _legs(model, anatomy):
+        start[joints] = bent(axes, leg.knee, lateral)
+    found = [_solve(model, anatomy, bend, way * start) for way in (1.0, -1.0)]
+    random = np.random.default_rng(0)
+    while len(found) < _STARTS and min(one.error for one in found) > _LEAST * max(anatomy.leg, 0.2):
+        found.append(_solve(model, anatomy, bend, start + random.uniform(-0.5, 0.5, model.n)))
     good = [one for one in found if one.error < _LEAST * max(anatomy.leg, 0.2)]
     if not good:
         best = min(found, key=lambda one: one.error)
         raise ModelError(
             f"no posture was found with both soles level, {1e3 * anatomy.apart:.0f} mm apart, and the CoM over their "
-            f"middle: the error of the best posture is {1e3 * best.error:.1f} mm"
+            f"middle: the error of the best posture is {1e3 * best.error:.1f} mm{_at_limits(model, anatomy, best.q)}"
         )
     # prefer knees in front of the legs, then the smaller angles
     return max(good, key=lambda one: (one.knee > 0.0, -float(np.abs(one.q).sum())))
@@ -93,36 +99,65 @@ def over_one_foot(model: RobotModel, anatomy: Anatomy, standing: Standing, foot:
     return best.q, best.error
 
 
-def _pitch(model: RobotModel, joints: Sequence[str], anatomy: Anatomy) -> tuple[int, int, int]:
-    """Return the indices of hip, knee and ankle: the first, the middle and the last pitch joint."""
-    index = {name: k for k, name in enumerate(model.joint_names)}
-    pitch = [name for name, kind in zip(joints, anatomy.kinds, strict=True) if kind == "P"]
-    if len(pitch) < 3:
-        raise ModelError(f"a leg has {len(pitch)} pitch joints ({', '.join(pitch)}); hip, knee and ankle are required")
-    return index[pitch[0]], index[pitch[len(pitch) // 2]], index[pitch[-1]]
+def _at_limits(model: RobotModel, anatomy: Anatomy, q: Array) -> str:
+    """Return what keeps a posture (n,) [rad] from being better, as the end of a message."""
+    low, high = _bounds(model)
+    stuck = [
+        f"'{name}' at {q[k]:.2f} of {model.q_min[k]:.2f} to {model.q_max[k]:.2f} rad"
+        for k, name in enumerate(model.joint_names)
+        if min(q[k] - low[k], high[k] - q[k]) < 2e-3
+    ]
+    if stuck:
+        return f"; at their limits are {', '.join(stuck)}"
+    return "" if anatomy.sideways else "; its legs cannot move the pelvis sideways over flat soles"
+
+
+def _bounds(model: RobotModel) -> tuple[Array, Array]:
+    """Return the range of the joints in a posture, both of shape (n,) [rad]."""
+    margin = np.minimum(_MARGIN, 0.1 * (model.q_max - model.q_min))
+    return model.q_min + margin, model.q_max - margin
+
+
+def _legs(model: RobotModel, anatomy: Anatomy) -> list[tuple[list[int], Array, Leg]]:
+    """Return the k joints of each leg, their axes (k, 3), and the leg, at q = 0 in the frame of the left sole."""
+    kin = Kinematics(model, np.zeros(model.n), Foot.LEFT)
+    of = {body.joint: (link, body.axis) for body, link in zip(model.bodies, model.links, strict=True)}
+    out = []
+    for names in anatomy.legs.values():
+        joints = [model.joint_names.index(name) for name in names]
+        places = np.array([kin.point(of[k][0]) for k in joints])
+        axes = np.array([kin.direction(*of[k]) for k in joints])
+        leg = leg_of(places, axes)
+        if leg is None:
+            raise ModelError(f"the leg of {', '.join(names)} has no knee: none bends it between hip and foot")
+        out.append((joints, axes, leg))
+    return out
 
 
 def _solve(
     model: RobotModel,
     anatomy: Anatomy,
-    bent: float,
+    bend: float,
     start: Array,
     com: tuple[float, float] | None = None,
     free_pelvis: bool = False,
 ) -> Standing:
+    zero = Kinematics(model, np.zeros(model.n), Foot.LEFT)
     links = {body.joint: link for body, link in zip(model.bodies, model.links, strict=True)}
-    legs = {foot: [links[k] for k in _pitch(model, joints, anatomy)] for foot, joints in anatomy.legs.items()}
-    zero, straight = Kinematics(model, np.zeros(model.n), Foot.LEFT), {}
-    for foot, leg in legs.items():
-        a, b, c = map(zero.point, leg)
-        straight[foot] = float(np.linalg.norm(b - a) + np.linalg.norm(c - b))
-    margin = np.minimum(_MARGIN, 0.1 * (model.q_max - model.q_min))
-    low, high = model.q_min + margin, model.q_max - margin
+    legs = []  # of each: hip on the pelvis, knee, ankle on the foot, as links and points of these; length when straight
+    for joints, _, leg in _legs(model, anatomy):
+        on = (model.pelvis, leg.hip), (links[joints[leg.knee]], leg.middle), (links[joints[-1]], leg.ankle)
+        points = [(link, DQ(zero.pose(link)).conj().transform_point(p)) for link, p in on]
+        legs.append((points, leg.straight))
+    low, high = _bounds(model)
     wanted = (0.0, -0.5 * anatomy.apart) if com is None else com
     right = model.soles[Foot.RIGHT].frame
     lever = _LEVER * anatomy.leg
     place = np.array([0.0, -anatomy.apart, 0.0])
     rest = start if free_pelvis else np.zeros(model.n)
+    walking = {name for names in anatomy.legs.values() for name in names}
+    weight = np.array([1.0 if free_pelvis or name in walking else _TRUNK for name in model.joint_names])
+    weight *= 1e-3 * anatomy.leg
 
     def constraints(q: Array) -> Array:
         kin = Kinematics(model, q, Foot.LEFT)
@@ -135,10 +170,10 @@ def _solve(
     def residual(q: Array) -> Array:
         kin = Kinematics(model, q, Foot.LEFT)
         longer = [
-            float(np.linalg.norm(kin.point(hip) - kin.point(ankle))) - bent * straight[foot]
-            for foot, (hip, _, ankle) in legs.items()
+            float(np.linalg.norm(kin.point(*hip) - kin.point(*ankle))) - bend * straight
+            for (hip, _, ankle), straight in legs
         ]
-        return np.concatenate([constraints(q), 0.3 * np.array(longer), 1e-3 * anatomy.leg * (q - rest)])
+        return np.concatenate([constraints(q), 0.3 * np.array(longer), weight * (q - rest)])
 
     first = np.clip(start, low + 1e-3, high - 1e-3)
     q = least_squares(residual, first, bounds=(low, high), xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=200).x
@@ -150,8 +185,8 @@ def _solve(
     kin = Kinematics(model, q, Foot.LEFT)
     middle = np.array([0.0, 0.5 * anatomy.apart, 0.0])
     knees = []
-    for leg in legs.values():
-        a, b, c = map(kin.point, leg)
+    for points, _ in legs:
+        a, b, c = (kin.point(*p) for p in points)
         share = (b[2] - c[2]) / max(a[2] - c[2], 1e-6)
         knees.append(b[0] - (c[0] + share * (a[0] - c[0])))
     return Standing(
@@ -161,10 +196,3 @@ def _solve(
         error=float(np.abs(constraints(q)).max()),
         knee=float(np.mean(knees)),
     )
-
-
-def _axis_signs(model: RobotModel) -> Array:
-    """Return 1 for joints whose axis points to the left in the zero posture, else -1, shape (n,)."""
-    kin = Kinematics(model, np.zeros(model.n), Foot.LEFT)
-    y = {body.joint: kin.direction(link, body.axis)[1] for body, link in zip(model.bodies, model.links, strict=True)}
-    return np.where(np.array([y[k] for k in range(model.n)]) < 0.0, -1.0, 1.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,9 +47,12 @@ class Skeleton:
         The shapes of its links.
     turn : ndarray, shape (3, 3), optional
         Rotation from the axes of the root link to the axes of all poses and points.
+    angles : dict of str to float, optional
+        Angles of joints that are not at zero [rad].
 
     Attributes
     ----------
+    turn : ndarray, shape (3, 3)
     joints : dict of str to Joint
         Revolute joints that move independently of others.
     chain : dict of str to tuple of str
@@ -58,21 +61,25 @@ class Skeleton:
         Links that are rigidly connected, by the last joint that moves them; ``""`` for those of the root.
     """
 
-    def __init__(self, urdf: Urdf, shapes: Shapes, turn: Array | None = None) -> None:
+    def __init__(
+        self, urdf: Urdf, shapes: Shapes, turn: Array | None = None, angles: Mapping[str, float] | None = None
+    ) -> None:
         self.urdf, self._shapes = urdf, shapes
+        self.turn = np.eye(3) if turn is None else turn
         coupled = _coupled(urdf)
         self.joints = {
             joint.name: joint
             for joint in urdf.joints.values()
             if joint.type in ("revolute", "continuous") and not joint.mimic and joint.name not in coupled
         }
-        self._pose = {urdf.root: DQ.from_matrix(np.eye(3) if turn is None else turn)}
+        self._pose = {urdf.root: DQ.from_matrix(self.turn)}
         self.chain: dict[str, tuple[str, ...]] = {urdf.root: ()}
         self.bodies: dict[str, list[str]] = {"": [urdf.root]}
         waiting = [urdf.root]
         for link in waiting:
             for joint in urdf.child_joints(link):
                 angle = min(max(0.0, joint.limit.lower), joint.limit.upper) if moves(joint) else 0.0
+                angle = (angles or {}).get(joint.name, angle)
                 self._pose[joint.child] = self._pose[link] * pose_at(joint, angle)
                 chain = self.chain[link] + ((joint.name,) if joint.name in self.joints else ())
                 self.chain[joint.child] = chain
@@ -82,6 +89,10 @@ class Skeleton:
     def turned(self, turn: Array) -> Skeleton:
         """Return the skeleton with the rotation `turn` (3, 3) from the axes of the root link."""
         return Skeleton(self.urdf, self._shapes, turn)
+
+    def posed(self, angles: Mapping[str, float]) -> Skeleton:
+        """Return the skeleton with some joints at `angles` [rad]."""
+        return Skeleton(self.urdf, self._shapes, self.turn, angles)
 
     def pose(self, link: str) -> DQ:
         """Return the pose of a link."""
@@ -94,6 +105,10 @@ class Skeleton:
     def axis(self, joint: str) -> Array:
         """Return the axis of a joint, shape (3,)."""
         return self._pose[self.joints[joint].child].Ad(DQ(self.joints[joint].axis)).vec3()
+
+    def lines(self, joints: Sequence[str]) -> tuple[Array, Array]:
+        """Return a point [m] and the unit vector of the axis of each joint, both of shape (k, 3)."""
+        return np.array([self.place(joint) for joint in joints]), np.array([self.axis(joint) for joint in joints])
 
     def body(self, link: str) -> str:
         """Return the body of a link: the last joint that moves it."""
@@ -129,6 +144,10 @@ class Skeleton:
         """Text for messages that names a mesh that could not be read; empty if all were read."""
         missing = self._shapes.missing
         return f" (mesh '{next(iter(missing))}' {next(iter(missing.values()))})" if missing else ""
+
+    def unread(self, links: Sequence[str]) -> dict[str, str]:
+        """Return the reason for each mesh of some links that cannot be read and would be used: see `Shapes.hulls`."""
+        return self._shapes.unread(links)
 
 
 def _coupled(urdf: Urdf) -> set[str]:

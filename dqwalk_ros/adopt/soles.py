@@ -21,8 +21,10 @@ _FLAT = 0.004
 """Largest distance from the plane of a sole of a point that belongs to it [m]."""
 _MIRRORED = 0.004
 """Largest difference of two soles that mirror each other, in size and in place [m]."""
-_LEAST_SOLE = 0.04
-"""Least length and width of a sole, as a fraction of the leg length."""
+_UNLIKE, _TILTED = 1.5, math.radians(10.0)
+"""Largest ratio of the sizes of two soles, and largest angle between them, that belong to one robot."""
+_LEAST_SOLE = 0.045
+"""Least length and width of a sole, as a fraction of the distance of hip and ankle."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,10 @@ class FoundSole:
     width: float
     source: str
     confidence: str
+
+    def placed(self, skeleton: Skeleton) -> DQ:
+        """Return the pose in the zero posture, in the axes of the robot."""
+        return skeleton.pose(self.link) * self.pose
 
     def __str__(self) -> str:
         x, y, z = 1e3 * self.pose.translation()
@@ -77,6 +83,14 @@ def find_soles(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]], leg: float
                 f"this biped stands on points or edges: its {foot.value} sole is {1e3 * sole.length:.0f} x "
                 f"{1e3 * sole.width:.0f} mm, but the walk requires flat soles{skeleton.lacking}"
             )
+    left, right = (found[foot] for foot in Foot)
+    turn = float(np.linalg.norm((left.placed(skeleton).conj() * right.placed(skeleton)).rotation_vector()))
+    ratio = max(_ratio(left.length, right.length), _ratio(left.width, right.width))
+    if ratio > _UNLIKE or turn > _TILTED:
+        raise ModelError(
+            f"the soles do not mirror each other: left {left}, right {right}, turned by {math.degrees(turn):.0f} "
+            "degrees against each other; compare the shapes of both feet"
+        )
     if not _mirrored(skeleton, legs, found):
         why = "; the soles do not mirror each other"
         found = {foot: replace(sole, source=sole.source + why, confidence="guess") for foot, sole in found.items()}
@@ -84,10 +98,14 @@ def find_soles(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]], leg: float
     return {foot: replace(sole, length=length, width=width) for foot, sole in found.items()}
 
 
+def _ratio(a: float, b: float) -> float:
+    return max(a, b) / max(min(a, b), 1e-9)
+
+
 def _mirrored(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]], found: dict[Foot, FoundSole]) -> bool:
     """Return whether two soles mirror each other in the plane between the legs."""
     left, right = (found[foot] for foot in Foot)
-    p, q = ((skeleton.pose(sole.link) * sole.pose).translation() for sole in (left, right))
+    p, q = (sole.placed(skeleton).translation() for sole in (left, right))
     pairs = zip(legs[Foot.LEFT], legs[Foot.RIGHT], strict=True)
     twice = float(np.median([skeleton.place(a)[1] + skeleton.place(b)[1] for a, b in pairs]))  # 2 y of the plane
     place = p - [q[0], twice - q[1], q[2]]

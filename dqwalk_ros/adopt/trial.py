@@ -13,7 +13,8 @@ from dqwalk_ros.adopt.parameters import Numbers, rounded
 from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.report.causes import causes
-from dqwalk_ros.report.metrics import analyse
+from dqwalk_ros.report.metrics import analyse, pelvis_in_odom
+from dqwalk_ros.report.verdict import violations
 from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.robot.standing_limits import Finding
 from dqwalk_ros.simulation import Trace, make_controller, make_plant, simulate
@@ -21,8 +22,9 @@ from dqwalk_ros.support.errors import DqwalkError
 
 __all__ = ["Trial", "cures", "dynamic_walk", "first_walks", "walk"]
 
-_STEPS = 4
-"""Number of steps of a trial."""
+
+_SHORT = 0.9
+"""Fraction of the planned distance below which a walk is reported as shorter."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +38,11 @@ class Trial:
     stood : bool
         Whether the walk was completed.
     distance : float
-        Displacement of the pelvis along x [m].
+        Measured displacement of the pelvis along x [m].
+    planned : float
+        Displacement according to the parameters [m].
     note : str
-        Reason for which the walk ended early.
+        Reason for which the walk ended early; what its report finds, if it was completed.
     causes : tuple of Finding
         Causes of a fall, the earliest first.
     """
@@ -46,12 +50,15 @@ class Trial:
     plant: str
     stood: bool
     distance: float
+    planned: float
     note: str
     causes: tuple[Finding, ...] = ()
 
     def __str__(self) -> str:
-        why = "".join(f"; it fell because: {cause}" for cause in self.causes[:1])
-        return f"{self.plant}: " + (f"walked {self.distance:.3f} m" if self.stood else self.note + why)
+        if not self.stood:
+            return f"{self.plant}: {self.note}" + "".join(f"; it fell because: {cause}" for cause in self.causes[:1])
+        short = f" instead of {self.planned:.3f} m" if self.distance < _SHORT * self.planned else ""
+        return f"{self.plant}: walked {self.distance:.3f} m{short}" + (f", but {self.note}" if self.note else "")
 
 
 def first_walks(
@@ -65,11 +72,11 @@ def first_walks(
     """
     config, model, file = found.config, found.model, found.folder / "robot.yaml"
     names: list[str] = []
-    first = walk(config, model, "kinematic", _STEPS, progress)
+    first = walk(config, model, "kinematic", progress)
     yield first, ""
     if not first.stood:
         return
-    first = walk(config, model, "physics", _STEPS, progress)
+    first = walk(config, model, "physics", progress)
     yield first, ""
     if first.stood:
         return
@@ -79,7 +86,7 @@ def first_walks(
         entries = changed(found.entries, kept, f"changed after a fall: {', '.join(names)}")
         write_yaml(file, entries, f"{model.name}: the standing walk, changed after a fall.", overwrite=True)
         cured = load(file)
-        again = walk(cured, load_model(cured.robot), "physics", _STEPS, progress)
+        again = walk(cured, load_model(cured.robot), "physics", progress)
         yield again, ", ".join(names)
         if again.stood:
             write_dynamic(found.folder, found.numbers, entries, given, overwrite=True)
@@ -88,19 +95,19 @@ def first_walks(
 
 
 def dynamic_walk(found: Adoption, progress: Callable[[float, str], None] = lambda *_: None) -> Trial:
-    """Walk some steps of the dynamic walk in physics; its configuration is kept even if the robot falls."""
+    """Walk the dynamic walk in physics; its configuration is kept even if the robot falls."""
     config = load(found.folder / "dynamic.yaml")
     model = load_model(config.robot)
-    done = walk(config, model, "physics", 2 * _STEPS, lambda share, text: progress(share, f"dynamic walk in {text}"))
+    done = walk(config, model, "physics", lambda share, text: progress(share, f"dynamic walk in {text}"))
     return replace(done, plant="dynamic walk")
 
 
-def walk(config: Config, model: RobotModel, plant: str, steps: int, progress: Callable[[float, str], None]) -> Trial:
-    """Walk some steps, or one cycle of the paper's walk, on the plant ``kinematic`` or ``physics``.
+def walk(config: Config, model: RobotModel, plant: str, progress: Callable[[float, str], None]) -> Trial:
+    """Walk as far as the configuration says, or one cycle of the paper's walk, on ``kinematic`` or ``physics``.
 
     An error of the walk is the `note` of the result.
     """
-    changed = config.updated({"gait.cycles": 1} if config.gait.style == "paper" else {"gait.steps": steps})
+    changed = config.updated({"gait.cycles": 1} if config.gait.style == "paper" else {})
     changed = changed.updated({"gait.recover": ""})  # the walk has to stand by itself
     if plant == "physics":
         changed = overlaid(changed, plant)
@@ -110,16 +117,25 @@ def walk(config: Config, model: RobotModel, plant: str, steps: int, progress: Ca
         if trace.interrupted:
             raise KeyboardInterrupt  # and no other trial begins
     except DqwalkError as error:
-        return Trial(plant, False, 0.0, str(error))
-    why = () if trace.finished else tuple(causes(analyse(trace)))
-    return Trial(plant, trace.finished, _distance(trace), "; ".join(trace.notes), why)
+        return Trial(plant, False, 0.0, 0.0, str(error))
+    series = analyse(trace)
+    swings = sum(phase.swing_target is not None for phase in trace.phases)
+    slow = 1 + (min(config.dynamic.ramp, (config.gait.steps - 1) // 2) if config.gait.style == "dynamic" else 0)
+    planned = config.gait.step_length * max(0, swings - slow)
+    if not trace.finished:
+        return Trial(plant, False, _distance(trace), planned, "; ".join(trace.notes), tuple(causes(series)))
+    found = violations(series)
+    note = f"{found[0].message}" + (f", and {len(found) - 1} more" if len(found) > 1 else "") if found else ""
+    return Trial(plant, True, _distance(trace), planned, note)
 
 
 def _distance(trace: Trace) -> float:
-    if trace.physics is not None and np.isfinite(trace.physics.pelvis).any():
-        x = DQ(trace.physics.pelvis[np.isfinite(trace.physics.pelvis[:, 0])]).translation()[:, 0]
-        return float(x[-1] - x[0])
-    return trace.config.gait.step_length * max(0, sum(p.swing_target is not None for p in trace.phases) - 1)
+    """Return the displacement of the pelvis along x [m]: the true one in physics, else that of leg odometry."""
+    physics = trace.physics
+    known = physics is not None and np.isfinite(physics.pelvis).any()
+    poses = physics.pelvis if physics is not None and known else pelvis_in_odom(trace)
+    x = DQ(poses[np.isfinite(poses[:, 0])]).translation()[:, 0]
+    return float(x[-1] - x[0])
 
 
 def cures(config: Config, numbers: Numbers, found: Sequence[Finding]) -> Iterator[tuple[str, dict[str, Any]]]:

@@ -17,7 +17,7 @@ from dqwalk_ros.cli.options import (
     quiet_option,
     set_option,
 )
-from dqwalk_ros.support.errors import ConfigError, OutputError
+from dqwalk_ros.support.errors import ConfigError, ModelError, OutputError
 
 if TYPE_CHECKING:
     from dqwalk_ros.adopt import Adoption
@@ -55,6 +55,8 @@ examples:
 @force_option
 @click.option("--package-path", "places", metavar="DIR", multiple=True, type=click.Path(path_type=Path),
               help="Also search for ROS packages here; may be given several times.")  # fmt: skip
+@click.option("--xacro", "arguments", metavar="NAME=VALUE", multiple=True,
+              help="Argument of a xacro file; may be given several times.")  # fmt: skip
 @click.option("--left", metavar="LINK", default="", show_default=False, help="Link of the left foot.")
 @click.option("--right", metavar="LINK", default="", show_default=False, help="Link of the right foot.")
 @click.option("--forward", type=click.Choice(["+x", "-x", "+y", "-y"]), help="Forward axis of the root link.")
@@ -69,6 +71,7 @@ def adopt(
     out: Path,
     force: bool,
     places: tuple[Path, ...],
+    arguments: tuple[str, ...],
     left: str,
     right: str,
     forward: str | None,
@@ -90,15 +93,23 @@ def adopt(
         raise ConfigError("--left and --right must be given together")
     if out.exists() and not out.is_dir():
         raise ConfigError(f"'{out}' is a file, not a folder")
+    if wrong := [text for text in arguments if not text.partition("=")[0] or "=" not in text]:
+        raise ConfigError(f"--xacro {wrong[0]}: expected NAME=VALUE")
+    xacro = {name: value for name, _, value in (text.partition("=") for text in arguments)}
     given = dict(parse_overrides(changes))
     sides = {"left": left, "right": right, "forward": forward or ""}
     with Progress(quiet=quiet) as bar:
         try:
             found = adopting.adopt(
-                urdf, out, package_paths=places, **sides, changes=given, overwrite=force, progress=bar.stage
-            )
+                urdf, out, package_paths=places, xacro=xacro, **sides, changes=given, overwrite=force,
+                progress=bar.stage,
+            )  # fmt: skip
         except OutputError as error:
             raise ConfigError(str(error)) from error  # it is not adopted
+        except ModelError as error:
+            for repair in getattr(error, "__notes__", ()):
+                bar.print(f"repaired: {repair}")
+            raise
         bar.stage(0.7, "drawing")
         draw(found.config, found.model, out / "robot.png", overwrite=force)
     if not quiet:

@@ -230,9 +230,10 @@ class DrakePlant(EnginePlant):
         com: Array = self._world.CalcCenterOfMassPositionInWorld(self._context, [self._robot])
         return com
 
-    def _pelvis(self) -> tuple[float, Array]:
+    def _floor_normal(self) -> Array:
         pose = self._world.EvalBodyPoseInWorld(self._context, self._bodies[self.model.pelvis])
-        return float(pose.translation()[2]), pose.rotation().matrix()[2].copy()
+        normal: Array = pose.rotation().matrix()[2].copy()
+        return normal
 
 
 def _description(urdf: str, joints: tuple[str, ...], scale: float) -> str:

@@ -74,8 +74,8 @@ class EnginePlant(Plant):
         self._make(servos)
         root = None if config.physics.held else standing_root(model, q)
         self._seat(q, root)
-        height, self._upright = self._pelvis()
-        self._height = -math.inf if root is None else height  # one that is held cannot fall
+        self._upright = self._floor_normal()
+        self._height = -math.inf if root is None else float(self._com[2])  # one that is held cannot fall
         # without these torques the robot would tip backwards on soft servos before the first command
         up = -gravity_of(self._level) / GRAVITY
         effort = np.zeros(model.n) if root is None else gravity_torques(Kinematics(model, q, Foot.LEFT, up), both=True)
@@ -158,9 +158,11 @@ class EnginePlant(Plant):
 
     @property
     def fallen(self) -> bool:
-        """Whether the pelvis is below 60 % of its initial height or is inclined by more than 60 degrees from there."""
-        height, up = self._pelvis()
-        return bool(height < 0.6 * self._height or up @ self._upright < 0.5)
+        """Whether the CoM is below 60 % of its initial height, or the pelvis leans by more than 60 degrees from there.
+
+        Neither depends on where a description has the origin of a link, or on its axes.
+        """
+        return bool(self._com[2] < 0.6 * self._height or self._floor_normal() @ self._upright < 0.5)
 
     def _measured(self) -> State:
         orientation, gyro = _imu(self._level, *self._imu_motion(), self._mounting, self._to_sensor)
@@ -225,8 +227,8 @@ class EnginePlant(Plant):
         """Centre of mass, shape (3,) [m]."""
 
     @abstractmethod
-    def _pelvis(self) -> tuple[float, Array]:
-        """Return the height of the pelvis [m], and the normal of the floor in its axes (3,)."""
+    def _floor_normal(self) -> Array:
+        """Return the normal of the floor in the axes of the pelvis (3,)."""
 
 
 def standing_root(model: RobotModel, q: Array) -> Array:

@@ -110,8 +110,9 @@ class PhysicsPlant(EnginePlant):
         com: Array = self.data.subtree_com[self._root].copy()
         return com
 
-    def _pelvis(self) -> tuple[float, Array]:
-        return self._xpos[self._pelvis_id, 2], self._xmat[self._pelvis_id, 6:].copy()
+    def _floor_normal(self) -> Array:
+        normal: Array = self._xmat[self._pelvis_id, 6:].copy()
+        return normal
 
 
 @jit
@@ -167,7 +168,9 @@ def robot_spec(model: RobotModel, *, friction: float, contact_time: float, held:
     if held:
         spec.body(model.root).pos = [0.0, 0.0, HELD]
     else:
-        spec.body(model.root).add_freejoint(name="root")
+        spec.body(model.root).add_freejoint()
+    for joint in spec.joints:
+        joint.actfrclimited = False  # the reader takes it from the URDF; torques are limited by what drives the joint
     touching = {"friction": [friction, 0.005, 0.0001], "solref": [contact_time, 1.0], "solimp": _SOLID}
     for foot in Foot:
         sole = model.soles[foot]

@@ -9,15 +9,19 @@ from __future__ import annotations
 import os
 import pathlib
 import urllib.parse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from dqwalk_ros.support.errors import ModelError
 
 __all__ = ["expanded", "find_package_file"]
 
 
-def expanded(path: pathlib.Path, **arguments: str) -> bytes:
+def expanded(
+    path: pathlib.Path, places: Sequence[str | os.PathLike[str]] = (), arguments: Mapping[str, str] | None = None
+) -> bytes:
     """Return the URDF of a xacro file; `arguments` are the values of its xacro arguments.
+
+    ROS packages are also searched in the folders `places`, first.
 
     Raises
     ------
@@ -36,7 +40,9 @@ def expanded(path: pathlib.Path, **arguments: str) -> bytes:
     missing: list[str] = []
 
     def find(package: str) -> str:
-        folder = _package(package, path)
+        near = [pathlib.Path(place) / package for place in places]
+        near += [pathlib.Path(place) for place in places if pathlib.Path(place).resolve().name == package]
+        folder = next((place for place in near if place.is_dir()), None) or _package(package, path)
         if folder is None:
             missing.append(package)
             raise LookupError(package)
@@ -44,10 +50,13 @@ def expanded(path: pathlib.Path, **arguments: str) -> bytes:
 
     substitution_args._eval_find = find
     try:
-        return str(xacro.process_file(str(path), mappings=arguments).toxml()).encode()
+        return str(xacro.process_file(str(path), mappings=dict(arguments or {})).toxml()).encode()
     except (Exception, SystemExit) as error:  # xacro raises errors of its own, of XML parsing and of Python
         if missing:
-            raise ModelError(f"'{path}' needs the ROS package '{missing[0]}', which is not installed") from error
+            raise ModelError(
+                f"'{path}' needs the ROS package '{missing[0]}', which is not installed: give --package-path of the "
+                "folder that contains it"
+            ) from error
         raise ModelError(f"xacro refuses '{path}': {' '.join(str(error).split())[:300]}") from error
     finally:
         substitution_args._eval_find = original

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import pathlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -69,6 +70,10 @@ class Shapes:
         self.missing: dict[str, str] = {}
         self._hulls: dict[tuple[str, str], Array | None] = {}
 
+    def forget(self) -> None:
+        """Read the shapes again when they are needed: the frames of links have changed."""
+        self._hulls.clear()
+
     def file(self, mesh: str) -> pathlib.Path | None:
         """Return the path of a mesh; None if it is not found."""
         return find_package_file(mesh, self._near, self._places)
@@ -98,6 +103,25 @@ class Shapes:
                 return found, which
         return {}, ""
 
+    def unread(self, names: Sequence[str]) -> dict[str, str]:
+        """Return the reason for each mesh of some links that cannot be read, of links without another readable shape.
+
+        A link is complete if all its ``collisions``, or all its ``visuals``, can be read.
+        """
+        out: dict[str, str] = {}
+        for name in names:
+            both = [getattr(self._links[name], which) for which in ("collisions", "visuals")]
+            missing = [self._missing_of(name, shapes) for shapes in both if shapes]
+            if missing and all(missing):
+                out |= missing[0]
+        return out
+
+    def _missing_of(self, name: str, shapes: Sequence[Visual | Collision]) -> dict[str, str]:
+        """Return the reason for each mesh among some shapes of a link that cannot be read."""
+        lost = [shape for shape in shapes if self.surface(self._links[name], shape) is None]
+        meshes = [shape.geometry.mesh.filename for shape in lost if shape.geometry.mesh is not None]
+        return {mesh: self.missing.get(mesh, "is not finite") for mesh in meshes}
+
     def _hull(self, name: str, which: str) -> Array | None:
         """Return the corners of the convex hull of a link's surfaces; None for a link without any."""
         key = name, which
@@ -121,7 +145,7 @@ class Shapes:
                 self.missing[name] = " ".join(str(error).split())[:100] or type(error).__name__
                 return None
             vertices = vertices * size
-            if y_up and _is_closer_rotated(vertices, link, shape):
+            if y_up and self._turns_y_up:
                 vertices = vertices @ _Y_UP.T
             what = file.name
         else:
@@ -130,6 +154,28 @@ class Shapes:
         if not np.isfinite(vertices).all():
             return None
         return Surface(pose_of(shape.origin).transform_point(vertices), faces, rgba_of(shape), what)
+
+    @cached_property
+    def _turns_y_up(self) -> bool:
+        """Whether meshes that are declared as y up are to be turned to z up: one decision for the robot.
+
+        Some tools ignore the declaration, so it does not say reliably which axis of the file is up. Turned meshes are
+        those that are, all in all, closer to the CoM of their links.
+        """
+        gain = 0.0
+        for link in self._links.values():
+            for shape in (*link.collisions, *link.visuals):
+                kind, size = kind_and_size(shape)
+                file = self.file(shape.geometry.mesh.filename) if kind == "mesh" and link.inertial.mass else None
+                if file is None or file.suffix.lower() != ".dae":
+                    continue
+                try:
+                    vertices, _, y_up = _mesh(str(file))
+                except Exception:  # the reader of each mesh format raises its own exceptions
+                    continue
+                com = pose_of(shape.origin).conj().transform_point(link.inertial.origin[:3, 3])
+                gain += _closer_turned(vertices * size, com) if y_up else 0.0
+        return gain > _CLOSER
 
 
 def kind_and_size(shape: Visual | Collision) -> tuple[str, tuple[float, ...]]:
@@ -194,6 +240,10 @@ def _simplified(surface: Surface, cell: float) -> Surface:
 
 _Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Rotation from the axes of a file whose y axis is up to those of a link, whose z axis is up."""
+_CLOSER = 0.22
+"""Logarithm of the factor by which turned meshes must be closer to the CoM of their links."""
+_POINTER = b"version https://git-lfs"
+"""Beginning of the file that Git has in place of a large one which it has not fetched."""
 
 
 @lru_cache(maxsize=512)
@@ -201,10 +251,13 @@ def _mesh(file: str) -> tuple[Array, NDArray[np.int64], bool]:
     """Return vertices (N, 3) [m] and faces (M, 3) of a file, and whether the file declares its y axis as up."""
     import trimesh
 
+    with pathlib.Path(file).open("rb") as begin:
+        if begin.read(len(_POINTER)) == _POINTER:
+            raise ValueError("is a Git LFS pointer instead of a mesh: run 'git lfs pull' in its repository")
     mesh: Any = trimesh.load(file, force="mesh", process=False)
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
     if not len(vertices):
-        raise ValueError("it has no triangles")
+        raise ValueError("has no triangles")
     y_up = False
     if file.lower().endswith(".dae"):
         text = pathlib.Path(file).read_bytes()[:20000]
@@ -215,14 +268,8 @@ def _mesh(file: str) -> tuple[Array, NDArray[np.int64], bool]:
     return vertices, np.asarray(mesh.faces, dtype=np.int64), y_up
 
 
-def _is_closer_rotated(vertices: Array, link: Link, shape: Visual | Collision) -> bool:
-    """Return whether a mesh that is declared as y up is closer to the link's CoM after the rotation to z up.
-
-    Some tools ignore the declaration, so it does not tell reliably which axis of the file is up.
-    """
-    if not link.inertial.mass:
-        return False
-    com = pose_of(shape.origin).conj().transform_point(link.inertial.origin[:3, 3])
+def _closer_turned(vertices: Array, com: Array) -> float:
+    """Return the logarithm of the factor by which a mesh (N, 3) is closer to a point (3,) after a turn to z up."""
 
     def distance(points: Array) -> float:
         low, high = points.min(axis=0), points.max(axis=0)
@@ -230,7 +277,7 @@ def _is_closer_rotated(vertices: Array, link: Link, shape: Visual | Collision) -
             np.linalg.norm(0.5 * (low + high) - com)
         )
 
-    return distance(vertices @ _Y_UP.T) < 0.8 * distance(vertices)
+    return math.log(max(distance(vertices), 1e-6) / max(distance(vertices @ _Y_UP.T), 1e-6))
 
 
 def _primitive(kind: str, size: Sequence[float]) -> tuple[Array, NDArray[np.int64]]:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 # yourdfpy is imported where a robot is read: it imports trimesh, which takes a second
 
-__all__ = ["Urdf", "moves", "pose_at", "pose_of"]
+__all__ = ["Urdf", "moves", "pose_at", "pose_of", "zero_pose"]
 
 _NO_LIMIT = 1e9
 """Number that is written for an infinite limit: the default of a URDF is zero."""
@@ -42,6 +42,8 @@ _GYRATION = 0.01
 """Radius of gyration assumed for a body without a valid inertia [m]."""
 _LEAST_MOMENT = 1e-12
 """Least moment of inertia; physics engines treat a smaller one as zero [kg m^2]."""
+_TURN = 6.5
+"""Angle of an origin above which it is not in radians, slightly more than a turn."""
 _ROUNDING = 1e-3
 """Relative tolerance of the triangle inequality of the moments of inertia, which files give with few digits."""
 
@@ -86,6 +88,10 @@ class Urdf:
             self.repairs.append(f"{place(capsule)} is taken as a cylinder of the same extent")
             length = float(capsule.get("length", "")) + 2.0 * float(capsule.get("radius", ""))
             capsule.tag, capsule.attrib["length"] = "cylinder", repr(length)
+        for element in root.iter():
+            angles = [float(word) for origin in element.findall("origin") for word in origin.get("rpy", "0").split()]
+            if angles and max(map(abs, angles)) > _TURN:
+                self.repairs.append(f"{place(element)} has rpy = '{angles}': taken as radians; are they degrees?")
         text = io.BytesIO(ElementTree.tostring(root))
         read = yourdfpy.URDF.load(text, build_scene_graph=False, load_meshes=False)
         places = {(element.tag, element.get("name")): place(element) for element in root}
@@ -98,13 +104,27 @@ class Urdf:
                 shape.name = None
             for visual in link.visuals:
                 visual.material = _material(visual.material, materials)
+        ranged = [joint.limit for joint in self.joints.values() if joint.type == "revolute" and joint.limit]
+        if len(ranged) > 1 and not any(limit.lower or limit.upper for limit in ranged):
+            self.repairs.append(
+                f"all {len(ranged)} revolute joints have the limits 0 and 0, as exporters write them: taken as none"
+            )
+            for limit in ranged:
+                limit.lower, limit.upper = -math.inf, math.inf
         for joint in self.joints.values():
             self._repair_joint(joint, places["joint", joint.name])
         self._remove_world()
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Urdf:
-        """Read a URDF file, or a xacro file, which the Python package xacro expands.
+    def load(
+        cls,
+        path: str | os.PathLike[str],
+        packages: Sequence[str | os.PathLike[str]] = (),
+        arguments: Mapping[str, str] | None = None,
+    ) -> Urdf:
+        """Read a URDF file, or a xacro file, which the Python package xacro expands with the given `arguments`.
+
+        ROS packages that a xacro file includes are also searched in the folders `packages`.
 
         Raises
         ------
@@ -117,9 +137,11 @@ class Urdf:
                 data = file.read(MOST_BYTES + 1)
         except OSError as error:
             raise ModelError(f"cannot read '{path}': {error.strerror}") from error
-        return cls(
-            expanded(path) if path.suffix == ".xacro" or b"ros.org/wiki/xacro" in data[:4000] else data, str(path)
-        )
+        if path.suffix == ".xacro" or b"ros.org/wiki/xacro" in data[:4000]:
+            data = expanded(path, packages, arguments or {})
+        elif arguments:
+            raise ModelError(f"'{path}' is not a xacro file, so it has no argument '{next(iter(arguments))}'")
+        return cls(data, str(path))
 
     @property
     def root(self) -> str:
@@ -136,6 +158,13 @@ class Urdf:
         found = [link]
         for name in found:
             found += [joint.child for joint in self.child_joints(name) if not moves(joint)]
+        return found
+
+    def after(self, link: str) -> list[str]:
+        """Return `link` and all links after it."""
+        found = [link]
+        for name in found:
+            found += [joint.child for joint in self.child_joints(name)]
         return found
 
     def matching(self, patterns: Sequence[str], key: str, *, strict: bool = True) -> list[str]:
@@ -199,13 +228,48 @@ class Urdf:
                 self.links[joint.child].inertial = _inertial(_LEAST_MASS, np.eye(3) * _LEAST_MASS * _GYRATION**2)
                 self.repairs.append(f"link '{joint.child}' moves and has no mass: {1e3 * _LEAST_MASS:g} g are assumed")
 
+    def reroot(self, link: str) -> None:
+        """Make `link` the root: the joints between it and the present root are reversed, with the same angles.
+
+        The frame of a link is that of the joint that carries it, so the links on the way get other frames.
+        """
+        carrier = {joint.child: joint for joint in self.joints.values()}
+        way = []
+        while link in carrier:
+            way.append(carrier[link])
+            link = carrier[link].parent
+        origin = np.eye(4)  # of the reversed joint in its new parent, the link of which it carried
+        for joint in way:
+            parent, to_joint = self.links[joint.parent], np.linalg.inv(joint.origin)
+            R, part = to_joint[:3, :3], parent.inertial
+            part.origin, part.inertia = to_joint @ part.origin, R @ part.inertia @ R.T
+            part.origin[:3, :3] = np.eye(3)  # inertias are in axes of the link
+            for other in self.child_joints(joint.parent):
+                if other is not joint:
+                    other.origin = to_joint @ other.origin
+            for shape in (*parent.visuals, *parent.collisions):
+                shape.origin = to_joint @ (np.eye(4) if shape.origin is None else shape.origin)
+            joint.origin, origin = origin, to_joint
+            joint.parent, joint.child = joint.child, joint.parent
+            joint.axis = None if joint.axis is None else -joint.axis
+
     def _remove_world(self) -> None:
         """Remove an empty root link named world: physics engines would fix it, and the robot with it, to the ground."""
-        link, children = self.links[self.root], self.child_joints(self.root)
+        if "world" not in self.links:
+            return
+        link, children = self.links["world"], self.child_joints("world")
         empty = not (link.inertial.mass or link.visuals or link.collisions)
-        if link.name == "world" and empty and len(children) == 1 and not moves(children[0]):
+        if self.root == "world" and empty and len(children) == 1 and not moves(children[0]):
             del self.links["world"], self.joints[children[0].name]
             self.repairs.append("link 'world' is no part of the robot: removed, the robot floats")
+            return
+        link.name = "world_link"
+        self.links = {other.name: other for other in self.links.values()}
+        for joint in self.joints.values():
+            joint.parent, joint.child = (link.name if end == "world" else end for end in (joint.parent, joint.child))
+        self.repairs.append(
+            "link 'world' is a part of the robot: renamed 'world_link', physics engines reserve the name"
+        )
 
     # ------------------------------------------------------------------ repairs
 
@@ -322,6 +386,17 @@ def pose_at(joint: Joint, angle: float) -> DQ:
         return pose
     slides = joint.type == "prismatic"
     return pose * (DQ.from_pose(angle * joint.axis) if slides else DQ.rotation_about(angle, joint.axis))
+
+
+def zero_pose(urdf: Urdf, link: str) -> DQ:
+    """Return the pose of a link in the root link, with all joints at zero, or at the limit nearest to it."""
+    carrier = {joint.child: joint for joint in urdf.joints.values()}
+    pose = DQ(1.0)
+    while link in carrier:
+        joint = carrier[link]
+        angle = min(max(0.0, joint.limit.lower), joint.limit.upper) if moves(joint) else 0.0
+        pose, link = pose_at(joint, angle) * pose, joint.parent
+    return pose
 
 
 def _origin(pose: DQ) -> Array:

@@ -69,6 +69,21 @@ class Footsteps:
             self._known[key] = self.reachable(support, self.wanted(support, length, side, turn))
         return self._known[key]
 
+    def reach(self, length: float) -> tuple[float, tuple[str, ...]]:
+        """Return the length of the shorter step of both feet within the reach of the legs, and the joints at a limit.
+
+        Parameters
+        ----------
+        length : float
+            Length of the wanted step [m].
+        """
+        found = []
+        for support in Foot:
+            reached, _, stuck = self._nearest(support, self.wanted(support, length, 0.0, 0.0))
+            beside = self.wanted(support, 0.0, 0.0, 0.0)
+            found.append((float((DQ(reached).translation() - DQ(beside).translation())[0]), stuck))
+        return min(found)
+
     def wanted(self, support: Foot, length: float, side: float, turn: float) -> Array:
         """Return the landing pose of `step` without regard to the reach of the legs, shape (8,)."""
         return self.stride(support, length, side, turn).pose

@@ -1,0 +1,485 @@
+"""Descriptions that are unusual or wrong in one respect, made of a robot that walks: adopted, or refused by name."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+from robots import edited
+
+from dqwalk_ros import cli
+from dqwalk_ros.adopt import adopt
+from dqwalk_ros.adopt.anatomy import Anatomy, find_anatomy
+from dqwalk_ros.adopt.check import check
+from dqwalk_ros.adopt.doubts import check_density, repair_degrees, repair_inertias, use_led_joints
+from dqwalk_ros.adopt.legs import axes_differ, bent, freedom, leg_of
+from dqwalk_ros.adopt.parameters import Numbers
+from dqwalk_ros.adopt.picture import _bones
+from dqwalk_ros.adopt.posture import stand
+from dqwalk_ros.adopt.trial import Trial
+from dqwalk_ros.config import Config, RobotConfig, load
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.plants.mujoco import PhysicsPlant, build
+from dqwalk_ros.robot.model import RobotModel, load_model, parse_model
+from dqwalk_ros.robot.shapes import Shapes
+from dqwalk_ros.robot.urdf import Urdf
+from dqwalk_ros.support.errors import ModelError
+
+SMALL = Path(__file__).parents[1] / "data" / "small_humanoid.urdf"
+X, Y, Z = np.eye(3)
+
+
+def anatomy_of(urdf: Urdf, near: Path = SMALL) -> Anatomy:
+    return find_anatomy(urdf, Shapes(urdf, near))
+
+
+def read(tmp_path: Path, *changes: tuple[str, str]) -> Urdf:
+    return Urdf.load(edited(tmp_path, SMALL, *changes))
+
+
+def small_model(urdf: Urdf, **sections: object) -> RobotModel:
+    robot = {"pelvis": "trunk", "left_sole": "l_foot", "right_sole": "r_foot", **sections}
+    return parse_model(urdf.text(), RobotConfig(**robot))  # type: ignore[arg-type]
+
+
+def moved(urdf: Urdf, link: str, pose: np.ndarray) -> None:
+    """Give a link another frame at `pose` (4, 4) in the present one; the robot is the same."""
+    back = np.linalg.inv(pose)
+    part = urdf.links[link].inertial
+    part.origin, part.inertia = back @ part.origin, back[:3, :3] @ part.inertia @ back[:3, :3].T
+    part.origin[:3, :3] = np.eye(3)
+    for shape in (*urdf.links[link].visuals, *urdf.links[link].collisions):
+        shape.origin = back @ shape.origin
+    for joint in urdf.joints.values():
+        if joint.parent == link:
+            joint.origin = back @ joint.origin
+        if joint.child == link:
+            joint.origin = joint.origin @ pose
+            joint.axis = None if joint.axis is None else back[:3, :3] @ joint.axis
+
+
+def at(xyz: object, R: object = None) -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3, 3], pose[:3, :3] = xyz, np.eye(3) if R is None else R
+    return pose
+
+
+# ---------------------------------------------------------------------- legs
+
+
+def test_hip_knee_and_ankle_are_those_of_the_axes_wherever_joints_have_their_origins() -> None:
+    places = np.array([Z, Z, Z, 0.5 * Z, 0.0 * Z, 0.0 * Z])
+    axes = np.array([Z, X, Y, Y, Y, X])
+    leg = leg_of(places, axes)
+    slid = leg_of(places + np.array([0.3, -0.1, 0.05, -0.2, 0.1, 0.4])[:, None] * axes, axes)
+    for found in (leg, slid):
+        assert found is not None
+        assert found.knee == 3
+        assert found.straight == pytest.approx(1.0)
+        np.testing.assert_allclose([found.hip, found.ankle], [Z, 0.0 * Z], atol=1e-9)
+    assert leg_of(places[:4], axes[:4]) is None  # without an ankle there is no knee
+
+
+def test_skew_axes_of_a_hip_together_turn_it_as_three_axes_of_the_robot_do() -> None:
+    skew = np.array([[0.8, 0.0, 0.6], [0.6, 0.0, -0.8], Y, Y, Y, X])
+    turned = np.array([[0.6, 0.7, 0.4], [0.7, -0.6, 0.2], [0.4, 0.2, -0.9], Y, Y, X])
+    for axes in (skew, turned / np.linalg.norm(turned, axis=1)[:, None]):
+        angles = bent(axes, 3, Y)
+        np.testing.assert_allclose(angles[:3] @ axes[:3], -0.3 * Y, atol=1e-9)
+        assert angles[3] == pytest.approx(0.6)
+
+
+def test_the_rank_of_the_axes_decides_what_legs_can_do() -> None:
+    """Without ankle roll the pelvis stays between the feet; without hip yaw the feet do not turn."""
+    bend = np.array([Z, Z, Z, 0.5 * Z + 0.2 * X, 0.0 * Z, 0.0 * Z])
+    axes = np.array([Z, X, Y, Y, Y, X])
+
+    def can(which: list[int], tilt: float = 0.0) -> tuple[bool, bool]:
+        R = DQ.rotation_about(tilt, X + 0.3 * Z).rotation_matrix()
+        hips = np.array([R @ a if k < 3 else a for k, a in enumerate(axes)])
+        sides = [(bend[which] + y * Y, hips[which]) for y in (0.1, -0.1)]
+        return freedom((sides[0], sides[1]), 1.0)
+
+    assert can([0, 1, 2, 3, 4, 5]) == (True, True)
+    assert can([0, 1, 2, 3, 4, 5], 0.5) == (True, True)  # skew axes
+    assert can([0, 1, 2, 3, 4]) == (False, True)
+    assert can([1, 2, 3, 4, 5]) == (True, False)
+    assert can([2, 3, 4]) == (False, False)
+
+
+def test_legs_are_alike_as_mirror_images_and_as_copies() -> None:
+    p, a = np.array([Z, Z + 0.03 * X, 0.5 * Z, 0.02 * X]), np.array([Z, X, Y, Y])
+    along = np.array([[0.0, 0.0, 0.1], [0.1, 0.0, 0.0], [0.0, 0.3, 0.0], [0.0, 0.0, 0.0]])
+    for q, b in ((p - 0.2 * Y, a), (p + along - 0.2 * Y, -a)):
+        assert axes_differ(p, a, q, b, Y).max() < 1e-9
+    tilted = a + 0.2 * np.array([[0, 1, 0], [0, 1, 0], [0, 0, 0], [0, 0, 0]])
+    tilted /= np.linalg.norm(tilted, axis=1)[:, None]
+    assert axes_differ(p, tilted, p - 0.2 * Y, tilted, Y).max() < 1e-9  # a copy
+    assert axes_differ(p, tilted, p - 0.2 * Y, tilted * [-1, 1, -1], Y).max() < 1e-9  # a mirror image
+    off = axes_differ(p, a, p - 0.2 * Y + np.outer([0.0, 0.0, 0.03, 0.0], X), a, Y)
+    np.testing.assert_allclose(off, [0, 0, 0.03, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize("joint", ["r_hip_yaw", "r_hip_pitch", "r_knee", "r_ankle_pitch"])
+def test_the_origin_of_a_joint_along_its_axis_is_arbitrary(joint: str) -> None:
+    urdf, plain = Urdf.load(SMALL), anatomy_of(Urdf.load(SMALL))
+    moved(urdf, urdf.joints[joint].child, at(0.027 * urdf.joints[joint].axis))
+    found = anatomy_of(urdf)
+    assert found.legs == plain.legs
+    assert (found.leg, found.apart) == pytest.approx((plain.leg, plain.apart), abs=1e-6)
+
+
+def test_legs_that_differ_are_refused_with_joint_and_distance(tmp_path: Path) -> None:
+    urdf = Urdf.load(SMALL)
+    urdf.joints["r_knee"].origin[0, 3] += 0.02
+    with pytest.raises(ModelError, match=r"'l_\w+' is 1\d mm from the mirror image of 'r_\w+', more than 6 mm"):
+        anatomy_of(urdf)
+
+
+def test_limits_that_do_not_mirror_each_other_are_doubted(tmp_path: Path) -> None:
+    wrong = r'(name="r_knee".*?lower=)"-2.2" upper="2.2"', r'\1"-0.1" upper="2.2"'
+    right = r'(name="l_knee".*?lower=)"-2.2" upper="2.2"', r'\1"-0.1" upper="2.2"'  # its axis is the opposite one
+    found = {entry.what: entry for entry in anatomy_of(read(tmp_path, wrong, right)).evidence}
+    assert "'l_knee' and 'r_knee' do not mirror each other: -0.10 to 2.20" in found["limits of the legs"].value
+    assert "limits of the legs" not in {entry.what for entry in anatomy_of(Urdf.load(SMALL)).evidence}
+
+
+def test_legs_without_ankle_roll_stand_as_far_apart_as_in_the_zero_posture(tmp_path: Path) -> None:
+    urdf = read(tmp_path, (r'(name="._ankle_roll" type=)"revolute"', r'\1"fixed"'))
+    for side, sign in (("l", 1.0), ("r", -1.0)):
+        urdf.joints[f"{side}_hip_pitch"].origin[1, 3] += sign * 0.06
+    found = anatomy_of(urdf)
+    assert not found.sideways
+    assert found.turns
+    plain = anatomy_of(Urdf.load(SMALL))
+    assert found.apart > plain.apart + 0.1
+
+
+def test_skew_hips_stand_on_level_soles(tmp_path: Path) -> None:
+    urdf = Urdf.load(SMALL)
+    for side in "lr":
+        urdf.joints[f"{side}_hip_yaw"].axis = np.array([0.6, 0.0, 0.8])
+        urdf.joints[f"{side}_hip_roll"].axis = np.array([0.8, 0.0, -0.6])
+    found = anatomy_of(urdf)
+    assert found.kinds == "SSPPPR"
+    assert (found.sideways, found.turns) == (True, True)
+    legs = {joint for names in found.legs.values() for joint in names}
+    model = small_model(urdf, lock=tuple(set(small_model(urdf).joint_names) - legs))
+    assert stand(model, found).error < 1e-3
+
+
+# ---------------------------------------------------------------------- the root, and what is up
+
+
+@pytest.mark.parametrize("root", ["r_foot", "l_shank"])
+def test_the_root_may_be_in_a_leg(root: str) -> None:
+    urdf, plain = Urdf.load(SMALL), anatomy_of(Urdf.load(SMALL))
+    urdf.reroot(root)
+    found = anatomy_of(urdf)
+    assert found.legs == plain.legs
+    assert (found.leg, found.apart) == pytest.approx((plain.leg, plain.apart), abs=1e-6)
+
+
+def test_another_root_is_the_same_robot() -> None:
+    urdf, q = Urdf.load(SMALL), np.random.default_rng(0).uniform(-0.4, 0.4, 20)
+    kins = []
+    for root in ("trunk", "r_foot", "l_lower_arm"):
+        urdf.reroot(root)
+        model = small_model(urdf)
+        assert model.root == root
+        angles = dict(zip(sorted(model.joint_names), q, strict=False))
+        kins.append(Kinematics(model, np.array([angles[name] for name in model.joint_names]), Foot.LEFT))
+    for kin in kins[1:]:
+        np.testing.assert_allclose(kin.com, kins[0].com, atol=1e-12)
+        np.testing.assert_allclose(kin.point("r_foot"), kins[0].point("r_foot"), atol=1e-12)
+
+
+@pytest.mark.parametrize("axis", [X, Y])
+def test_pelvis_and_root_get_frames_with_z_up_between_the_hips(axis: np.ndarray, tmp_path: Path) -> None:
+    """The trunk's frame is at the floor, and another of its axes is up."""
+    urdf = Urdf.load(SMALL)
+    moved(urdf, "trunk", at([0.02, 0.0, -0.4], DQ.rotation_about(0.5 * math.pi, axis).rotation_matrix()))
+    path = tmp_path / "turned.urdf"
+    path.write_text(urdf.text())
+    found = adopt(path, tmp_path / "out")
+    assert (found.model.root, found.model.pelvis) == ("dqwalk_root", "dqwalk_pelvis")
+    kin = Kinematics(found.model, found.model.posture(found.config.standing.posture), Foot.LEFT)
+    for link in (found.model.root, found.model.pelvis):
+        assert kin.direction(link, Z)[2] > 0.999
+        assert kin.point(link)[2] == pytest.approx(found.anatomy.leg, rel=0.15)
+    assert not found.findings
+
+
+def test_a_fall_does_not_depend_on_the_origin_of_the_root_link() -> None:
+    plants = []
+    for height in (0.0, -0.35):
+        urdf = Urdf.load(SMALL)
+        moved(urdf, "trunk", at([0.0, 0.0, height], DQ.rotation_about(1.2, X).rotation_matrix()))
+        model = small_model(urdf, sole_length=0.12, sole_width=0.08, left_sole_xyz=(0.012, 0.0, -0.046),
+                            right_sole_xyz=(0.012, 0.0, -0.046))  # fmt: skip
+        plants.append(PhysicsPlant(Config().updated({"servo.stiffness": 60.0}), model))
+    for plant in plants:
+        assert not plant.fallen
+    for plant in plants:
+        plant.data.qpos[2] -= 0.15
+        mujoco.mj_forward(plant.mj, plant.data)
+        assert plant.fallen
+
+
+def test_a_part_of_the_robot_may_be_named_world(tmp_path: Path) -> None:
+    urdf = read(tmp_path, (r'"trunk"', '"world"'))
+    assert urdf.root == "world_link"
+    assert "renamed 'world_link'" in urdf.repairs[-1]
+    build(Config(), small_model(urdf, pelvis="world_link", sole_length=0.1, sole_width=0.08))
+
+
+def test_torques_are_limited_by_the_servos_only() -> None:
+    model = small_model(Urdf.load(SMALL), sole_length=0.1, sole_width=0.08)
+    mj = build(Config().updated({"servo.torque_scale": 3.0}), model)
+    assert not mj.jnt_actfrclimited.any()
+    k = model.joint_names.index("l_knee")
+    assert mj.actuator_forcerange[k, 1] == pytest.approx(3.0 * model.effort_max[k])
+
+
+# ---------------------------------------------------------------------- shapes
+
+
+def test_a_missing_mesh_of_a_foot_is_an_error_that_names_it(tmp_path: Path) -> None:
+    box, mesh = r'<box size="0.1265 0.0825 0.0132"/>', '<mesh filename="package://missing/foot.stl"/>'
+    small = r'(<link name="._ankle_link">.*?<box size=)"[^"]*"', r'\1"0.08 0.05 0.02"'
+    with pytest.raises(
+        ModelError, match=r"'._ankle_pitch' carries has a mesh .*'package://missing/foot.stl' not found"
+    ):
+        anatomy_of(read(tmp_path, (box, mesh), small))
+
+
+def test_a_pointer_of_git_lfs_is_named(tmp_path: Path) -> None:
+    (tmp_path / "foot.stl").write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 84\n")
+    path = edited(tmp_path, SMALL, (r'<box size="0.1265 0.0825 0.0132"/>', '<mesh filename="foot.stl"/>'))
+    urdf = Urdf.load(path)
+    with pytest.raises(ModelError, match="git lfs pull"):
+        anatomy_of(urdf, path)
+
+
+def test_all_meshes_that_are_declared_as_y_up_are_turned_or_none(tmp_path: Path) -> None:
+    """The mesh of one foot, whose CoM is at its origin, does not show what is up; that of the other does."""
+    for name, up in (("a", 0.05), ("b", 0.0)):
+        box = trimesh.creation.box((0.12, 0.02, 0.08))
+        box.apply_translation([0.0, up, 0.0])
+        text = box.export(file_type="dae").replace(b"Z_UP", b"Y_UP")
+        (tmp_path / f"{name}.dae").write_bytes(text)
+    inertial = '<inertial><origin xyz="0 0 {}"/><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
+    links = "".join(
+        f'<link name="{name}">{inertial.format(z)}<visual><geometry><mesh filename="{name}.dae"/></geometry></visual>'
+        "</link>"
+        for name, z in (("a", 0.05), ("b", 0.0))
+    )
+    joint = '<joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint>'
+    path = tmp_path / "robot.urdf"
+    path.write_text(f'<robot name="r">{links}{joint}</robot>')
+    shapes = Shapes(Urdf.load(path), path)
+    sizes = [np.ptp(shapes.of(name, "visuals")[0].vertices, axis=0) for name in "ab"]
+    np.testing.assert_allclose(sizes, [[0.12, 0.08, 0.02]] * 2, atol=1e-6)
+
+
+def test_soles_that_are_not_alike_are_an_error(tmp_path: Path) -> None:
+    tilted = r'(<link name="r_foot">.*?<collision>\s*<origin xyz="[^"]*")', r'\1 rpy="0 0.4 0"'
+    with pytest.raises(ModelError, match=r"soles do not mirror each other: left .* turned by 23 degrees"):
+        anatomy_of(read(tmp_path, tilted))
+
+
+# ---------------------------------------------------------------------- units
+
+
+def in_units(text: str, lengths: float) -> str:
+    """Multiply the positions and sizes of a URDF."""
+
+    def times(match: re.Match[str]) -> str:
+        return f'{match[1]}"{" ".join(repr(lengths * float(word)) for word in match[2].split())}"'
+
+    return re.sub(r'((?:<origin xyz|<box size|<sphere radius|length|radius)=)"([^"]*)"', times, text)
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1000.0, "millimetres"), (100.0, "centimetres"), (39.37, "inches")])
+def test_another_unit_of_length_is_named(factor: float, unit: str) -> None:
+    urdf = Urdf(in_units(SMALL.read_text(), factor), "robot.urdf")
+    with pytest.raises(ModelError, match=rf"links of robot.urdf weigh 4.059 kg .* are the lengths in {unit}\?"):
+        check_density("robot.urdf", urdf, anatomy_of(urdf).leg)
+
+
+@pytest.mark.parametrize(
+    ("factor", "message"),
+    [
+        (1000.0, r"'foot.stl' of 'trunk' is 126 m large.*millimetres; write <mesh ... scale"),
+        (0.0005, "joints in mill"),
+    ],
+)
+def test_meshes_and_joints_in_different_units_are_named(factor: float, message: str, tmp_path: Path) -> None:
+    trimesh.creation.box(factor * np.array([0.1265, 0.0825, 0.0132])).export(tmp_path / "foot.stl")
+    every = r"<(box|cylinder|sphere) [^>]*/>", '<mesh filename="foot.stl"/>'
+    path = edited(tmp_path, SMALL, every)
+    with pytest.raises(ModelError, match=message):
+        anatomy_of(Urdf.load(path), path)
+
+
+def test_limits_in_degrees_are_converted_and_said() -> None:
+    urdf = Urdf.load(SMALL)
+    wanted = {name: joint.limit.lower for name, joint in urdf.joints.items() if joint.limit}
+    for name in wanted:
+        limit = urdf.joints[name].limit
+        limit.lower, limit.upper = math.degrees(limit.lower), math.degrees(limit.upper)
+    repair_degrees(urdf)
+    assert {name: urdf.joints[name].limit.lower for name in wanted} == pytest.approx(wanted)
+    assert "can only be degrees" in urdf.repairs[-1]
+    repairs = list(urdf.repairs)
+    repair_degrees(urdf)  # radians are left as they are
+    assert urdf.repairs == repairs
+
+
+def test_angles_of_origins_in_degrees_are_doubted(tmp_path: Path) -> None:
+    urdf = read(tmp_path, (r'(<joint name="l_knee".*?<origin xyz="[^"]*")', r'\1 rpy="0 0 90"'))
+    assert re.search(r"line \d+: <joint> 'l_knee' has rpy = .*90.* are they degrees", urdf.repairs[0])
+
+
+def test_placeholder_inertias_are_replaced_and_named() -> None:
+    urdf = Urdf.load(SMALL)
+    true = urdf.links["l_shank"].inertial.inertia.copy()
+    urdf.links["l_foot"].inertial.inertia = np.eye(3)
+    repair_inertias(urdf, Shapes(urdf, SMALL), 0.29)
+    assert np.linalg.eigvalsh(urdf.links["l_foot"].inertial.inertia).max() < 1e-3
+    assert len(urdf.repairs) == 1
+    assert "'l_foot' has the moment of inertia 1 kg m^2" in urdf.repairs[0]
+    np.testing.assert_array_equal(urdf.links["l_shank"].inertial.inertia, true)
+
+
+# ---------------------------------------------------------------------- joints
+
+
+def test_a_robot_whose_joints_all_have_the_limits_0_and_0_moves_without_limits(tmp_path: Path) -> None:
+    urdf = read(tmp_path, (r'lower="[^"]*" upper="[^"]*"', 'lower="0" upper="0"'))
+    assert len(anatomy_of(urdf).legs[Foot.LEFT]) == 6
+    assert "have the limits 0 and 0" in urdf.repairs[0]
+
+
+def test_repairs_are_printed_for_a_refused_robot_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    legs = r'(name="._(?:hip|knee|ankle)[^>]*>.*?)lower="[^"]*" upper="[^"]*"', r'\1lower="0" upper="0"'
+    path = edited(tmp_path, SMALL, legs)
+    assert cli.main(["adopt", str(path), "--out", str(tmp_path / "out"), "--yes"]) == 2
+    out, error = capsys.readouterr()
+    assert "repaired: line" in out
+    assert "'l_knee' has no range" in out
+    assert "joints have no range" in error
+
+
+def test_a_crank_that_leads_an_ankle_follows_it(tmp_path: Path) -> None:
+    """The description lets the ankle mimic a crank on the shank, with -0.5 q + 0.1."""
+    crank = (
+        '<link name="l_crank"><inertial><mass value="0.01"/><inertia ixx="1e-6" iyy="1e-6" izz="1e-6"/></inertial>'
+        "</link>"
+        '<joint name="l_crank_joint" type="revolute"><parent link="l_shank"/><child link="l_crank"/><axis xyz="0 1 0"/>'
+        '<limit lower="-2" upper="2" effort="4" velocity="6"/></joint></robot>'
+    )
+    mimic = '<mimic joint="l_crank_joint" multiplier="-0.5" offset="0.1"/>'
+    urdf = read(tmp_path, ("</robot>", crank), (r'(<joint name="l_ankle_pitch".*?<limit[^>]*>)', rf"\1{mimic}"))
+    use_led_joints(urdf)
+    assert anatomy_of(urdf).legs[Foot.LEFT][4] == "l_ankle_pitch"
+    ankle, led = urdf.joints["l_ankle_pitch"], urdf.joints["l_crank_joint"].mimic
+    assert (ankle.limit.lower, ankle.limit.upper) == pytest.approx((-0.9, 1.1))
+    assert led.joint == "l_ankle_pitch"
+    assert (led.multiplier, led.offset) == pytest.approx((-2.0, 0.2))
+    assert "'l_crank_joint' follows" in urdf.repairs[-1]
+
+
+def test_a_joint_that_follows_another_of_its_leg_is_named(tmp_path: Path) -> None:
+    mimic = '<mimic joint="l_hip_pitch" multiplier="-1"/>'
+    with pytest.raises(ModelError, match="'l_ankle_roll' of the left leg mimics 'l_hip_pitch'"):
+        anatomy_of(
+            read(
+                tmp_path,
+                (r'(<joint name="l_ankle_roll".*?<limit[^>]*>)', rf"\1{mimic}"),
+                (r'(<joint name="r_ankle_roll".*?<limit[^>]*>)', rf"\1{mimic.replace('l_hip', 'r_hip')}"),
+            )
+        )
+
+
+def narrowed(tmp_path: Path, **limits: float) -> Path:
+    """Write the robot with symmetric limits of some joints of both legs [rad]."""
+    changes = [
+        (rf'(name="._{name}".*?lower=)"[^"]*" upper="[^"]*"', rf'\1"-{most}" upper="{most}"')
+        for name, most in limits.items()
+    ]
+    return edited(tmp_path, SMALL, *changes)
+
+
+def test_steps_are_as_long_as_the_legs_reach_and_the_joints_in_the_way_are_named(tmp_path: Path) -> None:
+    posture = {"hip_pitch": -0.24, "knee": 0.57, "ankle_pitch": -0.33}  # the axes of the right leg are opposite
+    ranges = [
+        (
+            rf'(name="{side}_{name}".*?lower=)"[^"]*" upper="[^"]*"',
+            rf'\1"{sign * angle - 0.06}" upper="{sign * angle + 0.06}"',
+        )
+        for name, angle in posture.items()
+        for side, sign in (("l", 1.0), ("r", -1.0))
+    ]
+    found = adopt(edited(tmp_path, SMALL, *ranges), tmp_path / "out")
+    reason = next(entry.source for entry in found.entries if entry.what == "gait.step_length")
+    numbers: Numbers = found.numbers
+    assert 0.002 < numbers.reach < 0.02
+    assert found.config.gait.step_length < numbers.reach
+    assert re.search("hip_pitch|knee|ankle_pitch", reason)
+    assert not found.findings
+    config = load(tmp_path / "out" / "robot.yaml").updated({"gait.step_length": 0.026})
+    assert "the legs reach steps of" in str(check(config, load_model(config.robot))[0])
+
+
+def test_a_posture_that_is_not_found_names_the_joints_at_their_limits(tmp_path: Path) -> None:
+    ahead = r'(<link name="trunk">\s*<inertial>\s*<origin xyz=)"0 0 0.077"', r'\1"0.3 0 0.077"'
+    path = narrowed(tmp_path, ankle_pitch=0.1, hip_pitch=0.1, knee=0.1)
+    path.write_text(re.sub(*ahead, path.read_text(), count=1, flags=re.DOTALL))
+    with pytest.raises(ModelError, match=r"no posture was found.*at their limits are .*'[lr]_ankle_pitch' at -?0.08"):
+        adopt(path, tmp_path / "out")
+
+
+# ---------------------------------------------------------------------- the way in, and what is said
+
+
+def test_xacro_finds_packages_and_takes_arguments(tmp_path: Path) -> None:
+    (tmp_path / "src" / "parts").mkdir(parents=True)
+    head = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    macro = '<xacro:macro name="part" params="name"><link name="${name}"/></xacro:macro></robot>'
+    (tmp_path / "src" / "parts" / "parts.xacro").write_text(head + macro)
+    path = tmp_path / "robot" / "my.urdf.xacro"
+    path.parent.mkdir()
+    include = '<xacro:include filename="$(find parts)/parts.xacro"/>'
+    path.write_text(f'{head}<xacro:arg name="n" default="a"/>{include}<xacro:part name="$(arg n)"/></robot>')
+    with pytest.raises(ModelError, match=r"needs the ROS package 'parts'.*--package-path"):
+        Urdf.load(path)
+    assert list(Urdf.load(path, [tmp_path / "src"], {"n": "b"}).links) == ["b"]
+    assert list(Urdf.load(path, [tmp_path / "src" / "parts"]).links) == ["a"]
+
+
+def test_a_trial_says_what_was_walked_and_what_its_report_finds() -> None:
+    trials: list[tuple[Trial, Callable[[str], bool]]] = [
+        (Trial("physics", True, 0.59, 0.6, ""), "physics: walked 0.590 m".__eq__),
+        (Trial("physics", True, 0.2, 0.6, ""), "physics: walked 0.200 m instead of 0.600 m".__eq__),
+        (Trial("physics", True, 0.6, 0.6, "a sole"), "physics: walked 0.600 m, but a sole".__eq__),
+    ]
+    for trial, expected in trials:
+        assert expected(str(trial))
+
+
+def test_the_picture_has_the_bones_of_a_robot_without_meshes() -> None:
+    model = small_model(Urdf.load(SMALL))
+    kin = Kinematics(model, np.zeros(model.n), Foot.LEFT)
+    bones = _bones(model, kin)
+    assert len(bones) == model.n + 2  # to each joint, and to both soles
+    thigh = next(bone for bone in bones if np.allclose(bone[1], kin.point("l_shank")))
+    assert np.linalg.norm(thigh[0] - thigh[1]) > 0.1
