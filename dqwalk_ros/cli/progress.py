@@ -12,15 +12,14 @@ __all__ = ["Progress"]
 
 
 class Progress:
-    """Shows the fraction done, a line of text and the time left on standard error; a context manager."""
+    """Shows the fraction done, a line of text and the time left on a terminal, in a file nothing; a context manager."""
 
     def __init__(self, *, quiet: bool = False) -> None:
         self._bar = tqdm(
             total=1.0,
-            disable=quiet,
+            disable=quiet or not sys.stderr.isatty(),
             leave=False,
             dynamic_ncols=True,
-            mininterval=0.1 if sys.stderr.isatty() else 5.0,
             bar_format="{percentage:3.0f} % |{bar:20}| {desc} {remaining} left",
         )
 

@@ -31,7 +31,7 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes import parameters, wheels
 from dqwalk_ros.support.errors import ConfigError, DqwalkError
 from dqwalk_ros.support.own_folder import lock
-from dqwalk_ros.support.topics import BODY_TOPICS, PHASE_LOG, TOPICS
+from dqwalk_ros.support.topics import BODY_TOPICS, OTHERS, PHASE_LOG, TOPICS
 
 __all__ = ["WalkNode", "main", "throttled"]
 
@@ -206,7 +206,8 @@ class WalkNode(Node):
 
     def is_recorded(self) -> bool:
         """Return whether the recorder has subscribed to every topic of this node that it records."""
-        names = {topic.name for topic in _TOPICS.values()} - {"phase"}  # of which it records `phase_log`
+        # instead of `phase` it records `phase_log`
+        names = {*(topic.name for topic in _TOPICS.values()), *OTHERS} - {"phase"}
         recorded = {self.resolve_topic_name(name) for name in names}
         return all(ros.is_heard_by(self, end, "recorder") for end in self.publishers if end.topic_name in recorded)
 

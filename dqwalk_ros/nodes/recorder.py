@@ -20,9 +20,9 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.report.bag.storage import connect, flush, open_writer
 from dqwalk_ros.support.errors import StateError
-from dqwalk_ros.support.topics import BODY_TOPICS, PHASE_LOG, TOPICS, Topic
+from dqwalk_ros.support.topics import BODY_TOPICS, OTHERS, PHASE_LOG, TOPICS, Topic
 
-__all__ = ["OTHERS", "Recorder", "WalkTime"]
+__all__ = ["Recorder", "WalkTime"]
 
 _DEPTH = 50_000
 """Depth of the queues: minutes of real time, most of a minute of lockstep at full speed."""
@@ -35,18 +35,6 @@ _DRAIN = {True: 6.0, False: 0.5}
 _ALL = TOPICS | BODY_TOPICS
 """Topics of both kinds of walk; the bag contains those on which a message was published."""
 _PHYSICS = tuple(name for name, topic in TOPICS.items() if topic.source == "physics")
-OTHERS = (
-    "cmd_vel",
-    "footsteps",
-    "footstep_status",
-    "push",
-    "hand_target",
-    "joint_goals",
-    "/tf",
-    "/tf_static",
-    "/rosout",
-)
-"""Further topics, which steer a walk or accompany it; recorded at the newest stamp of joint_states."""
 _EACH_TICK = ("joint_states", "joint_velocity_commands", "base_pose", "joint_effort_commands", "base_twist", *_PHYSICS)
 _STAMPED = ("sensor_msgs/", "geometry_msgs/", "diagnostic_msgs/")
 FAR = 5_000_000_000
@@ -84,8 +72,8 @@ class Recorder(WalkNode):
         joint_states, joint_velocity_commands, phase, phase_start, com_target, swing_target, support_foot, base_pose,
         walk_config, walk_origin, robot_description, /diagnostics; those of the node physics, if it runs;
         of the whole body: joint_effort_commands, base_twist, left_wrench, right_wrench, hand_target_applied,
-        push_applied; and, if they are published: cmd_vel, footsteps, footstep_status, push, hand_target,
-        joint_goals, /tf, /tf_static, /rosout
+        push_applied; and, if they are published: cmd_vel, footsteps, footstep_status, odom, push,
+        hand_target, joint_goals, /tf, /tf_static, /rosout
 
     Writes::
 

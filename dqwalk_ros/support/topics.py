@@ -11,6 +11,7 @@ __all__ = [
     "FALLEN",
     "FINISHED",
     "ODOM",
+    "OTHERS",
     "PHASE_LOG",
     "REQUIRED",
     "TOPICS",
@@ -149,6 +150,20 @@ TOPICS: dict[str, Topic] = {topic.name.lstrip("/"): topic for topic in _ALL}
 PHASE_LOG = Topic("phase_log", "std_msgs/msg/String", True, _PHASES, "all messages of `phase`, for the recorder")
 """`phase` has a history of one message, so that a late subscriber receives the current phase only. The recorder stores
 the messages of this topic as `phase`, so that none is lost."""
+
+OTHERS = (
+    "cmd_vel",
+    "footsteps",
+    "footstep_status",
+    "odom",
+    "push",
+    "hand_target",
+    "joint_goals",
+    "/tf",
+    "/tf_static",
+    "/rosout",
+)
+"""Further topics, which steer a walk or accompany it; recorded at the newest stamp of joint_states."""
 
 REQUIRED = ("joint_states", "joint_velocity_commands", "phase", "phase_start", "walk_config")
 """Topics that a bag of a walk must contain."""

@@ -345,7 +345,7 @@ def test_a_step_too_long_fails_with_a_reason_and_a_bag(tmp_path, capsys):
 def test_ctrl_c_saves_the_walk_so_far(tmp_path):
     """A walk with the paper's parameters, interrupted during a phase."""
     out = tmp_path / "walk"
-    ours, terminal = os.openpty()  # on a terminal the progress is shown ten times a second, else every five seconds
+    ours, terminal = os.openpty()  # the progress is shown on a terminal only
     termios.tcsetwinsize(terminal, (24, 120))
     process = subprocess.Popen(
         [sys.executable, "-u", "-m", "dqwalk_ros.cli", "simulate", "--out", str(out), "--cycles", "20", "--no-figures"],
@@ -417,7 +417,16 @@ def test_a_missing_python_module_is_named_with_its_package(monkeypatch, capsys, 
 # ---------------------------------------------------------------------- progress
 
 
-def test_progress_shows_fraction_text_and_time_left(capsys):
+def test_progress_is_shown_on_a_terminal_only(capsys):
+    with Progress() as bar:  # in a pipe
+        bar.stage(0.5, "reading")
+        bar(0.7, "reading")
+        bar.print("a line")
+    assert capsys.readouterr() == ("a line\n", "")
+
+
+def test_progress_shows_fraction_text_and_time_left(capsys, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     with Progress() as bar:
         bar(0.5, "single_support/left")
         bar(2.0, "never more than all")
@@ -431,7 +440,8 @@ def test_progress_shows_fraction_text_and_time_left(capsys):
     assert capsys.readouterr().err == ""
 
 
-def test_a_log_message_does_not_continue_the_line_of_the_progress_bar(capsys):
+def test_a_log_message_does_not_continue_the_line_of_the_progress_bar(capsys, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     with Progress() as bar:
         bar(0.5, "single_support/left")
         logging.getLogger("dqwalk_ros").warning("compiling")

@@ -485,6 +485,25 @@ def test_quality_of_service_can_be_overridden(make: Any) -> None:
     assert found.qos_profile.reliability is ReliabilityPolicy.RELIABLE
 
 
+def test_a_walk_waits_until_everything_that_accompanies_it_is_recorded(make: Any) -> None:
+    """The recorder discovers odom and /tf, which not every robot has, later than the topics of the walk."""
+    one = make("controller", PAPER.updated({"node.wait_for_recorder": True}))
+    recorder = Node("recorder", context=one.context)
+    late = [end for end in one.node.publishers if end.topic_name in ("/odom", "/tf", "/tf_static", "/footstep_status")]
+    own = {"/parameter_events", "/phase", "/rosout"}
+    walk = [end for end in one.node.publishers if end not in late and end.topic_name not in own]
+    assert late
+    try:
+        for ends in (walk, late):
+            assert not one.node.is_recorded()
+            for end in ends:
+                recorder.create_subscription(end.msg_type, end.topic_name, lambda _: None, 10)
+            until(lambda ends=ends: all(ros.is_heard_by(one.node, end, "recorder") for end in ends))
+        assert one.node.is_recorded()
+    finally:
+        recorder.destroy_node()
+
+
 def test_a_real_time_plant_waits_for_the_recorder(make: Any) -> None:
     """As in lockstep; otherwise the first states and commands are not recorded."""
     one = make("integrator", PAPER.updated({"node.wait_for_recorder": True}))

@@ -92,7 +92,7 @@ def test_nodes_use_exactly_the_rights_of_the_policy(
     if importlib.util.find_spec("tf2_msgs") is None and name == "controller":
         expected["publish"] -= {"/tf", "/tf_static"}  # the wheels of ROS have no tf2_msgs
     if name == "recorder":  # it subscribes to them as soon as they are published
-        from dqwalk_ros.nodes.recorder import OTHERS
+        from dqwalk_ros.support.topics import OTHERS
 
         expected["subscribe"] -= {resolved(topic, name) for topic in OTHERS}
         does["subscribe"] -= {"/rosout"}
