@@ -58,8 +58,8 @@ class RobotDrive(WalkNode):
     node converts joint_velocity_commands for the robot's forward_command_controller. That controller repeats its last
     command for ever, so without a command or a state for plant.command_timeout this node commands the robot to stay: it
     repeats the last positions, or sends zero velocity. It sends nothing to the robot before the first command, and
-    begins at angles on which three states in a row agree. A joint that jumps to another angle stops the robot until
-    ~/reset.
+    begins at angles on which three states in a row agree. A joint that jumps to another angle, or moves against its
+    full torque, stops the robot until ~/reset.
 
     Subscribes to::
 
@@ -147,7 +147,7 @@ class RobotDrive(WalkNode):
         self._stamp = stamp
         self._recent.append(q)
         self._law.measure(q[self._own], now)
-        if self._law.gate.fault:
+        if self._law.fault:
             self._check()
 
     def _on_command(self, msg: JointState) -> None:
@@ -185,19 +185,20 @@ class RobotDrive(WalkNode):
 
     def _look(self) -> None:
         """Find out whether commands can have an effect."""
-        gate, topic, before = self._law.gate, self._output.topic_name, self._blind
+        gate, fault, topic, before = self._law.gate, self._law.fault, self._output.topic_name, self._blind
         self._blind = ""
         if self._stamp < 0:
             self._blind = "no joint_states yet"
-        elif gate.fault:
-            self._blind = f"{gate.fault}: check its sensor, then ~/reset"
+        elif fault:
+            advice = "check its sensor" if gate.fault else "this node cannot switch its torque off, do so"
+            self._blind = f"{fault}: {advice}, then ~/reset"
         elif not gate.known:
             self._blind = f"{JUMPS} joint_states that agree have not arrived yet"
         elif not gate.fresh(self._now()):
             self._blind = f"no valid joint_states for {self.config.plant.command_timeout:g} s"
         if self._law.active and self._blind not in ("", before):
             self.get_logger().error(f"stopping: {self._blind}")
-        self._commands.forbid(self._blind if self._law.active or gate.fault else "")
+        self._commands.forbid(self._blind if self._law.active or fault else "")
         self._commands.unable = self._blind if not self._commands.gate.refused else ""
         if not self._blind and not self._output.get_subscription_count():
             self._commands.unable = f"no node subscribes to {topic}: is the robot's controller active?"
@@ -213,8 +214,7 @@ class RobotDrive(WalkNode):
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._stay()
         self._commands.gate.hold()
-        self._law.end()
-        self._law.gate.forget()
+        self._law.forget()
         return self.answer(response, True, "the next command begins at the measured angles")
 
     def _now(self) -> float:

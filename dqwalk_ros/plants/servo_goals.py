@@ -13,6 +13,9 @@ Physics, the node `drive` (ros2_control) and the driver of Poppy execute it.
    within the range of the joint and moves no faster than the joint can.
 5. Goals are rounded to the steps of the servos, written at the rate of the bus and effective after its latency.
 6. Without recent angles, or after a fault, no command has an effect: the last goal remains.
+7. A joint that moves away from its goal, although its servo has its full torque, is a fault: its motor is in a mode in
+   which it does not turn to positions, its sensor is broken, or it is overpowered. A plant that can switches its torque
+   off.
 """
 
 from __future__ import annotations
@@ -38,6 +41,12 @@ JUMPS = 3
 """Number of consecutive impossible angles of a joint that are a fault."""
 _MOST_OFFSET = math.pi
 """Largest offset of a goal by torques, where neither effort limit nor stiffness bound it [rad]."""
+
+_AWAY = 0.2
+"""Motion against the full torque of a servo that is a fault [rad]: twice that of a joint that reverses at 2 rad/s, with
+a delay of 60 ms."""
+_BEYOND = 0.02
+"""Position error beyond that of the full torque at which a servo has it certainly [rad]."""
 
 _unreachable = jit(unreachable)
 
@@ -173,6 +182,8 @@ class ServoGoals:
     goal : ndarray, shape (n,)
         Commanded positions with them [rad].
     window : float
+    runaway : ndarray of bool, shape (n,)
+        Joints that have moved against the full torque of their servos.
     """
 
     def __init__(
@@ -191,6 +202,9 @@ class ServoGoals:
         self._fastest = np.minimum(limits.velocity_max, FASTEST)
         self._step = np.maximum(np.broadcast_to(resolution, (n,)), 1e-12)
         self._rate, self._latency = rate, latency
+        self._most = self._offset_of(np.minimum(limits.effort_max, np.finfo(float).max))  # of full torques
+        self._side, self._nearest = np.zeros(n), np.zeros(n)
+        self.runaway = np.zeros(n, np.bool_)
         self.active = False
         self._begin(gate.q.copy(), np.zeros(n))
 
@@ -234,13 +248,13 @@ class ServoGoals:
         q, offset = self.gate.q.copy(), self._offset_of(np.zeros_like(self.gate.q) if effort is None else effort)
         self._begin(q, offset)
         if held is not None:
-            reach = self.window + self._offset_of(np.minimum(self._limits.effort_max, np.finfo(float).max))
-            self.goal = self._sent = np.where(np.abs(held - q) <= reach, held, q)
+            self.goal = self._sent = np.where(np.abs(held - q) <= self.window + self._most, held, q)
         self.active = True
 
     def _begin(self, wanted: Array, offset: Array) -> None:
         self.wanted, self._offset = wanted, offset
         self.goal = self._sent = wanted + offset
+        self._side[:], self.runaway[:] = 0.0, False
         self._history = CommandHistory(self._drive.delay, len(offset))
         self._written = -math.inf
         self._queue: deque[tuple[float, Array]] = deque()
@@ -249,13 +263,30 @@ class ServoGoals:
         """Let no command have an effect."""
         self.active = False
 
+    def forget(self) -> None:
+        """Let no command have an effect; use no angle, and clear the fault, until `JUMPS` in a row agree."""
+        self.end()
+        self.gate.forget()
+        self.runaway[:] = False
+
+    @property
+    def fault(self) -> str:
+        """Why no command has an effect before the next `begin` or `forget`, with the names of joints; else empty."""
+        if self.gate.fault or not self.runaway.any():
+            return self.gate.fault
+        names = [self._limits.joint_names[i] for i in np.flatnonzero(self.runaway)]
+        return f"{', '.join(names)} moved away from {'its goal' if len(names) == 1 else 'their goals'} at full torque"
+
     def measure(self, q: Array, at: Array | float) -> NDArray[np.bool_]:
         """Process measured angles (n,) [rad] and their times [s], shape () or (n,); return which of them are used."""
-        return self.gate.measure(q, np.broadcast_to(np.float64(at), q.shape).astype(np.float64), self.active)
+        used = self.gate.measure(q, np.broadcast_to(np.float64(at), q.shape).astype(np.float64), self.active)
+        if self.active:
+            _find_runaways(self.gate.q, self.goal, self._most, self._side, self._nearest, self.runaway)
+        return used
 
     def moves(self, time: float) -> bool:
         """Return whether a command at `time` [s] has an effect."""
-        return self.active and not self.gate.fault and self.gate.fresh(time)
+        return self.active and not self.fault and self.gate.fresh(time)
 
     def command(self, velocity: Array, effort: Array | None, time: float, dt: float) -> bool:
         """Process a command; return whether it has an effect.
@@ -323,6 +354,21 @@ def _judge(  # type: ignore[no-untyped-def]
         elif np.isfinite(used[i]):
             rejected += 1
     return rejected
+
+
+@jit
+def _find_runaways(q, goal, most, side, nearest, runaway):  # type: ignore[no-untyped-def]
+    """Set `runaway` (n,) of joints that have moved away from their goals at errors larger than `most` (n,) [rad].
+
+    `side` (n,) is the sign of such an error, 0 without one; `nearest` (n,) the angle nearest to the goal since [rad].
+    """
+    for i in range(q.shape[0]):
+        error = goal[i] - q[i]
+        now = np.sign(error) if abs(error) > most[i] + _BEYOND else 0.0
+        if now != side[i] or now * (q[i] - nearest[i]) > 0.0:
+            side[i], nearest[i] = now, q[i]
+        elif now * (nearest[i] - q[i]) > _AWAY:
+            runaway[i] = True
 
 
 @jit

@@ -400,6 +400,25 @@ def test_a_joint_that_jumps_stops_the_robot_until_reset(make: Any) -> None:
     assert one.one.got["plant_ready"][-1].data is False  # without a subscriber
 
 
+@pytest.mark.parametrize("interface", list(TOPIC))
+def test_a_joint_that_moves_against_its_torque_stops_the_robot_until_reset(make: Any, interface: str) -> None:
+    """Such as one whose motor has lost its mode; `drive` cannot switch its torque off, and says so."""
+    one = Driven(make, output__interface=interface)
+    one.tick(0.0)
+    for _ in range(20):
+        one.q[KNEE] += 0.02
+        one.tick(0.0)
+    assert "l_knee_y moved away from its goal at full torque: this node cannot switch its torque off" in one.log
+    stopped = one.out
+    for _ in range(300):
+        one.tick(0.3)
+    np.testing.assert_array_equal(one.out, stopped)
+    assert one.one.call("reset", Trigger.Request()).success
+    for _ in range(5):
+        one.tick(0.3)
+    assert one.out[0] > (stopped[0] if interface == "position" else 0.0)
+
+
 @pytest.mark.long
 def test_the_robot_stops_after_the_controller_process_is_killed(nodes: Any) -> None:
     """With a forward controller that repeats its last command; prints how long the motion continued."""

@@ -31,7 +31,9 @@ class Motors:
         )
         config = PoppyConfig(hot=HOT, low_voltage=LOW, max_load=LOAD, blocked_after=BLOCKED)
         self.watch = MotorWatch(NAMES, [Part(self.bus, np.arange(3))], config, MAX_AGE)
-        self.measured = Measured(np.zeros(3), np.zeros(3), np.full(3, self.now), np.zeros(3, np.intp), np.zeros(3))
+        self.measured = Measured(
+            np.zeros(3), np.zeros(3), np.full(3, self.now), np.zeros(3, np.intp), np.zeros(3), np.zeros(3, np.bool_)
+        )
         self.goal = np.zeros(3)
         for i in range(3):
             self.read(i)
@@ -264,3 +266,12 @@ def test_the_message_of_a_blocked_joint_keeps_the_first_values(motors: Motors) -
     motors.look(1.1)
     motors.measured.load[1] = 1000.0
     assert "at 96 % load" in motors.look()["blocked/knee"]
+
+
+def test_a_runaway_is_named_once_and_not_as_lost_torque_or_blocked(motors: Motors) -> None:
+    motors.measured.runaway[1], motors.goal[1] = True, 2.0
+    motors.look()
+    motors.look_after(1, torque=False)
+    faults = motors.look(2.0)
+    assert list(faults) == ["runaway/knee"]
+    assert "knee moved away from its goal at full torque, which is now off" in faults["runaway/knee"]

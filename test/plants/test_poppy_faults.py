@@ -323,6 +323,44 @@ def test_a_first_pose_not_reached_within_tolerance_is_an_error() -> None:
     assert not rig.plant.ready
 
 
+@pytest.mark.parametrize("while_", ["holding", "commanded", "on the way to the first pose"])
+def test_a_motor_that_turns_without_end_loses_its_torque(while_: str) -> None:
+    """It was set to wheel mode while the robot was active; the first packet that switches its torque off is lost."""
+    first = while_ == "on the way to the first pose"
+    rig = Rig(angles={"r_elbow_y": -40.0} if first else None)
+    rig.plant.activate()
+    if not first:
+        rig.until(lambda: rig.plant.ready, 30.0)
+    servo, others = rig.memory.servo("l_knee_y"), [name for name in MOTORS if name != "l_knee_y"]
+    began, lost, write = rig.memory.angle("l_knee_y"), [], servo.write
+
+    def losing(address: int, data: bytes) -> None:
+        if address == TORQUE_ENABLE and not lost:
+            lost.append(data)
+        else:
+            write(address, data)
+
+    servo.write = losing
+    servo.write(LIMITS, bytes(4))
+    for _ in range(1500):
+        if while_ == "holding":
+            rig.plant.hold(DT)
+            rig.memory.clock.now += DT
+        else:
+            rig.tick(0.0)
+    assert lost
+    assert not rig.memory.torque("l_knee_y")
+    assert all(rig.memory.torque(name) for name in others)
+    assert rig.memory.angle("l_knee_y") - began < 0.45
+    assert "l_knee_y moved away from its goal at full torque, which is now off" in rig.faults
+    check_holds(rig)
+    with pytest.raises(PlantError, match=r"l_knee_y .*does not turn to positions"):
+        rig.plant.activate()
+    write(LIMITS, bytes(2) + (4095).to_bytes(2, "little"))
+    rig.settle()
+    check_moves(rig)
+
+
 # ---------------------------------------------------------------------- switching the torque
 
 

@@ -215,6 +215,39 @@ def test_a_blocked_joint_is_relieved() -> None:
     assert (np.delete(law.goal, KNEE) == np.delete(goal, KNEE)).all()
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("speed", [None, 0.0, 0.3])
+def test_a_joint_that_moves_against_its_full_torque_is_a_fault(side: float, speed: float | None) -> None:
+    """Also if the window pulls the goal after it."""
+    law, full = law_of(), MODEL.effort_max[KNEE] / CONFIG.servo.assumed_stiffness
+    for k in range(1, 101):
+        moved = 0.005 * k
+        law.measure(POSTURE + side * moved * np.eye(N)[KNEE], k * DT)
+        if speed is not None:
+            law.command(np.full(N, -side * speed), None, k * DT, DT)
+        if law.fault:
+            break
+    assert law.fault == "l_knee_y moved away from its goal at full torque"
+    assert full + 0.2 < moved < full + 0.25
+    assert not law.command(np.ones(N), None, k * DT, DT)
+    law.forget()
+    assert not law.fault
+
+
+def test_a_joint_that_lags_or_is_deflected_or_comes_back_is_no_runaway() -> None:
+    full = MODEL.effort_max[KNEE] / CONFIG.servo.assumed_stiffness
+    lag = law_of(settings(window=1.0), np.clip(np.zeros(N), MODEL.q_min, MODEL.q_max))
+    for k in range(1, 400):  # 0.1 rad behind a goal that moves to and fro
+        time = k * DT
+        lag.measure(np.clip(0.4 * np.sin(3.0 * time - 0.25) + 0.1, MODEL.q_min, MODEL.q_max), time)
+        lag.command(np.full(N, 1.2 * np.cos(3.0 * time)), None, time, DT)
+        assert not lag.fault
+    loaded = law_of()
+    for k in range(1, 400):  # a load that comes and goes
+        loaded.measure(POSTURE + (full + 0.19) * np.sin(0.02 * k) * np.eye(N)[KNEE], k * DT)
+        assert not loaded.fault
+
+
 # ---------------------------------------------------------------------- one law for all plants
 
 

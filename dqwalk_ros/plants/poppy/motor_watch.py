@@ -50,6 +50,8 @@ class Measured:
         Number of implausible angles since.
     load : ndarray, shape (N,)
         Percent of the largest torque.
+    runaway : ndarray of bool, shape (N,)
+        Whether the joints have moved against their full torque, which is therefore switched off.
     """
 
     q: Array
@@ -57,6 +59,7 @@ class Measured:
     at: Array
     jumps: NDArray[np.intp]
     load: Array
+    runaway: NDArray[np.bool_]
 
 
 class MotorWatch:
@@ -119,9 +122,15 @@ class MotorWatch:
         self._timeouts(now, measured, on, found)
         for part in self._parts:
             for i, place in enumerate(part.places):
-                self._registers(part.bus, i, int(place), int(gain[place]) if on else None, found)
+                given = int(gain[place]) if on and not measured.runaway[place] else None
+                self._registers(part.bus, i, int(place), given, found)
         if goal is not None:
             self._blocked_joints(now, measured, goal, lead)
+            for name in (self._names[k] for k in np.flatnonzero(measured.runaway)):
+                self.lasting[f"runaway/{name}"] = (
+                    f"{name} moved away from its goal at full torque, which is now off: it is not in the mode for "
+                    "positions, its sensor is broken, or the load is too large; support the robot, then ~/activate"
+                )
         if on and not found and self.unsure.any():
             some = ", ".join(self._names[i] for i in np.flatnonzero(self.unsure))
             found["silent"] = f"{some}: being checked after a timeout"
@@ -201,7 +210,7 @@ class MotorWatch:
         """Report joints that have been at full load or far from their goals for too long."""
         c = self._config
         behind = np.abs(goal - measured.q)
-        pushing = (behind > _FULL * lead) | (np.abs(measured.load) >= c.max_load)
+        pushing = ((behind > _FULL * lead) | (np.abs(measured.load) >= c.max_load)) & ~measured.runaway
         self._pushing_since = np.where(pushing, np.minimum(self._pushing_since, now), np.inf)
         for k in np.flatnonzero(now - self._pushing_since > c.blocked_after):
             self.lasting.setdefault(

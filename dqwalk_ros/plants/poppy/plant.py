@@ -244,8 +244,8 @@ class PoppyPlant(Plant):
         self._pool = ThreadPoolExecutor(len(self.parts))
         self._each = each if each is not None else self._pool.map
         self._turn = 0
-        gate = self._gate  # whose arrays these are, too
-        self.measured = Measured(gate.q, np.zeros(every), gate.at, gate.jumps, np.zeros(every))
+        gate = self._gate  # whose arrays these are, and those of the law
+        self.measured = Measured(gate.q, np.zeros(every), gate.at, gate.jumps, np.zeros(every), self._law.runaway)
         self.watch = MotorWatch(self.names, self.parts, own, config.plant.command_timeout)
         self.ready = False
         self._speed = np.zeros(every)
@@ -321,6 +321,8 @@ class PoppyPlant(Plant):
 
         list(self._each(cycle, self.parts))
         self._accept_angles()
+        if self.measured.runaway.any():
+            list(self._each(self._let_go, self.parts))
         before = set(self.watch.lasting)
         lead = self._full_error if self.ready else np.minimum(self._full_error, self._law.window)
         self.watch.look(self._clock(), self.measured, self.goal if self.active else None, lead, self._gain)
@@ -534,6 +536,11 @@ class PoppyPlant(Plant):
             speed = register_speed(math.degrees(self._speed[k]), self._config.max_speed)
             words[i] = (self._table[k].servo(angle), speed)
         part.bus.write_goals(words)
+
+    def _let_go(self, part: Part) -> None:
+        """Switch the torque of the joints off that move against it; repeatedly, because a packet may be lost."""
+        if len(places := np.flatnonzero(self.measured.runaway[part.places])):
+            part.bus.write_torque(False, places)
 
     def _accept_angles(self) -> None:
         """Accept the new angles that a joint can have reached since its last accepted angle."""
