@@ -348,6 +348,22 @@ def test_after_a_reset_the_last_run_is_read(trace, path, tmp_path):
     assert any("went back" in note for note in back.notes)
 
 
+def test_the_report_says_where_time_jumped(trace, path, tmp_path):
+    """A clock that was set ahead during the walk."""
+    store, ahead = storage.typestore(), tmp_path / "ahead"
+    cut = round(trace.time[len(trace.time) // 2] * 1e9)
+    with Reader(path) as reader, Writer(ahead, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        out = {c.topic: writer.add_connection(c.topic, c.msgtype, typestore=store) for c in reader.connections}
+        for c, time, raw in reader.messages():
+            if c.topic.endswith("joint_states") and time >= cut:
+                msg = store.deserialize_cdr(raw, c.msgtype)
+                msg.header.stamp.sec += 3600
+                raw = store.serialize_cdr(msg, c.msgtype)
+            writer.write(out[c.topic], time, raw)
+    (note,) = (note for note in bag.read(ahead).notes if "jumps" in note)
+    assert f"{1e-9 * cut - trace.config.dt:.3f} s after the first state, time jumps by 3600." in note
+
+
 @pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
 @pytest.mark.parametrize("kind", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 def test_compressed_bags(trace, path, tmp_path, mode, kind):

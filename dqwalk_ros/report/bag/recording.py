@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -190,6 +191,9 @@ def _last_run(stamps: Stamps, notes: list[str]) -> tuple[NDArray[np.intp], int]:
         wrong += len(kept.pop())  # its stamps are ahead, and nothing follows
     if again:
         notes.append(f"time went back {again} times: only the last run is read")
+    for before, after in itertools.pairwise(kept):
+        at, ahead = (stamps[before[-1]] - stamps[kept[0][0]]) / NS, (stamps[after[0]] - stamps[before[-1]]) / NS
+        notes.append(f"{at:.3f} s after the first state, time jumps by {ahead:.3f} s: no states, or a clock was set")
     if wrong:
         notes.append(f"{wrong} states with an impossible stamp are left out")
     return np.concatenate([np.zeros(0, np.intp), *kept]), begin
