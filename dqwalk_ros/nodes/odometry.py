@@ -40,6 +40,8 @@ _FIXED = 0.005
 """Standard deviation of height, roll and pitch [m, rad], which do not drift, and of velocities [m/s, rad/s]."""
 _TIMEOUT = 0.5
 """Time without a state after which the estimator is restarted from the last pose [s]."""
+_RESTARTS = 3
+"""Number of times that the estimate may go astray in a walk, before the pose is computed from the legs alone."""
 _POSE = [0, 1, 2, 6, 7, 8]
 """Indices of orientation and position in the covariance of an estimate."""
 
@@ -74,10 +76,16 @@ class Odometry:
         self._steps = 0
         self._estimator = BaseEstimator(node.config, model)
         self._estimated: BaseEstimate | None = None
+        self._astray = 0  # how often the estimate went astray in this walk
 
     def restart(self) -> None:
         """Start a new walk at the last pose, wherever that walk has its origin."""
-        self._restarted = bool(self._window)
+        self._astray = 0
+        self._continue()
+
+    def _continue(self) -> None:
+        """Forget the motion so far; the next pose is the last one."""
+        self._restarted = self._restarted or bool(self._window)
         self._window.clear()
         self._estimator = BaseEstimator(self._node.config, self._model)
 
@@ -106,13 +114,14 @@ class Odometry:
         """
         passed = stamp - self._window[-1][0] if self._window else 1
         if self._estimated is not None and not 0 < passed <= _TIMEOUT * 1e9:
-            self.restart()
+            self._continue()
         if passed <= 0:
             self._window.clear()  # the plant's clock was set back
-        x_pelvis, self._estimated = (x_base * DQ(kin.pose(self._model.pelvis))).vec8(), None
-        if state.gyro is not None and state.acceleration is not None:
-            e = self._estimated = self._estimator.update(1e-9 * stamp, kin, state.gyro, state.acceleration, both=both)
-            x_pelvis = e.pose
+        e = self._estimate(stamp, state, kin, both=both)
+        if self._window and (e is None) is not (self._estimated is None):
+            self._restarted = True  # the pose of the legs has another origin
+        self._estimated = e
+        x_pelvis = e.pose if e is not None else (x_base * DQ(kin.pose(self._model.pelvis))).vec8()
         walk_base = DQ(x_pelvis) * DQ(kin.pose(self._model.pelvis)).conj()  # of `kin`, in the frame of the first phase
         x_link = walk_base * DQ(kin.pose(self._link))
         if self._restarted:
@@ -129,6 +138,24 @@ class Odometry:
         if self._send_transforms is not None:
             x_root = self._origin * walk_base * DQ(kin.pose(self._model.root))
             self._send_transforms(self._frames(stamp, x_root, x))
+
+    def _estimate(self, stamp: int, state: State, kin: Kinematics, *, both: bool) -> BaseEstimate | None:
+        """Return the estimate at a state; None without an inertial sensor that can be believed."""
+        if state.gyro is None or state.acceleration is None or self._astray >= _RESTARTS:
+            return None
+        try:
+            with np.errstate(all="ignore"):
+                estimate = self._estimator.update(1e-9 * stamp, kin, state.gyro, state.acceleration, both=both)
+            if not self._estimator.astray and math.isfinite(sum(estimate.pose.tolist())):
+                return estimate
+        except np.linalg.LinAlgError:
+            pass
+        self._astray += 1
+        self._estimator = BaseEstimator(self._node.config, self._model)
+        text = "the accelerometer contradicts the legs: is its acceleration in m/s^2, and in the sensor's frame?"
+        then = "the pose is that of the legs alone" if self._astray >= _RESTARTS else "the estimate begins again"
+        self._node.get_logger().error(f"odometry: {text} {then}")
+        return None
 
     def _message(self, stamp: int, x: DQ) -> OdometryMessage:
         msg = OdometryMessage(child_frame_id=self._config.base_frame)

@@ -17,6 +17,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.state import State
+from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.simulation import closed_loop, make_controller, make_plant
 
 POPPY = dq.load("poppy")
@@ -72,6 +73,42 @@ def test_the_covariance_of_the_velocity_in_its_own_axes_contains_no_yaw() -> Non
     estimate = BaseEstimate(DQ(1.0).vec8(), v, np.zeros(3), np.cov(errors.T), frozenset())
     np.testing.assert_allclose(estimate.velocity_covariance(R), np.cov((b @ R).T), rtol=0, atol=1e-6)
     assert np.cov(errors[:, 3:6].T)[1, 1] > 1e-3  # of the velocity in axes of the world
+
+
+def estimated(
+    glitch: dict[int, tuple[np.ndarray, np.ndarray]], dt: float = 0.005, count: int = 300
+) -> tuple[BaseEstimator, np.ndarray]:
+    """Return the estimator of a robot at rest, and its positions (N, 3); some measurements are off."""
+    estimator, kin = BaseEstimator(POPPY, MODEL), Kinematics(MODEL, MODEL.posture(POPPY.standing.posture), Foot.LEFT)
+    up = np.array([kin.direction(MODEL.imu, axis)[2] for axis in np.eye(3)])
+    found = []
+    for k in range(count):
+        gyro, acceleration = glitch.get(k, (np.zeros(3), np.zeros(3)))
+        x = estimator.update(k * dt, kin, gyro, GRAVITY * up + acceleration, both=True)
+        found.append(DQ(x.pose).translation())
+    return estimator, np.array(found)
+
+
+@pytest.mark.parametrize("dt", [0.005, 0.02])
+@pytest.mark.parametrize("size", [1e2, *(pytest.param(s, marks=pytest.mark.long) for s in (1.0, 1e4, 1e8, 1e300))])
+def test_a_single_wrong_measurement_moves_the_estimate_by_millimetres(size: float, dt: float) -> None:
+    """Once the first states have reduced the covariance of the velocity."""
+    for axis in np.eye(3):
+        for glitch in ((np.zeros(3), size * axis), (size * axis, np.zeros(3)), (-size * axis, size * axis)):
+            estimator, at = estimated({100: glitch}, dt, 130)
+            assert np.linalg.norm(at - at[99], axis=1)[100:].max() < 0.008
+            assert not estimator.astray
+
+
+def test_an_accelerometer_that_contradicts_the_standing_soles_is_noticed() -> None:
+    estimator, _ = estimated({k: (np.zeros(3), np.array([0.0, 100.0, 0.0])) for k in range(300)})
+    assert estimator.astray
+
+
+def test_an_accelerometer_that_measures_in_g_has_a_large_bias_only() -> None:
+    estimator, at = estimated({k: (np.zeros(3), np.array([0.0, 0.0, 1.0 - GRAVITY])) for k in range(300)})
+    assert not estimator.astray
+    assert np.linalg.norm(at - at[0], axis=1).max() < 0.02
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
