@@ -16,7 +16,7 @@ from dqwalk_ros.paper.assembly import Evaluation
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
-from dqwalk_ros.paper.phase import Next, Phase
+from dqwalk_ros.paper.phase import Next, Phase, PhaseKind
 from dqwalk_ros.paper.qp import make_solver
 from dqwalk_ros.paper.qp.infeasible import explained, lead_back
 from dqwalk_ros.paper.qp.problem import Problem, Solution
@@ -89,6 +89,7 @@ class VelocityController:
         self.kin: Kinematics | None = None
         self._last_state: State | None = None
         self._history = CommandHistory(self._drive.delay, self.model.n)
+        self._u, self._tau = np.zeros((2, self.model.n))  # the last command
         self._x_odom_base = DQ(1.0)
 
     def _use(self, config: Config) -> None:
@@ -155,6 +156,21 @@ class VelocityController:
         """Put the feet together after the current step, and end the walk; see `Walk.stop`."""
         self.walk.stop()
 
+    def pause(self, wanted: bool) -> None:
+        """Let the walk come to where the robot may hold still, or continue; see `Walk.pause`."""
+        self.walk.pause(wanted)
+
+    @property
+    def may_hold(self) -> bool:
+        """Whether the robot stands without commands: always in a walk that is at rest in every posture."""
+        return self._phase is None or self._active.may_hold(self._phase)
+
+    def first_base(self, state: State) -> Foot:
+        """Return the foot whose sole would be the base frame of a walk that begins at `state`."""
+        begins = self._make_walk(self._requested, self.model).following(None, self._kinematics(state, Foot.LEFT))
+        assert begins is not None  # every walk has a phase
+        return begins.support if begins.kind is PhaseKind.SINGLE_SUPPORT else begins.support.other
+
     def step(self, state: State, dt: float) -> Command:
         """Return the joint velocities for the next period.
 
@@ -198,8 +214,13 @@ class VelocityController:
         self.problem = now.problem  # (U6)
         self.solution = self._solve(self.problem)
         u = np.minimum(np.maximum(self.solution.u, self.problem.lower), self.problem.upper)
+        u = _within(u, self._u, self.model.velocity_max)
         self._history.add(state.time, u, dt)
-        return Command(state.time, u, self._effort(kin, state, u))
+        effort = self._effort(kin, state, u)
+        if effort is not None:
+            effort = self._tau = _within(effort, self._tau, self.model.effort_max)
+        self._u = u
+        return Command(state.time, u, effort)
 
     def _estimated(self, state: State) -> State:
         """Return the state with filtered vertical, and with joint velocities, by differences if not measured."""
@@ -274,7 +295,7 @@ class VelocityController:
 
     def _resume(self, state: State, held: float) -> None:
         """Continue after an interruption, in which the plant held still for `held` [s] after its command timeout."""
-        phase = self.phase
+        phase, self._u = self.phase, np.zeros(self.model.n)
         self._history = CommandHistory(self._drive.delay, self.model.n)
         if (still := self._active.restarts(phase)) is not None:
             again = Next(phase.kind, phase.support, phase.swing_target)
@@ -294,3 +315,12 @@ class VelocityController:
                 return self._solver.solve(self.problem)
             except QPError:
                 raise explained(error, problem) from error
+
+
+def _within(values: Array, before: Array, most: Array) -> Array:
+    """Return the numbers of a command (n,) within their limits, and changed by no more than these in a period.
+
+    Walks and pushes stay below; a measurement that is wrong, but possible, is bounded so.
+    """
+    out: Array = np.clip(np.clip(values, before - most, before + most), -most, most)
+    return out

@@ -117,7 +117,8 @@ class DynamicWalk(SteppingWalk):
         self._reference: Reference
         self._flight: _Flight | None = None
         self._transfer = config.standing.transfer_duration  # planned duration of the current double support [s]
-        self._pushed = False
+        self._pushed = self._pausing = False
+        self._rests = False  # whether a stance has brought the CoM to rest
         self._descends = False  # whether the swing foot of the next single support is in the air already
         self._targets: dict[str, Target] = {}
         self._legs = np.zeros(model.n, dtype=np.bool_)  # whether a joint is between the base sole and the pelvis
@@ -144,7 +145,7 @@ class DynamicWalk(SteppingWalk):
         if phase is None:
             return self._on_its_feet(kin) or Next(PhaseKind.STANCE, self._first)
         if phase.kind is PhaseKind.STANCE:
-            over = self._together and (self.config.gait.steps or self._stopping)
+            over = self._together and (self._stopping or 0 < self.config.gait.steps <= self._done)
             return None if over else Next(PhaseKind.DOUBLE_SUPPORT, self._leading())
         if phase.kind is PhaseKind.SINGLE_SUPPORT:
             return Next(PhaseKind.STANCE if self._together else PhaseKind.DOUBLE_SUPPORT, phase.support.other)
@@ -153,6 +154,19 @@ class DynamicWalk(SteppingWalk):
         footprint = self.footsteps.wanted(phase.support, *self._step_now.tolist())
         return Next(PhaseKind.SINGLE_SUPPORT, phase.support, footprint)
 
+    def pause(self, wanted: bool) -> None:
+        """Put the feet together after the current step and stand, or continue: in mid-step the robot would fall."""
+        self._pausing = wanted
+
+    def may_hold(self, phase: Phase) -> bool:
+        """Return whether `phase` is a stance that has brought the CoM to rest."""
+        return phase.kind is PhaseKind.STANCE and self._rests
+
+    @property
+    def _is_idle(self) -> bool:
+        """Whether a stance continues: that of a paused walk, or of one that is steered with zero velocity."""
+        return self._pausing or super()._is_idle
+
     def restarts(self, phase: Phase) -> float | None:
         """Return 0: after an interruption a phase begins again immediately, because its reference has advanced."""
         return 0.0
@@ -160,14 +174,15 @@ class DynamicWalk(SteppingWalk):
     def _after(self, step: Array, done: int) -> tuple[Array, bool]:
         """Return the step after `step` and `done` completed steps, and whether it places the feet side by side."""
         gait, ramp = self.config.gait, self.config.dynamic.ramp
+        stopping = self._stopping or self._pausing
         if gait.steps:
             ramp = min(ramp, (gait.steps - 1) // 2)
             full = np.array([gait.step_length, gait.step_side, gait.step_turn])
-            most, ended = np.abs(full), self._stopping or done >= gait.steps
+            most, ended = np.abs(full), stopping or done >= gait.steps
             wanted = np.zeros(3) if ended or done >= gait.steps - ramp else full
         else:
             most = np.array([gait.most_length, gait.most_side, gait.most_turn])
-            wanted = np.zeros(3) if self._stopping else np.array(self._step_at(self._twist))
+            wanted = np.zeros(3) if stopping else np.array(self._step_at(self._twist))
             ended = not wanted.any()
         change = most / (ramp + 1)
         new = step + np.clip(wanted - step, -change, change)
@@ -272,6 +287,7 @@ class DynamicWalk(SteppingWalk):
         self._ground.observe(up, dt)
         assert isinstance(phase.rule, Timed)
         t = state.elapsed + phase.rule.begun
+        self._rests = t >= phase.rule.duration
         c, xi = now.measure(state.time, dt, c, xi)
         flight, change = self._flight, None
         if flight is not None:
