@@ -521,7 +521,7 @@ class SafetyConfig:
     tilt: float = parameter(0.5, "pelvis inclination (plant.imu) that counts as a fall", "rad", 0.1, 1.5)
     sole_tilt: float = parameter(0.2, "inclination of the base sole that ends the walk", "rad", 0.02, 1.5)
     contradiction: float = parameter(0.25, "motion error of joint or vertical that ends the walk", "rad", 0.01, 3.0)
-    jumps: int = parameter(5, "consecutive jumps of the state that end the walk", "", 1, 1000)
+    jumps: int = parameter(3, "consecutive impossible measurements that end the walk", "", 1, 1000)
     failures: int = parameter(10, "consecutive infeasible QPs that end the walk", "", 1, 1000)
 
 

@@ -18,7 +18,8 @@ from std_msgs.msg import String
 from dqwalk_ros.config import to_yaml
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
-from dqwalk_ros.nodes.safety import DuplicateStates, FaultCounter, StateGate
+from dqwalk_ros.nodes.safety import DuplicateStates, FaultCounter
+from dqwalk_ros.nodes.state_gate import StateGate
 from dqwalk_ros.paper.state import Command
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support import provenance
@@ -79,7 +80,7 @@ class AnsweringNode(WalkNode):
         self._plants = DuplicateStates(config.dt)
         self._duplicates = ""
         self._stale = False
-        self._ticks = self._rejected = 0
+        self._ticks = self._rejected = self._steps = 0
         self._diagnosed = -float("inf")  # [s]
         self.create_timer(0.02, self._check_timeout)
         self.create_timer(0.25, self._check_plants)
@@ -119,8 +120,8 @@ class AnsweringNode(WalkNode):
         """Log and count a state that was rejected; nothing else changes."""
         self._rejected += 1
         self.get_logger().error(f"{self.states} rejected ({self._rejected} so far): {error}", **throttled())
-        if self._gate.jumped and self._is_walking:
-            self._end(self._gate.jumped.reason)
+        if self._gate.fault and self._is_walking:
+            self._end(self._gate.fault)
         elif self._is_time_to_diagnose():
             self._diagnose("ERROR", self._problem or f"{self.states} rejected: {error}")  # the cause of a fall stays
 
@@ -142,14 +143,15 @@ class AnsweringNode(WalkNode):
                     self._publish_zero()
                 self._reject(StateError(stuck))
             return False
-        if stamp < self._stamp:
-            self.get_logger().warning(f"the stamps went back by {(self._stamp - stamp) * 1e-9:.3f} s")
         return True
 
     def _note(self, stamp: int) -> None:
         """Store the stamp of an accepted state."""
         self._stale = False
-        if 0 <= self._accepted < stamp:
+        if step := self._gate.stepped:
+            self._steps += 1
+            self.get_logger().warning(f"the stamps jumped by {step:+.3f} s, a clock was set; the walk continues")
+        elif 0 <= self._accepted < stamp:
             self._periods.append(1e-9 * (stamp - self._accepted))
         self._accepted = stamp
         if self.lockstep and len(self._periods) < _MIN_PERIODS:
@@ -255,7 +257,8 @@ class AnsweringNode(WalkNode):
         if not level:
             trouble = self._problem or (f"two plants: {self._duplicates}" if self._duplicates else "")
             level, message = "ERROR" if trouble or self._failures.count else of_walk, trouble or text
-        values = {"ticks": self._ticks, "states rejected": self._rejected, **values}
+        counts = {"ticks": self._ticks, "states rejected": self._rejected, "states overtaken": self._gate.overtaken}
+        values = {**counts, "clock steps": self._steps, **values}
         self.diagnose(self.what, self._model.name, level, message, values, max(self._stamp, 0))
 
     def _is_time_to_diagnose(self) -> bool:

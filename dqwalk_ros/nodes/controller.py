@@ -21,31 +21,23 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.estimation.drive import DriveWatch
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.answering import AnsweringNode, Fields
+from dqwalk_ros.nodes.fall_watch import FallWatch
 from dqwalk_ros.nodes.footsteps import FootstepInput
-from dqwalk_ros.nodes.inputs import InertialSensor, Steering
+from dqwalk_ros.nodes.inertial_sensor import InertialSensor
+from dqwalk_ros.nodes.inputs import Steering
 from dqwalk_ros.nodes.odometry import Odometry
 from dqwalk_ros.nodes.phases import PhasePublisher
-from dqwalk_ros.nodes.safety import Contradictions
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.state import Command, State
-from dqwalk_ros.report.causes import causes
-from dqwalk_ros.report.metrics import analyse
-from dqwalk_ros.report.scene import beginning
 from dqwalk_ros.robot.servos import Drive
-from dqwalk_ros.simulation import TraceRecorder, make_controller, walk_type, warm_up
+from dqwalk_ros.simulation import make_controller, walk_type, warm_up
 from dqwalk_ros.support.errors import DqwalkError, StateError
 from dqwalk_ros.support.topics import FAILED, FALLEN, FINISHED
 
 __all__ = ["Controller", "Mode"]
-
-
-_READY_DELAY = 0.3
-"""Longest time until a plant reports on plant_ready that it holds [s]."""
-_REMEMBERED = 10.0
-"""Time for which the last states are stored, to find the cause of a fall [s]."""
 
 
 class Mode(enum.Enum):
@@ -109,30 +101,26 @@ class Controller(AnsweringNode):
             self.awaited = "joint_states and imu"
         warm_up(config, self._model)
         self._walk = make_controller(config, self._model)
-        zero = Kinematics(self._model, np.zeros(self._model.n), Foot.LEFT)  # in which the sensor's `_upright` points up
-        self._upright = np.array([zero.direction(self._model.imu, axis)[2] for axis in np.eye(3)])
         self._mode = Mode.WALKING if config.node.autostart else Mode.IDLE
         self._stamp0 = -1  # of the first state answered [ns]
         self._plant_ready = True
-        self._contradictions = Contradictions(
-            self._model.joint_names, config.safety.contradiction, config.dt, lambda: self.config.plant.command_timeout
-        )
-        self._suspected, self._suspected_at = "", 0.0  # contradiction that was detected, and its time [s]
-        self._lying = ""  # how far the pelvis leans, where that is too far
+        self._pausing = False  # the walk comes to a rest, where it is paused
+        self._falls = FallWatch(config, self._model, lambda: self.config.plant.command_timeout, lockstep=self.lockstep)
         self._compute_time = 0.0  # from the last state in to its command out [s]
         self._reported = -float("inf")  # steady time [s]
 
         self._phases = PhasePublisher(self, self._model, self._publish_description())
         self._odometry = Odometry(self, self._model)
         self._drive = DriveWatch(Drive.of(config, self._model))
-        self._recent = self._new_recorder()
-        self._first_base = beginning(config, self._model).phase.base  # its sole is the frame odom
+        self._first_base: Foot | None = None  # its sole is the frame odom
         self._show_phase()
 
         # In real time only the newest state is of use; in lockstep every state must arrive.
         self.listen(JointState, "joint_states", self._on_state, 1 if self.lockstep else ros.best_effort(1))
         self.create_subscription(Bool, "plant_ready", self._on_plant_ready, ros.latched())
-        self._imu = InertialSensor(self, self._model.imu_link, self._take) if config.plant.imu else None
+        self._imu = (
+            InertialSensor(self, self._model.imu_link, self._gate.inertial, self._take) if config.plant.imu else None
+        )
         steered = not walk_type(config).phases(config)
         self._steering = Steering(self, self._walk) if steered else None
         self._footsteps = FootstepInput(self, self._walk, self._odometry) if steered else None
@@ -162,7 +150,7 @@ class Controller(AnsweringNode):
         before = self._mode
         ready = self._plant_ready and not self._duplicates
         self._look_for_contradictions(state, ready)
-        if self._mode is Mode.WALKING and ready and not self._suspected:
+        if self._mode is Mode.WALKING and ready and not self._falls.suspected:
             answer: Fields | None = self._step(state, stamp)
         elif self.lockstep:
             answer = None  # no answer: simulated time stands still
@@ -174,7 +162,7 @@ class Controller(AnsweringNode):
             self._compute_time = time.perf_counter() - began
             self._ticks += 1
             self._publish_odometry(stamp, state)
-        if self._mode is not before:
+        if self._mode is not before and self._mode is not Mode.PAUSED:
             self._done()
         elif self._is_time_to_diagnose():
             self._diagnose()
@@ -188,7 +176,7 @@ class Controller(AnsweringNode):
             if state is None or not self._is_new(stamp):
                 return None
             self._look_for_a_fall(state)
-            self._gate.accept(stamp, state.q)
+            state = self._gate.accept(stamp, state)
         except StateError as error:
             self._reject(error)
             return None
@@ -197,10 +185,12 @@ class Controller(AnsweringNode):
 
     def _publish_odometry(self, stamp: int, state: State) -> None:
         """Publish the pose of the robot in the frame of the first phase, also before that phase has begun."""
-        base, both, x_base, kin = self._first_base, True, DQ(1.0), self._walk.kin
+        both, x_base, kin = True, DQ(1.0), self._walk.kin
         if self._has_begun:
             phase = self._walk.phase
             base, both, x_base = phase.base, phase.kind is not PhaseKind.SINGLE_SUPPORT, DQ(self._walk.x_odom_base)
+        else:
+            base = self._first_base = self._first_base or self._walk.first_base(state)
         if kin is None or kin.base is not base or not np.array_equal(kin.q, state.q):  # the walk has not answered it
             kin = Kinematics.measured(self._model, state.q, base, state.up)
         self._odometry.publish(stamp, state, kin, x_base, both=both)
@@ -222,7 +212,6 @@ class Controller(AnsweringNode):
             return self._still
         if command.effort is not None:
             self._drive.add(state.time, state.q, command.velocity, command.effort)
-            self._recent.add(state, command, self._walk)
         if self._stamp0 < 0:
             self._stamp0 = stamp
         if self._phases.follow(self._walk, stamp):
@@ -230,43 +219,30 @@ class Controller(AnsweringNode):
         if self._walk.finished:
             self._mode = Mode.DONE
             return self._still
-        if (lean := self._walk.lean) > self.config.safety.sole_tilt:
-            foot, angle = self._walk.phase.base.value, math.degrees(lean)
-            self._mode, self._problem = Mode.FALLEN, f"the robot falls: its {foot} sole leans by {angle:.0f} deg"
+        if tips := self._falls.tips(self._walk.phase.base, self._walk.lean):
+            self._mode, self._problem = Mode.FALLEN, tips
+            return self._still
+        if self._pausing and self._walk.may_hold:
+            self._pausing, self._mode = False, Mode.PAUSED
+            self._show_phase()
             return self._still
         return {"velocity": command.velocity, "effort": command.effort}
 
     def _look_for_a_fall(self, state: State) -> None:
-        """End the walk if the pelvis leans too far: commands to a robot that lies on the floor only do damage.
-
-        This does not depend on the joints: their angles may be refused when the robot hits the ground.
-        """
-        self._lying = ""
-        if state.up is None:
-            return
-        lean = math.acos(min(max(float(self._upright @ state.up), -1.0), 1.0))
-        if lean > self.config.safety.tilt:
-            self._lying = f"the robot has fallen: its pelvis leans by {math.degrees(lean):.0f} deg"
-            if self._mode in (Mode.WALKING, Mode.PAUSED, Mode.FAILED):
-                self._problem = "; ".join(filter(None, [self._problem, self._lying]))
-                self._mode = Mode.FALLEN
-                self._publish_zero()
-                self._done()
+        """End the walk if the pelvis leans too far."""
+        lying = self._falls.look(state.up)
+        if lying and self._mode in (Mode.WALKING, Mode.PAUSED, Mode.FAILED):
+            self._problem = "; ".join(filter(None, [self._problem, lying]))
+            self._mode = Mode.FALLEN
+            self._publish_zero()
+            self._done()
 
     def _look_for_contradictions(self, state: State, ready: bool) -> None:
         """End the walk if the measurements contradict the commands; not checked while the robot stands still."""
         if self._mode is not Mode.WALKING or not ready:
-            self._contradictions.forget()
-            self._suspected = ""
-            return
-        if not self._suspected:
-            leaning = self._walk.lean > 0.5 * self.config.safety.sole_tilt
-            self._suspected = self._contradictions.judge(state, self._sent["velocity"], leaning=leaning)
-            self._suspected_at = state.time
-        # a plant that does not receive the commands holds, and reports this a little later
-        waits = 0.0 if self.lockstep else self.config.plant.command_timeout + _READY_DELAY
-        if self._suspected and state.time - self._suspected_at >= waits:
-            self._fail(self._suspected)
+            self._falls.forget()
+        elif confirmed := self._falls.compare(state, self._sent["velocity"], self._walk.lean):
+            self._fail(confirmed)
 
     def _fail(self, reason: str) -> None:
         super()._fail(reason)
@@ -278,22 +254,11 @@ class Controller(AnsweringNode):
         if self._mode is Mode.DONE:
             self.get_logger().info(f"the walk is over after {self._ticks} ticks")
         else:
-            if self._mode is Mode.FALLEN:
-                self._problem += self._cause()
             self.get_logger().error(f"the walk failed; holding still: {self._problem}")
         self._diagnose()
         self._report_progress(final=True)
         if self.config.node.exit_when_done:
             self.stop(0 if self._mode is Mode.DONE else 1)
-
-    def _new_recorder(self) -> TraceRecorder:
-        return TraceRecorder(self._walk.config, self._model, round(_REMEMBERED / self.config.dt))
-
-    def _cause(self) -> str:
-        """Return why the robot fell; empty where no phase had begun, or without an inertial sensor."""
-        walked = self._recent.trace()
-        found = causes(analyse(walked)) if walked.phases else []
-        return f"; it fell because: {found[0]}" if found else ""
 
     def _on_plant_ready(self, msg: Bool) -> None:
         """Stand still while the plant cannot execute commands, such as a robot whose torque is off."""
@@ -304,8 +269,11 @@ class Controller(AnsweringNode):
     # ------------------------------------------------------------------ services
 
     def _start(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._mode in (Mode.IDLE, Mode.PAUSED):
-            self._mode = Mode.WALKING
+        if self._mode in (Mode.IDLE, Mode.PAUSED) or self._pausing:
+            if self._gate.fault:
+                return self.answer(response, False, f"{self._gate.fault}; call ~/reset first")
+            self._walk.pause(False)
+            self._mode, self._pausing = Mode.WALKING, False
             self._show_phase()
             return self.answer(response, True, "walking")
         if self._mode is Mode.WALKING:
@@ -316,6 +284,10 @@ class Controller(AnsweringNode):
     def _pause(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._mode is not Mode.WALKING:
             return self.answer(response, self._mode is Mode.PAUSED, f"not walking: {self._mode.value}")
+        self._walk.pause(True)
+        if not self._walk.may_hold:
+            self._pausing = True
+            return self.answer(response, True, "pausing: it puts its feet together, then it stands; ~/start continues")
         self._mode = Mode.PAUSED
         self._show_phase()
         return self.answer(response, True, "paused: holding still; ~/start continues")
@@ -330,19 +302,17 @@ class Controller(AnsweringNode):
         return self.answer(response, True, "stopping: after the current step the feet are put together")
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._lying:
-            return self.answer(response, False, f"{self._lying}; put it on its feet first")
+        if self._falls.lying:
+            return self.answer(response, False, f"{self._falls.lying}; put it on its feet first")
         self._walk.reset()
         self._odometry.restart()
         self._drive = DriveWatch(Drive.of(self.config, self._model))
-        self._recent = self._new_recorder()
         self._phases.restart()
-        self._mode, self._problem = Mode.IDLE, ""
+        self._mode, self._problem, self._pausing, self._first_base = Mode.IDLE, "", False, None
         self._stamp = self._stamp0 = -1
         self._sent = self._still
         self._gate.reset()
-        self._contradictions.forget()
-        self._suspected = ""
+        self._falls.forget()
         self._failures.reset()
         self._show_phase()
         return self.answer(response, True, "the next walk starts from the current posture of the robot; call ~/start")
@@ -379,7 +349,9 @@ class Controller(AnsweringNode):
         self.get_logger().info(f"{(stamp - self._stamp0) * 1e-9:8.3f} s  phase {self._walk.phase_index}: {phase.name}")
 
     def _condition(self) -> tuple[str, str, dict[str, object]]:
-        values: dict[str, object] = {"states overtaken": self._gate.overtaken}
+        values: dict[str, object] = {}
+        if self._imu is not None:
+            values["imu rejected"] = self._gate.inertial.rejected
         if self._has_begun:
             walk = self._walk
             values |= {"error": walk.error, "solve time": walk.solve_time, "iterations": walk.iterations}
@@ -388,8 +360,8 @@ class Controller(AnsweringNode):
             values |= self._steering.values()
         if math.isfinite(self._drive.delay):
             values |= {"delay beyond told": self._drive.delay, "stiffness of told": self._drive.stiffness}
-        drive = "; ".join(self._drive.warnings())
-        return "WARN" if drive else "OK", drive or self._label, values
+        warning = "; ".join(filter(None, [*self._drive.warnings(), self._gate.inertial.warning]))
+        return "WARN" if warning else "OK", warning or self._label, values
 
     def _report_progress(self, final: bool = False) -> None:
         now = self.steady()

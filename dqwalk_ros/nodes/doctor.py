@@ -27,6 +27,7 @@ from std_msgs.msg import Bool, String
 from dqwalk_ros.config import Config
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes import wheels
+from dqwalk_ros.nodes.fall_watch import FallWatch
 from dqwalk_ros.nodes.inputs import VELOCITY
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
@@ -289,7 +290,7 @@ def check_inertial_sensor(config: Config, model: RobotModel, heard: Heard) -> st
             f"nothing on imu: start the sensor's broadcaster and remap its topic, or set plant.imu: false {_WHERE}"
         )
     msg = heard.imus[-1][0]
-    if msg.header.frame_id not in ("", model.imu_link):
+    if not ros.is_frame_of(model.imu_link, msg.header.frame_id):
         raise Failed(f"its frame is '{msg.header.frame_id}', and robot.imu is '{model.imu_link}': they must agree")
     try:
         up, gyro, _ = ros.inertial_of(msg)
@@ -300,6 +301,8 @@ def check_inertial_sensor(config: Config, model: RobotModel, heard: Heard) -> st
     a = msg.linear_acceleration
     pull = math.sqrt(a.x**2 + a.y**2 + a.z**2)
     text = f"leans by {math.degrees(lean):.1f} deg, turns at {np.linalg.norm(gyro):.3f} rad/s, {pull:.2f} m/s^2"
+    if lean > FallWatch.upside_down:
+        raise Failed(f"{text}: {FallWatch.other_frame}")
     if lean > _UPRIGHT:
         raise Failed(f"{text}: it is mounted askew (the URDF's joint of '{model.imu_link}'), or the floor is")
     if np.linalg.norm(gyro) > _STILL or abs(pull - 9.81) > _GRAVITY:

@@ -1,32 +1,31 @@
-"""Inputs of the nodes, checked on arrival: inertial sensor, joint commands, cmd_vel.
+"""Inputs of the nodes, checked on arrival: joint commands and cmd_vel.
 
 `messages` decodes the messages, `safety` decides which are accepted.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from geometry_msgs.msg import Twist, TwistStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import Imu, JointState
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.safety import CommandGate, DuplicatePublishers, Watchdog
-from dqwalk_ros.paper.state import Command, State
+from dqwalk_ros.paper.state import Command
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.errors import StateError
 
 if TYPE_CHECKING:
     from dqwalk_ros.controller import VelocityController
 
-__all__ = ["EFFORT", "VELOCITY", "CommandInput", "InertialSensor", "Steering"]
+__all__ = ["EFFORT", "VELOCITY", "CommandInput", "Steering"]
 
 VELOCITY, EFFORT = "joint_velocity_commands", "joint_effort_commands"
 _CHECK = 0.25
@@ -34,68 +33,6 @@ _CHECK = 0.25
 _CHECK_TYPES = 2.0
 """Period of the check for cmd_vel of the wrong message type [s]."""
 _STILL = (0.0, 0.0, 0.0)
-
-
-class InertialSensor:
-    """Adds the inertial sensor's message to the state of the joints.
-
-    In lockstep a state waits for the imu message with the same stamp. In real time the newest message is used, if its
-    stamp is within ``plant.command_timeout`` of the state's; the first one may arrive that long after the first state.
-
-    Parameters
-    ----------
-    frame : str
-        Link of the sensor: messages in another frame are rejected.
-    on_state : callable
-        Called again with a state that had to wait for its imu message.
-    """
-
-    def __init__(
-        self,
-        node: WalkNode,
-        frame: str,
-        on_state: Callable[[JointState], None],
-    ) -> None:
-        self._node, self._frame, self._on_state = node, frame, on_state
-        self._newest: Imu | None = None
-        self._waiting: JointState | None = None
-        self._first = math.inf  # time of receipt of the first state [s]
-        node.listen(Imu, "imu", self._on_imu, 1 if node.lockstep else ros.best_effort(1))
-
-    def _on_imu(self, msg: Imu) -> None:
-        self._newest = msg
-        waiting = self._waiting
-        if waiting is not None and waiting.header.stamp == msg.header.stamp:
-            self._waiting = None
-            self._on_state(waiting)
-
-    def join(self, msg: JointState, state: State) -> State | None:
-        """Return a state with the newest measurement; None if that has not arrived yet.
-
-        Raises
-        ------
-        StateError
-            If no measurement was received, it is too old, or it is invalid.
-        """
-        newest = self._newest
-        if self._node.lockstep:
-            if newest is None or newest.header.stamp != msg.header.stamp:
-                self._waiting = msg
-                return None
-        elif newest is None:
-            now = self._node.steady()
-            self._first = min(self._first, now)
-            if now - self._first <= self._node.config.plant.command_timeout:
-                return None  # the node has just started
-            raise StateError("imu: no message yet (plant.imu is true)")
-        else:
-            age = 1e-9 * abs(ros.nanoseconds(msg.header.stamp) - ros.nanoseconds(newest.header.stamp))
-            if age > self._node.config.plant.command_timeout:
-                raise StateError(f"imu: its stamp is {age:.3f} s away from the state's")
-        if (given := newest.header.frame_id) not in ("", self._frame):
-            raise StateError(f"imu: it is in the frame '{given}', and robot.imu is '{self._frame}': they must agree")
-        up, gyro, acceleration = ros.inertial_of(newest)
-        return dataclasses.replace(state, up=up, gyro=gyro, acceleration=acceleration)
 
 
 class Steering:

@@ -34,6 +34,7 @@ __all__ = [
     "impulse",
     "imu",
     "inertial_of",
+    "is_frame_of",
     "is_heard_by",
     "latched",
     "message_type",
@@ -275,6 +276,11 @@ def imu(stamp: int, frame: str, measured: Inertial) -> Imu:
     w.x, w.y, w.z = measured.gyro.tolist()
     a.x, a.y, a.z = measured.acceleration.tolist()
     return msg
+
+
+def is_frame_of(link: str, frame: str) -> bool:
+    """Return whether a frame_id is that of a link: its name, with or without a prefix such as ``robot1/``, or empty."""
+    return not frame or frame.rpartition("/")[2] == link
 
 
 def inertial_of(msg: Imu) -> tuple[Array, Array, Array | None]:

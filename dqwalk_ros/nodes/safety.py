@@ -7,30 +7,24 @@ watchdog. A timeout is measured from the *receipt* of a message, on a steady clo
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dqwalk_ros.paper.state import State
-from dqwalk_ros.robot.limits import FASTEST, clamp_velocity, named_angles, outside_limits, unreachable
+from dqwalk_ros.robot.limits import clamp_velocity
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError, listed
 
 __all__ = [
-    "BodyGate",
     "CommandGate",
-    "Contradictions",
     "DuplicatePublishers",
     "DuplicateStates",
     "FaultCounter",
     "JointOrder",
-    "StateGate",
     "Watchdog",
 ]
 
@@ -237,243 +231,6 @@ class DuplicateStates:
         return ", ".join(sorted(set(publishers))) if self._suspected >= self.looks else ""
 
 
-class StateGate:
-    """Decides which measured states a controller accepts.
-
-    Parameters
-    ----------
-    dt : float
-        Period of the states [s].
-    timeout : callable
-        Returns the timeout of the states [s].
-    outside : float
-        Largest excess over the joint limits of an accepted state [rad].
-    jumps : int
-        Consecutive jumps after which every state is rejected until `reset`.
-    by_stamp : bool
-        In lockstep: time is measured by the stamps, not by the steady clock.
-
-    Attributes
-    ----------
-    watchdog : Watchdog
-        Fed by accepted states only.
-    jumped : FaultCounter
-    overtaken : int
-        Number of states ignored because of their stamp.
-    """
-
-    repeats = 5
-    """Number of consecutive states with the stamp of the last one that indicates stamps which do not advance."""
-    may_repeat = False
-    """Whether the plant publishes a state again until it is answered."""
-
-    def __init__(
-        self,
-        model: RobotModel,
-        dt: float,
-        timeout: Callable[[], float],
-        *,
-        outside: float = 0.1,
-        jumps: int = 5,
-        by_stamp: bool = False,
-        clock: Clock = time.monotonic,
-    ) -> None:
-        self._model, self._dt, self._outside, self._by_stamp = model, dt, outside, by_stamp
-        self._timeout = timeout
-        self.watchdog = Watchdog(timeout, clock)
-        self.jumped = FaultCounter(jumps)
-        self.overtaken = 0
-        self._q: Array | None = None
-        self._stamp = -1
-        self._repeated = 0  # consecutive states with this stamp
-        self._passed = 0.0  # from the last accepted state to the first jump after it [s]
-
-    def is_new(self, stamp: int) -> bool:
-        """Return whether a stamp [ns] is newer than the last accepted one, or the plant's clock was set back.
-
-        An older state arrived out of order; after a timeout it is accepted as the first one of a clock set back. The
-        same stamp again is not a clock set back.
-        """
-        repeated = stamp == self._stamp and not self.may_repeat
-        self._repeated = self._repeated + 1 if repeated else 0
-        if stamp > self._stamp or (self.watchdog.silent and not repeated):
-            return True
-        self.overtaken += 1
-        return False
-
-    @property
-    def stuck(self) -> str:
-        """Why every state is ignored, if the stamps do not advance while states arrive; empty otherwise."""
-        if self._repeated < self.repeats:
-            return ""
-        return (
-            f"they all have the stamp {1e-9 * self._stamp:.9g}: set header.stamp to the time of the measurement, "
-            "a new one for each state"
-        )
-
-    def accept(self, stamp: int, q: Array) -> None:
-        """Accept a state, or raise an error and change nothing.
-
-        Raises
-        ------
-        StateError
-            If it is outside the joint limits, or further from the last one than the joints can move; the message
-            names the joints.
-        """
-        if self.jumped:
-            raise StateError(self.jumped.reason)
-        if outside := outside_limits(q, self._model, self._outside):
-            raise StateError(f"outside the joint limits: {outside} ({self._outside:g} rad are tolerated)")
-        if self._q is not None:
-            passed = (stamp - self._stamp) * 1e-9
-            if not self._by_stamp:  # a stamp may be wrong; the time of receipt bounds the error
-                age = self.watchdog.age
-                passed = min(max(passed, age), age + self._timeout())
-            if self.jumped.count:  # waiting does not make a jump plausible
-                passed = min(passed, self._passed)
-            self._passed = passed
-            speed = np.minimum(self._model.velocity_max, FASTEST)
-            beyond = unreachable(q, self._q, passed, speed, self._dt * speed)
-            if far := named_angles(self._model, np.abs(q - self._q), beyond):
-                raise self._jump(f"a jump that the velocity limits do not allow: {far}")
-        self.jumped.good()
-        self._q, self._stamp = q, stamp
-        self.watchdog.feed()
-
-    def reset(self) -> None:
-        """Accept any joint angles in the next state."""
-        self.jumped.reset()
-        self._q, self._stamp, self._repeated = None, -1, 0
-        self.watchdog.starve()
-
-    def _jump(self, why: str) -> StateError:
-        """Count a jump and return its error."""
-        latched = self.jumped.fault(f"{why}; {self.jumped.limit} in a row, rejecting all states until ~/reset")
-        return StateError(self.jumped.reason if latched else why)
-
-
-class BodyGate(StateGate):
-    """Decides which states of the whole body, joints and base, a controller accepts.
-
-    Time is measured by the stamps. A push or a touchdown can accelerate the joints beyond the limits of the motors, so
-    joint velocities up to `fast` times their limits are accepted.
-    """
-
-    may_repeat = True
-    fast = 3.0
-    """Largest accepted joint velocity, in units of its limit."""
-    speed, turn = 10.0, 30.0
-    """Largest accepted velocities of the base [m/s, rad/s]."""
-
-    def __init__(self, model: RobotModel, dt: float, timeout: Callable[[], float], **options: Any) -> None:
-        able = dataclasses.replace(model, velocity_max=self.fast * model.velocity_max)
-        super().__init__(able, dt, timeout, **{**options, "by_stamp": True})
-        self._place: Array | None = None
-
-    def accept_body(self, stamp: int, q: Array, dq: Array, place: Array, v_base: Array) -> None:
-        """Accept a state, or raise an error and change nothing.
-
-        Parameters
-        ----------
-        stamp : int
-            [ns]
-        q, dq : ndarray, shape (n,)
-            [rad, rad/s]
-        place : ndarray, shape (3,)
-            Of the base [m].
-        v_base : ndarray, shape (6,)
-            [m/s, rad/s]
-
-        Raises
-        ------
-        StateError
-            If a number is not finite, a velocity is too large, or joints or base jumped.
-        """
-        if not all(np.isfinite(part).all() for part in (q, dq, place, v_base)):
-            raise StateError("a number is not finite")
-        if not (np.abs(dq) <= self._model.velocity_max).all():
-            joint = int(np.argmax(np.abs(dq) / self._model.velocity_max))
-            raise StateError(f"{self._model.joint_names[joint]} turns at {dq[joint]:.3g} rad/s")
-        if not (np.abs(v_base[:3]).max() <= self.speed and np.abs(v_base[3:]).max() <= self.turn):
-            raise StateError(f"the base moves at {np.abs(v_base[:3]).max():.3g} m/s")
-        if self._place is not None and not self.jumped:
-            moved = float(np.linalg.norm(place - self._place))
-            if not moved <= self.speed * (max((stamp - self._stamp) * 1e-9, 0.0) + self._dt):
-                raise self._jump(f"the base jumped by {moved:.3g} m")
-        self.accept(stamp, q)
-        self._place = place
-
-
-class Contradictions:
-    """Detects joints that do not follow their commands, and inertial measurements that contradict each other.
-
-    The difference between measured and expected motion is integrated with a decay. The sag of servos and the bias of a
-    gyroscope stay small in this sum; an angle that is frozen, has slipped or drifts does not.
-
-    Between two states that are further apart than two periods, states were lost, or the plant was late. In the first
-    case it moved all the time; in the second for two periods only, because no plant makes up for lost time. Only motion
-    outside these two limits counts.
-
-    Parameters
-    ----------
-    limit : float
-        Largest sum [rad].
-    period : float
-        Period of the states [s].
-    timeout : callable
-        Returns the timeout of the states [s].
-    """
-
-    memory = 10.0, 1.0
-    """Time constants of the decay, of the joints and of the vertical [s]."""
-
-    def __init__(self, joint_names: Sequence[str], limit: float, period: float, timeout: Callable[[], float]) -> None:
-        self._names, self._limit, self._period, self._timeout = joint_names, limit, period, timeout
-        self.forget()
-
-    def forget(self) -> None:
-        """Clear the sums; the next state is compared with nothing."""
-        self._before: State | None = None
-        self._off, self._turned = np.zeros(len(self._names)), np.zeros(3)
-
-    def judge(self, state: State, commanded: Array, *, leaning: bool = False) -> str:
-        """Return a description of the contradiction, empty if there is none.
-
-        Parameters
-        ----------
-        commanded : ndarray, shape (n,)
-            Velocities commanded since the previous state [rad/s].
-        leaning : bool
-            Whether the base sole seems to be tilted, which a wrong angle causes; the limit is then halved.
-        """
-        before, self._before = self._before, state
-        passed = state.time - before.time if before is not None else 0.0
-        if before is None or not 0.0 < passed <= self._timeout():  # after a gap it may have moved
-            self.forget()
-            self._before = state
-            return ""
-        moved, most, least = state.q - before.q, passed * commanded, min(passed, 2.0 * self._period) * commanded
-        beyond = moved - np.clip(moved, np.minimum(least, most), np.maximum(least, most))
-        self._off = math.exp(-passed / self.memory[0]) * (self._off + beyond)
-        if (worst := np.abs(self._off)).max() > (0.5 * self._limit if leaning else self._limit):
-            k = int(worst.argmax())
-            return (
-                f"{self._names[k]} does not follow its commands, it is {worst[k]:.2f} rad off: it is blocked or "
-                "without power, or its angle is frozen or has slipped"
-            )
-        if before.up is None or before.gyro is None or state.up is None:
-            return ""
-        (a, b, c), (x, y, z) = before.up, before.gyro
-        turning = passed * np.array([b * z - c * y, c * x - a * z, a * y - b * x])
-        self._turned = math.exp(-passed / self.memory[1]) * (self._turned + state.up - before.up - turning)
-        if (off := math.sqrt(float(self._turned @ self._turned))) > self._limit:
-            return (
-                f"the inertial sensor contradicts itself: the rotation of its vertical differs by {off:.2f} rad from "
-                "that of its gyroscope; check its mounting"
-            )
-        return ""
-
-
 class CommandGate:
     """Decides how a plant moves: as the last accepted command says, or not at all.
 
@@ -505,7 +262,7 @@ class CommandGate:
         self._zero = np.zeros(model.n)
         self._u = self._zero
         self._effort: Array | None = None
-        self._stamp = -1
+        self._stamp = self._now = -1  # of the last command, and of the last state before it [ns]
 
     @property
     def effort(self) -> Array | None:
@@ -553,6 +310,9 @@ class CommandGate:
         clock : int, optional
             Time of the node's clock [ns].
         """
+        if now < self._now:  # a clock was set back, so the stamps of earlier commands mean nothing
+            self._stamp = -1
+        self._now = now
         unstamped = stamp == 0
         if stamp == self._stamp and not unstamped and not np.array_equal(u, self._u):
             # a controller that stops sends zero once with the stamp of a state it has answered already

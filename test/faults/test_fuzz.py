@@ -18,7 +18,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dqwalk_ros.config import from_yaml, load, to_yaml
-from dqwalk_ros.nodes.safety import JointOrder, StateGate
+from dqwalk_ros.nodes.safety import JointOrder
+from dqwalk_ros.nodes.state_gate import StateGate
+from dqwalk_ros.paper.state import State
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.errors import ConfigError, ModelError, StateError
 
@@ -172,7 +174,7 @@ def test_random_messages(messages: list[tuple[list[str], list[float], int]]) -> 
         try:
             q = order(names, values, "position")
             if gate.is_new(stamp):
-                gate.accept(stamp, q)
+                gate.accept(stamp, State(0.0, q))
         except StateError:
             continue
         assert np.isfinite(q).all()

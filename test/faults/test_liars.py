@@ -14,7 +14,7 @@ from inside import state
 from std_msgs.msg import Bool
 
 from dqwalk_ros.config import load, overlaid
-from dqwalk_ros.nodes.safety import Contradictions
+from dqwalk_ros.nodes.fall_watch import Contradictions
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.plants.base import Inertial, upward
@@ -134,7 +134,8 @@ def test_ordinary_servos_and_sensors_are_not_reported(stiffness: float, latency:
     config = overlaid(load("poppy"), "physics").updated({**values, **sensors})
     config = config.updated(assumed(config))
     controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
-    judge = Contradictions(MODEL.joint_names, 0.3 * config.safety.contradiction, config.dt, lambda: 0.1)
+    strict = config.updated({"safety.contradiction": 0.3 * config.safety.contradiction})
+    judge = Contradictions(strict, MODEL, lambda: 0.1)
     before = np.zeros(MODEL.n)
     for measured, command in closed_loop(controller, plant):
         assert not judge.judge(measured, before), measured.time
@@ -163,7 +164,8 @@ def test_a_plant_with_another_dt_ends_the_walk(make: Any, lockstep: bool, period
 
 
 def judged(states: list[State], u: np.ndarray) -> str:
-    judge = Contradictions(MODEL.joint_names, 0.25, 0.02, lambda: 0.1)
+    free = dataclasses.replace(MODEL, q_min=np.full(MODEL.n, -np.inf), q_max=np.full(MODEL.n, np.inf))
+    judge = Contradictions(CONFIG.updated({"dt": 0.02}), free, lambda: 0.1)
     return next((why for one in states if (why := judge.judge(one, u))), "")
 
 
@@ -178,6 +180,26 @@ def test_lost_states_and_a_holding_plant_are_no_contradiction() -> None:
     u = np.ones(MODEL.n)
     assert not judged([State(0.02 * k, 0.02 * k * u) for k in range(0, 1000, 4)], u)
     assert not judged([State(0.0, 0.0 * u), State(30.0, 1.0 * u), State(60.0, 0.2 * u)], u)
+
+
+def test_after_a_gap_contradictions_are_forgotten() -> None:
+    """The robot may have been moved in the meantime; what was off before does not count any more."""
+    u, off = np.zeros(MODEL.n), np.eye(MODEL.n)[KNEE]
+    states = [State(0.0, u), State(0.02, 0.2 * off), State(0.13, 0.9 * off), State(0.15, 1.1 * off)]
+    assert not judged(states, u)
+    assert judged([*states, State(0.17, 1.2 * off)], u).startswith("l_knee_y does not follow its commands, it is 0.30")
+
+
+def test_a_leg_that_yields_is_no_contradiction_and_a_blocked_one_is() -> None:
+    """The goal stays within servo.window of the joint: a command that is withheld for long is still noticed."""
+    config = CONFIG.updated({"dt": 0.02, "servo.window": 0.006, "servo.assumed_latency": 0.0})
+    u = 0.04 * np.eye(MODEL.n)[KNEE]
+    for speed, named in ((0.0, False), (0.03, False), (2.0, True)):
+        judge = Contradictions(config, MODEL, lambda: 0.1)
+        states = [State(0.02 * k, np.zeros(MODEL.n)) for k in range(1000)]
+        found = [judge.judge(one, (speed / 0.04) * u) for one in states]
+        assert any(found) is named, speed
+        assert judge.largest < 0.25 or named
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

@@ -6,10 +6,12 @@ import functools
 import itertools
 import math
 import signal
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
@@ -67,6 +69,62 @@ def test_the_robot_does_not_fall_when_its_controller_fails(plant: str, fault: st
             break
     assert not robot.fallen
     assert state.time >= end
+
+
+DYNAMIC = overlaid(load("poppy_dynamic"), "physics").updated({"qp.solver": "daqp", "gait.steps": 8})
+PAUSES = [0.1, 1.4, *(pytest.param(1.0 + 0.025 * k, marks=pytest.mark.long) for k in range(MOMENTS))]
+"""Times at which the dynamic walk is paused [s]: before the first step, in mid-swing, and in all of a step."""
+
+
+@pytest.mark.parametrize("at", PAUSES)
+def test_a_paused_dynamic_walk_puts_its_feet_together_stands_and_continues(make: Any, at: float) -> None:
+    """In mid-step it would fall without commands."""
+    node, model = make("controller", DYNAMIC), load_model(DYNAMIC.robot)
+    robot, dt, time = make_plant("physics", DYNAMIC, model), DYNAMIC.dt, 0.0
+
+    def walk(until: Callable[[], bool], most: float) -> None:
+        nonlocal time
+        begin = time
+        while not until():
+            node.exchange(robot, model, 1.0 + time)
+            time += dt
+            assert not robot.fallen
+            assert time < begin + most
+
+    def moved() -> float:
+        return float(DQ(robot.truth.pelvis).translation()[0])
+
+    walk(lambda: time >= at, 5.0)
+    answer = node.call("pause", Trigger.Request())
+    assert answer.success
+    assert "puts its feet together" in answer.message
+    assert node.got["phase"][-1].data.split("/")[0] in ("stance", "single_support", "double_support")
+    walk(lambda: node.got["phase"][-1].data == "paused", 4.0)
+    assert not any(node.got["joint_velocity_commands"][-1].velocity)
+    feet = [DQ(x).translation()[0] for x in robot.truth.soles.values()]
+    assert abs(feet[0] - feet[1]) < 0.01
+    stood, end = moved(), time + 1.0
+    walk(lambda: time >= end, 2.0)
+    assert abs(moved() - stood) < 0.01
+    assert node.call("start", Trigger.Request()).success
+    walk(lambda: moved() > stood + 0.05, 5.0)
+    assert node.call("pause", Trigger.Request()).success
+    assert node.call("start", Trigger.Request()).success  # before it stands
+    walk(lambda: node.got["phase"][-1].data == "finished", 8.0)
+
+
+def test_a_robot_holds_still_at_once_unless_it_would_fall() -> None:
+    """A quasi-static walk does in each posture; steps that catch a push do not."""
+    for name, holds in (("paper", True), ("poppy", True), ("poppy_dynamic", False)):
+        config = load(name)
+        model = load_model(config.robot)
+        controller = make_controller(config, model)
+        assert controller.may_hold  # before the first state
+        plant = make_plant("kinematic", config, model)
+        controller.step(plant.state, config.dt)
+        assert controller.may_hold is holds
+        controller._active = getattr(controller.walk, "steps", controller.walk)
+        assert controller.may_hold is (name == "paper")
 
 
 @pytest.mark.parametrize("support", list(Foot))

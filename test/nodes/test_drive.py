@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 
-from dqwalk_ros.config import load, overlaid
+from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.robot.servos import Drive
@@ -22,6 +22,7 @@ from dqwalk_ros.simulation import make_plant
 from dqwalk_ros.support.errors import ConfigError
 
 POPPY = overlaid(load("poppy"), "ros2_control")
+DYNAMIC = overlaid(load("poppy_dynamic"), "ros2_control")
 MODEL = load_model(POPPY.robot)
 NAMES = MODEL.joint_names
 POSTURE = MODEL.posture(POPPY.standing.posture)
@@ -36,13 +37,14 @@ TOPIC = {kind: f"forward_{kind}_controller/commands" for kind in ("position", "v
 class Ros2ControlWalk:
     """A walk whose robot, in physics, is driven through ros2_control, simulated period by period."""
 
-    def __init__(self, make: Any, rate: float, interface: str, **more: Any) -> None:
+    def __init__(self, make: Any, rate: float, interface: str, config: Config = POPPY, **more: Any) -> None:
         self.dt = 1.0 / rate
         joints = (*EXTRA, *reversed(NAMES))
         values: dict[str, Any] = {"dt": self.dt, "servo.assumed_rate": rate, "servo.assumed_latency": self.dt}
         values |= {"output.interface": interface, "output.joints": joints, "node.autostart": True}
-        self.config = POPPY.updated({**values, "qp.solver": "daqp", **more})
-        self.robot = ControllerManager(make_plant("physics", self.config, MODEL), interface, joints, MODEL.imu, rate)
+        self.config = config.updated({**values, "qp.solver": "daqp", **more})
+        servos = self.config.updated({"servo.window": 1.0})  # they go where they are commanded
+        self.robot = ControllerManager(make_plant("physics", servos, MODEL), interface, joints, MODEL.imu, rate)
         self.controller, self.drive = make("controller", self.config), make("drive", self.config)
         self.controller.send("plant_ready", Bool(data=True))
         self.output, self._commands = self.drive.got[TOPIC[interface]], self.controller.got["joint_velocity_commands"]
@@ -65,9 +67,9 @@ class Ros2ControlWalk:
         self._received = len(self.output)
 
 
-def check_walk(make: Any, rate: float, interface: str, steps: int) -> None:
-    """Walk, and check that the robot has not fallen and has walked the distance."""
-    walk = Ros2ControlWalk(make, rate, interface, **{"gait.steps": steps})
+def check_walk(make: Any, rate: float, interface: str, steps: int, config: Config = POPPY) -> Ros2ControlWalk:
+    """Walk, and check that the robot has not fallen and has walked the distance; return the walk."""
+    walk = Ros2ControlWalk(make, rate, interface, config, **{"gait.steps": steps})
     robot, controller = walk.robot, walk.controller.node
     began = {foot: DQ(x).translation()[0] for foot, x in robot.plant.truth.soles.items()}
     while controller._mode.value == "walking" and not robot.plant.fallen:
@@ -76,11 +78,29 @@ def check_walk(make: Any, rate: float, interface: str, steps: int) -> None:
     assert not robot.plant.fallen
     ahead = {foot: DQ(x).translation()[0] - began[foot] for foot, x in robot.plant.truth.soles.items()}
     print(f"{rate:g} Hz, {interface}: {robot.updates * walk.dt:.1f} s, feet {min(ahead.values()):.3f} m ahead")
-    assert list(ahead.values()) == pytest.approx([steps * walk.config.gait.step_length] * 2, rel=0.2)
+    ramp = min(config.dynamic.ramp, (steps - 1) // 2) if config.gait.style == "dynamic" else 0
+    paces = steps - ramp  # the first and the last ones are shorter
+    assert list(ahead.values()) == pytest.approx([paces * walk.config.gait.step_length] * 2, rel=0.2)
+    return walk
 
 
 def test_one_step_through_ros2_control(make: Any) -> None:
     check_walk(make, 50.0, "velocity", 1)
+
+
+LONG = {"marks": (pytest.mark.long, pytest.mark.timeout(1800))}
+
+
+@pytest.mark.parametrize(
+    ("rate", "interface", "steps"),
+    [pytest.param(r, i, 40, **LONG) for r in (100.0, 200.0) for i in TOPIC],
+)
+def test_dynamic_steps_through_ros2_control(make: Any, rate: float, interface: str, steps: int) -> None:
+    """Legs that yield within servo.window do not contradict their commands."""
+    walk = check_walk(make, rate, interface, steps, DYNAMIC)
+    largest = walk.controller.node._falls.contradictions.largest
+    print(f"largest contradiction {largest:.3f} rad of {walk.config.safety.contradiction:g}")
+    assert largest < 0.5 * walk.config.safety.contradiction
 
 
 @pytest.mark.long

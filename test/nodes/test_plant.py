@@ -17,7 +17,9 @@ from dqwalk_ros import report as reporting
 from dqwalk_ros.cli.runner import run_walk
 from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.inputs import InertialSensor, Steering
+from dqwalk_ros.nodes.inertial_sensor import InertialSensor
+from dqwalk_ros.nodes.inputs import Steering
+from dqwalk_ros.nodes.state_gate import InertialGate
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.report import bag
@@ -137,7 +139,7 @@ def state_at(stamp: int) -> tuple[JointState, State]:
 
 def test_in_lockstep_a_state_waits_for_the_imu_of_its_stamp(make: Any) -> None:
     one, again = make("integrator", PAPER.updated({"plant.lockstep": True})), []
-    sensor = InertialSensor(one.node, "imu", again.append)
+    sensor = InertialSensor(one.node, "imu", InertialGate(3, lambda: 0.1), again.append)
     msg, state = state_at(5_000_000)
     one.send("imu", imu_at(0))
     assert sensor.join(msg, state) is None
@@ -150,7 +152,7 @@ def test_in_lockstep_a_state_waits_for_the_imu_of_its_stamp(make: Any) -> None:
 
 def test_in_real_time_the_newest_imu_message_is_used_until_too_old(make: Any) -> None:
     one = make("integrator", PAPER)
-    sensor = InertialSensor(one.node, "imu", lambda _: None)
+    sensor = InertialSensor(one.node, "imu", InertialGate(3, lambda: 0.1), lambda _: None)
     assert sensor.join(*state_at(0)) is None
     one.clock.now += 0.2
     with pytest.raises(StateError, match="no message yet"):
@@ -165,7 +167,7 @@ def test_in_real_time_the_newest_imu_message_is_used_until_too_old(make: Any) ->
 
 def test_an_invalid_imu_message_is_refused(make: Any) -> None:
     one = make("integrator", PAPER.updated({"plant.lockstep": True}))
-    sensor = InertialSensor(one.node, "imu", lambda _: None)
+    sensor = InertialSensor(one.node, "imu", InertialGate(3, lambda: 0.1), lambda _: None)
     for bad, why in (
         (imu_at(0, frame="imu_link"), "it is in the frame 'imu_link', and robot.imu is 'imu'"),
         (imu_at(0, w=0.0), "unit quaternion"),
@@ -176,6 +178,18 @@ def test_an_invalid_imu_message_is_refused(make: Any) -> None:
         one.send("imu", bad)
         with pytest.raises(StateError, match=why):
             sensor.join(*state_at(0))
+
+
+@pytest.mark.parametrize("frame", ["", "imu", "/imu", "robot1/imu", "a/b/imu"])
+def test_the_frame_of_the_imu_may_have_a_prefix(make: Any, frame: str) -> None:
+    one = make("integrator", PAPER.updated({"plant.lockstep": True}))
+    sensor = InertialSensor(one.node, "imu", InertialGate(3, lambda: 0.1), lambda _: None)
+    one.send("imu", imu_at(0, frame=frame))
+    assert sensor.join(*state_at(0)) is not None
+    for other in ("robot1/imu_link", "imu/pelvis", "robot1imu"):
+        one.send("imu", imu_at(1, frame=other))
+        with pytest.raises(StateError, match=f"it is in the frame '{other}'"):
+            sensor.join(*state_at(1))
 
 
 def test_cmd_vel_times_out_by_the_time_of_receipt(make: Any) -> None:

@@ -8,16 +8,13 @@ from stepped_time import SteppedTime
 
 from dqwalk_ros.config import load
 from dqwalk_ros.nodes.safety import (
-    BodyGate,
     CommandGate,
     DuplicatePublishers,
     DuplicateStates,
     FaultCounter,
     JointOrder,
-    StateGate,
     Watchdog,
 )
-from dqwalk_ros.robot.limits import outside_limits
 from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.support.errors import StateError
 
@@ -101,151 +98,6 @@ def test_the_fault_counter_latches_after_consecutive_faults_until_reset() -> Non
     assert not latch
 
 
-# ---------------------------------------------------------------------- states
-
-
-def gate_of(model: RobotModel, clock: SteppedTime, **options: object) -> StateGate:
-    return StateGate(model, DT, lambda: 0.1, clock=clock, **options)  # type: ignore[arg-type]
-
-
-def test_states_of_a_walk_are_accepted(model: RobotModel, clock: SteppedTime) -> None:
-    gate = gate_of(model, clock)
-    for k in range(100):
-        assert gate.is_new(k * PERIOD)
-        gate.accept(k * PERIOD, 0.9 * DT * k * np.minimum(model.velocity_max, 0.5 * model.q_max / (100 * DT)))
-        clock.now += DT
-    assert gate.overtaken == 0
-
-
-def test_a_spike_is_rejected_and_does_not_feed_the_watchdog(model: RobotModel, clock: SteppedTime) -> None:
-    gate = gate_of(model, clock)
-    zero = np.zeros(model.n)
-    gate.accept(0, zero)
-    clock.now += 0.06
-    spike = zero.copy()
-    spike[3] = 0.9
-    with pytest.raises(StateError, match=rf"jump.*{model.joint_names[3]} by 0.9 rad"):
-        gate.accept(PERIOD, spike)
-    clock.now += 0.06
-    assert gate.watchdog.silent
-    gate.accept(2 * PERIOD, zero)  # valid; the spike had no effect
-    assert not gate.watchdog.silent
-
-
-def test_consecutive_jumps_latch_until_reset(model: RobotModel, clock: SteppedTime) -> None:
-    gate = gate_of(model, clock, jumps=3)
-    zero, far = np.zeros(model.n), 0.4 * np.eye(model.n)[1] * np.sign(model.q_max[1] + model.q_min[1])
-    gate.accept(0, zero)
-    for k in range(1, 4):
-        clock.now += DT
-        with pytest.raises(StateError, match="jump"):
-            gate.accept(k * PERIOD, far)
-    with pytest.raises(StateError, match="reset"):
-        gate.accept(4 * PERIOD, zero)
-    gate.reset()
-    gate.accept(5 * PERIOD, far)
-
-
-def test_a_persistent_jump_is_never_accepted(model: RobotModel, clock: SteppedTime) -> None:
-    """The time during which it is rejected does not count as time in which the joint could move."""
-    gate = gate_of(model, clock, jumps=1000)
-    gate.accept(0, np.zeros(model.n))
-    for k in range(1, 100):
-        clock.now += DT
-        with pytest.raises(StateError, match="jump"):
-            gate.accept(k * PERIOD, 0.3 * np.eye(model.n)[0])
-    clock.now += DT
-    gate.accept(100 * PERIOD, np.zeros(model.n))
-
-
-def test_a_stamp_in_the_future_does_not_allow_a_jump(model: RobotModel, clock: SteppedTime) -> None:
-    gate = gate_of(model, clock)
-    gate.accept(0, np.zeros(model.n))
-    clock.now += DT
-    with pytest.raises(StateError, match="jump"):
-        gate.accept(100_000_000_000, np.full(model.n, 0.05) + 0.95 * np.eye(model.n)[2])
-
-
-def test_after_a_long_silence_another_posture_is_accepted(model: RobotModel, clock: SteppedTime) -> None:
-    gate = gate_of(model, clock)
-    gate.accept(0, np.zeros(model.n))
-    clock.now += 1.0
-    gate.accept(PERIOD, 0.3 * np.eye(model.n)[0])
-
-
-def test_in_lockstep_jumps_are_judged_by_stamps_not_by_the_clock(model: RobotModel, clock: SteppedTime) -> None:
-    gate = gate_of(model, clock, by_stamp=True)
-    gate.accept(0, np.zeros(model.n))
-    clock.now += 100.0
-    with pytest.raises(StateError, match="jump"):
-        gate.accept(PERIOD, 0.3 * np.eye(model.n)[0])
-    gate.reset()
-    gate.accept(200 * PERIOD, np.zeros(model.n))  # only the elapsed time counts, not the stamp itself
-    with pytest.raises(StateError, match="jump"):
-        gate.accept(201 * PERIOD, 0.3 * np.eye(model.n)[0])
-
-
-@pytest.mark.parametrize("beyond", [1e-9, 1e-4, 0.01, 0.0999])
-def test_joints_slightly_outside_their_limits_are_accepted(
-    model: RobotModel, clock: SteppedTime, beyond: float
-) -> None:
-    for i in range(model.n):
-        q = np.zeros(model.n)
-        q[i] = model.q_max[i] + beyond
-        gate_of(model, clock).accept(0, q)
-        q[i] = model.q_min[i] - beyond
-        gate_of(model, clock).accept(0, q)
-
-
-@pytest.mark.parametrize("beyond", [0.101, 0.5, 1e6])
-def test_joints_far_outside_their_limits_are_rejected_by_name(
-    model: RobotModel, clock: SteppedTime, beyond: float
-) -> None:
-    for i, name in enumerate(model.joint_names):
-        for sign, limit in ((1.0, model.q_max[i]), (-1.0, model.q_min[i])):
-            q = np.zeros(model.n)
-            q[i] = limit + sign * beyond
-            with pytest.raises(StateError, match=rf"outside the joint limits: {name} by"):
-                gate_of(model, clock).accept(0, q)
-            assert name in outside_limits(q, model, 0.1)
-
-
-def test_states_out_of_order_are_dropped_until_the_watchdog_times_out(model: RobotModel, clock: SteppedTime) -> None:
-    gate = gate_of(model, clock)
-    gate.accept(10 * PERIOD, np.zeros(model.n))
-    assert not gate.is_new(10 * PERIOD)
-    assert not gate.is_new(9 * PERIOD)
-    assert gate.is_new(11 * PERIOD)
-    assert gate.overtaken == 2
-    clock.now += 0.11  # no newer state: the plant's clock was set back
-    assert gate.is_new(3 * PERIOD)
-
-
-@pytest.mark.parametrize("stamp", [0, 1000 * PERIOD])
-def test_stamps_that_do_not_advance_are_not_a_clock_set_back(model: RobotModel, clock: SteppedTime, stamp: int) -> None:
-    gate, zero = gate_of(model, clock), np.zeros(model.n)
-    assert gate.is_new(stamp)
-    gate.accept(stamp, zero)
-    for k in range(1, 50):
-        clock.now += DT
-        assert not gate.is_new(stamp)
-        assert bool(gate.stuck) == (k >= gate.repeats)
-    assert gate.watchdog.silent
-    assert f"the stamp {1e-9 * stamp:g}: set header.stamp" in gate.stuck
-    assert gate.is_new(stamp + PERIOD)
-    assert not gate.stuck
-    assert gate.is_new(stamp - PERIOD)  # after the timeout
-
-
-def test_states_that_arrive_twice_are_no_fault(model: RobotModel, clock: SteppedTime) -> None:
-    gate, zero = gate_of(model, clock), np.zeros(model.n)
-    for k in range(20):
-        assert gate.is_new(k * PERIOD)
-        gate.accept(k * PERIOD, zero)
-        assert not gate.is_new(k * PERIOD)
-        assert not gate.stuck
-
-
 # ---------------------------------------------------------------------- commands
 
 
@@ -301,17 +153,18 @@ def test_ignored_commands_do_not_feed_the_watchdog(model: RobotModel, clock: Ste
     assert gate.holding
 
 
-def test_after_the_clock_is_set_back_the_plant_holds_for_one_timeout(model: RobotModel, clock: SteppedTime) -> None:
+def test_after_the_clock_is_set_back_the_plant_goes_on(model: RobotModel, clock: SteppedTime) -> None:
     gate, u = commands_of(model, clock), np.full(model.n, 0.01)
     ahead = 100_000_000_000
-    gate.accept(ahead, u, ahead)
-    accepted = []
-    for k in range(1, 61):  # a stamp of zero is none
+    assert gate.accept(ahead, u, ahead)
+    clock.now += DT
+    assert not gate.accept(ahead - PERIOD, u, ahead)  # an old command
+    assert not gate.accept(ahead, u, 2 * PERIOD)  # its state is of the time before
+    for k in range(2, 61):
         clock.now += DT
-        accepted.append(gate.accept(k * PERIOD, u, k * PERIOD))
-    assert not accepted[0]
-    assert accepted[-1]
-    assert accepted.index(True) == pytest.approx(20, abs=2)
+        assert gate.accept(k * PERIOD, u, k * PERIOD)
+        assert not gate.accept((k - 1) * PERIOD, u, k * PERIOD)
+    assert not gate.holding
 
 
 def test_a_refusal_holds_despite_commands(model: RobotModel, clock: SteppedTime) -> None:
@@ -320,6 +173,20 @@ def test_a_refusal_holds_despite_commands(model: RobotModel, clock: SteppedTime)
     gate.accept(0, np.full(model.n, 0.01), 0)
     assert gate.holding
     assert not gate.velocity(np.zeros(model.n), DT).any()
+
+
+def test_torques_end_with_the_motion(model: RobotModel, clock: SteppedTime) -> None:
+    """A drive keeps its last torques by itself."""
+    gate, tau = commands_of(model, clock), np.full(model.n, 0.5)
+    assert gate.effort is None
+    gate.accept(PERIOD, np.zeros(model.n), PERIOD, tau)
+    assert gate.effort is tau
+    clock.now += 0.11
+    assert gate.holding
+    assert gate.effort is None
+    gate.accept(2 * PERIOD, np.zeros(model.n), 2 * PERIOD, tau)
+    gate.refused = "two controllers"
+    assert gate.effort is None
 
 
 def test_hold_discards_the_command(model: RobotModel, clock: SteppedTime) -> None:
@@ -401,65 +268,3 @@ def test_different_commands_for_one_state_indicate_two_controllers(model: RobotM
     assert gate.contradicted
     clock.now += 0.02
     assert not gate.contradicted
-
-
-# ---------------------------------------------------------------------- whole bodies
-
-
-def accepted_body() -> tuple[BodyGate, dict[str, np.ndarray]]:
-    """Return a gate that has accepted a state, and that state."""
-    body = load_model(load("whole_body").robot)
-    gate = BodyGate(body, DT, lambda: 0.5)
-    q = np.clip(np.zeros(body.n), body.q_min, body.q_max)
-    state = {"q": q, "dq": np.zeros(body.n), "place": np.array([0.0, 0.0, 0.7]), "v_base": np.zeros(6)}
-    gate.accept_body(0, **state)
-    return gate, state
-
-
-@pytest.mark.parametrize(
-    ("what", "value", "why"),
-    [
-        ("q", 0.5, "a jump that the velocity limits do not allow"),
-        ("q", 9.0, "outside the joint limits"),
-        ("dq", 1000.0, "turns at 1e\\+03 rad/s"),
-        ("dq", 1e300, "turns at"),
-        ("dq", np.nan, "not finite"),
-        ("v_base", 1e200, "the base moves at"),
-        ("v_base", np.inf, "not finite"),
-        ("place", 1.0, "the base jumped by"),
-    ],
-)
-def test_an_invalid_body_state_is_rejected_and_changes_nothing(what: str, value: float, why: str) -> None:
-    gate, state = accepted_body()
-    wrong = {**state, what: state[what].copy()}
-    wrong[what][-1] += value
-    with pytest.raises(StateError, match=why):
-        gate.accept_body(PERIOD, **wrong)
-    gate.accept_body(2 * PERIOD, **state)
-
-
-def test_velocity_changes_by_a_push_are_accepted() -> None:
-    """A push changes velocities instantly, also beyond a joint's velocity limit; both are accepted."""
-    gate, state = accepted_body()
-    pushed = {**state, "dq": state["dq"] + 13.0, "v_base": np.array([0.0, 1.0, 0.0, 2.0, 0.0, 0.0])}
-    gate.accept_body(PERIOD, **pushed)
-    gate.accept_body(2 * PERIOD, **{**pushed, "q": state["q"] + 13.0 * DT})
-
-
-def test_a_base_that_moves_too_fast_is_rejected_at_any_time() -> None:
-    gate, state = accepted_body()
-    late = 1000 * PERIOD
-    gate.accept_body(late, **state)
-    with pytest.raises(StateError, match="the base jumped by"):
-        gate.accept_body(late + PERIOD, **{**state, "place": state["place"] + [1.0, 0.0, 0.0]})
-    gate.accept_body(late + PERIOD, **{**state, "place": state["place"] + [0.09, 0.0, 0.0]})
-
-
-def test_consecutive_jumps_of_the_base_latch() -> None:
-    gate, state = accepted_body()
-    for k in range(5):
-        far = {**state, "place": state["place"] + [5.0 + k, 0.0, 0.0]}
-        with pytest.raises(StateError, match="jump"):
-            gate.accept_body((k + 1) * PERIOD, **far)
-    with pytest.raises(StateError, match="in a row"):
-        gate.accept_body(9 * PERIOD, **state)

@@ -42,6 +42,7 @@ class ControllerManager:
         self._names, self._dt = plant.model.joint_names, 1.0 / rate
         self._order = [joints.index(name) for name in self._names]
         self._command: np.ndarray | None = None
+        self._unladen = np.zeros(len(self._names))  # goals are what is commanded, without offsets by torques
         self.updates = 0
 
     @property
@@ -60,10 +61,10 @@ class ControllerManager:
         state.velocity = state.effort = [float("nan")] * len(measured)
         state.header.stamp = ros.time_msg(self.stamp)
         imu = ros.imu(self.stamp, self._frame, self.plant.inertial)
-        u = np.zeros(len(self._names))
+        u, effort = np.zeros(len(self._names)), None
         if self._command is not None:
-            command = self._command[self._order]
+            command, effort = self._command[self._order], self._unladen
             u = command if self._interface == "velocity" else (command - self.plant.commanded) / self._dt
-        self.plant.step(Command(1e-9 * self.stamp, u), self._dt)
+        self.plant.step(Command(1e-9 * self.stamp, u, effort), self._dt)
         self.updates += 1
         return state, imu

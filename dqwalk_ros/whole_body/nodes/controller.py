@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.answering import AnsweringNode
-from dqwalk_ros.nodes.safety import BodyGate
+from dqwalk_ros.nodes.state_gate import BodyGate
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError
@@ -169,7 +169,7 @@ class WholeBodyController(AnsweringNode):
             if moving and stamp >= _DAY:
                 raise StateError("the robot moves, and its stamps are not simulated time: start the walk at rest")
             begin = 0 if moving else stamp
-        self._gate.accept_body(stamp, read.q, read.dq, x_base.translation(), twist)
+        self._gate.accept_body(stamp, read, x_base.translation(), twist)
         self._begin = begin
         return BodyState(1e-9 * (stamp - begin), read.q, dq=read.dq, x_base=x_base.vec8(), v_base=twist)
 

@@ -17,7 +17,7 @@ from sensor_msgs.msg import JointState
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.inputs import EFFORT
 from dqwalk_ros.nodes.plant import SimulatedPlant
-from dqwalk_ros.nodes.safety import BodyGate
+from dqwalk_ros.nodes.state_gate import BodyGate
 from dqwalk_ros.robot.limits import clamp_effort
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import DqwalkError

@@ -1,0 +1,193 @@
+"""Decides when a walk ends because the robot lies, tips over, or does not move as it is commanded."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from dqwalk_ros.config import Config
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.state import State
+from dqwalk_ros.plants.servo_goals import ServoGoals
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support.arrays import Array
+
+__all__ = ["Contradictions", "FallWatch"]
+
+
+class Contradictions:
+    """Detects joints that do not follow their commands, and inertial measurements that contradict each other.
+
+    The difference between measured and expected motion is integrated with a decay. Expected is what the servos are
+    asked for: their goals stay within ``servo.window`` of the joints, so a leg that yields is no contradiction. The sag
+    of servos and the bias of a gyroscope stay small in this sum; an angle that has slipped or drifts does not. The goal
+    of a joint that is blocked or frozen stays where the joint is, too, so the difference to the commanded motion is
+    integrated as well, with a shorter memory, because it contains all that the window withholds.
+
+    Between two states that are further apart than two periods, states were lost, or the plant was late. In the first
+    case it moved all the time; in the second for two periods only, because no plant makes up for lost time. Only motion
+    outside these two limits counts.
+
+    Parameters
+    ----------
+    config : Config
+    model : RobotModel
+    timeout : callable
+        Returns the timeout of the states [s].
+
+    Attributes
+    ----------
+    largest : float
+        Largest of all sums since the beginning, of joints and vertical [rad].
+    """
+
+    memory = 10.0, 4.0, 1.0
+    """Time constants of the decay: of what was asked for, of what was commanded, and of the vertical [s]."""
+
+    def __init__(self, config: Config, model: RobotModel, timeout: Callable[[], float]) -> None:
+        self._model, self._limit, self._period, self._timeout = model, config.safety.contradiction, config.dt, timeout
+        self._config = config
+        self.largest = 0.0
+        self.forget()
+
+    def forget(self) -> None:
+        """Clear the sums; the next state is compared with nothing."""
+        self._before: State | None = None
+        self._goals: ServoGoals | None = None
+        self._off, self._turned = np.zeros((2, self._model.n)), np.zeros(3)
+
+    def judge(self, state: State, commanded: Array, *, leaning: bool = False) -> str:
+        """Return a description of the contradiction, empty if there is none.
+
+        Parameters
+        ----------
+        commanded : ndarray, shape (n,)
+            Velocities commanded since the previous state [rad/s].
+        leaning : bool
+            Whether the base sole seems to be tilted, which a wrong angle causes; the limit is then halved.
+        """
+        before, self._before = self._before, state
+        passed = state.time - before.time if before is not None else 0.0
+        if before is None or not 0.0 < passed <= self._timeout():  # after a gap it may have moved
+            self.forget()
+            self._before = state
+            return ""
+        most = np.array([self._asked(before, commanded, passed), passed * commanded])
+        least = min(1.0, 2.0 * self._period / passed) * most
+        moved = state.q - before.q
+        beyond = moved - np.clip(moved, np.minimum(least, most), np.maximum(least, most))
+        self._off = np.exp(-passed / np.array(self.memory[:2]))[:, None] * (self._off + beyond)
+        worst = np.abs(self._off).max(axis=0)
+        self.largest = max(self.largest, float(worst.max()))
+        if worst.max() > (0.5 * self._limit if leaning else self._limit):
+            k = int(worst.argmax())
+            return (
+                f"{self._model.joint_names[k]} does not follow its commands, it is {worst[k]:.2f} rad off: it is "
+                "blocked or without power, or its angle is frozen or has slipped"
+            )
+        if before.up is None or before.gyro is None or state.up is None:
+            return ""
+        (a, b, c), (x, y, z) = before.up, before.gyro
+        turning = passed * np.array([b * z - c * y, c * x - a * z, a * y - b * x])
+        self._turned = math.exp(-passed / self.memory[2]) * (self._turned + state.up - before.up - turning)
+        off = math.sqrt(float(self._turned @ self._turned))
+        self.largest = max(self.largest, off)
+        if off > self._limit:
+            return (
+                f"the inertial sensor contradicts itself: the rotation of its vertical differs by {off:.2f} rad from "
+                "that of its gyroscope; check its mounting"
+            )
+        return ""
+
+    def _asked(self, before: State, commanded: Array, passed: float) -> Array:
+        """Return the motion for which a command, in answer to a state, asks the servos, shape (n,) [rad]."""
+        if self._goals is None:
+            self._goals = ServoGoals.of(self._config, self._model)
+            self._goals.gate.use(before.q, before.time)
+            self._goals.begin()
+        self._goals.gate.use(before.q, before.time)
+        wanted = self._goals.wanted
+        self._goals.command(commanded, None, before.time, passed)
+        asked: Array = self._goals.wanted - wanted
+        return asked
+
+
+class FallWatch:
+    """Decides when a walk ends because the robot lies, tips over, or does not move as it is commanded.
+
+    Parameters
+    ----------
+    config : Config
+    model : RobotModel
+    timeout : callable
+        Returns the timeout of states and commands [s].
+    lockstep : bool
+
+    Attributes
+    ----------
+    lying : str
+        How far the pelvis leans, where that is a fall; else empty.
+    suspected : str
+        What contradicts the commands; until it is confirmed the robot must stand still. Empty if nothing does.
+    contradictions : Contradictions
+    """
+
+    ready_delay = 0.3
+    """Longest time until a plant reports on plant_ready that it holds [s]."""
+    upside_down = math.radians(150.0)
+    """Inclination above which an inertial sensor rather measures in another frame [rad]."""
+    other_frame = "is the imu's frame NED (z down)? It must be ENU, as REP 103 says (z up)"
+
+    def __init__(self, config: Config, model: RobotModel, timeout: Callable[[], float], *, lockstep: bool) -> None:
+        self._limits, self._timeout, self._lockstep = config.safety, timeout, lockstep
+        self.contradictions = Contradictions(config, model, timeout)
+        zero = Kinematics(model, np.zeros(model.n), Foot.LEFT)  # in which the sensor's `_upright` points up
+        self._upright = np.array([zero.direction(model.imu, axis)[2] for axis in np.eye(3)])
+        self.lying = ""
+        self.forget()
+
+    def forget(self) -> None:
+        """Compare the next state with nothing: no motion has been commanded."""
+        self.contradictions.forget()
+        self.suspected, self._since = "", 0.0
+
+    def look(self, up: Array | None) -> str:
+        """Return how far the pelvis leans for a vertical (3,), where that is a fall: motion would only do damage.
+
+        This does not depend on the joints: their angles may be refused when the robot hits the ground.
+        """
+        self.lying = ""
+        if up is not None:
+            lean = math.acos(min(max(float(self._upright @ up), -1.0), 1.0))
+            if lean > self._limits.tilt:
+                self.lying = f"the robot has fallen: its pelvis leans by {math.degrees(lean):.0f} deg"
+            if lean > self.upside_down:
+                self.lying += f": {self.other_frame}"
+        return self.lying
+
+    def tips(self, foot: Foot, lean: float) -> str:
+        """Return how far a standing sole leans [rad], where that is a fall."""
+        if lean <= self._limits.sole_tilt:
+            return ""
+        return f"the robot falls: its {foot.value} sole leans by {math.degrees(lean):.0f} deg"
+
+    def compare(self, state: State, commanded: Array, lean: float) -> str:
+        """Return a confirmed contradiction between a state and what was commanded before it; empty if there is none.
+
+        Parameters
+        ----------
+        commanded : ndarray, shape (n,)
+            [rad/s]
+        lean : float
+            Of the base sole [rad].
+        """
+        if not self.suspected:
+            leaning = lean > 0.5 * self._limits.sole_tilt
+            self.suspected = self.contradictions.judge(state, commanded, leaning=leaning)
+            self._since = state.time
+        # a plant that does not receive the commands holds, and reports this a little later
+        waits = 0.0 if self._lockstep else self._timeout() + self.ready_delay
+        return self.suspected if state.time - self._since >= waits else ""

@@ -1,0 +1,95 @@
+"""Input of the inertial sensor, checked on arrival by `state_gate.InertialGate`."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+from sensor_msgs.msg import Imu, JointState
+
+from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.base import WalkNode, throttled
+from dqwalk_ros.nodes.state_gate import Felt, InertialGate
+from dqwalk_ros.paper.state import State
+from dqwalk_ros.support.errors import StateError
+
+__all__ = ["InertialSensor"]
+
+
+class InertialSensor:
+    """Adds the inertial sensor's message to the state of the joints.
+
+    In lockstep a state waits for the imu message with the same stamp. In real time the newest message is used, if its
+    stamp is within ``plant.command_timeout`` of the state's; the first one may arrive that long after the first state.
+
+    Parameters
+    ----------
+    frame : str
+        Link of the sensor: messages in another frame are rejected.
+    gate : InertialGate
+        Decides which measurements are used.
+    on_state : callable
+        Called again with a state that had to wait for its imu message.
+    """
+
+    def __init__(
+        self,
+        node: WalkNode,
+        frame: str,
+        gate: InertialGate,
+        on_state: Callable[[JointState], None],
+    ) -> None:
+        self._node, self._frame, self._gate, self._on_state = node, frame, gate, on_state
+        self._newest: Imu | None = None
+        self._waiting: JointState | None = None
+        self._first = math.inf  # time of receipt of the first state [s]
+        node.listen(Imu, "imu", self._on_imu, 1 if node.lockstep else ros.best_effort(1))
+
+    def _on_imu(self, msg: Imu) -> None:
+        self._newest = msg
+        waiting = self._waiting
+        if waiting is not None and waiting.header.stamp == msg.header.stamp:
+            self._waiting = None
+            self._on_state(waiting)
+
+    def join(self, msg: JointState, state: State) -> State | None:
+        """Return a state with the newest measurement; None if that has not arrived yet.
+
+        Raises
+        ------
+        StateError
+            If no measurement was received, it is too old, or it is invalid.
+        """
+        newest = self._newest
+        if self._node.lockstep:
+            if newest is None or newest.header.stamp != msg.header.stamp:
+                self._waiting = msg
+                return None
+        elif newest is None:
+            now = self._node.steady()
+            self._first = min(self._first, now)
+            if now - self._first <= self._node.config.plant.command_timeout:
+                return None  # the node has just started
+            raise StateError("imu: no message yet (plant.imu is true)")
+        else:
+            age = 1e-9 * abs(ros.nanoseconds(msg.header.stamp) - ros.nanoseconds(newest.header.stamp))
+            if age > self._node.config.plant.command_timeout:
+                raise StateError(f"imu: its stamp is {age:.3f} s away from the state's")
+        if not ros.is_frame_of(self._frame, given := newest.header.frame_id):
+            raise StateError(f"imu: it is in the frame '{given}', and robot.imu is '{self._frame}': they must agree")
+        rejected = self._gate.rejected
+        felt = self._gate.use(ros.nanoseconds(newest.header.stamp), self._read(newest))
+        if self._gate.rejected > rejected:
+            reason = self._gate.reason or self._gate.warning
+            text = f"imu rejected ({self._gate.rejected} so far), the last one is used instead: {reason}"
+            self._node.get_logger().error(text, **throttled())
+        return dataclasses.replace(state, up=felt.up, gyro=felt.gyro, acceleration=felt.acceleration)
+
+    @staticmethod
+    def _read(msg: Imu) -> Felt | StateError:
+        """Return what a message says, or why it is invalid."""
+        try:
+            return Felt(*ros.inertial_of(msg))
+        except StateError as error:
+            return error
