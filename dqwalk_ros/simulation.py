@@ -7,7 +7,7 @@ import importlib
 import itertools
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -354,6 +354,17 @@ class PhysicsRecord:
         return DQ(self.orientation).conj().Ad(DQ(np.array([0.0, 0.0, 1.0]))).vec3()
 
     @classmethod
+    def measured(cls, states: Sequence[State], up: Sequence[Array]) -> PhysicsRecord:
+        """Return the record of a robot: the verticals `up` (3,) and, where known, the torques of its states."""
+        truth = Truth(_NAN, dict.fromkeys(Foot, _NAN), dict.fromkeys(Foot, _NAN[:6]), _NAN[:3], _NAN, _NAN)
+        samples = []
+        for state, vertical in zip(states, up, strict=True):
+            unknown = np.full(state.q.shape, math.nan)
+            known = replace(truth, q=unknown, effort=unknown if state.effort is None else state.effort)
+            samples.append((known, Inertial(orientation_of(vertical), _NAN[:3], _NAN[:3])))
+        return cls.of(samples)
+
+    @classmethod
     def of(cls, samples: list[tuple[Truth, Inertial]]) -> PhysicsRecord:
         """Return the record of one sample per state."""
         no_contact = np.full(3, math.nan)
@@ -434,18 +445,10 @@ class Trace:
 
 
 class TraceRecorder:
-    """Collects a `Trace`, one state after the other.
+    """Collects a `Trace`, one state after the other."""
 
-    Parameters
-    ----------
-    config : Config
-    model : RobotModel
-    ticks : int, optional
-        Number of control periods to keep at least, the last ones; up to twice as many are kept. By default all are.
-    """
-
-    def __init__(self, config: Config, model: RobotModel, ticks: int | None = None) -> None:
-        self._config, self._model, self._kept = config, model, ticks
+    def __init__(self, config: Config, model: RobotModel) -> None:
+        self._config, self._model = config, model
         self._index = -1  # of the last phase
         self._time: list[float] = []
         self._q: list[Array] = []
@@ -463,7 +466,7 @@ class TraceRecorder:
         state: State,
         command: Command | None,
         controller: VelocityController,
-        plant: Plant | None = None,
+        plant: Plant,
     ) -> None:
         """Record a state and its command.
 
@@ -473,16 +476,10 @@ class TraceRecorder:
         command : Command or None
             None if the controller failed.
         controller : VelocityController
-        plant : Plant, optional
-            The plant at that state, for its ground truth. Without it, only the vertical and the torques of the state
-            are recorded.
+        plant : Plant
+            The plant at that state, for its ground truth.
         """
-        if self._kept is not None and len(self._time) >= 2 * self._kept:
-            self._forget(self._kept)
-        if plant is None:
-            if state.up is not None:
-                self._physics.append(_from_state(state))
-        elif (truth := plant.truth) is not None and (inertial := plant.inertial) is not None:
+        if (truth := plant.truth) is not None and (inertial := plant.inertial) is not None:
             self._physics.append((truth, inertial))
         self._finished = finished = controller.finished
         if controller.phase_index > self._index and not finished:
@@ -501,17 +498,6 @@ class TraceRecorder:
         """Add a text to the notes."""
         self._notes.append(text)
 
-    def _forget(self, count: int) -> None:
-        """Remove the first `count` states, and the phases that ended before the remaining ones."""
-        for column in (self._time, self._q, self._u, self._solve_time, self._physics):
-            del column[:count]
-        starts = [record.start - count for record in self._phases]
-        first = max(k for k, start in enumerate(starts) if k == 0 or start <= 0)
-        self._phases = [
-            replace(record, start=max(start, 0))
-            for record, start in zip(self._phases[first:], starts[first:], strict=True)
-        ]
-
     def trace(self) -> Trace:
         """Return the trace of the states recorded so far."""
         n = self._model.n
@@ -529,15 +515,6 @@ class TraceRecorder:
             physics=PhysicsRecord.of(self._physics) if self._physics else None,
             interrupted=self.interrupted,
         )
-
-
-def _from_state(state: State) -> tuple[Truth, Inertial]:
-    """Return vertical and torques of a measured state in the form of a plant's ground truth; all else is nan."""
-    assert state.up is not None
-    unknown = np.full(state.q.shape, math.nan)
-    effort = unknown if state.effort is None else state.effort
-    truth = Truth(_NAN, dict.fromkeys(Foot, _NAN), dict.fromkeys(Foot, _NAN[:6]), _NAN[:3], unknown, effort)
-    return truth, Inertial(orientation_of(state.up), _NAN[:3], _NAN[:3])
 
 
 _NAN = np.full(8, math.nan)

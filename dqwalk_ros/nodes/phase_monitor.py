@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 from collections import deque
 from typing import Any
 
@@ -18,6 +19,7 @@ from visualization_msgs.msg import MarkerArray
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
+from dqwalk_ros.nodes.fall_cause import FallCause
 from dqwalk_ros.nodes.markers import markers
 from dqwalk_ros.nodes.phases import PhaseLog
 from dqwalk_ros.paper.foot import Foot
@@ -26,7 +28,7 @@ from dqwalk_ros.report.metrics import support_polygon
 from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.errors import DqwalkError, StateError
-from dqwalk_ros.support.topics import FINISHED
+from dqwalk_ros.support.topics import FALLEN, FINISHED
 
 __all__ = ["PhaseMonitor"]
 
@@ -36,6 +38,8 @@ _RESEND = 4.0
 """In lockstep, and before the walk is known, a state is evaluated this long after its arrival [s]: on a busy machine
 walk_config arrives after the first states, and a message with the start of a phase may be lost, which the middleware
 may take 3 s to send again."""
+_SETTLES = 0.5
+"""Time after a fall for which the last messages of the walk are awaited [s]."""
 _DEPTH = 5000
 """Depth of the queue of states: in lockstep a thousand arrive in the second that reading the URDF takes."""
 
@@ -49,6 +53,7 @@ class PhaseMonitor(WalkNode):
                                  controller publishes them; the parameters of the walk are read from walk_config,
                                  not from the parameters of this node
         imu                      sensor_msgs/Imu, if the plant has the sensor: the vertical
+        joint_velocity_commands  sensor_msgs/JointState: with them, why the robot fell
 
     Publishes::
 
@@ -73,6 +78,9 @@ class PhaseMonitor(WalkNode):
             model = load_model(self.config.robot)
             Kinematics(model, np.zeros(model.n), Foot.LEFT)
         self._phases = PhaseLog(self)
+        self._fall = FallCause(self, self._phases)
+        self._fallen_at = math.inf  # time of receipt [s]
+        self._cause = ""  # of the fall
         self._newest = 0  # stamp of the last state that was or will be evaluated [ns]
         self._next = -1  # earliest stamp of the next one [ns]
         self._waiting: deque[tuple[float, int, JointState]] = deque()  # time of receipt [s], stamp [ns], message
@@ -98,6 +106,7 @@ class PhaseMonitor(WalkNode):
         except StateError as error:
             self.get_logger().error(f"joint_states rejected: {error}", **throttled())
             return
+        self._fall.add_state(raw)
         if self._newest <= stamp < self._next:
             self._received = self.steady()
             return
@@ -111,6 +120,7 @@ class PhaseMonitor(WalkNode):
         self._received = self.steady()
         if stamp < self._newest:  # the plant restarted, or its clock was set back
             self._phases.forget_after(stamp)
+            self._fall.forget()
             self._waiting.clear()
         self._newest, self._next = stamp, stamp + round(1e9 / self.config.monitor.rate)
         self._waiting.append((self._received, stamp, msg))
@@ -142,7 +152,7 @@ class PhaseMonitor(WalkNode):
         kin = Kinematics.measured(assess.model, state.q, assess.phase.base, self._phases.up(stamp))
         found = assess(kin, 1e-9 * (stamp - began), self.config.monitor)
         over = "/" not in self._phases.label and not self._waiting
-        message = f"{self._phases.label}; {found.message}" if over else found.message
+        message = f"{self._label}; {found.message}" if over else found.message
         self._publish_status(stamp, found.level, message, {"phase": assess.phase.name, **found.values})
         self._draw(stamp, assess, kin)
 
@@ -161,12 +171,31 @@ class PhaseMonitor(WalkNode):
         if self._pub["walk_markers"].get_subscription_count():
             self._pub["walk_markers"].publish(markers(stamp, assess.config, model, phase, kin))
 
+    @property
+    def _label(self) -> str:
+        """The last message of `phase`, after a fall with its cause."""
+        return f"{self._phases.label}; {self._cause}" if self._cause else self._phases.label
+
+    def _look_for_the_cause(self, now: float) -> None:
+        """Find and publish, once, why the robot has fallen."""
+        if self._phases.label != FALLEN:
+            self._fallen_at, self._cause = math.inf, ""
+            return
+        if self._fallen_at == math.inf:
+            self._fallen_at = now
+        if self._cause or now - self._fallen_at < _SETTLES or self._waiting:
+            return
+        self._cause = self._fall.find() or "the cause is not known"
+        self.get_logger().error(f"the robot fell; {self._cause}")
+        self._publish_status(self._newest, "ERROR", self._label, {})
+
     def _check_timeout(self) -> None:
         self._evaluate_waiting()
+        self._look_for_the_cause(self.steady())
         now = self.steady()
         if min(now - self._received, 2.0 * (now - self._timeout_published)) > _TIMEOUT and not self._waiting:
             self._timeout_published = now
-            label = f"{self._phases.label}; " if self._phases.label else ""
+            label = f"{self._label}; " if self._phases.label else ""
             over = self._phases.label in (FINISHED, "idle", "paused")
             self._publish_status(self._newest, "OK" if over else "STALE", f"{label}no joint_states", {})
 

@@ -20,7 +20,7 @@ from dqwalk_ros.report.causes import causes
 from dqwalk_ros.report.html import page
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.robot.standing_limits import Finding, longest_delay
-from dqwalk_ros.simulation import Trace, TraceRecorder, closed_loop, make_controller, make_plant, simulate
+from dqwalk_ros.simulation import Trace, make_controller, make_plant, simulate
 
 CONFIG = overlaid(load("poppy"), "physics").updated({"gait.steps": 4, "gait.recover": ""})
 MODEL = load_model(CONFIG.robot)
@@ -120,24 +120,6 @@ def test_the_cause_is_in_the_html_report(tmp_path: Path) -> None:
     series = analyse(walk({"standing.transfer_duration": 0.5}))
     page.write([page.Subject("walk", series, report(series), [], [])], tmp_path / "report.html")
     assert EXPECTED in (tmp_path / "report.html").read_text()
-
-
-def test_the_cause_is_found_from_the_last_states_only() -> None:
-    """The data of a controller: the states of the last seconds, without ground contact forces."""
-    config = CONFIG.updated({"standing.transfer_duration": 0.7})
-    controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
-    recent, complete_recorder = TraceRecorder(config, MODEL, ticks=200), TraceRecorder(config, MODEL)
-    for state, command in closed_loop(controller, plant):
-        recent.add(state, command, controller)
-        complete_recorder.add(state, command, controller, plant)
-    few, complete = recent.trace(), complete_recorder.trace()
-    assert 200 <= len(few) < 400 < len(complete)
-    assert len(few.phases) < len(complete.phases)
-    np.testing.assert_array_equal(few.q, complete.q[-len(few) :])
-    for record in few.phases[1:]:
-        assert few.time[record.start] == record.time
-    (first, *_), (same, *_) = causes(analyse(few)), causes(analyse(complete))
-    assert (first.what, first.parameter) == (same.what, same.parameter) == ("pressure", "standing.transfer_duration")
 
 
 def test_the_longest_delay_is_the_stability_bound() -> None:
