@@ -25,6 +25,9 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 TARGETS = {
     "dqwalk_ros/nodes/safety.py": ("nodes/test_safety.py", "faults/test_liars.py"),
+    "dqwalk_ros/nodes/state_gate.py": ("nodes/test_state_gate.py",),
+    "dqwalk_ros/nodes/answering.py": ("nodes/test_answering.py",),
+    "dqwalk_ros/walks/dynamic/recovery.py": ("walks/test_recovery.py",),
     "dqwalk_ros/plants/poppy/motor_watch.py": (
         "plants/test_motor_watch.py",
         "plants/test_poppy_faults.py",

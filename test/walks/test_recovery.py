@@ -14,11 +14,14 @@ import dqwalk_ros as dq
 from dqwalk_ros.config import overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
+from dqwalk_ros.paper.state import State
 from dqwalk_ros.report import analyse, bag, report
 from dqwalk_ros.simulation import Trace, make_controller, make_plant, simulate
 from dqwalk_ros.studies.pushes import Push, limits, pushed
 from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.walks.dynamic import recovery
 from dqwalk_ros.walks.dynamic.recovery import RecoveringWalk
 from dqwalk_ros.walks.dynamic.swing import Swing
 from dqwalk_ros.walks.standing.walk import StandingWalk
@@ -73,6 +76,64 @@ def test_without_a_push_the_walk_is_the_same() -> None:
     assert np.array_equal(alone.q, ready.q)
     assert np.array_equal(alone.u, ready.u, equal_nan=True)
     assert not any(record.decision for record in ready.phases)
+
+
+def recovering(changes: dict[str, object]) -> RecoveringWalk:
+    config = CONFIG.updated(changes)
+    walk = RecoveringWalk(config, MODEL)
+    walk.prepare()
+    return walk
+
+
+def observed(walk: RecoveringWalk, beyond: float, *, up: bool = True, kind: str = "single_support") -> bool:
+    """Return whether steps take over from a single support on the left foot, with xi beyond the sole [m]."""
+    kin = Kinematics(MODEL, walk.posture, Foot.LEFT)
+    phase = walk.phase(PhaseKind(kind), Foot.LEFT, walk.posture, kin.pose(kin.swing))
+    walk._beyond_sole = lambda *_: beyond  # type: ignore[method-assign]
+    change = walk.observe(phase, kin, State(0.0, walk.posture, up=np.array([0.0, 0.0, 1.0]) if up else None))
+    assert change is None or change.walk is walk.steps
+    return change is not None
+
+
+def test_steps_take_over_once_xi_is_beyond_the_sole_at_three_states_in_a_row() -> None:
+    """Noise does not trigger them."""
+    walk = recovering({})
+    beyond = [0.001, 0.001, -0.001, 0.001, 0.0, 0.001, 0.001, 0.002, 0.001, 0.001, 0.001]
+    assert [k for k, one in enumerate(beyond) if observed(walk, one)] == [7, 10]
+    assert not any(observed(walk, 0.1, up=False) for _ in range(9))
+    assert not any(observed(walk, 0.1, kind="double_support") for _ in range(9))
+
+
+@pytest.mark.parametrize(("latency", "catches"), [(0.0, True), (0.027, True), (0.028, False)])
+def test_steps_take_over_only_from_a_drive_that_is_fast_enough(latency: float, catches: bool) -> None:
+    """The servos and half a period delay it by another 22.5 ms."""
+    walk = recovering({"servo.assumed_latency": latency})
+    assert any(observed(walk, 0.1) for _ in range(9)) is catches
+
+
+@pytest.mark.parametrize("foot", list(Foot))
+def test_xi_is_beyond_the_sole_where_the_ankle_cannot_bring_it_back(
+    monkeypatch: pytest.MonkeyPatch, foot: Foot
+) -> None:
+    """Ahead, back and towards the swing foot; the outer side does not count, because no foot can land there."""
+    walk, sole = recovering({}), MODEL.soles[foot]
+    kin, at = Kinematics(MODEL, walk.posture, foot), np.zeros(2)
+    monkeypatch.setattr(recovery, "com_and_xi", lambda *_: (at, sole.center[:2] + at))
+    along = 0.5 * sole.length - walk.steps.config.dynamic.catch_margin
+    across = 0.5 * sole.width - walk.config.standing.pressure_margin
+    inward = -1.0 if foot is Foot.LEFT else 1.0
+    state = State(0.0, walk.posture, np.zeros(MODEL.n), np.array([0.0, 0.0, 1.0]), np.zeros(3))
+    for x, y, beyond in (
+        (along + 0.003, 0.0, 0.003),
+        (-along - 0.003, 0.0, 0.003),
+        (along - 0.003, 0.0, -0.003),
+        (0.0, across + 0.004, 0.004),
+        (0.0, across - 0.004, -0.004),
+    ):
+        at[:] = x, inward * y
+        assert walk._beyond_sole(kin, state) == pytest.approx(beyond, abs=1e-9)
+    at[:] = 0.0, -inward * (across + 0.1)
+    assert walk._beyond_sole(kin, state) < 0.0
 
 
 def test_the_steps_must_be_those_of_a_dynamic_walk() -> None:
