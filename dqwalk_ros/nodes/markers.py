@@ -11,7 +11,7 @@ from dqwalk_ros.nodes.messages import pose_fields, time_msg, xyz
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Phase
-from dqwalk_ros.report.scene import COM, FOOT, Moment, Region, Rgb, Scene, color_of
+from dqwalk_ros.report.scene import COM, FOOT, Drawn, Moment, Rgb, Scene
 from dqwalk_ros.robot.model import RobotModel, Sole
 from dqwalk_ros.support.arrays import Array
 
@@ -46,12 +46,13 @@ def markers(stamp: int, config: Config, model: RobotModel, phase: Phase, kin: Ki
     return MarkerArray(markers=[clear, *shapes])
 
 
-def _region(found: Region) -> Marker:
+def _region(drawn: Drawn) -> Marker:
     """Return the marker of a constraint's region."""
+    found = drawn.region
     a, b = found.size
     scale = {"cylinder": (2.0 * a, 2.0 * a, b), "plane": (a, b, _THIN), "wall": (a, _THIN, b)}[found.kind]
     kind = Marker.CYLINDER if found.kind == "cylinder" else Marker.CUBE
-    return _shape(kind, found.name, found.pose, scale, color_of(found.name), 0.3)
+    return _shape(kind, drawn.name, found.pose, scale, drawn.color, 0.3)
 
 
 def _sole(name: str, sole: Sole, x: Array, color: Rgb, opacity: float) -> Marker:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
@@ -30,26 +31,62 @@ from dqwalk_ros.paper.features import (
     Rotation,
 )
 from dqwalk_ros.paper.geometry import ConvexPolygon, Cylinder, Plane, point_to_line_squared, point_to_wall
+from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 
 __all__ = [
+    "PLAIN",
     "AxisLevel",
     "ComInsideEdges",
     "Constraint",
     "FrameHeld",
     "JointMaximum",
     "JointMinimum",
+    "Look",
     "PointInCylinder",
     "PointInsideWall",
     "PointOverPlane",
     "PointsOverPlane",
+    "Region",
     "pose_error",
     "vfi",
 ]
 
 
 _UP = np.array([0.0, 0.0, 1.0])
+_MARGIN = 1.25
+"""Height of a drawn region, relative to the height of the constrained point."""
+_FULL_ANGLE = math.pi / 6.0
+"""Distance of a joint from its limit for which a gauge is full [rad]."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """The shape by which pictures show a constraint.
+
+    Attributes
+    ----------
+    kind : str
+        ``cylinder`` (size: radius, height; along z), ``plane`` (x, y; normal z) or ``wall`` (x, z; normal y).
+    pose : ndarray, shape (8,)
+        Of its centre.
+    size : tuple of float [m]
+    """
+
+    kind: Literal["cylinder", "plane", "wall"]
+    pose: Array
+    size: tuple[float, float]
+
+
+class Look(NamedTuple):
+    """How pictures show a constraint: its title, by default its name, and the colour of its region, in RGB."""
+
+    title: str = ""
+    color: tuple[int, int, int] = (90, 100, 160)
+
+
+PLAIN = Look()
 
 
 @jit
@@ -83,15 +120,33 @@ class Constraint(Quantity):
     return_speed : float
         Largest speed at which a distance below its bound is required to return [unit of the distance per second]. It
         keeps the quadratic program feasible after a disturbance that violates the constraint.
+    look : Look
+    unit : str
+        Of its `margin`, ``m`` or ``rad``.
     """
 
     eta: float
     bound: float = 0.0
     return_speed: float = math.inf
+    look: Look = PLAIN
+    unit: ClassVar[Literal["m", "rad"]] = "m"
 
     def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
         """Return the names of the k rows."""
         return (self.name,)
+
+    def margin(self, d: float) -> float:
+        """Return a distance d, which may be in another unit, in [m] or [rad]."""
+        return d
+
+    @property
+    def full_margin(self) -> float:
+        """Margin for which a gauge is full, [m] or [rad]."""
+        return 0.1
+
+    def region(self, kin: Kinematics) -> Region | None:
+        """Return its shape in the base frame; None if it has none."""
+        return None
 
 
 # ---------------------------------------------------------------------- points, section 3
@@ -122,6 +177,23 @@ class PointInCylinder(Constraint):
         """Direction and moment of the axis, and the radius, shape (7,)."""
         return np.array([*self.cylinder.axis.l, *self.cylinder.axis.m, self.cylinder.radius])
 
+    def margin(self, d: float) -> float:
+        """Return the distance r - sqrt(r^2 - d) to the cylinder's surface [m]."""
+        r = self.cylinder.radius
+        return r - math.sqrt(max(0.0, r * r - d))
+
+    @property
+    def full_margin(self) -> float:
+        """The radius [m]."""
+        return self.cylinder.radius
+
+    def region(self, kin: Kinematics) -> Region:
+        """Return the cylinder, from the ground to above the point."""
+        axis, p = self.cylinder.axis, self.point.value(kin)
+        foot = np.cross(axis.l, axis.m)  # the axis' point closest to the origin
+        height = max(0.012, _MARGIN * abs(float((p - foot) @ axis.l)))
+        return Region("cylinder", _turned(foot + 0.5 * height * axis.l, axis.l), (self.cylinder.radius, height))
+
 
 @dataclass(frozen=True, kw_only=True)
 class PointOverPlane(Affine, Constraint):
@@ -144,6 +216,17 @@ class PointOverPlane(Affine, Constraint):
     def b(self) -> float:
         """Distance of the plane from the origin [m]."""
         return self.plane.d
+
+    @property
+    def full_margin(self) -> float:
+        """The distance of the plane from the origin [m]."""
+        return max(abs(self.plane.d), 0.05)
+
+    def region(self, kin: Kinematics) -> Region:
+        """Return a part of the plane, below the point."""
+        plane, p = self.plane, self.point.value(kin)
+        center = p - (float(plane.n @ p) - plane.d) * plane.n
+        return Region("plane", _turned(center, plane.n), (0.26, 0.26))
 
 
 @jit
@@ -168,12 +251,15 @@ class PointInsideWall(Constraint):
         Point of the end foot, with which the plane moves.
     side : float
         1 if the allowed side is to the left of the line from `fixed` to `moving`, -1 if it is to the right.
+    depth : float
+        Of the allowed region [m].
     """
 
     point: Point | CenterOfMass
     fixed: Array
     moving: Point
     side: float
+    depth: float
     function = inside_wall
 
     @property
@@ -185,6 +271,21 @@ class PointInsideWall(Constraint):
     def parameters(self) -> Array:
         """The fixed point of the plane, and the side, shape (4,)."""
         return np.array([*self.fixed, self.side])
+
+    @property
+    def full_margin(self) -> float:
+        """Half of the depth [m]."""
+        return 0.5 * self.depth
+
+    def region(self, kin: Kinematics) -> Region:
+        """Return the wall between the two points, from the ground to above the constrained one."""
+        a, b = self.fixed, self.moving.value(kin)
+        t = (b - a)[:2]
+        height = max(0.02, _MARGIN * float(self.point.value(kin)[2]))
+        center = np.append(0.5 * (a + b)[:2], 0.5 * height)
+        yaw = float(np.arctan2(t[1], t[0]))
+        pose = DQ.from_pose(center, [np.cos(0.5 * yaw), 0.0, 0.0, np.sin(0.5 * yaw)]).vec8()
+        return Region("wall", pose, (float(np.hypot(*t)) + 0.12, height))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -360,6 +461,7 @@ class JointMaximum(Constraint):
 
     q_max: Array
     watches = (JointAngles(),)
+    unit = "rad"
     function = below_maximum
 
     @property
@@ -378,6 +480,7 @@ class JointMinimum(Constraint):
 
     q_min: Array
     watches = (JointAngles(),)
+    unit = "rad"
     function = above_minimum
 
     @property
@@ -388,3 +491,10 @@ class JointMinimum(Constraint):
     def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
         """One name per joint, such as ``joint_min/l_knee_y``."""
         return tuple(f"{self.name}/{joint}" for joint in joint_names)
+
+
+def _turned(p: Array, z: Array) -> Array:
+    """Return a pose at `p` whose z axis is the unit vector `z`."""
+    r = np.array([1.0 + z[2], -z[1], z[0], 0.0])
+    norm = float(np.linalg.norm(r))
+    return DQ.from_pose(p, r / norm if norm > 1e-9 else [0.0, 1.0, 0.0, 0.0]).vec8()

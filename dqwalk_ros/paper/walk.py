@@ -15,6 +15,7 @@ from dqwalk_ros.paper.constraints import (
     Constraint,
     JointMaximum,
     JointMinimum,
+    Look,
     PointInCylinder,
     PointInsideWall,
     PointOverPlane,
@@ -40,6 +41,15 @@ __all__ = ["PaperWalk", "Walk", "com_target", "joint_limits", "pelvis_height"]
 _UP = np.array([0.0, 0.0, 1.0])
 _X = np.array([1.0, 0.0, 0.0])
 _Y = np.array([0.0, 1.0, 0.0])
+_LOOKS = {
+    "sliding": Look("sliding (U7)", (0, 140, 150)),
+    "tip_plane": Look("tip plane (U9)", (31, 95, 180)),
+    "back_plane": Look("back plane (U10)", (120, 80, 190)),
+    "com_cylinder": Look("CoM cylinder (U14)", (29, 154, 78)),
+    "pelvis": Look("pelvis plane (U11)", (110, 119, 129)),
+    "joint_max": Look("upper joint limits (U12)"),
+    "joint_min": Look("lower joint limits (U13)"),
+}
 
 
 class Walk(ABC):
@@ -295,7 +305,10 @@ class PaperWalk(Walk):
 
         def wall(name: str, eta: float, fixed: Array, moving: Point, inside: Array) -> PointInsideWall:
             side = wall_side(fixed, moving.value(kin), inside)
-            return PointInsideWall(name=name, eta=eta, point=CenterOfMass(), fixed=fixed, moving=moving, side=side)
+            return PointInsideWall(
+                name=name, eta=eta, point=CenterOfMass(), fixed=fixed, moving=moving, side=side,
+                depth=base_sole.length, look=_LOOKS[name],
+            )  # fmt: skip
 
         ground: list[Constraint] = [
             PointOverPlane(name="ground", eta=dsp.eta_ground, point=tip, plane=Plane(_UP, 0.0)),  # (U8)
@@ -307,7 +320,9 @@ class PaperWalk(Walk):
             ]
         sliding = Cylinder(Line.through(tip.value(kin), _UP), dsp.sliding_radius)
         inequalities = (
-            PointInCylinder(name="sliding", eta=dsp.eta_sliding, point=tip, cylinder=sliding),  # (U7)
+            PointInCylinder(
+                name="sliding", eta=dsp.eta_sliding, point=tip, cylinder=sliding, look=_LOOKS["sliding"]
+            ),  # (U7)
             wall("tip_plane", dsp.eta_tip, base_sole.tip, tip, base_sole.heel),  # (U9)
             wall("back_plane", dsp.eta_back, base_sole.heel, heel, base_sole.tip),  # (U10)
             pelvis_height(self.config, model),  # (U11)
@@ -321,8 +336,11 @@ class PaperWalk(Walk):
         ssp, model = self.config.ssp, self.model
         kin = Kinematics(model, q_start, support)
         cylinder = Cylinder(Line.through(model.soles[support].center, _UP), ssp.com_radius)
+        look = _LOOKS["com_cylinder"]
         inequalities = (
-            PointInCylinder(name="com_cylinder", eta=ssp.eta_com, point=CenterOfMass(), cylinder=cylinder),  # (U14)
+            PointInCylinder(
+                name="com_cylinder", eta=ssp.eta_com, point=CenterOfMass(), cylinder=cylinder, look=look
+            ),  # (U14)
             pelvis_height(self.config, model),  # (U11)
         )
         task, kind = FramePose(name="swing", frame=kin.swing, target=swing_target), PhaseKind.SINGLE_SUPPORT
@@ -333,15 +351,16 @@ class PaperWalk(Walk):
 def pelvis_height(config: Config, model: RobotModel) -> Constraint:
     """Return the constraint (U11): the pelvis stays above ``pelvis.height``."""
     plane = Plane(_UP, config.pelvis.height)
-    return PointOverPlane(name="pelvis", eta=config.pelvis.eta, point=Point(model.pelvis), plane=plane)
+    look = _LOOKS["pelvis"]
+    return PointOverPlane(name="pelvis", eta=config.pelvis.eta, point=Point(model.pelvis), plane=plane, look=look)
 
 
 def joint_limits(config: Config, model: RobotModel, return_speed: float = np.inf) -> tuple[JointMaximum, JointMinimum]:
     """Return the constraints (U12) and (U13) on the joint angles; `return_speed` [rad/s] as in `Constraint`."""
-    eta, margin = config.joints.eta, config.joints.margin
+    given = {"eta": config.joints.eta, "bound": config.joints.margin, "return_speed": return_speed}
     return (
-        JointMaximum(name="joint_max", eta=eta, bound=margin, return_speed=return_speed, q_max=model.q_max),  # (U12)
-        JointMinimum(name="joint_min", eta=eta, bound=margin, return_speed=return_speed, q_min=model.q_min),  # (U13)
+        JointMaximum(name="joint_max", q_max=model.q_max, look=_LOOKS["joint_max"], **given),  # (U12)
+        JointMinimum(name="joint_min", q_min=model.q_min, look=_LOOKS["joint_min"], **given),  # (U13)
     )
 
 

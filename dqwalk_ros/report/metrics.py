@@ -15,7 +15,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.paper.constraints import Constraint, PointInCylinder
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import CenterOfMassOnGround, Observer, Pose
 from dqwalk_ros.paper.foot import Foot
@@ -29,7 +28,7 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 
 __all__ = [
-    "Circle", "Ending", "Ground", "Series", "Span", "analyse", "hull_margin", "left_of", "pelvis_in_odom",
+    "Circle", "Ending", "Ground", "Series", "Span", "analyse", "hull_margin", "pelvis_in_odom",
     "support_polygon", "urdf_soles",
 ]  # fmt: skip
 
@@ -45,14 +44,6 @@ _TURNED = np.radians(60.0)
 
 
 # ---------------------------------------------------------------------- one state
-
-
-def left_of(constraint: Constraint, d: float) -> float:
-    """Return a distance in [m] or [rad]; the distance to a cylinder, r^2 - d^2 [m^2], is converted to r - d [m]."""
-    if isinstance(constraint, PointInCylinder):
-        r = constraint.cylinder.radius
-        return r - float(np.sqrt(max(0.0, r * r - d)))
-    return d
 
 
 def support_polygon(model: RobotModel, phase: Phase, kin: Kinematics) -> ConvexPolygon:

@@ -6,28 +6,23 @@ RViz draw the same shapes and the same `View`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
-from dataclasses import dataclass
-from functools import cached_property, singledispatch
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.paper.constraints import (
-    Constraint,
-    JointMaximum,
-    JointMinimum,
-    PointInCylinder,
-    PointInsideWall,
-    PointOverPlane,
-)
+from dqwalk_ros.paper.constraints import PLAIN, Constraint, Region
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics, compose
 from dqwalk_ros.paper.phase import Phase
-from dqwalk_ros.report.metrics import left_of, support_polygon
+from dqwalk_ros.report.metrics import support_polygon
 from dqwalk_ros.report.verdict import Assessment, Assessor
 from dqwalk_ros.robot.model import RobotModel, find_urdf
 from dqwalk_ros.robot.shapes import PRIMITIVES, kind_and_size, meshes_of, rgba_of
@@ -38,31 +33,16 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 
 __all__ = [
-    "BodyShape", "Gauge", "Moment", "Moments", "Region", "Scene", "View", "beginning", "region", "shapes_of",
-    "tightest",
+    "BodyShape", "Drawn", "Gauge", "Moment", "Moments", "Scene", "View", "beginning", "shapes_of", "tightest",
 ]  # fmt: skip
 
 Rgb = tuple[int, int, int]
 Rgba = tuple[float, float, float, float]
 _GREY: Rgba = (0.7, 0.72, 0.75, 1.0)
-_MARGIN = 1.25
-"""Height of a drawn region, relative to the height of the constrained point."""
 
 COM: Rgb = (209, 36, 47)
 DIVERGENT: Rgb = (230, 130, 0)
 FOOT: dict[Foot, Rgb] = {Foot.LEFT: (31, 95, 180), Foot.RIGHT: (29, 154, 78)}
-_REGIONS: dict[str, Rgb] = {
-    "tip_plane": (31, 95, 180),
-    "back_plane": (120, 80, 190),
-    "pelvis": (110, 119, 129),
-    "com_cylinder": (29, 154, 78),
-    "sliding": (0, 140, 150),
-}
-
-
-def color_of(name: str) -> Rgb:
-    """Return the colour of a constraint's shape."""
-    return _REGIONS.get(name, (90, 100, 160))
 
 
 @dataclass(frozen=True)
@@ -121,65 +101,12 @@ def shapes_of(config: Config, model: RobotModel) -> tuple[BodyShape, ...]:
     return (*plain, *meshes)
 
 
-@dataclass(frozen=True)
-class Region:
-    """A constraint as a shape.
-
-    Attributes
-    ----------
-    name : str
-        Of the constraint.
-    kind : str
-        ``cylinder`` (size: radius, height; along z), ``plane`` (x, y; normal z) or ``wall`` (x, z; normal y).
-    pose : ndarray, shape (8,)
-        Of its centre.
-    size : tuple of float [m]
-    """
+class Drawn(NamedTuple):
+    """The region of a constraint with its name and colour, in odom or in the base frame."""
 
     name: str
-    kind: str
-    pose: Array
-    size: tuple[float, float]
-
-
-@singledispatch
-def region(constraint: Constraint, kin: Kinematics) -> Region | None:
-    """Return the shape of a constraint in the base frame; register a function for a constraint of your own."""
-    return None
-
-
-@region.register
-def _(constraint: PointInCylinder, kin: Kinematics) -> Region | None:
-    axis, p = constraint.cylinder.axis, constraint.point.value(kin)
-    foot = np.cross(axis.l, axis.m)  # the axis' point closest to the origin
-    height = max(0.012, _MARGIN * abs(float((p - foot) @ axis.l)))
-    center = foot + 0.5 * height * axis.l
-    return Region(constraint.name, "cylinder", _turned(center, axis.l), (constraint.cylinder.radius, height))
-
-
-@region.register
-def _(constraint: PointOverPlane, kin: Kinematics) -> Region | None:
-    plane, p = constraint.plane, constraint.point.value(kin)
-    center = p - (float(plane.n @ p) - plane.d) * plane.n
-    return Region(constraint.name, "plane", _turned(center, plane.n), (0.26, 0.26))
-
-
-@region.register
-def _(constraint: PointInsideWall, kin: Kinematics) -> Region | None:
-    a, b = constraint.fixed, constraint.moving.value(kin)
-    t = (b - a)[:2]
-    height = max(0.02, _MARGIN * float(constraint.point.value(kin)[2]))
-    center = np.append(0.5 * (a + b)[:2], 0.5 * height)
-    yaw = float(np.arctan2(t[1], t[0]))
-    pose = DQ.from_pose(center, [np.cos(0.5 * yaw), 0.0, 0.0, np.sin(0.5 * yaw)]).vec8()
-    return Region(constraint.name, "wall", pose, (float(np.hypot(*t)) + 0.12, height))
-
-
-def _turned(p: Array, z: Array) -> Array:
-    """Return a pose at `p` whose z axis is the unit vector `z`."""
-    r = np.array([1.0 + z[2], -z[1], z[0], 0.0])
-    norm = float(np.linalg.norm(r))
-    return DQ.from_pose(p, r / norm if norm > 1e-9 else [0.0, 1.0, 0.0, 0.0]).vec8()
+    region: Region
+    color: Rgb
 
 
 @dataclass(frozen=True)
@@ -196,6 +123,10 @@ class Gauge:
         `value` relative to the largest possible one; the tightest margin has the smallest share.
     role : str
         ``kept`` (an inequality), ``held`` (an equality; `value` is its residual) or ``watched`` (not a constraint).
+    title : str
+        By default the name.
+    color : tuple of int
+        Red, green, blue.
     """
 
     name: str
@@ -203,20 +134,14 @@ class Gauge:
     unit: str
     share: float
     role: str
+    title: str = ""
+    color: Rgb = PLAIN.color
 
 
-def _gauge(constraint: Constraint, d: float, model: RobotModel) -> Gauge:
-    left, whole = left_of(constraint, d), 0.1
-    if isinstance(constraint, JointMaximum | JointMinimum):
-        half = 0.5 * float(np.min(model.q_max - model.q_min))
-        return Gauge(constraint.name, float(np.degrees(left)), "°", left / half, "kept")
-    if isinstance(constraint, PointInCylinder):
-        whole = constraint.cylinder.radius
-    elif isinstance(constraint, PointOverPlane):
-        whole = max(abs(constraint.plane.d), 0.05)
-    elif isinstance(constraint, PointInsideWall):
-        whole = 0.5 * model.soles[Foot.LEFT].length
-    return Gauge(constraint.name, 1e3 * left, "mm", left / whole, "kept")
+def _gauge(constraint: Constraint, d: float) -> Gauge:
+    margin, look = constraint.margin(d), constraint.look
+    value, unit = (1e3 * margin, "mm") if constraint.unit == "m" else (math.degrees(margin), "°")
+    return Gauge(constraint.name, value, unit, margin / constraint.full_margin, "kept", look.title, look.color)
 
 
 @dataclass(frozen=True)
@@ -287,7 +212,7 @@ class View:
     ground: float
     polygon: Array
     target: Array | None
-    regions: tuple[Region, ...]
+    regions: tuple[Drawn, ...]
     gauges: tuple[Gauge, ...]
     error: float
     divergent: Array | None = None
@@ -324,7 +249,7 @@ class Scene:
         kin, found = self.assess(moment)
         x = np.asarray(moment.x_odom_base)
         polygon = support_polygon(model, phase, kin).vertices
-        regions = [r for c in phase.inequalities if (r := region(c, kin)) is not None]
+        regions = [(c, shape) for c in phase.inequalities if (shape := c.region(kin)) is not None]
         return View(
             moment=moment,
             level=found.level,
@@ -334,7 +259,9 @@ class Scene:
             ground=float(DQ(x).transform_point(np.zeros(3))[2]),
             polygon=np.array([DQ(x).transform_point(np.append(vertex, 0.0)) for vertex in polygon]),
             target=None if phase.swing_target is None else compose(x, phase.swing_target),
-            regions=tuple(Region(r.name, r.kind, compose(x, r.pose), r.size) for r in regions),
+            regions=tuple(
+                Drawn(c.name, replace(shape, pose=compose(x, shape.pose)), c.look.color) for c, shape in regions
+            ),
             gauges=self.gauges(phase, found),
             error=found.values["error"],
             divergent=None if moment.dq is None else DQ(x).transform_point(_divergent(kin, moment.dq)),
@@ -346,12 +273,14 @@ class Scene:
         half = 0.5 * self.model.soles[Foot.LEFT].width
         margin = values["margin/polygon"]
         return (
-            *(_gauge(row, values[f"distance/{row.name}"], self.model) for row in phase.constraints),
+            *(_gauge(row, values[f"distance/{row.name}"]) for row in phase.constraints),
             *(
                 Gauge(hold.name, 1e3 * values[f"residual/{hold.name}"], "10⁻³", 0.0, "held")
                 for hold in phase.equalities
             ),
-            Gauge("support_polygon", 1e3 * margin, "mm", margin / half, "watched"),
+            Gauge(
+                "support_polygon", 1e3 * margin, "mm", margin / half, "watched", "CoM in the soles (not a constraint)"
+            ),
         )
 
 

@@ -25,7 +25,7 @@ from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.report.binding import limits_reached, most_loaded
 from dqwalk_ros.report.causes import causes
-from dqwalk_ros.report.metrics import FALLEN, Ending, Ground, Series, Span, left_of, support_polygon
+from dqwalk_ros.report.metrics import FALLEN, Ending, Ground, Series, Span, support_polygon
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 
@@ -98,7 +98,7 @@ class Assessor:
             d = values[f"distance/{row.name}"] = float(distances[row.name])
             if d < min(0.0, _returned(row, self._start[row.name], ticks, self.config.dt)) - monitor.tolerance:
                 broken.append(f"{row.name} is {-d:.3g} beyond its bound")
-            elif (margin := left_of(row, d)) < monitor.warn_margin:
+            elif (margin := row.margin(d)) < monitor.warn_margin:
                 close.append(f"{row.name} within {margin:.2g}")
         values |= self._margins(kin, distances)
         text = "; ".join(broken or close)

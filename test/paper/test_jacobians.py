@@ -124,6 +124,7 @@ def examples(model, foot):
         "goal": target.vec8(),
         "height": 0.02,
         "duration": 2.0,
+        "depth": 0.1,
         "lever": 0.2,
         "path": np.array([zero, 0.1 + zero]),
         "dt": 0.005,

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from dqwalk_ros import KinematicPlant, Kinematics, load, load_model, make_controller, simulate
+from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.report import analyse, report
 from dqwalk_ros.report.scene import Moments, Scene
 from dqwalk_ros.report.verdict import Assessor
@@ -44,7 +45,13 @@ def test_the_report_and_the_monitor_evaluate_the_constraint(walked):
 def test_the_page_shows_the_constraint(walked):
     _, trace = walked
     view = Scene(CONFIG, MODEL).look(Moments(trace).at(20))
-    assert "com_above" in [gauge.name for gauge in view.gauges]
+    gauge = next(gauge for gauge in view.gauges if gauge.name == "com_above")
+    assert (gauge.title, gauge.color) == ("CoM over the table", (1, 2, 3))
+    drawn = next(one for one in view.regions if one.name == "com_above")
+    assert drawn.color == (1, 2, 3)
+    assert drawn.region.size == (0.3, 0.2)
+    base = view.moment.x_odom_base
+    np.testing.assert_allclose(DQ(drawn.region.pose).translation()[2] - DQ(base).translation()[2], 0.25, atol=1e-12)
 
 
 def test_a_phase_of_its_own_is_judged_by_its_own_rule():

@@ -122,8 +122,8 @@ def test_the_distance_at_the_boundary_of_a_region_is_zero(trace):
         x = DQ(record.x_odom_base)
         kin = Kinematics(trace.model, trace.q[tick], record.base)
         rows = {row.name: row for row in phase.inequalities}
-        for region in view.regions:
-            row, pose = rows[region.name], x.conj() * DQ(region.pose)
+        for name, region, _ in view.regions:
+            row, pose = rows[name], x.conj() * DQ(region.pose)
             if region.kind == "cylinder":
                 side = pose.transform_point(np.array([region.size[0], 0.0, 0.0]))
                 assert abs(row.evaluate(side)[0]) < 1e-12
@@ -145,7 +145,7 @@ def test_markers_match_the_shapes_of_the_page(trace):
         clear, *shapes = markers(1_500_000_000, trace.config, model, phase, kin).markers
         assert clear.action == clear.DELETEALL
         found = {marker.ns: marker for marker in shapes}
-        regions = {region.name: region for region in view.regions}
+        regions = {drawn.name: drawn.region for drawn in view.regions}
         target = set() if view.target is None else {"swing_target"}
         others = {"sole/left", "sole/right", "com", "com/projection"} | target
         assert set(found) == set(regions) | others

@@ -6,7 +6,8 @@ import dataclasses
 
 import numpy as np
 
-from dqwalk_ros.paper.constraints import Constraint
+from dqwalk_ros.paper.constraints import Constraint, Look, Region
+from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import CenterOfMass
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.phase import Next, PhaseKind
@@ -31,13 +32,17 @@ class ComAbove(Constraint):
     def parameters(self):
         return np.array([self.height])
 
+    def region(self, kin):
+        return Region("plane", DQ.from_pose([0.0, 0.0, self.height]).vec8(), (0.3, 0.2))
+
 
 class HighWalk(PaperWalk):
     """The paper's walk, with the centre of mass held high in double support."""
 
     def both_feet(self, kind, support, q_start):
         phase = super().both_feet(kind, support, q_start)
-        high = ComAbove(name="com_above", eta=5.0, height=0.25)
+        look = Look("CoM over the table", (1, 2, 3))
+        high = ComAbove(name="com_above", eta=5.0, height=0.25, look=look)
         return dataclasses.replace(phase, inequalities=(*phase.inequalities, high))
 
 

@@ -16,9 +16,10 @@ import numpy as np
 import viser
 import websockets.asyncio.server
 
+from dqwalk_ros.paper.constraints import Region
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.report.scene import COM, DIVERGENT, FOOT, BodyShape, Moment, Region, Scene, View, color_of, tightest
+from dqwalk_ros.report.scene import COM, DIVERGENT, FOOT, BodyShape, Drawn, Moment, Scene, View, tightest
 from dqwalk_ros.report.viewer.panels import TIGHT, History, margins_html, status_html
 from dqwalk_ros.simulation import walk_type
 from dqwalk_ros.support.arrays import Array
@@ -421,21 +422,22 @@ class _Drawing:
             if handle.visible != (name in present):
                 handle.visible = name in present
         tight = tightest(view.gauges).name
-        for found in view.regions:
-            if found.name not in self._regions:
-                self._regions[found.name] = (found, self._add_region(found))
-            first, handle = self._regions[found.name]
+        for drawn in view.regions:
+            name, found, own = drawn
+            if name not in self._regions:
+                self._regions[name] = (found, self._add_region(drawn))
+            first, handle = self._regions[name]
             _move(handle, found.pose, _ORIGIN)
             a, b = found.size[0] / first.size[0], found.size[1] / first.size[1]
             scale = {"cylinder": (a, a, b), "plane": (a, b, 1.0)}.get(found.kind, (a, 1.0, b))
             if not np.allclose(handle.scale, scale, rtol=0.005):
                 handle.scale = scale
-            color = TIGHT if found.name == tight else color_of(found.name)
+            color = TIGHT if name == tight else own
             if tuple(handle.color) != color:
                 handle.color = color
 
-    def _add_region(self, found: Region) -> Any:
-        name, color = f"/regions/{found.name}", color_of(found.name)
+    def _add_region(self, drawn: Drawn) -> Any:
+        name, found, color = f"/regions/{drawn.name}", drawn.region, drawn.color
         looks: dict[str, Any] = {
             "opacity": 0.22,
             "side": "double",

@@ -7,7 +7,7 @@ from html import escape
 import numpy as np
 
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.report.scene import COM, FOOT, Gauge, Rgb, View, color_of, tightest
+from dqwalk_ros.report.scene import COM, FOOT, Gauge, Rgb, View, tightest
 
 __all__ = ["TIGHT", "History", "margins_html", "status_html"]
 
@@ -26,6 +26,7 @@ class History:
     def __init__(self) -> None:
         self.times: list[float] = []
         self.rows: list[dict[str, float]] = []
+        self.known: dict[str, Gauge] = {}  # the last one of each name
         self.marks: list[float] = []
         self._step = 0.0
 
@@ -35,7 +36,9 @@ class History:
         if self.times and time - self.times[-1] < self._step:
             return
         self.times.append(time)
-        self.rows.append({gauge.name: gauge.value for gauge in view.gauges if gauge.role != "held"})
+        shown = {gauge.name: gauge for gauge in view.gauges if gauge.role != "held"}
+        self.known |= shown
+        self.rows.append({name: gauge.value for name, gauge in shown.items()})
         if not self.marks or view.moment.began > self.marks[-1]:
             self.marks.append(view.moment.began)
         if len(self.times) > _MOST:
@@ -52,15 +55,15 @@ class History:
 def margins_html(view: View, history: History) -> str:
     """Return all margins of a view; those of other phases remain, greyed out, so that the layout does not change."""
     now = {gauge.name: gauge for gauge in view.gauges if gauge.role != "held"}
-    rows = history.rows[:: max(1, len(history.rows) // 60)]
-    names = sorted({*now, *(name for row in rows for name in row)}, key=_order)
+    known = history.known | now
+    names = sorted(known, key=lambda name: known[name].role == "watched")  # what is no constraint is last
     tight = tightest(view.gauges).name
     first, last = history.span(view.moment.time)
-    parts = [_row(name, now.get(name), name == tight, history, (first, last), view.moment.time) for name in names]
+    parts = [_row(known[name], name in now, name == tight, history, (first, last), view.moment.time) for name in names]
     held = [gauge for gauge in view.gauges if gauge.role == "held"]
     tail = ""
     if held:
-        cells = " &nbsp; ".join(f"{escape(_title(g.name))} <b>{abs(g.value):.2g}</b>" for g in held)
+        cells = " &nbsp; ".join(f"{escape(_title(g))} <b>{abs(g.value):.2g}</b>" for g in held)
         tail = f'<div style="color:{_MUTED};padding:4px 10px">equalities, residual [10⁻³]: {cells}</div>'
     axis = (
         f'<div style="display:flex;justify-content:space-between;color:{_MUTED};font-size:11px;padding:0 10px">'
@@ -69,45 +72,27 @@ def margins_html(view: View, history: History) -> str:
     return f'<div data-dqwalk="margins" style="{_FONT}">{"".join(parts)}{axis}{tail}</div>'
 
 
-_ORDER = ("sliding", "tip_plane", "back_plane", "com_cylinder", "pelvis", "joint_min", "joint_max")
-_TITLES = {
-    "sliding": "sliding (U7)",
-    "tip_plane": "tip plane (U9)",
-    "back_plane": "back plane (U10)",
-    "com_cylinder": "CoM cylinder (U14)",
-    "pelvis": "pelvis plane (U11)",
-    "joint_max": "upper joint limits (U12)",
-    "joint_min": "lower joint limits (U13)",
-    "support_polygon": "CoM in the soles (not a constraint)",
-}
+def _title(gauge: Gauge) -> str:
+    return gauge.title or gauge.name.replace("_", " ")
 
 
-def _order(name: str) -> tuple[int, str]:
-    last = name == "support_polygon"
-    return (_ORDER.index(name) if name in _ORDER else 90 + last), name
-
-
-def _title(name: str) -> str:
-    return _TITLES.get(name, name.replace("_", " "))
-
-
-def _row(name: str, gauge: Gauge | None, tight: bool, history: History, span: tuple[float, float], now: float) -> str:
-    kept = gauge is None or gauge.value >= 0.0
-    color = _hexed(TIGHT if tight else color_of(name) if kept else COM)
-    value = "–" if gauge is None else f"{gauge.value:.2f} {gauge.unit}"
-    fade = "opacity:.38;" if gauge is None else ""
+def _row(gauge: Gauge, present: bool, tight: bool, history: History, span: tuple[float, float], now: float) -> str:
+    kept = not present or gauge.value >= 0.0
+    color = _hexed(TIGHT if tight else gauge.color if kept else COM)
+    value = f"{gauge.value:.2f} {gauge.unit}" if present else "–"
+    fade = "" if present else "opacity:.38;"
     mark = "background:#fff4e0;box-shadow:inset 3px 0 0 #e67e00;" if tight else ""
     badge = ' <span style="color:#b35900;font-weight:700;font-size:11px">TIGHTEST</span>' if tight else ""
-    share = 0.0 if gauge is None else float(np.clip(gauge.share, 0.0, 1.0))
+    share = float(np.clip(gauge.share, 0.0, 1.0)) if present else 0.0
     bar = (
         '<div style="height:4px;background:#e4e8ec;border-radius:2px;margin:1px 0 2px">'
         f'<div style="height:4px;border-radius:2px;width:{100 * share:.0f}%;background:{color}"></div></div>'
     )
     return (
         f'<div style="padding:4px 10px 2px;{fade}{mark}"><div style="display:flex;justify-content:space-between">'
-        f"<span>{escape(_title(name))}{badge}</span>"
+        f"<span>{escape(_title(gauge))}{badge}</span>"
         f'<b style="font-variant-numeric:tabular-nums;color:{color}">{value}</b></div>'
-        f"{bar}{_curve(name, color, history, span, now)}</div>"
+        f"{bar}{_curve(gauge.name, color, history, span, now)}</div>"
     )
 
 
