@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from dqwalk_ros.cli.options import command, config_of, parse_overrides, set_option
-from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.support.errors import ConfigError, listed
 
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config, Spec
@@ -23,12 +23,14 @@ examples:
   dqwalk config paper > mine.yaml                          start a configuration of your own
   dqwalk config mine.yaml --check                          is it valid?
   dqwalk config paper --set gait.step_length=0.04
+  dqwalk config poppy --set 'collision.pairs=[l_shin=r_shin]' --capsules     their shapes, for your file
 """)
 @click.argument("config", required=False)
 @click.option("--section", metavar="NAME", help="List one section only.")
 @click.option("--check", is_flag=True, help="Only check that it is valid and fits its robot.")
+@click.option("--capsules", is_flag=True, help="Print collision.capsules for the links of collision.pairs.")
 @set_option
-def config(config: str | None, section: str | None, check: bool, changes: tuple[str, ...]) -> int:
+def config(config: str | None, section: str | None, check: bool, capsules: bool, changes: tuple[str, ...]) -> int:
     """List, check or print parameters.
 
     Without CONFIG: the list of all parameters. With CONFIG, the name of a shipped configuration or the path of a YAML
@@ -40,6 +42,8 @@ def config(config: str | None, section: str | None, check: bool, changes: tuple[
         raise ConfigError("--section belongs to the list of all parameters; leave out CONFIG")
     if config is not None:
         made = config_of(config, changes)
+        if capsules:
+            return _capsules(made)
         if not check:
             print(to_yaml(made), end="")
             return 0
@@ -64,6 +68,30 @@ def _check(name: str, made: Config) -> int:
     if not findings:
         print(f"{name}: can be used")
     return 1 if findings else 0
+
+
+def _capsules(made: Config) -> int:
+    """Print the capsules around the shapes of the links that are kept apart."""
+    from pathlib import Path
+
+    from dqwalk_ros.robot.model import find_urdf, load_model
+    from dqwalk_ros.robot.shapes import Shapes, capsule_around
+    from dqwalk_ros.robot.urdf import Urdf
+
+    links = dict.fromkeys(link.strip() for pair in made.collision.pairs for link in pair.split("="))
+    if not links:
+        raise ConfigError("--capsules needs collision.pairs, such as --set 'collision.pairs=[l_shin=r_shin]'")
+    model = load_model(made.robot)
+    shapes = Shapes(Urdf(model.urdf, model.name), find_urdf(made.robot.urdf) or Path(made.robot.urdf))
+    hulls, which = shapes.hulls([link for link in links if link in model.frames])
+    if lost := [link for link in links if link not in hulls]:
+        why = "; ".join(f"{mesh}: {reason}" for mesh, reason in shapes.missing.items())
+        raise ConfigError(f"no shape of {listed(lost)} can be read{f' ({why})' if why else ''}")
+    print(f"# around the {which} of the links\ncollision.capsules:")
+    for link in links:
+        a, b, radius = capsule_around(hulls[link])
+        print(f'  - "{link}={" ".join(f"{x:.4f}" for x in (*a, *b))} {radius:.4f}"')
+    return 0
 
 
 def _listing(section: str | None) -> str:

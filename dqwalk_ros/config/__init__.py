@@ -30,6 +30,7 @@ from dqwalk_ros.config.files import (
 )
 from dqwalk_ros.config.schema import Spec, Value
 from dqwalk_ros.config.sections import (
+    CollisionConfig,
     Config,
     DspConfig,
     DynamicConfig,
@@ -58,6 +59,7 @@ from dqwalk_ros.config.sections import (
 __all__ = [
     "OF_RCLPY",
     "SHIPPED",
+    "CollisionConfig",
     "Config",
     "DspConfig",
     "DynamicConfig",

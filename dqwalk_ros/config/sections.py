@@ -13,6 +13,7 @@ from dqwalk_ros.config.schema import Spec, Value, checked, parameter, specs_of
 from dqwalk_ros.support.errors import ConfigError
 
 __all__ = [
+    "CollisionConfig",
     "Config",
     "DspConfig",
     "DynamicConfig",
@@ -246,6 +247,19 @@ class JointsConfig:
     eta: float = parameter(10.0, "rate of (U12), (U13); larger: faster approach to limits", "1/s", 1e-3, 1e4, live=True)
     margin: float = parameter(0.0, "distance kept from both limits; larger: less range", "rad", 0.0, 1.0, live=True)
     velocity: float = parameter(0.0, "largest joint velocity; smaller: slower; 0: the URDF's", "rad/s", 0.0, 100.0)
+
+
+@dataclass(frozen=True)
+class CollisionConfig:
+    """Bodies of the robot that are kept apart."""
+
+    pairs: tuple[str, ...] = parameter((), "links kept apart, LINK=LINK, such as l_shin=r_shin")
+    capsules: tuple[str, ...] = parameter(
+        (), "shape of a link in its frame, LINK=ax ay az bx by bz radius [m] (`dqwalk config CONFIG --capsules`)"
+    )
+    margin: float = parameter(0.005, "distance kept between the capsules; larger: safer", "m", 0.0, 0.5)
+    eta: float = parameter(5.0, "rate of the distances; larger: faster approach", "1/s", 1e-3, 1e4)
+    recovery: float = parameter(0.05, "largest speed at which a violation is corrected", "m/s", 1e-4, 1e3)
 
 
 @dataclass(frozen=True)
@@ -568,6 +582,7 @@ class Config:
     dynamic: DynamicConfig = DynamicConfig()
     pelvis: PelvisConfig = PelvisConfig()
     joints: JointsConfig = JointsConfig()
+    collision: CollisionConfig = CollisionConfig()
     qp: QpConfig = QpConfig()
     servo: ServoConfig = ServoConfig()
     physics: PhysicsConfig = PhysicsConfig()

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dqwalk_ros.config import Config
+from dqwalk_ros.paper.collisions import capsules_in
 from dqwalk_ros.paper.constraints import (
     AxisLevel,
     Constraint,
@@ -158,13 +159,15 @@ class Walk(ABC):
         rule: Rule,
         joint_return: float = np.inf,
     ) -> Phase:
-        """Return the phase that begins at `kin`, with the posture task and the joint limits.
+        """Return the phase that begins at `kin`, with the posture task, joint limits, and bodies that are kept apart.
 
         `joint_return` is the largest speed at which a joint beyond its limit is required to return [rad/s].
         """
         config = self.config
         if config.task.posture_weight > 0.0:
             tasks = (*tasks, Posture(name="posture", weight=config.task.posture_weight, q_ref=self.posture))
+        if config.collision.pairs:
+            inequalities = (*inequalities, *capsules_in(config, self.model))
         return Phase(
             model=self.model,
             kind=kind,

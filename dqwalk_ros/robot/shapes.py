@@ -19,7 +19,7 @@ from dqwalk_ros.support.arrays import Array
 if TYPE_CHECKING:
     from yourdfpy import Collision, Link, Visual
 
-__all__ = ["PRIMITIVES", "Shapes", "Surface", "kind_and_size", "meshes_of", "rgba_of"]
+__all__ = ["PRIMITIVES", "Shapes", "Surface", "capsule_around", "kind_and_size", "meshes_of", "rgba_of"]
 
 
 PRIMITIVES = ("box", "cylinder", "sphere")
@@ -205,6 +205,29 @@ def _corners(points: Array) -> Array:
         return corners
     except (QhullError, ValueError):
         return points
+
+
+def capsule_around(points: Array) -> tuple[Array, Array, float]:
+    """Return the ends (3,) and the radius [m] of a capsule along the longest direction of points that contains them.
+
+    Parameters
+    ----------
+    points : ndarray, shape (N, 3)
+        [m]
+    """
+    axis = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][0]
+    across = points - np.outer(points @ axis, axis)
+    # the middle of the extent across the axis, in a basis of that plane
+    basis = np.linalg.svd(axis[None])[2][1:]
+    flat = across @ basis.T
+    center = 0.5 * (flat.min(axis=0) + flat.max(axis=0))
+    far = np.linalg.norm(flat - center, axis=1)
+    radius = float(far.max())
+    along, cap = points @ axis, np.sqrt(np.maximum(radius**2 - far**2, 0.0))
+    low, high = float((along + cap).min()), float((along - cap).max())
+    if low > high:  # a ball
+        low = high = 0.5 * (low + high)
+    return basis.T @ center + low * axis, basis.T @ center + high * axis, radius
 
 
 _MOST = 60_000

@@ -12,6 +12,7 @@ from robots import central_difference, configurations, legs
 from walks import values
 
 import dqwalk_ros
+from dqwalk_ros.paper.collisions import Capsule
 from dqwalk_ros.paper.constraints import Constraint
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import (
@@ -84,7 +85,7 @@ def test_rotations(robot, foot):
 def subclasses(parent):
     """Every class of the package that derives from `parent`."""
     for module in pkgutil.walk_packages(dqwalk_ros.__path__, "dqwalk_ros."):
-        if not module.name.startswith(("dqwalk_ros.nodes", "dqwalk_ros.cli.runner", "dqwalk_ros.cli")):
+        if not module.name.startswith(("dqwalk_ros.nodes", "dqwalk_ros.cli", "dqwalk_ros.plants.drake")):
             importlib.import_module(module.name)
     found, stack = [], [parent]
     while stack:
@@ -136,6 +137,21 @@ def examples(model, foot):
         # the CoM, so that more than one branch of a constraint on points is tested
         "PointInsideWall.point": CenterOfMass(),
         "PointInCylinder.point": CenterOfMass(),
+        "one": Capsule(swing.frame, swing.tip, swing.heel + 0.02, 0.01),
+        "other": Capsule(model.pelvis, np.array([0.0, 0.02, 0.0]), np.array([0.01, 0.0, 0.3]), 0.02),
+        "LinesApart.direction": Direction(swing.frame, np.array([0.6, 0.8, 0.0])),
+        "other_point": Point(model.pelvis),
+        "other_direction": Direction(model.pelvis, np.array([0.0, 0.6, 0.8])),
+        "distance": 0.02,
+        "PointOutsideLine.target": CenterOfMass(),
+        "PointOutsideLine.direction": Direction(swing.frame, np.array([0.6, 0.8, 0.0])),
+        "axis": Direction(model.pelvis, np.array([0.0, 0.0, 1.0])),
+        "center": np.array([0.0, 0.6, 0.8]),
+        "angle": 0.9,
+        "velocity": np.array([0.1, -0.05, 0.02]),
+        "radius": 0.03,
+        "origin": Point(model.pelvis, np.array([0.02, 0.0, 0.0])),
+        "normal": Direction(model.pelvis, np.array([1.0, 0.0, 0.0])),
     }
 
 
