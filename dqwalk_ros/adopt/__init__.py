@@ -19,8 +19,10 @@ import numpy as np
 from dqwalk_ros.adopt.anatomy import Anatomy, find_anatomy
 from dqwalk_ros.adopt.check import check
 from dqwalk_ros.adopt.doubts import check_density, repair_degrees, repair_inertias, use_led_joints
+from dqwalk_ros.adopt.mjcf import MjcfDrive, is_mjcf, load_mjcf
 from dqwalk_ros.adopt.parameters import (
     Numbers,
+    drive_parameters,
     dynamic_parameters,
     paper_parameters,
     parameters,
@@ -110,7 +112,7 @@ def adopt(
     Parameters
     ----------
     path : path
-        URDF or xacro; it is not changed.
+        URDF, xacro or MJCF; it is not changed.
     folder : path
         Folder of the results; created if it does not exist.
     package_paths : sequence of path
@@ -141,9 +143,11 @@ def adopt(
     path, folder = pathlib.Path(path), pathlib.Path(folder)
     _check_places(path, folder, overwrite=overwrite)
     progress(0.0, "reading the robot")
-    urdf = Urdf.load(path, package_paths, xacro)
+    urdf, drives = load_mjcf(path) if is_mjcf(path) else (Urdf.load(path, package_paths, xacro), {})
     try:
-        return _adopted(path, folder, urdf, package_paths, left, right, forward, changes or {}, overwrite, progress)
+        return _adopted(
+            path, folder, urdf, drives, package_paths, left, right, forward, changes or {}, overwrite, progress
+        )
     except ModelError as error:
         for repair in dict.fromkeys(urdf.repairs):
             error.add_note(repair)
@@ -154,6 +158,7 @@ def _adopted(
     path: pathlib.Path,
     folder: pathlib.Path,
     urdf: Urdf,
+    drives: Mapping[str, MjcfDrive],
     package_paths: Sequence[str | os.PathLike[str]],
     left: str,
     right: str,
@@ -167,6 +172,11 @@ def _adopted(
     repair_degrees(urdf)
     use_led_joints(urdf)
     anatomy = find_anatomy(urdf, shapes, left=left, right=right, forward=forward)
+    if not anatomy.sideways and not anatomy.waist:
+        raise ModelError(
+            f"the legs ({anatomy.kinds}) cannot move the pelvis sideways over flat soles, because no ankle rolls, and "
+            "no waist could move the CoM over one sole"
+        )
     check_density(str(path), urdf, anatomy.leg)
     repair_inertias(urdf, shapes, anatomy.leg)
     anatomy = replace(anatomy, pelvis=_add_frames(urdf, anatomy))
@@ -206,6 +216,8 @@ def _adopted(
         )
     about = robot_entries(model, anatomy, robot.lock, "those that walk")
     entries = [*about, *parameters(numbers)]
+    servos, driven = drive_parameters(drives, numbers)
+    entries = changed(entries, servos, "joints and actuators of the MJCF file")
     entries = changed(entries, changes, "given by --set")
     Config().updated({entry.what: entry.value for entry in entries})  # no file is written of invalid values
     whole_body = []
@@ -222,7 +234,7 @@ def _adopted(
         write_yaml(folder / "whole_body.yaml", whole_body, f"{about_it}: Sherikov et al.", overwrite=overwrite)
     config = load(folder / "robot.yaml")
     model = load_model(config.robot)
-    evidence = (*anatomy.evidence, *_mass_evidence(numbers), *_missing_evidence(shapes))
+    evidence = (*anatomy.evidence, *_mass_evidence(numbers), *driven, *_missing_evidence(shapes))
     found = Adoption(
         folder, config, model, anatomy, numbers, tuple(entries), evidence,
         tuple(dict.fromkeys((*urdf.repairs, *model.repairs))), tuple(check(config, model)),

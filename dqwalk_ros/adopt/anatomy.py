@@ -119,13 +119,13 @@ def find_anatomy(
         if name and name not in urdf.links:
             raise ModelError(f"there is no link '{name}'; the links are {', '.join(urdf.links)}")
     plain, root = Skeleton(urdf, shapes), urdf.root
-    check_sizes(plain, shapes)
     if len(plain.joints) < 6:
         slides = [joint.name for joint in urdf.joints.values() if joint.type == "prismatic"]
         more = f"; '{slides[0]}' is prismatic, and linear joints do not move in a walk" if slides else ""
         fixed = sum("has no range" in repair for repair in urdf.repairs)
         more += f"; {fixed} joints have no range, their lower and upper limits are equal" if fixed else ""
         raise ModelError(f"the robot is not a biped: it has only {len(plain.joints)} revolute joints{more}")
+    check_sizes(plain, shapes)
     try:
         return _any_up(plain, (left, right), forward)
     except _NoLegsError:

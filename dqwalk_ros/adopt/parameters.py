@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from dqwalk_ros.adopt.anatomy import Anatomy
+from dqwalk_ros.adopt.mjcf import MjcfDrive
 from dqwalk_ros.adopt.posture import Standing
 from dqwalk_ros.adopt.skeleton import Entry
 from dqwalk_ros.config import Config
@@ -23,6 +25,7 @@ from dqwalk_ros.walks.footsteps import Footsteps
 
 __all__ = [
     "Numbers",
+    "drive_parameters",
     "dynamic_parameters",
     "paper_parameters",
     "parameters",
@@ -31,6 +34,8 @@ __all__ = [
 ]
 
 
+STIFFEST_FALL = 3.0
+"""Servo stiffness as a multiple of m g h below which most robots fall."""
 STIFFNESS = 5.0
 """Servo stiffness as a multiple of m g h; below 3 most robots fall."""
 SHORTEST = 1.5
@@ -295,6 +300,30 @@ def parameters(numbers: Numbers) -> list[Entry]:
         ),
         Entry("monitor.tolerance", 0.0001, "error of the Euler method at touchdown", "default"),
     ]
+
+
+def drive_parameters(drives: Mapping[str, MjcfDrive], numbers: Numbers) -> tuple[dict[str, float], list[Entry]]:
+    """Return the parameters of the servos that follow from the `drives` of the legs' joints, and what they are.
+
+    Gains of actuators that are too soft to stand are those of a policy rather than of servos; they are not used.
+    """
+    legs = [drives[name] for names in numbers.anatomy.legs.values() for name in names if name in drives]
+    if not legs:
+        return {}, []
+    stiffness, damping, armature, friction = np.median([dataclasses.astuple(drive) for drive in legs], axis=0).tolist()
+    values = {"servo.armature": rounded(armature), "servo.friction": rounded(friction)}
+    values = {key: value for key, value in values.items() if value > 0.0}
+    if not stiffness > 0.0:
+        return values, []
+    part, source = stiffness / numbers.mgh, "median of the legs' position actuators"
+    entry = Entry("position gain", f"{stiffness:.4g} N m/rad, {part:.2g} m g h", source)
+    if part < STIFFEST_FALL:
+        source += f": below {STIFFEST_FALL:g} m g h robots fall, so {STIFFNESS:g} m g h are assumed"
+        return values, [Entry(entry.what, entry.value, source, "guess")]
+    values |= {"servo.stiffness": rounded(stiffness), "servo.assumed_stiffness": rounded(stiffness)}
+    ratio = 0.5 * damping / math.sqrt(stiffness * (numbers.inertia + armature))
+    values["servo.damping"] = rounded(damping / stiffness) if ratio > 0.3 else numbers.damping(stiffness)
+    return values, [entry]
 
 
 def dynamic_parameters(numbers: Numbers, damping: float) -> list[Entry]:

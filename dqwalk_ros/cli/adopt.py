@@ -1,4 +1,4 @@
-"""``dqwalk adopt``: makes a configuration that walks from another robot's URDF."""
+"""``dqwalk adopt``: makes a configuration that walks from the URDF or MJCF of another robot."""
 
 from __future__ import annotations
 
@@ -43,6 +43,7 @@ exit code: 0 the standing walk walks; 1 it was adopted but falls; 2 it cannot be
 
 examples:
   dqwalk adopt my_robot.urdf
+  dqwalk adopt my_robot/scene.xml                          MJCF, which MuJoCo reads
   dqwalk adopt robot.urdf.xacro --package-path ~/ws/src --out my_robot
   dqwalk adopt robot.urdf --left l_foot --right r_foot --forward -x
   dqwalk adopt my_robot.urdf --force --view                again, and show the result in the browser
@@ -82,7 +83,7 @@ def adopt(
     quiet: bool,
     changes: tuple[str, ...],
 ) -> int:
-    """Make a configuration that walks from a robot description, URDF or xacro."""
+    """Make a configuration that walks from a robot description, URDF, xacro or MJCF."""
     from dqwalk_ros import adopt as adopting
     from dqwalk_ros.adopt.picture import draw
     from dqwalk_ros.cli.progress import Progress

@@ -13,7 +13,11 @@ from collections.abc import Mapping, Sequence
 
 from dqwalk_ros.support.errors import ModelError
 
-__all__ = ["expanded", "find_package_file"]
+__all__ = ["expanded", "find_package_file", "is_pointer"]
+
+
+_POINTER = b"version https://git-lfs"
+"""Beginning of the file that Git has in place of a large one which it has not fetched."""
 
 
 def expanded(
@@ -105,6 +109,12 @@ def find_package_file(
     else:
         found = [pathlib.Path(rest), pathlib.Path(urllib.parse.unquote(rest))]
     return next((place for place in found if _is_file(place)), None)
+
+
+def is_pointer(file: str | os.PathLike[str]) -> bool:
+    """Return whether a file is a pointer of Git LFS instead of what it is to contain."""
+    with pathlib.Path(file).open("rb") as begin:
+        return begin.read(len(_POINTER)) == _POINTER
 
 
 def _is_file(place: pathlib.Path) -> bool:

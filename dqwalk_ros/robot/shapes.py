@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.robot.packages import find_package_file
+from dqwalk_ros.robot.packages import find_package_file, is_pointer
 from dqwalk_ros.robot.urdf import Urdf, pose_of
 from dqwalk_ros.support.arrays import Array
 
@@ -104,23 +104,15 @@ class Shapes:
         return {}, ""
 
     def unread(self, names: Sequence[str]) -> dict[str, str]:
-        """Return the reason for each mesh of some links that cannot be read, of links without another readable shape.
-
-        A link is complete if all its ``collisions``, or all its ``visuals``, can be read.
-        """
+        """Return the reason for each mesh that cannot be read of the ``collisions``, or else ``visuals``, of links."""
         out: dict[str, str] = {}
         for name in names:
-            both = [getattr(self._links[name], which) for which in ("collisions", "visuals")]
-            missing = [self._missing_of(name, shapes) for shapes in both if shapes]
-            if missing and all(missing):
-                out |= missing[0]
+            link = self._links[name]
+            for shape in link.collisions or link.visuals:
+                mesh = shape.geometry.mesh
+                if self.surface(link, shape) is None and mesh is not None:
+                    out[mesh.filename] = self.missing.get(mesh.filename, "is not finite")
         return out
-
-    def _missing_of(self, name: str, shapes: Sequence[Visual | Collision]) -> dict[str, str]:
-        """Return the reason for each mesh among some shapes of a link that cannot be read."""
-        lost = [shape for shape in shapes if self.surface(self._links[name], shape) is None]
-        meshes = [shape.geometry.mesh.filename for shape in lost if shape.geometry.mesh is not None]
-        return {mesh: self.missing.get(mesh, "is not finite") for mesh in meshes}
 
     def _hull(self, name: str, which: str) -> Array | None:
         """Return the corners of the convex hull of a link's surfaces; None for a link without any."""
@@ -265,8 +257,6 @@ _Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Rotation from the axes of a file whose y axis is up to those of a link, whose z axis is up."""
 _CLOSER = 0.22
 """Logarithm of the factor by which turned meshes must be closer to the CoM of their links."""
-_POINTER = b"version https://git-lfs"
-"""Beginning of the file that Git has in place of a large one which it has not fetched."""
 
 
 @lru_cache(maxsize=512)
@@ -274,9 +264,8 @@ def _mesh(file: str) -> tuple[Array, NDArray[np.int64], bool]:
     """Return vertices (N, 3) [m] and faces (M, 3) of a file, and whether the file declares its y axis as up."""
     import trimesh
 
-    with pathlib.Path(file).open("rb") as begin:
-        if begin.read(len(_POINTER)) == _POINTER:
-            raise ValueError("is a Git LFS pointer instead of a mesh: run 'git lfs pull' in its repository")
+    if is_pointer(file):
+        raise ValueError("is a Git LFS pointer instead of a mesh: run 'git lfs pull' in its repository")
     mesh: Any = trimesh.load(file, force="mesh", process=False)
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
     if not len(vertices):

@@ -161,7 +161,6 @@ def test_unsuitable_robots_are_rejected_with_one_line(
     error = capsys.readouterr().err
     assert expected in error
     assert error.count("\n") == 1
-    assert "reading the robot" in error
     assert not (tmp_path / "out").exists()
 
 
@@ -207,15 +206,12 @@ def test_config_check_loads_the_robot(small: Adoption, capsys: pytest.CaptureFix
     assert cli.main(["config", path, "--check", "--set", "robot.urdf=/nonexistent.urdf"]) == 2
 
 
-def test_a_small_robot_walks(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("dqwalk_ros.adopt.trial._STEPS", 1)
+@pytest.mark.long
+def test_a_small_robot_walks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["adopt", str(SMALLER), "--out", str(tmp_path), "--yes", "--quiet"]) == 0
     out = capsys.readouterr().out
-    assert re.search(r"kinematic: walked 0\.\d", out)
-    assert re.search(r"physics: walked 0\.\d", out)
-    assert re.search(r"dynamic walk: walked 0\.\d", out)
+    for walk in ("kinematic", "physics", "dynamic walk"):  # whole, as far as planned, without a violation
+        assert re.search(rf"{walk}: walked 0\.\d+ m\n", out)
     assert out.endswith("\nadopted: the standing and the dynamic walk stand in physics\n")
 
 

@@ -36,7 +36,7 @@ IMPORTERS = {
     "daqp": {"paper", "whole_body"},
     "dynamixel_sdk": {"plants"},
     "matplotlib": {"adopt", "report", "whole_body"},
-    "mujoco": {"plants", "report", "whole_body"},
+    "mujoco": {"plants", "report", "adopt", "whole_body"},
     "numba": {"support"},
     "pinocchio": {"whole_body"},
     "rclpy": {"nodes", "whole_body"},

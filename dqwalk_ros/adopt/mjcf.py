@@ -1,0 +1,328 @@
+"""Robot descriptions of MuJoCo (MJCF), converted to a URDF with the same links, joints, masses and shapes.
+
+MuJoCo itself reads the file and resolves its defaults, classes, units and included files. Its bodies become links, each
+with the origin of its last joint; bodies with several joints get links without mass between these. What a URDF has no
+word for, the drives of the joints, is returned beside it.
+"""
+
+from __future__ import annotations
+
+import math
+import pathlib
+import re
+from dataclasses import dataclass
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.robot.packages import is_pointer
+from dqwalk_ros.robot.urdf import Urdf
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import ModelError
+
+__all__ = ["MjcfDrive", "is_mjcf", "load_mjcf"]
+
+_TETRAHEDRON = [0.0, 0.0, 0.0, 0.001, 0.0, 0.0, 0.0, 0.001, 0.0, 0.0, 0.0, 0.001]
+"""Corners of a small mesh in the place of a missing one [m]."""
+_HEAD = 1 << 16
+"""Number of bytes in which the outermost element begins."""
+_ROOT = re.compile(rb"(\s|<\?.*?\?>|<!--.*?-->)*<mujoco[\s>]", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class MjcfDrive:
+    """What an MJCF file says about the drive of a joint.
+
+    Attributes
+    ----------
+    stiffness, damping : float
+        Gains of its position actuator, 0 without one, and with the damping of the joint [N m/rad, N m s/rad].
+    armature : float
+        [kg m^2]
+    friction : float
+        [N m]
+    """
+
+    stiffness: float
+    damping: float
+    armature: float
+    friction: float
+
+
+def is_mjcf(path: pathlib.Path) -> bool:
+    """Return whether a file is MJCF: its outermost element is <mujoco>."""
+    try:
+        with path.open("rb") as file:
+            return _ROOT.match(file.read(_HEAD)) is not None
+    except OSError:
+        return False  # what reads it says so
+
+
+def load_mjcf(path: pathlib.Path) -> tuple[Urdf, dict[str, MjcfDrive]]:
+    """Return the description of an MJCF file, and the drives of its joints by name.
+
+    Raises
+    ------
+    ModelError
+        If MuJoCo is not installed or refuses the file, the file has no robot, or its links form loops.
+    """
+    try:
+        import mujoco
+    except ImportError as error:
+        raise ModelError(f"'{path}' is a file of MuJoCo: pip install mujoco, which reads it") from error
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except (ValueError, RuntimeError, OSError) as error:
+        raise ModelError(f"MuJoCo refuses '{path}': {' '.join(str(error).split())[:300]}") from error
+    lost = _replace_missing(path, spec)
+    try:
+        mj = spec.compile()
+    except (ValueError, RuntimeError) as error:
+        raise ModelError(f"MuJoCo refuses '{path}': {' '.join(str(error).split())[:300]}") from error
+    conversion = _Conversion(path, mujoco, spec, mj, lost)
+    urdf = Urdf(conversion.text(), str(path))
+    # the lines are those of the conversion
+    urdf.repairs = [*conversion.repairs, *(re.sub(r"^line \d+: ", "", text) for text in urdf.repairs)]
+    return urdf, conversion.drives
+
+
+def _mesh_file(path: pathlib.Path, spec: Any, mesh: Any) -> pathlib.Path:
+    folder = pathlib.Path(spec.modelfiledir or path.parent)
+    return folder / str(spec.meshdir or "") / str(mesh.file)
+
+
+def _replace_missing(path: pathlib.Path, spec: Any) -> dict[str, pathlib.Path]:
+    """Replace meshes that cannot be read by small ones, without which MuJoCo refuses a file; return their files.
+
+    The converted description names the true files, and what reads its shapes says what is missing.
+    """
+    lost = {}
+    for mesh in spec.meshes:
+        file = _mesh_file(path, spec, mesh)
+        if mesh.file and (not file.is_file() or is_pointer(file)):
+            lost[mesh.name or file.stem] = file
+            mesh.name, mesh.file = mesh.name or file.stem, ""
+            mesh.uservert, mesh.userface = _TETRAHEDRON, [0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3]
+    return lost
+
+
+class _Conversion:
+    """The conversion of one compiled model."""
+
+    def __init__(self, path: pathlib.Path, mujoco: Any, spec: Any, mj: Any, lost: dict[str, pathlib.Path]) -> None:
+        self._path, self._mujoco, self._spec, self._mj, self._lost = path, mujoco, spec, mj, lost
+        self.repairs: list[str] = []
+        self.drives: dict[str, MjcfDrive] = {}
+        self._robot = ElementTree.Element("robot", {"name": spec.modelname or path.stem})
+        self._offset: dict[int, Array] = {}  # position of the origin of a body's link in the body [m]
+        self._names = {body: mj.body(body).name or f"body_{body}" for body in range(1, mj.nbody)}
+
+    def text(self) -> str:
+        """Return the description as URDF."""
+        mj, types = self._mj, self._mujoco.mjtEq
+        root = self._root()
+        inside = [body for body in range(1, mj.nbody) if mj.body_rootid[body] == root]
+        for k in range(mj.neq):
+            if _is(mj.eq_type[k], types.mjEQ_CONNECT, types.mjEQ_WELD) and mj.eq_active0[k]:
+                ends = self._ends(k)
+                if all(mj.body_rootid[end] == root for end in ends):
+                    a, b = (self._names[end] for end in ends)
+                    raise ModelError(
+                        f"'{self._path}': '{a}' and '{b}' close a loop of links; only trees of links can walk"
+                    )
+        driven = {self._joint_of(k) for k in range(mj.nu)} - {None}
+        for body in inside:
+            self._add_body(body, root, driven)
+        for site in range(mj.nsite):
+            body, name = int(mj.site_bodyid[site]), mj.site(site).name
+            if body in inside and name and name not in self._names.values():
+                ElementTree.SubElement(self._robot, "link", {"name": name})
+                pose = DQ.from_pose(mj.site_pos[site] - self._offset[body], mj.site_quat[site])
+                self._add_joint(f"{name}_fixed", "fixed", self._names[body], name, pose)
+        self._add_led()
+        return ElementTree.tostring(self._robot, encoding="unicode")
+
+    def _root(self) -> int:
+        """Return the body that carries most others of those on the world."""
+        mj = self._mj
+        count = {body: int((mj.body_rootid == body).sum()) for body in range(1, mj.nbody) if not mj.body_parentid[body]}
+        if not count:
+            raise ModelError(f"'{self._path}' has no body, so no robot")
+        root = max(count, key=lambda body: count[body])
+        others = [self._names[body] for body in count if body != root]
+        if others:
+            self.repairs.append(f"bodies on the world besides '{self._names[root]}' are left out: {', '.join(others)}")
+        return root
+
+    def _ends(self, equality: int) -> tuple[int, int]:
+        mj = self._mj
+        ids = int(mj.eq_obj1id[equality]), int(mj.eq_obj2id[equality])
+        if _is(mj.eq_objtype[equality], self._mujoco.mjtObj.mjOBJ_SITE):
+            return int(mj.site_bodyid[ids[0]]), int(mj.site_bodyid[ids[1]])
+        return ids
+
+    def _joint_of(self, actuator: int) -> int | None:
+        """Return the joint that an actuator drives; None if it drives something else."""
+        mj, types = self._mj, self._mujoco.mjtTrn
+        on_joint = _is(mj.actuator_trntype[actuator], types.mjTRN_JOINT, types.mjTRN_JOINTINPARENT)
+        return int(mj.actuator_trnid[actuator, 0]) if on_joint else None
+
+    def _add_body(self, body: int, root: int, driven: set[int | None]) -> None:
+        mj, name = self._mj, self._names[body]
+        parent = int(mj.body_parentid[body])
+        joints = [*range(mj.body_jntadr[body], mj.body_jntadr[body] + mj.body_jntnum[body])]
+        if body == root:
+            self._offset[body] = np.zeros(3)
+            held = [mj.joint(j).name for j in joints if not _is(mj.jnt_type[j], self._mujoco.mjtJoint.mjJNT_FREE)]
+            if held:
+                self.repairs.append(f"the joints {', '.join(held)} between world and '{name}' are left out: it floats")
+            self._add_link(name, body)
+            return
+        joints = [j for j in joints if self._usable(j, driven)]
+        pose = DQ.from_pose(mj.body_pos[body] - self._offset[parent], mj.body_quat[body])
+        last, at = self._names[parent], np.zeros(3)
+        for j in joints:
+            end = name if j == joints[-1] else f"{name}_{self._joint_name(j)}"
+            axis, place = mj.jnt_axis[j], mj.jnt_pos[j]
+            rest = DQ.rotation_about(-float(mj.qpos0[mj.jnt_qposadr[j]]), axis) if self._turns(j) else DQ(1.0)
+            pose = pose * DQ.from_pose(place - at) * rest
+            if end != name:
+                ElementTree.SubElement(self._robot, "link", {"name": end})
+            self._add_moving(j, last, end, pose)
+            pose, at, last = DQ(1.0), place, end
+        self._offset[body] = at
+        if not joints:
+            self._add_joint(f"{name}_fixed", "fixed", last, name, pose)
+        self._add_link(name, body)
+
+    def _turns(self, joint: int) -> bool:
+        return _is(self._mj.jnt_type[joint], self._mujoco.mjtJoint.mjJNT_HINGE)
+
+    def _joint_name(self, joint: int) -> str:
+        return str(self._mj.joint(joint).name or f"joint_{joint}")
+
+    def _usable(self, joint: int, driven: set[int | None]) -> bool:
+        types = self._mujoco.mjtJoint
+        kind, name = self._mj.jnt_type[joint], self._joint_name(joint)
+        led = any(
+            _is(self._mj.eq_type[k], self._mujoco.mjtEq.mjEQ_JOINT) and self._mj.eq_obj1id[k] == joint
+            for k in range(self._mj.neq)
+        )
+        if not _is(kind, types.mjJNT_HINGE, types.mjJNT_SLIDE):
+            self.repairs.append(f"joint '{name}' is a ball or free joint: taken as fixed")
+        elif driven and joint not in driven and not led:
+            self.repairs.append(f"joint '{name}' has no actuator, others have one: taken as fixed")
+        else:
+            return True
+        return False
+
+    def _add_moving(self, joint: int, parent: str, child: str, pose: DQ) -> None:
+        """Add a joint that moves, with limits and drive."""
+        mj, name = self._mj, self._joint_name(joint)
+        limited, dof = bool(mj.jnt_limited[joint]), int(mj.jnt_dofadr[joint])
+        kind = ("revolute" if limited else "continuous") if self._turns(joint) else "prismatic"
+        element = self._add_joint(name, kind, parent, child, pose)
+        ElementTree.SubElement(element, "axis", {"xyz": _words(mj.jnt_axis[joint])})
+        efforts = [float(np.abs(mj.jnt_actfrcrange[joint]).max())] if mj.jnt_actfrclimited[joint] else []
+        stiffness, damping = 0.0, float(np.atleast_1d(mj.dof_damping[dof])[0])
+        for k in range(mj.nu):
+            if self._joint_of(k) != joint:
+                continue
+            gear = abs(float(mj.actuator_gear[k, 0]))
+            gain, bias = float(mj.actuator_gainprm[k, 0]), mj.actuator_biasprm[k]
+            if mj.actuator_forcelimited[k]:
+                efforts.append(gear * float(np.abs(mj.actuator_forcerange[k]).max()))
+            if _is(mj.actuator_biastype[k], self._mujoco.mjtBias.mjBIAS_AFFINE) and bias[1] < 0.0:
+                stiffness, damping = stiffness - gear**2 * float(bias[1]), damping - gear**2 * float(bias[2])
+            elif mj.actuator_ctrllimited[k] and gain:
+                efforts.append(gear * abs(gain) * float(np.abs(mj.actuator_ctrlrange[k]).max()))
+        limit = {"effort": repr(min(efforts))} if efforts and min(efforts) > 0.0 else {}
+        if limited:
+            limit |= {key: repr(float(end)) for key, end in zip(("lower", "upper"), mj.jnt_range[joint], strict=True)}
+        ElementTree.SubElement(element, "limit", limit)
+        armature, friction = float(mj.dof_armature[dof]), float(np.atleast_1d(mj.dof_frictionloss[dof])[0])
+        self.drives[name] = MjcfDrive(stiffness, damping, armature, friction)
+
+    def _add_joint(self, name: str, kind: str, parent: str, child: str, pose: DQ) -> ElementTree.Element:
+        element = ElementTree.SubElement(self._robot, "joint", {"name": name, "type": kind})
+        ElementTree.SubElement(element, "parent", {"link": parent})
+        ElementTree.SubElement(element, "child", {"link": child})
+        _add_origin(element, pose)
+        return element
+
+    def _add_link(self, name: str, body: int) -> None:
+        """Add a link with the mass and the shapes of a body."""
+        mj, offset = self._mj, self._offset[body]
+        link = ElementTree.SubElement(self._robot, "link", {"name": name})
+        mass = float(mj.body_mass[body])
+        if mass > 0.0:
+            part = ElementTree.SubElement(link, "inertial")
+            _add_origin(part, DQ.from_pose(mj.body_ipos[body] - offset))
+            ElementTree.SubElement(part, "mass", {"value": repr(mass)})
+            R = DQ.from_pose(np.zeros(3), mj.body_iquat[body]).rotation_matrix()
+            inertia = R @ np.diag(mj.body_inertia[body]) @ R.T
+            keys = {f"i{a}{b}": (i, k) for i, a in enumerate("xyz") for k, b in enumerate("xyz") if i <= k}
+            ElementTree.SubElement(part, "inertia", {key: repr(float(inertia[at])) for key, at in keys.items()})
+        for geom in range(mj.body_geomadr[body], mj.body_geomadr[body] + mj.body_geomnum[body]):
+            touches = mj.geom_contype[geom] or mj.geom_conaffinity[geom]
+            self._add_geom(link, "collision" if touches else "visual", geom, offset)
+
+    def _add_geom(self, link: ElementTree.Element, which: str, geom: int, offset: Array) -> None:
+        mj, types = self._mj, self._mujoco.mjtGeom
+        kind, (a, b, c) = mj.geom_type[geom], (2.0 * mj.geom_size[geom]).tolist()
+        pose = DQ.from_pose(mj.geom_pos[geom] - offset, mj.geom_quat[geom])
+        if _is(kind, types.mjGEOM_BOX):
+            shape = ("box", {"size": _words((a, b, c))})
+        elif _is(kind, types.mjGEOM_SPHERE):
+            shape = ("sphere", {"radius": repr(0.5 * a)})
+        elif _is(kind, types.mjGEOM_CYLINDER, types.mjGEOM_CAPSULE):
+            name = "cylinder" if _is(kind, types.mjGEOM_CYLINDER) else "capsule"
+            shape = (name, {"radius": repr(0.5 * a), "length": repr(b)})
+        elif _is(kind, types.mjGEOM_MESH) and (found := self._mesh(int(mj.geom_dataid[geom]))) is not None:
+            shape, at = found
+            pose = pose * at.conj()
+        else:
+            self.repairs.append(f"a shape of '{link.get('name')}' is left out: a URDF has none of its kind")
+            return
+        element = ElementTree.SubElement(link, which)
+        _add_origin(element, pose)
+        ElementTree.SubElement(ElementTree.SubElement(element, "geometry"), *shape)
+
+    def _mesh(self, mesh: int) -> tuple[tuple[str, dict[str, str]], DQ] | None:
+        """Return a mesh as element and attributes, and the pose in the file of the frame that MuJoCo gave it."""
+        given = next((m for m in self._spec.meshes if m.id == mesh), None)
+        if given is not None and given.name in self._lost:
+            return ("mesh", {"filename": str(self._lost[given.name])}), DQ(1.0)
+        if given is None or not given.file:
+            return None
+        file = _mesh_file(self._path, self._spec, given).resolve()
+        at = DQ.from_pose(self._mj.mesh_pos[mesh], self._mj.mesh_quat[mesh])
+        return ("mesh", {"filename": file.as_uri(), "scale": _words(given.scale)}), at
+
+    def _add_led(self) -> None:
+        """Add the joints that follow others as mimic joints."""
+        mj = self._mj
+        known = {element.get("name"): element for element in self._robot.iter("joint")}
+        for k in range(mj.neq):
+            if not _is(mj.eq_type[k], self._mujoco.mjtEq.mjEQ_JOINT) or not mj.eq_active0[k] or mj.eq_obj2id[k] < 0:
+                continue
+            led, leader = (self._joint_name(int(j)) for j in (mj.eq_obj1id[k], mj.eq_obj2id[k]))
+            if led in known and leader in known:
+                numbers = {"multiplier": repr(float(mj.eq_data[k, 1])), "offset": repr(float(mj.eq_data[k, 0]))}
+                ElementTree.SubElement(known[led], "mimic", {"joint": leader, **numbers})
+
+
+def _is(value: Any, *kinds: Any) -> bool:
+    """Return whether a number of a compiled model is one of some enumerators of MuJoCo."""
+    return int(value) in {int(kind) for kind in kinds}
+
+
+def _add_origin(element: ElementTree.Element, pose: DQ) -> None:
+    xyz, rpy = (_words(v) for v in (pose.translation(), pose.roll_pitch_yaw()))
+    ElementTree.SubElement(element, "origin", {"xyz": xyz, "rpy": rpy})
+
+
+def _words(numbers: Any) -> str:
+    return " ".join(repr(float(x) if math.isfinite(float(x)) else 0.0) for x in numbers)

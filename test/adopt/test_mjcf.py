@@ -1,0 +1,139 @@
+"""Robots from MJCF: the conversion is the same robot, and what it cannot say is named."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from dqwalk_ros import cli
+from dqwalk_ros.adopt import adopt
+from dqwalk_ros.adopt.anatomy import find_anatomy
+from dqwalk_ros.adopt.mjcf import is_mjcf, load_mjcf
+from dqwalk_ros.config import RobotConfig, load
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.robot.model import parse_model
+from dqwalk_ros.robot.shapes import Shapes
+from dqwalk_ros.support.errors import ModelError
+
+SMALL = Path(__file__).parents[1] / "data" / "small_biped.xml"
+
+
+def edited(folder: Path, *changes: tuple[str, str]) -> Path:
+    text = SMALL.read_text()
+    for old, new in changes:
+        assert re.search(old, text, re.DOTALL), old
+        text = re.sub(old, new, text, flags=re.DOTALL)
+    path = folder / "robot.xml"
+    path.write_text(text)
+    return path
+
+
+def test_mjcf_is_recognized_by_its_root(tmp_path: Path) -> None:
+    assert is_mjcf(SMALL)
+    assert not is_mjcf(SMALL.with_suffix(".none"))
+    (tmp_path / "a.urdf").write_text('<robot name="a"><mujoco><compiler/></mujoco></robot>')
+    assert not is_mjcf(tmp_path / "a.urdf")
+
+
+@pytest.mark.parametrize("reference", ["", ' ref="20"'])
+def test_the_converted_robot_moves_as_that_of_mujoco(reference: str, tmp_path: Path) -> None:
+    path = edited(tmp_path, ('(name="left_hip_roll")', rf"\1{reference}"), ('(name="right_knee")', rf"\1{reference}"))
+    urdf, _ = load_mjcf(path)
+    robot = RobotConfig(pelvis="trunk", left_sole="left_foot", right_sole="right_foot", sole_length=0.1, sole_width=0.1)
+    model = parse_model(urdf.text(), robot)
+    mj = mujoco.MjModel.from_xml_path(str(path))
+    data, random = mujoco.MjData(mj), np.random.default_rng(0)
+    assert model.n == 12
+    for _ in range(3):
+        q = random.uniform(model.q_min, model.q_max)
+        for name, angle in zip(model.joint_names, q, strict=True):
+            data.qpos[mj.joint(name).qposadr[0]] = angle
+        mujoco.mj_forward(mj, data)
+        kin, left = Kinematics(model, q, Foot.LEFT), data.body("left_foot")
+        base = DQ.from_pose(left.xpos, left.xquat).conj()
+        trunk = mj.body("trunk").id
+        com = base.transform_point(data.subtree_com[trunk])
+        np.testing.assert_allclose(kin.com, com, atol=2e-4)  # the links between the joints of a hip weigh 1 g each
+        for link in ("right_foot", "right_shank", "trunk", "imu"):
+            place = data.site(link).xpos if link == "imu" else data.body(link).xpos
+            np.testing.assert_allclose(kin.point(link), base.transform_point(place), atol=1e-9, err_msg=link)
+    for link in ("trunk", "left_shank"):
+        body = mj.body(link)
+        np.testing.assert_allclose(
+            np.sort(np.linalg.eigvalsh(urdf.links[link].inertial.inertia)), np.sort(body.inertia)
+        )
+
+
+def test_limits_efforts_drives_and_shapes_are_those_of_the_file() -> None:
+    urdf, drives = load_mjcf(SMALL)
+    knee = urdf.joints["left_knee"]
+    assert (knee.limit.lower, knee.limit.upper) == pytest.approx((0.0, np.radians(130.0)))
+    assert knee.limit.effort == 6.0
+    drive = drives["left_knee"]
+    assert (drive.stiffness, drive.damping, drive.armature, drive.friction) == pytest.approx((70.0, 1.4, 0.005, 0.02))
+    foot = urdf.links["left_foot"]
+    np.testing.assert_allclose(foot.collisions[0].geometry.box.size, [0.12, 0.076, 0.02])
+    assert [visual.geometry.sphere.radius for visual in foot.visuals] == [0.02]
+    assert any("'trunk' are left out: crate" in text for text in urdf.repairs)
+    sole = find_anatomy(urdf, Shapes(urdf, SMALL)).soles[Foot.LEFT]
+    np.testing.assert_allclose([sole.length, sole.width], [0.12, 0.076], atol=1e-3)
+    np.testing.assert_allclose(sole.pose.translation(), [0.015, 0.006, -0.045], atol=1e-6)
+
+
+def test_position_gains_are_the_stiffness_unless_they_are_too_soft_to_stand(tmp_path: Path) -> None:
+    adopt(SMALL, tmp_path / "stiff")
+    servo = load(tmp_path / "stiff" / "robot.yaml").servo
+    assert (servo.stiffness, servo.assumed_stiffness, servo.armature, servo.friction) == (70.0, 70.0, 0.005, 0.02)
+    assert servo.damping == pytest.approx(1.4 / 70.0, rel=0.01)
+    soft = adopt(edited(tmp_path, ('kp="70"', 'kp="7"')), tmp_path / "soft")
+    assert load(tmp_path / "soft" / "robot.yaml").servo.stiffness > 30.0
+    assert next(entry for entry in soft.evidence if entry.what == "position gain").confidence == "guess"
+
+
+REFUSED = {
+    "a loop": (
+        (r"</mujoco>", '<equality><connect body1="left_foot" body2="right_foot" anchor="0 0 0"/></equality></mujoco>'),
+        "'left_foot' and 'right_foot' close a loop of links",
+    ),
+    "an arm": ((r"<freejoint/>.*?<site", '<geom type="box" size="1 1 1"/><site'), "stands on its base"),
+    "no body": ((r'<body name="crate".*</worldbody>.*</actuator>', "</worldbody>"), "has no body, so no robot"),
+    "an error": ((r'joint="left_knee"/>', 'joint="knee"/>'), "MuJoCo refuses .*knee"),
+    "passive ankles": ((r'<position joint="[a-z]*_ankle_roll"/>', ""), "no ankle rolls, and no waist"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_walk_is_refused_in_one_sentence(name: str, tmp_path: Path) -> None:
+    change, expected = REFUSED[name]
+    with pytest.raises(ModelError, match=expected):
+        adopt(edited(tmp_path, change), tmp_path / "out")
+
+
+def test_a_missing_mesh_of_a_trunk_is_said_and_that_of_a_foot_is_an_error(tmp_path: Path) -> None:
+    asset = (r"<worldbody>", '<asset><mesh name="m" file="m.stl"/></asset><worldbody>')
+    trunk = (r'<geom type="box" size="0.05 0.06 0.07" pos="0 0 0.08" mass="1.6"/>', r'<geom type="mesh" mesh="m"/>')
+    inertial = (r"<freejoint/>", '<freejoint/><inertial pos="0 0 0.08" mass="1.6" diaginertia="0.01 0.01 0.01"/>')
+    path = edited(tmp_path, asset, trunk, inertial)
+    urdf, _ = load_mjcf(path)
+    shapes = Shapes(urdf, path)
+    assert find_anatomy(urdf, shapes).pelvis == "trunk"
+    assert list(shapes.missing.values()) == ["not found"]
+    foot = (r'type="box" size="0.06 0.038 0.01"', 'type="mesh" mesh="m"')
+    path = edited(tmp_path, asset, foot)
+    urdf, _ = load_mjcf(path)
+    with pytest.raises(ModelError, match=r"m\.stl' not found"):
+        find_anatomy(urdf, Shapes(urdf, path))
+
+
+@pytest.mark.long
+def test_a_robot_from_mjcf_walks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["adopt", str(SMALL), "--out", str(tmp_path), "--yes", "--quiet"]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"physics: walked 0\.\d+ m\n", out)
+    assert re.search(r"dynamic walk: walked 0\.\d+ m\n", out)
