@@ -34,9 +34,9 @@ _PERIODS = 50
 """Number of periods from which the rate of the states is computed."""
 _MIN_PERIODS = 10
 """Fewest periods from which it is computed."""
-_RATE_TOLERANCE, _MAX_PERIOD = 0.2, 2.5
-"""Relative error of the period above which a warning is logged; period, in units of dt, above which the walk ends,
-because each command would move the robot too far."""
+_RATE_TOLERANCE, _MAX_PERIOD, _CONTINUES = 0.2, 2.5, 1.5
+"""Relative error of the period above which a warning is logged; period, in units of dt, above which the robot must
+stand still, because each command would move it too far, and below which the walk continues."""
 
 
 class AnsweringNode(WalkNode):
@@ -78,7 +78,7 @@ class AnsweringNode(WalkNode):
         )
         self._failures = FaultCounter(config.safety.failures)
         self._plants = DuplicateStates(config.dt)
-        self._duplicates = ""
+        self._duplicates = self._slow = ""  # why the robot stands still for now
         self._stale = False
         self._ticks = self._rejected = self._steps = 0
         self._diagnosed = -float("inf")  # [s]
@@ -101,6 +101,11 @@ class AnsweringNode(WalkNode):
     def _is_walking(self) -> bool:
         """Whether the walk is under way; otherwise the robot stands still."""
         raise NotImplementedError
+
+    @property
+    def _may_hold(self) -> bool:
+        """Whether the robot may stand still now, and the walk continue later."""
+        return False
 
     def _fail(self, reason: str) -> None:
         """End the walk as failed."""
@@ -235,17 +240,28 @@ class AnsweringNode(WalkNode):
             self._diagnose("ERROR", trouble)
 
     def _check_rate(self) -> None:
-        """Compare the period of the states with dt, for which each command is computed."""
-        if len(self._periods) < (1 if self.lockstep else _MIN_PERIODS):
+        """Compare the period of the states with dt, for which each command is computed.
+
+        It is the mean of the middle half of the last periods: a lost state doubles one, and states may come in bunches.
+        """
+        n, dt = len(self._periods), self.config.dt
+        if n < (1 if self.lockstep else _MIN_PERIODS):
             return
-        period, dt = float(np.percentile(self._periods, 25)), self.config.dt  # a lost state doubles one period
+        period = float(np.mean(sorted(self._periods)[n // 4 : n - n // 4]))
         error = abs(period / dt - 1.0)
         text = f"joint_states arrive every {period:.4f} s, but dt is {dt:g} s: set dt to the period of the states"
         if period > 1.5 * dt:
             text += ", or, if the plant sends one every dt, run less beside this node, which misses some"
-        if self._is_walking and (period > _MAX_PERIOD * dt or (self.lockstep and error > 1e-3)):
+        slow = not self.lockstep and period > (_CONTINUES if self._slow else _MAX_PERIOD) * dt
+        if self._is_walking and ((self.lockstep and error > 1e-3) or (slow and not (self._slow or self._may_hold))):
             self._end(text)
-        elif error > _RATE_TOLERANCE and len(self._periods) == _PERIODS:
+        elif slow and not self._slow:
+            self._slow = text
+            self.get_logger().error(f"standing still: {text}")
+        elif self._slow and not slow:
+            self._slow = ""
+            self.get_logger().info(f"joint_states arrive every {period:.4f} s again: continuing")
+        elif error > _RATE_TOLERANCE and n == _PERIODS:
             self.get_logger().warning(text, **throttled(30.0))
 
     # ------------------------------------------------------------------ diagnostics
@@ -255,7 +271,7 @@ class AnsweringNode(WalkNode):
         self._diagnosed = self.steady()
         of_walk, text, values = self._condition()
         if not level:
-            trouble = self._problem or (f"two plants: {self._duplicates}" if self._duplicates else "")
+            trouble = self._problem or (f"two plants: {self._duplicates}" if self._duplicates else "") or self._slow
             level, message = "ERROR" if trouble or self._failures.count else of_walk, trouble or text
         counts = {"ticks": self._ticks, "states rejected": self._rejected, "states overtaken": self._gate.overtaken}
         values = {**counts, "clock steps": self._steps, **values}

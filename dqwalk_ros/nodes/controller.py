@@ -148,7 +148,7 @@ class Controller(AnsweringNode):
         if state is None or not self._may_answer():
             return
         before = self._mode
-        ready = self._plant_ready and not self._duplicates
+        ready = self._plant_ready and not (self._duplicates or self._slow)
         self._look_for_contradictions(state, ready)
         if self._mode is Mode.WALKING and ready and not self._falls.suspected:
             answer: Fields | None = self._step(state, stamp)
@@ -198,6 +198,10 @@ class Controller(AnsweringNode):
     @property
     def _is_walking(self) -> bool:
         return self._mode is Mode.WALKING
+
+    @property
+    def _may_hold(self) -> bool:
+        return self._walk.may_hold
 
     def _step(self, state: State, stamp: int) -> Fields:
         """Return the command for a state; zero velocity after an error."""

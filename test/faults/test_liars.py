@@ -13,7 +13,8 @@ import pytest
 from inside import state
 from std_msgs.msg import Bool
 
-from dqwalk_ros.config import load, overlaid
+from dqwalk_ros.config import Config, load, overlaid
+from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.nodes.fall_watch import Contradictions
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.state import State
@@ -144,9 +145,48 @@ def test_ordinary_servos_and_sensors_are_not_reported(stiffness: float, latency:
     assert controller.finished
 
 
-@pytest.mark.parametrize(
-    ("lockstep", "period", "ends"), [(True, 0.0201, True), (False, 0.06, True), (False, 0.03, False)]
-)
+def walked(make: Any, config: Config, periods: Any) -> Any:
+    """Return a controller that has received states at these intervals [s], and what it sent, of `periods` each time."""
+    node, model, time = make("controller", config), load_model(config.robot), 1.0
+    for each in periods:
+        node.got["joint_velocity_commands"].clear()
+        for period in each:
+            time += period
+            node.send("joint_states", state(model.joint_names, np.zeros(model.n), time))
+        node.node._check_plants()
+        yield node
+
+
+def test_a_walk_that_may_hold_stands_still_on_a_busy_machine_and_continues(make: Any) -> None:
+    """Three of eleven walks on a busy machine ended for good."""
+    config = load("paper").updated({"dt": 0.02, "plant.command_timeout": 0.5})
+    slow, moves = [], []
+    for node in walked(make, config, ([0.02] * 60, [0.06] * 40, [0.06] * 10, [0.02] * 40, [0.02] * 10)):
+        slow.append(node.node._slow)
+        moves.append(any(any(msg.velocity) for msg in node.got["joint_velocity_commands"]))
+        shown = node.got["diagnostics"][-1].status[0]
+    assert ["0.0600 s, but dt" in text for text in slow] == [False, True, True, False, False]
+    assert moves == [True, True, False, False, True]
+    assert "standing still: joint_states arrive every 0.0600 s" in node.log
+    assert "again: continuing" in node.log
+    assert "single" in shown.message or "double" in shown.message
+
+
+def test_a_dynamic_walk_between_two_steps_cannot_hold(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = load("paper").updated({"dt": 0.02, "plant.command_timeout": 0.5})
+    monkeypatch.setattr(VelocityController, "may_hold", False)
+    *_, node = walked(make, config, ([0.02] * 60, [0.06] * 40))
+    assert node.got["phase"][-1].data == "failed"
+
+
+@pytest.mark.parametrize("bunch", [(0.002, 0.008), (0.0039, 0.0061), (0.005, 0.005, 0.005, 0.01)])
+def test_states_that_come_in_bunches_or_get_lost_are_no_other_period(make: Any, bunch: tuple[float, ...]) -> None:
+    config = load("paper").updated({"dt": 0.005, "plant.command_timeout": 0.5})
+    (node,) = walked(make, config, [bunch * (60 // len(bunch))])
+    assert "joint_states arrive" not in node.log
+
+
+@pytest.mark.parametrize(("lockstep", "period", "ends"), [(True, 0.0201, True), (False, 0.03, False)])
 def test_a_plant_with_another_dt_ends_the_walk(make: Any, lockstep: bool, period: float, ends: bool) -> None:
     config = load("paper").updated({"dt": 0.02, "plant.lockstep": lockstep})
     node, model = make("controller", config), load_model(config.robot)
