@@ -84,8 +84,8 @@ class Controller(AnsweringNode):
         ~/start ~/pause ~/reset  std_srvs/Trigger
         ~/stop                   std_srvs/Trigger: a standing or dynamic walk puts its feet together and ends
 
-    Sections of the schema: dt, robot, gait, task, dsp, ssp, standing, dynamic, pelvis, joints, qp, servo, plant,
-    estimation, monitor, safety, node, odometry.
+    Sections of the schema: dt, robot, gait, task, dsp, ssp, standing, dynamic, pelvis, joints, collision, qp, servo,
+    plant, estimation, monitor, safety, node, odometry.
 
     Example::
 

@@ -265,6 +265,7 @@ def test_report_of_the_bag_equals_the_report_of_simulate(walked, tmp_path, capsy
 def test_report_is_written_beside_the_bag_in_every_format(walked, capsys, monkeypatch):
     out, _ = walked
     monkeypatch.setattr("dqwalk_ros.report.figures.FIGURES", {"figure8": (lambda series: new_figure(2.0, 1.0), "")})
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)  # progress is shown on terminals only
     assert cli.main(["report", str(out / "bag"), "--format", "svg,pdf"]) == 0
     assert re.search("reading.*computing.*drawing", capsys.readouterr().err, re.DOTALL)
     assert {path.suffix for path in (out / "bag_report").iterdir()} == {".json", ".svg", ".pdf"}

@@ -142,7 +142,7 @@ def test_topics_that_steer_the_walk_are_recorded(make: Any, tmp_path: Path) -> N
     pilot = Node("pilot", context=one.context)
     twists = pilot.create_publisher(Twist, "cmd_vel", 1)
     try:
-        until(lambda: one.node._discover_others() or "cmd_vel" in one.node._others)
+        until(lambda: one.node._discover() or "cmd_vel" in one.node._others)
         assert one.node._others["cmd_vel"].type == "geometry_msgs/msg/Twist"
         assert "/rosout" in one.node._others
     finally:

@@ -68,6 +68,7 @@ def check_bag_is_complete(path: Path, period: int) -> None:
         assert {connection.topic for connection in reader.connections} == {
             "/rosout",
             *(f"/{name}" for name, topic in TOPICS.items() if topic.source != "physics"),
+            "/odom",
         }
         for connection, time, raw in reader.messages():
             message = store.deserialize_cdr(raw, connection.msgtype)
@@ -217,7 +218,7 @@ def test_an_invalid_state_is_rejected_and_the_next_one_is_answered(make: Any) ->
 
     def is_answered(names: Any, q: Any, dq: Any = ()) -> bool:
         before = len(answers)
-        one.send("joint_states", state(names, q, next(stamps), velocity=dq))
+        one.send("joint_states", state(names, q, 1.0 + PAPER.dt * next(stamps), velocity=dq))
         return len(answers) > before
 
     for names, q, dq, why in INVALID_STATES:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PointStamped, PoseStamped, Twist, Vector3, WrenchStamped
 from live import Live
+from nav_msgs.msg import Odometry
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu, JointState
 
@@ -48,6 +49,7 @@ def test_a_physics_walk_in_lockstep_equals_that_of_one_process(nodes: Any) -> No
     for topic in TOPICS.values():  # as a recorder does
         profile = ros.latched(topic.depth) if topic.latched else DEEP
         live.node.create_subscription(ros.message_type(topic.type), topic.name, lambda _: None, profile)
+    live.node.create_subscription(Odometry, "odom", lambda _: None, DEEP)
     states, commands = listen(live, JointState, "joint_states"), listen(live, JointState, "joint_velocity_commands")
     imus, bases = listen(live, Imu, "imu"), listen(live, PoseStamped, "true_base_pose")
     pressures = listen(live, PointStamped, "center_of_pressure")

@@ -118,10 +118,12 @@ class Inside:
             raise
 
     def send(self, topic: str, msg: Any) -> None:
-        """Pass a message to the callback of a subscription."""
+        """Pass a message to the callbacks of the subscriptions of a topic."""
         name = self.node.resolve_topic_name(topic)
-        (subscription,) = (s for s in self.node.subscriptions if s.topic_name == name)
-        subscription.callback(msg)
+        found = [one for one in self.node.subscriptions if one.topic_name == name]
+        assert found, f"no subscription to {name}"
+        for subscription in found:
+            subscription.callback(msg)
 
     def exchange(
         self, plant: Plant, model: RobotModel, stamp: float, q: Any = None, inertial: Inertial | None = None

@@ -156,7 +156,7 @@ KNEE = MODEL.joint_names.index("L_knee")
 GLITCHES: dict[str, tuple[dict[str, Any], str]] = {
     "jump": ({"q": START.q + 1.0 * (np.arange(MODEL.n) == KNEE)}, "a jump that the velocity limits do not allow"),
     "beyond a limit": ({"q": one(START.q, MODEL.q_max[0] + 0.5)}, "outside the joint limits"),
-    "fast": ({"dq": one(START.dq, 1000.0)}, "turns at 1e+03 rad/s"),
+    "fast": ({"dq": one(START.dq, 1000.0)}, "1e+03 rad/s"),
     "angle not finite": ({"q": one(START.q, math.nan)}, "not a finite position"),
     "no velocities": ({"dq": []}, "need a finite velocity"),
     "a name twice": ({"names": [*MODEL.joint_names[:-1], MODEL.joint_names[0]]}, "joints missing"),
