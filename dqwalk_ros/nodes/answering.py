@@ -242,12 +242,13 @@ class AnsweringNode(WalkNode):
     def _check_rate(self) -> None:
         """Compare the period of the states with dt, for which each command is computed.
 
-        It is the mean of the middle half of the last periods: a lost state doubles one, and states may come in bunches.
+        It is the mean of the last periods without the longest third and the shortest quarter of them: a lost state
+        doubles a period, and states may come in bunches.
         """
         n, dt = len(self._periods), self.config.dt
         if n < (1 if self.lockstep else _MIN_PERIODS):
             return
-        period = float(np.mean(sorted(self._periods)[n // 4 : n - n // 4]))
+        period = float(np.mean(sorted(self._periods)[n // 4 : n - n // 3]))
         error = abs(period / dt - 1.0)
         text = f"joint_states arrive every {period:.4f} s, but dt is {dt:g} s: set dt to the period of the states"
         if period > 1.5 * dt:
