@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from typing import Any
 
 import numpy as np
@@ -85,7 +86,7 @@ class PoppyDriver(WalkNode):
         self._state_msg = ros.JointWriter(self._plant.names)
         self._goal_msg = ros.JointWriter(self._plant.names)
         self._hardware = f"{model.name}{' (emulated motors)' if config.poppy.dummy else ''}"
-        self._stamp = -1  # of the state published last [ns]
+        self._stamp, self._measured_at = -1, -math.inf  # of the state published last [ns], and by the steady clock [s]
         self._sent_at = self._read_at = self.steady()
         self._counts = {"ticks": 0, "periods missed": 0, "states withheld": 0}
         self._latencies: list[float] = []  # since the last diagnostics [s]
@@ -140,11 +141,12 @@ class PoppyDriver(WalkNode):
         """Publish the measured angles, and the goals at that time."""
         self._counts["ticks"] += 1
         plant = self._plant
-        stamp = self.get_clock().now().nanoseconds - round(1e9 * plant.age) if plant.fresh else -1
-        if stamp <= self._stamp:
+        measured_at = plant.measured_at
+        if not plant.fresh or measured_at <= self._measured_at:
             self._counts["states withheld"] += 1
             return
-        self._stamp = stamp
+        stamp = self._stamp = self.get_clock().now().nanoseconds - round(1e9 * plant.age)
+        self._measured_at = measured_at
         self._states.publish(self._state_msg(stamp, position=plant.measured.q, velocity=plant.measured.dq))
         if plant.active:
             self._goals.publish(self._goal_msg(stamp, position=plant.goal))

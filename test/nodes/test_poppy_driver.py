@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -20,6 +21,7 @@ from inside import state
 from live import LATCHED, Live
 from poppy_rig import driver_node
 from rclpy.qos import QoSProfile
+from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool
@@ -335,3 +337,20 @@ def test_commands_move_the_robot_whatever_their_stamps(make: Any, monkeypatch: p
     node._plant._law.active = node._plant.ready = False
     node._plant.close()
     assert passed == pytest.approx([CONFIG.dt] * 5)
+
+
+def test_a_clock_that_is_set_back_withholds_no_state(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    one, _ = driver_node(make, monkeypatch, CONFIG)
+    began, stamps = one.clock.now, []
+
+    def at(off: float) -> Time:
+        return Time(nanoseconds=round(1e9 * (one.clock.now - began + off)))
+
+    for k in range(20):
+        off = 1000.0 if k < 10 else 5.0
+        monkeypatch.setattr(one.node, "get_clock", lambda off=off: SimpleNamespace(now=lambda: at(off)), raising=False)
+        one.clock.now += CONFIG.dt
+        one.node._on_period()
+        stamps.append(stamp(one.got["joint_states"][-1]) - off)
+    assert stamps == pytest.approx([(k + 1) * CONFIG.dt for k in range(20)], abs=1e-6)
+    assert len(one.got["joint_states"]) == 20

@@ -196,6 +196,11 @@ class Memory:
             port.timeout, port.per_byte, port.usb = 0.0, 0.0, 1e-9  # a new angle has a new time
         return port
 
+    def clear_faults(self) -> None:
+        """Remove all faults except those stored in the servos."""
+        for servos in self.servos.values():
+            servos.clear_faults()
+
     def of(self, joint: str) -> FaultyServos:
         """Return the servos of the bus of a joint."""
         return self.servos[MOTORS[joint].bus]

@@ -88,12 +88,17 @@ class Rig:
         return "; ".join(self.plant.watch.faults.values())
 
 
-def driver_node(make: Any, monkeypatch: pytest.MonkeyPatch, config: Config) -> tuple[Any, Memory]:
-    """Return the driver as a node in the process of the test, and its servos; both have the clock of the test."""
+def driver_node(
+    make: Any, monkeypatch: pytest.MonkeyPatch, config: Config, memory: Memory | None = None
+) -> tuple[Any, Memory]:
+    """Return the driver as a node in the process of the test, and its servos, new ones or those of `memory`.
+
+    Both have the clock of the test.
+    """
     made: list[Memory] = []
 
     def open_buses(motors: object, types: object, own: object, clock: Any) -> Mapping[str, DynamixelBus]:
-        made.append(Memory(timed=False, clock=clock))
+        made.append(memory or Memory(timed=False, clock=clock))
         return made[-1].buses
 
     monkeypatch.setattr(plant, "open_buses", open_buses)

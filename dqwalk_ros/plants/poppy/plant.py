@@ -356,6 +356,11 @@ class PoppyPlant(Plant):
         return self._law.active
 
     @property
+    def measured_at(self) -> float:
+        """Time at which the oldest of the angles was measured, by the clock of the plant [s]."""
+        return float(self._gate.at.min())
+
+    @property
     def age(self) -> float:
         """Age of the oldest of the angles [s]."""
         return self._gate.age(self._clock())
