@@ -27,6 +27,7 @@ from dqwalk_ros.adopt.parameters import (
     paper_parameters,
     parameters,
     robot_entries,
+    servo_types,
     whole_body_parameters,
 )
 from dqwalk_ros.adopt.posture import over_one_foot, stand
@@ -35,6 +36,7 @@ from dqwalk_ros.config import Config, RobotConfig, load
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.robot.model import RobotModel, load_model, parse_model
+from dqwalk_ros.robot.servos import load_types
 from dqwalk_ros.robot.shapes import Shapes
 from dqwalk_ros.robot.standing_limits import Finding
 from dqwalk_ros.robot.urdf import Urdf, moves, zero_pose
@@ -103,6 +105,7 @@ def adopt(
     left: str = "",
     right: str = "",
     forward: str = "",
+    servos: Sequence[str] = (),
     changes: Mapping[str, Any] | None = None,
     overwrite: bool = False,
     progress: Callable[[float, str], None] = lambda *_: None,
@@ -123,6 +126,8 @@ def adopt(
         Links of the feet; empty to find them.
     forward : str
         Forward axis of the root link, ``+x``, ``-x``, ``+y`` or ``-y``; empty to find it.
+    servos : sequence of str
+        Types of servos, NAME=TYPE, of the joints whose name is or contains NAME; those of the others are derived.
     changes : dict of str to value, optional
         Parameters that replace the derived ones.
     overwrite : bool
@@ -136,7 +141,7 @@ def adopt(
         If the robot description cannot be read, or the robot cannot walk with this package; no file is written. Repairs
         that were made before are the notes of the exception (``__notes__``).
     ConfigError
-        If a value of `changes` is invalid; no file is written.
+        If a value of `changes` or an entry of `servos` is invalid; no file is written.
     OutputError
         If a file of `FILES` exists in `folder` and is not to be replaced; no file is written.
     """
@@ -144,10 +149,10 @@ def adopt(
     _check_places(path, folder, overwrite=overwrite)
     progress(0.0, "reading the robot")
     urdf, drives = load_mjcf(path) if is_mjcf(path) else (Urdf.load(path, package_paths, xacro), {})
+    shapes = Shapes(urdf, path, tuple(map(pathlib.Path, package_paths)))
+    sides = {"left": left, "right": right, "forward": forward}
     try:
-        return _adopted(
-            path, folder, urdf, drives, package_paths, left, right, forward, changes or {}, overwrite, progress
-        )
+        return _adopted(path, folder, urdf, shapes, drives, sides, servos, changes or {}, overwrite, progress)
     except ModelError as error:
         for repair in dict.fromkeys(urdf.repairs):
             error.add_note(repair)
@@ -158,20 +163,18 @@ def _adopted(
     path: pathlib.Path,
     folder: pathlib.Path,
     urdf: Urdf,
+    shapes: Shapes,
     drives: Mapping[str, MjcfDrive],
-    package_paths: Sequence[str | os.PathLike[str]],
-    left: str,
-    right: str,
-    forward: str,
+    sides: Mapping[str, str],
+    servos: Sequence[str],
     changes: Mapping[str, Any],
     overwrite: bool,
     progress: Callable[[float, str], None],
 ) -> Adoption:
     """Adopt a robot description that was read; see `adopt`."""
-    shapes = Shapes(urdf, path, tuple(map(pathlib.Path, package_paths)))
     repair_degrees(urdf)
     use_led_joints(urdf)
-    anatomy = find_anatomy(urdf, shapes, left=left, right=right, forward=forward)
+    anatomy = find_anatomy(urdf, shapes, **sides)
     if not anatomy.sideways and not anatomy.waist:
         raise ModelError(
             f"the legs ({anatomy.kinds}) cannot move the pelvis sideways over flat soles, because no ankle rolls, and "
@@ -216,8 +219,13 @@ def _adopted(
         )
     about = robot_entries(model, anatomy, robot.lock, "those that walk")
     entries = [*about, *parameters(numbers)]
-    servos, driven = drive_parameters(drives, numbers)
-    entries = changed(entries, servos, "joints and actuators of the MJCF file")
+    own, driven = drive_parameters(drives, numbers)
+    entries = changed(entries, own, "joints and actuators of the MJCF file")
+    if servos:
+        kinds = servo_types(servos, model.joint_names, load_types(Config().servo.table))
+        entries = changed(
+            entries, {"servo.types": kinds}, "given by --servo; for these joints from the table of servos"
+        )
     entries = changed(entries, changes, "given by --set")
     Config().updated({entry.what: entry.value for entry in entries})  # no file is written of invalid values
     whole_body = []

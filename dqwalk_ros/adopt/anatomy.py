@@ -23,7 +23,7 @@ from dqwalk_ros.adopt.soles import FoundSole, find_soles, foot_links, plane_belo
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.robot.shapes import Shapes
-from dqwalk_ros.robot.urdf import Urdf
+from dqwalk_ros.robot.urdf import Urdf, moves
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 
@@ -201,7 +201,11 @@ def _find_legs(skeleton: Skeleton, given: tuple[str, str]) -> tuple[str, str]:
     places = {body: skeleton.points(links)[0] for body, links in skeleton.bodies.items()}
     lowest = {body: float(p[:, 2].min()) for body, p in places.items() if p is not None}
     if not lowest.keys() & skeleton.joints.keys():
-        how = f"{skeleton.lacking}: give --package-path" if skeleton.lacking else ": give --left and --right"
+        how = (
+            f"{skeleton.lacking}: give --package-path"
+            if skeleton.lacking
+            else ": add a box as <collision> to each foot"
+        )
         raise ModelError(f"no moving part has a shape that can be read, so the soles are unknown{how}")
     floor = min(lowest.values())
     top = max(skeleton.pose(link).translation()[2] for link in skeleton.urdf.links)
@@ -352,6 +356,10 @@ def _anatomy(skeleton: Skeleton, pair: tuple[str, str], forward: str, named: boo
         Entry("legs", f"{' '.join(one)} | {' '.join(two)}", chosen),
         *ahead,
         Entry("axes of a leg", kinds, "axes of its joints: roll, pitch, yaw, or skew"),
+        Entry(
+            "locked in the legs", _locked(skeleton, legs), "joints between pelvis and foot that do not turn", "likely"
+        ),
+        Entry("without torque limit", _tireless(skeleton, legs), "other joints of the legs have one", "guess"),
         Entry("limits of the legs", _unlike_limits(skeleton, legs), "an axis or a limit is wrong", "guess"),
         Entry("the legs can", " and ".join(does) or "only bend", "rank of their axes with bent knees"),
         *(Entry(f"{foot.value} sole", str(sole), sole.source, sole.confidence) for foot, sole in soles.items()),
@@ -395,6 +403,26 @@ def _freedom(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]], length: floa
     posed = skeleton.posed(angles)
     left, right = (posed.lines(joints) for joints in legs.values())
     return freedom((left, right), length)
+
+
+def _locked(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> str:
+    """Return the joints on the way to the feet that move but do not turn by themselves: sliding and led ones."""
+    carrier, out = {joint.child: joint for joint in skeleton.urdf.joints.values()}, []
+    for joints in legs.values():
+        link = skeleton.joints[joints[-1]].parent
+        while link != skeleton.joints[joints[0]].child and link in carrier:
+            joint = carrier[link]
+            if moves(joint) and joint.name not in skeleton.joints:
+                out.append(joint.name)
+            link = joint.parent
+    return ", ".join(out)
+
+
+def _tireless(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> str:
+    """Return the joints of the legs without a torque limit, if others have one."""
+    joints = [name for names in legs.values() for name in names]
+    free = [name for name in joints if math.isinf(skeleton.joints[name].limit.effort)]
+    return ", ".join(free) if len(free) < len(joints) else ""
 
 
 def _unlike_limits(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> str:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import fnmatch
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,6 +22,7 @@ from dqwalk_ros.paper.statics import GRAVITY, gravity_torques
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.standing_limits import leg_inertia
 from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.walks.footsteps import Footsteps
 
 __all__ = [
@@ -30,6 +32,7 @@ __all__ = [
     "paper_parameters",
     "parameters",
     "robot_entries",
+    "servo_types",
     "whole_body_parameters",
 ]
 
@@ -300,6 +303,28 @@ def parameters(numbers: Numbers) -> list[Entry]:
         ),
         Entry("monitor.tolerance", 0.0001, "error of the Euler method at touchdown", "default"),
     ]
+
+
+def servo_types(given: Sequence[str], joints: Sequence[str], table: Collection[str]) -> list[str]:
+    """Return ``servo.types`` of entries NAME=TYPE, where NAME is a joint, a pattern, or a part of names of joints.
+
+    Raises
+    ------
+    ConfigError
+        If an entry has another form, no joint has its name, or `table` has no such type.
+    """
+    out = []
+    for entry in given:
+        name, equals, kind = (word.strip() for word in entry.partition("="))
+        if not (name and equals and kind):
+            raise ConfigError(f"--servo {entry}: expected NAME=TYPE, such as knee={next(iter(table))}")
+        if kind not in table:
+            raise ConfigError(f"--servo {entry}: there is no type '{kind}' in the table of servos: {', '.join(table)}")
+        pattern = next((text for text in (name, f"*{name}*") if fnmatch.filter(joints, text)), None)
+        if pattern is None:
+            raise ConfigError(f"--servo {entry}: no joint is named like '{name}'; the joints are {', '.join(joints)}")
+        out.append(f"{pattern}={kind}")
+    return out
 
 
 def drive_parameters(drives: Mapping[str, MjcfDrive], numbers: Numbers) -> tuple[dict[str, float], list[Entry]]:

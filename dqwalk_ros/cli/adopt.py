@@ -45,6 +45,7 @@ examples:
   dqwalk adopt my_robot.urdf
   dqwalk adopt my_robot/scene.xml                          MJCF, which MuJoCo reads
   dqwalk adopt robot.urdf.xacro --package-path ~/ws/src --out my_robot
+  dqwalk adopt robot.urdf --servo hip=MX-106 --servo knee=MX-106 --servo ankle=MX-64
   dqwalk adopt robot.urdf --left l_foot --right r_foot --forward -x
   dqwalk adopt my_robot.urdf --force --view                again, and show the result in the browser
   dqwalk simulate --config adopted/robot.yaml --plant physics
@@ -61,6 +62,8 @@ examples:
 @click.option("--left", metavar="LINK", default="", show_default=False, help="Link of the left foot.")
 @click.option("--right", metavar="LINK", default="", show_default=False, help="Link of the right foot.")
 @click.option("--forward", type=click.Choice(["+x", "-x", "+y", "-y"]), help="Forward axis of the root link.")
+@click.option("--servo", "servos", metavar="NAME=TYPE", multiple=True,
+              help="Type in config/servos.yaml of the servos of joints whose name contains NAME.")  # fmt: skip
 @click.option("--yes", is_flag=True, help="Take the best guess instead of asking.")
 @click.option("--no-walk", is_flag=True, help="Write the files and check them; do not walk.")
 @click.option("--view", is_flag=True, help="Show posture, soles, CoM and forward direction in the browser.")
@@ -76,6 +79,7 @@ def adopt(
     left: str,
     right: str,
     forward: str | None,
+    servos: tuple[str, ...],
     yes: bool,
     no_walk: bool,
     view: bool,
@@ -102,8 +106,8 @@ def adopt(
     with Progress(quiet=quiet) as bar:
         try:
             found = adopting.adopt(
-                urdf, out, package_paths=places, xacro=xacro, **sides, changes=given, overwrite=force,
-                progress=bar.stage,
+                urdf, out, package_paths=places, xacro=xacro, **sides, servos=servos, changes=given,
+                overwrite=force, progress=bar.stage,
             )  # fmt: skip
         except OutputError as error:
             raise ConfigError(str(error)) from error  # it is not adopted

@@ -19,7 +19,7 @@ from dqwalk_ros.adopt.anatomy import Anatomy, find_anatomy
 from dqwalk_ros.adopt.check import check
 from dqwalk_ros.adopt.doubts import check_density, repair_degrees, repair_inertias, use_led_joints
 from dqwalk_ros.adopt.legs import axes_differ, bent, freedom, leg_of
-from dqwalk_ros.adopt.parameters import Numbers
+from dqwalk_ros.adopt.parameters import Numbers, servo_types
 from dqwalk_ros.adopt.picture import _bones
 from dqwalk_ros.adopt.posture import stand
 from dqwalk_ros.adopt.trial import Trial
@@ -29,9 +29,10 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.plants.mujoco import PhysicsPlant, build
 from dqwalk_ros.robot.model import RobotModel, load_model, parse_model
+from dqwalk_ros.robot.servos import Servos
 from dqwalk_ros.robot.shapes import Shapes
 from dqwalk_ros.robot.urdf import Urdf
-from dqwalk_ros.support.errors import ModelError
+from dqwalk_ros.support.errors import ConfigError, ModelError
 
 SMALL = Path(__file__).parents[1] / "data" / "small_humanoid.urdf"
 X, Y, Z = np.eye(3)
@@ -446,6 +447,33 @@ def test_a_posture_that_is_not_found_names_the_joints_at_their_limits(tmp_path: 
     path.write_text(re.sub(*ahead, path.read_text(), count=1, flags=re.DOTALL))
     with pytest.raises(ModelError, match=r"no posture was found.*at their limits are .*'[lr]_ankle_pitch' at -?0.08"):
         adopt(path, tmp_path / "out")
+
+
+def test_servos_by_type_are_those_of_joints_with_a_part_of_the_name(tmp_path: Path) -> None:
+    joints, table = ["l_knee", "r_knee", "l_hip_yaw"], ["MX-64", "MX-106"]
+    assert servo_types(["knee=MX-64", "l_hip_yaw=MX-106"], joints, table) == ["*knee*=MX-64", "l_hip_yaw=MX-106"]
+    for wrong, message in (("knee", "NAME=TYPE"), ("knee=MX-1", "MX-64, MX-106"), ("toe=MX-64", "l_knee, r_knee")):
+        with pytest.raises(ConfigError, match=message):
+            servo_types([wrong], joints, table)
+    found = adopt(SMALL, tmp_path, servos=["knee=XM430-W350"])
+    assert found.config.servo.types == ("*knee*=XM430-W350",)
+    assert load(tmp_path / "dynamic.yaml").servo.types == found.config.servo.types
+    servos = Servos.of(found.config, found.model)
+    knees = [k for k, name in enumerate(found.model.joint_names) if "knee" in name]
+    np.testing.assert_allclose(servos.torque[knees], 4.1)
+    np.testing.assert_allclose(servos.stiffness[knees], 18.9, atol=0.1)
+
+
+def test_joints_of_the_legs_without_torque_limit_or_that_slide_are_said(tmp_path: Path) -> None:
+    def said(what: str, *changes: tuple[str, str]) -> str:
+        return next((e.value for e in anatomy_of(read(tmp_path, *changes)).evidence if e.what == what), "")
+
+    assert said("without torque limit", (r'(name="l_knee".*?effort=)"[^"]*"', r'\1"0"')) == "l_knee"
+    slide = '<link name="{0}_rail"/><joint name="{0}_slide" type="prismatic"><parent link="{0}_shank"/>'
+    slide += '<child link="{0}_rail"/><limit lower="-0.1" upper="0.1"/></joint>'
+    rails = ("</robot>", slide.format("l") + slide.format("r") + "</robot>")
+    ankles = (r'(name="(.)_ankle_pitch".*?<parent link=)".*?"', r'\1"\2_rail"')
+    assert said("locked in the legs", rails, ankles) == "l_slide, r_slide"
 
 
 # ---------------------------------------------------------------------- the way in, and what is said
