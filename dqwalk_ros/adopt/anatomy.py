@@ -459,13 +459,14 @@ def _check_led(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> None:
 
 def _check_shapes(skeleton: Skeleton, ankles: tuple[str, str]) -> None:
     """Raise ModelError if a mesh of a foot, or of what it carries, cannot be read: the sole would be another one."""
-    for ankle in ankles:
-        if missing := skeleton.unread(foot_links(skeleton, ankle)):
-            mesh, why = next(iter(missing.items()))
-            more = f", and {len(missing) - 1} more" if len(missing) > 1 else ""
-            raise ModelError(
-                f"what '{ankle}' carries has a mesh that cannot be read, so its sole is unknown: '{mesh}' {why}{more}"
-            )
+    which, missing = skeleton.complete([link for ankle in ankles for link in foot_links(skeleton, ankle)])
+    if not which and missing:
+        mesh, why = next(iter(missing.items()))
+        more = f", and {len(missing) - 1} more" if len(missing) > 1 else ""
+        raise ModelError(
+            f"what '{ankles[0]}' and '{ankles[1]}' carry has a mesh that cannot be read, so its sole is unknown: "
+            f"'{mesh}' {why}{more}"
+        )
 
 
 def _sole_distance(apart: float, hips: float, width: float, leg: float) -> float:

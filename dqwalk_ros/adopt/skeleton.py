@@ -133,9 +133,9 @@ class Skeleton:
         parts = [part.mass * self._pose[name].transform_point(part.origin[:3, 3]) for name, part in links]
         return sum(parts, np.zeros(3)) / total if total else np.zeros(3)
 
-    def points(self, links: Sequence[str]) -> tuple[Array | None, str]:
+    def points(self, links: Sequence[str], which: str = "") -> tuple[Array | None, str]:
         """Return points (N, 3) [m] of some links, and whether of their ``collisions`` or else of their ``visuals``."""
-        hulls, which = self._shapes.hulls(links)
+        hulls, which = self._shapes.hulls(links, which)
         found = [self.pose(link).transform_point(corners) for link, corners in hulls.items()]
         return (np.concatenate(found) if found else None), which
 
@@ -145,9 +145,9 @@ class Skeleton:
         missing = self._shapes.missing
         return f" (mesh '{next(iter(missing))}' {next(iter(missing.values()))})" if missing else ""
 
-    def unread(self, links: Sequence[str]) -> dict[str, str]:
-        """Return the reason for each mesh of some links that cannot be read and would be used: see `Shapes.hulls`."""
-        return self._shapes.unread(links)
+    def complete(self, links: Sequence[str]) -> tuple[str, dict[str, str]]:
+        """Return which shapes of some links can all be read; see `Shapes.complete`."""
+        return self._shapes.complete(links)
 
 
 def _coupled(urdf: Urdf) -> set[str]:

@@ -21,6 +21,8 @@ _FLAT = 0.004
 """Largest distance from the plane of a sole of a point that belongs to it [m]."""
 _MIRRORED = 0.004
 """Largest difference of two soles that mirror each other, in size and in place [m]."""
+_EVEN = 0.3
+"""Least part of the lower side of a foot that is even, within 3 degrees: that of a round foot is small."""
 _UNLIKE, _TILTED = 1.5, math.radians(10.0)
 """Largest ratio of the sizes of two soles, and largest angle between them, that belong to one robot."""
 _LEAST_SOLE = 0.045
@@ -76,7 +78,8 @@ def find_soles(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]], leg: float
     ModelError
         If a foot has no shape, or is too small for a flat sole.
     """
-    found = {foot: _sole(skeleton, joints[-1], leg) for foot, joints in legs.items()}
+    which, _ = skeleton.complete([link for joints in legs.values() for link in foot_links(skeleton, joints[-1])])
+    found = {foot: _sole(skeleton, joints[-1], leg, which) for foot, joints in legs.items()}
     for foot, sole in found.items():
         if min(sole.length, sole.width) < _LEAST_SOLE * leg:
             raise ModelError(
@@ -112,13 +115,13 @@ def _mirrored(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]], found: dict
     return bool(max(abs(left.length - right.length), abs(left.width - right.width), *np.abs(place)) < _MIRRORED)
 
 
-def _sole(skeleton: Skeleton, ankle: str, leg: float) -> FoundSole:
+def _sole(skeleton: Skeleton, ankle: str, leg: float, which: str) -> FoundSole:
     links = foot_links(skeleton, ankle)
-    p, which = skeleton.points(links)
+    p, which = skeleton.points(links, which)
     foot = skeleton.joints[ankle].child
     if p is None:
         raise ModelError(f"the foot '{foot}' has no shape that can be read, so its sole is unknown{skeleton.lacking}")
-    normal, level = plane_below(p)
+    normal, level, even = plane_below(p)
     near = p[(p - level) @ normal < min(_FLAT, 0.02 * leg)]
     x = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
     x /= np.linalg.norm(x)
@@ -129,6 +132,8 @@ def _sole(skeleton: Skeleton, ankle: str, leg: float) -> FoundSole:
     except QhullError:
         raise ModelError(f"this biped stands on points or edges: the foot '{foot}' has no flat area") from None
     x0, x1, y0, y1 = _rectangle(hull)
+    if even < _EVEN:
+        raise ModelError(f"this biped stands on points or edges: the foot '{foot}' is round below{skeleton.lacking}")
     center = level + np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.0]) @ axes
     tilt = math.degrees(math.acos(min(1.0, normal[2])))
     share = (x1 - x0) * (y1 - y0) / hull.volume
@@ -145,20 +150,28 @@ def _sole(skeleton: Skeleton, ankle: str, leg: float) -> FoundSole:
     )
 
 
-def plane_below(p: Array) -> tuple[Array, Array]:
-    """Return the upward normal (3,) and a point (3,) of the largest lower side of the convex hull of points (N, 3)."""
+def plane_below(p: Array) -> tuple[Array, Array, float]:
+    """Return the largest lower side of the convex hull of points (N, 3).
+
+    Returns
+    -------
+    normal, point : ndarray, shape (3,)
+        Upward normal, and a point of this side [m].
+    share : float
+        Its part of all sides whose normal is within 45 degrees of the vertical.
+    """
     level = np.array([0.0, 0.0, 1.0])
     lowest = p[np.argmin(p[:, 2])]
     try:
         hull = ConvexHull(p)
     except QhullError:
-        return level, lowest
+        return level, lowest, 1.0
     corners = p[hull.simplices]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     normals, offsets = hull.equations[:, :3], hull.equations[:, 3]
     below = normals[:, 2] < -0.7
     if not below.any():
-        return level, lowest
+        return level, lowest, 1.0
     best, normal = 0.0, level
     for k in np.flatnonzero(below):
         alike = below & (normals @ normals[k] > math.cos(math.radians(3.0)))
@@ -169,7 +182,7 @@ def plane_below(p: Array) -> tuple[Array, Array]:
     normal = normal / np.linalg.norm(normal)
     if normal[2] > math.cos(math.radians(1.5)):
         normal = level
-    return normal, p[np.argmin(p @ normal)]
+    return normal, p[np.argmin(p @ normal)], best / float(area[below].sum())
 
 
 def _rectangle(hull: ConvexHull) -> tuple[float, float, float, float]:

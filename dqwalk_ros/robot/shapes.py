@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["PRIMITIVES", "Shapes", "Surface", "capsule_around", "kind_and_size", "meshes_of", "rgba_of"]
 
 
+_KINDS = ("collisions", "visuals")
 PRIMITIVES = ("box", "cylinder", "sphere")
 """Shapes that every viewer can draw; all other shapes are drawn as triangles."""
 
@@ -92,27 +93,39 @@ class Shapes:
         found = (self.surface(link, shape) for shape in getattr(link, which))
         return [surface for surface in found if surface is not None]
 
-    def hulls(self, names: Sequence[str]) -> tuple[dict[str, Array], str]:
+    def hulls(self, names: Sequence[str], which: str = "") -> tuple[dict[str, Array], str]:
         """Return the corners (N, 3) of the convex hulls of some links in their frames [m], and of which surfaces.
 
-        These are the ``collisions``, or, if none of the links has any, the ``visuals``; links without are left out.
+        These are the ``collisions``, or, if none of the links has any, the ``visuals``, unless `which` is given; links
+        without are left out.
         """
-        for which in ("collisions", "visuals"):
-            found = {name: corners for name in names if (corners := self._hull(name, which)) is not None}
+        for kind in (which,) if which else _KINDS:
+            found = {name: corners for name in names if (corners := self._hull(name, kind)) is not None}
             if found:
-                return found, which
+                return found, kind
         return {}, ""
 
-    def unread(self, names: Sequence[str]) -> dict[str, str]:
-        """Return the reason for each mesh that cannot be read of the ``collisions``, or else ``visuals``, of links."""
-        out: dict[str, str] = {}
-        for name in names:
-            link = self._links[name]
-            for shape in link.collisions or link.visuals:
-                mesh = shape.geometry.mesh
-                if self.surface(link, shape) is None and mesh is not None:
-                    out[mesh.filename] = self.missing.get(mesh.filename, "is not finite")
-        return out
+    def complete(self, names: Sequence[str]) -> tuple[str, dict[str, str]]:
+        """Return which surfaces of some links can all be read, or else the reason for each mesh that cannot.
+
+        These are the ``collisions``, or else the ``visuals``; links that have none of these must have all of the other.
+        """
+        lost: dict[str, str] = {}
+        for which, other in (_KINDS, _KINDS[::-1]):
+            shapes = [(name, getattr(self._links[name], which)) for name in names]
+            if not any(found for _, found in shapes):
+                continue
+            missing = [self._unread(name, found or getattr(self._links[name], other)) for name, found in shapes]
+            if not any(missing):
+                return which, {}
+            lost = lost or {mesh: why for part in missing for mesh, why in part.items()}
+        return "", lost
+
+    def _unread(self, name: str, shapes: Sequence[Visual | Collision]) -> dict[str, str]:
+        """Return the reason for each mesh among some shapes of a link that cannot be read."""
+        lost = [shape for shape in shapes if self.surface(self._links[name], shape) is None]
+        meshes = [shape.geometry.mesh.filename for shape in lost if shape.geometry.mesh is not None]
+        return {mesh: self.missing.get(mesh, "is not finite") for mesh in meshes}
 
     def _hull(self, name: str, which: str) -> Array | None:
         """Return the corners of the convex hull of a link's surfaces; None for a link without any."""

@@ -135,6 +135,7 @@ def test_words_for_left_and_right_tell_the_sides(names: tuple[str, str], tmp_pat
 REFUSED = {
     "no shapes": ((r"<visual>.*?</visual>|<collision>.*?</collision>", ""), "no moving part has a shape"),
     "point feet": ((r'<box size="0.1265 0.0825 0.0132"/>', '<box size="0.01 0.01 0.0132"/>'), "points or edges"),
+    "round feet": ((r'<box size="0.1265 0.0825 0.0132"/>', '<sphere radius="0.05"/>'), "'l_foot' is round below"),
     "edges": ((r'<box size="0.1265 0.0825 0.0132"/>', '<box size="0.1265 1e-30 0.0132"/>'), "has no flat area"),
     "bare feet": (
         (r'(<link name="._(?:foot|ankle_link)">.*?</inertial>).*?</link>', r"\1</link>"),

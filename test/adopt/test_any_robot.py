@@ -256,10 +256,16 @@ def test_torques_are_limited_by_the_servos_only() -> None:
 def test_a_missing_mesh_of_a_foot_is_an_error_that_names_it(tmp_path: Path) -> None:
     box, mesh = r'<box size="0.1265 0.0825 0.0132"/>', '<mesh filename="package://missing/foot.stl"/>'
     small = r'(<link name="._ankle_link">.*?<box size=)"[^"]*"', r'\1"0.08 0.05 0.02"'
-    with pytest.raises(
-        ModelError, match=r"'._ankle_pitch' carries has a mesh .*'package://missing/foot.stl' not found"
-    ):
+    with pytest.raises(ModelError, match=r"'._ankle_pitch' carry has a mesh .*'package://missing/foot.stl' not found"):
         anatomy_of(read(tmp_path, (box, mesh), small))
+
+
+def test_soles_are_those_of_the_visual_shapes_of_both_feet_if_a_collision_mesh_is_missing(tmp_path: Path) -> None:
+    lost = r'(<link name="l_foot">.*?<collision>.*?<geometry>)<box [^>]*/>', r'\1<mesh filename="lost.stl"/>'
+    wide = r'(<link name="r_foot">.*?<collision>.*?<box size=)"[^"]*"', r'\1"0.16 0.1 0.0132"'
+    soles = anatomy_of(read(tmp_path, lost, wide)).soles.values()
+    assert ["visual shapes" in sole.source for sole in soles] == [True, True]
+    assert {round(sole.length, 4) for sole in soles} == {0.1265}
 
 
 def test_a_pointer_of_git_lfs_is_named(tmp_path: Path) -> None:
