@@ -16,7 +16,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
-from dqwalk_ros.paper.phase import PhaseKind
+from dqwalk_ros.paper.phase import PhaseKind, Timed
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.plants.base import pushed_periods
 from dqwalk_ros.robot.model import load_model
@@ -139,7 +139,9 @@ def _due(controller: VelocityController, time: float, number: int, part: float) 
     if not number:
         return since >= _transfer(controller.config)
     steps = (controller.phase_index + 1) // 2 == number and controller.phase.kind is PhaseKind.SINGLE_SUPPORT
-    return steps and since >= part * controller.config.standing.swing_duration - 1e-9
+    rule = controller.phase.rule
+    swing = rule.duration if isinstance(rule, Timed) else controller.config.standing.swing_duration
+    return steps and since >= part * swing - 1e-9
 
 
 def limit(

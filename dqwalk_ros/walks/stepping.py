@@ -93,8 +93,8 @@ class SteppingWalk(Walk):
     def _step_at(self, twist: tuple[float, float, float]) -> tuple[float, float, float]:
         """Return length, side [m] and turn [rad] of a step at a velocity [m/s, m/s, rad/s]."""
         period = self._period(0.0)
-        for _ in range(_FIXED_POINT):  # longer steps are quicker
-            period = self._period(twist[0] * period)
+        for _ in range(_FIXED_POINT):  # longer steps are quicker; the mean, because the period may alternate about it
+            period = 0.5 * (period + self._period(twist[0] * period))
         forward, left, turn = twist
         return forward * period, left * period, turn * period
 

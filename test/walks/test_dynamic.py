@@ -14,6 +14,7 @@ from walks import values
 
 import dqwalk_ros as dq
 from dqwalk_ros.config import find_share, overlaid
+from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import Observer
 from dqwalk_ros.paper.foot import Foot
@@ -26,6 +27,8 @@ from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, simu
 from dqwalk_ros.studies import robustness
 from dqwalk_ros.studies.pushes import Push, pushed
 from dqwalk_ros.support import strict_yaml
+from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.walks.course import Course
 from dqwalk_ros.walks.dynamic.adjust import Step, adjusted, left_over, transfer_time
 from dqwalk_ros.walks.dynamic.ground import Ground, turned
 from dqwalk_ros.walks.dynamic.pendulum import Pendulum, angular_momentum, swing_inertia
@@ -568,6 +571,11 @@ def test_a_steered_walk_takes_the_steps_of_its_velocity(speed: float) -> None:
     assert double + single <= 0.5
 
 
+def test_a_step_without_time_for_a_support_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"dynamic\.quicken is 0\.2 s.*less than twice standing\.transfer_duration"):
+        DynamicWalk(CONFIG.updated({"dynamic.quicken": 0.2}), MODEL)
+
+
 def test_the_trunk_keeps_its_posture_over_many_steps() -> None:
     """The CoM moves by some joints of the trunk as well, always in the same direction."""
     config = CONFIG.updated({"gait.steps": 20})
@@ -692,6 +700,36 @@ def test_every_walk_of_5_m_at_0_30_m_s_is_ok() -> None:
         print(f"\nseed {seed}: {physics['way']:.2f} m, {100.0 * physics['cop_inside']:.2f} % inside, {physics['load']}")
         assert found["ok"], found["violations"]
         assert physics["way"] > 5.0
+
+
+@pytest.mark.long
+@pytest.mark.timeout(3600)
+def test_cmd_vel_walks_fast_turns_stops_and_walks_back() -> None:
+    """What limits is printed: the largest part of a torque-speed line, and the limits of joints."""
+    course = Course.parse(["0.3,0,0,6", "0.1,0,0.25,5", "0,0,0,3", "-0.1,0,0,5"])
+    good = 0
+    for seed in range(1, 21):
+        config = FAST.updated({"gait.steps": 0, "sensors.seed": seed})
+        controller = make_controller(config, MODEL)
+
+        def steer(time: float, controller: VelocityController = controller) -> None:
+            velocity = course.at(time)
+            if velocity is None:
+                controller.stop()
+            else:
+                controller.steer(*velocity)
+
+        trace = simulate(controller, make_plant("physics", config, MODEL), before_step=steer, max_time=40.0)
+        found = report(analyse(trace))
+        physics, walk = found["physics"], found["walk"]
+        good += trace.finished and found["ok"]
+        print(
+            f"\nseed {seed}: {'OK' if found['ok'] else found['violations'] + list(trace.notes)}, "
+            f"tilt {math.degrees(physics['tilt']['value']):.2f} degrees, landing {1e3 * walk['landing_error']:.1f} mm, "
+            f"inside {100.0 * physics['cop_inside']:.2f} %, {physics['load']}, {walk['limits_reached']}"
+        )
+    print(f"\n{good} of 20")
+    assert good == 20
 
 
 def test_a_push_is_confirmed_for_a_time_not_for_a_number_of_states() -> None:

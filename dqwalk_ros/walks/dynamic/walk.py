@@ -27,6 +27,7 @@ from dqwalk_ros.paper.walk import com_target
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.walks.com import com_and_xi, com_velocity
 from dqwalk_ros.walks.dynamic.adjust import Step, adjusted, left_over, transfer_time
 from dqwalk_ros.walks.dynamic.force import approached, converging, ground_force, leg_torques
@@ -86,16 +87,27 @@ class _Flight:
 
 
 class DynamicWalk(SteppingWalk):
-    """Walk with steps of a fixed duration, which begins and ends with a stance.
+    """Walk with steps whose duration depends on their length only, which begins and ends with a stance.
 
     Attributes
     ----------
     pendulum : InvertedPendulum
         The pendulum model of the robot in its initial posture, which `prepare` computes.
+
+    Raises
+    ------
+    ConfigError
+        If ``dynamic.quicken`` leaves the longest step no time.
     """
 
     def __init__(self, config: Config, model: RobotModel) -> None:
         super().__init__(config, model)
+        shortest = min(self._durations(config.gait.most_length))
+        if shortest < config.dt:
+            raise ConfigError(
+                f"dynamic.quicken is {config.dynamic.quicken:g} s, so a step of gait.most_length has a support of "
+                f"{shortest:g} s; it must be less than twice standing.transfer_duration and standing.swing_duration"
+            )
         self._step_now = np.zeros(3)  # length, side and turn of the current step
         self._drive = Drive.of(config, model)
         self._mass, delay = model.mass, self._drive.delay
@@ -235,7 +247,7 @@ class DynamicWalk(SteppingWalk):
         return Follow(name="com", weight=d.com_weight, feature=CenterOfMassOnGround(), target=target, eta=d.com_rate)
 
     def _held_upright(self) -> tuple[Task, ...]:
-        """Return the tasks that keep the height of the CoM and the pelvis upright."""
+        """Return the tasks that keep the height of the CoM, the pelvis upright, and the trunk from pitching."""
         d = self.config.dynamic
         tasks = [
             Follow(
