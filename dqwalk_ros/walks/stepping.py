@@ -24,8 +24,6 @@ __all__ = ["JOINT_RETURN", "SteppingWalk"]
 
 JOINT_RETURN = 0.5
 """Largest speed at which a joint beyond its limit is required to return [rad/s]."""
-_FIXED_POINT = 20
-"""Number of iterations to the duration of a step at a velocity."""
 _LIFTED = 0.004
 """Height of a sole above the plane of the other one from which on it is in the air [m]."""
 
@@ -90,11 +88,13 @@ class SteppingWalk(Walk):
         s = self.config.standing
         return s.transfer_duration + s.swing_duration
 
+    def _period_at(self, forward: float) -> float:
+        """Return the duration [s] of a step at a forward velocity [m/s]."""
+        return self._period(0.0)
+
     def _step_at(self, twist: tuple[float, float, float]) -> tuple[float, float, float]:
         """Return length, side [m] and turn [rad] of a step at a velocity [m/s, m/s, rad/s]."""
-        period = self._period(0.0)
-        for _ in range(_FIXED_POINT):  # longer steps are quicker; the mean, because the period may alternate about it
-            period = 0.5 * (period + self._period(twist[0] * period))
+        period = self._period_at(twist[0])
         forward, left, turn = twist
         return forward * period, left * period, turn * period
 

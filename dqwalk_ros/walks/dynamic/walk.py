@@ -211,6 +211,15 @@ class DynamicWalk(SteppingWalk):
         """Return the duration [s] of a step of a length [m]."""
         return sum(self._durations(length))
 
+    def _period_at(self, forward: float) -> float:
+        """Return the duration P [s] of a step at a forward velocity v [m/s].
+
+        P = P(0) - q (v P / L)², with q and L ``dynamic.quicken`` and ``gait.most_length``; at least P(L).
+        """
+        longest, most = self._period(0.0), self.config.gait.most_length
+        a = self.config.dynamic.quicken * min(abs(forward) / most, 1e9) ** 2 if most else 0.0
+        return max(2.0 * longest / (1.0 + math.sqrt(1.0 + 4.0 * a * longest)), self._period(most))
+
     # ------------------------------------------------------------------ phases
 
     def both_feet(self, kind: PhaseKind, support: Foot, q_start: Array) -> Phase:
