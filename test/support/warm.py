@@ -10,6 +10,7 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
+import numba
 import numpy as np
 
 from dqwalk_ros.config import load, overlaid
@@ -42,7 +43,9 @@ def estimator() -> None:
 
 
 def compile_all() -> None:
-    """Compile in two processes, unless this was done since a compiled function changed."""
+    """Compile in two processes, unless this was done since a compiled function changed, or nothing is compiled."""
+    if numba.config.DISABLE_JIT:
+        return
     done = Path(compose.stats.cache_path) / "all_for_tests"
     if not done.exists():
         parts = [subprocess.Popen([sys.executable, __file__, name]) for name in ("walks", "estimator")]
