@@ -33,10 +33,14 @@ TARGETS = {
         "plants/test_poppy_faults.py",
         "plants/test_poppy.py",
     ),
-    "dqwalk_ros/plants/poppy/plant.py": ("plants/test_poppy_faults.py", "plants/test_poppy.py"),
+    "dqwalk_ros/plants/poppy/plant.py": (
+        "plants/test_poppy_faults.py",
+        "plants/test_poppy.py",
+        "faults/test_poppy_battery.py",
+    ),
 }
 """Files, and the tests that must detect their mutants."""
-SLOW = "random_faults or close_releases"
+SLOW = "battery or close_releases"
 STAGES = f"not (ends_the_walk or {SLOW})", SLOW
 """Selections of tests, in order: the slow ones run if all others pass; those that start a node take too long."""
 WARM = (
