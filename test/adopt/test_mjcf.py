@@ -12,7 +12,8 @@ import pytest
 from dqwalk_ros import cli
 from dqwalk_ros.adopt import adopt
 from dqwalk_ros.adopt.anatomy import find_anatomy
-from dqwalk_ros.adopt.mjcf import is_mjcf, load_mjcf
+from dqwalk_ros.adopt.mjcf import MjcfDrive, is_mjcf, load_mjcf
+from dqwalk_ros.adopt.parameters import drive_parameters
 from dqwalk_ros.config import RobotConfig, load
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
@@ -87,13 +88,14 @@ def test_limits_efforts_drives_and_shapes_are_those_of_the_file() -> None:
 
 
 def test_position_gains_are_the_stiffness_unless_they_are_too_soft_to_stand(tmp_path: Path) -> None:
-    adopt(SMALL, tmp_path / "stiff")
-    servo = load(tmp_path / "stiff" / "robot.yaml").servo
+    found = adopt(SMALL, tmp_path)
+    servo = load(tmp_path / "robot.yaml").servo
     assert (servo.stiffness, servo.assumed_stiffness, servo.armature, servo.friction) == (70.0, 70.0, 0.005, 0.02)
     assert servo.damping == pytest.approx(1.4 / 70.0, rel=0.01)
-    soft = adopt(edited(tmp_path, ('kp="70"', 'kp="7"')), tmp_path / "soft")
-    assert load(tmp_path / "soft" / "robot.yaml").servo.stiffness > 30.0
-    assert next(entry for entry in soft.evidence if entry.what == "position gain").confidence == "guess"
+    soft = dict.fromkeys(found.anatomy.legs[Foot.LEFT], MjcfDrive(7.0, 0.2, 0.005, 0.0))
+    values, (entry,) = drive_parameters(soft, found.numbers)
+    assert values == {"servo.armature": 0.005}
+    assert (entry.value.split(",")[0], entry.confidence) == ("7 N m/rad", "guess")
 
 
 REFUSED = {
