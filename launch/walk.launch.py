@@ -6,7 +6,6 @@ ros2 launch dqwalk_ros walk.launch.py plant:=physics config:=poppy_dynamic set:=
 """
 
 import shlex
-import subprocess
 from functools import partial
 from pathlib import Path
 
@@ -26,18 +25,12 @@ from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
 
 from dqwalk_ros.cli.options import parse_overrides
-from dqwalk_ros.config import Config, find_config, find_share, load, overlaid, put_on, replaced, to_yaml
+from dqwalk_ros.config import Config, find_config, find_share, load, overlaid, put_on, replaced
 from dqwalk_ros.plants.table import PLANTS, entry
 from dqwalk_ros.support.errors import ConfigError
 
 CANNOT_START = 2
 """Exit code of a node whose arguments are invalid, or that is running already."""
-DESCRIBE = """
-import sys
-from dqwalk_ros.config import from_yaml
-from dqwalk_ros.robot.model import load_model
-print(load_model(from_yaml(sys.stdin.read()).robot).urdf)
-"""
 TRUE_OR_FALSE = ["true", "false"]
 ARGUMENTS = {
     "config": ("", "parameter file of all nodes, or the name of a shipped one such as poppy_dynamic; `dqwalk config` "
@@ -83,12 +76,6 @@ def typed(changes: dict[str, object]) -> dict[str, object]:
     """Return parameters as launch_ros passes them on, with the types of the schema; an empty list has no type."""
     flat = Config().updated(changes, source="set").flat()
     return {name: (list(flat[name]) or [""]) if isinstance(flat[name], tuple) else flat[name] for name in changes}
-
-
-def description(config: Config) -> str:
-    """Return the URDF of the joints that walk, read by the Python of the nodes: that of `ros2` may lack packages."""
-    python = ["python3", "-c", DESCRIBE]
-    return subprocess.run(python, input=to_yaml(config), stdout=subprocess.PIPE, text=True, check=True).stdout
 
 
 def nodes(context: LaunchContext) -> list[object]:
@@ -155,7 +142,9 @@ def nodes(context: LaunchContext) -> list[object]:
     if given["view"] == "true":
         node("viewer")
     if rviz:
-        described = {"robot_description": description(put_on(load(config), files[1:]).updated(changes))}
+        from dqwalk_ros.robot.model import load_model
+
+        described = {"robot_description": load_model(put_on(load(config), files[1:]).updated(changes).robot).urdf}
         shown = ["-d", str(find_share("config", "walk.rviz"))]
         node("robot_state_publisher", "robot_state_publisher", parameters=[described])
         node("rviz2", "rviz2", parameters=[], arguments=shown)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import runpy
 import sys
 import types
@@ -278,13 +277,8 @@ def test_the_demo_is_a_steered_walk_in_physics_on_the_page(others: dict[str, dic
         assert config.plant.imu
 
 
-def test_rviz_shows_exactly_the_published_joints(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
-    """RobotModel fails if the description has 25 joints and joint_states has 10.
-
-    `ros2` runs by the system's Python, which cannot read the robot: yourdfpy is in the environment of the nodes.
-    """
-    monkeypatch.setitem(sys.modules, "dqwalk_ros.robot.model", None)
-    monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
+def test_rviz_shows_exactly_the_published_joints(start: Start) -> None:
+    """RobotModel fails if the description has 25 joints and joint_states has 10."""
     nodes, _ = start(rviz="true")
     (described,) = (p for p in nodes["robot_state_publisher"].given["parameters"] if "robot_description" in p)
     joints = ElementTree.fromstring(described["robot_description"]).iter("joint")

@@ -166,6 +166,8 @@ def test_the_native_installation_of_the_readme_works(tmp_path: Path) -> None:
             run.append(f"timeout --preserve-status -s INT 60 {line}")
         else:
             run.append(line.replace("REPOSITORY", str(sources)))
+    # `ros2` is a program of the system's Python, which reads the launch files
+    run.append(f"{Path(sys.base_prefix) / 'bin/python3'} -c 'import dqwalk_ros.config, dqwalk_ros.cli.options'")
     for node in ("controller", "integrator", "phase_monitor", "recorder --bag recorded"):
         run.append("timeout --preserve-status -s INT 30 " + single_node.replace("controller", node, 1))
     run += [f"ros2 run dqwalk_ros {node} --help | grep Example:" for node in NODES]
