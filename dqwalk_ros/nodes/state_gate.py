@@ -332,7 +332,8 @@ class StateGate:
         passed = stamp - self._stamp
         if self._by_stamp or 0 < passed <= self._farthest * 1e9:
             return passed
-        return round(1e9 * max(self.watchdog.age, self._dt))
+        age = self.watchdog.age
+        return round(1e9 * (max(age, self._dt) if age < math.inf else self._dt))  # infinite before the first state
 
     def _reject(self, why: str) -> StateError:
         """Count an impossible state and return its error."""

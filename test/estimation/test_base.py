@@ -47,7 +47,7 @@ def errors(steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
             slipped, way = controller.phase_index, random.uniform(-np.pi, np.pi)
             plant.data.qpos[:2] += 0.002 * np.array([math.cos(way), math.sin(way)])
         twist = np.empty(6)
-        mujoco.mj_objectVelocity(plant.mj, plant.data, mujoco.mjtObj.mjOBJ_XBODY, plant._pelvis, twist, 0)
+        mujoco.mj_objectVelocity(plant.mj, plant.data, mujoco.mjtObj.mjOBJ_XBODY, plant._pelvis_id, twist, 0)
         x, y = world.conj() * DQ(truth.pelvis), DQ(estimate.pose)
         turned = (y * x.conj()).rotation()
         found.append(

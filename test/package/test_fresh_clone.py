@@ -46,7 +46,7 @@ SHORTENED = {
 """Arguments that select little of what takes long."""
 
 COMPLETED = {
-    "dqwalk adopt URDF": "dqwalk adopt test/data/small_humanoid.urdf",
+    "dqwalk adopt FILE": "dqwalk adopt test/data/small_humanoid.urdf",
     "dqwalk identify BAG": "dqwalk exercise --out hanging && dqwalk identify hanging/bag",
     "dqwalk view BAG": "exec 3< <(PYTHONUNBUFFERED=1 dqwalk view test/data/recorded/walk 2>&1) && "
     "grep --max-count 1 http://127 <&3 && kill $!",
