@@ -12,6 +12,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
+from stepped_time import SteppedTime
 
 from dqwalk_ros.config import find_share, load
 from dqwalk_ros.nodes.command_line import NODES
@@ -81,6 +82,7 @@ def test_nodes_use_exactly_the_rights_of_the_policy(
 ) -> None:
     """The publishers, subscriptions, services and clients of each node, started in this process."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(SteppedTime, "passes", 1e-3)  # the driver uses angles of three times
     node, expected = make(name, CONFIGS.get(name, PAPER), *OWN.get(name, [])).node, policy()[name]
     found = {
         "publish": node.get_publisher_names_and_types_by_node(name, "/"),
