@@ -12,7 +12,7 @@ import pytest
 from recorded import SHORT, short_walk
 
 from dqwalk_ros import cli
-from dqwalk_ros.report import bag
+from dqwalk_ros.report import bag, figures
 from dqwalk_ros.support.errors import OutputError
 
 ROBOT = Path(__file__).parents[1] / "data" / "small_humanoid.urdf"
@@ -91,6 +91,7 @@ COMMANDS = {
 
 @pytest.mark.parametrize("name", COMMANDS)
 @pytest.mark.parametrize("linked", [False, True])
+@pytest.mark.usefixtures("few_figures")
 def test_no_command_replaces_a_file_of_the_user(
     name: str,
     linked: bool,
@@ -114,6 +115,14 @@ def test_no_command_replaces_a_file_of_the_user(
     assert (tmp_path / "mine").read_text() == "mine"
 
 
+@pytest.fixture
+def few_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One figure of each kind of walk, because drawing all of them takes seconds."""
+    few = {name: figures.FIGURES[name] for name in ("top_view", "figure9")}
+    monkeypatch.setattr(figures, "FIGURES", few)
+
+
+@pytest.mark.usefixtures("few_figures")
 def test_the_same_report_can_be_made_again(recorded: Path, tmp_path: Path) -> None:
     command = ["report", str(recorded), "--out", str(tmp_path), "--quiet", "--format", "png,svg,pdf"]
     assert cli.main(command) == 0

@@ -756,6 +756,7 @@ ON_RUBBLE = CONFIG.updated(
 )  # fmt: skip
 
 
+@pytest.mark.long
 def test_yielding_legs_walk_on_rubble_of_5_mm() -> None:
     """With a window of 0.15 rad, so legs as stiff as their servos, two of these four walks fell."""
     walked = [robustness.walk(ON_RUBBLE, 0, {"sensors.seed": seed}) for seed in (6, 7, 8, 9)]
