@@ -9,7 +9,7 @@ RUN apt-get update && apt-get install -y --no-install-recommends git python3-ven
     && rosdep update && rosdep install --from-paths src -y --ignore-src --skip-keys rviz2 \
     && rm -rf /var/lib/apt/lists/*
 RUN python3 -m venv --system-site-packages .venv && touch .venv/COLCON_IGNORE \
-    && echo 'export PYTHONPATH=$(echo $VIRTUAL_ENV/lib/python3*/site-packages):$PYTHONPATH' >> .venv/bin/activate \
+    && echo 'export PYTHONPATH=$(echo $VIRTUAL_ENV/lib/python3*/site-packages)${PYTHONPATH:+:$PYTHONPATH}' >> .venv/bin/activate \
     && . .venv/bin/activate \
     && pip install --no-cache-dir clarabel mcap msgspec rosbags yourdfpy 'joblib>=1.4' mujoco viser \
     && . /opt/ros/jazzy/setup.bash \
