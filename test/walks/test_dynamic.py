@@ -627,7 +627,7 @@ def test_a_biped_with_ankle_roll_walks_dynamically(speed: float, latency: float)
     sections = tree["/**"]["ros__parameters"]
     common = {
         f"{name}.{key}": value
-        for name in ("task", "standing", "dynamic", "servo", "joints", "qp")
+        for name in ("task", "standing", "dynamic", "servo", "joints")
         for key, value in sections[name].items()
         if f"{name}.{key}" not in own
     }
