@@ -430,6 +430,8 @@ def test_one_impossible_acceleration_is_replaced_and_more_are_left_out(axis: int
         assert bool(gate.warning) == (k >= 12)
     assert "an acceleration of 1e+04 m/s^2" in gate.warning
     assert not gate.impossible
+    beyond = felt(10 * DT, acceleration=1.01 * sign * 16 * GRAVITY * np.eye(3)[axis])
+    assert inertial().use(10 * PERIOD, beyond).acceleration is not beyond.acceleration
     bearable = felt(14 * DT, acceleration=0.99 * 16 * GRAVITY * np.ones(3))
     assert inertial().use(10 * PERIOD, bearable).acceleration is bearable.acceleration
     assert gate.use(14 * PERIOD, felt(14 * DT, acceleration=None)).acceleration is None
