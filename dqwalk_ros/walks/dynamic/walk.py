@@ -425,7 +425,7 @@ class DynamicWalk(SteppingWalk):
             rule.duration = self.config.dynamic.start_duration
             return Rest(self._now.xi, start, rule.duration, omega)
         rule.duration = self._transfer = supports[0].double
-        left = self._aim(phase.base, Footprint()) + self._roll(self._step_now)
+        left = self._aim(phase.base, Footprint()) + self._roll(Footprint(), self._step_now)
         return Pressed(left, supports[0].first, start, rule.duration, omega)
 
     def _flight_reference(self, phase: Phase, kin: Kinematics, rule: Timed) -> Pressed:
@@ -475,15 +475,16 @@ class DynamicWalk(SteppingWalk):
 
     def _support_on(self, foot: Foot, stands: Footprint, step: Array) -> Support:
         """Return the support on `foot` at the pose `stands`, during which a step (3,) is taken."""
-        return Support(self._aim(foot, stands), self._roll(step), *self._durations(float(step[0])))
+        return Support(self._aim(foot, stands), self._roll(stands, step), *self._durations(float(step[0])))
 
-    def _roll(self, step: Array) -> Array:
-        """Return by how much the pressure is ahead of its aim at the end of a step (3,), shape (2,) [m].
+    def _roll(self, stands: Footprint, step: Array) -> Array:
+        """Return by how much the pressure on a sole is ahead of its aim at the end of a step (3,), shape (2,) [m].
 
         It moves from the heel towards the toe, so that the reaction of the swing leg, first ahead and then back, and
         the motion of the CoM over the foot need less of the sole.
         """
-        return np.array([self.config.dynamic.roll * float(step[0]), 0.0])
+        ahead = self.config.dynamic.roll * float(step[0]) * stands.ahead
+        return np.array([ahead.real, ahead.imag])
 
     def _aim(self, foot: Foot, stands: Footprint) -> Array:
         """Return the middle of the planned pressure on the sole of `foot` at the pose `stands`, shape (2,) [m]."""
