@@ -42,6 +42,7 @@ SHORTENED = {
     "make robots": "ARGS='--only icub_reduced'",
     "make benchmark": "ARGS='--only cycle --ticks 1000'",
     "make see": "ARGS=report",
+    "make evidence": "ARGS='--sample 1'",
 }
 """Arguments that select little of what takes long."""
 
