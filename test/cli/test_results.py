@@ -154,7 +154,7 @@ def test_a_link_called_bag_is_replaced_not_what_it_leads_to(recorded: Path, tmp_
     assert (recorded / "metadata.yaml").exists()
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+@pytest.mark.parametrize("encoding", ["ascii", pytest.param("latin-1", marks=pytest.mark.long)])
 def test_a_report_is_written_on_any_terminal(encoding: str, recorded: Path, tmp_path: Path) -> None:
     out = tmp_path / "größe-尺寸"
     script = "import sys; from dqwalk_ros.cli import main; sys.exit(main())"

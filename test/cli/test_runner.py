@@ -174,6 +174,7 @@ def test_a_bag_without_the_end_of_the_walk_is_incomplete() -> None:
     assert not _recording_error(processes, True, 1267)
 
 
+@pytest.mark.long
 def test_an_exercise_that_failed_is_not_to_be_identified(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     robot = ["exercise", "--plant", "poppy", "--set", f"poppy.lower_port={tmp_path}/nothing", "--out", str(tmp_path)]
     assert cli.main(robot) == 1

@@ -340,7 +340,14 @@ def odometry(make: Any, urdf: str, frame: str, *, with_sensor: bool) -> tuple[li
     return x, np.array(twist), config.dt
 
 
-@pytest.mark.parametrize(("frame", "with_sensor"), [("imu", False), ("l_shin", False), ("l_shin", True)])
+@pytest.mark.parametrize(
+    ("frame", "with_sensor"),
+    [
+        pytest.param("imu", False, marks=pytest.mark.long),
+        pytest.param("l_shin", False, marks=pytest.mark.long),
+        ("l_shin", True),
+    ],
+)
 def test_the_velocity_of_odometry_is_that_of_base_frame(make: Any, frame: str, with_sensor: bool) -> None:
     """Added up, the velocity of a link of the pelvis, or of one that a joint moves, is its way."""
     x, twist, dt = odometry(make, "poppy.urdf", frame, with_sensor=with_sensor)

@@ -65,6 +65,7 @@ def drive(make: Any, goals: list[tuple[float, float]]) -> list[tuple[float, floa
     return out
 
 
+@pytest.mark.long
 def test_a_goal_ahead_is_reached_by_odometry(make: Any) -> None:
     ((_, true),) = drive(make, [(0.06, 0.0)])
     assert true < WITHIN

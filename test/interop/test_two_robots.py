@@ -6,6 +6,7 @@ import signal
 from typing import Any
 
 import numpy as np
+import pytest
 from live import Live
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
@@ -13,6 +14,7 @@ from sensor_msgs.msg import JointState
 from dqwalk_ros.config import load
 
 
+@pytest.mark.long
 def test_a_robot_walks_on_when_another_is_killed(nodes: Any) -> None:
     robots: dict[str, Live] = {}
     commands: dict[str, list[JointState]] = {}

@@ -275,7 +275,7 @@ def test_two_drivers_do_not_share_a_port(walking: Robot, tmp_path: Path) -> None
     walking.until_moving()
 
 
-@pytest.mark.parametrize("torque_off", [False, True])
+@pytest.mark.parametrize("torque_off", [pytest.param(False, marks=pytest.mark.long), True])
 def test_the_torque_at_exit_is_as_configured(nodes: Any, torque_off: bool) -> None:
     settings = {"poppy.torque_off_at_end": torque_off, "poppy.activate": True}
     robot = nodes(CONFIG.updated(settings), kind=Robot)

@@ -43,6 +43,7 @@ def test_examples_run_and_print_the_expected_output(name, tmp_path, monkeypatch,
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 def test_the_ros_node_walks_with_the_integrator(nodes, domain):
     live = nodes(load("paper"))
     live.start("integrator")

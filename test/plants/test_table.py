@@ -55,7 +55,7 @@ def test_what_is_no_plant_is_an_error(name: str) -> None:
         plant_type(name)
 
 
-@pytest.mark.parametrize("command", ["simulate", "walk"])
+@pytest.mark.parametrize("command", ["simulate", pytest.param("walk", marks=pytest.mark.long)])
 def test_an_own_plant_walks(own: str, tmp_path: Path, command: str) -> None:
     """In one process, and as a node."""
     out = tmp_path / "out"

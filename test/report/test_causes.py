@@ -49,7 +49,7 @@ FALLS: dict[str, tuple[dict[str, Any], str, str, str]] = {
 }
 
 
-LONG = ("no damping", "latency that is told")
+LONG = ("soft servos", "no damping", "latency that is told")
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.long) if n in LONG else n for n in FALLS])

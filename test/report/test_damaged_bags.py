@@ -292,6 +292,7 @@ def changing_names(path, folder):
     rewrite(path, folder / "names", edit=edit)
 
 
+@pytest.mark.long
 def test_memory_and_time_are_bounded(path, tmp_path):
     """All are read in one process, which stays below 500 MB."""
     bags = tmp_path / "bags"

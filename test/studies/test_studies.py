@@ -134,6 +134,7 @@ def test_starts_masses_and_disturbances_change_the_walk_reproducibly(tmp_path):
 # ---------------------------------------------------------------------- schedulers, interruption and resumption
 
 
+@pytest.mark.long
 def test_results_do_not_depend_on_the_scheduler(small, tmp_path):
     study = read(small)
     one = walk_all(study, tmp_path / "one")
@@ -154,7 +155,9 @@ def test_a_missing_scheduler_is_an_error(small, tmp_path, monkeypatch):
         walk_all(read(small), tmp_path / "out", scheduler="tcp://127.0.0.1:9")
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT], ids=["killed", "Ctrl-C"])
+@pytest.mark.parametrize(
+    "number", [pytest.param(signal.SIGKILL, marks=pytest.mark.long), signal.SIGINT], ids=["killed", "Ctrl-C"]
+)
 def test_an_interrupted_study_resumes_without_losing_a_walk(tmp_path, number):
     text = SHORT + "vary: {gait.step_length: {from: 0.01, to: 0.03, steps: 12}}\n"
     study, out = write(tmp_path / "long.yaml", text), tmp_path / "out"
