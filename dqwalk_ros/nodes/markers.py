@@ -11,7 +11,7 @@ from dqwalk_ros.nodes.messages import pose_fields, time_msg, xyz
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Phase
-from dqwalk_ros.report.scene import COM, FOOT, Drawn, Moment, Rgb, Scene
+from dqwalk_ros.report.scene import COM, FOOT, Moment, NamedRegion, Rgb, Scene
 from dqwalk_ros.robot.model import RobotModel, Sole
 from dqwalk_ros.support.arrays import Array
 
@@ -46,7 +46,7 @@ def markers(stamp: int, config: Config, model: RobotModel, phase: Phase, kin: Ki
     return MarkerArray(markers=[clear, *shapes])
 
 
-def _region(drawn: Drawn) -> Marker:
+def _region(drawn: NamedRegion) -> Marker:
     """Return the marker of a constraint's region."""
     found = drawn.region
     a, b = found.size

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.paper.constraints import Constraint, Region
-from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.constraints import Constraint, Region, facing
 from dqwalk_ros.paper.features import CenterOfMass, Direction, Feature, Point
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.support.arrays import Array
@@ -373,6 +372,4 @@ class PointOverMovingPlane(Constraint):
 
     def region(self, kin: Kinematics) -> Region:
         """Return a part of the plane."""
-        n = self.normal.value(kin)
-        r = np.array([1.0 + n[2], -n[1], n[0], 0.0])
-        return Region("plane", DQ.from_pose(self.origin.value(kin), r / np.linalg.norm(r)).vec8(), (0.2, 0.2))
+        return Region("plane", facing(self.origin.value(kin), self.normal.value(kin)), (0.2, 0.2))

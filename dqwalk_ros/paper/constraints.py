@@ -49,6 +49,7 @@ __all__ = [
     "PointOverPlane",
     "PointsOverPlane",
     "Region",
+    "facing",
     "pose_error",
     "vfi",
 ]
@@ -192,7 +193,7 @@ class PointInCylinder(Constraint):
         axis, p = self.cylinder.axis, self.point.value(kin)
         foot = np.cross(axis.l, axis.m)  # the axis' point closest to the origin
         height = max(0.012, _MARGIN * abs(float((p - foot) @ axis.l)))
-        return Region("cylinder", _turned(foot + 0.5 * height * axis.l, axis.l), (self.cylinder.radius, height))
+        return Region("cylinder", facing(foot + 0.5 * height * axis.l, axis.l), (self.cylinder.radius, height))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -226,7 +227,7 @@ class PointOverPlane(Affine, Constraint):
         """Return a part of the plane, below the point."""
         plane, p = self.plane, self.point.value(kin)
         center = p - (float(plane.n @ p) - plane.d) * plane.n
-        return Region("plane", _turned(center, plane.n), (0.26, 0.26))
+        return Region("plane", facing(center, plane.n), (0.26, 0.26))
 
 
 @jit
@@ -493,8 +494,8 @@ class JointMinimum(Constraint):
         return tuple(f"{self.name}/{joint}" for joint in joint_names)
 
 
-def _turned(p: Array, z: Array) -> Array:
-    """Return a pose at `p` whose z axis is the unit vector `z`."""
+def facing(p: Array, z: Array) -> Array:
+    """Return a pose (8,) at `p` (3,) [m] whose z axis is the unit vector `z` (3,)."""
     r = np.array([1.0 + z[2], -z[1], z[0], 0.0])
     norm = float(np.linalg.norm(r))
     return DQ.from_pose(p, r / norm if norm > 1e-9 else [0.0, 1.0, 0.0, 0.0]).vec8()

@@ -29,6 +29,8 @@ _SOLID = [0.95, 0.99, 0.0005, 0.5, 2.0]
 """MuJoCo's contact impedance (solimp): full from a penetration of 0.5 mm on."""
 
 
+_LEAST_FRICTION = 0.01
+"""Least friction with which a stiffness of the contact can be stated: its pyramid must have a width."""
 _IMPEDANCE = 0.9
 """Constant contact impedance where the contact is stated in physical terms."""
 
@@ -246,6 +248,8 @@ def build(
     except ValueError as error:
         raise PlantError(f"MuJoCo refuses the robot: {error}") from error
     if c.contact_stiffness > 0.0:
+        if c.friction < _LEAST_FRICTION:
+            raise PlantError(f"MuJoCo's contact has a stated stiffness only with physics.friction >= {_LEAST_FRICTION}")
         _set_contact(mj, mj.body(model.soles[Foot.LEFT].frame).id, c.contact_stiffness, 2.0 * c.contact_time)
     return mj
 

@@ -279,7 +279,7 @@ class ServoGoals:
 
     def measure(self, q: Array, at: Array | float) -> NDArray[np.bool_]:
         """Process measured angles (n,) [rad] and their times [s], shape () or (n,); return which of them are used."""
-        used = self.gate.measure(q, np.broadcast_to(np.float64(at), q.shape).astype(np.float64), self.active)
+        used = self.gate.measure(q, np.full(q.shape, at, dtype=np.float64), self.active)
         if self.active:
             _find_runaways(self.gate.q, self.goal, self._most, self._side, self._nearest, self.runaway)
         return used

@@ -33,7 +33,16 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 
 __all__ = [
-    "BodyShape", "Drawn", "Gauge", "Moment", "Moments", "Scene", "View", "beginning", "shapes_of", "tightest",
+    "BodyShape",
+    "Gauge",
+    "Moment",
+    "Moments",
+    "NamedRegion",
+    "Scene",
+    "View",
+    "beginning",
+    "shapes_of",
+    "tightest",
 ]  # fmt: skip
 
 Rgb = tuple[int, int, int]
@@ -101,7 +110,7 @@ def shapes_of(config: Config, model: RobotModel) -> tuple[BodyShape, ...]:
     return (*plain, *meshes)
 
 
-class Drawn(NamedTuple):
+class NamedRegion(NamedTuple):
     """The region of a constraint with its name and colour, in odom or in the base frame."""
 
     name: str
@@ -212,7 +221,7 @@ class View:
     ground: float
     polygon: Array
     target: Array | None
-    regions: tuple[Drawn, ...]
+    regions: tuple[NamedRegion, ...]
     gauges: tuple[Gauge, ...]
     error: float
     divergent: Array | None = None
@@ -260,7 +269,7 @@ class Scene:
             polygon=np.array([DQ(x).transform_point(np.append(vertex, 0.0)) for vertex in polygon]),
             target=None if phase.swing_target is None else compose(x, phase.swing_target),
             regions=tuple(
-                Drawn(c.name, replace(shape, pose=compose(x, shape.pose)), c.look.color) for c, shape in regions
+                NamedRegion(c.name, replace(shape, pose=compose(x, shape.pose)), c.look.color) for c, shape in regions
             ),
             gauges=self.gauges(phase, found),
             error=found.values["error"],

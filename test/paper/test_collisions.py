@@ -13,12 +13,14 @@ from dqwalk_ros.paper.collisions import (
     AxisInCone,
     Capsule,
     PointOutsideSphere,
+    PointOverMovingPlane,
     capsules_apart,
     capsules_in,
     closest_on_segments,
     lines_apart,
     outside_line,
 )
+from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import Direction, Point
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.robot.shapes import capsule_around
@@ -146,6 +148,17 @@ def test_the_residual_of_a_moving_sphere_is_the_rate_of_the_distance_of_a_restin
         h = 1e-6
         rate = (sphere.evaluate(s, 0.5 + h)[0][0] - sphere.evaluate(s, 0.5 - h)[0][0]) / (2.0 * h)
         assert sphere.evaluate(s, 0.5)[2][0] == pytest.approx(rate, abs=1e-7)
+
+
+@pytest.mark.parametrize("axis", [*np.eye(3), *-np.eye(3)])
+def test_the_region_of_a_plane_of_the_robot_faces_along_its_normal(axis):
+    """Also downwards, where the shortest rotation from z is not unique."""
+    plane = PointOverMovingPlane(
+        name="p", eta=1.0, point=Point("l_sole"), origin=Point("pelvis"), normal=Direction("pelvis", axis)
+    )
+    kin = Kinematics(MODEL, np.zeros(MODEL.n), Foot.LEFT)
+    found = DQ(plane.region(kin).pose).rotation_matrix()[:, 2]
+    np.testing.assert_allclose(found, plane.normal.value(kin), atol=1e-9)
 
 
 # ---------------------------------------------------------------------- capsules of a robot

@@ -94,6 +94,11 @@ def test_the_soles_sink_by_the_stated_stiffness(engine: Any, friction: float) ->
         assert sunk == pytest.approx(truth.wrenches[foot][2] / (4.0 * stiffness), rel=0.02)
 
 
+def test_a_stiffness_without_friction_is_refused_in_mujoco() -> None:
+    with pytest.raises(PlantError, match=r"only with physics\.friction >= 0\.01"):
+        made(PhysicsPlant, physics__contact_stiffness=3e4, physics__friction=0.0)
+
+
 def test_both_stand_with_the_same_pressure_and_torques() -> None:
     one, two = (made(engine, physics__settle=0.8).truth for engine in ENGINES)
     np.testing.assert_allclose(two.cop[:2], one.cop[:2], atol=2e-4)

@@ -19,7 +19,7 @@ import websockets.asyncio.server
 from dqwalk_ros.paper.constraints import Region
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.report.scene import COM, DIVERGENT, FOOT, BodyShape, Drawn, Moment, Scene, View, tightest
+from dqwalk_ros.report.scene import COM, DIVERGENT, FOOT, BodyShape, Moment, NamedRegion, Scene, View, tightest
 from dqwalk_ros.report.viewer.panels import TIGHT, History, margins_html, status_html
 from dqwalk_ros.simulation import walk_type
 from dqwalk_ros.support.arrays import Array
@@ -436,7 +436,7 @@ class _Drawing:
             if tuple(handle.color) != color:
                 handle.color = color
 
-    def _add_region(self, drawn: Drawn) -> Any:
+    def _add_region(self, drawn: NamedRegion) -> Any:
         name, found, color = f"/regions/{drawn.name}", drawn.region, drawn.color
         looks: dict[str, Any] = {
             "opacity": 0.22,
